@@ -1,0 +1,99 @@
+# smfe: `make demo` needs Python 3.11 or later, make and a network; everything else is installed in .venv.
+SHELL = /bin/sh
+
+# INSTALL=wheel builds the wheel, installs it in a venv of its own and works with that instead of the checkout.
+INSTALL = editable
+JOBS = 2
+PYTHON := $(shell for p in $(PYTHON) python3 python3.13 python3.12 python3.11 python; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
+
+ifeq ($(INSTALL),wheel)
+VENV = .venv-wheel
+READY = wheel-installed
+else
+VENV = .venv
+READY = $(VENV)/.installed
+endif
+BIN = $(VENV)/bin
+UV_INSTALL = $(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --compile-bytecode
+
+# What the tests run with: one BLAS thread (many small matrices), no display, and public data where it lies beside us.
+RUN = OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
+ifeq ($(INSTALL),wheel)
+RUN += SMFE_TEST_WHEEL=1
+endif
+ifneq ($(wildcard ../shared/data),)
+SMFE_DATA ?= $(CURDIR)/../shared/data
+export SMFE_DATA
+endif
+
+.PHONY: help demo test slow lint docs bench lock wheel clean wheel-installed
+
+help:
+	@echo "make demo    run the demonstration and write its report to demo/"
+	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
+	@echo "make slow    the slow tests"
+	@echo "make lint    ruff, mypy, import-linter, file checks"
+	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
+	@echo "make bench   the benchmarks"
+	@echo "make wheel   build and check dist/*.whl"
+	@echo "make lock    renew requirements.lock"
+	@echo "make clean   remove everything that make made"
+
+demo: $(READY)
+	$(BIN)/smfe demo --out demo
+
+test: $(READY)
+	$(RUN) $(BIN)/pytest -m "not slow" -n $(JOBS) --dist loadscope $(ARGS)
+
+# Exit code 5 says that no test is marked slow.
+slow: $(READY)
+	$(RUN) $(BIN)/pytest -m slow -n $(JOBS) --dist loadscope $(ARGS) || [ $$? -eq 5 ]
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python .ci/check_files.py
+
+# Built afresh (-E): a page that Sphinx does not read again gives no warning again.
+docs: $(READY)
+	$(BIN)/sphinx-build -E -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+bench: $(READY)
+	@set -- benchmarks/*.py; test -e "$$1" || { echo "benchmarks/ holds no benchmark" >&2; exit 1; }
+	$(RUN) $(BIN)/pytest benchmarks --benchmark-only $(ARGS)
+
+wheel: $(VENV)/.locked
+	rm -rf dist
+	$(BIN)/hatchling build -t wheel
+	$(BIN)/python .ci/check_wheel.py dist/*.whl
+
+lock: $(VENV)/.locked
+	$(BIN)/uv pip compile pyproject.toml --group dev --upgrade --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --quiet --output-file requirements.lock
+
+clean:
+	rm -rf .venv .venv-wheel dist demo docs/_build .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
+		.benchmarks .hypothesis
+	find smfe process stability tests docs benchmarks .ci -name __pycache__ -prune -exec rm -rf {} +
+
+# pip installs uv alone, at the version and with the hashes of the lock; uv installs the rest, about five times faster.
+# Bytecode is compiled here because a warning that Python gives while compiling would be an error under pytest.
+$(VENV)/.locked: requirements.lock
+	@test -n "$(PYTHON)" || { echo "smfe needs Python 3.11 or later; name it with: make PYTHON=..." >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	awk '/^[^ ]/ { keep = /^uv==/ } keep' requirements.lock > $(VENV)/uv.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r $(VENV)/uv.txt
+	$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes --compile-bytecode requirements.lock
+	rm -f $(VENV)/.installed
+	touch $@
+
+.venv/.installed: .venv/.locked pyproject.toml
+	$(UV_INSTALL) --editable .
+	touch $@
+
+wheel-installed: wheel
+	$(UV_INSTALL) --reinstall dist/*.whl

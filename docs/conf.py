@@ -1,0 +1,31 @@
+"""Sphinx configuration: furo, MyST notebooks that are executed, numpydoc docstrings."""
+
+from importlib.metadata import version as installed_version
+
+project = "smfe"
+author = "The smfe developers"
+copyright = "2026, The smfe developers"
+release = version = installed_version("smfe")
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build", "**.ipynb_checkpoints"]
+
+html_theme = "furo"
+html_title = f"smfe {release}"
+
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+# Every example runs at every build, and one that fails, fails the build.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 180
+nb_merge_streams = True
+
+# The public names of a package are those of its facade, in the order in which it lists them.
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints_format = "short"
+python_maximum_signature_line_length = 88
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False

@@ -1,0 +1,255 @@
+"""Vocabulary: dimension names, units, sign convention, and the checks for labelled arrays.
+
+Conventions (docs/conventions.md): ``exp(+j w t)``; forces act on the tool; x is the feed direction, z the tool
+axis pointing away from the workpiece; a tooth angle is measured from +y towards +x.
+
+Shop-floor quantities carry shop units wherever a label shows them (`SHOP_UNITS`); everything else is SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from process.errors import InputError
+
+AXES: tuple[str, str, str] = ("x", "y", "z")
+
+SHOP_UNITS: dict[str, str] = {
+    "spindle_speed": "rpm",
+    "feed": "mm/min",
+    "depth_of_cut": "mm",
+    "width_of_cut": "mm",
+    "feed_per_tooth": "mm",
+    "limit_depth": "mm",
+    "limit_depth_quantile": "mm",
+}
+"""Labels that show shop units, so that ``.sel(feed=500)`` works."""
+
+SI_UNITS: dict[str, str] = {
+    "time": "s",
+    "frequency": "Hz",
+    "chatter_frequency": "Hz",
+    "force": "N",
+    "drive_force": "N",
+    "acceleration": "m/s^2",
+    "displacement": "m",
+    "encoder_position": "m",
+    "reference_position": "m",
+    "spindle_angle": "rad",
+    "tacho": "1",
+    "compliance": "m/N",
+    "compliance_std": "m/N",
+    "coherence": "1",
+    "force_condition": "1",
+    "force_level": "N",
+    "lobe": "1",
+}
+
+UNITS: dict[str, str] = {**SHOP_UNITS, **SI_UNITS}
+"""Name of a variable or coordinate -> the unit its values are in."""
+
+RECORD_VECTORS: tuple[str, ...] = (
+    "force",
+    "acceleration",
+    "displacement",
+    "encoder_position",
+    "drive_force",
+    "reference_position",
+)
+"""Channels of a record with one component an axis."""
+
+RECORD_SCALARS: tuple[str, ...] = ("spindle_angle", "spindle_speed", "tacho")
+"""Channels of a record without an axis."""
+
+
+def label(dataset: xr.Dataset) -> xr.Dataset:
+    """Set ``attrs["units"]`` of every variable and coordinate the vocabulary knows."""
+    for name in [*dataset.data_vars, *dataset.coords]:
+        if str(name) in UNITS:
+            dataset[name].attrs["units"] = UNITS[str(name)]
+    return dataset
+
+
+def axis_index(names: Sequence[str]) -> list[int]:
+    """Return the position of each axis name in `AXES`."""
+    unknown = [name for name in names if name not in AXES]
+    if unknown:
+        raise InputError(f"axis {unknown[0]!r} is none of {', '.join(AXES)}")
+    return [AXES.index(name) for name in names]
+
+
+def make_record(
+    time: ArrayLike,
+    vectors: Mapping[str, Mapping[str, ArrayLike]],
+    scalars: Mapping[str, ArrayLike] | None = None,
+    attrs: Mapping[str, Any] | None = None,
+) -> xr.Dataset:
+    """Assemble a record.
+
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        Time [s].
+    vectors : mapping
+        Channel name (a member of `RECORD_VECTORS`) -> axis -> samples, shape (n,), SI.
+        An axis that one channel has and another lacks is filled with NaN in the latter.
+    scalars : mapping, optional
+        Channel name (a member of `RECORD_SCALARS`) -> samples, shape (n,).
+    attrs : mapping, optional
+        Attributes of the record.
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables over ``(axis, time)`` and ``(time,)`` with units.
+    """
+    t = np.asarray(time, dtype=float)
+    present = [a for a in AXES if any(a in channel for channel in vectors.values())]
+    data: dict[str, Any] = {}
+    for name, channel in vectors.items():
+        values = np.full((len(present), t.size), np.nan)
+        for row, axis in enumerate(present):
+            if axis in channel:
+                values[row] = np.asarray(channel[axis], dtype=float)
+        data[name] = (("axis", "time"), values)
+    for name, samples in (scalars or {}).items():
+        data[name] = (("time",), np.asarray(samples, dtype=float))
+    record = xr.Dataset(data, coords={"time": t, "axis": present}, attrs=dict(attrs or {}))
+    return check_record(label(record))
+
+
+def check_record(record: xr.Dataset) -> xr.Dataset:
+    """Return the record when it is one, else raise.
+
+    Raises
+    ------
+    InputError
+        For an empty record, a time axis that is not uniform and rising, an unknown channel, or NaN in an axis
+        that is only partly there.
+    """
+    if "time" not in record.dims or record.sizes["time"] < 2:
+        raise InputError(f"the record has {record.sizes.get('time', 0)} samples; at least 2 are needed")
+    sample_interval(record)
+    for name in record.data_vars:
+        if str(name) not in (*RECORD_VECTORS, *RECORD_SCALARS):
+            known = ", ".join((*RECORD_VECTORS, *RECORD_SCALARS))
+            raise InputError(f"channel '{name}' is not known; a record holds: {known}")
+        _check_finite(record[name])
+    return record
+
+
+def _check_finite(channel: xr.DataArray) -> None:
+    """Refuse NaN and infinity, but let an axis be absent as a whole."""
+    rows = channel.transpose(..., "time").values.reshape(-1, channel.sizes["time"])
+    names = channel["axis"].values if "axis" in channel.dims else [None]
+    for axis, row in zip(names, rows, strict=True):
+        bad = ~np.isfinite(row)
+        if bad.any() and not np.isnan(row).all():
+            where = int(np.argmax(bad))
+            what = f"{channel.name}_{axis}" if axis is not None else str(channel.name)
+            raise InputError(
+                f"channel {what} has {int(bad.sum())} values that are not finite, the first at sample {where} "
+                f"(t = {float(channel['time'][where]):.6g} s); repair or cut the record"
+            )
+
+
+def sample_interval(record: xr.Dataset) -> float:
+    """Return the sampling interval [s] of a record with a uniform, rising time axis."""
+    t = record["time"].values
+    steps = np.diff(t)
+    if not np.all(np.isfinite(t)) or np.any(steps <= 0.0):
+        where = int(np.argmax(~(steps > 0.0)))
+        raise InputError(f"time does not rise at sample {where + 1}: {t[where]:.9g} s, then {t[where + 1]:.9g} s")
+    mean = float((t[-1] - t[0]) / (t.size - 1))
+    # Text files carry few digits: the *accumulated* departure from a uniform clock is what matters.
+    drift = float(np.max(np.abs(t - t[0] - mean * np.arange(t.size))))
+    if drift > 0.6 * mean:
+        raise InputError(
+            f"time is not uniform: samples depart by up to {drift:.3g} s from a clock of {mean:.6g} s; "
+            "resample the record or repair its time column"
+        )
+    return mean
+
+
+def axis_present(record: xr.Dataset, channel: str) -> list[str]:
+    """Return the axes on which `channel` has been recorded."""
+    if channel not in record:
+        return []
+    values = record[channel]
+    return [str(a) for a in values["axis"].values if not np.isnan(values.sel(axis=a).values[0])]
+
+
+def make_compliance(
+    frequency: ArrayLike,
+    compliance: NDArray[np.complex128],
+    response: Sequence[str] = AXES,
+    excitation: Sequence[str] = AXES,
+    extra: Mapping[str, tuple[tuple[str, ...], ArrayLike]] | None = None,
+    attrs: Mapping[str, Any] | None = None,
+) -> xr.Dataset:
+    """Assemble a labelled compliance.
+
+    Parameters
+    ----------
+    frequency : array_like, shape (n,)
+        Frequency [Hz], rising.
+    compliance : ndarray of complex, shape (n, responses, excitations)
+        Displacement over force [m/N].
+    response, excitation : sequence of str
+        Axis names of the last two dimensions; a part of `AXES` is a legitimate measurement.
+    extra : mapping, optional
+        More variables, name -> (dimensions, values).
+    attrs : mapping, optional
+        Attributes of the dataset.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``compliance(frequency, response, excitation)`` and what `extra` holds, with units.
+    """
+    data: dict[str, Any] = {"compliance": (("frequency", "response", "excitation"), np.asarray(compliance))}
+    data.update(extra or {})
+    coords = {
+        "frequency": np.asarray(frequency, dtype=float),
+        "response": list(response),
+        "excitation": list(excitation),
+    }
+    return check_compliance(label(xr.Dataset(data, coords=coords, attrs=dict(attrs or {}))))
+
+
+def check_compliance(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the dataset when it holds a compliance, else raise `InputError`."""
+    if "compliance" not in dataset:
+        raise InputError(f"no variable 'compliance' among {', '.join(map(str, dataset.data_vars)) or 'none'}")
+    array = dataset["compliance"]
+    for dim in ("frequency", "response", "excitation"):
+        if dim not in array.dims:
+            raise InputError(f"the compliance has dimensions {array.dims}; '{dim}' is missing")
+    f = dataset["frequency"].values
+    if f.size < 1 or np.any(np.diff(f) <= 0.0) or f[0] < 0.0:
+        raise InputError("the frequencies of a compliance must be non-negative and rise")
+    for dim in ("response", "excitation"):
+        axis_index([str(a) for a in dataset[dim].values])
+    if array.attrs.get("units") != UNITS["compliance"]:
+        raise InputError(f"the compliance has units {array.attrs.get('units')!r}; 'm/N' is needed")
+    return dataset
+
+
+def full_matrix(dataset: xr.Dataset) -> NDArray[np.complex128]:
+    """Return the compliance as an array of shape (frequencies, 3, 3) with zeros where it was not measured.
+
+    Notes
+    -----
+    Zero means rigid. A caller that computes a limit from a partial matrix must say so.
+    """
+    array = check_compliance(dataset)["compliance"].transpose("frequency", "response", "excitation")
+    full = np.zeros((array.sizes["frequency"], 3, 3), dtype=np.complex128)
+    rows = axis_index([str(a) for a in array["response"].values])
+    columns = axis_index([str(a) for a in array["excitation"].values])
+    full[np.ix_(range(full.shape[0]), rows, columns)] = array.values
+    return full

@@ -1,0 +1,86 @@
+"""The tool: diameter, teeth, where they sit and how far they stick out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A milling tool, SI.
+
+    Parameters
+    ----------
+    diameter : float
+        Cutting diameter [m].
+    teeth : int
+        Number of teeth.
+    approach_angle : float, optional
+        Angle between cutting edge and feed plane [rad]; pi/2 for a shoulder mill.
+    pitch_angles : tuple of float, optional
+        Angles from each tooth to the next [rad]; they add up to 2 pi. Default: equal.
+    runout : tuple of float, optional
+        Radial position of each tooth relative to the mean [m]. Default: zero.
+    helix_angle : float, optional
+        Helix angle of the edges [rad]. Default: straight edges.
+
+    Raises
+    ------
+    InputError
+        For impossible geometry.
+    """
+
+    diameter: float
+    teeth: int
+    approach_angle: float = math.pi / 2
+    pitch_angles: tuple[float, ...] | None = None
+    runout: tuple[float, ...] | None = None
+    helix_angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse impossible geometry."""
+        if not self.diameter > 0.0:
+            raise InputError(f"the tool diameter is {self.diameter:g} m; it must be positive")
+        if self.teeth < 1:
+            raise InputError(f"the tool has {self.teeth} teeth; at least one is needed")
+        if not 0.0 < self.approach_angle <= math.pi / 2 + 1e-12:
+            raise InputError(
+                f"the approach angle is {math.degrees(self.approach_angle):g} deg; it must be above 0 and at most 90"
+            )
+        if not 0.0 <= self.helix_angle < math.pi / 2:
+            raise InputError(f"the helix angle is {math.degrees(self.helix_angle):g} deg; it must be in [0, 90)")
+        self._check_per_tooth()
+
+    def _check_per_tooth(self) -> None:
+        for name, values in (("pitch_angles", self.pitch_angles), ("runout", self.runout)):
+            if values is not None and len(values) != self.teeth:
+                raise InputError(f"{name} has {len(values)} values for {self.teeth} teeth; give one a tooth")
+        if self.pitch_angles is not None:
+            total = math.degrees(sum(self.pitch_angles))
+            if abs(total - 360.0) > 0.01 or min(self.pitch_angles) <= 0.0:
+                raise InputError(f"the pitch angles add up to {total:g} deg; they must be positive and add up to 360")
+
+    @property
+    def equal_pitch(self) -> bool:
+        """Whether all teeth are equally spaced."""
+        return self.pitch_angles is None or float(np.ptp(self.pitch_angles)) < 1e-9
+
+    def tooth_angles(self) -> NDArray[np.float64]:
+        """Return how far each tooth runs behind tooth 0 [rad], shape (teeth,)."""
+        if self.pitch_angles is None:
+            return np.arange(self.teeth) * (2.0 * math.pi / self.teeth)
+        return np.concatenate([[0.0], np.cumsum(self.pitch_angles)[:-1]])
+
+    def tooth_offsets(self) -> NDArray[np.float64]:
+        """Return the radial position of each tooth relative to the mean [m], shape (teeth,)."""
+        return np.zeros(self.teeth) if self.runout is None else np.asarray(self.runout, dtype=float)
+
+    def tooth_passing_frequency(self, rotation: float) -> float:
+        """Return the tooth passing frequency [Hz] at a spindle rotation [rad/s]."""
+        return self.teeth * rotation / (2.0 * math.pi)

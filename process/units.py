@@ -1,0 +1,115 @@
+"""Quantities as text: ``"125 mm"`` -> 0.125 and back.
+
+This is the only place where field units are converted. Everything inside the packages is SI (angles in rad,
+rotation in rad/s). A unit belongs to a dimension, so that ``"g"`` is 9.80665 m/s2 where an acceleration is
+asked for and 0.001 kg where a mass is.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from process.errors import InputError
+
+_REVOLUTION = 2.0 * math.pi
+
+UNITS: dict[str, dict[str, float]] = {
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9, "in": 0.0254},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0},
+    "frequency": {"Hz": 1.0, "1/s": 1.0, "kHz": 1e3},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3, "mm/min": 1e-3 / 60.0, "m/min": 1.0 / 60.0},
+    "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665},
+    "rotation": {"rad/s": 1.0, "rpm": _REVOLUTION / 60.0, "1/min": _REVOLUTION / 60.0, "Hz": _REVOLUTION},
+    "rotation_rate": {"rad/s^2": 1.0, "rpm/s": _REVOLUTION / 60.0},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0, "rev": _REVOLUTION},
+    "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
+    "mass": {"kg": 1.0, "g": 1e-3},
+    "stiffness": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6},
+    "compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6, "µm/N": 1e-6},
+    "viscosity": {"N s/m": 1.0, "Ns/m": 1.0, "N s/mm": 1e3},
+    "pressure": {"N/m^2": 1.0, "Pa": 1.0, "MPa": 1e6, "N/mm^2": 1e6, "GPa": 1e9},
+    "line_force": {"N/m": 1.0, "N/mm": 1e3},
+    "temperature": {"degC": 1.0, "°C": 1.0},
+    "dimensionless": {"": 1.0, "1": 1.0, "%": 0.01},
+}
+"""Dimension -> unit -> factor to SI."""
+
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$")
+
+
+def _canonical(unit: str) -> str:
+    """One spelling for the usual variants: ``m/s2``, ``m/s**2`` and ``m/s²`` are ``m/s^2``."""
+    text = unit.strip().replace("²", "^2").replace("**", "^").replace("μ", "µ")
+    return re.sub(r"(?<=[a-z])2$", "^2", text)
+
+
+def factor(unit: str, dimension: str) -> float:
+    """Return the number that turns a value in `unit` into SI.
+
+    Parameters
+    ----------
+    unit : str
+        Unit symbol such as ``"mm"`` or ``"N/mm^2"``.
+    dimension : str
+        A key of `UNITS`.
+
+    Raises
+    ------
+    InputError
+        When the unit does not belong to the dimension.
+    """
+    table = UNITS[dimension]
+    name = _canonical(unit)
+    if name not in table:
+        raise InputError(
+            f"unit '{unit}' is not a unit of {dimension.replace('_', ' ')}; use one of: "
+            + ", ".join(repr(known) for known in table if known)
+        )
+    return table[name]
+
+
+def parse(text: str, dimension: str) -> float:
+    """Turn a quantity written as text into SI.
+
+    Parameters
+    ----------
+    text : str
+        Number and unit, ``"125 mm"``.
+    dimension : str
+        A key of `UNITS`.
+
+    Returns
+    -------
+    float
+        The value in SI (m, s, Hz, m/s, rad/s, N, ...).
+
+    Raises
+    ------
+    InputError
+        When there is no number, no unit, or the unit is of another dimension.
+    """
+    if not isinstance(text, str):
+        raise InputError(f"{text!r} has no unit; write it as text with a unit, e.g. {_example(dimension)}")
+    match = _NUMBER.match(text)
+    if match is None:
+        raise InputError(f"'{text}' is not a number with a unit; write e.g. {_example(dimension)}")
+    number, unit = match.groups()
+    if not unit and dimension != "dimensionless":
+        raise InputError(f"'{text}' has no unit; write e.g. {_example(dimension)}")
+    return float(number) * factor(unit, dimension)
+
+
+def show(value: float, unit: str, dimension: str, digits: int = 6) -> str:
+    """Write an SI value as text in `unit`: ``show(0.125, "mm", "length") == "125 mm"``."""
+    return f"{value / factor(unit, dimension):.{digits}g} {unit}".strip()
+
+
+def from_si(value: float, unit: str, dimension: str) -> float:
+    """Return an SI value as a number in `unit`."""
+    return value / factor(unit, dimension)
+
+
+def _example(dimension: str) -> str:
+    unit = list(UNITS[dimension])[1 if len(UNITS[dimension]) > 1 else 0]
+    return f'"10 {unit}"'

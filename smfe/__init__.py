@@ -1,0 +1,1 @@
+"""The measured side and the composition."""

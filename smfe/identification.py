@@ -1,0 +1,34 @@
+"""What every identification method returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import pandas as pd
+import xarray as xr
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A compliance found from records.
+
+    Parameters
+    ----------
+    name : str
+        Name of the measurement.
+    method : str
+        "hammer", "actuator" or "sweep".
+    compliance : xarray.Dataset
+        Labelled compliance with ``compliance_std`` and ``coherence``, and ``force_condition`` for a sweep.
+    tables : mapping of str to pandas.DataFrame
+        What the engineer wants to look through: hits, steps, passes. Column names end in their unit.
+    warnings : tuple of str
+        Sentences for the report.
+    """
+
+    name: str
+    method: str
+    compliance: xr.Dataset
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()

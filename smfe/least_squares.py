@@ -1,0 +1,137 @@
+"""One weighted least squares a frequency: the core that every sweep estimator shares.
+
+``X = Phi F + noise`` with one column a line, segment or harmonic of a test. Rows of Phi are solved one by one because
+the noise of x, y and z differs; columns are weighted with the inverse noise level of their test.
+
+Sources: theory of multiple-input least squares, ``Cov(Phi_i) = s_i^2 (F W F^H)^-1`` (Pintelon and Schoukens, System
+Identification, 2012); multiple coherence adjusted for the number of columns M and unknowns p,
+``1 - (1 - g2) M/(M - p)``, because M columns of pure noise have ``E[g2] = p/M``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What one frequency has to be solved from.
+
+    Parameters
+    ----------
+    regressors : ndarray of complex, shape (p, M)
+        The three forces first, then nuisance regressors (slopes over frequency, transients).
+    response : ndarray of complex, shape (r, M)
+        Displacements.
+    test : ndarray of int, shape (M,)
+        Which test a column belongs to.
+    correlation : ndarray of complex, shape (M, M), optional
+        Correlation of the noise between columns (overlapping segments). Default: none.
+    """
+
+    regressors: Complex
+    response: Complex
+    test: NDArray[np.int64]
+    correlation: Complex | None = None
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Estimate at one frequency.
+
+    Parameters
+    ----------
+    compliance, std : ndarray, shape (r, e)
+        Compliance [m/N] and the root mean square of its complex error.
+    coherence : ndarray, shape (r,)
+        Adjusted multiple coherence.
+    condition : float
+        Largest over smallest singular value of the force columns.
+    residual : ndarray, shape (r, tests)
+        Mean square residual of each response in each test.
+    """
+
+    compliance: Complex
+    std: Real
+    coherence: Real
+    condition: float
+    residual: Real
+
+
+def condition_number(force: Complex) -> float:
+    """Return the ratio of largest to smallest singular value of force columns, shape (e, M)."""
+    singular = np.linalg.svd(force, compute_uv=False)
+    smallest = float(singular[-1]) if force.shape[1] >= force.shape[0] else 0.0
+    return float("inf") if smallest == 0.0 else float(singular[0]) / smallest
+
+
+def solve(columns: Columns, excitations: int, noise: Real | None = None) -> Solution:
+    """Solve one frequency.
+
+    Parameters
+    ----------
+    columns : Columns
+        Regressors and responses, M columns.
+    excitations : int
+        How many of the first regressors are forces.
+    noise : ndarray, shape (r, tests), optional
+        Mean square noise of each response in each test; columns are weighted with its inverse. Default: equal.
+
+    Returns
+    -------
+    Solution
+        NaN throughout when there are not more columns than unknowns.
+    """
+    p, m = columns.regressors.shape
+    rows, tests = columns.response.shape[0], int(columns.test.max()) + 1
+    scale = np.sqrt(np.mean(np.abs(columns.regressors) ** 2, axis=1))
+    scale[scale == 0.0] = 1.0
+    unit = columns.regressors / scale[:, None]
+    shape = (rows, excitations)
+    estimate = np.full(shape, np.nan, dtype=complex)
+    std, coherence = np.full(shape, np.nan), np.full(rows, np.nan)
+    residual = np.full((rows, tests), np.nan)
+    condition = condition_number(columns.regressors[:excitations])
+    if m <= p or not np.isfinite(condition):
+        return Solution(estimate, std, coherence, condition, residual)
+    for i in range(rows):
+        weight = np.ones(m) if noise is None else 1.0 / np.sqrt(noise[i, columns.test])
+        x = columns.response[i]
+        gain, covariance = _row(unit, x, weight, columns.correlation)
+        left = x - gain @ unit
+        power = float(np.sum(np.abs(weight * left) ** 2)) / _freedom(unit, weight, columns.correlation)
+        estimate[i] = gain[:excitations] / scale[:excitations]
+        std[i] = np.sqrt(power * np.diag(covariance).real[:excitations]) / scale[:excitations]
+        total = float(np.sum(np.abs(weight * x) ** 2))
+        coherence[i] = 1.0 - power * m / total if total > 0.0 else np.nan
+        for test in range(tests):
+            mine = columns.test == test
+            residual[i, test] = np.mean(np.abs(left[mine]) ** 2) * m / (m - p) if mine.any() else np.nan
+    return Solution(estimate, std, np.clip(coherence, 0.0, 1.0), condition, residual)
+
+
+def _row(unit: Complex, x: Complex, weight: Real, correlation: Complex | None) -> tuple[Complex, Complex]:
+    """Solve one response by QR (never by normal equations); return the gains and their covariance for unit noise."""
+    q, r = np.linalg.qr((unit * weight).conj().T)
+    gain = np.linalg.lstsq(r, q.conj().T @ (x * weight).conj(), rcond=None)[0].conj()
+    inverse = np.linalg.pinv(r)
+    if correlation is None:
+        return gain, inverse @ inverse.conj().T
+    # gain = x q r^-H, so Cov = r^-1 q^H conj(R) q r^-H for R = E[n_a n_b*].
+    middle = q.conj().T @ correlation.conj() @ q
+    return gain, inverse @ middle @ inverse.conj().T
+
+
+def _freedom(unit: Complex, weight: Real, correlation: Complex | None) -> float:
+    """Degrees of freedom of the residual: ``trace((I - Q Q^H) R)``, M - p for uncorrelated columns."""
+    p, m = unit.shape
+    if correlation is None:
+        return float(m - p)
+    q = np.linalg.qr((unit * weight).conj().T)[0]
+    return max(float(m - np.trace(q.conj().T @ correlation.conj() @ q).real), 1.0)

@@ -1,0 +1,194 @@
+"""The funnel: every record becomes block spectra of force and displacement here, and only here.
+
+An acceleration becomes a displacement in this file (``X = -A/w^2``) and in no other, so that the conversion happens
+once for every method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from process.compliance import displacement_over_acceleration
+from process.errors import InputError
+from process.labels import axis_index, axis_present, sample_interval
+
+
+@dataclass(frozen=True)
+class BlockSpectra:
+    """Fourier transforms of blocks of a record.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (f,)
+        Frequency [Hz].
+    displacement : ndarray of complex, shape (f, responses, blocks)
+        Transform of the displacement [m s].
+    force : ndarray of complex, shape (f, excitations, blocks)
+        Transform of the force [N s].
+    response, excitation : tuple of str
+        Axis names of the rows.
+    neighbour_correlation : ndarray, shape (lags,)
+        Correlation of white noise between blocks 0, 1, 2, ... apart that the overlap brings; begins with 1. It is
+        multiplied by ``exp(-j w hop lag)``, see `overlap_phase`.
+    hop : float
+        Time from one block to the next [s].
+    """
+
+    frequency: NDArray[np.float64]
+    displacement: NDArray[np.complex128]
+    force: NDArray[np.complex128]
+    response: tuple[str, ...]
+    excitation: tuple[str, ...]
+    neighbour_correlation: NDArray[np.float64]
+    hop: float
+
+
+def motion_axes(record: xr.Dataset) -> tuple[str, list[str]]:
+    """Return the motion channel of a record ("displacement" before "acceleration") and its axes."""
+    for channel in ("displacement", "acceleration"):
+        axes = axis_present(record, channel)
+        if axes:
+            return channel, axes
+    raise InputError("the record holds neither acceleration nor displacement; declare one in [channels]")
+
+
+def as_displacement(spectrum: NDArray[np.complex128], frequency: NDArray[np.float64], channel: str) -> NDArray[np.complex128]:
+    """Turn transforms of a motion channel into transforms of displacement.
+
+    Parameters
+    ----------
+    spectrum : ndarray of complex, shape (f, ...)
+        Transform of the channel.
+    frequency : ndarray, shape (f,)
+        Frequency [Hz]; at 0 Hz a displacement from an acceleration is NaN.
+    channel : {"acceleration", "displacement"}
+        What the transform is of.
+    """
+    if channel == "displacement":
+        return spectrum
+    scale = displacement_over_acceleration(frequency)
+    return spectrum * scale.reshape((-1,) + (1,) * (spectrum.ndim - 1))
+
+
+def block_spectra(
+    record: xr.Dataset,
+    starts: Sequence[int],
+    length: int,
+    window: NDArray[np.float64] | None = None,
+    frequency_range: tuple[float, float] | None = None,
+    detrend: bool = True,
+) -> BlockSpectra:
+    """Transform blocks of a record.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        A record with ``force`` and a motion channel.
+    starts : sequence of int
+        First sample of each block; equally spaced blocks are assumed for the overlap correlation.
+    length : int
+        Samples a block.
+    window : ndarray, shape (length,), optional
+        Default: rectangular.
+    frequency_range : (float, float), optional
+        Keep only these frequencies [Hz].
+    detrend : bool, optional
+        Remove the mean of each block first, so that an offset does not leak through the window.
+
+    Raises
+    ------
+    InputError
+        When the record holds no force or no motion, or a block does not fit.
+    """
+    excitation = axis_present(record, "force")
+    if not excitation:
+        raise InputError("the record holds no force; declare force_x, force_y or force_z in [channels]")
+    channel, response = motion_axes(record)
+    n = record.sizes["time"]
+    if not len(starts) or min(starts) < 0 or max(starts) + length > n:
+        raise InputError(f"a record of {n} samples cannot hold a block of {length} samples where it is asked for")
+    dt = sample_interval(record)
+    frequency = fft.rfftfreq(length, dt)
+    keep = slice(None)
+    if frequency_range is not None:
+        low, high = np.searchsorted(frequency, [frequency_range[0] - 1e-9, frequency_range[1] + 1e-9])
+        keep = slice(int(low), int(high))
+    taper = np.ones(length) if window is None else window
+
+    def transform(name: str, axes: list[str]) -> NDArray[np.complex128]:
+        samples = record[name].sel(axis=axes).values
+        out = np.empty((frequency[keep].size, len(axes), len(starts)), dtype=complex)
+        for b, start in enumerate(starts):
+            piece = samples[:, start : start + length]
+            if detrend:
+                piece = piece - piece.mean(axis=1, keepdims=True)
+            out[:, :, b] = dt * fft.rfft(piece * taper, axis=1)[:, keep].T
+        return out
+
+    hop = int(starts[1] - starts[0]) if len(starts) > 1 else length
+    return BlockSpectra(
+        frequency=frequency[keep],
+        displacement=as_displacement(transform(channel, response), frequency[keep], channel),
+        force=transform("force", excitation),
+        response=tuple(response),
+        excitation=tuple(excitation),
+        neighbour_correlation=overlap_correlation(taper, hop),
+        hop=hop * dt,
+    )
+
+
+def overlap_correlation(window: NDArray[np.float64], hop: int) -> NDArray[np.float64]:
+    """Return the correlation of white noise between windowed blocks 0, 1, 2, ... hops apart.
+
+    ``rho_m = sum_n w(n) w(n + m hop) / sum_n w(n)^2``; for Hann blocks that overlap by half it is (1, 1/6).
+    """
+    energy = float(window @ window)
+    lags = range(0, window.size, max(hop, 1))
+    return np.array([float(window[: window.size - lag] @ window[lag:]) / energy for lag in lags])
+
+
+def hann(length: int) -> NDArray[np.float64]:
+    """Return the periodic Hann window."""
+    window: NDArray[np.float64] = signal.get_window("hann", length, fftbins=True)
+    return window
+
+
+def check_records(name: str, records: Mapping[str, Sequence[xr.Dataset]]) -> None:
+    """Refuse a measurement without records, on an unknown axis, or whose records lack force or motion.
+
+    Raises
+    ------
+    InputError
+        With the measurement, the excitation axis and the record in the sentence.
+    """
+    if not any(len(group) for group in records.values()):
+        raise InputError(f"measurement '{name}' has no records; give at least one for an excitation axis")
+    axis_index(list(records))
+    for excitation, group in records.items():
+        for number, record in enumerate(group):
+            force_samples(record, excitation, record_source(record, number))
+            motion_axes(record)
+
+
+def force_samples(record: xr.Dataset, excitation: str, source: str = "the record") -> NDArray[np.float64]:
+    """Return the force [N] along `excitation`, shape (time,); `InputError` when it was not recorded."""
+    present = axis_present(record, "force")
+    if excitation not in present:
+        found = ", ".join(f"force_{axis}" for axis in present) or "no force"
+        raise InputError(
+            f"{source} was excited along {excitation} but holds {found}; "
+            f"declare force_{excitation} in [channels] or correct the excitation of the record"
+        )
+    samples: NDArray[np.float64] = record["force"].sel(axis=excitation).values
+    return samples
+
+
+def record_source(record: xr.Dataset, number: int) -> str:
+    """Return the file of a record (``attrs["file"]`` or ``attrs["source"]``), else "record 1" and so on."""
+    return str(record.attrs.get("file", record.attrs.get("source", f"record {number + 1}")))
