@@ -1,46 +1,117 @@
 """Numba loops of the time simulation. Floats and plain arrays only; labels live in `process.simulate`."""
 
-# Kernels take many scalars by design: numba knows no labelled arrays.
-# ruff: noqa: PLR0913
-
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
+TURN = 2.0 * math.pi
 
-@njit(cache=True, nogil=True)
-def forced_response(a, b0, b1, shape, mass, omega2, two_zeta_omega, force, displacement, acceleration):
-    """March linear modes under a given force that is linear between samples (exact for such a force).
+# Helpers are inlined: a call with a tuple of arrays costs more in reference counts than the arithmetic in it.
 
-    ``s_{k+1} = a s_k + b0 f_k + b1 f_{k+1}`` per mode, s = (position, velocity), f the modal force.
-    Shapes: a (m, 2, 2); b0, b1 (m, 2); shape (m, 3); force, displacement, acceleration (3, n).
+
+class Modes(NamedTuple):
+    """Linear modes and their exact step for a force that is linear over the step.
+
+    ``s_{k+1} = a s_k + b0 f_k + b1 f_{k+1}`` with s = (position, velocity) and f the modal force.
+    Shapes: a (m, 2, 2); b0, b1 (m, 2); shape (m, 3); the rest (m,).
     """
-    modes = shape.shape[0]
-    n = force.shape[1]
-    q = np.zeros(modes)
-    v = np.zeros(modes)
-    f_old = np.zeros(modes)
-    for k in range(n):
+
+    a: Any
+    b0: Any
+    b1: Any
+    shape: Any
+    mass: Any
+    omega2: Any
+    two_zeta_omega: Any
+
+
+class Motion(NamedTuple):
+    """The spindle and the feed: ``angle0 + rotation t + rate t^2/2``; a feed per time and one per angle."""
+
+    angle0: float
+    rotation: float
+    rate: float
+    start: float
+    stop: float
+    feed_rate: float
+    feed_per_angle: float
+
+
+class Teeth(NamedTuple):
+    """Geometry and material of the cut; lag and offset (teeth,), slice_lag (slices,), cutting and edge (3,)."""
+
+    lag: Any
+    offset: Any
+    slice_lag: Any
+    entry: float
+    leave: float
+    sin_k: float
+    cos_k: float
+    edge_length: float
+    cutting: Any
+    edge: Any
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _modal_force(modes, x, y, z, out):
+    for m in range(modes.mass.size):
+        out[m] = modes.shape[m, 0] * x + modes.shape[m, 1] * y + modes.shape[m, 2] * z
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _march(modes, state, f_old, f_new, out):
+    """Advance every mode by one step; state and out (m, 2)."""
+    for m in range(modes.mass.size):
+        for i in range(2):
+            out[m, i] = (
+                modes.a[m, i, 0] * state[m, 0]
+                + modes.a[m, i, 1] * state[m, 1]
+                + modes.b0[m, i] * f_old[m]
+                + modes.b1[m, i] * f_new[m]
+            )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _position(modes, state, out):
+    for i in range(3):
+        out[i] = 0.0
+        for m in range(modes.mass.size):
+            out[i] += modes.shape[m, i] * state[m, 0]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _record(modes, state, f_modal, k, displacement, acceleration):
+    """Write position and acceleration of the tool at step k."""
+    for i in range(3):
+        displacement[i, k] = 0.0
+        acceleration[i, k] = 0.0
+    for m in range(modes.mass.size):
+        a = f_modal[m] / modes.mass[m] - modes.two_zeta_omega[m] * state[m, 1] - modes.omega2[m] * state[m, 0]
         for i in range(3):
-            displacement[i, k] = 0.0
-            acceleration[i, k] = 0.0
-        for m in range(modes):
-            f = shape[m, 0] * force[0, k] + shape[m, 1] * force[1, k] + shape[m, 2] * force[2, k]
-            if k > 0:
-                q_new = a[m, 0, 0] * q[m] + a[m, 0, 1] * v[m] + b0[m, 0] * f_old[m] + b1[m, 0] * f
-                v[m] = a[m, 1, 0] * q[m] + a[m, 1, 1] * v[m] + b0[m, 1] * f_old[m] + b1[m, 1] * f
-                q[m] = q_new
-            f_old[m] = f
-            modal = f / mass[m] - two_zeta_omega[m] * v[m] - omega2[m] * q[m]
-            for i in range(3):
-                displacement[i, k] += shape[m, i] * q[m]
-                acceleration[i, k] += shape[m, i] * modal
+            displacement[i, k] += modes.shape[m, i] * state[m, 0]
+            acceleration[i, k] += modes.shape[m, i] * a
 
 
 @njit(cache=True, nogil=True)
+def forced_response(modes, force, displacement, acceleration):
+    """March linear modes under a given force (3, n), linear between samples; fill the other two (3, n)."""
+    count = modes.mass.size
+    state, new = np.zeros((count, 2)), np.zeros((count, 2))
+    f_old, f_new = np.zeros(count), np.zeros(count)
+    for k in range(force.shape[1]):
+        _modal_force(modes, force[0, k], force[1, k], force[2, k], f_new)
+        if k > 0:
+            _march(modes, state, f_old, f_new, new)
+            state[:] = new
+        f_old[:] = f_new
+        _record(modes, state, f_new, k, displacement, acceleration)
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _engaged_share(phi, half_step, entry, leave):
     """Share of the interval phi -+ half_step that lies in the arc: moves entry and exit off the time grid."""
     low = max(phi - half_step, entry)
@@ -48,164 +119,127 @@ def _engaged_share(phi, half_step, entry, leave):
     return max(0.0, high - low) / (2.0 * half_step)
 
 
-@njit(cache=True, nogil=True)
-def _surface(surfaces, slice_, node, tooth, teeth, nodes, buffers):
-    """Normal position of the surface that the tooth before left at an absolute node."""
-    before = (node // nodes) * teeth + tooth - 1
-    return surfaces[slice_, before % buffers, node % nodes]
+@njit(cache=True, nogil=True, inline="always")
+def _passing(surfaces, node, tooth, teeth):
+    """Buffer of tooth's pass over an absolute node. A single tooth alternates between two, to read its last turn."""
+    return (node // surfaces.shape[2] * teeth + tooth) % surfaces.shape[1]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _reach(teeth, j, phi, advance, r):
+    """How far tooth j reaches along the chip normal at angle phi."""
+    in_plane = (advance + r[0]) * math.sin(phi) + r[1] * math.cos(phi) + teeth.offset[j]
+    return in_plane * teeth.sin_k - r[2] * teeth.cos_k
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cutting_force(teeth, surfaces, angle, half_step, advance, r, total):
+    """Sum the force of all teeth at tool position r; return (engaged steps without contact, largest chip)."""
+    lost, largest = 0, 0.0
+    count, nodes = teeth.lag.size, surfaces.shape[2]
+    spacing = TURN / nodes
+    length = teeth.edge_length / teeth.slice_lag.size
+    total[:] = 0.0
+    for s in range(teeth.slice_lag.size):
+        for j in range(teeth.lag.size):
+            turn = angle - teeth.lag[j] - teeth.slice_lag[s]
+            phi = turn - TURN * math.floor(turn / TURN)
+            share = _engaged_share(phi, half_step, teeth.entry, teeth.leave)
+            if share == 0.0:
+                continue
+            place = turn / spacing
+            node = math.floor(place)
+            weight = place - node
+            before = surfaces[s, _passing(surfaces, node, j - 1, count), node % nodes]
+            after = surfaces[s, _passing(surfaces, node + 1, j - 1, count), (node + 1) % nodes]
+            left = (1.0 - weight) * before + weight * after
+            h = _reach(teeth, j, phi, advance, r) - left
+            if h <= 0.0:
+                lost += 1
+                continue
+            largest = max(largest, h)
+            sin_p, cos_p = math.sin(phi), math.cos(phi)
+            ft = share * length * (teeth.cutting[0] * h + teeth.edge[0])
+            fr = share * length * (teeth.cutting[1] * h + teeth.edge[1])
+            fa = share * length * (teeth.cutting[2] * h + teeth.edge[2])
+            total[0] += -cos_p * ft - teeth.sin_k * sin_p * fr - teeth.cos_k * sin_p * fa
+            total[1] += sin_p * ft - teeth.sin_k * cos_p * fr - teeth.cos_k * cos_p * fa
+            total[2] += teeth.cos_k * fr - teeth.sin_k * fa
+    return lost, largest
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _leave_surface(teeth, surfaces, s, j, from_angle, from_reach, to_angle, to_reach):
+    """Write every node that tooth j has passed in this step: the farthest that any tooth has reached there."""
+    count, nodes = teeth.lag.size, surfaces.shape[2]
+    spacing = TURN / nodes
+    for node in range(math.floor(from_angle / spacing) + 1, math.floor(to_angle / spacing) + 1):
+        left = surfaces[s, _passing(surfaces, node, j - 1, count), node % nodes]
+        phi = (node % nodes) * spacing
+        if teeth.entry - 2.0 * spacing <= phi <= teeth.leave + 2.0 * spacing:
+            weight = (node * spacing - from_angle) / (to_angle - from_angle)
+            left = max(left, (1.0 - weight) * from_reach + weight * to_reach)
+        surfaces[s, _passing(surfaces, node, j, count), node % nodes] = left
 
 
 @njit(cache=True, nogil=True)
-def milling(
-    a,
-    b0,
-    b1,
-    shape,
-    mass,
-    omega2,
-    two_zeta_omega,
-    step,
-    steps,
-    angle0,
-    rotation,
-    rotation_rate,
-    start,
-    stop,
-    feed_rate,
-    feed_per_angle,
-    lag,
-    offset,
-    slice_lag,
-    nodes,
-    entry,
-    leave,
-    sin_k,
-    cos_k,
-    edge_length,
-    cutting,
-    edge,
-    impulse,
-    force,
-    displacement,
-    acceleration,
-    thickness,
-):
+def milling(modes, motion, teeth, step, nodes, impulse, force, displacement, acceleration):
     """March linear modes under their own cutting force, with the chip cut from the surface left behind.
 
-    A tooth at angle phi reaches ``n = (x_f + x + rho/s) s sin k ...`` along the chip normal, i.e.
-    ``n = ((x_f + x) sin phi + y cos phi + rho) sin k - z cos k``; the chip thickness is n less the farthest n that
-    any tooth before has reached at that angle (`surfaces`), so a tooth that leaves the cut leaves the older surface
-    behind. One surface a tooth is kept on `nodes` angles a turn. Force linear between steps; one prediction and one
-    correction a step. Returns the number of tooth-steps in which an engaged tooth was out of contact.
+    A tooth at angle phi reaches ``n = ((x_f + x) sin phi + y cos phi + rho) sin k - z cos k`` along the chip normal;
+    the chip thickness is n less the farthest n that any tooth before has reached at that angle, so a tooth that leaves
+    the cut leaves the older surface behind. One surface a tooth is kept on `nodes` angles a turn. The force is linear
+    between steps; one prediction and one correction a step. force, displacement, acceleration (3, steps) are filled.
+    Returns (engaged tooth steps without contact, largest chip thickness).
     """
-    modes = shape.shape[0]
-    teeth = lag.size
-    slices = slice_lag.size
-    buffers = max(teeth, 2)
-    spacing = 2.0 * math.pi / nodes
-    surfaces = np.zeros((slices, buffers, nodes))
-    q = np.zeros(modes)
-    v = np.zeros(modes)
-    f_old = np.zeros(modes)
-    f_now = np.zeros(modes)
-    q_new = np.zeros(modes)
-    old_angle = np.zeros((slices, teeth))
-    old_reach = np.zeros((slices, teeth))
-    r = np.zeros(3)
-    total = np.zeros(3)
-    lost = 0
+    count = modes.mass.size
+    state, new = np.zeros((count, 2)), np.zeros((count, 2))
+    f_old, f_new = np.zeros(count), np.zeros(count)
+    surfaces = np.zeros((teeth.slice_lag.size, max(teeth.lag.size, 2), nodes))
+    old_angle = np.zeros((teeth.slice_lag.size, teeth.lag.size))
+    old_reach = np.zeros((teeth.slice_lag.size, teeth.lag.size))
+    r, total = np.zeros(3), np.zeros(3)
+    lost, largest = 0, 0.0
     was_active = False
-    feed_time = 0.0
-    feed_angle = 0.0
-    per_slice = edge_length / slices
-
-    for k in range(steps):
+    entry_time, entry_angle = 0.0, 0.0
+    for k in range(force.shape[1]):
         t = k * step
-        angle = angle0 + rotation * t + 0.5 * rotation_rate * t * t
-        half_step = max(0.5 * (rotation + rotation_rate * t) * step, 1e-12)
-        active = start <= t < stop
-        # Predict the position with the force held, then find the force there.
-        for i in range(3):
-            r[i] = 0.0
-            total[i] = 0.0
-        for m in range(modes):
-            if k > 0:
-                q_new[m] = a[m, 0, 0] * q[m] + a[m, 0, 1] * v[m] + (b0[m, 0] + b1[m, 0]) * f_old[m]
-            for i in range(3):
-                r[i] += shape[m, i] * q_new[m]
-        if active and not was_active:
-            feed_time = t
-            feed_angle = angle
-        advance = feed_rate * (t - feed_time) + feed_per_angle * (angle - feed_angle)
-        largest = 0.0
+        angle = motion.angle0 + motion.rotation * t + 0.5 * motion.rate * t * t
+        half_step = 0.5 * (motion.rotation + motion.rate * t) * step
+        active = motion.start <= t < motion.stop
+        entering = active and not was_active
+        if entering:
+            entry_time, entry_angle = t, angle
+        advance = motion.feed_rate * (t - entry_time) + motion.feed_per_angle * (angle - entry_angle)
+        # Predict the position with the force held; then find the force there.
+        if k > 0:
+            _march(modes, state, f_old, f_old, new)
+        _position(modes, new, r)
+        total[:] = 0.0
         if active:
-            for s in range(slices):
-                for j in range(teeth):
-                    turn = angle - lag[j] - slice_lag[s]
-                    phi = turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi))
-                    share = _engaged_share(phi, half_step, entry, leave)
-                    if share == 0.0:
-                        continue
-                    sin_p = math.sin(phi)
-                    cos_p = math.cos(phi)
-                    reach = ((advance + r[0]) * sin_p + r[1] * cos_p + offset[j]) * sin_k - r[2] * cos_k
-                    place = turn / spacing
-                    node = int(math.floor(place))
-                    weight = place - node
-                    left = (1.0 - weight) * _surface(surfaces, s, node, j, teeth, nodes, buffers)
-                    left += weight * _surface(surfaces, s, node + 1, j, teeth, nodes, buffers)
-                    h = reach - left
-                    if h <= 0.0:
-                        lost += 1
-                        continue
-                    largest = max(largest, h)
-                    ft = share * per_slice * (cutting[0] * h + edge[0])
-                    fr = share * per_slice * (cutting[1] * h + edge[1])
-                    fa = share * per_slice * (cutting[2] * h + edge[2])
-                    total[0] += -cos_p * ft - sin_k * sin_p * fr - cos_k * sin_p * fa
-                    total[1] += sin_p * ft - sin_k * cos_p * fr - cos_k * cos_p * fa
-                    total[2] += cos_k * fr - sin_k * fa
+            missed, thickness = _cutting_force(teeth, surfaces, angle, half_step, advance, r, total)
+            lost += missed
+            largest = max(largest, thickness)
         # Correct the state with that force.
+        _modal_force(modes, total[0], total[1], total[2], f_new)
+        if k > 0:
+            _march(modes, state, f_old, f_new, new)
+        state[:] = new
+        if entering:
+            for m in range(count):
+                state[m, 1] += np.dot(modes.shape[m], impulse) / modes.mass[m]
+        f_old[:] = f_new
+        _position(modes, state, r)
+        _record(modes, state, f_new, k, displacement, acceleration)
         for i in range(3):
-            r[i] = 0.0
             force[i, k] = total[i]
-            acceleration[i, k] = 0.0
-        for m in range(modes):
-            f_now[m] = shape[m, 0] * total[0] + shape[m, 1] * total[1] + shape[m, 2] * total[2]
-            if k > 0:
-                q_new[m] = a[m, 0, 0] * q[m] + a[m, 0, 1] * v[m] + b0[m, 0] * f_old[m] + b1[m, 0] * f_now[m]
-                v[m] = a[m, 1, 0] * q[m] + a[m, 1, 1] * v[m] + b0[m, 1] * f_old[m] + b1[m, 1] * f_now[m]
-            if active and not was_active:
-                v[m] += (shape[m, 0] * impulse[0] + shape[m, 1] * impulse[1] + shape[m, 2] * impulse[2]) / mass[m]
-            q[m] = q_new[m]
-            f_old[m] = f_now[m]
-            modal = f_now[m] / mass[m] - two_zeta_omega[m] * v[m] - omega2[m] * q[m]
-            for i in range(3):
-                r[i] += shape[m, i] * q[m]
-                acceleration[i, k] += shape[m, i] * modal
-        for i in range(3):
-            displacement[i, k] = r[i]
-        thickness[k] = largest
-        # Leave the surface behind: every node that a tooth has just passed.
         if active:
-            for s in range(slices):
-                for j in range(teeth):
-                    turn = angle - lag[j] - slice_lag[s]
-                    sin_p = math.sin(turn)
-                    cos_p = math.cos(turn)
-                    reach = ((advance + r[0]) * sin_p + r[1] * cos_p + offset[j]) * sin_k - r[2] * cos_k
+            for s in range(teeth.slice_lag.size):
+                for j in range(teeth.lag.size):
+                    turn = angle - teeth.lag[j] - teeth.slice_lag[s]
+                    reach = _reach(teeth, j, turn, advance, r)
                     if was_active:
-                        first = int(math.floor(old_angle[s, j] / spacing)) + 1
-                        last = int(math.floor(turn / spacing))
-                        for node in range(first, last + 1):
-                            weight = (node * spacing - old_angle[s, j]) / (turn - old_angle[s, j])
-                            at_node = (1.0 - weight) * old_reach[s, j] + weight * reach
-                            own = (node // nodes) * teeth + j
-                            left = _surface(surfaces, s, node, j, teeth, nodes, buffers)
-                            phi = (node % nodes) * spacing
-                            inside = entry - 2.0 * spacing <= phi <= leave + 2.0 * spacing
-                            surfaces[s, own % buffers, node % nodes] = max(left, at_node) if inside else left
-                    old_angle[s, j] = turn
-                    old_reach[s, j] = reach
+                        _leave_surface(teeth, surfaces, s, j, old_angle[s, j], old_reach[s, j], turn, reach)
+                    old_angle[s, j], old_reach[s, j] = turn, reach
         was_active = active
-    return lost
+    return lost, largest

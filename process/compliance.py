@@ -67,7 +67,7 @@ class ModalModel:
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
         ratio = f[:, None] / self.frequency
         gain = 1.0 / (self.stiffness * (1.0 - ratio**2 + 2j * self.damping * ratio))
-        return np.einsum("fr,ri,rj->fij", gain, self.direction, self.direction)
+        return np.asarray(np.einsum("fr,ri,rj->fij", gain, self.direction, self.direction))
 
     def compliance(
         self, frequency: ArrayLike, response: Sequence[str] = AXES, excitation: Sequence[str] = AXES

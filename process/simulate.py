@@ -104,23 +104,7 @@ def default_step(machine: ModalModel, cut: MillingCut | None, highest_rotation: 
     return step
 
 
-@dataclass(frozen=True)
-class _Modes:
-    """Exact step matrices of each mode for a force that is linear over the step."""
-
-    a: NDArray[np.float64]
-    b0: NDArray[np.float64]
-    b1: NDArray[np.float64]
-    machine: ModalModel
-
-    def arrays(self) -> tuple[NDArray[np.float64], ...]:
-        """Return the kernel's arguments in its order."""
-        w = 2.0 * np.pi * self.machine.frequency
-        m = self.machine
-        return self.a, self.b0, self.b1, np.ascontiguousarray(m.direction), m.mass, w**2, 2.0 * m.damping * w
-
-
-def _discretise(machine: ModalModel, step: float) -> _Modes:
+def _discretise(machine: ModalModel, step: float) -> _kernels.Modes:
     """First-order hold: exact for forces that are linear between samples."""
     n = machine.frequency.size
     a, b0, b1 = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty((n, 2))
@@ -138,7 +122,8 @@ def _discretise(machine: ModalModel, step: float) -> _Modes:
         a[r] = ad
         b1[r] = gain
         b0[r] = bd[:, 0] - ad @ gain
-    return _Modes(a, b0, b1, machine)
+    shape = np.ascontiguousarray(machine.direction)
+    return _kernels.Modes(a, b0, b1, shape, machine.mass, w**2, 2.0 * machine.damping * w)
 
 
 def _decimated(samples: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
@@ -171,7 +156,7 @@ def simulate_forced(machine: ModalModel, force: NDArray[np.float64], sample_rate
     force = np.ascontiguousarray(force, dtype=float)
     displacement, acceleration = np.empty_like(force), np.empty_like(force)
     modes = _discretise(machine, 1.0 / sample_rate)
-    _kernels.forced_response(*modes.arrays(), force, displacement, acceleration)
+    _kernels.forced_response(modes, force, displacement, acceleration)
     channels = {"force": force, "displacement": displacement, "acceleration": acceleration}
     return _as_record({n: _decimated(c, keep) for n, c in channels.items()}, keep / sample_rate)
 
@@ -236,25 +221,33 @@ def simulate_milling(
     steps = round(total * sample_rate) * keep
     modes = _discretise(machine, dt)
     out = {name: np.empty((3, steps)) for name in ("force", "displacement", "acceleration")}
-    thickness = np.empty(steps)
-    sin_k, cos_k = math.sin(cut.tool.approach_angle), math.cos(cut.tool.approach_angle)
-    per_angle = 0.0 if cut.feed_per_tooth is None else cut.feed_per_tooth * cut.tool.teeth / (2.0 * math.pi)
-    slices = _slice_lags(cut, dt * max(rates))
-    lost = _kernels.milling(
-        *modes.arrays(),
-        dt,
-        steps,
+    motion = _kernels.Motion(
         spindle.angle0,
         spindle.rotation,
         spindle.acceleration,
         lead,
         lead + duration,
         cut.feed_rate or 0.0,
-        per_angle,
+        (cut.feed_per_tooth or 0.0) * cut.tool.teeth / (2.0 * math.pi),
+    )
+    teeth = _teeth(cut, dt * max(rates))
+    nodes = max(64, math.ceil(2.0 * math.pi / (dt * min(rates))))
+    kick = np.asarray(impulse, dtype=float)
+    lost, thickest = _kernels.milling(modes, motion, teeth, dt, nodes, kick, *out.values())
+    engaged = duration / dt * teeth.lag.size * teeth.slice_lag.size * cut.arc.arc / (2.0 * math.pi)
+    record = _as_record({n: _decimated(c, keep) for n, c in out.items()}, 1.0 / sample_rate)
+    record["spindle_angle"] = ("time", spindle.angle(record["time"].values), {"units": "rad"})
+    record["spindle_speed"] = ("time", spindle.speed(record["time"].values), {"units": "rpm"})
+    record.attrs.update(step_s=dt, lost_contact=lost / engaged, largest_chip_thickness_m=thickest)
+    return record
+
+
+def _teeth(cut: MillingCut, angle_step: float) -> _kernels.Teeth:
+    sin_k, cos_k = math.sin(cut.tool.approach_angle), math.cos(cut.tool.approach_angle)
+    return _kernels.Teeth(
         cut.tool.tooth_angles(),
         cut.tool.tooth_offsets(),
-        slices,
-        max(64, math.ceil(2.0 * math.pi / (dt * min(rates)))),
+        _slice_lags(cut, angle_step),
         cut.arc.entry,
         cut.arc.exit,
         sin_k,
@@ -262,18 +255,7 @@ def simulate_milling(
         cut.depth / sin_k,
         cut.coefficients.cutting,
         cut.coefficients.edge,
-        np.asarray(impulse, dtype=float),
-        out["force"],
-        out["displacement"],
-        out["acceleration"],
-        thickness,
     )
-    engaged = duration / dt * cut.tool.teeth * slices.size * cut.arc.arc / (2.0 * math.pi)
-    record = _as_record({n: _decimated(c, keep) for n, c in out.items()}, 1.0 / sample_rate)
-    record["spindle_angle"] = ("time", spindle.angle(record["time"].values), {"units": "rad"})
-    record["spindle_speed"] = ("time", spindle.speed(record["time"].values), {"units": "rpm"})
-    record.attrs.update(step_s=dt, lost_contact=lost / engaged, largest_chip_thickness_m=float(thickness.max()))
-    return record
 
 
 def _slice_lags(cut: MillingCut, angle_step: float) -> NDArray[np.float64]:

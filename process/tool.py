@@ -74,7 +74,7 @@ class Tool:
     def tooth_angles(self) -> NDArray[np.float64]:
         """Return how far each tooth runs behind tooth 0 [rad], shape (teeth,)."""
         if self.pitch_angles is None:
-            return np.arange(self.teeth) * (2.0 * math.pi / self.teeth)
+            return np.linspace(0.0, 2.0 * math.pi, self.teeth, endpoint=False)
         return np.concatenate([[0.0], np.cumsum(self.pitch_angles)[:-1]])
 
     def tooth_offsets(self) -> NDArray[np.float64]:

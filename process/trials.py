@@ -122,9 +122,7 @@ def hammer_trial(
     return sensors.measure(simulate_forced(machine, force, rate, keep), rng, axis)
 
 
-def stepped_sine(
-    frequencies: ArrayLike, amplitude: float, dwell: float, rate: float
-) -> NDArray[np.float64]:
+def stepped_sine(frequencies: ArrayLike, amplitude: float, dwell: float, rate: float) -> NDArray[np.float64]:
     """Return a constant-force stepped sine [N], phase-continuous, `dwell` seconds a step."""
     f = np.repeat(np.asarray(frequencies, dtype=float), round(dwell * rate))
     phase = 2.0 * np.pi * np.cumsum(f) / rate

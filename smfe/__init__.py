@@ -1,1 +1,43 @@
-"""The measured side and the composition."""
+"""Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
+
+The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter` here, and ``compare`` and
+``report`` in `smfe.pipeline`, whose names are taken by the packages that do the work.
+"""
+
+# ruff: noqa: I001  (the version and the check for a foreign process.py come before everything that needs them)
+
+import importlib.metadata
+
+__version__ = importlib.metadata.version("smfe")
+
+import stability  # noqa: F401  (fails with a clear sentence when a user's own process.py shadows ours)
+from process.errors import InputError
+from smfe.campaign import Campaign, load_campaign
+from smfe.hammer import identify_hammer
+from smfe.actuator import identify_actuator
+from smfe.identification import Identification
+from smfe.pipeline import LobeResult, chatter, demo, identify, lobes, run
+from smfe.records import read_records
+from smfe.sweep import LocalPolynomial, Segments, SingleReference, SweepPass, identify_sweep
+
+__all__ = [
+    "Campaign",
+    "Identification",
+    "InputError",
+    "LobeResult",
+    "LocalPolynomial",
+    "Segments",
+    "SingleReference",
+    "SweepPass",
+    "__version__",
+    "chatter",
+    "demo",
+    "identify",
+    "identify_actuator",
+    "identify_hammer",
+    "identify_sweep",
+    "load_campaign",
+    "lobes",
+    "read_records",
+    "run",
+]

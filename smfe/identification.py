@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import pandas as pd
 import xarray as xr
+
+Progress = Callable[[str, int, int], None]
+"""How a long job tells where it is: called with what is being done, how many are done, and of how many."""
+
+
+def silent(what: str, done: int, of: int) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)

@@ -119,8 +119,9 @@ def solve(columns: Columns, excitations: int, noise: Real | None = None) -> Solu
 def _row(unit: Complex, x: Complex, weight: Real, correlation: Complex | None) -> tuple[Complex, Complex]:
     """Solve one response by QR (never by normal equations); return the gains and their covariance for unit noise."""
     q, r = np.linalg.qr((unit * weight).conj().T)
-    gain = np.linalg.lstsq(r, q.conj().T @ (x * weight).conj(), rcond=None)[0].conj()
-    inverse = np.linalg.pinv(r)
+    turned = np.linalg.lstsq(r, q.conj().T @ (x * weight).conj(), rcond=None)[0]
+    gain = np.asarray(turned.conj(), dtype=np.complex128)
+    inverse: Complex = np.linalg.pinv(r)
     if correlation is None:
         return gain, inverse @ inverse.conj().T
     # gain = x q r^-H, so Cov = r^-1 q^H conj(R) q r^-H for R = E[n_a n_b*].

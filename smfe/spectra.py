@@ -58,7 +58,9 @@ def motion_axes(record: xr.Dataset) -> tuple[str, list[str]]:
     raise InputError("the record holds neither acceleration nor displacement; declare one in [channels]")
 
 
-def as_displacement(spectrum: NDArray[np.complex128], frequency: NDArray[np.float64], channel: str) -> NDArray[np.complex128]:
+def as_displacement(
+    spectrum: NDArray[np.complex128], frequency: NDArray[np.float64], channel: str
+) -> NDArray[np.complex128]:
     """Turn transforms of a motion channel into transforms of displacement.
 
     Parameters

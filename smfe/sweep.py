@@ -194,7 +194,9 @@ class SingleReference:
         """Return the frequency axis [Hz]."""
         return Segments(self.resolution, self.overlap, 0).axis(frequency_range, passes)
 
-    def cross_spectra(self, passes: Sequence[SweepPass], reach: tuple[float, float]) -> tuple[NDArray[np.complex128], ...]:
+    def cross_spectra(
+        self, passes: Sequence[SweepPass], reach: tuple[float, float]
+    ) -> tuple[NDArray[np.complex128], ...]:
         """Return S_XF and S_FF with the reference, each of shape (frequencies, 3, passes)."""
         segments = Segments(self.resolution, self.overlap, 0)
         sxf, sff = [], []
@@ -274,12 +276,14 @@ def identify_sweep(
         },
         attrs={"method": "sweep", "estimator": repr(chosen)},
     )
-    return Identification(name, "sweep", dataset, {"passes": _pass_table(passes)}, _condition_warnings(frequency, condition))
+    return Identification(
+        name, "sweep", dataset, {"passes": _pass_table(passes)}, _condition_warnings(frequency, condition)
+    )
 
 
 def _axis(resolution: float, frequency_range: tuple[float, float]) -> NDArray[np.float64]:
     low, high = (round(f / resolution) for f in frequency_range)
-    return np.arange(low, high + 1) * resolution
+    return np.asarray(np.arange(low, high + 1) * resolution)
 
 
 def _check_passes(passes: Sequence[SweepPass]) -> list[str]:
@@ -332,9 +336,8 @@ def _best_condition(arcs: Sequence[Engagement | None]) -> float:
     conditions = []
     for harmonic in (1, 2, 3):
         force = [force_harmonics(probe, arc, coefficients, 1.0, 1e-4, [harmonic])[0] for arc in arcs if arc is not None]
-        columns = np.array(force).T
-        norms = np.linalg.norm(columns, axis=0)
-        conditions.append(condition_number(columns / np.where(norms > 0.0, norms, 1.0)))
+        unit = [f / max(float(np.linalg.norm(f)), 1e-300) for f in force]
+        conditions.append(condition_number(np.array(unit, dtype=np.complex128).T))
     return min(conditions)
 
 
@@ -355,10 +358,10 @@ def _padded(record: xr.Dataset, length: int) -> xr.Dataset:
     return padded.assign_coords(time=start + dt * np.arange(length))
 
 
-def _at_rest(record: xr.Dataset, share: float = 0.01, level: float = 0.05) -> bool:
-    """Whether force and motion at both ends of the record are small beside their largest quarter-second level."""
+def _at_rest(record: xr.Dataset, duration: float = 0.1, level: float = 0.05) -> bool:
+    """Whether force and motion in the first and last 0.1 s are small beside the largest level of such a piece."""
     n = record.sizes["time"]
-    edge = max(8, int(share * n))
+    edge = min(max(8, round(duration / sample_interval(record))), n)
     for name in ("force", motion_axes(record)[0]):
         values = record[name].sel(axis=axis_present(record, name)).values
         blocks = values[:, : n // edge * edge].reshape(values.shape[0], -1, edge)

@@ -10,7 +10,7 @@ from process.errors import InputError
 from process.labels import make_record
 from process.simulate import simulate_forced
 from process.trials import Sensors
-from smfe.demo import MACHINE, SENSORS, TOOL, sweep_passes
+from smfe.demo_campaign import MACHINE, SENSORS, TOOL, sweep_passes
 from smfe.sweep import LocalPolynomial, Segments, SingleReference, SweepPass, bands, identify_sweep
 
 BAND = (20.0, 80.0)
@@ -99,7 +99,7 @@ def test_forces_that_are_dependent_as_measured_are_refused(good: list[SweepPass]
 
 
 def test_two_passes_are_refused(good: list[SweepPass]) -> None:
-    with pytest.raises(InputError, match="2 passes .*need three"):
+    with pytest.raises(InputError, match=r"2 passes .*need three"):
         identify_sweep("s", good[:2], BAND)
 
 

@@ -64,7 +64,9 @@ def test_directional_matrix_is_the_derivative_of_the_tooth_force(order: int) -> 
     ("widths", "first", "three"),
     [((0.3, 0.5, 0.85), 7.7, 7.8), ((0.5, 0.5, 0.5), 27.7, 17.0), ((0.8, 0.8, 0.8), 8.2, 8.9)],
 )
-def test_conditioning_of_three_passes_is_the_published_one(widths: tuple[float, ...], first: float, three: float) -> None:
+def test_conditioning_of_three_passes_is_the_published_one(
+    widths: tuple[float, ...], first: float, three: float
+) -> None:
     arcs = [engagement(c, w * 0.125, 0.125) for c, w in zip(("down", "up", "central"), widths, strict=True)]
     for orders, expected in (([1], first), ([1, 2, 3], three)):
         force = np.concatenate([force_harmonics(FACE_MILL, a, MATERIAL, 2e-3, 2e-4, orders) for a in arcs]).T
@@ -119,8 +121,10 @@ def test_full_width_is_a_slot_whatever_the_cut_is_called(cut: str) -> None:
     assert (arc.entry, arc.exit) == pytest.approx((0.0, math.pi))
 
 
-@pytest.mark.parametrize(("cut", "width", "message"), [("side", 0.01, "none of"), ("down", 0.06, "at most the diameter"),
-                                                       ("down", 0.0, "above zero")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("cut", "width", "message"),
+    [("side", 0.01, "none of"), ("down", 0.06, "at most the diameter"), ("down", 0.0, "above zero")],
+)
 def test_an_impossible_cut_is_refused(cut: str, width: float, message: str) -> None:
     with pytest.raises(InputError, match=message):
         engagement(cut, width, 0.05)

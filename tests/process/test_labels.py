@@ -5,7 +5,15 @@ import pytest
 import xarray as xr
 
 from process.errors import InputError
-from process.labels import AXES, axis_present, check_compliance, full_matrix, make_compliance, make_record, sample_interval
+from process.labels import (
+    AXES,
+    axis_present,
+    check_compliance,
+    full_matrix,
+    make_compliance,
+    make_record,
+    sample_interval,
+)
 
 
 def record(**change: object) -> xr.Dataset:

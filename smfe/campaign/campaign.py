@@ -1,0 +1,374 @@
+"""The campaign as the rest of the package sees it: files found, quantities in SI, channels merged."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from process.compliance import ModalModel
+from process.cutting import CuttingCoefficients
+from process.errors import InputError
+from process.labels import RECORD_SCALARS
+from process.tool import Tool
+from smfe.campaign import schema
+from smfe.campaign.checks import check, merge, path
+from smfe.campaign.messages import complaints
+from smfe.datasets import Show
+from smfe.records.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
+
+LOBE_POINTS = 200
+"""Spindle speeds of a lobe diagram where the campaign gives no step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """What a measurement or a record was made under; None where the campaign does not say.
+
+    Parameters
+    ----------
+    controller : str, optional
+        Name of the controller setting.
+    feed : mapping of str to float, optional
+        Axis -> feed [m/s], all three axes.
+    force_level : float, optional
+        Amplitude of the excitation [N].
+    depth_of_cut, feed_per_tooth : float, optional
+        [m].
+    position : str, optional
+        Name of the posture of the machine.
+    added_mass : float, optional
+        Mass of what was attached to measure [kg].
+    temperature : float, optional
+        [degC].
+    started : datetime or date, optional
+        When it was made.
+    repeat : int, optional
+        Number of the repetition.
+    """
+
+    controller: str | None = None
+    feed: Mapping[str, float] | None = None
+    force_level: float | None = None
+    depth_of_cut: float | None = None
+    feed_per_tooth: float | None = None
+    position: str | None = None
+    added_mass: float | None = None
+    temperature: float | None = None
+    started: datetime | date | None = None
+    repeat: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordEntry(Conditions):
+    """One entry of ``records``: files that belong together, with conditions inherited from their measurement.
+
+    Parameters
+    ----------
+    files : tuple of Path
+        Sorted; each is read with ``read_records(file, channels)``, or with `read_frf` where the method is "frf".
+    channels : mapping of str to Channel
+        Campaign's, measurement's and the record's own declarations merged.
+    excitation, response : str, optional
+        Axes (hammer, actuator, frf; response: frf).
+    cut : str, optional
+        "down", "up" or "central" (sweep).
+    width_of_cut : float, optional
+        [m] (sweep).
+    """
+
+    files: tuple[Path, ...]
+    channels: Mapping[str, Channel]
+    excitation: str | None = None
+    response: str | None = None
+    cut: str | None = None
+    width_of_cut: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement(Conditions):
+    """One ``[[measurement]]``.
+
+    Parameters
+    ----------
+    name : str
+        Unique among measurements and models.
+    method : str
+        "hammer", "actuator", "sweep" or "frf".
+    records : tuple of RecordEntry
+        At least one.
+    channels : mapping of str to Channel
+        Campaign's and measurement's declarations merged; those for `background`.
+    background : tuple of Path
+        Records of the spindle without a cut (sweep); often empty.
+    frequency_range : (float, float), optional
+        [Hz].
+    resolution : float, optional
+        [Hz].
+    references : str
+        "all", or "x" for the estimator with a single reference (sweep).
+    """
+
+    name: str
+    method: str
+    records: tuple[RecordEntry, ...]
+    channels: Mapping[str, Channel]
+    background: tuple[Path, ...] = ()
+    frequency_range: tuple[float, float] | None = None
+    resolution: float | None = None
+    references: str = "all"
+
+    def settings(self) -> dict[str, Any]:
+        """Return method, conditions and processing as plain values for a protocol, without what is not given."""
+        names = ["method", *(f.name for f in fields(Conditions)), "frequency_range", "resolution", "references"]
+        values = {name: getattr(self, name) for name in names}
+        values["started"] = self.started.isoformat() if self.started else None
+        return {name: value for name, value in values.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Model:
+    """One ``[[model]]``: a compliance given as modes."""
+
+    name: str
+    modal: ModalModel
+
+
+@dataclass(frozen=True)
+class LobeRequest:
+    """One ``[[lobes]]``.
+
+    Parameters
+    ----------
+    measurements : tuple of str
+        Names of measurements or models.
+    method : str
+        "zero_order".
+    cut : str
+        "down", "up" or "central".
+    width_of_cut, feed_per_tooth : float
+        [m].
+    spindle_speed : ndarray
+        Spindle speeds [rpm].
+    """
+
+    measurements: tuple[str, ...]
+    method: str
+    cut: str
+    width_of_cut: float
+    feed_per_tooth: float
+    spindle_speed: NDArray[np.float64] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class CuttingTest:
+    """One ``[[cutting_test]]``.
+
+    Parameters
+    ----------
+    file : Path
+        Its record.
+    channels : mapping of str to Channel
+        Campaign's and the test's declarations merged.
+    spindle_speed : float
+        [rpm].
+    depth_of_cut, width_of_cut, feed_per_tooth : float
+        [m].
+    cut : str
+        "down", "up" or "central".
+    observed : str, optional
+        "stable" or "chatter": the engineer's own verdict.
+    """
+
+    file: Path
+    channels: Mapping[str, Channel]
+    spindle_speed: float
+    depth_of_cut: float
+    cut: str
+    width_of_cut: float
+    feed_per_tooth: float
+    observed: str | None = None
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign file, read and checked.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        Title for the report.
+    tool : Tool or None
+        None only where nothing needs it.
+    coefficients : CuttingCoefficients or None
+        None only where nothing needs them.
+    material : str or None
+        Name of the work material.
+    channels : mapping of str to Channel
+        Channels of a record as the whole campaign declares them.
+    measurements, models, lobes, cutting_tests : tuple
+        In the order of the file.
+    """
+
+    path: Path
+    name: str
+    tool: Tool | None = None
+    coefficients: CuttingCoefficients | None = None
+    material: str | None = None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    measurements: tuple[Measurement, ...] = ()
+    models: tuple[Model, ...] = ()
+    lobes: tuple[LobeRequest, ...] = ()
+    cutting_tests: tuple[CuttingTest, ...] = ()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that the campaign reads, sorted, each once."""
+        found = {file for m in self.measurements for record in m.records for file in record.files}
+        found |= {file for m in self.measurements for file in m.background}
+        return tuple(sorted(found | {test.file for test in self.cutting_tests}))
+
+
+def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
+    """Read a campaign file.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file; names of files in it are relative to its folder.
+    show : callable, optional
+        Called with the licence before a public data set is fetched. None: nothing is fetched.
+
+    Returns
+    -------
+    Campaign
+        Files found, quantities in SI (spindle speeds in rpm), channels merged.
+
+    Raises
+    ------
+    InputError
+        With every error of the file at once, each with its place.
+    """
+    path = Path(path).absolute()
+    raw = _toml(path)
+    found = check(raw)
+    try:
+        file = schema.CampaignFile.model_validate(raw, context={"path": path, "show": show})
+    except ValidationError as error:
+        found = complaints(error) + found
+    if found:
+        raise InputError(_report(path, found))
+    return _build(path, file)
+
+
+def _toml(file: Path) -> dict[str, object]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); name a campaign file") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: not UTF-8 text; save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file}: not TOML: {error}; texts need quotes, tables one line") from error
+
+
+def _report(file: Path, found: list[tuple[tuple[str | int, ...], str]]) -> str:
+    lines = [f"{path(where)}: {text}" if where else text for where, text in found]
+    if len(lines) == 1:
+        return f"{file.name}: {lines[0]}"
+    return "\n  ".join([f"{file.name}: {len(lines)} errors (entries of lists count from 0)", *lines])
+
+
+# --- from the tables of the file to the objects -------------------------------------------------------------
+
+
+def _build(file_path: Path, file: schema.CampaignFile) -> Campaign:
+    base = _declared(file.channels)
+    return Campaign(
+        path=file_path,
+        name=file.campaign.name,
+        tool=file.tool.build() if file.tool else None,
+        coefficients=file.material.build() if file.material else None,
+        material=file.material.name if file.material else None,
+        channels=_channels("cutting", base),
+        measurements=tuple(_measurement(table, base) for table in file.measurement),
+        models=tuple(Model(table.name, table.build()) for table in file.model),
+        lobes=tuple(_lobes(table) for table in file.lobes),
+        cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
+    )
+
+
+Declared = dict[str, Mapping[str, Any]]
+
+
+def _declared(channels: schema.Channels) -> Declared:
+    """Return what the file says about each channel and nothing else, so that the rest can be inherited."""
+    return {name: table.model_dump(exclude_unset=True) for name, table in channels.items()}
+
+
+def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
+    own = _declared(table.channels)
+    inherited = merge(_for_method(table.method, base), own)
+    common: dict[str, Any] = {name: getattr(table, name) for name in schema.ConditionsTable.model_fields}
+    rest = ("name", "method", "frequency_range", "resolution", "references")
+    return Measurement(
+        **common,
+        **{name: getattr(table, name) for name in rest},
+        background=table.background or (),
+        channels=_channels(table.method, inherited),
+        records=tuple(_record(record, table.method, inherited, common) for record in table.records),
+    )
+
+
+def _record(table: schema.RecordTable, method: str, inherited: Declared, common: Mapping[str, Any]) -> RecordEntry:
+    own: dict[str, Any] = {name: getattr(table, name) for name in common}
+    conditions = {name: common[name] if value is None else value for name, value in own.items()}
+    rest = ("excitation", "response", "cut", "width_of_cut")
+    return RecordEntry(
+        **conditions,
+        **{name: getattr(table, name) for name in rest},
+        files=table.file,
+        channels=_channels(method, merge(inherited, _declared(table.channels))),
+    )
+
+
+def _for_method(method: str, base: Declared) -> Declared:
+    """Leave out what a whole campaign declares for its cuts: hammer and actuator records have no spindle channels."""
+    spindle = RECORD_SCALARS if method in ("hammer", "actuator") else ()
+    return {name: entry for name, entry in base.items() if name not in spindle}
+
+
+def _channels(method: str, declared: Declared) -> dict[str, Channel]:
+    wanted = COMPLIANCE_CHANNELS if method == "frf" else RECORD_CHANNELS
+    return {name: Channel(**entry) for name, entry in declared.items() if name in wanted}
+
+
+def _lobes(table: schema.LobesTable) -> LobeRequest:
+    low, high, *step = table.spindle_speed
+    count = LOBE_POINTS if not step else int((high - low) / step[0] * (1.0 + 1e-9)) + 1
+    speeds = np.linspace(low, high, count) if not step else low + step[0] * np.arange(count)
+    return LobeRequest(
+        table.measurements, table.method, table.cut, table.width_of_cut, table.feed_per_tooth, np.asarray(speeds)
+    )
+
+
+def _cutting_test(table: schema.CuttingTestTable, base: Declared) -> CuttingTest:
+    return CuttingTest(
+        file=table.file,
+        channels=_channels("cutting", merge(base, _declared(table.channels))),
+        spindle_speed=table.spindle_speed * 30.0 / np.pi,
+        depth_of_cut=table.depth_of_cut,
+        cut=table.cut,
+        width_of_cut=table.width_of_cut,
+        feed_per_tooth=table.feed_per_tooth,
+        observed=table.observed,
+    )

@@ -1,0 +1,241 @@
+"""What concerns several tables at once.
+
+Works on the raw file, so that these errors are found together with those of the single fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from process import units
+from process.errors import InputError
+from smfe.campaign.quantities import METHODS
+from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, unit_factor
+from smfe.records.words import did_you_mean, listed
+
+Loc = tuple[str | int, ...]
+Complaint = tuple[Loc, str]
+Raw = Mapping[str, Any]
+
+_WHERE_READ = {
+    "excitation": ("hammer", "actuator", "frf"),
+    "response": ("frf",),
+    "cut": ("sweep",),
+    "width_of_cut": ("sweep",),
+}
+"""Key of a record -> methods that need it; for other methods it is an error, because nothing reads it."""
+
+_EXAMPLES = {
+    "excitation": 'the axis that was excited, excitation = "x"',
+    "response": 'the axis of the motion, response = "x"',
+    "cut": 'cut = "down", "up" or "central"',
+    "width_of_cut": 'the radial width, width_of_cut = "40 mm"',
+}
+
+_ADVISED_PASSES = {"down": 0.30, "up": 0.50, "central": 0.85}
+"""Well-conditioned trio: cut -> width over tool diameter."""
+
+
+def check(raw: Raw) -> list[Complaint]:
+    """Return every error that concerns more than one field."""
+    rules: tuple[Callable[[Raw], Iterator[Complaint]], ...] = (
+        _something_to_do,
+        _names,
+        _methods,
+        _sweeps,
+        _lobes,
+        _cutting_tests,
+        _channels,
+    )
+    return [complaint for rule in rules for complaint in rule(raw)]
+
+
+def _tables(raw: Raw, key: str) -> list[tuple[Loc, Raw]]:
+    """Return the tables of a list that are tables, with their places."""
+    entries = raw.get(key)
+    if not isinstance(entries, list):
+        return []
+    return [((key, i), entry) for i, entry in enumerate(entries) if isinstance(entry, dict)]
+
+
+def _quantity(table: Any, key: str, dimension: str) -> float | None:
+    """Return a quantity where it is one; what is wrong with it the field says itself."""
+    try:
+        return units.parse(table[key], dimension)
+    except (InputError, KeyError, TypeError):
+        return None
+
+
+def _names_of(raw: Raw) -> list[tuple[Loc, str]]:
+    found = [(where, table.get("name")) for key in ("measurement", "model") for where, table in _tables(raw, key)]
+    return [(where, name) for where, name in found if isinstance(name, str)]
+
+
+def _something_to_do(raw: Raw) -> Iterator[Complaint]:
+    if not any(key in raw for key in ("measurement", "model", "cutting_test")):
+        yield (), "nothing to work with; add a [[measurement]], a [[model]] or a [[cutting_test]]"
+
+
+def _names(raw: Raw) -> Iterator[Complaint]:
+    first: dict[str, Loc] = {}
+    for where, name in _names_of(raw):
+        if name in first:
+            yield (*where, "name"), f"'{name}' is already the name of {path(first[name])}; give each its own"
+        first.setdefault(name, where)
+
+
+def _records(table: Raw) -> list[tuple[Loc, Raw]]:
+    return _tables(table, "records")
+
+
+def _methods(raw: Raw) -> Iterator[Complaint]:
+    """Keys that a method needs in its records, and keys that it does not read."""
+    for where, table in _tables(raw, "measurement"):
+        method = table.get("method")
+        if method not in METHODS:
+            continue
+        for key in ("background", "references"):
+            if key in table and method != "sweep":
+                yield (*where, key), f"method '{method}' does not read it; only a sweep does, take it out"
+        for place, record in _records(table):
+            yield from _keys(method, (*where, *place), record)
+
+
+def _keys(method: str, where: Loc, record: Raw) -> Iterator[Complaint]:
+    for key, readers in _WHERE_READ.items():
+        if method in readers and key not in record:
+            yield (*where, key), f"is missing; a record of method '{method}' needs {_EXAMPLES[key]}"
+        if method not in readers and key in record:
+            yield (*where, key), f"method '{method}' does not read it ({', '.join(readers)} does); take it out"
+
+
+def _sweeps(raw: Raw) -> Iterator[Complaint]:
+    diameter = _quantity(raw.get("tool"), "diameter", "length")
+    for where, table in _tables(raw, "measurement"):
+        if table.get("method") != "sweep":
+            continue
+        yield from _needs(raw, where, ("tool",), "a sweep")
+        passes = set()
+        for place, record in _records(table):
+            width = _quantity(record, "width_of_cut", "length")
+            passes.add((str(record.get("cut")), width))
+            yield from _fits(diameter, (*where, *place), width, record)
+        # With a single reference one pass is all that the estimator can use.
+        if len(passes) < 3 and table.get("references", "all") == "all":
+            yield (*where, "records"), _too_few(passes, diameter)
+
+
+def _too_few(passes: set[tuple[str, float | None]], diameter: float | None) -> str:
+    cuts = {cut for cut, _ in passes}
+    missing = [cut for cut in _ADVISED_PASSES if cut not in cuts] or list(_ADVISED_PASSES)
+    advised = []
+    for cut in missing[: 3 - len(passes)]:
+        ratio = _ADVISED_PASSES[cut]
+        width = f"{ratio:g} of the tool diameter" if diameter is None else units.show(ratio * diameter, "mm", "length")
+        advised.append(f"a pass with cut = '{cut}' and a width of {width}")
+    return (
+        f"{len(passes)} passes that differ in cut or width; three independent force directions are needed to solve for "
+        f"nine compliances; add {' and '.join(advised)}"
+    )
+
+
+def _needs(raw: Raw, where: Loc, tables: tuple[str, ...], what: str) -> Iterator[Complaint]:
+    for name in tables:
+        if name not in raw:
+            yield where, f"{what} needs the table [{name}]; add it"
+
+
+def _fits(diameter: float | None, where: Loc, width: float | None, table: Raw) -> Iterator[Complaint]:
+    if diameter is not None and width is not None and width > diameter * (1.0 + 1e-12):
+        yield (
+            (*where, "width_of_cut"),
+            f"'{table['width_of_cut']}' is wider than the tool of {units.show(diameter, 'mm', 'length')}; "
+            "the radial width of cut is at most the diameter",
+        )
+
+
+def _lobes(raw: Raw) -> Iterator[Complaint]:
+    known = [name for _, name in _names_of(raw)]
+    diameter = _quantity(raw.get("tool"), "diameter", "length")
+    for where, table in _tables(raw, "lobes"):
+        yield from _needs(raw, where, ("tool", "material"), "a stability limit")
+        yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
+        names = table.get("measurements")
+        for i, name in enumerate(names if isinstance(names, list) else []):
+            if name not in known:
+                near = did_you_mean(str(name), known)
+                yield (
+                    (*where, "measurements", i),
+                    f"'{name}' is neither a measurement nor a model{near}; there are {listed(known)}",
+                )
+
+
+def _cutting_tests(raw: Raw) -> Iterator[Complaint]:
+    diameter = _quantity(raw.get("tool"), "diameter", "length")
+    for where, table in _tables(raw, "cutting_test"):
+        yield from _needs(raw, where, ("tool",), "a cutting test")
+        yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
+
+
+def _channels(raw: Raw) -> Iterator[Complaint]:
+    base = _inherit({}, raw)
+    yield from _channel_tables((), raw, base)
+    for where, table in _tables(raw, "measurement"):
+        inner = _inherit(base, table)
+        yield from _channel_tables(where, table, inner)
+        for place, record in _records(table):
+            yield from _channel_tables((*where, *place), record, _inherit(inner, record))
+    for where, table in _tables(raw, "cutting_test"):
+        yield from _channel_tables(where, table, _inherit(base, table))
+
+
+def _own(table: Raw) -> dict[str, Raw]:
+    channels = table.get("channels")
+    if not isinstance(channels, dict):
+        return {}
+    return {name: entry for name, entry in channels.items() if name in CHANNELS and isinstance(entry, dict)}
+
+
+def _inherit(base: Mapping[str, Raw], table: Raw) -> dict[str, Raw]:
+    return merge(base, _own(table))
+
+
+def merge(base: Mapping[str, Raw], own: Mapping[str, Raw]) -> dict[str, Raw]:
+    """Merge declarations of channels key by key; a sample rate takes the place of a column and the other way round."""
+    merged = dict(base)
+    for name, entry in own.items():
+        excluded = {"sample_rate": "column", "column": "sample_rate"}
+        lost = {excluded[key] for key in entry if key in excluded} - set(entry)
+        merged[name] = {**{key: value for key, value in merged.get(name, {}).items() if key not in lost}, **entry}
+    return merged
+
+
+def _channel_tables(where: Loc, table: Raw, merged: Mapping[str, Raw]) -> Iterator[Complaint]:
+    for name, entry in _own(table).items():
+        for key, text in _channel_entry(name, entry, merged[name]):
+            yield (*where, "channels", name, *key), text
+
+
+def _channel_entry(name: str, entry: Raw, merged: Raw) -> Iterator[Complaint]:
+    if "column" in entry and "sample_rate" in entry:
+        yield (), "gives a column and a sample_rate; a clock comes from one of them"
+    for key, owner in (("sample_rate", "time"), ("pulses_per_revolution", "tacho")):
+        if key in entry and name != owner:
+            yield (key,), f"belongs to the channel {owner} only; take it out"
+    if "delay" in entry and (name == "time" or name in COMPLIANCE_CHANNELS):
+        yield ("delay",), "this channel has no delay; give the delays of the channels that come late"
+    unit = merged.get("unit")
+    if "column" in merged and (unit is None or isinstance(unit, str)):
+        try:
+            unit_factor(name, unit)
+        except InputError as error:
+            yield ("unit",), str(error)
+
+
+def path(where: Loc) -> str:
+    """Return a place in the file as text: ``measurement[1].records[0].file``."""
+    text = ""
+    for part in where:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return text.lstrip(".")

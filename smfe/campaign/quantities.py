@@ -1,0 +1,216 @@
+"""Types of the campaign file: text with a unit -> SI, patterns -> files, names -> one of a list."""
+
+from __future__ import annotations
+
+import glob
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, ValidationInfo
+
+from process import units
+from process.engagement import CUTS
+from process.errors import InputError
+from process.labels import AXES
+from smfe import datasets
+from smfe.records.read import READERS
+from smfe.records.words import did_you_mean, listed
+
+METHODS = ("hammer", "actuator", "sweep", "frf")
+"""How a measurement was made; "frf" is a compliance that another program has averaged."""
+
+LOBE_METHODS = ("zero_order",)
+"""Methods for stability lobes that can be asked for."""
+
+_LATER = ("drive", "silent", "multi_frequency", "semi_discretization", "operating_point")
+
+
+def _quantity(dimension: str, low: float = -math.inf, above: float = -math.inf) -> BeforeValidator:
+    """Text with a unit of `dimension` -> SI, at least `low` and more than `above`."""
+
+    def parse(value: Any) -> float:
+        number = units.parse(value, dimension)
+        if not math.isfinite(number):
+            raise InputError(f"'{value}' is not finite")
+        if number < low or number <= above:
+            raise InputError(f"'{value}' is not possible; it must be {'positive' if above == 0.0 else 'zero or more'}")
+        return number
+
+    return BeforeValidator(parse)
+
+
+def one_of(names: Sequence[str], what: str) -> BeforeValidator:
+    """One of a list of names."""
+
+    def check(value: Any) -> str:
+        if isinstance(value, str) and value in names:
+            return value
+        later = " is not available yet" if value in _LATER else ""
+        near = did_you_mean(value, names) if isinstance(value, str) and not later else ""
+        raise InputError(f"{what} {value!r}{later or ' is not known'}{near}; available: {', '.join(names)}")
+
+    return BeforeValidator(check)
+
+
+PositiveLength = Annotated[float, _quantity("length", above=0.0)]
+Length = Annotated[float, _quantity("length")]
+Time = Annotated[float, _quantity("time")]
+PositiveFrequency = Annotated[float, _quantity("frequency", above=0.0)]
+Angle = Annotated[float, _quantity("angle")]
+Force = Annotated[float, _quantity("force", low=0.0)]
+Mass = Annotated[float, _quantity("mass", low=0.0)]
+Stiffness = Annotated[float, _quantity("stiffness", above=0.0)]
+Pressure = Annotated[float, _quantity("pressure")]
+LineForce = Annotated[float, _quantity("line_force")]
+Temperature = Annotated[float, _quantity("temperature")]
+Rotation = Annotated[float, _quantity("rotation", above=0.0)]
+
+Axis = Annotated[str, one_of(AXES, "axis")]
+CutName = Annotated[str, one_of(CUTS, "cut")]
+
+
+def _ratio(value: Any) -> float:
+    """A number, or text in per cent."""
+    if isinstance(value, str):
+        return units.parse(value, "dimensionless")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{value!r} is not a number; write 0.012 or '1.2 %'")
+    return float(value)
+
+
+Ratio = Annotated[float, BeforeValidator(_ratio)]
+
+
+def _feed(value: Any) -> dict[str, float]:
+    """One speed for all axes, or a table of axes; axes that are left out rest. -> axis -> m/s."""
+    if not isinstance(value, dict):
+        return dict.fromkeys(AXES, units.parse(value, "speed"))
+    unknown = [axis for axis in value if axis not in AXES]
+    if unknown:
+        raise InputError(f"axis {unknown[0]!r} is none of {', '.join(AXES)}")
+    return {axis: units.parse(value[axis], "speed") if axis in value else 0.0 for axis in AXES}
+
+
+Feed = Annotated[dict[str, float], BeforeValidator(_feed)]
+
+
+def _list_of(value: Any, dimension: str, sizes: Sequence[int], example: str) -> list[float]:
+    if not isinstance(value, list) or len(value) not in sizes:
+        raise InputError(f"{value!r} is not a list of {' or '.join(map(str, sizes))} quantities; write e.g. {example}")
+    return [units.parse(item, dimension) for item in value]
+
+
+def _frequency_range(value: Any) -> tuple[float, float]:
+    low, high = _list_of(value, "frequency", (2,), '["20 Hz", "80 Hz"]')
+    if not 0.0 <= low < high:
+        raise InputError(f"from {value[0]} to {value[1]} is no range; the first must be below the second")
+    return low, high
+
+
+FrequencyRange = Annotated[tuple[float, float], BeforeValidator(_frequency_range)]
+
+_MOST_SPEEDS = 100_000
+
+
+def _speeds(value: Any) -> tuple[float, ...]:
+    """[from, to] or [from, to, step] -> rpm."""
+    numbers = _list_of(value, "rotation", (2, 3), '["250 rpm", "750 rpm"]')
+    rpm = tuple(units.from_si(number, "rpm", "rotation") for number in numbers)
+    if not 0.0 < rpm[0] < rpm[1]:
+        raise InputError(f"from {value[0]} to {value[1]} is no range; the first must be positive and below the second")
+    if len(rpm) == 3 and not (rpm[1] - rpm[0]) / _MOST_SPEEDS < rpm[2] <= rpm[1] - rpm[0]:
+        raise InputError(
+            f"a step of {value[2]} does not divide {value[0]} to {value[1]} into 2 to {_MOST_SPEEDS} speeds"
+        )
+    return rpm
+
+
+SpeedRange = Annotated[tuple[float, ...], BeforeValidator(_speeds)]
+
+
+def _files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
+    """A name, a pattern or ``dataset:NAME/FILE`` -> files, sorted. The context holds `path` and `show`."""
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{value!r} is not the name of a file")
+    context: dict[str, Any] = info.context or {}
+    campaign: Path = context["path"]
+    if value.startswith(datasets.PREFIX):
+        found = [datasets.resolve(value, campaign.parent, context.get("show"))]
+    else:
+        found = _matches(campaign.parent, value)
+    unread = sorted({file.suffix for file in found if file.suffix.lower() not in READERS})
+    if unread:
+        raise InputError(f"'{value}': files with suffix '{unread[0]}' are not read; known are {', '.join(READERS)}")
+    return tuple(found)
+
+
+def _matches(folder: Path, pattern: str) -> list[Path]:
+    exact = folder / pattern
+    if exact.is_file():
+        return [exact]
+    if glob.has_magic(pattern):
+        root = "" if Path(pattern).is_absolute() else glob.escape(str(folder)) + "/"
+        found = sorted(Path(name) for name in glob.glob(root + pattern, recursive=True))
+        files = [path for path in found if path.is_file()]
+        if files:
+            return files
+    there = sorted(path.name for path in exact.parent.iterdir() if path.is_file()) if exact.parent.is_dir() else []
+    readable = [name for name in there if Path(name).suffix.lower() in READERS]
+    raise InputError(
+        f"no file '{pattern}' in {folder}{did_you_mean(exact.name, readable)}; "
+        + (f"the records there are {listed(readable, 8)}" if readable else "there are no records there")
+    )
+
+
+Files = Annotated[tuple[Path, ...], BeforeValidator(_files)]
+
+
+def _one_file(value: Any, info: ValidationInfo) -> Path:
+    found = _files(value, info)
+    if len(found) != 1:
+        raise InputError(f"'{value}' matches {len(found)} files; name one")
+    return found[0]
+
+
+OneFile = Annotated[Path, BeforeValidator(_one_file)]
+
+
+def _not_empty(value: Any) -> Any:
+    """Refuse an empty list; pydantic's own minimum counts only the entries that are right."""
+    if value == []:
+        raise InputError("is empty; at least one entry is needed")
+    return value
+
+
+NotEmpty = BeforeValidator(_not_empty)
+
+
+def _column(value: Any) -> str | int:
+    if isinstance(value, bool) or not isinstance(value, str | int) or value == "":
+        raise InputError(f"{value!r} is neither a header name nor a position")
+    if isinstance(value, int) and value < 1:
+        raise InputError(f"column {value} is not possible; positions count from 1")
+    return value
+
+
+Column = Annotated[str | int, BeforeValidator(_column)]
+
+
+def _sign(value: Any) -> float:
+    if isinstance(value, bool) or value not in (1, -1):
+        raise InputError(f"{value!r} is no sign; write 1 or -1, and use scale for a factor")
+    return float(value)
+
+
+Sign = Annotated[float, BeforeValidator(_sign)]
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str) or not value.strip() or "/" in value:
+        raise InputError(f"{value!r} is no name; a text without '/' is needed, since results are stored under it")
+    return value
+
+
+Name = Annotated[str, BeforeValidator(_name)]

@@ -1,0 +1,164 @@
+"""The command line: parses, calls, prints."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from process.errors import InputError
+from smfe import __version__, pipeline
+from smfe.demo_campaign import DEMO_SEED
+from smfe.progress import bar
+
+app = typer.Typer(
+    help="Machine-tool dynamics: measured records -> compliance -> stability lobes -> chatter verdicts.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+console = Console(stderr=True)
+out = Console()
+
+CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).", show_default=False)]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        out.print(f"smfe {__version__}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Machine-tool dynamics on measured data."""
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Option("--out", help="Folder for records, campaign file and results.")] = Path(
+        "demo"
+    ),
+    seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = DEMO_SEED,
+) -> None:
+    """Simulate a whole measuring campaign and run it."""
+    with bar(console) as progress:
+        report = pipeline.demo(folder, seed, progress)
+    _done(report)
+
+
+@app.command()
+def run(
+    campaign: CampaignFile,
+    folder: Annotated[Path, typer.Option("--out", help="Folder of the results.")] = Path("results"),
+    fresh: Annotated[bool, typer.Option("--fresh", help="Read nothing back from an earlier run.")] = False,
+) -> None:
+    """Do everything a campaign asks for: compliances, comparison, lobes, verdicts, report."""
+    with bar(console) as progress:
+        report = pipeline.run(campaign, folder, fresh, progress, _show)
+    _done(report)
+
+
+@app.command()
+def identify(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file of the compliances.")] = Path("frf.nc"),
+) -> None:
+    """Identify the compliances of a campaign."""
+    with bar(console) as progress:
+        found = pipeline.identify(campaign, output, progress, _show)
+    for name, item in found.items():
+        sizes = " x ".join(str(item.compliance.sizes[d]) for d in ("frequency", "response", "excitation"))
+        out.print(f"{name}: {item.method}, {sizes} (frequencies x responses x excitations)", highlight=False)
+        for warning in item.warnings:
+            console.print(f"  warning: {warning}", markup=False, highlight=False)
+    out.print(f"written: {output}", highlight=False)
+
+
+@app.command()
+def compare(
+    frf: Annotated[Path, typer.Argument(help="Compliance file (frf.nc).", show_default=False)],
+    output: Annotated[Path, typer.Option("-o", "--output", help="CSV file of the comparison.")] = Path(
+        "comparison.csv"
+    ),
+) -> None:
+    """Compare the measurements of a compliance file, peak by peak."""
+    table = pipeline.compare(frf, output)
+    out.print(f"{len(table)} rows written: {output}", highlight=False)
+
+
+@app.command()
+def lobes(
+    campaign: CampaignFile,
+    frf: Annotated[Path | None, typer.Option(help="Use these compliances instead of identifying.")] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file of the lobes.")] = Path("lobes.nc"),
+    table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
+) -> None:
+    """Compute the stability lobes that a campaign asks for."""
+    with bar(console) as progress:
+        results = pipeline.lobes(campaign, output, table, frf, progress)
+    shown = Table("lobes", "source", "smallest limit [mm]", "at [rpm]", "largest limit [mm]", "at [rpm]")
+    for r in results:
+        depth, speed = r.lobes["limit_depth"].values, r.lobes["spindle_speed"].values
+        low, high = int(depth.argmin()), int(depth.argmax())
+        shown.add_row(
+            r.request, r.source, f"{depth[low]:.3g}", f"{speed[low]:g}", f"{depth[high]:.3g}", f"{speed[high]:g}"
+        )
+    out.print(shown)
+    out.print(f"written: {output}, {table}", highlight=False)
+
+
+@app.command()
+def chatter(
+    record: Annotated[Path, typer.Argument(help="Record of a cut.", show_default=False)],
+    speed: Annotated[str, typer.Option(help='Spindle speed with its unit, "500 rpm".', show_default=False)],
+    teeth: Annotated[int, typer.Option(help="Number of teeth.", show_default=False)],
+    campaign: Annotated[Path | None, typer.Option(help="Campaign file that declares the channels.")] = None,
+) -> None:
+    """Judge one cut by the spectral chatter criterion."""
+    verdict = pipeline.chatter(record, speed, teeth, campaign)
+    out.print(f"{verdict.verdict}: {verdict.reason}", markup=False, highlight=False)
+    out.print(
+        f"ratio {verdict.ratio:.3g}, spindle speed {verdict.spindle_speed_rpm:.5g} rpm, judged on {verdict.quantity}",
+        highlight=False,
+    )
+
+
+@app.command()
+def report(folder: Annotated[Path, typer.Argument(help="Folder of results.", show_default=False)]) -> None:
+    """Write the report of a folder of results again."""
+    with bar(console) as progress:
+        path = pipeline.report(folder, progress)
+    _done(path)
+
+
+def _show(text: str) -> None:
+    """Show the licence of a public data set that is about to be fetched."""
+    console.print(text, markup=False, highlight=False)
+
+
+def _done(report_file: Path) -> None:
+    out.print(f"report: {report_file}", highlight=False, soft_wrap=True)
+
+
+def app_entry() -> None:
+    """Run the command line; wrong input ends with one message and exit code 1, wrong usage with 2."""
+    try:
+        app()
+    except InputError as error:
+        console.print(f"smfe: {error}", markup=False, highlight=False, soft_wrap=True)
+        sys.exit(1)
+    except OSError as error:
+        console.print(f"smfe: {error.strerror or error}: {error.filename or ''}", markup=False, highlight=False)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        console.print("smfe: interrupted; what was finished is kept", highlight=False)
+        sys.exit(130)

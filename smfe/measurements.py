@@ -1,0 +1,208 @@
+"""Which method a measurement of the campaign asks for, and the files it needs -> compliance.
+
+A result is kept under a key made of the files' hashes, the settings and the version, so that a second run continues
+where the first stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from process.engagement import engagement
+from process.errors import InputError
+from process.labels import make_compliance, sample_interval
+from smfe import __version__
+from smfe.actuator import identify_actuator
+from smfe.campaign import Campaign, Measurement, RecordEntry
+from smfe.hammer import identify_hammer
+from smfe.identification import Identification, Progress, silent
+from smfe.records import read_frf, read_records
+from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
+from smfe.sweep import LocalPolynomial, SingleReference, SweepPass, identify_sweep
+
+
+@cache
+def _hash(path: Path, size: int, modified: int) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """Return the sha256 of a file, remembered while its size and time stay the same."""
+    state = path.stat()
+    return _hash(path, state.st_size, state.st_mtime_ns)
+
+
+def identify_measurement(campaign: Campaign, measurement: Measurement, progress: Progress = silent) -> Identification:
+    """Identify one measurement.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign, for the tool.
+    measurement : Measurement
+        What was measured, how, and where the records are.
+    progress : callable, optional
+        Called with (what, done, of).
+
+    Raises
+    ------
+    InputError
+        With the measurement's name, when its records do not allow it.
+    """
+    try:
+        if measurement.method == "sweep":
+            found = _sweep(campaign, measurement, progress)
+            unused = ("the background record is not subtracted: what the spindle shakes without a cut is in the result",)
+            return replace(found, warnings=found.warnings + (unused if measurement.background else ()))
+        if measurement.method == "frf":
+            return _frf(measurement)
+        return _per_axis(measurement)
+    except InputError as error:
+        message = str(error)
+        named = message if measurement.name in message else f"measurement '{measurement.name}': {message}"
+        raise InputError(named) from error
+
+
+def _records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dataset]:
+    """Read the records of an entry; of the force channels only the one that excites, where that is known."""
+    channels = {
+        name: channel
+        for name, channel in entry.channels.items()
+        if only_force is None or not name.startswith("force_") or name == f"force_{only_force}"
+    }
+    return [record for file in entry.files for record in read_records(file, channels)]
+
+
+def _per_axis(measurement: Measurement) -> Identification:
+    """Hammer or actuator: one excitation axis a record."""
+    records: dict[str, list[xr.Dataset]] = {}
+    for entry in measurement.records:
+        assert entry.excitation is not None
+        records.setdefault(entry.excitation, []).extend(_records_of(entry, entry.excitation))
+    if measurement.method == "hammer":
+        return identify_hammer(
+            measurement.name,
+            records,
+            frequency_range=measurement.frequency_range,
+            resolution=measurement.resolution,
+        )
+    return identify_actuator(measurement.name, records, frequency_range=measurement.frequency_range)
+
+
+def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
+    assert campaign.tool is not None
+    passes = []
+    for entry in measurement.records:
+        assert entry.cut is not None
+        assert entry.width_of_cut is not None
+        arc = engagement(entry.cut, entry.width_of_cut, campaign.tool.diameter)
+        for number, record in enumerate(_records_of(entry)):
+            label = f"{entry.cut} {entry.width_of_cut * 1e3:g} mm" + (f" ({number + 1})" if number else "")
+            passes.append(SweepPass(record, label, arc))
+    band = measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
+    estimator: LocalPolynomial | SingleReference = LocalPolynomial(measurement.resolution or 0.25)
+    if measurement.references != "all":
+        estimator = SingleReference(measurement.references, measurement.resolution or 0.25)
+    what = f"identifying {measurement.name}"
+    return identify_sweep(measurement.name, passes, band, estimator, lambda done, of: progress(what, done, of))
+
+
+def tooth_passing_band(passes: list[SweepPass], teeth: int) -> tuple[float, float]:
+    """Return the band [Hz] from the lowest tooth passing frequency to twice the highest, as all passes cover it.
+
+    Raises
+    ------
+    InputError
+        When a record carries no spindle speed or angle.
+    """
+    lows, highs = [], []
+    for p in passes:
+        if "spindle_speed" in p.record:
+            speed = p.record["spindle_speed"].values / 60.0
+        elif "spindle_angle" in p.record:
+            speed = np.gradient(p.record["spindle_angle"].values) / (2.0 * np.pi * sample_interval(p.record))
+        else:
+            raise InputError(
+                f"pass '{p.label}' records no spindle speed, so the band it excites is not known; give the "
+                'measurement frequency_range = ["20 Hz", "80 Hz"] or declare spindle_speed in [channels]'
+            )
+        lows.append(teeth * float(np.percentile(speed, 1.0)))
+        highs.append(teeth * float(np.percentile(speed, 99.0)))
+    return float(np.ceil(max(lows))), float(np.floor(2.0 * min(highs)))
+
+
+def _frf(measurement: Measurement) -> Identification:
+    """A compliance that another program has averaged: entries from files, put together into one matrix."""
+    entries = {}
+    for entry in measurement.records:
+        assert entry.response is not None
+        assert entry.excitation is not None
+        pair = entry.response, entry.excitation
+        if len(entry.files) > 1 or pair in entries:
+            raise InputError(f"several files for the entry {pair[0]}{pair[1]}; an averaged compliance has one: name it")
+        entries[pair] = read_frf(entry.files[0], entry.channels, *pair)
+    first = next(iter(entries.values()))
+    frequency = first["frequency"].values
+    keep = np.ones(frequency.size, bool)
+    if measurement.frequency_range is not None:
+        keep = (frequency >= measurement.frequency_range[0]) & (frequency <= measurement.frequency_range[1])
+    rows = [a for a in "xyz" if any(r == a for r, _ in entries)]
+    columns = [a for a in "xyz" if any(e == a for _, e in entries)]
+    values = np.full((frequency.size, len(rows), len(columns)), np.nan, dtype=complex)
+    for (r, e), dataset in entries.items():
+        if not np.array_equal(dataset["frequency"].values, frequency):
+            raise InputError("its files have different frequency axes; average them on one axis first")
+        values[:, rows.index(r), columns.index(e)] = dataset["compliance"].values[:, 0, 0]
+    dataset = make_compliance(frequency[keep], values[keep], rows, columns, attrs={"method": "frf"})
+    warning = "averaged by another program: no uncertainty and no coherence are known"
+    return Identification(measurement.name, "frf", dataset, {}, (warning,))
+
+
+def cached_identification(
+    campaign: Campaign, measurement: Measurement, folder: Path, progress: Progress = silent
+) -> tuple[Identification, bool]:
+    """Return the identification of a measurement, from `folder` when it is there, and whether it was."""
+    path = folder / f"{measurement.name}-{_key(campaign, measurement)}.nc"
+    if path.is_file():
+        try:
+            return _load(path, measurement), True
+        except InputError:
+            path.unlink()
+    found = identify_measurement(campaign, measurement, progress)
+    for old in folder.glob(f"{measurement.name}-????????????????.nc"):
+        old.unlink()
+    tables = {name: frame.to_csv(index=False) for name, frame in found.tables.items()}
+    dataset = pack_warnings(found.compliance, found.warnings).assign_attrs(tables=json.dumps(tables))
+    write_groups(path, {"identification": dataset})
+    return found, False
+
+
+def _key(campaign: Campaign, measurement: Measurement) -> str:
+    settings = repr((__version__, campaign.tool, measurement))
+    hashes = [file_hash(f) for entry in measurement.records for f in entry.files]
+    return hashlib.sha256("\n".join([settings, *hashes]).encode()).hexdigest()[:16]
+
+
+def _load(path: Path, measurement: Measurement) -> Identification:
+    dataset = read_groups(path)["identification"]
+    tables: Mapping[str, str] = json.loads(dataset.attrs.pop("tables"))
+    frames = {
+        name: pd.read_csv(io.StringIO(text), keep_default_na=False, na_values=[""]) for name, text in tables.items()
+    }
+    warnings = tuple(unpack_warnings(dataset))
+    del dataset.attrs["warnings"]
+    return Identification(measurement.name, measurement.method, dataset, frames, warnings)

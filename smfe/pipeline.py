@@ -1,0 +1,455 @@
+"""From a campaign file to a folder of results.
+
+Each verb here is a command of the same name: `run`, `demo`, `identify`, `compare`, `lobes`, `chatter`, `report`.
+Everything is written to a temporary name and moved into place; identified measurements are kept, so that a second run
+continues where the first stopped.
+"""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import math
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from process.compliance import ModalModel
+from process.engagement import engagement
+from process.errors import InputError
+from process.labels import AXES, full_matrix
+from process.units import parse
+from smfe import __version__
+from smfe.campaign import Campaign, CuttingTest, LobeRequest, Model, load_campaign
+from smfe.compare import compare as compare_compliances
+from smfe.datasets import Show
+from smfe.demo_campaign import DEMO_SEED, write_demo
+from smfe.identification import Identification, Progress, silent
+from smfe.measurements import cached_identification, file_hash
+from smfe.records import Channel, read_records
+from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
+from stability import ChatterVerdict, chatter_verdict, lobe_curves, lobe_table, write_table, zero_order
+
+KEPT = ".kept"
+"""Folder, inside the results, of what a second run reads back."""
+
+DEFAULT_CHANNELS: dict[str, Channel] = {
+    "time": Channel("t", "s"),
+    **{f"force_{a}": Channel(f"F{a}", "N") for a in AXES},
+    **{f"acceleration_{a}": Channel(f"a{a}", "m/s^2") for a in AXES},
+}
+"""Columns that `smfe chatter` expects in a file when no campaign declares others."""
+
+
+@dataclass(frozen=True)
+class LobeResult:
+    """Lobes of one request for one source.
+
+    Parameters
+    ----------
+    request : str
+        "lobes_1", "lobes_2", ... in the order of the campaign file.
+    source : str
+        Name of the measurement or model.
+    lobes : xarray.Dataset
+        ``limit_depth(spindle_speed)`` and the single lobes as ``curve_*(point)``.
+    table : pandas.DataFrame
+        Rows of lobe_table.csv.
+    """
+
+    request: str
+    source: str
+    lobes: xr.Dataset
+    table: pd.DataFrame
+
+
+@dataclass
+class Notes:
+    """What happened on the way: seconds a stage and warnings."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Time a stage."""
+        start = time.perf_counter()
+        yield
+        self.seconds[stage] = round(time.perf_counter() - start, 3)
+
+
+def run(
+    campaign: Path | str,
+    out: Path | str,
+    fresh: bool = False,
+    progress: Progress = silent,
+    show: Show | None = None,
+) -> Path:
+    """Do everything that a campaign asks for and write the results.
+
+    Parameters
+    ----------
+    campaign : path
+        Campaign file.
+    out : path
+        Folder of the results; made when missing.
+    fresh : bool, optional
+        Identify every measurement again instead of reading back what an earlier run has kept.
+    progress : callable, optional
+        Called with (what, done, of).
+    show : callable, optional
+        Called with the licence of a public data set before it is fetched; without it nothing is fetched.
+
+    Returns
+    -------
+    Path
+        The report.
+
+    Raises
+    ------
+    InputError
+        When the campaign file or a record is wrong; nothing is half written.
+    """
+    loaded, folder, notes = load_campaign(Path(campaign), show), Path(out), Notes()
+    if fresh:
+        shutil.rmtree(folder / KEPT, ignore_errors=True)
+    with notes.timed("identify"):
+        found = _identify_all(loaded, folder / KEPT, progress)
+    compliances = _compliances(loaded, found)
+    _write_identifications(folder, compliances, found, notes)
+    with notes.timed("compare"):
+        progress("comparing", 0, 1)
+        write_csv(folder / "comparison.csv", compare_compliances({n: f.compliance for n, f in found.items()}))
+        write_csv(folder / "model_error.csv", model_errors(found, loaded.models))
+    with notes.timed("lobes"):
+        results = _all_lobes(loaded, compliances, progress)
+        _write_lobes(folder, results, notes)
+    with notes.timed("cutting tests"):
+        _judge_all(loaded, compliances, folder, notes, progress)
+    _write_provenance(folder, loaded, notes)
+    return report(folder, progress)
+
+
+def demo(out: Path | str, seed: int = DEMO_SEED, progress: Progress = silent) -> Path:
+    """Simulate a whole measuring campaign, write it to ``out/`` and run it into ``out/results``.
+
+    Records and campaign file are made anew each time; the same seed makes the same records.
+    """
+    folder = Path(out)
+    return run(write_demo(folder, seed, progress), folder / "results", progress=progress)
+
+
+def report(folder: Path | str, progress: Progress = silent) -> Path:
+    """Write the report of a folder of results again."""
+    # Drawing stays out of the numerics: only the composition imports it, and only where it is called.
+    from smfe.report import write_report
+
+    progress("writing the report", 0, 1)
+    return write_report(Path(folder))
+
+
+def identify(
+    campaign: Path | str, output: Path | str, progress: Progress = silent, show: Show | None = None
+) -> dict[str, Identification]:
+    """Identify every measurement of a campaign and write the compliances to one NetCDF file."""
+    loaded, path = load_campaign(Path(campaign), show), Path(output)
+    found = _identify_all(loaded, path.parent / KEPT, progress)
+    write_groups(path, _groups(_compliances(loaded, found), found))
+    return found
+
+
+def compare(frf: Path | str, output: Path | str | None = None) -> pd.DataFrame:
+    """Compare the measurements of a compliance file peak by peak; optionally write the table."""
+    groups = {n: d for n, d in read_groups(Path(frf)).items() if d.attrs.get("method") != "model"}
+    table = compare_compliances(groups)
+    if output is not None:
+        write_csv(Path(output), table)
+    return table
+
+
+def lobes(
+    campaign: Path | str,
+    output: Path | str,
+    table: Path | str | None = None,
+    frf: Path | str | None = None,
+    progress: Progress = silent,
+) -> list[LobeResult]:
+    """Compute the lobes that a campaign asks for, from its records or from a compliance file."""
+    loaded, path = load_campaign(Path(campaign)), Path(output)
+    if frf is not None:
+        compliances = read_groups(Path(frf))
+    else:
+        compliances = _compliances(loaded, _identify_all(loaded, path.parent / KEPT, progress))
+    if not loaded.lobes:
+        raise InputError(f"{campaign}: it asks for no lobes; add a [[lobes]] table")
+    results = _all_lobes(loaded, compliances, progress)
+    write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results})
+    if table is not None:
+        write_table(_joined(results), Path(table))
+    return results
+
+
+def chatter(record: Path | str, speed: str, teeth: int, campaign: Path | str | None = None) -> ChatterVerdict:
+    """Judge one record of a cut by the spectral criterion.
+
+    Parameters
+    ----------
+    record : path
+        File of the record.
+    speed : str
+        Spindle speed with its unit, "500 rpm".
+    teeth : int
+        Number of teeth.
+    campaign : path, optional
+        Campaign file whose [channels] tell the columns; default: t, Fx, Fy, Fz, ax, ay, az.
+    """
+    channels: Mapping[str, Channel] = DEFAULT_CHANNELS if campaign is None else load_campaign(Path(campaign)).channels
+    records = read_records(Path(record), channels)
+    return chatter_verdict(records[0], parse(speed, "rotation"), teeth)
+
+
+def _identify_all(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
+    found = {}
+    for i, measurement in enumerate(campaign.measurements):
+        progress(f"identifying {measurement.name}", i, len(campaign.measurements))
+        found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
+    return found
+
+
+def _compliances(campaign: Campaign, found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:
+    out = {name: item.compliance for name, item in found.items()}
+    out.update({m.name: _model_compliance(m.modal) for m in campaign.models})
+    return out
+
+
+def _model_compliance(modal: ModalModel) -> xr.Dataset:
+    """Sample a modal model: at least ten points in the narrowest half-power band, up to three times the last mode."""
+    band = float(np.min(2.0 * modal.damping * modal.frequency))
+    step = min(0.25, band / 10.0)
+    frequency = np.arange(1.0, 3.0 * float(modal.frequency.max()), step)
+    return modal.compliance(frequency).assign_attrs(method="model")
+
+
+def _groups(compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:
+    return {n: pack_warnings(d, found[n].warnings if n in found else ()) for n, d in compliances.items()}
+
+
+def _write_identifications(
+    folder: Path, compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification], notes: Notes
+) -> None:
+    write_groups(folder / "frf.nc", _groups(compliances, found))
+    shutil.rmtree(folder / "tables", ignore_errors=True)
+    for name, item in found.items():
+        notes.warnings += [f"{name}: {w}" for w in item.warnings]
+        for table, frame in item.tables.items():
+            write_csv(folder / "tables" / f"{name}.{table}.csv", frame)
+
+
+def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -> pd.DataFrame:
+    """Return how far each measured entry is from each declared model.
+
+    ``error = sqrt(mean |measured - model|^2 / mean |model|^2)`` over the frequencies where the entry was measured.
+
+    Parameters
+    ----------
+    found : mapping of str to Identification
+        Measurements.
+    models : sequence of Model
+        Declared modal models.
+
+    Returns
+    -------
+    pandas.DataFrame
+        measurement, model, response, excitation, from_Hz, to_Hz, error_percent.
+    """
+    rows: list[dict[str, Any]] = []
+    for model in models:
+        for name, item in found.items():
+            array = item.compliance["compliance"]
+            truth = model.modal.matrix(item.compliance["frequency"].values)
+            measured = full_matrix(item.compliance)
+            for i, r in enumerate(AXES):
+                for j, e in enumerate(AXES):
+                    if r not in array["response"].values or e not in array["excitation"].values:
+                        continue
+                    valid = np.isfinite(measured[:, i, j])
+                    if not valid.any():
+                        continue
+                    f = item.compliance["frequency"].values[valid]
+                    error = np.mean(np.abs(measured[valid, i, j] - truth[valid, i, j]) ** 2)
+                    rows.append(
+                        {
+                            "measurement": name,
+                            "model": model.name,
+                            "response": r,
+                            "excitation": e,
+                            "from_Hz": f[0],
+                            "to_Hz": f[-1],
+                            "error_percent": 100.0 * math.sqrt(error / np.mean(np.abs(truth[valid, i, j]) ** 2)),
+                        }
+                    )
+    columns = ["measurement", "model", "response", "excitation", "from_Hz", "to_Hz", "error_percent"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _all_lobes(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progress: Progress) -> list[LobeResult]:
+    out = []
+    jobs = [(i, r, s) for i, r in enumerate(campaign.lobes, 1) for s in r.measurements]
+    for done, (number, request, source) in enumerate(jobs):
+        progress(f"lobes {number}: {source}", done, len(jobs))
+        if source not in compliances:
+            raise InputError(
+                f"lobes {number} ask for '{source}', which the compliances do not hold: {', '.join(compliances)}"
+            )
+        out.append(_lobes_of(campaign, request, f"lobes_{number}", source, compliances[source]))
+    return out
+
+
+def _lobes_of(campaign: Campaign, request: LobeRequest, name: str, source: str, compliance: xr.Dataset) -> LobeResult:
+    assert campaign.tool is not None
+    assert campaign.coefficients is not None
+    arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
+    speeds = request.spindle_speed
+    dataset = zero_order(compliance, campaign.tool, arc, campaign.coefficients, speeds)
+    table = lobe_table(dataset, source, campaign.tool, request.width_of_cut, request.feed_per_tooth)
+    curves = lobe_curves(compliance, campaign.tool, arc, campaign.coefficients, (speeds[0], speeds[-1]))
+    dataset = dataset.assign(
+        {
+            f"curve_{short}": ("point", curves[column].to_numpy())
+            for short, column in (
+                ("spindle_speed", "spindle_speed_rpm"),
+                ("limit_depth", "limit_depth_mm"),
+                ("chatter_frequency", "chatter_frequency_Hz"),
+                ("lobe", "lobe"),
+                ("branch", "branch"),
+            )
+        }
+    )
+    dataset = pack_warnings(dataset, dataset.attrs.pop("warnings", ()))
+    dataset = dataset.assign_attrs(
+        source=source,
+        cut=request.cut,
+        width_of_cut_mm=request.width_of_cut * 1e3,
+        feed_per_tooth_mm=request.feed_per_tooth * 1e3,
+        method=request.method,
+    )
+    return LobeResult(name, source, dataset, table)
+
+
+def _joined(results: Sequence[LobeResult]) -> pd.DataFrame:
+    return pd.concat([r.table for r in results], ignore_index=True)
+
+
+def _write_lobes(folder: Path, results: Sequence[LobeResult], notes: Notes) -> None:
+    if not results:
+        for name in ("lobes.nc", "lobe_table.csv"):
+            (folder / name).unlink(missing_ok=True)
+        return
+    write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results})
+    write_table(_joined(results), folder / "lobe_table.csv")
+    for r in results:
+        notes.warnings += [f"{r.request}, {r.source}: {w}" for w in unpack_warnings(r.lobes)]
+
+
+def _judge_all(
+    campaign: Campaign, compliances: Mapping[str, xr.Dataset], folder: Path, notes: Notes, progress: Progress
+) -> None:
+    rows, spectra = [], {}
+    for i, test in enumerate(campaign.cutting_tests):
+        progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
+        verdict = _judge(campaign, test)
+        rows.append(_chatter_row(campaign, test, verdict, compliances))
+        assert campaign.tool is not None
+        spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth)
+        if verdict.verdict == "undecided":
+            notes.warnings.append(f"{test.file.name}: undecided: {verdict.reason}")
+    if not rows:
+        for name in ("chatter.csv", "spectra.nc"):
+            (folder / name).unlink(missing_ok=True)
+        return
+    write_csv(folder / "chatter.csv", pd.DataFrame(rows))
+    write_groups(folder / "spectra.nc", spectra)
+
+
+def _judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
+    assert campaign.tool is not None
+    record = read_records(test.file, test.channels)[0]
+    try:
+        return chatter_verdict(record, test.spindle_speed * math.pi / 30.0, campaign.tool.teeth)
+    except InputError as error:
+        raise InputError(f"cutting test '{test.file.name}': {error}") from error
+
+
+def _chatter_row(
+    campaign: Campaign, test: CuttingTest, verdict: ChatterVerdict, compliances: Mapping[str, xr.Dataset]
+) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "file": test.file.name,
+        "spindle_speed_rpm": round(test.spindle_speed, 6),
+        "depth_of_cut_mm": round(test.depth_of_cut * 1e3, 9),
+        "verdict": verdict.verdict,
+        "ratio": verdict.ratio,
+        "chatter_frequency_Hz": verdict.chatter_frequency_Hz,
+        "tooth_passing_harmonic_Hz": verdict.tooth_passing_harmonic_Hz,
+        "observed": test.observed or "",
+        "lobes": _matching_request(campaign, test),
+        "reason": verdict.reason,
+    }
+    assert campaign.tool is not None
+    assert campaign.coefficients is not None
+    arc = engagement(test.cut, test.width_of_cut, campaign.tool.diameter)
+    for source in dict.fromkeys(s for r in campaign.lobes for s in r.measurements):
+        limits = zero_order(compliances[source], campaign.tool, arc, campaign.coefficients, [test.spindle_speed])
+        limit = float(limits["limit_depth"].values[0])
+        row[f"limit_{source}_mm"] = limit
+        row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
+    return row
+
+
+def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
+    """Return the lobes on whose diagram a test belongs: same kind and width of cut."""
+    for number, request in enumerate(campaign.lobes, 1):
+        if request.cut == test.cut and math.isclose(request.width_of_cut, test.width_of_cut, rel_tol=1e-6):
+            return f"lobes_{number}"
+    return ""
+
+
+def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int) -> xr.Dataset:
+    return verdict.spectrum.assign_attrs(
+        file=test.file.name,
+        spindle_speed_rpm=round(test.spindle_speed, 6),
+        depth_of_cut_mm=round(test.depth_of_cut * 1e3, 9),
+        verdict=verdict.verdict,
+        ratio=verdict.ratio,
+        chatter_frequency_Hz=verdict.chatter_frequency_Hz,
+        tooth_passing_harmonic_Hz=verdict.tooth_passing_harmonic_Hz,
+        tooth_passing_frequency_Hz=teeth * verdict.spindle_speed_rpm / 60.0,
+        quantity=verdict.quantity,
+        reason=verdict.reason,
+    )
+
+
+def _write_provenance(folder: Path, campaign: Campaign, notes: Notes) -> None:
+    files = [f for m in campaign.measurements for entry in m.records for f in entry.files]
+    files = list(dict.fromkeys([campaign.path, *files, *(t.file for t in campaign.cutting_tests)]))
+    packages = ("smfe", "numpy", "scipy", "numba", "xarray", "pandas", "h5netcdf")
+    write_json(
+        folder / "provenance.json",
+        {
+            "campaign": campaign.name,
+            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "versions": {"smfe": __version__, **{p: importlib.metadata.version(p) for p in packages[1:]}},
+            "inputs": [{"file": f.name, "sha256": file_hash(f)} for f in files],
+            "settings": {m.name: m.settings() for m in campaign.measurements},
+            "seconds": notes.seconds,
+            "warnings": notes.warnings,
+        },
+    )

@@ -1,0 +1,123 @@
+"""Channels: which column of a file is which physical quantity, in which unit and with which corrections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process import units
+from process.errors import InputError
+from process.labels import AXES, RECORD_SCALARS, RECORD_VECTORS
+from smfe.records.words import did_you_mean
+
+_DIMENSION_OF_VECTOR = {
+    "force": "force",
+    "acceleration": "acceleration",
+    "displacement": "length",
+    "encoder_position": "length",
+    "drive_force": "force",
+    "reference_position": "length",
+}
+
+RECORD_CHANNELS: dict[str, str] = {
+    "time": "time",
+    **{f"{name}_{axis}": _DIMENSION_OF_VECTOR[name] for name in RECORD_VECTORS for axis in AXES},
+    "spindle_angle": "angle",
+    "spindle_speed": "rotation",
+    "tacho": "dimensionless",
+}
+"""Channel of a record -> dimension of its values (a key of `process.units.UNITS`)."""
+
+COMPLIANCE_CHANNELS: dict[str, str] = {
+    "frequency": "frequency",
+    "compliance_real": "compliance",
+    "compliance_imag": "compliance",
+}
+"""Channel of a compliance that another program has averaged -> dimension of its values."""
+
+CHANNELS: dict[str, str] = {**RECORD_CHANNELS, **COMPLIANCE_CHANNELS}
+"""Every channel a campaign may declare -> dimension of its values."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Where a channel stands in a file, and what has to be done to its numbers.
+
+    ``value = sign * scale * number * (unit in SI)``, then shifted in time: the sensor shows at t what happened at
+    ``t - delay``.
+
+    Parameters
+    ----------
+    column : str or int, optional
+        Header name, or position counted from 1. Not needed for files in our own layout.
+    unit : str, optional
+        Unit of the numbers after `scale`.
+    sign : float, optional
+        +1 or -1.
+    scale : float, optional
+        Factor on the numbers, for a sensor recorded in volts.
+    delay : float, optional
+        Delay of the channel [s]; positive when it comes late.
+    sample_rate : float, optional
+        Only for "time": sample rate [Hz] instead of a column.
+    pulses_per_revolution : float, optional
+        Only for "tacho".
+    """
+
+    column: str | int | None = None
+    unit: str | None = None
+    sign: float = 1.0
+    scale: float = 1.0
+    delay: float = 0.0
+    sample_rate: float | None = None
+    pulses_per_revolution: float | None = None
+
+    def to_si(self, name: str, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the numbers of channel `name` in the unit of its label (SI; a spindle speed in rpm)."""
+        factor = self.sign * self.scale * unit_factor(name, self.unit)
+        return numbers if factor == 1.0 else numbers * factor
+
+
+def unit_factor(name: str, unit: str | None) -> float:
+    """Return the number that turns `unit` into the unit of channel `name`.
+
+    Raises
+    ------
+    InputError
+        For a channel or a unit that is not known, or no unit where one is needed.
+    """
+    check_channel_name(name)
+    dimension = CHANNELS[name]
+    if dimension == "dimensionless":
+        # A tacho is a train of pulses: its level is of no interest, so volts do as well as ones.
+        return 1.0
+    if unit is None:
+        raise InputError(f'{name} has no unit; add unit = "{next(iter(units.UNITS[dimension]))}" or the one it is in')
+    factor = units.factor(unit, dimension)
+    # Labels show a spindle speed in rpm (process.labels.SHOP_UNITS).
+    return units.from_si(factor, "rpm", "rotation") if name == "spindle_speed" else factor
+
+
+def check_channel_name(name: str) -> str:
+    """Return the name of a channel when it is one, else raise `InputError` with the nearest that is."""
+    if name not in CHANNELS:
+        vectors = ", ".join(f"{vector}_x|y|z" for vector in RECORD_VECTORS)
+        raise InputError(
+            f"channel '{name}' is not known{did_you_mean(name, CHANNELS)}; channels are time, {vectors}, "
+            f"{', '.join(RECORD_SCALARS)}, and {', '.join(COMPLIANCE_CHANNELS)} for a compliance"
+        )
+    return name
+
+
+def split_vector(name: str) -> tuple[str, str] | None:
+    """Return ("force", "x") for "force_x", None for a channel without an axis."""
+    vector, _, axis = name.rpartition("_")
+    return (vector, axis) if vector in RECORD_VECTORS and axis in AXES else None
+
+
+def record_channels(channels: Mapping[str, Channel]) -> dict[str, Channel]:
+    """Return the channels that belong to a record; refuse names that are not known."""
+    return {name: channel for name, channel in channels.items() if check_channel_name(name) in RECORD_CHANNELS}

@@ -1,0 +1,73 @@
+"""MATLAB files: version 4 to 7 through scipy, version 7.3 (which is HDF5) through h5py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy import io
+
+from process.errors import InputError
+from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, same_length
+
+_KIND = "a MATLAB file"
+
+
+def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
+    """Read the wanted variables of a MATLAB file; see `smfe.records.read_records`.
+
+    A matrix of several columns is offered column by column, as ``data(:,2)``.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(520)
+    if not head:
+        raise InputError(f"{path.name}: the file is empty")
+    with damaged(path, _KIND):
+        return [_read_hdf5(path, wanted) if head[512:] == b"\x89HDF\r\n\x1a\n" else _read_mat(path, wanted)]
+
+
+def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
+    shapes = {name: shape for name, shape, kind in io.whosmat(path) if kind not in ("char", "cell", "struct", "object")}
+    places = list(_places(shapes.items()))
+    at = find_columns(path.name, [name for name, _, _ in places], wanted, len(places))
+    needed = sorted({places[index][1] for index in at.values()})
+    content = io.loadmat(path, variable_names=needed)
+    return _table(path, at, places, content)
+
+
+def _read_hdf5(path: Path, wanted: Sequence[Column]) -> Table:
+    with h5py.File(path, "r") as file:
+        # MATLAB stores by column, HDF5 by row: a matrix comes out transposed.
+        shapes = {
+            name: item.shape[::-1]
+            for name, item in file.items()
+            if isinstance(item, h5py.Dataset) and item.ndim == 2 and item.dtype.kind in "biuf"
+        }
+        places = list(_places(shapes.items()))
+        at = find_columns(path.name, [name for name, _, _ in places], wanted, len(places))
+        content = {name: file[name][()].T for name in {places[index][1] for index in at.values()}}
+    return _table(path, at, places, content)
+
+
+def _places(shapes: Iterable[tuple[str, tuple[int, ...]]]) -> Iterable[tuple[str, str, int | None]]:
+    """Yield (name of the column, variable, column of the matrix) for all that can be a channel."""
+    for name, shape in shapes:
+        if len(shape) == 2 and min(shape) > 1:
+            yield from ((f"{name}(:,{k + 1})", name, k) for k in range(shape[1]))
+        elif len(shape) <= 2:
+            yield name, name, None
+
+
+def _table(
+    path: Path, at: dict[Column, int], places: Sequence[tuple[str, str, int | None]], content: dict[str, Any]
+) -> Table:
+    columns = {}
+    for column, index in at.items():
+        _, variable, k = places[index]
+        values = np.asarray(content[variable])
+        columns[column] = as_numbers(path.name, column, values if k is None else values[:, k])
+    same_length(path.name, columns)
+    return Table(columns)

@@ -1,0 +1,209 @@
+"""The funnel: whatever the format, columns become a record (or a compliance) here and only here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from process.labels import UNITS, axis_present, make_compliance, make_record
+from smfe.records import csv, lvm, mat, netcdf
+from smfe.records.align import align
+from smfe.records.channels import COMPLIANCE_CHANNELS, Channel, record_channels, split_vector
+from smfe.records.table import Column, Table
+
+Reader = Callable[[Path, Sequence[Column]], list[Table]]
+
+READERS: dict[str, Reader] = {
+    ".csv": csv.read_tables,
+    ".txt": csv.read_tables,
+    ".dat": csv.read_tables,
+    ".nc": netcdf.read_tables,
+    ".h5": netcdf.read_tables,
+    ".mat": mat.read_tables,
+    ".lvm": lvm.read_tables,
+}
+"""Suffix of a file -> what reads it."""
+
+
+def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.Dataset]:
+    """Read the records of a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with one of the suffixes in `READERS`.
+    channels : mapping of str to Channel
+        Channel name ("time", "force_x", ...) -> where it stands and in which unit. A NetCDF file in our own layout
+        (``force(axis, time)`` ...) names its channels and units itself: every channel it holds is read, and only
+        `sign`, `scale` and `delay` of those declared are applied.
+
+    Returns
+    -------
+    list of xarray.Dataset
+        One record; of a file with several segments, one a segment. ``attrs["source"]`` is the name of the file, with
+        ", segment 0" and so on behind it where there are several. A spindle angle is unwrapped.
+
+    Raises
+    ------
+    InputError
+        For anything that is wrong with the file or its channels, in one sentence with the file's name.
+    """
+    path = Path(path)
+    reader = _reader(path)
+    used = record_channels(channels)
+    if reader is netcdf.read_tables and (own := netcdf.read_own_layout(path)) is not None:
+        return [_record(path.name, *_own_table(own, used), own.attrs)]
+    if not any(name != "time" for name in used):
+        raise InputError(f"{path.name}: no channels are declared; say in [channels] which column is which")
+    tables = reader(path, _columns(path.name, used))
+    sources = [path.name if len(tables) == 1 else f"{path.name}, segment {k}" for k in range(len(tables))]
+    return [_record(source, table, used) for source, table in zip(sources, tables, strict=True)]
+
+
+def read_frf(path: str | Path, channels: Mapping[str, Channel], response: str, excitation: str) -> xr.Dataset:
+    """Read one entry of a compliance that another program has averaged.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with one of the suffixes in `READERS`.
+    channels : mapping of str to Channel
+        "frequency", "compliance_real" and "compliance_imag"; others are left alone.
+    response, excitation : str
+        Axes of the entry.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``compliance(frequency, response, excitation)`` with one response and one excitation.
+
+    Raises
+    ------
+    InputError
+        For anything that is wrong with the file or its channels.
+    """
+    path = Path(path)
+    reader = _reader(path)
+    missing = [name for name in COMPLIANCE_CHANNELS if name not in channels]
+    if missing:
+        raise InputError(
+            f"{path.name}: channel {missing[0]} is not declared; a compliance needs {', '.join(COMPLIANCE_CHANNELS)}"
+        )
+    used = {name: channels[name] for name in COMPLIANCE_CHANNELS}
+    tables = reader(path, _columns(path.name, used))
+    if len(tables) > 1:
+        raise InputError(f"{path.name}: has {len(tables)} segments; a compliance needs one")
+    values = {name: _values(path.name, name, channel, tables[0]) for name, channel in used.items()}
+    compliance = (values["compliance_real"] + 1j * values["compliance_imag"])[:, None, None]
+    with _named(path.name):
+        return make_compliance(values["frequency"], compliance, [response], [excitation], attrs={"source": path.name})
+
+
+def _reader(path: Path) -> Reader:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if path.suffix.lower() not in READERS:
+        raise InputError(f"{path.name}: files with suffix '{path.suffix}' are not read; known are {', '.join(READERS)}")
+    return READERS[path.suffix.lower()]
+
+
+def _columns(source: str, channels: Mapping[str, Channel]) -> list[Column]:
+    columns: list[Column] = []
+    for name, channel in channels.items():
+        if channel.column is not None:
+            columns.append(channel.column)
+        elif not (name == "time" and channel.sample_rate is not None):
+            raise InputError(
+                f'{source}: channel {name} has no column; add column = "its name" or a position, column = 1'
+            )
+    return columns
+
+
+def _values(source: str, name: str, channel: Channel, table: Table) -> NDArray[np.float64]:
+    """Return a channel in the unit of its label, all finite."""
+    assert channel.column is not None
+    numbers = table.columns[channel.column]
+    bad = ~np.isfinite(numbers)
+    if bad.any():
+        raise InputError(
+            f"{source}: channel {name} (column '{channel.column}') is empty, NaN or infinite in {int(bad.sum())} "
+            f"samples, the first at sample {int(np.argmax(bad))} (counted from 0); repair or cut the record"
+        )
+    with _named(source):
+        values = channel.to_si(name, numbers)
+    return np.unwrap(values) if name == "spindle_angle" else values
+
+
+def _record(
+    source: str, table: Table, channels: Mapping[str, Channel], attrs: Mapping[str, Any] | None = None
+) -> xr.Dataset:
+    vectors: dict[str, dict[str, NDArray[np.float64]]] = {}
+    scalars: dict[str, NDArray[np.float64]] = {}
+    for name, channel in channels.items():
+        if name == "time":
+            continue
+        values = _values(source, name, channel, table)
+        vector = split_vector(name)
+        if vector is None:
+            scalars[name] = values
+        else:
+            vectors.setdefault(vector[0], {})[vector[1]] = values
+    time = _time(source, table, channels.get("time"))
+    with _named(source):
+        record = make_record(time, vectors, scalars, {**(attrs or {}), "source": source})
+        return _finish(record, channels)
+
+
+def _time(source: str, table: Table, channel: Channel | None) -> NDArray[np.float64]:
+    if channel is not None and channel.column is not None:
+        return _values(source, "time", channel, table)
+    size = next(iter(table.columns.values())).size
+    if channel is not None and channel.sample_rate is not None:
+        return np.arange(size) / channel.sample_rate
+    if table.sample_rate is not None:
+        return table.start + np.arange(size) / table.sample_rate
+    raise InputError(
+        f'{source}: no time; declare time = {{ column = "t", unit = "s" }}, or time = {{ sample_rate = "51200 Hz" }} '
+        "for a file without a time column"
+    )
+
+
+def _own_table(record: xr.Dataset, declared: Mapping[str, Channel]) -> tuple[Table, dict[str, Channel]]:
+    """Return a record in our own layout as columns, each named after its channel, with the corrections declared."""
+    columns: dict[Column, NDArray[np.float64]] = {"time": record["time"].values.astype(float)}
+    for variable, array in record.data_vars.items():
+        if "axis" not in array.dims:
+            columns[str(variable)] = array.values.astype(float)
+            continue
+        for axis in axis_present(record, str(variable)):
+            columns[f"{variable}_{axis}"] = array.sel(axis=axis).values.astype(float)
+    channels = {}
+    for name in map(str, columns):
+        vector = split_vector(name)
+        unit = UNITS[name if vector is None else vector[0]]
+        channels[name] = replace(declared.get(name, Channel()), column=name, unit=unit)
+    return Table(columns), channels
+
+
+@contextmanager
+def _named(source: str) -> Iterator[None]:
+    """Put the name of the file before a message that lacks it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+
+
+def _finish(record: xr.Dataset, channels: Mapping[str, Channel]) -> xr.Dataset:
+    tacho = channels.get("tacho")
+    if tacho is not None and tacho.pulses_per_revolution is not None and "tacho" in record:
+        record["tacho"].attrs["pulses_per_revolution"] = tacho.pulses_per_revolution
+    return align(record, {name: channel.delay for name, channel in channels.items() if name != "time"})

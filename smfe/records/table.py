@@ -1,0 +1,119 @@
+"""What every reader returns: the columns of a file as they stand there, before anyone knows what they mean."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from smfe.records.words import did_you_mean, listed
+
+Column = str | int
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a file, or of one segment of it.
+
+    Parameters
+    ----------
+    columns : mapping of (str or int) to ndarray, shape (n,)
+        Only the columns that were asked for, under the name or position they were asked by.
+    sample_rate : float, optional
+        Sample rate the file itself states [Hz].
+    start : float, optional
+        Time of the first sample where the file states a sample rate [s].
+    """
+
+    columns: Mapping[Column, NDArray[np.float64]]
+    sample_rate: float | None = None
+    start: float = 0.0
+
+
+def find_columns(source: str, names: Sequence[str], wanted: Sequence[Column], count: int) -> dict[Column, int]:
+    """Return the index of each wanted column.
+
+    Parameters
+    ----------
+    source : str
+        File, for messages.
+    names : sequence of str
+        Names of the columns in their order; empty for a file without header.
+    wanted : sequence of str or int
+        Names, or positions counted from 1.
+    count : int
+        Number of columns.
+
+    Raises
+    ------
+    InputError
+        When a column is not there, or a name occurs twice.
+    """
+    return {column: _find_column(source, names, column, count) for column in wanted}
+
+
+def _find_column(source: str, names: Sequence[str], column: Column, count: int) -> int:
+    if isinstance(column, int):
+        if not 1 <= column <= count:
+            raise InputError(
+                f"{source}: column {column} is asked for but the file has {count} (positions count from 1)"
+            )
+        return column - 1
+    if not names:
+        raise InputError(
+            f"{source}: column '{column}' is asked for but no line of the file names its {count} columns; "
+            "give positions that count from 1, e.g. column = 1"
+        )
+    hits = [i for i, name in enumerate(names) if name == column]
+    if len(hits) > 1:
+        at = " and ".join(str(i + 1) for i in hits)
+        raise InputError(
+            f"{source}: the name '{column}' is that of columns {at}; give the position instead, column = {at[0]}"
+        )
+    if not hits:
+        raise InputError(f"{source}: no column '{column}'{did_you_mean(column, names)}; the file has {listed(names)}")
+    return hits[0]
+
+
+def as_numbers(source: str, column: Column, values: object) -> NDArray[np.float64]:
+    """Return an array of a file as real numbers, shape (n,), or say that it holds none."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{source}: '{column}' holds no real numbers (its type is {array.dtype})")
+    return np.ascontiguousarray(array.reshape(-1), dtype=np.float64)
+
+
+def same_length(source: str, columns: Mapping[Column, NDArray[np.float64]]) -> None:
+    """Refuse columns of different length."""
+    lengths = {column: values.size for column, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"'{column}' {size}" for column, size in lengths.items())
+        raise InputError(
+            f"{source}: columns of different length ({found} samples); channels of one record need the same"
+        )
+
+
+@contextmanager
+def damaged(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a reader of a foreign library raises into one sentence with the file's name.
+
+    A damaged file makes the libraries raise nearly any exception there is, so all are caught, here and only here.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except (InputError, KeyboardInterrupt):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(
+            f"{path.name}: cannot be read as {kind}; the file is truncated, damaged or of another kind ({reason}); "
+            "copy or export it again"
+        ) from error

@@ -1,0 +1,8 @@
+"""The report: one self-contained HTML file and PNG figures, made from the files of a result folder alone.
+
+- `write_report`: write ``report.html`` and ``figures/*.png`` into a folder of results.
+"""
+
+from smfe.report.page import write_report
+
+__all__ = ["write_report"]

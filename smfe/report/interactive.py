@@ -1,0 +1,534 @@
+"""Interactive figures as plain dictionaries in plotly's JSON schema.
+
+Arrays travel as base64 of 32-bit floats, which plotly.js reads by itself: seven digits in half the space of five
+written out, and NaN for a gap.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from smfe.report.answer import outcomes
+from smfe.report.look import (
+    AXIS_COLOURS,
+    CHATTER,
+    EXCITATION_DASHES,
+    Line,
+    axes_of,
+    band_text,
+    depth_range,
+    frequency_range,
+    magnitude_band,
+    magnitude_range,
+    number,
+    translucent,
+)
+from smfe.report.results import BAD_CONDITION, Lobes, Measurement, bands
+
+Figure = dict[str, Any]
+
+_GRID = "#e4e4e4"
+_FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 13, "color": "#222"}
+_SYMBOLS = {
+    "stable": {"symbol": "circle", "color": "#000", "size": 10},
+    "chatter": {"symbol": "x", "color": CHATTER, "size": 11, "line": {"width": 1, "color": "#fff"}},
+    "undecided": {"symbol": "triangle-up-open", "color": "#000", "size": 11, "line": {"width": 2}},
+}
+
+
+def packed(values: ArrayLike) -> dict[str, str]:
+    """Return an array as plotly reads it from JSON."""
+    array = np.asarray(values, dtype="<f4")
+    out = {"dtype": "f4", "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
+    if array.ndim == 2:
+        out["shape"] = f"{array.shape[0]},{array.shape[1]}"
+    return out
+
+
+def plain(text: str) -> str:
+    """Return text so that plotly, which knows a few HTML tags, shows it letter by letter."""
+    return html.escape(text, quote=False)
+
+
+def _axis(title: str = "", **more: Any) -> dict[str, Any]:
+    look = {"gridcolor": _GRID, "linecolor": "#888", "ticks": "outside", "tickcolor": "#888", "zeroline": False}
+    return {"title": {"text": title, "standoff": 6}, "showline": True, "mirror": True, **look, **more}
+
+
+def _layout(height: int, **more: Any) -> dict[str, Any]:
+    return {
+        "height": height,
+        "margin": {"l": 70, "r": 20, "t": 40, "b": 50},
+        "paper_bgcolor": "#fff",
+        "plot_bgcolor": "#fff",
+        "font": _FONT,
+        "hovermode": "closest",
+        "hoverlabel": {"bgcolor": "#fff", "font": {"color": "#222"}, "namelength": -1},
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+        **more,
+    }
+
+
+def _on(number_: int) -> dict[str, str]:
+    """Return the axes of panel 1, 2, ... as a trace names them."""
+    tail = "" if number_ == 1 else str(number_)
+    return {"xaxis": f"x{tail}", "yaxis": f"y{tail}"}
+
+
+def _polygons(
+    x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the outline between two curves, one polygon a run of known values."""
+    xs, ys = [], []
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (np.isfinite(low) & np.isfinite(high)).astype(int), [0]])))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        xs += [x[a:b], x[a:b][::-1], [np.nan]]
+        ys += [low[a:b], high[a:b][::-1], [np.nan]]
+    if not xs:
+        return np.empty(0), np.empty(0)
+    return np.concatenate(xs)[:-1], np.concatenate(ys)[:-1]
+
+
+def _filled(x: NDArray[np.float64], y: NDArray[np.float64], colour: str, opacity: float, **more: Any) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed(x),
+        "y": packed(y),
+        "fill": "toself",
+        "fillcolor": translucent(colour, opacity),
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+        "showlegend": False,
+        **more,
+    }
+
+
+# --- lobes --------------------------------------------------------------------------------------------------
+
+
+def lobes_figure(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mapping[str, Line]) -> Figure:
+    """Return limit depth over speed with the cutting tests, and the chatter frequency below."""
+    depths = [item.values("limit_depth") for item in lobes]
+    cut = tests["depth_of_cut_mm"].to_numpy(dtype=float) if tests is not None else np.empty(0)
+    top = depth_range(depths, cut)
+    data: list[Figure] = []
+    for item in lobes:
+        data += _lobe_traces(item, looks[item.source], top)
+    if tests is not None:
+        data += _test_traces(tests)
+    speeds = np.concatenate([item.data["spindle_speed"].values for item in lobes])
+    shared = {"range": [float(speeds.min()), float(speeds.max())], "anchor": "y2"}
+    layout = _layout(
+        640,
+        xaxis=_axis("spindle speed [rpm]", **shared),
+        yaxis=_axis("limit depth a<sub>p</sub> [mm]", domain=[0.36, 1.0], range=[0.0, top]),
+        yaxis2=_axis("chatter frequency [Hz]", domain=[0.0, 0.3], **_frequency_span(lobes)),
+    )
+    return {"data": data, "layout": layout}
+
+
+def _frequency_span(lobes: Sequence[Lobes]) -> dict[str, Any]:
+    values = np.concatenate([item.values("chatter_frequency") for item in lobes])
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return {}
+    margin = 0.1 * float(np.ptp(values)) + 1.0
+    return {"range": [max(0.0, float(values.min()) - margin), float(values.max()) + margin]}
+
+
+def _lobe_traces(item: Lobes, look: Line, top: float) -> list[Figure]:
+    name, group = plain(item.source), item.source
+    speed, depth = item.data["spindle_speed"].values.astype(float), item.values("limit_depth")
+    frequency, lobe = item.values("chatter_frequency"), item.values("lobe")
+    out = []
+    band = item.band()
+    if band is not None:
+        low, high = (np.where(np.isinf(v), 20.0 * top, v) for v in band[:2])
+        out.append(_filled(*_polygons(speed, low, high), look.colour, 0.18, legendgroup=group))
+    curves = item.curves()
+    if curves is not None:
+        thin = {"type": "scatter", "mode": "lines", "line": {"width": 0.7, "color": translucent(look.colour, 0.45)}}
+        hidden = {"hoverinfo": "skip", "showlegend": False, "legendgroup": group}
+        x = packed(curves[0])
+        out.append({**thin, **hidden, "x": x, "y": packed(curves[1])})
+        out.append({**thin, **hidden, "x": x, "y": packed(curves[2]), "yaxis": "y2"})
+    finite = np.where(np.isfinite(depth), depth, np.nan)
+    shared = {
+        "type": "scatter",
+        "x": packed(speed),
+        "name": name,
+        "legendgroup": group,
+        "customdata": packed(np.column_stack([finite, frequency, np.where(lobe >= 0, lobe, np.nan)])),
+        "hovertemplate": "%{x:.5g} rpm<br>limit depth %{customdata[0]:.4g} mm<br>"
+        "chatter frequency %{customdata[1]:.4g} Hz<br>lobe %{customdata[2]:.0f}",
+    }
+    out.append(
+        {**shared, "mode": "lines", "y": packed(finite), "line": {"width": 2.4, "color": look.colour, "dash": look.dash}}
+    )
+    points = {"mode": "markers", "marker": {"size": 3.5, "color": look.colour}, "showlegend": False}
+    out.append({**shared, **points, "y": packed(frequency), "yaxis": "y2"})
+    return out
+
+
+def _test_traces(tests: pd.DataFrame) -> list[Figure]:
+    """Return the cutting tests by outcome, and the frequencies of those that chattered."""
+    happened = outcomes(tests)
+    out: list[Figure] = []
+    for outcome, marker in _SYMBOLS.items():
+        rows = tests[happened == outcome]
+        if rows.empty:
+            continue
+        shared = {
+            "type": "scatter",
+            "mode": "markers",
+            "marker": marker,
+            "x": packed(rows["spindle_speed_rpm"]),
+            "name": f"cutting test: {outcome}",
+            "legendgroup": outcome,
+            "text": [_test_text(row) for row in rows.to_dict("records")],
+            "hovertemplate": "%{text}<extra></extra>",
+        }
+        out.append({**shared, "y": packed(rows["depth_of_cut_mm"])})
+        if outcome == "chatter" and "chatter_frequency_Hz" in rows:
+            out.append({**shared, "y": packed(rows["chatter_frequency_Hz"]), "yaxis": "y2", "showlegend": False})
+    return out
+
+
+def _test_text(row: Mapping[Any, Any]) -> str:
+    lines = [
+        plain(str(row["file"])),
+        f"{number(row['spindle_speed_rpm'])} rpm, depth {number(row['depth_of_cut_mm'])} mm",
+        f"verdict: {plain(str(row['verdict']))}",
+    ]
+    if isinstance(row.get("observed"), str) and row["observed"]:
+        lines.append(f"observed: {plain(row['observed'])}")
+    if np.isfinite(row.get("chatter_frequency_Hz", np.nan)):
+        lines.append(f"line at {number(row['chatter_frequency_Hz'])} Hz")
+    return "<br>".join(lines)
+
+
+# --- spectra of cutting tests -------------------------------------------------------------------------------
+
+
+def spectrum_span(dataset: xr.Dataset) -> tuple[float, float, float]:
+    """Return highest frequency, lowest and highest amplitude to show: where there is anything to see."""
+    frequency = dataset["frequency"].values.astype(float)
+    largest = np.nanmax(dataset["amplitude"].transpose("axis", "frequency").values, axis=0)
+    top = float(np.nanmax(largest)) if np.isfinite(largest).any() else 1.0
+    line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
+    threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
+    last = float(frequency[largest > 0.01 * top].max(initial=0.0))
+    end = min(float(frequency[-1]), max(1.1 * last, 2.0 * line if np.isfinite(line) else 0.0))
+    floor = max(0.5 * float(np.nanquantile(largest, 0.02)), 1e-5 * top)
+    return end, floor, 2.0 * max(top, threshold if np.isfinite(threshold) else 0.0)
+
+
+def harmonic_bands(dataset: xr.Dataset) -> list[tuple[float, float]]:
+    """Return the bands [Hz] that the criterion leaves out as harmonics of the spindle."""
+    if "harmonic" not in dataset:
+        return []
+    frequency = dataset["frequency"].values.astype(float)
+    half = 0.5 * float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
+    found = bands(frequency, dataset["harmonic"].values.astype(bool))
+    return [(a - half, b + half) for a, b in found]
+
+
+def amplitude_label(dataset: xr.Dataset) -> str:
+    """Return e.g. "acceleration [m/s²]"."""
+    units = str(dataset.attrs.get("units") or dataset["amplitude"].attrs.get("units") or "")
+    quantity = str(dataset.attrs.get("quantity") or "amplitude")
+    return f"{quantity} [{units.replace('^2', '²')}]" if units else quantity
+
+
+def spectrum_figure(dataset: xr.Dataset) -> Figure:
+    """Return the amplitudes of one cutting test with removed harmonics, threshold and chatter line."""
+    end, floor, top = spectrum_span(dataset)
+    frequency = dataset["frequency"].values.astype(float)
+    removed = [b for b in harmonic_bands(dataset) if b[0] <= frequency[-1]]
+    data = [_removed(removed, floor * 1e-3, top * 1e3)] if removed else []
+    x = packed(frequency)
+    for axis in dataset["axis"].values:
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": x,
+                "y": packed(dataset["amplitude"].sel(axis=axis).values),
+                "name": plain(str(axis)),
+                "line": {"width": 1.2, "color": AXIS_COLOURS.get(str(axis), "#000000")},
+                "hovertemplate": "%{x:.5g} Hz: %{y:.3g}",
+            }
+        )
+    layout = _layout(
+        330,
+        margin={"l": 70, "r": 15, "t": 34, "b": 46},
+        xaxis=_axis("frequency [Hz]", range=[0.0, end]),
+        yaxis=_axis(
+            plain(amplitude_label(dataset)), type="log", range=_log_range(floor, top), exponentformat="power", dtick=1
+        ),
+        shapes=_spectrum_lines(dataset),
+        annotations=_spectrum_notes(dataset, end),
+    )
+    return {"data": data, "layout": layout}
+
+
+def _removed(pairs: Sequence[tuple[float, float]], low: float, high: float) -> Figure:
+    x = np.array([v for a, b in pairs for v in (a, a, b, b, np.nan)])[:-1]
+    y = np.array([v for _ in pairs for v in (low, high, high, low, np.nan)])[:-1]
+    return _filled(x, y, "#777777", 0.22, name="removed harmonics", showlegend=True)
+
+
+def _log_range(low: float, high: float) -> list[float]:
+    return [float(np.log10(low)), float(np.log10(high))]
+
+
+def _spectrum_lines(dataset: xr.Dataset) -> list[Figure]:
+    shapes = []
+    threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
+    line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
+    if np.isfinite(threshold):
+        look = {"color": CHATTER, "width": 1.5, "dash": "dash"}
+        ends = {"x0": 0, "x1": 1, "xref": "paper", "y0": threshold, "y1": threshold}
+        shapes.append({"type": "line", **ends, "line": look})
+    if np.isfinite(line):
+        look = {"color": CHATTER, "width": 1.5, "dash": "dot"}
+        shapes.append({"type": "line", "x0": line, "x1": line, "y0": 0, "y1": 1, "yref": "paper", "line": look})
+    return shapes
+
+
+def _spectrum_notes(dataset: xr.Dataset, end: float) -> list[Figure]:
+    notes = []
+    threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
+    line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
+    shared = {"showarrow": False, "font": {"size": 12, "color": CHATTER}, "bgcolor": "rgba(255,255,255,0.8)"}
+    if np.isfinite(threshold):
+        where = {"x": 1, "xref": "paper", "xanchor": "right", "y": float(np.log10(threshold)), "yanchor": "bottom"}
+        notes.append({**shared, **where, "text": "threshold"})
+    if np.isfinite(line):
+        side = "left" if line < 0.7 * end else "right"
+        where = {"x": line, "xanchor": side, "y": 0.98, "yref": "paper", "yanchor": "top"}
+        notes.append({**shared, **where, "text": f"{number(line)} Hz"})
+    return notes
+
+
+# --- compliances --------------------------------------------------------------------------------------------
+
+
+def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure:
+    """Return the grid of compliances with a choice of magnitude, phase, real and imaginary part."""
+    responses, excitations = axes_of(measurements)
+    span = frequency_range(measurements)
+    low, high = magnitude_range(measurements, span)
+    panels = {(r, e): 1 + i * len(excitations) + j for i, r in enumerate(responses) for j, e in enumerate(excitations)}
+    data: list[Figure] = []
+    views: list[list[Any]] = []
+    for m in measurements:
+        for first, (r, e) in enumerate(m.entries):
+            shared = {**_on(panels[r, e]), "legendgroup": m.name}
+            std = m.std(r, e)
+            if std is not None:
+                edges = magnitude_band(m.entry(r, e), std, 1e-2 * low)
+                data.append(_filled(*_polygons(m.frequency, *edges), looks[m.name].colour, 0.2, **shared))
+                views.append([])
+            views.append(_views(m.entry(r, e)))
+            data.append(_compliance_line(m, looks[m.name], views[-1][0], f"{r}{e}", first == 0, shared))
+    layout = _grid_layout(responses, excitations, span, (low, high))
+    layout["updatemenus"] = [_view_menu(views, panels.values(), (low, high))]
+    return {"data": data, "layout": layout}
+
+
+def _views(values: NDArray[np.complex128]) -> list[dict[str, str]]:
+    scaled = 1e6 * values
+    phase = np.where(np.isfinite(values), np.angle(values, deg=True), np.nan)
+    return [packed(np.abs(scaled)), packed(phase), packed(scaled.real), packed(scaled.imag)]
+
+
+def _compliance_line(
+    m: Measurement, look: Line, y: dict[str, str], entry: str, in_legend: bool, shared: Mapping[str, Any]
+) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed(m.frequency),
+        "y": y,
+        "name": plain(m.name),
+        "showlegend": in_legend,
+        "line": {"width": 1.5, "color": look.colour, "dash": look.dash},
+        "hovertemplate": f"{entry}: %{{x:.5g}} Hz, %{{y:.4g}}",
+        **shared,
+    }
+
+
+def _grid_layout(
+    responses: Sequence[str], excitations: Sequence[str], span: tuple[float, float], magnitude: tuple[float, float]
+) -> Figure:
+    """Return panels that zoom together, tick labels only at the edges of the grid."""
+    rows, columns = len(responses), len(excitations)
+    layout = _layout(110 + 250 * rows if rows > 1 else 460, margin={"l": 80, "r": 20, "t": 95, "b": 50}, annotations=[])
+    layout["legend"] = {**layout["legend"], "y": 1.0 + 8.0 / (layout["height"] - 145)}
+    gap_x, gap_y = 0.025, 0.035
+    for i, r in enumerate(responses):
+        for j, e in enumerate(excitations):
+            panel = 1 + i * columns + j
+            tail = "" if panel == 1 else str(panel)
+            wide, tall = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
+            x0, y0 = j * (wide + gap_x), 1 - (i + 1) * tall - i * gap_y
+            bottom, left = i == rows - 1, j == 0
+            linked = {} if panel == 1 else {"matches": "x"}
+            layout[f"xaxis{tail}"] = _axis(
+                "frequency [Hz]" if bottom else "",
+                **{"domain": [x0, x0 + wide], "anchor": f"y{tail}", "range": list(span), "showticklabels": bottom},
+                **linked,
+            )
+            layout[f"yaxis{tail}"] = _axis(
+                _view_axes(magnitude)[0][0] if left else "",
+                **{"domain": [y0, y0 + tall], "anchor": f"x{tail}", "showticklabels": left, "exponentformat": "power"},
+                **{"type": "log", "range": _log_range(*magnitude), "dtick": 1},
+                **({} if panel == 1 else {"matches": "y"}),
+            )
+            layout["annotations"].append(_corner(f"Φ<sub>{r}{e}</sub>", x0 + wide, y0 + tall))
+    return layout
+
+
+def _corner(text: str, x: float, y: float) -> Figure:
+    place = {"x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "right", "yanchor": "top", "xshift": -4}
+    return {**place, "text": text, "showarrow": False, "yshift": -3, "bgcolor": "rgba(255,255,255,0.75)"}
+
+
+def _view_axes(magnitude: tuple[float, float]) -> list[tuple[str, dict[str, Any]]]:
+    """Return title and settings of the vertical axes in each view."""
+    log = {"type": "log", "range": _log_range(*magnitude), "dtick": 1, "autorange": False}
+    turn = {"type": "linear", "range": [-185.0, 185.0], "dtick": 90, "autorange": False}
+    free = {"type": "linear", "dtick": None, "autorange": True}
+    return [
+        ("magnitude [µm/N]", log),
+        ("phase [°]", turn),
+        ("real part [µm/N]", free),
+        ("imaginary part [µm/N]", free),
+    ]
+
+
+def _view_menu(views: Sequence[Sequence[Any]], panels: Any, magnitude: tuple[float, float]) -> Figure:
+    """Return the buttons; bands belong to the magnitude and hide in the other views."""
+    lines = [k for k, v in enumerate(views) if v]
+    fills = [k for k, v in enumerate(views) if not v]
+    names = [f"yaxis{'' if p == 1 else p}" for p in panels]
+    buttons = []
+    for number_, (title, settings) in enumerate(_view_axes(magnitude)):
+        relayout = {f"{name}.{key}": value for name in names for key, value in settings.items()}
+        y = [views[k][number_] for k in lines]
+        buttons.append(
+            {
+                "label": title.partition(" [")[0],
+                "method": "skip",
+                # Read by report.js: plotly's own buttons cannot change two sets of traces at once.
+                "args": [{"lines": lines, "fills": fills, "y": y, "band": number_ == 0, "title": title, "layout": relayout}],
+            }
+        )
+    place = {"x": 0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "pad": {"b": 46}}
+    return {"type": "buttons", "direction": "right", "showactive": True, "buttons": buttons, **place}
+
+
+def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure | None:
+    """Return coherence by response and, for sweeps, the condition number of the forces; None without either."""
+    measured = [m for m in measurements if not m.is_model]
+    responses = [r for r in "xyz" if any(m.coherences(r) for m in measured)]
+    conditioned = [m for m in measured if m.condition() is not None]
+    if not responses and not conditioned:
+        return None
+    span = frequency_range(measured)
+    data: list[Figure] = []
+    named: set[str] = set()
+    for panel, r in enumerate(responses, 1):
+        for m in measured:
+            for e, values in m.coherences(r):
+                data.append(_quality_line(m, looks[m.name], values, f"response {r}, force {e}" if e else f"response {r}"))
+                data[-1].update(_on(panel), showlegend=m.name not in named)
+                data[-1]["line"]["dash"] = EXCITATION_DASHES[e]
+                named.add(m.name)
+    for m in conditioned:
+        condition = m.condition()
+        assert condition is not None
+        data.append(_quality_line(m, looks[m.name], condition, "condition number"))
+        data[-1].update(_on(len(responses) + 1), showlegend=m.name not in named)
+        named.add(m.name)
+    return {"data": data, "layout": _quality_layout(responses, conditioned, span)}
+
+
+def _quality_line(m: Measurement, look: Line, values: NDArray[np.float64], what: str) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed(m.frequency),
+        "y": packed(values),
+        "name": plain(m.name),
+        "legendgroup": m.name,
+        "line": {"width": 1.3, "color": look.colour},
+        "hovertemplate": f"{what}: %{{x:.5g}} Hz, %{{y:.4g}}",
+    }
+
+
+def _quality_layout(responses: Sequence[str], conditioned: Sequence[Measurement], span: tuple[float, float]) -> Figure:
+    rows = bool(responses) + bool(conditioned)
+    layout = _layout(140 + 210 * rows, annotations=[], shapes=[])
+    count = len(responses)
+    floor = 0.0 if rows == 1 else 0.58
+    gap = 0.025
+    for panel, r in enumerate(responses, 1):
+        tail = "" if panel == 1 else str(panel)
+        wide = (1 - gap * (count - 1)) / count
+        x0 = (panel - 1) * (wide + gap)
+        linked = {} if panel == 1 else {"matches": "x"}
+        layout[f"xaxis{tail}"] = _axis(
+            "" if conditioned else "frequency [Hz]", domain=[x0, x0 + wide], anchor=f"y{tail}", range=list(span), **linked
+        )
+        layout[f"yaxis{tail}"] = _axis(
+            "coherence [1]" if panel == 1 else "", domain=[floor, 1.0], anchor=f"x{tail}", range=[-0.02, 1.05]
+        )
+        layout[f"yaxis{tail}"]["showticklabels"] = panel == 1
+        note = _corner(f"response {r}", x0 + wide, floor)
+        layout["annotations"].append({**note, "yanchor": "bottom", "yshift": 4})
+    if conditioned:
+        _add_condition(layout, count + 1, conditioned, span, 0.42 if responses else 1.0)
+    return layout
+
+
+def _add_condition(
+    layout: Figure, panel: int, conditioned: Sequence[Measurement], span: tuple[float, float], top: float
+) -> None:
+    """Add the panel of condition numbers; what is badly conditioned is shaded in all panels of the same frequencies."""
+    tail = "" if panel == 1 else str(panel)
+    linked = {} if panel == 1 else {"matches": "x"}
+    layout[f"xaxis{tail}"] = _axis("frequency [Hz]", anchor=f"y{tail}", range=list(span), **linked)
+    highest = max(float(np.nanmax(c[np.isfinite(c)], initial=1.0)) for m in conditioned if (c := m.condition()) is not None)
+    layout[f"yaxis{tail}"] = _axis(
+        "condition number of the forces [1]" if panel == 1 else "condition number [1]",
+        **{"type": "log", "domain": [0.0, top], "anchor": f"x{tail}", "dtick": 1},
+        range=_log_range(1.0, max(1.5 * highest, 2.0 * BAD_CONDITION)),
+    )
+    on = {"xref": f"x{tail}", "yref": f"y{tail} domain", "y0": 0, "y1": 1, "layer": "below", "line": {"width": 0}}
+    for m in conditioned:
+        half = 0.5 * float(np.median(np.diff(m.frequency))) if m.frequency.size > 1 else 0.0
+        for a, b in m.bad_bands():
+            shade = {"type": "rect", "x0": a - half, "x1": b + half, "fillcolor": translucent(CHATTER, 0.18)}
+            layout["shapes"].append({**shade, **on})
+    limit = {"type": "line", "x0": 0, "x1": 1, "xref": f"x{tail} domain", "yref": f"y{tail}"}
+    look = {"line": {"color": CHATTER, "width": 1.2, "dash": "dash"}}
+    layout["shapes"].append({**limit, "y0": BAD_CONDITION, "y1": BAD_CONDITION, **look})
+
+
+def bad_bands_text(m: Measurement) -> str:
+    """Return a sentence on the badly conditioned bands of a sweep."""
+    found = m.bad_bands()
+    if not found:
+        return f"the condition number of the forces stays below {BAD_CONDITION:g} at every frequency."
+    return f"the condition number of the forces exceeds {BAD_CONDITION:g} (badly conditioned) at {band_text(found)}."

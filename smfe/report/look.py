@@ -1,0 +1,139 @@
+"""How things look in the report, the same in every figure: colours, dashes, names and numbers."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smfe.report.results import Measurement, Results
+
+# Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis of a spectrum.
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
+_DASHES = ("solid", "dash", "dot", "dashdot")
+CHATTER = "#D55E00"
+AXIS_COLOURS = {"x": "#000000", "y": "#56B4E9", "z": "#8C6D1F"}
+EXCITATION_DASHES = {"": "solid", "x": "solid", "y": "dash", "z": "dot"}
+
+METHODS = {
+    "hammer": "impact hammer",
+    "actuator": "actuator",
+    "sweep": "sweep milling force excitation",
+    "frf": "compliance from a file",
+    "model": "model, not measured",
+}
+
+OUTCOMES = {"stable": "●", "chatter": "✕", "undecided": "▲"}
+"""Outcome of a cutting test -> its mark; the shape says it, not the colour."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """How the lines of one measurement look."""
+
+    colour: str
+    dash: str
+
+
+def palette(results: Results) -> dict[str, Line]:
+    """Return the look of each measurement, model and lobe source."""
+    names = [m.name for m in results.measurements] + [item.source for item in results.lobes]
+    models = {m.name for m in results.measurements if m.is_model}
+    looks = {}
+    for number, name in enumerate(dict.fromkeys(names)):
+        turn, colour = divmod(number, len(_COLOURS))
+        # Models are broken lines from the first: they were not measured.
+        looks[name] = Line(_COLOURS[colour], _DASHES[(turn + (name in models)) % len(_DASHES)])
+    return looks
+
+
+def translucent(colour: str, opacity: float) -> str:
+    """Return "#rrggbb" as "rgba(...)"."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+def number(value: object, digits: int = 4) -> str:
+    """Return a number with so many significant digits and without an exponent where that reads better."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if not isinstance(value, int | float | np.integer | np.floating):
+        return "–" if value is None else str(value)
+    x = float(value)
+    if math.isnan(x):
+        return "–"
+    if math.isinf(x):
+        return "∞" if x > 0 else "−∞"
+    if x == round(x) and abs(x) < 1e7:
+        return f"{x:.0f}".replace("-", "−")
+    text = f"{x:.{digits}g}"
+    if "e" in text and 1e-4 <= abs(x) < 1e7:
+        text = f"{float(text):.0f}"
+    return re.sub(r"e([+-])0*(\d+)", lambda m: f"·10^{'-' if m[1] == '-' else ''}{m[2]}", text).replace("-", "−")
+
+
+def band_text(pairs: Iterable[tuple[float, float]], limit: int = 12) -> str:
+    """Return "12–14.5 Hz, 60 Hz"."""
+    parts = [number(a) if a == b else f"{number(a)}–{number(b)}" for a, b in pairs]
+    more = f" and {len(parts) - limit} more" if len(parts) > limit else ""
+    return ", ".join(parts[:limit]) + more + " Hz"
+
+
+def axes_of(measurements: Sequence[Measurement]) -> tuple[list[str], list[str]]:
+    """Return the responses and the excitations that anyone has measured."""
+    entries = {pair for m in measurements for pair in m.entries}
+    return ([a for a in "xyz" if any(a == r for r, _ in entries)], [a for a in "xyz" if any(a == e for _, e in entries)])
+
+
+def frequency_range(measurements: Sequence[Measurement]) -> tuple[float, float]:
+    """Return the band [Hz] to show first: where the machine is flexible.
+
+    From zero to a quarter beyond the last frequency at which any entry exceeds 5 % of the largest magnitude, and
+    not beyond the data. A hammer reaches far higher than what is of interest.
+    """
+    shown = [m for m in measurements if not m.is_model] or list(measurements)
+    parts = [(m.frequency, np.abs(m.data["compliance"].transpose("frequency", ...).values)) for m in shown]
+    parts = [(f, magnitude.reshape(f.size, -1)) for f, magnitude in parts if f.size and np.isfinite(magnitude).any()]
+    if not parts:
+        return 0.0, 1.0
+    level = 0.05 * max(float(np.nanmax(magnitude)) for _, magnitude in parts)
+    last = max(float(f[(magnitude > level).any(axis=1)].max(initial=0.0)) for f, magnitude in parts)
+    end = max(float(f[np.isfinite(magnitude).any(axis=1)].max()) for f, magnitude in parts)
+    return 0.0, min(end, 1.25 * last)
+
+
+def magnitude_range(measurements: Sequence[Measurement], span: tuple[float, float]) -> tuple[float, float]:
+    """Return the range of magnitudes [um/N] that holds all but the lowest per cent, at most four decades."""
+    values = []
+    for m in measurements:
+        inside = (m.frequency >= span[0]) & (m.frequency <= span[1])
+        magnitude = 1e6 * np.abs(m.data["compliance"].transpose("frequency", ...).values[inside])
+        values.append(magnitude[np.isfinite(magnitude) & (magnitude > 0.0)])
+    joined = np.concatenate(values) if values else np.empty(0)
+    if not joined.size:
+        return 1e-3, 1.0
+    top = float(joined.max())
+    return max(0.8 * float(np.quantile(joined, 0.01)), 1e-4 * top), 1.5 * top
+
+
+def magnitude_band(
+    values: NDArray[np.complex128], std: NDArray[np.float64], floor: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return magnitude -+ two standard deviations [um/N], not below a floor that a logarithmic axis can show."""
+    magnitude = 1e6 * np.abs(values)
+    spread = 2e6 * std
+    return np.maximum(magnitude - spread, floor), magnitude + spread
+
+
+def depth_range(depths: Sequence[NDArray[np.float64]], tests: NDArray[np.float64]) -> float:
+    """Return the upper end of the axis of depths [mm]: the tests and the lobes, but not a lone peak between two lobes."""
+    joined = np.concatenate([d[np.isfinite(d)] for d in depths]) if depths else np.empty(0)
+    highest_test = 1.3 * float(tests.max(initial=0.0))
+    if not joined.size:
+        return max(highest_test, 1.0)
+    lobes = min(1.1 * float(np.quantile(joined, 0.98)), 8.0 * float(joined.min()))
+    return max(highest_test, lobes, 1.5 * float(joined.min()))

@@ -1,0 +1,266 @@
+"""One HTML file from a folder of results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from smfe.report import figures, interactive, tables
+from smfe.report.answer import KEEP, Answer, answers, outcomes
+from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
+from smfe.report.results import Lobes, Measurement, Results, read_results
+from smfe.store import write_atomically
+
+Progress = Callable[[int, int], None]
+
+_HERE = Path(__file__).parent
+
+
+def write_report(folder: Path, progress: Progress | None = None) -> Path:
+    """Write ``report.html`` and ``figures/*.png`` from the files of a folder of results.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that `smfe run` wrote. What a campaign did not ask for may be absent; the section then says so.
+    progress : callable, optional
+        Called with (done, of).
+
+    Returns
+    -------
+    Path
+        The report: one file that needs nothing else, and no network.
+
+    Raises
+    ------
+    InputError
+        When the folder does not exist or a file in it is corrupt.
+    """
+    folder = Path(folder)
+    results = read_results(folder)
+    looks = palette(results)
+    pictures = figures.pictures(results, looks)
+    steps = len(pictures) + 1
+    figures.remove_stale(folder / "figures", pictures)
+    for done, (name, draw) in enumerate(pictures.items(), 1):
+        figures.save(draw(), folder / "figures" / name)
+        if progress is not None:
+            progress(done, steps)
+    text = render(results, looks)
+    path = write_atomically(folder / "report.html", lambda p: p.write_text(text, encoding="utf-8"))
+    if progress is not None:
+        progress(steps, steps)
+    return path
+
+
+def render(results: Results, looks: dict[str, Line]) -> str:
+    """Return the page."""
+    plots: dict[str, Any] = {}
+    environment = Environment(
+        loader=FileSystemLoader(_HERE / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(n=number, bands=band_text)
+    environment.globals["marks"] = OUTCOMES
+    sections = {
+        "headline": _headline(results),
+        "lobes": _lobes(results, looks, plots),
+        "spectra": _spectra(results, plots),
+        "compliance": _compliance(results, looks, plots),
+        "comparison": _comparison(results),
+        "details": [tables.hits(f, f"{m}: {t}") for (m, t), f in results.tables.items()],
+        "provenance": _provenance(results),
+    }
+    return environment.get_template("report.html.j2").render(
+        title=results.title,
+        warnings=results.warnings,
+        keep=round(100 * KEEP),
+        **sections,
+        css=Markup((_HERE / "static" / "report.css").read_text(encoding="utf-8")),
+        script=Markup((_HERE / "static" / "report.js").read_text(encoding="utf-8")),
+        plotly=Markup((_HERE / "static" / "plotly-cartesian.min.js").read_text(encoding="utf-8")),
+        plots=Markup(_embedded(plots)),
+        heights={name: plot["layout"]["height"] for name, plot in plots.items()},
+    )
+
+
+def _embedded(content: Any) -> str:
+    """Return JSON that cannot end the script element it stands in."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _headline(results: Results) -> list[dict[str, Any]]:
+    """Return what the top of the page says, one block a request."""
+    blocks: dict[str, list[Answer]] = {}
+    for item in answers(results):
+        blocks.setdefault(item.request, []).append(item)
+    return [
+        {"request": request, "cut": _cut_text(results, request), "answers": found, "spread": _spread(found)}
+        for request, found in blocks.items()
+    ]
+
+
+def _cut_text(results: Results, request: str) -> str:
+    """Return e.g. "down milling, width of cut 100 mm, feed per tooth 0.2 mm, zero order"."""
+    attrs = next(item.data.attrs for item in results.lobes if item.request == request)
+    parts = [f"{attrs['cut']} milling"] if attrs.get("cut") else []
+    for key, what in (("width_of_cut_mm", "width of cut"), ("feed_per_tooth_mm", "feed per tooth")):
+        if key in attrs:
+            parts.append(f"{what} {number(float(attrs[key]))} mm")
+    if attrs.get("method"):
+        parts.append(f"{str(attrs['method']).replace('_', '-')} method")
+    return ", ".join(parts)
+
+
+def _spread(found: list[Answer]) -> float | None:
+    """Return the largest over the smallest of the sources' smallest limit depths, None for one source."""
+    depths = [a.smallest for a in found if np.isfinite(a.smallest)]
+    return max(depths) / min(depths) if len(depths) > 1 and min(depths) > 0.0 else None
+
+
+def _lobes(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> list[dict[str, Any]]:
+    out = []
+    for position, (request, lobes) in enumerate(results.requests.items(), 1):
+        tests = figures.tests_of(results.chatter, request)
+        name = f"lobes-{position}"
+        plots[name] = interactive.lobes_figure(lobes, tests, looks)
+        out.append(
+            {
+                "request": request,
+                "cut": _cut_text(results, request),
+                "plot": name,
+                "tests": 0 if tests is None else len(tests),
+                "band": next((b[2] for item in lobes if (b := item.band()) is not None), ""),
+                "unlimited": [(item.source, _unlimited(item)) for item in lobes if _unlimited(item)],
+            }
+        )
+    return out
+
+
+def _unlimited(item: Lobes) -> str:
+    """Return the speeds without a limit, "" when there are none."""
+    speed = item.data["spindle_speed"].values.astype(float)
+    pairs = interactive.bands(speed, np.isinf(item.values("limit_depth")))
+    return band_text(pairs).removesuffix(" Hz") + " rpm" if pairs else ""
+
+
+def _spectra(results: Results, plots: dict[str, Any]) -> dict[str, Any]:
+    tests = []
+    for position, dataset in enumerate(results.spectra.values(), 1):
+        name = f"spectrum-{position}"
+        plots[name] = interactive.spectrum_figure(dataset)
+        attrs = dataset.attrs
+        tests.append({"plot": name, "attrs": {**_NO_TEST, **attrs}, "observed": _observed(results.chatter, position - 1)})
+    table = None
+    if results.chatter is not None:
+        frame = results.chatter.dropna(axis="columns", how="all")
+        table = tables.table(frame, f"{len(frame)} cutting tests", lambda row: str(row["verdict"]))
+    return {"tests": tests, "table": table, "outside": _outside(results), "disagree": _disagreeing(results.chatter)}
+
+
+_NO_TEST: dict[str, Any] = {
+    "file": "cutting test",
+    "spindle_speed_rpm": float("nan"),
+    "depth_of_cut_mm": float("nan"),
+    "verdict": "undecided",
+    "ratio": float("nan"),
+    "chatter_frequency_Hz": float("nan"),
+    "reason": "",
+}
+
+
+def _observed(chatter: pd.DataFrame | None, row: int) -> str:
+    """Return what the engineer observed in a test; spectra and rows of chatter.csv stand in the same order."""
+    if chatter is None or "observed" not in chatter or row >= len(chatter):
+        return ""
+    value = chatter["observed"].iloc[row]
+    return value if isinstance(value, str) else ""
+
+
+def _outside(results: Results) -> int:
+    """Return the number of cutting tests that stand on no diagram."""
+    if results.chatter is None or not results.requests:
+        return 0
+    shown = [figures.tests_of(results.chatter, request) for request in results.requests]
+    return len(results.chatter) - sum(len(t) for t in shown if t is not None)
+
+
+def _disagreeing(chatter: pd.DataFrame | None) -> list[str]:
+    """Return the files of tests in which the engineer observed something else than the criterion says."""
+    if chatter is None:
+        return []
+    happened = outcomes(chatter)
+    other = (happened != chatter["verdict"]) & (chatter["verdict"] != "undecided")
+    return [str(f) for f in chatter["file"][other]]
+
+
+def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> dict[str, Any]:
+    shown = [m for m in results.measurements if m.entries]
+    if shown:
+        plots["compliance"] = interactive.compliance_figure(shown, looks)
+        quality = interactive.quality_figure(shown, looks)
+        if quality is not None:
+            plots["quality"] = quality
+    return {
+        "rows": [_measurement_row(m, looks[m.name]) for m in results.measurements],
+        "any": bool(shown),
+        "quality": "quality" in plots,
+        "uncertain": any(m.std(*pair) is not None for m in shown for pair in m.entries),
+        "conditions": [(m.name, interactive.bad_bands_text(m)) for m in shown if m.condition() is not None],
+    }
+
+
+def _measurement_row(m: Measurement, look: Line) -> dict[str, Any]:
+    claimed = m.frequency[m.claimed()]
+    coherence = [v[np.isfinite(v)] for r in "xyz" for _, v in m.coherences(r)]
+    return {
+        "name": m.name,
+        "look": look,
+        "method": METHODS.get(m.method, m.method),
+        "conditions": ", ".join(f"{k.replace('_', ' ')}: {v}" for k, v in m.conditions.items()),
+        "band": f"{number(claimed[0])}–{number(claimed[-1])}" if claimed.size else "–",
+        "entries": " ".join(r + e for r, e in m.entries) or "none",
+        "coherence": float(np.median(np.concatenate(coherence))) if coherence else float("nan"),
+        "warnings": len(m.warnings),
+    }
+
+
+def _comparison(results: Results) -> dict[str, Any]:
+    frame, errors = results.comparison, results.model_error
+    sentences, table = ([], None) if frame is None or frame.empty else tables.comparison(frame)
+    return {
+        "sentences": sentences,
+        "table": table,
+        "compared": frame is not None,
+        "errors": [] if errors is None or errors.empty else tables.model_errors(errors),
+    }
+
+
+def _provenance(results: Results) -> dict[str, Any]:
+    """Return provenance with every part in the shape that the template shows."""
+    content = results.provenance
+
+    def pairs(name: str) -> dict[str, Any]:
+        part = content.get(name, {})
+        return part if isinstance(part, dict) else {"": part}
+
+    inputs = content.get("inputs", [])
+    return {
+        "known": bool(content),
+        "created": str(content.get("created", "")),
+        "versions": pairs("versions"),
+        "seconds": pairs("seconds"),
+        "settings": json.dumps(content["settings"], indent=2, ensure_ascii=False) if content.get("settings") else "",
+        "inputs": [i for i in inputs if isinstance(i, dict)] if isinstance(inputs, list) else [],
+    }

@@ -1,0 +1,344 @@
+"""Zero-order (mean directional matrix) limits on a measured 3x3 compliance, without a modal fit.
+
+``F = a_p A0 (1 - exp(-j w T)) Phi F`` with the tooth period T has a solution at the stability limit when, for
+an eigenvalue ``mu`` of ``A0 Phi(f)`` and ``sigma = 1/mu``::
+
+    a_lim = |sigma|^2 / (2 Re sigma) = 1 / (2 Re mu)        needs Re sigma > 0
+    theta = pi - 2 arg(sigma) = pi + 2 arg(mu),   0 < theta < 2 pi
+    T     = (theta + 2 pi k) / w,   n = 60 / (N T)          lobe k = 0, 1, 2, ...
+
+All three eigenvalues and all cross terms count. Depth is the axial depth a_p, not the edge length b. Source:
+Altintas and Budak 1995; Altintas 2001 (three dimensions); theory 2.3.
+
+The mean directional matrix misses period doubling and parametric resonance: with few teeth in the cut, or
+with half the tooth passing frequency near a mode, the true limit can lie below (theory 2.5 d: by up to 32 %).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from process.cutting import CuttingCoefficients
+from process.engagement import Engagement
+from process.errors import InputError
+from process.labels import label
+from process.tool import Tool
+from stability.branches import Branches, eigenvalue_branches
+from stability.problem import Cut, check_spindle_speed, complete_samples
+
+NO_LOBE = -1
+"""Value of ``lobe`` where no crossing exists."""
+
+CURVE_COLUMNS: tuple[str, ...] = (
+    "branch",
+    "lobe",
+    "piece",
+    "spindle_speed_rpm",
+    "limit_depth_mm",
+    "chatter_frequency_Hz",
+)
+"""Columns of `lobe_curves`."""
+
+
+@dataclass(frozen=True)
+class CriticalDepth:
+    """The limit that holds at every spindle speed.
+
+    Parameters
+    ----------
+    limit_depth_mm : float
+        Smallest limit depth over all speeds [mm]; inf when the compliance gives none.
+    chatter_frequency_Hz : float
+        Frequency at which it occurs [Hz].
+    warnings : tuple of str
+        What the user must know about the data.
+    """
+
+    limit_depth_mm: float
+    chatter_frequency_Hz: float
+    warnings: tuple[str, ...] = ()
+
+
+def zero_order(
+    compliance: xr.Dataset,
+    tool: Tool,
+    arc: Engagement,
+    coefficients: CuttingCoefficients,
+    spindle_speed: ArrayLike,
+) -> xr.Dataset:
+    """Return the zero-order limit depth at given spindle speeds.
+
+    For each speed the smallest limit over branches, lobes and all crossings of the phase condition. Between
+    frequency samples the eigenvalue is interpolated along its branch and the phase condition is solved
+    exactly there, so that a coarse grid (0.25 Hz) loses no lobe.
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset
+        One labelled compliance [m/N] on its own grid; masked (NaN) frequencies are skipped, not bridged.
+    tool, arc, coefficients
+        The cut; equally spaced teeth.
+    spindle_speed : array_like, shape (speeds,)
+        Spindle speeds [rpm], in any order.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``limit_depth`` [mm], ``chatter_frequency`` [Hz] and ``lobe`` (integer, -1 for none) over
+        ``spindle_speed``. The limit is inf, the frequency NaN, where nothing crosses within the data:
+        unconditionally stable *as far as the data reach* (``attrs["frequency_low_Hz"]`` to
+        ``attrs["frequency_high_Hz"]``). ``attrs["warnings"]`` lists what the user must know.
+
+    Raises
+    ------
+    InputError
+        For unequal pitch, an unusable compliance, or speeds that are not positive.
+    """
+    cut = Cut(tool, arc, coefficients)
+    cut.require_equal_pitch("zero-order")
+    return zero_order_from_matrix(compliance, cut.directional_matrix(), tool.teeth, spindle_speed)
+
+
+def zero_order_from_matrix(
+    compliance: xr.Dataset, directional: NDArray[np.complex128], teeth: int, spindle_speed: ArrayLike
+) -> xr.Dataset:
+    """Return the zero-order limit for any mean directional matrix, e.g. turning (one "tooth").
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset
+        One labelled compliance [m/N].
+    directional : ndarray of complex, shape (3, 3)
+        A0 [N/m2], force over displacement per depth (or width) of cut: ``F = a A0 (r(t) - r(t - T))``.
+    teeth : int
+        Regenerations a turn.
+    spindle_speed : array_like, shape (speeds,)
+        Spindle speeds [rpm].
+
+    Returns
+    -------
+    xarray.Dataset
+        As `zero_order`.
+
+    Raises
+    ------
+    InputError
+        As `zero_order`, or when `teeth` is not positive.
+    """
+    speed = check_spindle_speed(spindle_speed)
+    _check_teeth(teeth)
+    branches = _branches(compliance, directional)
+    period = 60.0 / (teeth * speed)
+    rising = np.argsort(period, kind="stable")
+    depth, chatter, lobe = (np.empty_like(speed) for _ in range(3))
+    depth[rising], chatter[rising], lobe[rising] = branches.envelope(period[rising])
+    warnings = [
+        *branches.samples.warnings,
+        *_unlimited_warning(branches, depth),
+        *_cut_off_warning(branches, teeth, speed, depth),
+    ]
+    return _labelled(speed, depth, chatter, lobe, branches, warnings)
+
+
+def lobe_curves(
+    compliance: xr.Dataset,
+    tool: Tool,
+    arc: Engagement,
+    coefficients: CuttingCoefficients,
+    spindle_speed: Sequence[float],
+    pieces: int = 4,
+) -> pd.DataFrame:
+    """Return the individual lobes for plotting: all of them, not only their envelope.
+
+    Parameters
+    ----------
+    compliance, tool, arc, coefficients
+        As `zero_order`.
+    spindle_speed : (float, float)
+        Lowest and highest speed to draw [rpm].
+    pieces : int, optional
+        Points a step of the frequency grid.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns `CURVE_COLUMNS`: within one (branch, lobe, piece) the rows follow the curve; a new piece
+        begins where the data have a gap or the branch limits no depth. Draw one line a group; at the edges of the
+        range lines end one point beyond.
+
+    Raises
+    ------
+    InputError
+        As `zero_order`, or for an empty range of speeds.
+    """
+    low, high = _speed_range(spindle_speed)
+    cut = Cut(tool, arc, coefficients)
+    cut.require_equal_pitch("zero-order")
+    frequency, mu = _branches(compliance, cut.directional_matrix()).refined(pieces)
+    frames = [_branch_curves(number, frequency, branch, tool.teeth, (low, high)) for number, branch in enumerate(mu)]
+    return pd.concat(frames, ignore_index=True)
+
+
+def critical_depth(
+    compliance: xr.Dataset, tool: Tool, arc: Engagement, coefficients: CuttingCoefficients
+) -> CriticalDepth:
+    """Return the smallest limit over all spindle speeds, ``min over f of 1/(2 Re mu)``.
+
+    Parameters
+    ----------
+    compliance, tool, arc, coefficients
+        As `zero_order`.
+
+    Raises
+    ------
+    InputError
+        As `zero_order`.
+    """
+    cut = Cut(tool, arc, coefficients)
+    cut.require_equal_pitch("zero-order")
+    return critical_depth_from_matrix(compliance, cut.directional_matrix())
+
+
+def critical_depth_from_matrix(compliance: xr.Dataset, directional: NDArray[np.complex128]) -> CriticalDepth:
+    """Return the smallest limit over all speeds for any mean directional matrix [N/m2], shape (3, 3)."""
+    branches = _branches(compliance, directional)
+    frequency, mu = branches.refined(64)
+    real = np.where(np.isfinite(mu), mu.real, -np.inf).max(axis=0)
+    top = int(np.argmax(real))
+    if not real[top] > 0.0:
+        return CriticalDepth(float("inf"), float("nan"), branches.samples.warnings)
+    return CriticalDepth(500.0 / float(real[top]), float(frequency[top]), branches.samples.warnings)
+
+
+def _branches(compliance: xr.Dataset, directional: NDArray[np.complex128]) -> Branches:
+    return eigenvalue_branches(complete_samples(compliance), directional)
+
+
+def _check_teeth(teeth: int) -> None:
+    if teeth < 1:
+        raise InputError(f"the tool has {teeth} teeth; at least one is needed")
+
+
+def _speed_range(spindle_speed: Sequence[float]) -> tuple[float, float]:
+    speed = check_spindle_speed(spindle_speed)
+    if speed.size < 2 or not speed.min() < speed.max():
+        raise InputError(
+            f"a speed range of {speed.min():g} to {speed.max():g} rpm is empty; give a lowest and a highest"
+        )
+    return float(speed.min()), float(speed.max())
+
+
+def _branch_curves(
+    number: int,
+    frequency: NDArray[np.float64],
+    mu: NDArray[np.complex128],
+    teeth: int,
+    speeds: tuple[float, float],
+) -> pd.DataFrame:
+    """Return all lobes of one branch within a range of speeds [rpm]."""
+    limiting = np.isfinite(mu) & (mu.real > 0.0)
+    turns = 0.5 + np.angle(np.where(limiting, mu, 1.0)) / np.pi
+    tooth = teeth * np.array(speeds) / 60.0
+    first = max(0, int(np.floor((frequency / tooth[1] - turns).min())))
+    last = int(np.ceil((frequency / tooth[0] - turns).max()))
+    # A new run begins after every sample that limits nothing or is missing.
+    run = np.cumsum(~limiting)
+    parts = []
+    for lobe in range(first, last + 1):
+        speed = 60.0 * frequency / (teeth * (turns + lobe))
+        shown = limiting & (speed >= speeds[0]) & (speed <= speeds[1])
+        # One point beyond the range at either end: lines reach the edge of the figure.
+        shown = limiting & (shown | np.append(shown[1:], False) | np.append(False, shown[:-1]))
+        at = np.flatnonzero(shown)
+        broken = (np.diff(at) > 1) | (np.diff(run[at]) > 0)
+        piece = np.concatenate([[0], np.cumsum(broken)])[: at.size]
+        depth = 500.0 / mu.real[at]
+        columns = (np.full(at.size, number), np.full(at.size, lobe), piece, speed[at], depth, frequency[at])
+        parts.append(pd.DataFrame(dict(zip(CURVE_COLUMNS, columns, strict=True))))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _unlimited_warning(branches: Branches, depth: NDArray[np.float64]) -> list[str]:
+    """Say that infinity means "as far as the data reach"."""
+    count = int(np.isinf(depth).sum())
+    if count == 0:
+        return []
+    f = branches.samples.frequency
+    return [
+        f"{count} of {depth.size} spindle speeds show no limit: stable at any depth as far as the data reach "
+        f"({f[0]:.6g} to {f[-1]:.6g} Hz)"
+    ]
+
+
+def _cut_off_warning(
+    branches: Branches, teeth: int, speed: NDArray[np.float64], depth: NDArray[np.float64]
+) -> list[str]:
+    """Say when a lobe within the speed range ends at an edge of the data while it is the lowest one."""
+    s = branches.samples
+    after_gap = np.concatenate([[True], ~s.bridged])
+    before_gap = np.concatenate([~s.bridged, [True]])
+    edges = [
+        float(s.frequency[i])
+        for i in np.flatnonzero(after_gap | before_gap)
+        if _edge_is_lowest(branches.eigenvalue[:, i], float(s.frequency[i]), teeth, speed, depth)
+    ]
+    if not edges:
+        return []
+    where = ", ".join(f"{f:.6g}" for f in edges[:5]) + (" Hz, ..." if len(edges) > 5 else " Hz")
+    return [
+        f"the frequency range of the compliance cuts off lobes within the speed range: at {where} a lobe "
+        "that limits the depth ends because the data end. Measure beyond, or do not use the limits near these lobes"
+    ]
+
+
+def _edge_is_lowest(
+    mu: NDArray[np.complex128],
+    frequency: float,
+    teeth: int,
+    speed: NDArray[np.float64],
+    depth: NDArray[np.float64],
+) -> bool:
+    """Whether a lobe that ends at `frequency` is, within 2 %, the envelope at the nearest speed asked."""
+    for value in mu[mu.real > 0.0]:
+        turns = 0.5 + np.angle(value) / np.pi
+        lobes = np.arange(int(frequency * 60.0 / (teeth * speed.min()) - turns) + 1)
+        ends = 60.0 * frequency / (teeth * (turns + lobes))
+        ends = ends[(ends >= speed.min()) & (ends <= speed.max())]
+        nearest = np.abs(speed[None, :] - ends[:, None]).argmin(axis=1)
+        if np.any(0.5 / value.real <= 1.02 * depth[nearest]):
+            return True
+    return False
+
+
+def _labelled(
+    speed: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    chatter: NDArray[np.float64],
+    lobe: NDArray[np.float64],
+    branches: Branches,
+    warnings: list[str],
+) -> xr.Dataset:
+    """Put names and units on a result; depth comes in metres."""
+    f = branches.samples.frequency
+    data: dict[str, Any] = {
+        "limit_depth": ("spindle_speed", depth * 1e3),
+        "chatter_frequency": ("spindle_speed", chatter),
+        "lobe": ("spindle_speed", lobe.astype(np.int64)),
+    }
+    attrs = {
+        "method": "zero_order",
+        "frequency_low_Hz": float(f[0]),
+        "frequency_high_Hz": float(f[-1]),
+        "warnings": warnings,
+    }
+    out = label(xr.Dataset(data, coords={"spindle_speed": speed}, attrs=attrs))
+    out["limit_depth"].attrs["infinity"] = "no crossing within the frequency range of the data"
+    out["lobe"].attrs["none"] = NO_LOBE
+    return out

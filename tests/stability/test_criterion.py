@@ -1,0 +1,318 @@
+"""Claims about the chatter criterion, on synthetic signals whose lines are known, and on a simulated cut."""
+
+import math
+
+import numpy as np
+import pytest
+
+from process.cutting import CuttingCoefficients
+from process.errors import InputError
+from process.labels import make_record
+from process.simulate import MillingCut, Spindle, simulate_milling
+from process.tool import Tool
+from stability import chatter_verdict
+
+TEETH = 4
+RPM = 1500.0  # spindle order 25 Hz, tooth passing 100 Hz
+
+
+def line(t, frequency, amplitude, phase=0.3):
+    return amplitude * np.cos(2 * np.pi * frequency * t + phase)
+
+
+def cut_record(
+    chatter=(),
+    tooth=(10.0, 4.0, 2.0),
+    runout=(0.5, 0.3),
+    rpm=RPM,
+    teeth=TEETH,
+    duration=8.0,
+    air=0.5,
+    noise=0.02,
+    seed=0,
+    channel="acceleration",
+    growth=None,
+):
+    """Air, a cut with tooth harmonics, run-out on orders 1, 2, ... and chatter lines (Hz, amplitude), air."""
+    rate = 2048.0
+    t = np.arange(0.0, duration + 2 * air, 1.0 / rate)
+    n = rpm / 60.0
+    x = sum((line(t, (h + 1) * teeth * n, a, h) for h, a in enumerate(tooth)), np.zeros_like(t))
+    x += sum((line(t, (o + 1) * n, a, 2 * o) for o, a in enumerate(runout)), np.zeros_like(t))
+    rise = 1.0 if growth is None else np.exp((t - air - duration) / growth)
+    x += sum((rise * line(t, f, a) for f, a in chatter), np.zeros_like(t))
+    x *= (t >= air) & (t < air + duration)
+    noises = np.random.default_rng(seed).standard_normal((2, t.size)) * noise
+    return make_record(t, {channel: {"x": x + noises[0], "y": 0.5 * x + noises[1]}})
+
+
+def judge(record, rpm=RPM, teeth=TEETH, **choices):
+    return chatter_verdict(record, rpm * math.pi / 30.0, teeth, **choices)
+
+
+# --- the paper's rule ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "verdict"), [(0.37, "stable"), (4.5, "stable"), (5.5, "chatter"), (41.0, "chatter")]
+)
+def test_half_of_the_highest_tooth_harmonic_decides(amplitude, verdict):
+    found = judge(cut_record([(63.07, amplitude)]))
+    assert found.verdict == verdict
+    assert found.ratio == pytest.approx(amplitude / 10.0, rel=0.02)
+    assert found.tooth_passing_harmonic_Hz == pytest.approx(100.0, abs=0.05)
+    if verdict == "chatter":
+        assert found.chatter_frequency_Hz == pytest.approx(63.07, abs=0.1)
+        assert "63.0" in found.reason
+    else:
+        assert math.isnan(found.chatter_frequency_Hz)
+
+
+def test_the_threshold_can_be_chosen():
+    record = cut_record([(63.07, 3.0)])
+    assert judge(record).verdict == "stable"
+    assert judge(record, threshold=0.2).verdict == "chatter"
+
+
+def test_the_highest_harmonic_counts_even_when_it_is_not_the_first():
+    found = judge(cut_record([(63.07, 3.0)], tooth=(1.0, 10.0)))
+    assert found.tooth_passing_harmonic_Hz == pytest.approx(200.0, abs=0.1)
+    assert found.ratio == pytest.approx(0.3, rel=0.02)
+
+
+def test_run_out_is_no_chatter():
+    # theory 5: with 40 um of run-out, orders 1 and 3 pass half of the tooth line
+    found = judge(cut_record(runout=(9.0, 0.0, 7.0)))
+    assert found.verdict == "stable"
+    assert found.ratio < 0.05
+
+
+def test_axes_are_combined_so_that_a_turned_sensor_says_the_same():
+    record = cut_record([(63.07, 6.0)])
+    turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    both = turn @ record.acceleration.values
+    turned = make_record(record.time.values, {"acceleration": dict(zip("xy", both, strict=True))})
+    assert judge(turned).ratio == pytest.approx(judge(record).ratio, rel=1e-9)
+    assert judge(record, axes=["y"]).axes == ("y",)
+
+
+# --- the part of the record ------------------------------------------------------------------------------------------
+
+
+def test_the_entry_is_left_out():
+    """A transient of twice the tooth line with a time constant of 1 s leaves no trace."""
+    record = cut_record(duration=8.0)
+    t = record.time.values - 0.5
+    record["acceleration"] += np.where(t > 0, 20 * np.exp(-np.maximum(t, 0)), 0) * np.cos(2 * np.pi * 61.4 * t)
+    assert judge(record).verdict == "stable"
+    assert judge(record, interval=(0.5, 3.5)).verdict == "chatter"
+
+
+def test_air_before_and_after_is_found():
+    low, high = judge(cut_record(duration=6.0, air=3.0)).interval_s
+    assert 5.5 < low < 6.5
+    assert 8.5 < high <= 9.05
+
+
+def test_a_constant_cutting_force_shows_the_cut():
+    record = cut_record(tooth=(), runout=(), duration=6.0, air=2.0, noise=1e-3)
+    t = record.time.values
+    force = np.where((t > 2) & (t < 8), 200.0, 0.0) + np.random.default_rng(1).standard_normal(t.size)
+    both = make_record(t, {"acceleration": {"x": record.acceleration.values[0]}, "force": {"x": force}})
+    low, high = judge(both).interval_s
+    assert 4.5 < low < 5.5
+    assert 7.5 < high < 8.1
+
+
+# --- the speed -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [-0.0049, -0.003, 0.001, 0.003, 0.0049])
+@pytest.mark.parametrize("chatter", [(), ((63.07, 20.0),)])
+def test_the_speed_is_found_in_the_record(error, chatter):
+    found = judge(cut_record(chatter, rpm=RPM * (1 + error)))
+    assert found.spindle_speed_rpm == pytest.approx(RPM * (1 + error), rel=1e-4)
+    assert found.verdict == ("chatter" if chatter else "stable")
+
+
+def test_without_that_a_wrong_speed_is_no_chatter_but_an_open_question():
+    # theory 5: 0.3 % over 4 s would be a ratio of 0.5 and more
+    found = judge(cut_record(rpm=RPM * 1.003), speed_tolerance=0.0)
+    assert found.verdict == "undecided"
+    assert "a speed that varies" in found.reason
+
+
+def test_the_spindle_angle_is_believed_where_it_is_recorded():
+    record = cut_record(rpm=RPM * 1.008)
+    record["spindle_angle"] = ("time", RPM * 1.008 * math.pi / 30 * record.time.values, {"units": "rad"})
+    found = judge(record)
+    assert found.spindle_speed_rpm == pytest.approx(RPM * 1.008, rel=1e-9)
+    assert found.verdict == "stable"
+    with pytest.raises(InputError, match=r"turns at 1512 rpm, 1600 rpm were given"):
+        judge(record, rpm=1600.0)
+
+
+def test_a_sweep_is_refused():
+    record = cut_record()
+    record["spindle_speed"] = ("time", np.linspace(1400, 1600, record.time.size), {"units": "rpm"})
+    with pytest.raises(InputError, match="needs a constant speed"):
+        judge(record)
+
+
+# --- what the rule does not foresee ----------------------------------------------------------------------------------
+
+
+def test_a_cut_without_tooth_line_is_measured_against_the_floor():
+    """The ideal slot: without the floor, a trace of free vibration is a ratio of 1000."""
+    quiet = cut_record([(62.0, 0.02)], tooth=(), runout=(), noise=1e-5)
+    found = judge(quiet)
+    assert found.verdict == "stable"
+    assert "floor" in found.reason
+    assert math.isnan(found.tooth_passing_harmonic_Hz)
+    assert judge(quiet, floor=1e-6).verdict == "chatter"
+
+
+def test_period_doubling_of_an_even_number_of_teeth_that_grows_is_chatter():
+    found = judge(cut_record([(50.0, 30.0)], growth=2.0))
+    assert found.verdict == "chatter"
+    assert found.chatter_frequency_Hz == pytest.approx(50.0, abs=0.05)
+    assert "period doubling" in found.reason
+
+
+def test_steady_order_half_z_is_undecided_until_a_stable_cut_is_given():
+    reference = judge(cut_record())
+    record = cut_record([(50.0, 8.0)])
+    found = judge(record)
+    assert found.verdict == "undecided"
+    assert "run-out or period doubling" in found.reason
+    assert reference.half_order_ratio == pytest.approx(0.03, rel=0.05)
+    again = judge(record, half_order_reference=reference.half_order_ratio)
+    assert again.verdict == "chatter"
+    assert judge(record, half_order_reference=found.half_order_ratio).verdict == "stable"
+
+
+def test_period_doubling_of_an_odd_number_of_teeth_is_no_order_and_simply_seen():
+    # 3 teeth: tooth passing 75 Hz, half of it 37.5 Hz, orders 25 and 50 Hz
+    found = judge(cut_record([(37.5, 8.0)], teeth=3), teeth=3)
+    assert found.verdict == "chatter"
+    assert math.isnan(found.half_order_ratio)
+
+
+def test_chatter_within_a_mask_is_undecided_until_the_record_is_long_enough():
+    # theory 5: 1200 rpm, 62 Hz against order 3 at 60 Hz
+    short = judge(cut_record([(62.0, 20.0)], rpm=1200, duration=1.6), rpm=1200)
+    assert short.verdict == "undecided"
+    assert "order 3" in short.reason
+    long = judge(cut_record([(62.0, 20.0)], rpm=1200, duration=6.0), rpm=1200)
+    assert long.verdict == "chatter"
+    assert long.chatter_frequency_Hz == pytest.approx(62.0, abs=0.1)
+
+
+def test_a_short_stable_record_is_undecided_and_says_how_long_it_should_be():
+    found = judge(cut_record(duration=0.7))
+    assert found.verdict == "undecided"
+    assert "hide more than half of the spectrum" in found.reason
+    few = judge(cut_record(duration=0.25))
+    assert few.verdict == "undecided"
+    assert "at least 6 turns" in few.reason
+
+
+def test_clear_chatter_in_a_short_record_is_still_chatter():
+    assert judge(cut_record([(62.5, 50.0)], duration=1.2)).verdict == "chatter"
+
+
+def test_a_ratio_near_the_threshold_is_left_open_within_the_noise():
+    found = judge(cut_record([(63.07, 5.0)], noise=2.0))
+    assert found.verdict == "undecided"
+    assert abs(found.ratio - 0.5) <= found.guard_band
+    assert found.guard_band < 0.1
+    assert "noise leaves open" in found.reason
+
+
+def test_noise_alone_is_neither():
+    found = judge(cut_record(tooth=(0.05,), runout=(), noise=3.0, air=0.0))
+    assert found.verdict == "undecided"
+    assert "does not stand out of the noise" in found.reason
+
+
+def test_the_quantity_matters_and_is_stated():
+    # theory 5: displacement over acceleration changes the ratio by (f_T/f_c)^2
+    record = cut_record([(63.07, 3.0)])
+    acceleration = judge(record)
+    displacement = judge(record, quantity="displacement")
+    assert (acceleration.quantity, displacement.quantity) == ("acceleration", "displacement from acceleration")
+    assert displacement.ratio / acceleration.ratio == pytest.approx((100 / 63.07) ** 2, rel=0.02)
+    assert (acceleration.verdict, displacement.verdict) == ("stable", "chatter")
+
+
+def test_a_line_below_the_frequency_range_does_not_count():
+    record = cut_record([(17.0, 20.0)])
+    assert judge(record).verdict == "chatter"
+    assert judge(record, frequency_range=(20.0, None)).verdict == "stable"
+
+
+def test_the_spectrum_is_there_to_be_drawn():
+    found = judge(cut_record([(63.07, 6.0)]))
+    spectrum = found.spectrum
+    assert spectrum.amplitude.dims == ("axis", "frequency")
+    assert spectrum.amplitude.attrs["units"] == "m/s^2"
+    assert spectrum.frequency.attrs["units"] == "Hz"
+    nearest = spectrum.sel(frequency=[25.0, 63.07, 100.0], method="nearest")
+    np.testing.assert_array_equal(nearest.harmonic, [True, False, True])
+    np.testing.assert_allclose(nearest.amplitude.sel(axis="x"), [0.5, 6.0, 10.0], rtol=0.05)
+    assert found.resolution_Hz == pytest.approx(0.25, rel=0.01)
+
+
+# --- a cut, not a signal ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.5, "stable"), (0.8, "stable"), (1.03, "chatter"), (1.1, "chatter")])
+@pytest.mark.parametrize("runout", [0.0, 20e-6])
+def test_verdict_of_a_simulated_cut_changes_at_the_limit(lab_slot, share, verdict, runout):
+    # 1500 rpm: limit 0.1604 mm, chatter at 63.07 Hz (theory 2.5 a)
+    tool = Tool(50.8e-3, 4, runout=tuple(runout * np.cos(np.arange(4) * np.pi / 2 + 0.3)))
+    cut = MillingCut(
+        tool, lab_slot.arc, CuttingCoefficients(780e6, 351e6, 0.0), share * 0.1604e-3, feed_per_tooth=0.2e-3
+    )
+    record = simulate_milling(lab_slot.machine, cut, Spindle(RPM * math.pi / 30), 16.0, 2048.0, lead=0.5, tail=0.5)
+    found = judge(record, axes=["x"])
+    assert found.verdict == verdict
+    if verdict == "chatter":
+        assert found.chatter_frequency_Hz == pytest.approx(63.07, abs=0.3)
+
+
+# --- refusals --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        ({"rpm": 0.0}, "a positive speed"),
+        ({"rpm": math.nan}, "a positive speed"),
+        ({"teeth": 0}, "0 teeth"),
+        ({"threshold": 0.0}, "threshold is 0"),
+        ({"speed_tolerance": 0.5}, "speed tolerance"),
+        ({"quantity": "velocity"}, "none of acceleration"),
+        ({"quantity": "force"}, "has no force"),
+        ({"axes": ["z"]}, "axis"),
+        ({"axes": []}, "axis none"),
+        ({"frequency_range": (200.0, 100.0)}, "it must rise"),
+        ({"frequency_range": (5.0, 90.0)}, "tooth passing frequency of 100"),
+        ({"interval": (20.0, 30.0)}, "holds 0 samples"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(choices, message):
+    with pytest.raises(InputError, match=message):
+        judge(cut_record(duration=2.0), **choices)
+
+
+def test_unusable_records_are_refused():
+    with pytest.raises(InputError, match="1 samples"):
+        judge(cut_record().isel(time=slice(0, 1)))
+    broken = cut_record(duration=2.0)
+    broken["acceleration"][0, 100] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        judge(broken)
+    encoder = make_record(np.arange(100) / 1e3, {"encoder_position": {"x": np.zeros(100)}})
+    with pytest.raises(InputError, match="nothing to judge"):
+        judge(encoder)

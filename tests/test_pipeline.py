@@ -1,0 +1,276 @@
+"""The main job, end to end: the demonstration campaign through the same code as anybody's own campaign."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+from smfe import cli, pipeline
+from smfe.demo_campaign import CUTTING_TESTS, MACHINE
+from smfe.store import read_groups
+from stability import LOBE_COLUMNS
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a demonstration that has been run."""
+    folder = tmp_path_factory.mktemp("demo")
+    pipeline.demo(folder)
+    return folder
+
+
+def smfe(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run the command line in this process and return its exit code."""
+    monkeypatch.setattr(sys, "argv", ["smfe", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        cli.app_entry()
+    return int(stop.value.code or 0)
+
+
+def test_every_promised_file_is_written(demo: Path) -> None:
+    results = demo / "results"
+    for name in (
+        "frf.nc",
+        "lobes.nc",
+        "comparison.csv",
+        "lobe_table.csv",
+        "chatter.csv",
+        "report.html",
+        "provenance.json",
+    ):
+        assert (results / name).stat().st_size > 0, name
+    assert list((results / "figures").glob("*.png"))
+    assert not list(demo.rglob("*.part"))
+
+
+def test_every_method_finds_the_machine_that_was_simulated(demo: Path) -> None:
+    groups = read_groups(demo / "results" / "frf.nc")
+    assert set(groups) == {"hammer", "actuator", "sweep", "sweep_force_x_only", "known_machine"}
+    # The whole matrix, relative to its own size: noise levels and seeds are those of the demonstration.
+    for name, bound in (("hammer", 0.05), ("actuator", 0.01), ("sweep", 0.01), ("sweep_force_x_only", 0.05)):
+        compliance = groups[name]["compliance"].sel(frequency=slice(20.0, 80.0))
+        truth = MACHINE.matrix(compliance["frequency"].values)
+        error = np.sqrt(np.nansum(np.abs(compliance.values - truth) ** 2) / np.sum(np.abs(truth) ** 2))
+        assert error < bound, name
+
+
+def test_lobes_of_every_source_agree_with_those_of_the_machine(demo: Path) -> None:
+    lobes = read_groups(demo / "results" / "lobes.nc")
+    truth = lobes["lobes_1/known_machine"]["limit_depth"]
+    for source in ("hammer", "actuator", "sweep"):
+        ratio = lobes[f"lobes_1/{source}"]["limit_depth"] / truth
+        assert float(np.abs(ratio - 1.0).quantile(0.9)) < 0.05, source
+
+
+def test_the_lobe_table_has_the_columns_that_cam_reads(demo: Path) -> None:
+    table = pd.read_csv(demo / "results" / "lobe_table.csv")
+    assert tuple(table.columns) == LOBE_COLUMNS
+    row = table[(table["source"] == "sweep") & (table["spindle_speed_rpm"] == 950)].iloc[0]
+    feed = 0.1 * 2 * 950
+    assert row["feed_mm_min"] == pytest.approx(feed)
+    assert row["removal_rate_cm3_min"] == pytest.approx(row["limit_depth_mm"] * 40.0 * feed / 1e3, rel=1e-6)
+
+
+def test_cutting_tests_are_judged_as_the_simulation_made_them(demo: Path) -> None:
+    table = pd.read_csv(demo / "results" / "chatter.csv", keep_default_na=False)
+    assert len(table) == len(CUTTING_TESTS)
+    expected = ["stable", "chatter"] * 3
+    assert list(table["verdict"]) == expected
+    assert list(table["predicted_sweep"]) == expected
+    assert list(table["predicted_known_machine"]) == expected
+
+
+def test_the_table_of_errors_shows_all_references_ahead_of_force_x_alone(demo: Path) -> None:
+    errors = pd.read_csv(demo / "results" / "model_error.csv").set_index(["measurement", "response", "excitation"])
+    ours, theirs = (errors.loc[n, "error_percent"] for n in ("sweep", "sweep_force_x_only"))
+    assert len(ours) == 9
+    assert ours.mean() < 0.75 * theirs.mean()
+    assert (ours / theirs).max() < 1.05
+
+
+def test_a_second_run_reads_back_what_the_first_has_identified(demo: Path) -> None:
+    results, kept = demo / "results", demo / "results" / pipeline.KEPT
+    before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
+    compliance = read_groups(results / "frf.nc")["sweep"]
+    said: list[str] = []
+    pipeline.run(demo / "campaign.toml", results, progress=lambda what, done, of: said.append(what))
+    assert {p.name: p.stat().st_mtime_ns for p in kept.iterdir()} == before
+    assert read_groups(results / "frf.nc")["sweep"].identical(compliance)
+    assert "identifying sweep" in said
+
+
+def test_a_changed_record_is_identified_again(demo: Path, tmp_path: Path) -> None:
+    shutil.copytree(demo, tmp_path / "demo")
+    record = tmp_path / "demo" / "records" / "hammer_x.csv"
+    text = record.read_text()
+    kept = tmp_path / "demo" / "results" / pipeline.KEPT
+    before = sorted(p.name for p in kept.glob("hammer-*"))
+    record.write_text(text.replace("\n", "\n", 1).rsplit("\n", 2)[0] + "\n")
+    pipeline.identify(tmp_path / "demo" / "campaign.toml", tmp_path / "demo" / "results" / "frf.nc")
+    after = sorted(p.name for p in kept.glob("hammer-*"))
+    assert before != after
+    assert len(after) == 1
+
+
+def test_provenance_names_every_input_with_its_hash(demo: Path) -> None:
+    provenance = json.loads((demo / "results" / "provenance.json").read_text())
+    named = {entry["file"] for entry in provenance["inputs"]}
+    assert named == {"campaign.toml", *(p.name for p in (demo / "records").iterdir())}
+    assert all(len(entry["sha256"]) == 64 for entry in provenance["inputs"])
+
+
+def test_the_single_verbs_do_their_part(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign, frf = demo / "campaign.toml", demo / "results" / "frf.nc"
+    assert (
+        smfe(monkeypatch, "lobes", campaign, "--frf", frf, "-o", tmp_path / "l.nc", "--table", tmp_path / "t.csv") == 0
+    )
+    assert smfe(monkeypatch, "compare", frf, "-o", tmp_path / "c.csv") == 0
+    record = demo / "records" / "cut_700rpm_5mm.csv"
+    assert smfe(monkeypatch, "chatter", record, "--speed", "700 rpm", "--teeth", 2) == 0
+    assert smfe(monkeypatch, "report", demo / "results") == 0
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "t.csv"), pd.read_csv(demo / "results" / "lobe_table.csv"))
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "c.csv"), pd.read_csv(demo / "results" / "comparison.csv"))
+
+
+def test_the_same_seed_makes_the_same_records(demo: Path, tmp_path: Path) -> None:
+    pipeline.write_demo(tmp_path)
+    for name in ("hammer_z.csv", "cut_950rpm_8.5mm.csv"):
+        assert (tmp_path / "records" / name).read_bytes() == (demo / "records" / name).read_bytes()
+
+
+CAMPAIGN = """
+[campaign]
+name = "Small"
+[tool]
+diameter = "80 mm"
+teeth = 2
+[material]
+name = "steel"
+Ktc = "1900 N/mm^2"
+Krc = "800 N/mm^2"
+Kac = "300 N/mm^2"
+[channels]
+time = { column = "t", unit = "s" }
+force_x = { column = "Fx", unit = "N" }
+acceleration_x = { column = "ax", unit = "m/s^2" }
+[[measurement]]
+name = "hammer"
+method = "hammer"
+records = [ { file = "hit.csv", excitation = "x" } ]
+"""
+
+
+def hit_table() -> pd.DataFrame:
+    """A good hammer record: three hits on a 50 Hz mode."""
+    t = np.arange(12000) / 2000.0
+    force, motion = np.zeros(t.size), np.zeros(t.size)
+    for start in (0.1, 2.1, 4.1):
+        u = t - start
+        force += np.where((u > 0) & (u < 4e-3), 1000 * np.sin(np.pi * np.clip(u, 0, 4e-3) / 4e-3), 0.0)
+        motion += np.where(u > 4e-3, np.exp(-10 * u) * np.sin(2 * np.pi * 50 * u), 0.0)
+    noise = np.random.default_rng(1).standard_normal((2, t.size))
+    return pd.DataFrame({"t": t, "Fx": force + 0.1 * noise[0], "ax": motion + 1e-3 * noise[1]})
+
+
+def sines_table() -> pd.DataFrame:
+    """A stepped sine, as an actuator makes it."""
+    t = np.arange(12000) / 2000.0
+    f = np.repeat([30.0, 40.0, 50.0], 4000)
+    force = 100 * np.sin(2 * np.pi * np.cumsum(f) / 2000.0)
+    return pd.DataFrame({"t": t, "Fx": force, "ax": 0.01 * force})
+
+
+def with_nan(table: pd.DataFrame) -> pd.DataFrame:
+    table.loc[77, "ax"] = np.nan
+    return table
+
+
+def mat_of(path: Path, cut: int | None = None, short: bool = False) -> None:
+    columns = {name: hit_table()[name].to_numpy() for name in ("t", "Fx", "ax")}
+    if short:
+        columns["ax"] = columns["ax"][:-5]
+    savemat(path, columns)
+    if cut is not None:
+        path.write_bytes(path.read_bytes()[:cut])
+
+
+def csv(change: object = None) -> object:
+    """Return a writer of hit.csv with a change made to a good table."""
+
+    def write(folder: Path) -> None:
+        table = hit_table() if change is None else change(hit_table())  # type: ignore[operator]
+        table.to_csv(folder / "hit.csv", index=False)
+
+    return write
+
+
+SWEEPS = """
+[[measurement]]
+name = "sweep"
+method = "sweep"
+records = [
+    { file = "hit.csv", cut = "down", width_of_cut = "12 mm" },
+    { file = "hit.csv", cut = "up", width_of_cut = "12 mm" },
+]
+"""
+
+BAD_INPUT = {
+    "missing file": (lambda s: s.replace("hit.csv", "hits.csv"), csv(), ["hits.csv"]),
+    "missing campaign": (None, csv(), ["campaign.toml", "no such file"]),
+    "wrong column": (lambda s: s.replace('"ax"', '"a_x"'), csv(), ["a_x", "ax"]),
+    "wrong unit": (lambda s: s.replace('"m/s^2"', '"N/mm"'), csv(), ["channels.acceleration_x", "N/mm"]),
+    "unknown key": (lambda s: s.replace("teeth = 2", "teeth = 2\ntooth = 3"), csv(), ["tool.tooth", "teeth"]),
+    "NaN in a channel": (lambda s: s, csv(with_nan), ["acceleration_x", "77"]),
+    "records of different length": (
+        lambda s: s.replace("hit.csv", "hit.mat"),
+        lambda folder: mat_of(folder / "hit.mat", short=True),
+        ["hit.mat", "12000", "11995"],
+    ),
+    "only two sweeps": (lambda s: s + SWEEPS, csv(), ["sweep", "three"]),
+    "swapped method": (lambda s: s, lambda folder: sines_table().to_csv(folder / "hit.csv", index=False), ["hit"]),
+    "hits as actuator": (lambda s: s.replace('"hammer"\nrec', '"actuator"\nrec'), csv(), ["actuator", "sine"]),
+    "empty record": (lambda s: s, csv(lambda t: t.iloc[:0]), ["hit.csv"]),
+    "empty file": (lambda s: s, lambda folder: (folder / "hit.csv").write_text(""), ["hit.csv", "empty"]),
+    "truncated MAT file": (
+        lambda s: s.replace("hit.csv", "hit.mat"),
+        lambda folder: mat_of(folder / "hit.mat", cut=5000),
+        ["hit.mat"],
+    ),
+    "broken TOML": (lambda s: s.replace("[tool]", "[tool"), csv(), ["line"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_is_one_clear_message_and_exit_code_1(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, write, words = BAD_INPUT[case]
+    if change is not None:
+        (tmp_path / "campaign.toml").write_text(change(CAMPAIGN))
+    write(tmp_path)  # type: ignore[operator]
+    out = tmp_path / "results"
+    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", out) == 1
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err + said.out
+    for word in words:
+        assert word in said.err, f"{case}: {said.err}"
+    assert not list(tmp_path.rglob("*.part"))
+    assert not (out / "report.html").exists()
+
+
+def test_good_input_of_the_same_kind_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    hit_table().to_csv(tmp_path / "hit.csv", index=False)
+    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
+    assert (tmp_path / "results" / "report.html").is_file()
+
+
+def test_wrong_usage_is_exit_code_2(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert smfe(monkeypatch, "run") == 2
+    assert smfe(monkeypatch, "fly") == 2
+    assert smfe(monkeypatch, "--version") == 0
