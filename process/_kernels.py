@@ -182,6 +182,18 @@ def _leave_surface(teeth, surfaces, s, j, from_angle, from_reach, to_angle, to_r
         surfaces[s, _passing(surfaces, node, j, count), node % nodes] = left
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _pass_over(teeth, surfaces, angle, advance, r, write, old_angle, old_reach):
+    """Move all teeth to where they are now; leave the surface behind where they have just cut."""
+    for s in range(teeth.slice_lag.size):
+        for j in range(teeth.lag.size):
+            turn = angle - teeth.lag[j] - teeth.slice_lag[s]
+            reach = _reach(teeth, j, turn, advance, r)
+            if write:
+                _leave_surface(teeth, surfaces, s, j, old_angle[s, j], old_reach[s, j], turn, reach)
+            old_angle[s, j], old_reach[s, j] = turn, reach
+
+
 @njit(cache=True, nogil=True)
 def milling(modes, motion, teeth, step, nodes, impulse, force, displacement, acceleration):
     """March linear modes under their own cutting force, with the chip cut from the surface left behind.
@@ -226,20 +238,14 @@ def milling(modes, motion, teeth, step, nodes, impulse, force, displacement, acc
             _march(modes, state, f_old, f_new, new)
         state[:] = new
         if entering:
-            for m in range(count):
-                state[m, 1] += np.dot(modes.shape[m], impulse) / modes.mass[m]
+            _modal_force(modes, impulse[0], impulse[1], impulse[2], f_old)
+            state[:, 1] += f_old / modes.mass
         f_old[:] = f_new
         _position(modes, state, r)
         _record(modes, state, f_new, k, displacement, acceleration)
         for i in range(3):
             force[i, k] = total[i]
         if active:
-            for s in range(teeth.slice_lag.size):
-                for j in range(teeth.lag.size):
-                    turn = angle - teeth.lag[j] - teeth.slice_lag[s]
-                    reach = _reach(teeth, j, turn, advance, r)
-                    if was_active:
-                        _leave_surface(teeth, surfaces, s, j, old_angle[s, j], old_reach[s, j], turn, reach)
-                    old_angle[s, j], old_reach[s, j] = turn, reach
+            _pass_over(teeth, surfaces, angle, advance, r, was_active, old_angle, old_reach)
         was_active = active
     return lost, largest

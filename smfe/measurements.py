@@ -66,8 +66,10 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
     try:
         if measurement.method == "sweep":
             found = _sweep(campaign, measurement, progress)
-            unused = ("the background record is not subtracted: what the spindle shakes without a cut is in the result",)
-            return replace(found, warnings=found.warnings + (unused if measurement.background else ()))
+            if measurement.background:
+                unused = "the background record is not subtracted: what the spindle shakes without a cut is in the result"
+                found = replace(found, warnings=(*found.warnings, unused))
+            return found
         if measurement.method == "frf":
             return _frf(measurement)
         return _per_axis(measurement)

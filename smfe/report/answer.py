@@ -1,4 +1,4 @@
-"""The headline: how deep, at which speed, and how sure. Every number stands in the lobe table or in chatter.csv."""
+"""The headline: how deep, at which speed, and how sure; every number stands in a table."""
 
 from __future__ import annotations
 
@@ -149,17 +149,20 @@ def _pocket(
     right = int(below[below > last].min(initial=speed.size)) - 1
     row = (first + last) // 2
     return Pocket(
-        (float(speed[first]), float(speed[last])),
-        *(
-            float(_column(table, name)[row])
-            for name in (
-                *("limit_depth_mm", "limit_depth_p05_mm", "limit_depth_p95_mm", "safe_depth_mm"),
-                *("removal_rate_cm3_min", "chatter_frequency_Hz"),
-            )
-        ),
-        (float(speed[left]), float(speed[right])),
-        first == 0 or last == speed.size - 1,
+        speed=(float(speed[first]), float(speed[last])),
+        depth=_at(table, "limit_depth_mm", row),
+        low=_at(table, "limit_depth_p05_mm", row),
+        high=_at(table, "limit_depth_p95_mm", row),
+        safe=_at(table, "safe_depth_mm", row),
+        removal_rate=_at(table, "removal_rate_cm3_min", row),
+        chatter_frequency=_at(table, "chatter_frequency_Hz", row),
+        window=(float(speed[left]), float(speed[right])),
+        at_edge=first == 0 or last == speed.size - 1,
     )
+
+
+def _at(table: pd.DataFrame, name: str, row: int) -> float:
+    return float(_column(table, name)[row])
 
 
 def _column(table: pd.DataFrame, name: str) -> NDArray[np.float64]:

@@ -43,7 +43,13 @@ MOST_SPECTRA = 24
 _STYLES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 _MARKERS: dict[str, dict[str, Any]] = {
     "stable": {"marker": "o", "color": "black", "markersize": 6},
-    "chatter": {"marker": "X", "color": CHATTER, "markersize": 8, "markeredgecolor": "white", "markeredgewidth": 0.6},
+    "chatter": {
+        "marker": "X",
+        "color": CHATTER,
+        "markersize": 8,
+        "markeredgecolor": "white",
+        "markeredgewidth": 0.6,
+    },
     "undecided": {"marker": "^", "color": "black", "markersize": 7, "fillstyle": "none"},
 }
 
@@ -84,11 +90,13 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG."""
-    canvas = FigureCanvasAgg(figure)
+    FigureCanvasAgg(figure)
     with warnings.catch_warnings():
         # Names are the user's; a letter that the font lacks becomes a box and is no fault of the report.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        return write_atomically(path, lambda p: canvas.print_png(p, pil_kwargs={"compress_level": 3}))
+        return write_atomically(
+            path, lambda p: figure.savefig(p, format="png", pil_kwargs={"compress_level": 3})
+        )
 
 
 def literal(text: str) -> str:
@@ -105,7 +113,13 @@ def _legend(figure: Figure, entries: Sequence[tuple[Artist, str]], top: float) -
     handles, names = [h for h, _ in entries], [literal(n) for _, n in entries]
     columns = max(1, min(len(names), int(95 / (8 + max(len(n) for n in names)))))
     figure.legend(
-        handles, names, loc="lower center", bbox_to_anchor=(0.5, top), ncols=columns, frameon=False, fontsize=9
+        handles,
+        names,
+        loc="lower center",
+        bbox_to_anchor=(0.5, top),
+        ncols=columns,
+        frameon=False,
+        fontsize=9,
     )
 
 
@@ -196,7 +210,14 @@ def draw_compliance(measurements: Sequence[Measurement], looks: Mapping[str, Lin
     top = 1.0 - _legend_height(entries) / height
     figure = _new(width, height)
     grid = figure.add_gridspec(
-        len(responses), len(excitations), left=0.1, right=0.985, bottom=0.5 / height, top=top, wspace=0.06, hspace=0.08
+        len(responses),
+        len(excitations),
+        left=0.1,
+        right=0.985,
+        bottom=0.5 / height,
+        top=top,
+        wspace=0.06,
+        hspace=0.08,
     )
     for i, r in enumerate(responses):
         for j, e in enumerate(excitations):
@@ -211,7 +232,11 @@ def draw_compliance(measurements: Sequence[Measurement], looks: Mapping[str, Lin
 
 
 def _draw_entry(
-    axes: Axes, measurements: Sequence[Measurement], looks: Mapping[str, Line], pair: tuple[str, str], floor: float
+    axes: Axes,
+    measurements: Sequence[Measurement],
+    looks: Mapping[str, Line],
+    pair: tuple[str, str],
+    floor: float,
 ) -> None:
     _plain_axes(axes)
     for m in measurements:
@@ -221,7 +246,9 @@ def _draw_entry(
         if std is not None:
             edges = magnitude_band(values, std, floor)
             axes.fill_between(m.frequency, *edges, color=look.colour, alpha=0.2, linewidth=0)
-        axes.plot(m.frequency, 1e6 * np.abs(values), color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.0)
+        axes.plot(
+            m.frequency, 1e6 * np.abs(values), color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.0
+        )
     name = rf"$\Phi_{{{pair[0]}{pair[1]}}}$"
     axes.text(0.97, 0.95, name, transform=axes.transAxes, ha="right", va="top", fontsize=10)
 
@@ -241,7 +268,14 @@ def draw_quality(measurements: Sequence[Measurement], looks: Mapping[str, Line])
     top = 1.0 - _legend_height(entries) / height
     figure = _new(7.5, height)
     grid = figure.add_gridspec(
-        rows, max(1, len(responses)), left=0.09, right=0.985, bottom=0.5 / height, top=top, wspace=0.06, hspace=0.25
+        rows,
+        max(1, len(responses)),
+        left=0.09,
+        right=0.985,
+        bottom=0.5 / height,
+        top=top,
+        wspace=0.06,
+        hspace=0.25,
     )
     span = frequency_range(measured)
     for j, r in enumerate(responses):
@@ -256,7 +290,9 @@ def draw_quality(measurements: Sequence[Measurement], looks: Mapping[str, Line])
     return figure
 
 
-def _draw_coherence(axes: Axes, measured: Sequence[Measurement], looks: Mapping[str, Line], response: str) -> None:
+def _draw_coherence(
+    axes: Axes, measured: Sequence[Measurement], looks: Mapping[str, Line], response: str
+) -> None:
     _plain_axes(axes)
     for m in measured:
         for e, values in m.coherences(response):
@@ -305,7 +341,8 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
     figure.supxlabel("frequency [Hz]", fontsize=10, y=0.08 / height)
     figure.supylabel(literal(amplitude_label(shown[0])), fontsize=10, x=0.08 / width)
     if note:
-        figure.text(0.5, 1.0 - 0.18 / height, f"the first {len(shown)} of {len(spectra)} tests", ha="center", fontsize=9)
+        text = f"the first {len(shown)} of {len(spectra)} tests"
+        figure.text(0.5, 1.0 - 0.18 / height, text, ha="center", fontsize=9)
     _legend(figure, entries, top + 0.2 / height)
     return figure
 
@@ -314,7 +351,9 @@ def _draw_spectrum(axes: Axes, dataset: xr.Dataset) -> None:
     _plain_axes(axes)
     end, floor, top = spectrum_span(dataset)
     pairs = [(a, b) for a, b in harmonic_bands(dataset) if a < end]
-    axes.broken_barh([(a, b - a) for a, b in pairs], (1e-3 * floor, 1e3 * top), facecolor="#777777", alpha=0.25)
+    axes.broken_barh(
+        [(a, b - a) for a, b in pairs], (1e-3 * floor, 1e3 * top), facecolor="#777777", alpha=0.25
+    )
     frequency = dataset["frequency"].values.astype(float)
     inside = frequency <= end
     for axis in dataset["axis"].values:

@@ -1,7 +1,7 @@
 """Interactive figures as plain dictionaries in plotly's JSON schema.
 
-Arrays travel as base64 of 32-bit floats, which plotly.js reads by itself: seven digits in half the space of five
-written out, and NaN for a gap.
+Arrays travel as base64 of 32-bit floats, which plotly.js reads by itself: seven digits in half the space of
+five written out, and NaN for a gap.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from smfe.report.results import BAD_CONDITION, Lobes, Measurement, bands
 Figure = dict[str, Any]
 
 _GRID = "#e4e4e4"
+_LEGEND = {"orientation": "h", "x": 0, "xanchor": "left", "bgcolor": "rgba(255,255,255,0)"}
 _FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 13, "color": "#222"}
 _SYMBOLS = {
     "stable": {"symbol": "circle", "color": "#000", "size": 10},
@@ -59,7 +60,13 @@ def plain(text: str) -> str:
 
 
 def _axis(title: str = "", **more: Any) -> dict[str, Any]:
-    look = {"gridcolor": _GRID, "linecolor": "#888", "ticks": "outside", "tickcolor": "#888", "zeroline": False}
+    look = {
+        "gridcolor": _GRID,
+        "linecolor": "#888",
+        "ticks": "outside",
+        "tickcolor": "#888",
+        "zeroline": False,
+    }
     return {"title": {"text": title, "standoff": 6}, "showline": True, "mirror": True, **look, **more}
 
 
@@ -72,7 +79,7 @@ def _layout(height: int, **more: Any) -> dict[str, Any]:
         "font": _FONT,
         "hovermode": "closest",
         "hoverlabel": {"bgcolor": "#fff", "font": {"color": "#222"}, "namelength": -1},
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+        "legend": {**_LEGEND, "y": 1.0 + 6.0 / (height - 90), "yanchor": "bottom"},
         **more,
     }
 
@@ -87,8 +94,11 @@ def _polygons(
     x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the outline between two curves, one polygon a run of known values."""
-    xs, ys = [], []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (np.isfinite(low) & np.isfinite(high)).astype(int), [0]])))
+    xs: list[ArrayLike] = []
+    ys: list[ArrayLike] = []
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[0], (np.isfinite(low) & np.isfinite(high)).astype(int), [0]]))
+    )
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         xs += [x[a:b], x[a:b][::-1], [np.nan]]
         ys += [low[a:b], high[a:b][::-1], [np.nan]]
@@ -97,12 +107,14 @@ def _polygons(
     return np.concatenate(xs)[:-1], np.concatenate(ys)[:-1]
 
 
-def _filled(x: NDArray[np.float64], y: NDArray[np.float64], colour: str, opacity: float, **more: Any) -> Figure:
+def _filled(
+    outline: tuple[ArrayLike, ArrayLike], colour: str, opacity: float, more: Mapping[str, Any]
+) -> Figure:
     return {
         "type": "scatter",
         "mode": "lines",
-        "x": packed(x),
-        "y": packed(y),
+        "x": packed(outline[0]),
+        "y": packed(outline[1]),
         "fill": "toself",
         "fillcolor": translucent(colour, opacity),
         "line": {"width": 0},
@@ -153,10 +165,14 @@ def _lobe_traces(item: Lobes, look: Line, top: float) -> list[Figure]:
     band = item.band()
     if band is not None:
         low, high = (np.where(np.isinf(v), 20.0 * top, v) for v in band[:2])
-        out.append(_filled(*_polygons(speed, low, high), look.colour, 0.18, legendgroup=group))
+        out.append(_filled(_polygons(speed, low, high), look.colour, 0.18, {"legendgroup": group}))
     curves = item.curves()
     if curves is not None:
-        thin = {"type": "scatter", "mode": "lines", "line": {"width": 0.7, "color": translucent(look.colour, 0.45)}}
+        thin = {
+            "type": "scatter",
+            "mode": "lines",
+            "line": {"width": 0.7, "color": translucent(look.colour, 0.45)},
+        }
         hidden = {"hoverinfo": "skip", "showlegend": False, "legendgroup": group}
         x = packed(curves[0])
         out.append({**thin, **hidden, "x": x, "y": packed(curves[1])})
@@ -172,7 +188,12 @@ def _lobe_traces(item: Lobes, look: Line, top: float) -> list[Figure]:
         "chatter frequency %{customdata[1]:.4g} Hz<br>lobe %{customdata[2]:.0f}",
     }
     out.append(
-        {**shared, "mode": "lines", "y": packed(finite), "line": {"width": 2.4, "color": look.colour, "dash": look.dash}}
+        {
+            **shared,
+            "mode": "lines",
+            "y": packed(finite),
+            "line": {"width": 2.4, "color": look.colour, "dash": look.dash},
+        }
     )
     points = {"mode": "markers", "marker": {"size": 3.5, "color": look.colour}, "showlegend": False}
     out.append({**shared, **points, "y": packed(frequency), "yaxis": "y2"})
@@ -199,7 +220,9 @@ def _test_traces(tests: pd.DataFrame) -> list[Figure]:
         }
         out.append({**shared, "y": packed(rows["depth_of_cut_mm"])})
         if outcome == "chatter" and "chatter_frequency_Hz" in rows:
-            out.append({**shared, "y": packed(rows["chatter_frequency_Hz"]), "yaxis": "y2", "showlegend": False})
+            out.append(
+                {**shared, "y": packed(rows["chatter_frequency_Hz"]), "yaxis": "y2", "showlegend": False}
+            )
     return out
 
 
@@ -226,7 +249,7 @@ def spectrum_span(dataset: xr.Dataset) -> tuple[float, float, float]:
     top = float(np.nanmax(largest)) if np.isfinite(largest).any() else 1.0
     line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
     threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
-    last = float(frequency[largest > 0.01 * top].max(initial=0.0))
+    last = float(frequency[largest > 0.05 * top].max(initial=0.0))
     end = min(float(frequency[-1]), max(1.1 * last, 2.0 * line if np.isfinite(line) else 0.0))
     floor = max(0.5 * float(np.nanquantile(largest, 0.02)), 1e-5 * top)
     return end, floor, 2.0 * max(top, threshold if np.isfinite(threshold) else 0.0)
@@ -272,9 +295,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         330,
         margin={"l": 70, "r": 15, "t": 34, "b": 46},
         xaxis=_axis("frequency [Hz]", range=[0.0, end]),
-        yaxis=_axis(
-            plain(amplitude_label(dataset)), type="log", range=_log_range(floor, top), exponentformat="power", dtick=1
-        ),
+        yaxis=_axis(plain(amplitude_label(dataset)), **_log_axis(floor, top)),
         shapes=_spectrum_lines(dataset),
         annotations=_spectrum_notes(dataset, end),
     )
@@ -284,11 +305,14 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
 def _removed(pairs: Sequence[tuple[float, float]], low: float, high: float) -> Figure:
     x = np.array([v for a, b in pairs for v in (a, a, b, b, np.nan)])[:-1]
     y = np.array([v for _ in pairs for v in (low, high, high, low, np.nan)])[:-1]
-    return _filled(x, y, "#777777", 0.22, name="removed harmonics", showlegend=True)
+    return _filled((x, y), "#777777", 0.22, {"name": "removed harmonics", "showlegend": True})
 
 
-def _log_range(low: float, high: float) -> list[float]:
-    return [float(np.log10(low)), float(np.log10(high))]
+def _log_axis(low: float, high: float) -> dict[str, Any]:
+    """Return the settings of a logarithmic axis; one of few decades shows 2 and 5 as well."""
+    ends = [float(np.log10(low)), float(np.log10(high))]
+    step = 1 if ends[1] - ends[0] > 2.2 else "D2"
+    return {"type": "log", "range": ends, "dtick": step, "exponentformat": "power"}
 
 
 def _spectrum_lines(dataset: xr.Dataset) -> list[Figure]:
@@ -301,7 +325,9 @@ def _spectrum_lines(dataset: xr.Dataset) -> list[Figure]:
         shapes.append({"type": "line", **ends, "line": look})
     if np.isfinite(line):
         look = {"color": CHATTER, "width": 1.5, "dash": "dot"}
-        shapes.append({"type": "line", "x0": line, "x1": line, "y0": 0, "y1": 1, "yref": "paper", "line": look})
+        shapes.append(
+            {"type": "line", "x0": line, "x1": line, "y0": 0, "y1": 1, "yref": "paper", "line": look}
+        )
     return shapes
 
 
@@ -311,7 +337,13 @@ def _spectrum_notes(dataset: xr.Dataset, end: float) -> list[Figure]:
     line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
     shared = {"showarrow": False, "font": {"size": 12, "color": CHATTER}, "bgcolor": "rgba(255,255,255,0.8)"}
     if np.isfinite(threshold):
-        where = {"x": 1, "xref": "paper", "xanchor": "right", "y": float(np.log10(threshold)), "yanchor": "bottom"}
+        where = {
+            "x": 1,
+            "xref": "paper",
+            "xanchor": "right",
+            "y": float(np.log10(threshold)),
+            "yanchor": "bottom",
+        }
         notes.append({**shared, **where, "text": "threshold"})
     if np.isfinite(line):
         side = "left" if line < 0.7 * end else "right"
@@ -328,7 +360,11 @@ def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, L
     responses, excitations = axes_of(measurements)
     span = frequency_range(measurements)
     low, high = magnitude_range(measurements, span)
-    panels = {(r, e): 1 + i * len(excitations) + j for i, r in enumerate(responses) for j, e in enumerate(excitations)}
+    panels = {
+        (r, e): 1 + i * len(excitations) + j
+        for i, r in enumerate(responses)
+        for j, e in enumerate(excitations)
+    }
     data: list[Figure] = []
     views: list[list[Any]] = []
     for m in measurements:
@@ -337,7 +373,7 @@ def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, L
             std = m.std(r, e)
             if std is not None:
                 edges = magnitude_band(m.entry(r, e), std, 1e-2 * low)
-                data.append(_filled(*_polygons(m.frequency, *edges), looks[m.name].colour, 0.2, **shared))
+                data.append(_filled(_polygons(m.frequency, *edges), looks[m.name].colour, 0.2, shared))
                 views.append([])
             views.append(_views(m.entry(r, e)))
             data.append(_compliance_line(m, looks[m.name], views[-1][0], f"{r}{e}", first == 0, shared))
@@ -369,12 +405,18 @@ def _compliance_line(
 
 
 def _grid_layout(
-    responses: Sequence[str], excitations: Sequence[str], span: tuple[float, float], magnitude: tuple[float, float]
+    responses: Sequence[str],
+    excitations: Sequence[str],
+    span: tuple[float, float],
+    magnitude: tuple[float, float],
 ) -> Figure:
     """Return panels that zoom together, tick labels only at the edges of the grid."""
     rows, columns = len(responses), len(excitations)
-    layout = _layout(110 + 250 * rows if rows > 1 else 460, margin={"l": 80, "r": 20, "t": 95, "b": 50}, annotations=[])
-    layout["legend"] = {**layout["legend"], "y": 1.0 + 8.0 / (layout["height"] - 145)}
+    layout = _layout(
+        110 + 250 * rows if rows > 1 else 460, margin={"l": 80, "r": 20, "t": 60, "b": 85}, annotations=[]
+    )
+    # Below, where a legend of any length keeps clear of the buttons.
+    layout["legend"] = {**_LEGEND, "y": -55.0 / (layout["height"] - 145), "yanchor": "top"}
     gap_x, gap_y = 0.025, 0.035
     for i, r in enumerate(responses):
         for j, e in enumerate(excitations):
@@ -386,13 +428,23 @@ def _grid_layout(
             linked = {} if panel == 1 else {"matches": "x"}
             layout[f"xaxis{tail}"] = _axis(
                 "frequency [Hz]" if bottom else "",
-                **{"domain": [x0, x0 + wide], "anchor": f"y{tail}", "range": list(span), "showticklabels": bottom},
+                **{
+                    "domain": [x0, x0 + wide],
+                    "anchor": f"y{tail}",
+                    "range": list(span),
+                    "showticklabels": bottom,
+                },
                 **linked,
             )
             layout[f"yaxis{tail}"] = _axis(
                 _view_axes(magnitude)[0][0] if left else "",
-                **{"domain": [y0, y0 + tall], "anchor": f"x{tail}", "showticklabels": left, "exponentformat": "power"},
-                **{"type": "log", "range": _log_range(*magnitude), "dtick": 1},
+                **{
+                    "domain": [y0, y0 + tall],
+                    "anchor": f"x{tail}",
+                    "showticklabels": left,
+                    "exponentformat": "power",
+                },
+                **_log_axis(*magnitude),
                 **({} if panel == 1 else {"matches": "y"}),
             )
             layout["annotations"].append(_corner(f"Φ<sub>{r}{e}</sub>", x0 + wide, y0 + tall))
@@ -400,13 +452,21 @@ def _grid_layout(
 
 
 def _corner(text: str, x: float, y: float) -> Figure:
-    place = {"x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "right", "yanchor": "top", "xshift": -4}
+    place = {
+        "x": x,
+        "y": y,
+        "xref": "paper",
+        "yref": "paper",
+        "xanchor": "right",
+        "yanchor": "top",
+        "xshift": -4,
+    }
     return {**place, "text": text, "showarrow": False, "yshift": -3, "bgcolor": "rgba(255,255,255,0.75)"}
 
 
 def _view_axes(magnitude: tuple[float, float]) -> list[tuple[str, dict[str, Any]]]:
     """Return title and settings of the vertical axes in each view."""
-    log = {"type": "log", "range": _log_range(*magnitude), "dtick": 1, "autorange": False}
+    log = {**_log_axis(*magnitude), "autorange": False}
     turn = {"type": "linear", "range": [-185.0, 185.0], "dtick": 90, "autorange": False}
     free = {"type": "linear", "dtick": None, "autorange": True}
     return [
@@ -425,21 +485,29 @@ def _view_menu(views: Sequence[Sequence[Any]], panels: Any, magnitude: tuple[flo
     buttons = []
     for number_, (title, settings) in enumerate(_view_axes(magnitude)):
         relayout = {f"{name}.{key}": value for name in names for key, value in settings.items()}
-        y = [views[k][number_] for k in lines]
         buttons.append(
             {
                 "label": title.partition(" [")[0],
                 "method": "skip",
                 # Read by report.js: plotly's own buttons cannot change two sets of traces at once.
-                "args": [{"lines": lines, "fills": fills, "y": y, "band": number_ == 0, "title": title, "layout": relayout}],
+                "args": [
+                    {
+                        "lines": lines,
+                        "fills": fills,
+                        "y": [views[k][number_] for k in lines],
+                        "band": number_ == 0,
+                        "title": title,
+                        "layout": relayout,
+                    }
+                ],
             }
         )
-    place = {"x": 0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "pad": {"b": 46}}
+    place = {"x": 0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "pad": {"b": 10}}
     return {"type": "buttons", "direction": "right", "showactive": True, "buttons": buttons, **place}
 
 
 def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure | None:
-    """Return coherence by response and, for sweeps, the condition number of the forces; None without either."""
+    """Return coherence by response and, for sweeps, the condition of the forces; None without either."""
     measured = [m for m in measurements if not m.is_model]
     responses = [r for r in "xyz" if any(m.coherences(r) for m in measured)]
     conditioned = [m for m in measured if m.condition() is not None]
@@ -451,7 +519,8 @@ def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line
     for panel, r in enumerate(responses, 1):
         for m in measured:
             for e, values in m.coherences(r):
-                data.append(_quality_line(m, looks[m.name], values, f"response {r}, force {e}" if e else f"response {r}"))
+                what = f"response {r}, force {e}" if e else f"response {r}"
+                data.append(_quality_line(m, looks[m.name], values, what))
                 data[-1].update(_on(panel), showlegend=m.name not in named)
                 data[-1]["line"]["dash"] = EXCITATION_DASHES[e]
                 named.add(m.name)
@@ -477,7 +546,9 @@ def _quality_line(m: Measurement, look: Line, values: NDArray[np.float64], what:
     }
 
 
-def _quality_layout(responses: Sequence[str], conditioned: Sequence[Measurement], span: tuple[float, float]) -> Figure:
+def _quality_layout(
+    responses: Sequence[str], conditioned: Sequence[Measurement], span: tuple[float, float]
+) -> Figure:
     rows = bool(responses) + bool(conditioned)
     layout = _layout(140 + 210 * rows, annotations=[], shapes=[])
     count = len(responses)
@@ -489,7 +560,11 @@ def _quality_layout(responses: Sequence[str], conditioned: Sequence[Measurement]
         x0 = (panel - 1) * (wide + gap)
         linked = {} if panel == 1 else {"matches": "x"}
         layout[f"xaxis{tail}"] = _axis(
-            "" if conditioned else "frequency [Hz]", domain=[x0, x0 + wide], anchor=f"y{tail}", range=list(span), **linked
+            "" if conditioned else "frequency [Hz]",
+            domain=[x0, x0 + wide],
+            anchor=f"y{tail}",
+            range=list(span),
+            **linked,
         )
         layout[f"yaxis{tail}"] = _axis(
             "coherence [1]" if panel == 1 else "", domain=[floor, 1.0], anchor=f"x{tail}", range=[-0.02, 1.05]
@@ -505,17 +580,25 @@ def _quality_layout(responses: Sequence[str], conditioned: Sequence[Measurement]
 def _add_condition(
     layout: Figure, panel: int, conditioned: Sequence[Measurement], span: tuple[float, float], top: float
 ) -> None:
-    """Add the panel of condition numbers; what is badly conditioned is shaded in all panels of the same frequencies."""
+    """Add the panel of condition numbers; what is badly conditioned is shaded."""
     tail = "" if panel == 1 else str(panel)
     linked = {} if panel == 1 else {"matches": "x"}
     layout[f"xaxis{tail}"] = _axis("frequency [Hz]", anchor=f"y{tail}", range=list(span), **linked)
-    highest = max(float(np.nanmax(c[np.isfinite(c)], initial=1.0)) for m in conditioned if (c := m.condition()) is not None)
+    numbers = [c for m in conditioned if (c := m.condition()) is not None]
+    highest = max(float(c[np.isfinite(c)].max(initial=1.0)) for c in numbers)
     layout[f"yaxis{tail}"] = _axis(
         "condition number of the forces [1]" if panel == 1 else "condition number [1]",
-        **{"type": "log", "domain": [0.0, top], "anchor": f"x{tail}", "dtick": 1},
-        range=_log_range(1.0, max(1.5 * highest, 2.0 * BAD_CONDITION)),
+        **{"domain": [0.0, top], "anchor": f"x{tail}"},
+        **_log_axis(1.0, max(1.5 * highest, 2.0 * BAD_CONDITION)),
     )
-    on = {"xref": f"x{tail}", "yref": f"y{tail} domain", "y0": 0, "y1": 1, "layer": "below", "line": {"width": 0}}
+    on = {
+        "xref": f"x{tail}",
+        "yref": f"y{tail} domain",
+        "y0": 0,
+        "y1": 1,
+        "layer": "below",
+        "line": {"width": 0},
+    }
     for m in conditioned:
         half = 0.5 * float(np.median(np.diff(m.frequency))) if m.frequency.size > 1 else 0.0
         for a, b in m.bad_bands():
@@ -531,4 +614,5 @@ def bad_bands_text(m: Measurement) -> str:
     found = m.bad_bands()
     if not found:
         return f"the condition number of the forces stays below {BAD_CONDITION:g} at every frequency."
-    return f"the condition number of the forces exceeds {BAD_CONDITION:g} (badly conditioned) at {band_text(found)}."
+    what = f"the condition number of the forces exceeds {BAD_CONDITION:g} (badly conditioned)"
+    return f"{what} at {band_text(found)}."

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smfe.report.results import Measurement, Results
 
-# Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis of a spectrum.
+# Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
 _DASHES = ("solid", "dash", "dot", "dashdot")
 CHATTER = "#D55E00"
@@ -73,7 +73,9 @@ def number(value: object, digits: int = 4) -> str:
     text = f"{x:.{digits}g}"
     if "e" in text and 1e-4 <= abs(x) < 1e7:
         text = f"{float(text):.0f}"
-    return re.sub(r"e([+-])0*(\d+)", lambda m: f"·10^{'-' if m[1] == '-' else ''}{m[2]}", text).replace("-", "−")
+    return re.sub(r"e([+-])0*(\d+)", lambda m: f"·10^{'-' if m[1] == '-' else ''}{m[2]}", text).replace(
+        "-", "−"
+    )
 
 
 def band_text(pairs: Iterable[tuple[float, float]], limit: int = 12) -> str:
@@ -86,18 +88,23 @@ def band_text(pairs: Iterable[tuple[float, float]], limit: int = 12) -> str:
 def axes_of(measurements: Sequence[Measurement]) -> tuple[list[str], list[str]]:
     """Return the responses and the excitations that anyone has measured."""
     entries = {pair for m in measurements for pair in m.entries}
-    return ([a for a in "xyz" if any(a == r for r, _ in entries)], [a for a in "xyz" if any(a == e for _, e in entries)])
+    responses, excitations = {r for r, _ in entries}, {e for _, e in entries}
+    return [a for a in "xyz" if a in responses], [a for a in "xyz" if a in excitations]
 
 
 def frequency_range(measurements: Sequence[Measurement]) -> tuple[float, float]:
     """Return the band [Hz] to show first: where the machine is flexible.
 
-    From zero to a quarter beyond the last frequency at which any entry exceeds 5 % of the largest magnitude, and
-    not beyond the data. A hammer reaches far higher than what is of interest.
+    From zero to a quarter beyond the last frequency at which any entry exceeds 5 % of the largest magnitude,
+    and not beyond the data. A hammer reaches far higher than what is of interest.
     """
     shown = [m for m in measurements if not m.is_model] or list(measurements)
     parts = [(m.frequency, np.abs(m.data["compliance"].transpose("frequency", ...).values)) for m in shown]
-    parts = [(f, magnitude.reshape(f.size, -1)) for f, magnitude in parts if f.size and np.isfinite(magnitude).any()]
+    parts = [
+        (f, magnitude.reshape(f.size, -1))
+        for f, magnitude in parts
+        if f.size and np.isfinite(magnitude).any()
+    ]
     if not parts:
         return 0.0, 1.0
     level = 0.05 * max(float(np.nanmax(magnitude)) for _, magnitude in parts)
@@ -123,14 +130,14 @@ def magnitude_range(measurements: Sequence[Measurement], span: tuple[float, floa
 def magnitude_band(
     values: NDArray[np.complex128], std: NDArray[np.float64], floor: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return magnitude -+ two standard deviations [um/N], not below a floor that a logarithmic axis can show."""
+    """Return magnitude -+ two standard deviations [um/N], not below a floor for the logarithmic axis."""
     magnitude = 1e6 * np.abs(values)
     spread = 2e6 * std
     return np.maximum(magnitude - spread, floor), magnitude + spread
 
 
 def depth_range(depths: Sequence[NDArray[np.float64]], tests: NDArray[np.float64]) -> float:
-    """Return the upper end of the axis of depths [mm]: the tests and the lobes, but not a lone peak between two lobes."""
+    """Return the upper end of the axis of depths [mm]: tests and lobes, but not a lone high peak."""
     joined = np.concatenate([d[np.isfinite(d)] for d in depths]) if depths else np.empty(0)
     highest_test = 1.3 * float(tests.max(initial=0.0))
     if not joined.size:

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from smfe.report import figures, interactive, tables
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
-from smfe.report.results import Lobes, Measurement, Results, read_results
+from smfe.report.results import Lobes, Measurement, Results, bands, read_results
 from smfe.store import write_atomically
 
 Progress = Callable[[int, int], None]
@@ -94,8 +94,19 @@ def render(results: Results, looks: dict[str, Line]) -> str:
     )
 
 
-def _embedded(content: Any) -> str:
-    """Return JSON that cannot end the script element it stands in."""
+def _embedded(plots: dict[str, Any]) -> str:
+    """Return JSON that cannot end the script element it stands in; the same array is written once."""
+    arrays: dict[str, int] = {}
+
+    def shared(part: Any) -> Any:
+        if isinstance(part, dict):
+            if "bdata" in part:
+                return {"array": arrays.setdefault(json.dumps(part), len(arrays))}
+            return {key: shared(value) for key, value in part.items()}
+        return [shared(value) for value in part] if isinstance(part, list) else part
+
+    content = {"plots": shared(plots), "arrays": []}
+    content["arrays"] = [json.loads(text) for text in arrays]
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
@@ -133,7 +144,7 @@ def _lobes(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> l
     out = []
     for position, (request, lobes) in enumerate(results.requests.items(), 1):
         tests = figures.tests_of(results.chatter, request)
-        name = f"lobes-{position}"
+        name = f"plot-lobes-{position}"
         plots[name] = interactive.lobes_figure(lobes, tests, looks)
         out.append(
             {
@@ -151,22 +162,29 @@ def _lobes(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> l
 def _unlimited(item: Lobes) -> str:
     """Return the speeds without a limit, "" when there are none."""
     speed = item.data["spindle_speed"].values.astype(float)
-    pairs = interactive.bands(speed, np.isinf(item.values("limit_depth")))
+    pairs = bands(speed, np.isinf(item.values("limit_depth")))
     return band_text(pairs).removesuffix(" Hz") + " rpm" if pairs else ""
 
 
 def _spectra(results: Results, plots: dict[str, Any]) -> dict[str, Any]:
     tests = []
     for position, dataset in enumerate(results.spectra.values(), 1):
-        name = f"spectrum-{position}"
+        name = f"plot-spectrum-{position}"
         plots[name] = interactive.spectrum_figure(dataset)
-        attrs = dataset.attrs
-        tests.append({"plot": name, "attrs": {**_NO_TEST, **attrs}, "observed": _observed(results.chatter, position - 1)})
+        observed = _observed(results.chatter, position - 1)
+        tests.append({"plot": name, "attrs": {**_NO_TEST, **dataset.attrs}, "observed": observed})
     table = None
     if results.chatter is not None:
-        frame = results.chatter.dropna(axis="columns", how="all")
+        # Each reason stands below its spectrum.
+        frame = results.chatter.drop(columns="reason" if results.spectra else [], errors="ignore")
+        frame = frame.dropna(axis="columns", how="all")
         table = tables.table(frame, f"{len(frame)} cutting tests", lambda row: str(row["verdict"]))
-    return {"tests": tests, "table": table, "outside": _outside(results), "disagree": _disagreeing(results.chatter)}
+    return {
+        "tests": tests,
+        "table": table,
+        "outside": _outside(results),
+        "disagree": _disagreeing(results.chatter),
+    }
 
 
 _NO_TEST: dict[str, Any] = {
@@ -181,7 +199,7 @@ _NO_TEST: dict[str, Any] = {
 
 
 def _observed(chatter: pd.DataFrame | None, row: int) -> str:
-    """Return what the engineer observed in a test; spectra and rows of chatter.csv stand in the same order."""
+    """Return what the engineer observed; spectra and rows of chatter.csv stand in the same order."""
     if chatter is None or "observed" not in chatter or row >= len(chatter):
         return ""
     value = chatter["observed"].iloc[row]
@@ -208,14 +226,14 @@ def _disagreeing(chatter: pd.DataFrame | None) -> list[str]:
 def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> dict[str, Any]:
     shown = [m for m in results.measurements if m.entries]
     if shown:
-        plots["compliance"] = interactive.compliance_figure(shown, looks)
+        plots["plot-compliance"] = interactive.compliance_figure(shown, looks)
         quality = interactive.quality_figure(shown, looks)
         if quality is not None:
-            plots["quality"] = quality
+            plots["plot-quality"] = quality
     return {
         "rows": [_measurement_row(m, looks[m.name]) for m in results.measurements],
         "any": bool(shown),
-        "quality": "quality" in plots,
+        "quality": "plot-quality" in plots,
         "uncertain": any(m.std(*pair) is not None for m in shown for pair in m.entries),
         "conditions": [(m.name, interactive.bad_bands_text(m)) for m in shown if m.condition() is not None],
     }
@@ -261,6 +279,8 @@ def _provenance(results: Results) -> dict[str, Any]:
         "created": str(content.get("created", "")),
         "versions": pairs("versions"),
         "seconds": pairs("seconds"),
-        "settings": json.dumps(content["settings"], indent=2, ensure_ascii=False) if content.get("settings") else "",
+        "settings": json.dumps(content["settings"], indent=2, ensure_ascii=False)
+        if content.get("settings")
+        else "",
         "inputs": [i for i in inputs if isinstance(i, dict)] if isinstance(inputs, list) else [],
     }

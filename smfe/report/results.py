@@ -1,4 +1,4 @@
-"""What a folder of results holds, read and checked once; a file that is absent is None or empty, never an error."""
+"""What a folder of results holds, read and checked once; an absent file is None or empty, never an error."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from process.labels import AXES, check_compliance
+from process.labels import check_compliance
 from smfe.store import read_groups, unpack_warnings
 
 BAD_CONDITION = 30.0
@@ -63,7 +63,9 @@ class Measurement:
     @property
     def entries(self) -> list[tuple[str, str]]:
         """(response, excitation) of every entry that is claimed at one frequency at least."""
-        pairs = ((str(r), str(e)) for r in self.data["response"].values for e in self.data["excitation"].values)
+        pairs = (
+            (str(r), str(e)) for r in self.data["response"].values for e in self.data["excitation"].values
+        )
         return [pair for pair in pairs if np.isfinite(self.entry(*pair)).any()]
 
     def entry(self, response: str, excitation: str) -> NDArray[np.complex128]:
@@ -143,7 +145,7 @@ class Lobes:
         return np.asarray(array.values[0], dtype=float), np.asarray(array.values[-1], dtype=float), label
 
     def curves(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
-        """Return speed [rpm], depth [mm], chatter frequency [Hz] of the single lobes, NaN between two of them."""
+        """Return speed [rpm], depth [mm], chatter frequency [Hz] of the single lobes, NaN between two."""
         names = ("curve_spindle_speed", "curve_limit_depth", "curve_chatter_frequency")
         if any(name not in self.data for name in names):
             return None
@@ -221,7 +223,9 @@ def read_results(folder: Path) -> Results:
         When the folder does not exist or a file in it cannot be read or lacks what it must hold.
     """
     if not folder.is_dir():
-        raise InputError(f"'{folder}' is not a folder of results; `smfe run CAMPAIGN --out {folder}` makes one")
+        raise InputError(
+            f"'{folder}' is not a folder of results; `smfe run CAMPAIGN --out {folder}` makes one"
+        )
     table = _read_csv(folder / "lobe_table.csv", ("source", "spindle_speed_rpm", "limit_depth_mm"))
     return Results(
         folder,
@@ -259,24 +263,31 @@ def _json_attr(path: Path, group: str, dataset: xr.Dataset, name: str) -> dict[s
         content = json.loads(dataset.attrs.get(name, "{}"))
         return {str(k): str(v) for k, v in content.items()}
     except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}, group '{group}': attribute '{name}' is not a JSON object; write it again") from error
+        raise InputError(
+            f"{path}, group '{group}': attribute '{name}' is not a JSON object; write it again"
+        ) from error
 
 
 def _warnings(path: Path, group: str, dataset: xr.Dataset) -> tuple[str, ...]:
     try:
         return tuple(str(w) for w in unpack_warnings(dataset))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path}, group '{group}': attribute 'warnings' is not a JSON list; write it again") from error
+        raise InputError(
+            f"{path}, group '{group}': attribute 'warnings' is not a JSON list; write it again"
+        ) from error
 
 
 def _require(path: Path, group: str, dataset: xr.Dataset, variables: Mapping[str, Sequence[str]]) -> None:
     """Raise unless every variable is there with its dimensions."""
     for name, dims in variables.items():
         if name not in dataset:
-            raise InputError(f"{path}, group '{group}' has no variable '{name}'; write it again with `smfe run`")
+            raise InputError(
+                f"{path}, group '{group}' has no variable '{name}'; write it again with `smfe run`"
+            )
         if set(dataset[name].dims) != set(dims):
             raise InputError(
-                f"{path}, group '{group}': '{name}' has the dimensions {dataset[name].dims}; {tuple(dims)} are needed"
+                f"{path}, group '{group}': '{name}' has the dimensions {dataset[name].dims}; "
+                f"{tuple(dims)} are needed"
             )
 
 
@@ -336,7 +347,11 @@ def _take_block(blocks: list[pd.DataFrame], request: str, source: str, dataset: 
 def _same_cut(block: pd.DataFrame, dataset: xr.Dataset) -> bool:
     for name in ("width_of_cut_mm", "feed_per_tooth_mm"):
         given = dataset.attrs.get(name)
-        if name in block and given is not None and not np.isclose(block[name].iloc[0], float(given), rtol=1e-6):
+        if (
+            name in block
+            and given is not None
+            and not np.isclose(block[name].iloc[0], float(given), rtol=1e-6)
+        ):
             return False
     return True
 
@@ -390,22 +405,28 @@ def _read_csv(path: Path, columns: Sequence[str]) -> pd.DataFrame | None:
         return None
     try:
         # Only an empty field is missing: a measurement may be called "NA".
-        frame = pd.read_csv(path, dtype=dict.fromkeys(_TEXT_COLUMNS, str), keep_default_na=False, na_values=[""])
+        frame = pd.read_csv(
+            path, dtype=dict.fromkeys(_TEXT_COLUMNS, str), keep_default_na=False, na_values=[""]
+        )
     except pd.errors.EmptyDataError:
         return pd.DataFrame(columns=list(columns))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} is not a readable CSV table ({error}); write it again with `smfe run`") from error
+        raise InputError(
+            f"{path} is not a readable CSV table ({error}); write it again with `smfe run`"
+        ) from error
     missing = [c for c in columns if c not in frame.columns]
     if missing:
         raise InputError(f"{path} has no column '{missing[0]}'; write it again with `smfe run`")
     text = [c for c in columns if c.endswith(("_rpm", "_mm", "_percent")) and not _is_number(frame[c])]
     if text:
-        raise InputError(f"{path}: column '{text[0]}' holds text instead of numbers; write it again with `smfe run`")
+        raise InputError(
+            f"{path}: column '{text[0]}' holds text instead of numbers; write it again with `smfe run`"
+        )
     return frame
 
 
 def _is_number(column: pd.Series[Any]) -> bool:
-    return bool(pd.api.types.is_numeric_dtype(column)) or column.isna().all()
+    return bool(pd.api.types.is_numeric_dtype(column) or column.isna().all())
 
 
 def _read_provenance(path: Path) -> Mapping[str, Any]:
@@ -418,6 +439,3 @@ def _read_provenance(path: Path) -> Mapping[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path} holds no JSON object; write it again with `smfe run`")
     return content
-
-
-__all__ = ["AXES", "BAD_CONDITION", "Lobes", "Measurement", "Results", "bands", "natural", "read_results"]

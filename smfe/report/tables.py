@@ -100,7 +100,7 @@ def table(frame: pd.DataFrame, summary: str = "", mark: Marker | None = None, di
 
 def true(value: object) -> bool:
     """Whether a cell of a table, read from a file, says yes."""
-    return (isinstance(value, bool | np.bool_) and bool(value)) or str(value).lower() in ("true", "yes", "1", "1.0")
+    return str(value).lower() in ("true", "yes", "1", "1.0")
 
 
 def _numeric(column: pd.Series[Any]) -> bool:
@@ -118,13 +118,17 @@ def hits(frame: pd.DataFrame, title: str) -> Table:
     if "used" not in frame:
         return table(frame, f"{title}: {len(frame)} rows")
     used = int(sum(true(v) for v in frame["used"]))
-    return table(frame, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected")
+    return table(
+        frame, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected"
+    )
 
 
 def comparison(frame: pd.DataFrame) -> tuple[list[str], Table]:
     """Return the headline sentences and the table of differences between measurements."""
     marked = table(
-        frame, f"{len(frame)} pairs of peaks", lambda row: "significant" if true(row.get("significant")) else ""
+        frame,
+        f"{len(frame)} pairs of peaks",
+        lambda row: "significant" if true(row.get("significant")) else "",
     )
     sentences = [f"{len(frame)} pairs of peaks were compared."]
     if "significant" not in frame:
@@ -153,7 +157,9 @@ def _largest(rows: pd.DataFrame) -> list[str]:
 
 def _named(row: pd.Series[Any]) -> str:
     """Return what a row of the comparison is about: its text cells, the entry in one word."""
-    parts = [str(v) for k, v in row.items() if isinstance(v, str) and v and k not in ("response", "excitation")]
+    parts = [
+        str(v) for k, v in row.items() if isinstance(v, str) and v and k not in ("response", "excitation")
+    ]
     entry = f"{row.get('response', '')}{row.get('excitation', '')}"
     return ", ".join([*parts, entry] if entry else parts)
 

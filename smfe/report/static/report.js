@@ -1,6 +1,13 @@
 "use strict";
 (function () {
-  const plots = JSON.parse(document.getElementById("plots").textContent);
+  const embedded = JSON.parse(document.getElementById("plots").textContent);
+  function resolve(part) {
+    if (Array.isArray(part)) return part.map(resolve);
+    if (part === null || typeof part !== "object") return part;
+    if ("array" in part) return embedded.arrays[part.array];
+    return Object.fromEntries(Object.entries(part).map(([key, value]) => [key, resolve(value)]));
+  }
+  const plots = resolve(embedded.plots);
   const names = Object.keys(plots);
   const config = {
     displaylogo: false,

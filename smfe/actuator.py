@@ -1,0 +1,669 @@
+"""Inertial actuator, stepped sine: records with constant-frequency steps -> compliance with its uncertainty.
+
+The steps are found on the force itself. In each, after the response has settled, a four-parameter sine fit of the
+force gives the frequency, and three-parameter fits of all responses at *that* frequency give ``Phi = X/F``. The
+coefficient of determination of the fits is the coherence indicator: ``R^2 = 1 - SS_res/SS = snr/(1 + snr)``. It also
+falls with distortion, which is therefore reported apart (THD). Sine fits: IEEE Std 1057.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, ndimage, signal
+
+from process.errors import InputError
+from process.labels import AXES, make_compliance, sample_interval
+from smfe.identification import Identification
+from smfe.spectra import as_displacement, check_records, force_samples, motion_axes, record_source
+
+
+@dataclass(frozen=True)
+class StepRules:
+    """How steps are found and judged.
+
+    Parameters
+    ----------
+    settling : float, optional
+        Time dropped at the beginning of each step [s]. Default: the first half of the step, as the damping is not
+        known beforehand; `stationary` tells whether it was enough.
+    minimum_cycles : int, optional
+        A step is fitted over at least this many cycles.
+    force_r_squared : float, optional
+        Least coefficient of determination of the force; below, it is no constant sine.
+    stationary : float, optional
+        A step has settled when the compliances of the two halves of its fitted part differ by less than this share
+        [1], or by less than three standard deviations.
+    frequency_tolerance : float, optional
+        Steps whose frequencies differ by less than this share [1] are one frequency. Half a percent of the half-power
+        width of a mode with 2 % damping by default; nothing is interpolated.
+    """
+
+    settling: float | None = None
+    minimum_cycles: int = 4
+    force_r_squared: float = 0.9
+    stationary: float = 0.01
+    frequency_tolerance: float = 2e-4
+
+
+@dataclass(frozen=True)
+class SineFit:
+    """A sine fitted to samples, ``Re(amplitude exp(j w t)) + offset``, t = 0 at the first sample.
+
+    Parameters
+    ----------
+    frequency : float
+        [Hz].
+    amplitude : complex
+        Peak amplitude, unit of the samples.
+    offset : float
+        Unit of the samples.
+    r_squared : float
+        Coefficient of determination [1].
+    variance : float
+        Of the residual, ``SS_res / (n - parameters)``.
+    thd : float
+        Total harmonic distortion, ``sqrt(sum_{h=2..5} |A_h|^2) / |A_1|``, of the harmonics below half the sampling
+        rate.
+    samples : int
+        n.
+    """
+
+    frequency: float
+    amplitude: complex
+    offset: float
+    r_squared: float
+    variance: float
+    thd: float
+    samples: int
+
+    @property
+    def amplitude_variance(self) -> float:
+        """Variance ``E |dA|^2 = 4 s^2/n`` of the complex amplitude for white noise: 2 s^2/n in each part."""
+        return 4.0 * self.variance / self.samples
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of constant frequency.
+
+    Parameters
+    ----------
+    excitation, source, number
+        Axis, file, number of the step in the record (from 1).
+    time, dwell, fitted : float
+        Start of the step, its length, and the length of the fitted part [s].
+    force : SineFit
+        Fit of the force [N].
+    responses : mapping of str to SineFit
+        Axis -> fit of the motion channel.
+    compliance, std : mapping of str to complex, float
+        Axis -> compliance and root mean square of its complex error [m/N].
+    drift : float
+        Largest relative difference of the compliances of the two halves of the fitted part [1].
+    settled : bool
+        Whether that difference is small or within its noise.
+    reason : str
+        Why it is not used; empty when it is.
+    """
+
+    excitation: str
+    source: str
+    number: int
+    time: float
+    dwell: float
+    fitted: float
+    force: SineFit
+    responses: Mapping[str, SineFit]
+    compliance: Mapping[str, complex]
+    std: Mapping[str, float]
+    drift: float
+    settled: bool
+    reason: str = ""
+
+
+def identify_actuator(
+    name: str,
+    records: Mapping[str, Sequence[xr.Dataset]],
+    *,
+    frequency_range: tuple[float, float] | None = None,
+    rules: StepRules | None = None,
+) -> Identification:
+    """Identify compliances from stepped sines.
+
+    Per step and response ``Phi = X/F`` with the complex amplitudes of sines of one and the same frequency, and ``var
+    Phi = (4/n) (s_x^2 + |Phi|^2 s_f^2) / |F|^2`` with the residual variances s^2 of both fits, white noise assumed
+    (harmonics count as noise: conservative). Where the two halves of the fitted part differ by more than three
+    standard deviations, their difference is added in quadrature. Repeats of a frequency are averaged with the inverse
+    variance.
+
+    Parameters
+    ----------
+    name : str
+        Name of the measurement.
+    records : mapping of str to sequence of xarray.Dataset
+        Excitation axis -> records of stepped sines.
+    frequency_range : (float, float), optional
+        Keep only these frequencies [Hz].
+    rules : StepRules, optional
+        How steps are found and judged.
+
+    Returns
+    -------
+    Identification
+        Compliance [m/N] at the frequencies of the steps, NaN where an excitation has no step at a frequency that
+        another one has; ``compliance_std``; ``coherence(frequency, response, excitation)``, the smaller R^2 of force
+        and response; table "steps".
+
+    Raises
+    ------
+    InputError
+        When there are no records, force or motion is missing, or the force never stays at one frequency.
+    """
+    rules = rules or StepRules()
+    check_records(name, records)
+    steps: list[Step] = []
+    notes: list[str] = []
+    for axis in AXES:
+        for index, record in enumerate(records.get(axis, ())):
+            found = fit_steps(record, axis, index, rules)
+            notes += _cover_note(record, axis, found)
+            steps += found
+    notes += _notes(steps)
+    compliance = _assemble(name, steps, frequency_range, rules)
+    return Identification(name, "actuator", compliance, {"steps": step_table(steps)}, tuple(notes))
+
+
+# --- sine fits -----------------------------------------------------------------------------------------------------
+
+
+def _basis(frequency: float, count: int, dt: float, harmonics: int) -> NDArray[np.float64]:
+    """Return columns cos, -sin of each harmonic and a constant, so that (a, b) is the amplitude a + j b."""
+    angle = 2.0 * np.pi * frequency * dt * np.arange(count)
+    columns = [part for h in range(1, harmonics + 1) for part in (np.cos(h * angle), -np.sin(h * angle))]
+    return np.stack([*columns, np.ones(count)], axis=1)
+
+
+def fit_sine(samples: NDArray[np.float64], dt: float, frequency: float, fitted_frequency: bool = False) -> SineFit:
+    """Fit a sine of known frequency (three parameters).
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n,)
+        The signal.
+    dt : float
+        Sampling interval [s].
+    frequency : float
+        [Hz].
+    fitted_frequency : bool, optional
+        Whether the frequency comes from these samples; then a fourth degree of freedom is spent.
+    """
+    n = samples.size
+    basis = _basis(frequency, n, dt, 1)
+    (a, b, offset), *_ = np.linalg.lstsq(basis, samples, rcond=None)
+    residual = samples - basis @ np.array([a, b, offset])
+    rss = float(residual @ residual)
+    tss = float(np.sum((samples - samples.mean()) ** 2))
+    return SineFit(
+        frequency=frequency,
+        amplitude=complex(a, b),
+        offset=float(offset),
+        r_squared=max(1.0 - rss / tss, 0.0) if tss > 0.0 else 0.0,
+        variance=rss / max(n - (4 if fitted_frequency else 3), 1),
+        thd=_distortion(samples, dt, frequency),
+        samples=n,
+    )
+
+
+def _distortion(samples: NDArray[np.float64], dt: float, frequency: float) -> float:
+    """Return the total harmonic distortion up to the fifth harmonic."""
+    highest = min(5, int(0.5 / (frequency * dt) * (1.0 - 1e-6)))
+    if highest < 2:
+        return float("nan")
+    parts, *_ = np.linalg.lstsq(_basis(frequency, samples.size, dt, highest), samples, rcond=None)
+    power = parts[0:-1:2] ** 2 + parts[1::2] ** 2
+    return float(np.sqrt(power[1:].sum() / power[0])) if power[0] > 0.0 else float("nan")
+
+
+def refine_frequency(samples: NDArray[np.float64], dt: float, frequency: float) -> float:
+    """Return the frequency [Hz] of the sine that fits best (four parameters, Gauss-Newton).
+
+    Each step solves ``A cos wt + B sin wt + C + dw t (B cos wt - A sin wt)`` for A, B, C and dw (IEEE Std 1057). Time
+    is counted from the middle, which makes frequency and phase nearly independent.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n,)
+        The signal.
+    dt : float
+        Sampling interval [s].
+    frequency : float
+        First guess [Hz], good to a fraction of 1/(n dt).
+    """
+    t = (np.arange(samples.size) - 0.5 * (samples.size - 1)) * dt
+    w = 2.0 * np.pi * frequency
+    largest = np.pi / (t[-1] - t[0])  # further than half a line at once, the linearisation means nothing
+    basis = np.stack([np.cos(w * t), np.sin(w * t), np.ones_like(t)], axis=1)
+    a, b, _ = np.linalg.lstsq(basis, samples, rcond=None)[0]
+    for _ in range(20):
+        cos, sin = np.cos(w * t), np.sin(w * t)
+        basis = np.stack([cos, sin, np.ones_like(t), t * (b * cos - a * sin)], axis=1)
+        a, b, _, change = np.linalg.lstsq(basis, samples, rcond=None)[0]
+        change = float(np.clip(change, -largest, largest))
+        w = w + change
+        if abs(change) < 1e-12 * w:
+            break
+    return float(w / (2.0 * np.pi))
+
+
+# --- finding steps -------------------------------------------------------------------------------------------------
+
+
+def find_steps(force: NDArray[np.float64], dt: float) -> list[tuple[int, int, float]]:
+    """Find the stretches in which a force is a sine of constant frequency and amplitude.
+
+    1. Frames of four cycles of the lowest frequency (below which 0.5 % of the energy lies), an eighth of a frame
+       apart: the frequency of a frame is the interpolated maximum of its Hann spectrum.
+    2. A run is a series of frames between which the frequency changes no more than its usual scatter (six median
+       deviations, at least 1e-4).
+    3. A sine is fitted to the middle of the run; the step reaches as far as the force, averaged over a cycle, stays
+       with that sine in phase (0.05 rad, or four times its scatter) and amplitude (20 %).
+    4. A step whose phase bends over its length is a stretch of a continuous sweep, or mixes two steps: dropped.
+    5. What is left of a run is searched with frames twice as long, which tell closer frequencies apart.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,)
+        [N].
+    dt : float
+        Sampling interval [s].
+
+    Returns
+    -------
+    list of (start, stop, frequency)
+        Samples (stop exclusive) and frequency [Hz].
+    """
+    force = force - force.mean()
+    if not np.any(force):
+        return []
+    frame = max(int(np.ceil(4.0 / (_lowest_frequency(force, dt) * dt))), 32)
+    loudest = float(np.abs(force).max())
+    found: list[tuple[int, int, float]] = []
+    pending = [(0, force.size, min(frame, force.size))]
+    while pending:
+        low, high, frame = pending.pop()
+        for start, stop, frequency in _steady_runs(force[low:high], dt, frame, loudest):
+            start, stop = start + low, stop + low
+            if any(a <= (start + stop) // 2 < b for a, b, _ in found):
+                continue
+            step = _grown(force, start, stop, frequency, dt)
+            if step is not None and not any(_shared(step, other) > 0.5 for other in found):
+                found.append(step)
+            first, last = step[:2] if step is not None else (stop, stop)
+            rest = [(start, min(first, stop)), (max(last, start), stop)]
+            pending += [(a, b, 2 * frame) for a, b in rest if b - a >= 8 * frame]
+    return sorted(found)
+
+
+def _lowest_frequency(force: NDArray[np.float64], dt: float) -> float:
+    energy = np.cumsum(np.abs(fft.rfft(force)) ** 2)
+    line = int(np.searchsorted(energy, 0.005 * energy[-1]))
+    return max(line, 1) / (force.size * dt)
+
+
+def _frame_frequencies(
+    force: NDArray[np.float64], starts: NDArray[np.intp], frame: int, dt: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequency [Hz] and amplitude of the strongest line of each frame (parabola through its logarithm)."""
+    window = signal.get_window("hann", frame)
+    padded = fft.next_fast_len(4 * frame, real=True)
+    frequency, size = np.empty(starts.size), np.empty(starts.size)
+    for k, start in enumerate(starts):
+        spectrum = np.abs(fft.rfft(force[start : start + frame] * window, padded))
+        top = int(np.clip(np.argmax(spectrum), 1, spectrum.size - 2))
+        low, mid, high = np.log(spectrum[top - 1 : top + 2] + 1e-300)
+        bend = low - 2.0 * mid + high
+        shift = 0.5 * (low - high) / bend if bend < 0.0 else 0.0
+        frequency[k] = (top + np.clip(shift, -1.0, 1.0)) / (padded * dt)
+        size[k] = spectrum[top]
+    return frequency, size
+
+
+def _steady_runs(
+    force: NDArray[np.float64], dt: float, frame: int, loudest: float
+) -> list[tuple[int, int, float]]:
+    """Return start, stop and frequency of runs of frames whose frequency stays, the longest first."""
+    starts = np.arange(0, force.size - frame + 1, max(frame // 8, 1))
+    frequency, size = _frame_frequencies(force, starts, frame, dt)
+    change = np.abs(np.diff(frequency)) / np.maximum(frequency[1:], 1e-300)
+    limit = max(6.0 * float(np.median(change)), 1e-4) if change.size else 1e-4
+    loud = size > 0.01 * loudest * 0.5 * frame  # 0.5 frame: gain of the Hann window
+    joined = (change <= limit) & loud[1:] & loud[:-1]
+    edges = [0, *(np.flatnonzero(~joined) + 1).tolist(), starts.size]
+    runs = [(a, b) for a, b in pairwise(edges) if loud[a] and (b - a > 2 or starts.size <= 2)]
+    runs.sort(key=lambda run: run[0] - run[1])
+    return [(int(starts[a]), int(starts[b - 1]) + frame, float(np.median(frequency[a:b]))) for a, b in runs]
+
+
+def _shared(step: tuple[int, int, float], other: tuple[int, int, float]) -> float:
+    """Return how much of the shorter step lies in the other one [1]."""
+    common = min(step[1], other[1]) - max(step[0], other[0])
+    return max(common, 0) / min(step[1] - step[0], other[1] - other[0])
+
+
+def _grown(
+    force: NDArray[np.float64], start: int, stop: int, frequency: float, dt: float
+) -> tuple[int, int, float] | None:
+    """Return the extent of a step, found again from its own middle while that makes it longer."""
+    step = _extent(force, start, stop, frequency, dt)
+    for _ in range(5):
+        longer = _extent(force, *step, dt) if step is not None else None
+        if step is None or longer is None or longer[1] - longer[0] <= 1.02 * (step[1] - step[0]):
+            break
+        step = longer
+    return step
+
+
+def _extent(
+    force: NDArray[np.float64], start: int, stop: int, frequency: float, dt: float
+) -> tuple[int, int, float] | None:
+    """Return where the force stays with the sine fitted to the middle of a run, or None when it is no step."""
+    quarter = (stop - start) // 4
+    middle = slice(start + quarter, stop - quarter)
+    frequency = refine_frequency(force[middle], dt, frequency)
+    if not 0.0 < frequency * dt < 0.5:
+        return None
+    low, high = max(2 * start - stop, 0), min(2 * stop - start, force.size)
+    relative, limit = _relative_to_sine(force, slice(low, high), middle, frequency, dt)
+    if limit > 1.0:  # the middle is no sine of one frequency
+        return None
+    with_it = (np.abs(np.angle(relative)) <= limit) & (np.abs(np.abs(relative) - 1.0) <= max(0.2, limit))
+    centre = (start + stop) // 2 - low
+    left, right = np.flatnonzero(~with_it[:centre]), np.flatnonzero(~with_it[centre:])
+    first = int(left[-1]) + 1 if left.size else 0
+    last = centre + int(right[0]) if right.size else with_it.size
+    if (last - first) * dt * frequency < 4.0:
+        return None
+    x = np.linspace(-1.0, 1.0, last - first)
+    bend = np.polynomial.legendre.legfit(x, np.angle(relative[first:last]), 2)[2]
+    # A chirp bends by the whole limit (|c| = 2/3 of it), a step by its scatter over many cycles.
+    return None if abs(bend) > 0.3 * limit else (low + first, low + last, frequency)
+
+
+def _relative_to_sine(
+    force: NDArray[np.float64], part: slice, middle: slice, frequency: float, dt: float
+) -> tuple[NDArray[np.complex128], float]:
+    """Return the force as a complex multiple of the sine in the middle, and the limit of its phase [rad]."""
+    mixed = force[part] * np.exp(-2j * np.pi * frequency * dt * np.arange(part.start, part.stop))
+    cycle = max(round(1.0 / (frequency * dt)), 1)
+    averaged = ndimage.uniform_filter1d(mixed.real, cycle) + 1j * ndimage.uniform_filter1d(mixed.imag, cycle)
+    inner = averaged[middle.start - part.start : middle.stop - part.start]
+    reference = complex(inner.mean())
+    if reference == 0.0:
+        return np.zeros_like(averaged), 0.05
+    return averaged / reference, max(0.05, 4.0 * float(np.std(np.angle(inner / reference))))
+
+
+# --- steps -> compliance -------------------------------------------------------------------------------------------
+
+
+def fit_steps(record: xr.Dataset, excitation: str, index: int = 0, rules: StepRules | None = None) -> list[Step]:
+    """Find and fit the steps of a record.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        A record with ``force`` along `excitation` and a motion channel.
+    excitation : str
+        Axis of the actuator.
+    index : int, optional
+        Position of the record among those of its axis.
+    rules : StepRules, optional
+        How steps are found and judged.
+
+    Raises
+    ------
+    InputError
+        When the force never stays at one frequency.
+    """
+    rules = rules or StepRules()
+    source = record_source(record, index)
+    force = force_samples(record, excitation, source)
+    dt = sample_interval(record)
+    time = record["time"].values
+    channel, axes = motion_axes(record)
+    motion = {axis: record[channel].sel(axis=axis).values for axis in axes}
+    steps = []
+    for number, (start, stop, frequency) in enumerate(find_steps(force, dt), start=1):
+        part = _settled_part(start, stop, frequency, dt, rules)
+        fits = _fit_part(force, motion, channel, part, frequency, dt)
+        steps.append(
+            _step(fits, rules, excitation, source, number, float(time[start]), (stop - start) * dt)
+        )
+    if not any(not step.reason for step in steps):
+        raise _no_steps(force, source, excitation)
+    return steps
+
+
+def _no_steps(force: NDArray[np.float64], source: str, excitation: str) -> InputError:
+    departure = np.abs(force - np.median(force))
+    if float(np.mean(departure > 0.2 * departure.max())) < 0.1:
+        looks = "it looks like hammer hits: declare method = 'hammer'"
+    else:
+        looks = "a continuous sweep is not a stepped sine"
+    return InputError(
+        f"{source}: force_{excitation} never stays a sine of one frequency long enough for a fit; {looks}, or hold "
+        "each frequency longer"
+    )
+
+
+def _settled_part(start: int, stop: int, frequency: float, dt: float, rules: StepRules) -> slice:
+    """Return the whole cycles at the end of a step that are left after settling."""
+    drop = (stop - start) // 2 if rules.settling is None else round(rules.settling / dt)
+    cycles = max(int((stop - start - drop) * frequency * dt), 0)
+    return slice(stop - round(cycles / (frequency * dt)), stop)
+
+
+@dataclass(frozen=True)
+class _PartFits:
+    """Fits of one part of a step: everything, and the compliances of both halves."""
+
+    force: SineFit
+    responses: dict[str, SineFit]
+    compliance: dict[str, complex]
+    std: dict[str, float]
+    halves: tuple[dict[str, complex], dict[str, complex]]
+    half_std: dict[str, float]
+    length: float
+
+
+def _fit_part(
+    force: NDArray[np.float64],
+    motion: Mapping[str, NDArray[np.float64]],
+    channel: str,
+    part: slice,
+    frequency: float,
+    dt: float,
+) -> _PartFits:
+    length = part.stop - part.start
+    if length >= 8:
+        frequency = refine_frequency(force[part], dt, frequency)
+    middle = part.start + length // 2
+    whole, early, late = (
+        _fit_channels(force, motion, channel, s, frequency, dt)
+        for s in (part, slice(part.start, middle), slice(middle, part.stop))
+    )
+    half_std = {axis: float(np.hypot(early[3][axis], late[3][axis])) for axis in motion}
+    return _PartFits(*whole, (early[2], late[2]), half_std, length * dt)
+
+
+def _fit_channels(
+    force: NDArray[np.float64],
+    motion: Mapping[str, NDArray[np.float64]],
+    channel: str,
+    part: slice,
+    frequency: float,
+    dt: float,
+) -> tuple[SineFit, dict[str, SineFit], dict[str, complex], dict[str, float]]:
+    """Fit force and responses; return both, compliances and their standard deviations."""
+    force_fit = fit_sine(force[part], dt, frequency, fitted_frequency=True)
+    fits = {axis: fit_sine(samples[part], dt, frequency) for axis, samples in motion.items()}
+    size = abs(force_fit.amplitude)
+    compliance, std = {}, {}
+    for axis, fit in fits.items():
+        to_displacement = complex(as_displacement(np.ones((1, 1), complex), np.array([frequency]), channel)[0, 0])
+        gain = to_displacement * fit.amplitude / force_fit.amplitude if size > 0.0 else complex("nan")
+        noise = abs(to_displacement) ** 2 * fit.amplitude_variance + abs(gain) ** 2 * force_fit.amplitude_variance
+        compliance[axis] = gain
+        std[axis] = float(np.sqrt(noise)) / size if size > 0.0 else float("nan")
+    return force_fit, fits, compliance, std
+
+
+def _step(
+    fits: _PartFits, rules: StepRules, excitation: str, source: str, number: int, time: float, dwell: float
+) -> Step:
+    drift, settled, std = 0.0, True, dict(fits.std)
+    for axis, value in fits.compliance.items():
+        difference = abs(fits.halves[1][axis] - fits.halves[0][axis])
+        drift = max(drift, difference / abs(value)) if value != 0.0 else drift
+        if difference > 3.0 * fits.half_std[axis]:
+            # What has not settled is about as wrong as its halves differ, and the residual does not know it.
+            std[axis] = float(np.hypot(std[axis], difference))
+            settled = settled and difference <= rules.stationary * abs(value)
+    reason = ""
+    if round(fits.length * fits.force.frequency) < rules.minimum_cycles:
+        reason = f"only {fits.length * fits.force.frequency:.1f} cycles are left after settling"
+    elif not fits.force.r_squared >= rules.force_r_squared:
+        reason = f"the force is no sine: R^2 = {fits.force.r_squared:.3f}"
+    return Step(
+        excitation=excitation,
+        source=source,
+        number=number,
+        time=time,
+        dwell=dwell,
+        fitted=fits.length,
+        force=fits.force,
+        responses=fits.responses,
+        compliance=fits.compliance,
+        std=std,
+        drift=drift,
+        settled=settled,
+        reason=reason,
+    )
+
+
+def step_table(steps: Sequence[Step]) -> pd.DataFrame:
+    """Return one row a step; R^2 and THD of an axis that was not recorded are NaN."""
+    table: dict[str, list[object]] = {
+        "excitation": [s.excitation for s in steps],
+        "file": [s.source for s in steps],
+        "step": [s.number for s in steps],
+        "time_s": [s.time for s in steps],
+        "dwell_s": [s.dwell for s in steps],
+        "fitted_s": [s.fitted for s in steps],
+        "frequency_Hz": [s.force.frequency for s in steps],
+        "force_N": [abs(s.force.amplitude) for s in steps],
+        "r_squared_force": [s.force.r_squared for s in steps],
+        "thd_force": [s.force.thd for s in steps],
+    }
+    for axis in AXES:
+        if any(axis in s.responses for s in steps):
+            fits = [s.responses.get(axis) for s in steps]
+            table[f"r_squared_{axis}"] = [fit.r_squared if fit else np.nan for fit in fits]
+            table[f"thd_{axis}"] = [fit.thd if fit else np.nan for fit in fits]
+    table["drift_percent"] = [100.0 * s.drift for s in steps]
+    table["settled"] = [s.settled for s in steps]
+    table["used"] = [not s.reason for s in steps]
+    table["reason"] = [s.reason for s in steps]
+    return pd.DataFrame(table)
+
+
+def _assemble(
+    name: str, steps: Sequence[Step], wanted: tuple[float, float] | None, rules: StepRules
+) -> xr.Dataset:
+    """Put the steps on the union of their frequencies."""
+    used = sorted((s for s in steps if not s.reason), key=lambda s: s.force.frequency)
+    if wanted is not None:
+        used = [s for s in used if wanted[0] <= s.force.frequency <= wanted[1]]
+    if not used:
+        where = f"none lies between {wanted[0]:.4g} and {wanted[1]:.4g} Hz" if wanted else "none can be used"
+        raise InputError(f"measurement '{name}' has {len(steps)} steps, but {where}; see why in the table of steps")
+    f = np.array([s.force.frequency for s in used])
+    line = np.concatenate([[0], np.cumsum(np.diff(f) > rules.frequency_tolerance * f[1:])]).astype(int)
+    frequency = np.bincount(line, f) / np.bincount(line)
+    responses = [axis for axis in AXES if any(axis in s.responses for s in used)]
+    excitations = [axis for axis in AXES if any(s.excitation == axis for s in used)]
+    shape = (frequency.size, len(responses), len(excitations))
+    values, std, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
+    for i in range(frequency.size):
+        here = [s for s, at in zip(used, line, strict=True) if at == i]
+        for k, excitation in enumerate(excitations):
+            for j, response in enumerate(responses):
+                repeats = [s for s in here if s.excitation == excitation and response in s.responses]
+                if repeats:
+                    values[i, j, k], std[i, j, k], coherence[i, j, k] = _merge(repeats, response)
+    dims = ("frequency", "response", "excitation")
+    extra = {"compliance_std": (dims, std), "coherence": (dims, coherence)}
+    return make_compliance(frequency, values, responses, excitations, extra)
+
+
+def _merge(repeats: Sequence[Step], response: str) -> tuple[complex, float, float]:
+    """Return the mean of repeats weighted with the inverse variance, its standard deviation and their mean R^2.
+
+    The standard deviation is the larger of what the fits and what the scatter of the repeats say.
+    """
+    value = np.array([s.compliance[response] for s in repeats])
+    std = np.array([s.std[response] for s in repeats])
+    r2 = float(np.mean([min(s.force.r_squared, s.responses[response].r_squared) for s in repeats]))
+    weight = 1.0 / std**2 if np.all(std > 0.0) else np.ones(value.size)
+    weight = weight / weight.sum()
+    mean = complex(weight @ value)
+    noise = float(np.sqrt(weight**2 @ std**2))
+    n = value.size
+    scatter = float(np.sqrt(weight @ np.abs(value - mean) ** 2 / (n - 1))) if n > 1 else 0.0
+    return mean, max(noise, scatter), r2
+
+
+def _cover_note(record: xr.Dataset, excitation: str, steps: Sequence[Step]) -> Iterable[str]:
+    """Say how much of the excitation is in no step: gaps between steps are silent, a missed step is not."""
+    force = force_samples(record, excitation)
+    energy = float(np.sum((force - force.mean()) ** 2)) * sample_interval(record)
+    covered = sum(step.dwell * 0.5 * abs(step.force.amplitude) ** 2 / step.force.r_squared for step in steps)
+    if covered < 0.9 * energy:
+        yield (
+            f"excitation {excitation}: {steps[0].source}: {100.0 * (1.0 - covered / energy):.2g} % of the energy of "
+            "the force is in no step of constant frequency (steps too short, or swept parts)"
+        )
+
+
+def _notes(steps: Sequence[Step]) -> Iterable[str]:
+    """Yield what the engineer has to know."""
+    for step in steps:
+        if step.reason:
+            yield (
+                f"excitation {step.excitation}: {step.source}, step {step.number} at {step.force.frequency:.4g} Hz "
+                f"is not used: {step.reason}"
+            )
+    used = [s for s in steps if not s.reason]
+    moving = [s for s in used if not s.settled]
+    if moving:
+        worst = max(moving, key=lambda s: s.drift)
+        yield (
+            f"{len(moving)} of {len(used)} steps have not settled; the worst, {worst.excitation} at "
+            f"{worst.force.frequency:.4g} Hz, changes by {100.0 * worst.drift:.2g} % within the fitted part (dwell "
+            "longer)"
+        )
+    distorted = [s for s in used if s.force.thd > 0.1]
+    if distorted:
+        worst = max(distorted, key=lambda s: s.force.thd)
+        yield (
+            f"{len(distorted)} of {len(used)} steps have a force distortion above 10 %, the worst "
+            f"{100.0 * worst.force.thd:.2g} % ({worst.excitation} at {worst.force.frequency:.4g} Hz); R^2 falls "
+            "without noise there"
+        )
