@@ -18,7 +18,8 @@ from smfe.actuator import identify_actuator
 from smfe.identification import Identification
 from smfe.pipeline import LobeResult, chatter, demo, identify, lobes, run
 from smfe.records import read_records
-from smfe.sweep import LocalPolynomial, Segments, SingleReference, SweepPass, identify_sweep
+from smfe.sweep import identify_sweep
+from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
 
 __all__ = [
     "Campaign",

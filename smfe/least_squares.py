@@ -47,8 +47,10 @@ class Solution:
 
     Parameters
     ----------
-    compliance, std : ndarray, shape (r, e)
-        Compliance [m/N] and the root mean square of its complex error.
+    compliance : ndarray of complex, shape (r, e)
+        Compliance [m/N].
+    covariance : ndarray of complex, shape (r, e, e)
+        Covariance of the complex errors of each row, ``E[d_j conj(d_k)]`` [m2/N2].
     coherence : ndarray, shape (r,)
         Adjusted multiple coherence.
     condition : float
@@ -58,10 +60,16 @@ class Solution:
     """
 
     compliance: Complex
-    std: Real
+    covariance: Complex
     coherence: Real
     condition: float
     residual: Real
+
+    @property
+    def std(self) -> Real:
+        """Root mean square of the complex error of each entry [m/N], shape (r, e)."""
+        variance: Real = np.diagonal(self.covariance, axis1=1, axis2=2).real
+        return np.sqrt(variance)
 
 
 def condition_number(force: Complex) -> float:
@@ -95,38 +103,40 @@ def solve(columns: Columns, excitations: int, noise: Real | None = None) -> Solu
     unit = columns.regressors / scale[:, None]
     shape = (rows, excitations)
     estimate = np.full(shape, np.nan, dtype=complex)
-    std, coherence = np.full(shape, np.nan), np.full(rows, np.nan)
+    covariance = np.full((*shape, excitations), np.nan, dtype=complex)
+    coherence = np.full(rows, np.nan)
     residual = np.full((rows, tests), np.nan)
     condition = condition_number(columns.regressors[:excitations])
     if m <= p or not np.isfinite(condition):
-        return Solution(estimate, std, coherence, condition, residual)
+        return Solution(estimate, covariance, coherence, condition, residual)
     for i in range(rows):
         weight = np.ones(m) if noise is None else 1.0 / np.sqrt(noise[i, columns.test])
         x = columns.response[i]
-        gain, covariance = _row(unit, x, weight, columns.correlation)
+        gain, spread = _row(unit, x, weight, columns.correlation)
         left = x - gain @ unit
         power = float(np.sum(np.abs(weight * left) ** 2)) / _freedom(unit, weight, columns.correlation)
         estimate[i] = gain[:excitations] / scale[:excitations]
-        std[i] = np.sqrt(power * np.diag(covariance).real[:excitations]) / scale[:excitations]
+        forces = scale[:excitations]
+        covariance[i] = power * spread[:excitations, :excitations] / np.outer(forces, forces)
         total = float(np.sum(np.abs(weight * x) ** 2))
         coherence[i] = 1.0 - power * m / total if total > 0.0 else np.nan
         for test in range(tests):
             mine = columns.test == test
             residual[i, test] = np.mean(np.abs(left[mine]) ** 2) * m / (m - p) if mine.any() else np.nan
-    return Solution(estimate, std, np.clip(coherence, 0.0, 1.0), condition, residual)
+    return Solution(estimate, covariance, np.clip(coherence, 0.0, 1.0), condition, residual)
 
 
 def _row(unit: Complex, x: Complex, weight: Real, correlation: Complex | None) -> tuple[Complex, Complex]:
-    """Solve one response by QR (never by normal equations); return the gains and their covariance for unit noise."""
+    """Solve one response by QR, never by normal equations; return gains and ``E[d_j conj(d_k)]`` for unit noise."""
     q, r = np.linalg.qr((unit * weight).conj().T)
     turned = np.linalg.lstsq(r, q.conj().T @ (x * weight).conj(), rcond=None)[0]
     gain = np.asarray(turned.conj(), dtype=np.complex128)
     inverse: Complex = np.linalg.pinv(r)
     if correlation is None:
-        return gain, inverse @ inverse.conj().T
-    # gain = x q r^-H, so Cov = r^-1 q^H conj(R) q r^-H for R = E[n_a n_b*].
+        return gain, (inverse @ inverse.conj().T).conj()
+    # gain = x q r^-H =: x M, so E[d_j conj(d_k)] = (M^T R conj(M))_jk for R = E[n_a conj(n_b)].
     middle = q.conj().T @ correlation.conj() @ q
-    return gain, inverse @ middle @ inverse.conj().T
+    return gain, (inverse @ middle @ inverse.conj().T).conj()
 
 
 def _freedom(unit: Complex, weight: Real, correlation: Complex | None) -> float:

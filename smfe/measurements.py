@@ -28,7 +28,8 @@ from smfe.hammer import identify_hammer
 from smfe.identification import Identification, Progress, silent
 from smfe.records import read_frf, read_records
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
-from smfe.sweep import LocalPolynomial, SingleReference, SweepPass, identify_sweep
+from smfe.sweep import identify_sweep
+from smfe.sweep_estimators import LocalPolynomial, SingleReference, SweepPass
 
 
 @cache
@@ -66,17 +67,46 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
     try:
         if measurement.method == "sweep":
             found = _sweep(campaign, measurement, progress)
-            if measurement.background:
-                unused = "the background record is not subtracted: what the spindle shakes without a cut is in the result"
-                found = replace(found, warnings=(*found.warnings, unused))
-            return found
-        if measurement.method == "frf":
-            return _frf(measurement)
-        return _per_axis(measurement)
+        elif measurement.method == "frf":
+            found = _frf(measurement)
+        else:
+            found = _per_axis(measurement)
+        notes = sign_warnings(found.compliance)
+        if measurement.background:
+            notes += (
+                "the background record is not subtracted: what the spindle shakes without a cut is in the result",
+            )
+        return replace(found, warnings=(*found.warnings, *notes))
     except InputError as error:
         message = str(error)
         named = message if measurement.name in message else f"measurement '{measurement.name}': {message}"
         raise InputError(named) from error
+
+
+def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
+    """Return a warning for each direct compliance that gives out energy.
+
+    With ``exp(+j w t)`` a passive machine has ``Im Phi_ii < 0`` at its driving point. A force or a motion of the wrong
+    sign turns it round; a dynamometer under the work, which measures the reaction, is the usual reason. Lines count
+    where the imaginary part is above three standard deviations and a tenth of the magnitude.
+    """
+    out = []
+    array = compliance["compliance"]
+    for axis in (a for a in array["response"].values if a in array["excitation"].values):
+        phi = array.sel(response=axis, excitation=axis).values
+        clear = np.abs(phi.imag) > 0.1 * np.abs(phi)
+        if "compliance_std" in compliance:
+            std = compliance["compliance_std"].sel(response=axis, excitation=axis).values
+            clear &= ~(np.abs(phi.imag) <= 3.0 * np.nan_to_num(std))
+        wrong = float(np.mean(phi.imag[clear] > 0.0)) if clear.any() else 0.0
+        if wrong > 0.5:
+            out.append(
+                f"the direct compliance {axis}{axis} gives out energy (positive imaginary part) at {100 * wrong:.0f} % "
+                "of its clear lines: force or motion has the wrong sign, or they are not measured at the same point. "
+                "Forces act on the tool; a dynamometer under the work measures the reaction: declare sign = -1 on its "
+                "channels. Lobes from this measurement are wrong"
+            )
+    return tuple(out)
 
 
 def _records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dataset]:
@@ -136,15 +166,25 @@ def tooth_passing_band(passes: list[SweepPass], teeth: int) -> tuple[float, floa
         if "spindle_speed" in p.record:
             speed = p.record["spindle_speed"].values / 60.0
         elif "spindle_angle" in p.record:
-            speed = np.gradient(p.record["spindle_angle"].values) / (2.0 * np.pi * sample_interval(p.record))
+            angle = np.unwrap(p.record["spindle_angle"].values)
+            speed = np.gradient(angle) / (2.0 * np.pi * sample_interval(p.record))
         else:
             raise InputError(
                 f"pass '{p.label}' records no spindle speed, so the band it excites is not known; give the "
                 'measurement frequency_range = ["20 Hz", "80 Hz"] or declare spindle_speed in [channels]'
             )
-        lows.append(teeth * float(np.percentile(speed, 1.0)))
-        highs.append(teeth * float(np.percentile(speed, 99.0)))
-    return float(np.ceil(max(lows))), float(np.floor(2.0 * min(highs)))
+        # The spindle may spin up or stop in the air: only what is turned in the cut excites.
+        force = np.sqrt(np.nansum(p.record["force"].values ** 2, axis=0))
+        cutting = speed[force > 0.1 * force.max()]
+        lows.append(teeth * float(np.percentile(cutting, 1.0)))
+        highs.append(teeth * float(np.percentile(cutting, 99.0)))
+    low, high = float(np.ceil(max(lows))), float(np.floor(2.0 * min(highs)))
+    if not low < high:
+        raise InputError(
+            f"the passes have no band in common: the tooth passing frequency begins above {low:g} Hz in one and its "
+            f"second harmonic ends below {high:g} Hz in another; sweep all passes over the same speeds"
+        )
+    return low, high
 
 
 def _frf(measurement: Measurement) -> Identification:

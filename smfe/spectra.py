@@ -34,8 +34,8 @@ class BlockSpectra:
     response, excitation : tuple of str
         Axis names of the rows.
     neighbour_correlation : ndarray, shape (lags,)
-        Correlation of white noise between blocks 0, 1, 2, ... apart that the overlap brings; begins with 1. It is
-        multiplied by ``exp(-j w hop lag)``, see `overlap_phase`.
+        Correlation of white noise between blocks 0, 1, 2, ... apart that the overlap brings; begins with 1. Between
+        the transforms of blocks a and b it is multiplied by ``exp(j w hop (a - b))``.
     hop : float
         Time from one block to the next [s].
     """
@@ -50,11 +50,11 @@ class BlockSpectra:
 
 
 def motion_axes(record: xr.Dataset) -> tuple[str, list[str]]:
-    """Return the motion channel of a record ("displacement" before "acceleration") and its axes."""
-    for channel in ("displacement", "acceleration"):
-        axes = axis_present(record, channel)
-        if axes:
-            return channel, axes
+    """Return the motion channel with the most axes ("displacement" where both have as many), and these axes."""
+    found = {channel: axis_present(record, channel) for channel in ("displacement", "acceleration")}
+    channel = max(found, key=lambda name: len(found[name]))
+    if found[channel]:
+        return channel, found[channel]
     raise InputError("the record holds neither acceleration nor displacement; declare one in [channels]")
 
 
@@ -85,6 +85,7 @@ def block_spectra(
     window: NDArray[np.float64] | None = None,
     frequency_range: tuple[float, float] | None = None,
     detrend: bool = True,
+    response: Sequence[str] | None = None,
 ) -> BlockSpectra:
     """Transform blocks of a record.
 
@@ -102,6 +103,8 @@ def block_spectra(
         Keep only these frequencies [Hz].
     detrend : bool, optional
         Remove the mean of each block first, so that an offset does not leak through the window.
+    response : sequence of str, optional
+        Axes of motion to transform, in this order. Default: all that were recorded.
 
     Raises
     ------
@@ -111,7 +114,8 @@ def block_spectra(
     excitation = axis_present(record, "force")
     if not excitation:
         raise InputError("the record holds no force; declare force_x, force_y or force_z in [channels]")
-    channel, response = motion_axes(record)
+    channel, recorded = motion_axes(record)
+    moving = recorded if response is None else list(response)
     n = record.sizes["time"]
     if not len(starts) or min(starts) < 0 or max(starts) + length > n:
         raise InputError(f"a record of {n} samples cannot hold a block of {length} samples where it is asked for")
@@ -136,9 +140,9 @@ def block_spectra(
     hop = int(starts[1] - starts[0]) if len(starts) > 1 else length
     return BlockSpectra(
         frequency=frequency[keep],
-        displacement=as_displacement(transform(channel, response), frequency[keep], channel),
+        displacement=as_displacement(transform(channel, moving), frequency[keep], channel),
         force=transform("force", excitation),
-        response=tuple(response),
+        response=tuple(moving),
         excitation=tuple(excitation),
         neighbour_correlation=overlap_correlation(taper, hop),
         hop=hop * dt,

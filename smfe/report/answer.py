@@ -14,7 +14,6 @@ from smfe.report.results import Lobes, Results
 KEEP = 0.8
 """Share of the depth of a pocket that must hold over the window of speeds given with it."""
 
-_PROMINENCE = 0.1  # share of its depth by which a pocket rises above the lobes beside it
 _SHOWN = 4
 
 
@@ -132,7 +131,8 @@ def pockets(table: pd.DataFrame) -> list[Pocket]:
     padded = np.concatenate([[-1.0], level, [-1.0]])
     at, shape = find_peaks(padded, prominence=0.0, plateau_size=0)
     first, last = shape["left_edges"] - 1, shape["right_edges"] - 1
-    keep = np.flatnonzero(shape["prominences"] >= _PROMINENCE * padded[at])
+    # A lower ripple would share its window with the pocket beside it.
+    keep = np.flatnonzero(shape["prominences"] >= (1.0 - KEEP) * padded[at])
     found = [_pocket(table, speed, level, (int(first[k]), int(last[k]))) for k in keep]
     rank = [p.depth if np.isnan(p.removal_rate) else p.removal_rate for p in found]
     order = sorted(range(len(found)), key=lambda k: -rank[k])

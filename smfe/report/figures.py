@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from smfe.report.answer import outcomes
-from smfe.report.interactive import amplitude_label, harmonic_bands, spectrum_span
+from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, spectrum_span
 from smfe.report.look import (
     AXIS_COLOURS,
     CHATTER,
@@ -336,8 +336,9 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
     grid = figure.add_gridspec(
         rows, columns, left=0.75 / width, right=0.985, bottom=0.5 / height, top=top, wspace=0.28, hspace=0.42
     )
+    end = common_end(spectra)
     for position, dataset in enumerate(shown):
-        _draw_spectrum(figure.add_subplot(grid[divmod(position, columns)]), dataset)
+        _draw_spectrum(figure.add_subplot(grid[divmod(position, columns)]), dataset, end)
     figure.supxlabel("frequency [Hz]", fontsize=10, y=0.08 / height)
     figure.supylabel(literal(amplitude_label(shown[0])), fontsize=10, x=0.08 / width)
     if note:
@@ -347,9 +348,9 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
     return figure
 
 
-def _draw_spectrum(axes: Axes, dataset: xr.Dataset) -> None:
+def _draw_spectrum(axes: Axes, dataset: xr.Dataset, end: float) -> None:
     _plain_axes(axes)
-    end, floor, top = spectrum_span(dataset)
+    _, floor, top = spectrum_span(dataset)
     pairs = [(a, b) for a, b in harmonic_bands(dataset) if a < end]
     axes.broken_barh(
         [(a, b - a) for a, b in pairs], (1e-3 * floor, 1e3 * top), facecolor="#777777", alpha=0.25

@@ -29,6 +29,7 @@ from smfe.report.look import (
     magnitude_band,
     magnitude_range,
     number,
+    part_ranges,
     translucent,
 )
 from smfe.report.results import BAD_CONDITION, Lobes, Measurement, bands
@@ -138,7 +139,7 @@ def lobes_figure(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mapp
     if tests is not None:
         data += _test_traces(tests)
     speeds = np.concatenate([item.data["spindle_speed"].values for item in lobes])
-    shared = {"range": [float(speeds.min()), float(speeds.max())], "anchor": "y2"}
+    shared = {"range": [float(speeds.min()), float(speeds.max())], "anchor": "y2", "mirror": "all"}
     layout = _layout(
         640,
         xaxis=_axis("spindle speed [rpm]", **shared),
@@ -184,8 +185,8 @@ def _lobe_traces(item: Lobes, look: Line, top: float) -> list[Figure]:
         "name": name,
         "legendgroup": group,
         "customdata": packed(np.column_stack([finite, frequency, np.where(lobe >= 0, lobe, np.nan)])),
-        "hovertemplate": "%{x:.5g} rpm<br>limit depth %{customdata[0]:.4g} mm<br>"
-        "chatter frequency %{customdata[1]:.4g} Hz<br>lobe %{customdata[2]:.0f}",
+        "hovertemplate": "%{x:.5~g} rpm<br>limit depth %{customdata[0]:.4~g} mm<br>"
+        "chatter frequency %{customdata[1]:.4~g} Hz<br>lobe %{customdata[2]:.0f}",
     }
     out.append(
         {
@@ -243,16 +244,26 @@ def _test_text(row: Mapping[Any, Any]) -> str:
 
 
 def spectrum_span(dataset: xr.Dataset) -> tuple[float, float, float]:
-    """Return highest frequency, lowest and highest amplitude to show: where there is anything to see."""
+    """Return the highest frequency with anything to see, and the lowest and highest amplitude to show."""
     frequency = dataset["frequency"].values.astype(float)
     largest = np.nanmax(dataset["amplitude"].transpose("axis", "frequency").values, axis=0)
     top = float(np.nanmax(largest)) if np.isfinite(largest).any() else 1.0
-    line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
     threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
     last = float(frequency[largest > 0.05 * top].max(initial=0.0))
-    end = min(float(frequency[-1]), max(1.1 * last, 2.0 * line if np.isfinite(line) else 0.0))
     floor = max(0.5 * float(np.nanquantile(largest, 0.02)), 1e-5 * top)
-    return end, floor, 2.0 * max(top, threshold if np.isfinite(threshold) else 0.0)
+    return 1.1 * last, floor, 2.0 * max(top, threshold if np.isfinite(threshold) else 0.0)
+
+
+def common_end(spectra: Sequence[xr.Dataset]) -> float:
+    """Return where the frequency axes of all tests end, so that they can be compared at a glance."""
+    if not spectra:
+        return 1.0
+    lines = [float(s.attrs.get("chatter_frequency_Hz", np.nan)) for s in spectra]
+    end = max(
+        float(np.median([spectrum_span(s)[0] for s in spectra])),
+        1.5 * max((v for v in lines if v > 0.0), default=0.0),
+    )
+    return min(end, max(float(s["frequency"].values[-1]) for s in spectra))
 
 
 def harmonic_bands(dataset: xr.Dataset) -> list[tuple[float, float]]:
@@ -272,9 +283,9 @@ def amplitude_label(dataset: xr.Dataset) -> str:
     return f"{quantity} [{units.replace('^2', '²')}]" if units else quantity
 
 
-def spectrum_figure(dataset: xr.Dataset) -> Figure:
+def spectrum_figure(dataset: xr.Dataset, end: float) -> Figure:
     """Return the amplitudes of one cutting test with removed harmonics, threshold and chatter line."""
-    end, floor, top = spectrum_span(dataset)
+    _, floor, top = spectrum_span(dataset)
     frequency = dataset["frequency"].values.astype(float)
     removed = [b for b in harmonic_bands(dataset) if b[0] <= frequency[-1]]
     data = [_removed(removed, floor * 1e-3, top * 1e3)] if removed else []
@@ -288,7 +299,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
                 "y": packed(dataset["amplitude"].sel(axis=axis).values),
                 "name": plain(str(axis)),
                 "line": {"width": 1.2, "color": AXIS_COLOURS.get(str(axis), "#000000")},
-                "hovertemplate": "%{x:.5g} Hz: %{y:.3g}",
+                "hovertemplate": "%{x:.5~g} Hz: %{y:.3~g}",
             }
         )
     layout = _layout(
@@ -378,13 +389,15 @@ def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, L
             views.append(_views(m.entry(r, e)))
             data.append(_compliance_line(m, looks[m.name], views[-1][0], f"{r}{e}", first == 0, shared))
     layout = _grid_layout(responses, excitations, span, (low, high))
-    layout["updatemenus"] = [_view_menu(views, panels.values(), (low, high))]
+    axes = _view_axes((low, high), part_ranges(measurements, span))
+    layout["updatemenus"] = [_view_menu(views, list(panels.values()), axes)]
     return {"data": data, "layout": layout}
 
 
 def _views(values: NDArray[np.complex128]) -> list[dict[str, str]]:
     scaled = 1e6 * values
-    phase = np.where(np.isfinite(values), np.angle(values, deg=True), np.nan)
+    # A displacement lags its force: from -270 to 90 degrees, noise about -180 does not jump.
+    phase = (np.angle(np.where(np.isfinite(values), values, np.nan), deg=True) + 270.0) % 360.0 - 270.0
     return [packed(np.abs(scaled)), packed(phase), packed(scaled.real), packed(scaled.imag)]
 
 
@@ -399,7 +412,7 @@ def _compliance_line(
         "name": plain(m.name),
         "showlegend": in_legend,
         "line": {"width": 1.5, "color": look.colour, "dash": look.dash},
-        "hovertemplate": f"{entry}: %{{x:.5g}} Hz, %{{y:.4g}}",
+        "hovertemplate": f"{entry}: %{{x:.5~g}} Hz, %{{y:.4~g}}",
         **shared,
     }
 
@@ -437,12 +450,11 @@ def _grid_layout(
                 **linked,
             )
             layout[f"yaxis{tail}"] = _axis(
-                _view_axes(magnitude)[0][0] if left else "",
+                "magnitude [µm/N]" if left else "",
                 **{
                     "domain": [y0, y0 + tall],
                     "anchor": f"x{tail}",
                     "showticklabels": left,
-                    "exponentformat": "power",
                 },
                 **_log_axis(*magnitude),
                 **({} if panel == 1 else {"matches": "y"}),
@@ -464,26 +476,30 @@ def _corner(text: str, x: float, y: float) -> Figure:
     return {**place, "text": text, "showarrow": False, "yshift": -3, "bgcolor": "rgba(255,255,255,0.75)"}
 
 
-def _view_axes(magnitude: tuple[float, float]) -> list[tuple[str, dict[str, Any]]]:
+def _view_axes(
+    magnitude: tuple[float, float], parts: tuple[list[float], list[float]]
+) -> list[tuple[str, dict[str, Any]]]:
     """Return title and settings of the vertical axes in each view."""
     log = {**_log_axis(*magnitude), "autorange": False}
-    turn = {"type": "linear", "range": [-185.0, 185.0], "dtick": 90, "autorange": False}
-    free = {"type": "linear", "dtick": None, "autorange": True}
+    turn = {"type": "linear", "range": [-275.0, 95.0], "dtick": 90, "autorange": False}
+    free = {"type": "linear", "dtick": None, "autorange": False}
     return [
         ("magnitude [µm/N]", log),
         ("phase [°]", turn),
-        ("real part [µm/N]", free),
-        ("imaginary part [µm/N]", free),
+        ("real part [µm/N]", {**free, "range": parts[0]}),
+        ("imaginary part [µm/N]", {**free, "range": parts[1]}),
     ]
 
 
-def _view_menu(views: Sequence[Sequence[Any]], panels: Any, magnitude: tuple[float, float]) -> Figure:
+def _view_menu(
+    views: Sequence[Sequence[Any]], panels: Sequence[int], axes: Sequence[tuple[str, Mapping[str, Any]]]
+) -> Figure:
     """Return the buttons; bands belong to the magnitude and hide in the other views."""
     lines = [k for k, v in enumerate(views) if v]
     fills = [k for k, v in enumerate(views) if not v]
     names = [f"yaxis{'' if p == 1 else p}" for p in panels]
     buttons = []
-    for number_, (title, settings) in enumerate(_view_axes(magnitude)):
+    for number_, (title, settings) in enumerate(axes):
         relayout = {f"{name}.{key}": value for name in names for key, value in settings.items()}
         buttons.append(
             {
@@ -542,7 +558,7 @@ def _quality_line(m: Measurement, look: Line, values: NDArray[np.float64], what:
         "name": plain(m.name),
         "legendgroup": m.name,
         "line": {"width": 1.3, "color": look.colour},
-        "hovertemplate": f"{what}: %{{x:.5g}} Hz, %{{y:.4g}}",
+        "hovertemplate": f"{what}: %{{x:.5~g}} Hz, %{{y:.4~g}}",
     }
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import find_peaks
 
 from smfe.report.results import Measurement, Results
 
@@ -69,7 +70,7 @@ def number(value: object, digits: int = 4) -> str:
     if math.isinf(x):
         return "∞" if x > 0 else "−∞"
     if x == round(x) and abs(x) < 1e7:
-        return f"{x:.0f}".replace("-", "−")
+        return f"{int(x)}".replace("-", "−")
     text = f"{x:.{digits}g}"
     if "e" in text and 1e-4 <= abs(x) < 1e7:
         text = f"{float(text):.0f}"
@@ -95,36 +96,65 @@ def axes_of(measurements: Sequence[Measurement]) -> tuple[list[str], list[str]]:
 def frequency_range(measurements: Sequence[Measurement]) -> tuple[float, float]:
     """Return the band [Hz] to show first: where the machine is flexible.
 
-    From zero to a quarter beyond the last frequency at which any entry exceeds 5 % of the largest magnitude,
+    From zero to a quarter beyond the last frequency at which any entry exceeds 5 % of the highest resonance,
     and not beyond the data. A hammer reaches far higher than what is of interest.
     """
     shown = [m for m in measurements if not m.is_model] or list(measurements)
-    parts = [(m.frequency, np.abs(m.data["compliance"].transpose("frequency", ...).values)) for m in shown]
-    parts = [
-        (f, magnitude.reshape(f.size, -1))
-        for f, magnitude in parts
-        if f.size and np.isfinite(magnitude).any()
-    ]
+    parts = [(m.frequency, np.abs(m.entry(*pair))) for m in shown for pair in m.entries]
     if not parts:
         return 0.0, 1.0
-    level = 0.05 * max(float(np.nanmax(magnitude)) for _, magnitude in parts)
-    last = max(float(f[(magnitude > level).any(axis=1)].max(initial=0.0)) for f, magnitude in parts)
-    end = max(float(f[np.isfinite(magnitude).any(axis=1)].max()) for f, magnitude in parts)
+    level = 0.05 * max(_resonance(magnitude) for _, magnitude in parts)
+    last = max(float(f[magnitude > level].max(initial=0.0)) for f, magnitude in parts)
+    end = max(float(f[np.isfinite(magnitude)].max()) for f, magnitude in parts)
     return 0.0, min(end, 1.25 * last)
 
 
+def _resonance(magnitude: NDArray[np.float64]) -> float:
+    """Return the highest peak that stands out by 10 dB, else the highest value.
+
+    The lowest frequencies of an integrated acceleration drift upwards without a peak.
+    """
+    known = magnitude[np.isfinite(magnitude) & (magnitude > 0.0)]
+    peaks, _ = find_peaks(np.log10(known), prominence=0.5)
+    return float(known[peaks].max() if peaks.size else known.max(initial=0.0))
+
+
 def magnitude_range(measurements: Sequence[Measurement], span: tuple[float, float]) -> tuple[float, float]:
-    """Return the range of magnitudes [um/N] that holds all but the lowest per cent, at most four decades."""
-    values = []
-    for m in measurements:
-        inside = (m.frequency >= span[0]) & (m.frequency <= span[1])
-        magnitude = 1e6 * np.abs(m.data["compliance"].transpose("frequency", ...).values[inside])
-        values.append(magnitude[np.isfinite(magnitude) & (magnitude > 0.0)])
-    joined = np.concatenate(values) if values else np.empty(0)
+    """Return the range of magnitudes [um/N] up to the highest resonance, at most four decades."""
+    joined = np.abs(_shown_values(measurements, span))
+    joined = joined[joined > 0.0]
     if not joined.size:
         return 1e-3, 1.0
     top = float(joined.max())
     return max(0.8 * float(np.quantile(joined, 0.01)), 1e-4 * top), 1.5 * top
+
+
+def part_ranges(
+    measurements: Sequence[Measurement], span: tuple[float, float]
+) -> tuple[list[float], list[float]]:
+    """Return the ranges of real and imaginary parts [um/N]."""
+    joined = _shown_values(measurements, span)
+    return _padded(joined.real), _padded(joined.imag)
+
+
+def _shown_values(measurements: Sequence[Measurement], span: tuple[float, float]) -> NDArray[np.complex128]:
+    """Return all compliances [um/N] of a band that do not exceed the highest resonance."""
+    values = [np.empty(0, dtype=complex)]
+    top = 0.0
+    for m in measurements:
+        inside = (m.frequency >= span[0]) & (m.frequency <= span[1])
+        for pair in m.entries:
+            entry = 1e6 * m.entry(*pair)[inside]
+            values.append(entry[np.isfinite(entry)])
+            top = max(top, _resonance(np.abs(entry)))
+    joined = np.concatenate(values)
+    return np.asarray(joined[np.abs(joined) <= top])
+
+
+def _padded(values: NDArray[np.float64]) -> list[float]:
+    low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+    margin = 0.06 * (high - low) or 1.0
+    return [low - margin, high + margin]
 
 
 def magnitude_band(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -117,7 +118,14 @@ def _headline(results: Results) -> list[dict[str, Any]]:
     for item in answers(results):
         blocks.setdefault(item.request, []).append(item)
     return [
-        {"request": request, "cut": _cut_text(results, request), "answers": found, "spread": _spread(found)}
+        {
+            "request": request,
+            "cut": _cut_text(results, request),
+            "answers": found,
+            "spread": _spread(found),
+            "sure": any(np.isfinite([p.low, p.safe]).any() for a in found for p in a.pockets),
+            "edge": any(p.at_edge for a in found for p in a.pockets),
+        }
         for request, found in blocks.items()
     ]
 
@@ -168,20 +176,21 @@ def _unlimited(item: Lobes) -> str:
 
 def _spectra(results: Results, plots: dict[str, Any]) -> dict[str, Any]:
     tests = []
+    end = interactive.common_end(list(results.spectra.values()))
     for position, dataset in enumerate(results.spectra.values(), 1):
         name = f"plot-spectrum-{position}"
-        plots[name] = interactive.spectrum_figure(dataset)
+        plots[name] = interactive.spectrum_figure(dataset, end)
         observed = _observed(results.chatter, position - 1)
         tests.append({"plot": name, "attrs": {**_NO_TEST, **dataset.attrs}, "observed": observed})
-    table = None
+    found = []
     if results.chatter is not None:
         # Each reason stands below its spectrum.
-        frame = results.chatter.drop(columns="reason" if results.spectra else [], errors="ignore")
-        frame = frame.dropna(axis="columns", how="all")
-        table = tables.table(frame, f"{len(frame)} cutting tests", lambda row: str(row["verdict"]))
+        found = tables.cutting_tests(
+            results.chatter.drop(columns="reason" if results.spectra else [], errors="ignore")
+        )
     return {
         "tests": tests,
-        "table": table,
+        "tables": found,
         "outside": _outside(results),
         "disagree": _disagreeing(results.chatter),
     }
@@ -234,6 +243,7 @@ def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any])
         "rows": [_measurement_row(m, looks[m.name]) for m in results.measurements],
         "any": bool(shown),
         "quality": "plot-quality" in plots,
+        "by_force": any(e for m in shown for r in "xyz" for e, _ in m.coherences(r)),
         "uncertain": any(m.std(*pair) is not None for m in shown for pair in m.entries),
         "conditions": [(m.name, interactive.bad_bands_text(m)) for m in shown if m.condition() is not None],
     }
@@ -245,7 +255,7 @@ def _measurement_row(m: Measurement, look: Line) -> dict[str, Any]:
     return {
         "name": m.name,
         "look": look,
-        "method": METHODS.get(m.method, m.method),
+        "method": METHODS.get(m.method, m.method) or "–",
         "conditions": ", ".join(f"{k.replace('_', ' ')}: {v}" for k, v in m.conditions.items()),
         "band": f"{number(claimed[0])}–{number(claimed[-1])}" if claimed.size else "–",
         "entries": " ".join(r + e for r, e in m.entries) or "none",
@@ -265,6 +275,15 @@ def _comparison(results: Results) -> dict[str, Any]:
     }
 
 
+def _moment(text: str) -> str:
+    """Return "2026-11-21 06:00 UTC" for a date and time in ISO 8601, any other text as it is."""
+    try:
+        moment = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        return text
+    return moment.strftime("%Y-%m-%d %H:%M %Z").strip()
+
+
 def _provenance(results: Results) -> dict[str, Any]:
     """Return provenance with every part in the shape that the template shows."""
     content = results.provenance
@@ -276,7 +295,7 @@ def _provenance(results: Results) -> dict[str, Any]:
     inputs = content.get("inputs", [])
     return {
         "known": bool(content),
-        "created": str(content.get("created", "")),
+        "created": _moment(str(content.get("created", ""))),
         "versions": pairs("versions"),
         "seconds": pairs("seconds"),
         "settings": json.dumps(content["settings"], indent=2, ensure_ascii=False)

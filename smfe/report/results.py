@@ -300,7 +300,7 @@ def _read_measurements(path: Path) -> tuple[Measurement, ...]:
             check_compliance(dataset)
         except InputError as error:
             raise InputError(f"{path}, group '{name}': {error}") from error
-        method = str(dataset.attrs.get("method", "frf"))
+        method = str(dataset.attrs.get("method", ""))
         conditions = _json_attr(path, name, dataset, "conditions")
         out.append(Measurement(name, method, dataset, conditions, _warnings(path, name, dataset)))
     return tuple(sorted(out, key=lambda m: m.is_model))

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from smfe.report.answer import outcomes
 from smfe.report.look import number
 
 UNITS: dict[str, str] = {
     "cm3_min": "cm³/min",
     "mm_min": "mm/min",
+    "um_per_N": "µm/N",
     "um_N": "µm/N",
     "m_N": "m/N",
     "N_um": "N/µm",
@@ -115,51 +117,87 @@ def _cell(value: object, digits: int) -> str:
 
 def hits(frame: pd.DataFrame, title: str) -> Table:
     """Return the table of hits, steps or passes of a measurement; what was not used is marked."""
+    shown = frame.dropna(axis="columns", how="all")
     if "used" not in frame:
-        return table(frame, f"{title}: {len(frame)} rows")
+        return table(shown, f"{title}: {len(frame)} rows")
     used = int(sum(true(v) for v in frame["used"]))
     return table(
-        frame, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected"
+        shown, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected"
     )
+
+
+def cutting_tests(frame: pd.DataFrame) -> list[Table]:
+    """Return what the criterion found in the cutting tests, and what each source of lobes had predicted."""
+    happened = outcomes(frame)
+    sources = [str(c).removeprefix("predicted_") for c in frame.columns if str(c).startswith("predicted_")]
+    columns = [f"{kind}_{s}{end}" for s in sources for kind, end in (("predicted", ""), ("limit", "_mm"))]
+    found = frame.drop(columns=columns, errors="ignore").dropna(axis="columns", how="all")
+    out = [table(found, f"{len(frame)} cutting tests", lambda row: str(row["verdict"]))]
+    if sources:
+        test = ["file", "spindle_speed_rpm", "depth_of_cut_mm"]
+        shown = frame[test].assign(outcome=happened, **{s: _predictions(frame, s, happened) for s in sources})
+        plain = table(shown, "Limit depth [mm] and prediction of each source")
+        # The name of a source stands as it is.
+        headers = (*plain.headers[: len(test) + 1], *sources)
+        out.append(Table(headers, plain.numeric, plain.rows, plain.summary))
+    return out
+
+
+def _predictions(frame: pd.DataFrame, source: str, happened: pd.Series[str]) -> list[str]:
+    """Return e.g. "3.927, stable" a test."""
+    limits = frame.get(f"limit_{source}_mm", pd.Series(np.nan, index=frame.index))
+    out = []
+    for limit, predicted, outcome in zip(limits, frame[f"predicted_{source}"], happened, strict=True):
+        wrong = " (wrong)" if outcome in ("stable", "chatter") and predicted != outcome else ""
+        out.append(f"{number(limit)}, {predicted}{wrong}")
+    return out
 
 
 def comparison(frame: pd.DataFrame) -> tuple[list[str], Table]:
     """Return the headline sentences and the table of differences between measurements."""
     marked = table(
-        frame,
-        f"{len(frame)} pairs of peaks",
+        frame.dropna(axis="columns", how="all"),
+        f"All {len(frame)} rows",
         lambda row: "significant" if true(row.get("significant")) else "",
     )
-    sentences = [f"{len(frame)} pairs of peaks were compared."]
-    if "significant" not in frame:
-        return sentences, marked
-    rows = frame[[true(v) for v in frame["significant"]]]
-    sentences[0] += f" {len(rows)} differ significantly (shaded rows)."
-    return sentences + _largest(rows), marked
+    alone = int((frame["match"] != "both").sum()) if "match" in frame else 0
+    sentences = [f"{len(frame) - alone} pairs of peaks were compared."]
+    if "significant" in frame:
+        rows = frame[[true(v) for v in frame["significant"]]]
+        sentences[0] += f" {len(rows)} differ significantly (shaded rows)."
+        sentences += _largest(rows)
+    if alone:
+        sentences.append(f"{alone} peaks were found in one of two measurements only.")
+    return sentences, marked
 
 
 def _largest(rows: pd.DataFrame) -> list[str]:
-    """Return for each kind of difference where it is largest."""
+    """Return for each kind of difference where it is largest, among those that are significant."""
+    own = [str(c).removesuffix("_significant") for c in rows.columns if str(c).endswith("_significant")]
     out = []
-    for column in rows.columns:
-        name = str(column)
-        if "difference" not in name or "std" in name or not _numeric(rows[column]):
+    for column in map(str, rows.columns):
+        quantity, found, _ = column.partition("_difference")
+        if not found or "_std" in column or not _numeric(rows[column]) or (own and quantity not in own):
             continue
-        values = rows[column].to_numpy(dtype=float)
-        values = np.where(np.isfinite(values), np.abs(values), -1.0)
-        if values.size and values.max() > 0.0:
-            row = rows.iloc[int(values.argmax())]
-            title, _, unit = heading(name).partition(" [")
-            amount = f"{number(row[column])} {unit.rstrip(']')}".strip()
-            out.append(f"Largest significant {title}: {amount} ({_named(row)}).")
+        counted = rows[[true(v) for v in rows[f"{quantity}_significant"]]] if own else rows
+        values = counted[column].abs().fillna(0.0).to_numpy(dtype=float)
+        if values.max(initial=0.0) > 0.0:
+            out.append(_difference_text(counted.iloc[int(values.argmax())], column))
     return out
+
+
+def _difference_text(row: pd.Series[Any], column: str) -> str:
+    title, _, unit = heading(column).partition(" [")
+    std = row.get(column.replace("_difference", "_difference_std"))
+    spread = f" ± {number(std, 2)}" if std is not None else ""
+    amount = f"{number(row[column], 3)}{spread} {unit.rstrip(']')}".strip()
+    return f"Largest significant {title}: {amount} ({_named(row)})."
 
 
 def _named(row: pd.Series[Any]) -> str:
     """Return what a row of the comparison is about: its text cells, the entry in one word."""
-    parts = [
-        str(v) for k, v in row.items() if isinstance(v, str) and v and k not in ("response", "excitation")
-    ]
+    other = ("response", "excitation", "match")
+    parts = [str(v) for k, v in row.items() if isinstance(v, str) and v and k not in other]
     entry = f"{row.get('response', '')}{row.get('excitation', '')}"
     return ", ".join([*parts, entry] if entry else parts)
 

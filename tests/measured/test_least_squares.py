@@ -33,6 +33,19 @@ def test_the_stated_std_is_the_scatter_over_many_seeds() -> None:
     np.testing.assert_allclose(ratio, 1.0, atol=0.12)
 
 
+def test_the_stated_covariance_has_the_right_sign_of_its_phase() -> None:
+    rng = np.random.default_rng(6)
+    truth, force = complex_normal(rng, 1, 3), complex_normal(rng, 3, 5)
+    scatter, stated = np.zeros((3, 3), complex), np.zeros((3, 3), complex)
+    for _ in range(2000):
+        result = solve(Columns(force, truth @ force + complex_normal(rng, 1, 5), np.zeros(5, int)), 3)
+        error = (result.compliance - truth)[0]
+        scatter += np.outer(error, error.conj())
+        stated += result.covariance[0]
+    np.testing.assert_allclose(scatter / 2000, stated / 2000, atol=0.1 * np.abs(stated).max() / 2000)
+    assert np.abs(np.imag(stated)).max() > 0.1 * np.abs(stated).max()
+
+
 def test_weights_lower_the_scatter_when_one_test_is_noisy() -> None:
     rng = np.random.default_rng(3)
     truth, force = complex_normal(rng, 1, 3), complex_normal(rng, 3, 20)

@@ -20,7 +20,7 @@ from process.tool import Tool
 from smfe.report import write_report
 from smfe.report.answer import answers, pockets, score
 from smfe.report.interactive import packed
-from smfe.report.look import number
+from smfe.report.look import depth_range, frequency_range, magnitude_range, number
 from smfe.report.results import read_results
 from smfe.store import pack_warnings, write_csv, write_groups, write_json
 from stability import lobe_curves, lobe_table, write_table, zero_order
@@ -599,6 +599,26 @@ class TestCorruptFiles:
             write_report(tmp_path / "nowhere")
 
 
+class TestAxes:
+    def test_drift_of_an_integrated_acceleration_is_not_what_is_shown(self, tmp_path: Path) -> None:
+        frequency = np.arange(2.0, 1000.0)
+        dataset = MACHINE.compliance(frequency, ["x"], ["x"])
+        drift = 1e-3 / frequency[:, None, None] ** 4
+        dataset["compliance"] = dataset["compliance"] + drift
+        dataset["compliance"].attrs["units"] = "m/N"
+        write_groups(tmp_path / "frf.nc", {"tap": dataset})
+        measurements = read_results(tmp_path).measurements
+        low, high = frequency_range(measurements)
+        assert low == 0.0
+        assert 61.4 < high < 500.0
+        assert magnitude_range(measurements, (low, high))[1] < 1.0
+
+    def test_depth_axis_holds_the_tests(self) -> None:
+        assert depth_range([np.array([1.0, 2.0, np.inf])], np.array([3.0])) > 3.0
+        assert depth_range([np.array([1.0, 1.0, 100.0])], np.empty(0)) <= 8.0
+        assert depth_range([np.array([np.inf])], np.empty(0)) == 1.0
+
+
 class TestTables:
     def test_rejected_hits_are_marked(self, sample: Path) -> None:
         assert page(sample).count('<tr class="rejected">') == 3 + 6
@@ -610,13 +630,24 @@ class TestTables:
 
     def test_units_in_brackets(self, sample: Path) -> None:
         text = written(sample)
-        for heading in ("peak force [N]", "frequency a [Hz]", "duration [s]", "depth of cut [mm]"):
+        for heading in (
+            "peak force [N]",
+            "frequency a [Hz]",
+            "duration [s]",
+            "depth of cut [mm]",
+            "Limit depth [mm] and prediction of each source",
+        ):
             assert heading in text
+
+    def test_predictions_that_failed_say_so(self, sample: Path) -> None:
+        assert "cut_600.csv 600 1.6 chatter 1.1, stable (wrong) 1.3, chatter " in written(sample)
 
     def test_significant_differences(self, sample: Path) -> None:
         assert page(sample).count('<tr class="significant">') == 3
         assert "9 pairs of peaks were compared. 3 differ significantly" in written(sample)
-        assert "Largest significant frequency difference: −2 Hz (actuator, sweep, xx)." in written(sample)
+        assert "Largest significant frequency difference: −2 ± 0.2 Hz (actuator, sweep, xx)." in written(
+            sample
+        )
 
     def test_model_errors_are_a_matrix(self, sample: Path) -> None:
         assert "sweep 10–200 7.25 7.25" in written(sample)
@@ -629,6 +660,7 @@ class TestTables:
             (np.nan, "–"),
             (True, "yes"),
             (-2.5, "−2.5"),
+            (-0.0, "0"),
             (1.5e-9, "1.5·10^−9"),
         ],
     )

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.signal import butter, sosfilt
 
 from process.compliance import ModalModel
 from process.engagement import engagement
 from process.errors import InputError
 from process.labels import make_record
-from process.simulate import simulate_forced
-from process.trials import Sensors
-from smfe.demo_campaign import MACHINE, SENSORS, TOOL, sweep_passes
-from smfe.sweep import LocalPolynomial, Segments, SingleReference, SweepPass, bands, identify_sweep
+from process.simulate import MillingCut, Spindle, simulate_forced
+from process.trials import Sensors, milling_trial
+from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
+from smfe.sweep import bands, identify_sweep
+from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
 
 BAND = (20.0, 80.0)
 
@@ -63,11 +65,23 @@ def test_the_stated_std_is_the_error(estimator: LocalPolynomial | Segments, good
     assert ratio.min() > 0.65
 
 
+@pytest.mark.parametrize("estimator", [LocalPolynomial(), Segments()])
+def test_errors_are_shared_by_the_stated_number_of_lines(
+    estimator: LocalPolynomial | Segments, good: list[SweepPass]
+) -> None:
+    compliance = identify_sweep("s", good, BAND, estimator).compliance
+    error = compliance["compliance"].values - MACHINE.matrix(compliance["frequency"].values)
+    z = (error / compliance["compliance_std"].values)[20:-20]
+    lags = [np.mean(z[k:] * z[: len(z) - k].conj()).real for k in range(8)]
+    shared = 1.0 + 2.0 * np.sum(lags[1:]) / lags[0]
+    assert shared == pytest.approx(compliance.attrs["error_lines"], rel=0.35)
+
+
 def test_without_noise_the_local_polynomial_is_exact_to_its_order() -> None:
     quiet = sweep_passes(seed=1, sensors=Sensors())
     data = passes(quiet, dict.fromkeys(quiet, 0.012))
-    assert entry_errors(identify_sweep("s", data, BAND).compliance).max() < 0.03
-    narrow = LocalPolynomial(half_width=0.5)
+    assert entry_errors(identify_sweep("s", data, BAND).compliance).max() < 0.005
+    narrow = LocalPolynomial(half_widths=(0.5,))
     assert entry_errors(identify_sweep("s", data, BAND, narrow).compliance).max() < 0.005
 
 
@@ -79,9 +93,112 @@ def test_a_record_that_ends_in_the_cut_is_solved_with_its_transient(monkeypatch:
     assert not result.tables["passes"]["from_rest_to_rest"].any()
     with_transient = entry_errors(result.compliance)
     assert with_transient.max() < 0.08
-    monkeypatch.setattr("smfe.sweep._at_rest", lambda record: True)
+    monkeypatch.setattr("smfe.sweep.at_rest", lambda record: True)
     without = entry_errors(identify_sweep("s", data, (25.0, 75.0)).compliance)
     assert without.mean() > 2.0 * with_transient.mean()
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.01])
+def test_a_lightly_damped_machine_keeps_its_peaks_and_its_error_is_stated(
+    damping: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = ModalModel([30.0, 52.0, 60.0], [damping] * 3, 2 * MACHINE.stiffness, MACHINE.direction)
+    monkeypatch.setattr("smfe.demo_campaign.MACHINE", machine)
+    records = sweep_passes(seed=1, sensors=Sensors(acceleration_noise=(2e-3, 2e-3, 2e-3)))
+    found = identify_sweep("s", passes(records, dict.fromkeys(records, 0.012)), BAND).compliance
+    value, truth = found["compliance"].values, machine.matrix(found["frequency"].values)
+    for i in range(3):
+        assert np.abs(value[:, i, i]).max() == pytest.approx(np.abs(truth[:, i, i]).max(), rel=0.005)
+    ratio = np.sqrt(np.mean(np.abs(value - truth) ** 2 / found["compliance_std"].values ** 2, axis=0))
+    assert ratio.max() < 1.35
+    # A single band of 2 Hz would have flattened them.
+    wide = identify_sweep(
+        "s", passes(records, dict.fromkeys(records, 0.012)), BAND, LocalPolynomial(half_widths=(1.0,))
+    )
+    assert np.abs(wide.compliance["compliance"].values[:, 2, 2]).max() < 0.9 * np.abs(truth[:, 2, 2]).max()
+
+
+@pytest.mark.parametrize("noise", [5.0, 20.0])
+def test_noise_on_the_forces_is_in_the_stated_std_and_in_the_warnings(noise: float) -> None:
+    records = sweep_passes(seed=1, sensors=Sensors((noise,) * 3, SENSORS.acceleration_noise))
+    found = identify_sweep("s", passes(records, dict.fromkeys(records, 0.012)), BAND)
+    compliance = found.compliance
+    error = np.abs(compliance["compliance"].values - MACHINE.matrix(compliance["frequency"].values))
+    assert np.sqrt(np.mean((error / compliance["compliance_std"].values) ** 2, axis=0)).max() < 1.5
+    assert any("noise on the forces" in w for w in found.warnings) == (noise > 10.0)
+
+
+def test_a_repeat_does_not_make_dependent_passes_independent() -> None:
+    records = sweep_passes(seed=1, width=0.040, duration=5.0)
+    data = passes(records, {"down": 0.040, "up": 0.040, "central": 0.080})
+    with pytest.raises(InputError, match="add up to the slot"):
+        identify_sweep("s", [*data, data[0]], BAND)
+
+
+def test_the_order_of_axes_in_a_record_does_not_matter(good: list[SweepPass]) -> None:
+    turned = [SweepPass(p.record.isel(axis=[2, 0, 1]), p.label, p.arc) for p in good]
+    plain, other = (identify_sweep("s", data, (30.0, 40.0)).compliance for data in (good, turned))
+    np.testing.assert_allclose(other["compliance"].values, plain["compliance"].values, rtol=1e-10)
+
+
+def test_a_pass_with_fewer_motion_axes_limits_the_rows_of_all(good: list[SweepPass]) -> None:
+    record = good[0].record.copy()
+    record["acceleration"] = record["acceleration"].where(record["axis"] != "z")
+    found = identify_sweep("s", [SweepPass(record, "down", good[0].arc), *good[1:]], (30.0, 40.0)).compliance
+    assert list(found["response"].values) == ["x", "y"]
+    whole = identify_sweep("s", good, (30.0, 40.0)).compliance
+    np.testing.assert_allclose(found["compliance"].values, whole["compliance"].values[:, :2], rtol=1e-6)
+
+
+def test_passes_need_no_common_sampling_rate_but_segments_do(good: list[SweepPass]) -> None:
+    cut = MillingCut(TOOL, good[0].arc, MATERIAL, SWEEP_DEPTH, feed_rate=2e-3)
+    rng = np.random.default_rng(1)
+    coarse = milling_trial(MACHINE, cut, Spindle(SWEEP_START, SWEEP_RATE), 65.0, SENSORS, rng, sample_rate=1333.0)
+    data = [SweepPass(coarse, "down", good[0].arc), *good[1:]]
+    assert entry_errors(identify_sweep("s", data, BAND).compliance).mean() < 0.05
+    with pytest.raises(InputError, match="sampled at another rate"):
+        identify_sweep("s", data, BAND, Segments(resolution=0.3))
+
+
+@pytest.mark.parametrize("band", [(1100.0, 1200.0), (80.0, 20.0), (0.0, 50.0)])
+def test_a_band_that_the_records_do_not_hold_is_refused(band: tuple[float, float], good: list[SweepPass]) -> None:
+    with pytest.raises(InputError, match="Nyquist"):
+        identify_sweep("s", good, band)
+
+
+def test_passes_that_are_too_short_are_refused_with_the_time_they_need(good: list[SweepPass]) -> None:
+    short = [SweepPass(p.record.isel(time=slice(40000, 42000)), p.label, p.arc) for p in good]
+    with pytest.raises(InputError, match=r"at least [\d.]+ s are needed"):
+        identify_sweep("s", short, BAND)
+
+
+def test_frequencies_above_the_largest_condition_number_stay_empty(good: list[SweepPass]) -> None:
+    # Forces along one line at the lower frequencies, in all directions above 65 Hz.
+    rng = np.random.default_rng(3)
+    high = butter(16, 65.0, "high", fs=1000.0, output="sos")
+    data = []
+    for number in range(3):
+        force = np.zeros((3, 40000))
+        force[:, 1000:30000] = np.array([[1.0], [2.0], [3.0]]) * rng.standard_normal(29000)
+        force[:, 1000:30000] += 3.0 * sosfilt(high, rng.standard_normal((3, 29000)))
+        force[:, 1000:30000] += 1e-3 * rng.standard_normal((3, 29000))
+        data.append(SweepPass(simulate_forced(MACHINE, 100 * force, 1000.0).drop_vars("displacement"), str(number)))
+    found = identify_sweep("s", data, (30.0, 80.0))
+    empty = np.isnan(found.compliance["compliance"].values).all(axis=(1, 2))
+    np.testing.assert_array_equal(empty, ~(found.compliance["force_condition"].values <= 200.0))
+    assert empty[:20].all()
+    assert not empty[-40:].any()
+    assert any(w.startswith("not solved") for w in found.warnings)
+
+
+def test_a_noisy_pass_counts_less(good: list[SweepPass]) -> None:
+    rng = np.random.default_rng(4)
+    noisy = good[0].record.copy()
+    noisy["acceleration"] = noisy["acceleration"] + 0.5 * rng.standard_normal(noisy["acceleration"].shape)
+    data = [*good, SweepPass(noisy, "down again", good[0].arc)]
+    # The noisy repeat must not spoil what the quiet passes give.
+    clean = entry_errors(identify_sweep("s", good, BAND).compliance).mean()
+    assert entry_errors(identify_sweep("s", data, BAND).compliance).mean() < 1.3 * clean
 
 
 def test_half_immersion_down_and_up_with_a_slot_is_refused_with_the_reason() -> None:

@@ -46,8 +46,7 @@
     for (const name of names) {
       const div = document.getElementById(name);
       if (div.layout) {
-        const share = div.closest(".pair") ? 0.5 : 1;
-        Plotly.relayout(div, width ? { width: share * width, autosize: false } : { width: null, autosize: true });
+        Plotly.relayout(div, width ? { width: width, autosize: false } : { width: null, autosize: true });
       }
     }
   }

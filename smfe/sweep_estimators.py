@@ -1,0 +1,287 @@
+"""How the records of sweep passes become the columns of a least squares problem at each frequency.
+
+`LocalPolynomial`
+    transform of the whole record, neighbouring lines, the compliance a polynomial over them (Pintelon and Schoukens
+    2012, ch. 7). Free of leakage at any sweep rate for a record that runs from rest to rest; otherwise a polynomial
+    takes up the transient.
+`Segments`
+    overlapping Hann segments, with the leakage terms of the window up to second order.
+`SingleReference`
+    cross-spectra with one force as the only reference and a 3x3 solve: kept to compare with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft
+
+from process.engagement import Engagement
+from process.errors import InputError
+from process.labels import axis_present, sample_interval
+from smfe.least_squares import Columns
+from smfe.spectra import BlockSpectra, block_spectra, hann, motion_axes
+
+Frequencies = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SweepPass:
+    """One pass of a sweep.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        Forces on x, y, z and motion.
+    label : str
+        What the pass is called in messages, e.g. "down, 12 mm".
+    arc : Engagement, optional
+        Its arc of engagement, for the check of independence before anything is solved.
+    """
+
+    record: xr.Dataset = field(repr=False)
+    label: str
+    arc: Engagement | None = None
+
+
+@dataclass(frozen=True)
+class LocalPolynomial:
+    """Whole-record transform; over a band around each frequency the compliance is a polynomial.
+
+    A wide band averages more noise, a narrow one bends with a lightly damped mode. Each band of `half_widths` is tried
+    and, row by row, the widest one is taken that agrees with all narrower ones within `agreement` standard deviations
+    of these (Lepski's rule).
+
+    Parameters
+    ----------
+    resolution : float, optional
+        Step of the resulting frequency axis [Hz].
+    half_widths : tuple of float, optional
+        Half widths of the bands to choose from [Hz], rising.
+    order : int, optional
+        Order of the polynomial.
+    agreement : float, optional
+        Largest accepted difference, in standard deviations.
+    """
+
+    resolution: float = 0.25
+    half_widths: tuple[float, ...] = (0.125, 0.25, 0.5, 1.0)
+    order: int = 2
+    agreement: float = 2.5
+
+    def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Frequencies:
+        """Return the frequency axis [Hz]."""
+        low, high = (round(f / self.resolution) for f in frequency_range)
+        return np.asarray(np.arange(low, high + 1) * self.resolution)
+
+    def spectra(
+        self, passes: Sequence[SweepPass], frequency: Frequencies, response: Sequence[str]
+    ) -> list[BlockSpectra]:
+        """Return the transform of each whole record around the frequencies."""
+        widest = max(self.half_widths)
+        reach = (max(float(frequency[0]) - widest, 0.1), float(frequency[-1]) + widest)
+        return [whole_record(p.record, reach, response) for p in passes]
+
+    def columns(
+        self, spectra: Sequence[BlockSpectra], restless: Sequence[bool], frequency: float, half_width: float
+    ) -> Columns:
+        """Return the columns of one frequency; a pass that is `restless` brings terms for its transient."""
+        powers = np.arange(self.order + 1)
+        blocks, responses, tests = [], [], []
+        for test, s in enumerate(spectra):
+            low, high = np.searchsorted(s.frequency, [frequency - half_width, frequency + half_width])
+            shift = (s.frequency[low:high] - frequency) / half_width
+            terms = shift[None, :] ** powers[:, None]
+            # Order of rows: the three forces, then forces times shift, then times shift squared.
+            rows = (terms[:, None, :] * s.force[low:high, :, 0].T[None, :, :]).reshape(3 * powers.size, shift.size)
+            transient = np.zeros((len(spectra) * powers.size, shift.size))
+            if restless[test]:
+                transient[test * powers.size : (test + 1) * powers.size] = terms
+            blocks.append(np.concatenate([rows, transient]))
+            responses.append(s.displacement[low:high, :, 0].T)
+            tests.append(np.full(shift.size, test))
+        regressors = np.concatenate(blocks, axis=1)
+        used = np.any(regressors != 0.0, axis=1) | (np.arange(regressors.shape[0]) < 3)
+        return Columns(regressors[used], np.concatenate(responses, axis=1), np.concatenate(tests))
+
+    def unknowns(self, restless: Sequence[bool]) -> int:
+        """Return the number of unknowns a row."""
+        return (self.order + 1) * (3 + sum(restless))
+
+    def error_lines(self, half_width: float) -> float:
+        """Return how many lines of the axis share an error.
+
+        The estimate at the centre is a weighted mean over the band; ``1/sum(weight^2)`` is its effective width, 8/9 of
+        the half width for order 2.
+        """
+        shift = np.linspace(-1.0, 1.0, 401)
+        weight = np.linalg.pinv(shift[:, None] ** np.arange(self.order + 1))[0]
+        return max(1.0, 2.0 * half_width / (self.resolution * shift.size * float(weight @ weight)))
+
+
+HANN_ERROR_LINES = 1.5
+"""How many lines of a Hann window share an error: its noise bandwidth."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Overlapping Hann segments of all passes.
+
+    A windowed record obeys ``X_w = sum_n Phi^(n)/(n! (2 pi j)^n) F_n`` where F_n is the force seen through the n-th
+    derivative of the window; terms up to `leakage_order` are kept as nuisance regressors.
+
+    Parameters
+    ----------
+    resolution : float, optional
+        Line spacing [Hz]; a segment lasts 1/resolution.
+    overlap : float, optional
+        Share of a segment that the next one repeats.
+    leakage_order : {0, 1, 2}, optional
+        Terms kept beyond the plain one. With fewer than 2 the bias of the window is not in ``compliance_std``.
+    """
+
+    resolution: float = 0.5
+    overlap: float = 0.75
+    leakage_order: int = 2
+
+    def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Frequencies:
+        """Return the frequency axis [Hz]: the lines of a segment."""
+        dt = sample_interval(passes[0].record)
+        lines = fft.rfftfreq(round(1.0 / (self.resolution * dt)), dt)
+        inside = (lines >= frequency_range[0] - 1e-9) & (lines <= frequency_range[1] + 1e-9)
+        return np.asarray(lines[inside])
+
+    def columns(
+        self, passes: Sequence[SweepPass], frequency: Frequencies, response: Sequence[str]
+    ) -> Iterator[Columns]:
+        """Yield the columns of each frequency."""
+        reach = (float(frequency[0]), float(frequency[-1]))
+        orders = range(self.leakage_order + 1)
+        seen = [[self.blocks(p, reach, response, order) for p in passes] for order in orders]
+        plain = seen[0]
+        for p, b in zip(passes, plain, strict=True):
+            if b.frequency.shape != frequency.shape or not np.allclose(b.frequency, frequency, rtol=1e-9):
+                raise InputError(
+                    f"pass '{p.label}' is sampled at another rate than the first, so its segments have other lines; "
+                    "use the local polynomial, which needs no common rate, or resample"
+                )
+        test = np.concatenate([np.full(b.force.shape[2], i) for i, b in enumerate(plain)])
+        motion = np.concatenate([b.displacement for b in plain], axis=2)
+        force = np.concatenate([np.concatenate([b.force for b in blocks], axis=2) for blocks in seen], axis=1)
+        for line, f0 in enumerate(frequency):
+            yield Columns(force[line], motion[line], test, _overlap_matrix(plain, f0))
+
+    def blocks(
+        self, sweep: SweepPass, reach: tuple[float, float], response: Sequence[str], derivative: int = 0
+    ) -> BlockSpectra:
+        """Return the spectra of all segments of a pass, through the window or one of its derivatives."""
+        dt = sample_interval(sweep.record)
+        length = round(1.0 / (self.resolution * dt))
+        hop = max(1, round(length * (1.0 - self.overlap)))
+        starts = range(0, sweep.record.sizes["time"] - length + 1, hop)
+        if not len(starts):
+            raise InputError(
+                f"pass '{sweep.label}' lasts {sweep.record.sizes['time'] * dt:.3g} s, less than one segment of "
+                f"{length * dt:.3g} s; choose a coarser resolution than {self.resolution:g} Hz"
+            )
+        turn = 2.0 * np.pi * np.arange(length) / length
+        # The Hann window and its derivatives with respect to time over the segment; scale does not matter.
+        window = (hann(length), np.sin(turn), np.cos(turn))[derivative]
+        return block_spectra(sweep.record, starts, length, window, reach, detrend=derivative == 0, response=response)
+
+
+@dataclass(frozen=True)
+class SingleReference:
+    """Cross-spectra of every channel with one force, then a 3x3 solve: one column a pass.
+
+    Parameters
+    ----------
+    reference : {"x", "y", "z"}, optional
+        The force that everything is correlated with.
+    resolution : float, optional
+        Line spacing [Hz].
+    overlap : float, optional
+        Share of a Hann segment that the next one repeats.
+    """
+
+    reference: str = "x"
+    resolution: float = 0.25
+    overlap: float = 0.5
+
+    @property
+    def segments(self) -> Segments:
+        """The segments it averages over."""
+        return Segments(self.resolution, self.overlap, 0)
+
+    def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Frequencies:
+        """Return the frequency axis [Hz]."""
+        return self.segments.axis(frequency_range, passes)
+
+    def cross_spectra(
+        self, passes: Sequence[SweepPass], reach: tuple[float, float], response: Sequence[str]
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Return S_XF and S_FF with the reference, each of shape (frequencies, rows, passes)."""
+        sxf, sff = [], []
+        for p in passes:
+            b = self.segments.blocks(p, reach, response)
+            reference = b.force[:, [b.excitation.index(self.reference)], :].conj()
+            sxf.append((b.displacement * reference).mean(axis=2))
+            sff.append((b.force * reference).mean(axis=2))
+        return np.stack(sxf, axis=2), np.stack(sff, axis=2)
+
+
+Estimator = LocalPolynomial | Segments | SingleReference
+
+
+def whole_record(record: xr.Dataset, reach: tuple[float, float], response: Sequence[str]) -> BlockSpectra:
+    """Transform the whole record, padded with rest to a length that transforms fast."""
+    n = record.sizes["time"]
+    length = fft.next_fast_len(n, real=True)
+    if length > n:
+        dt = sample_interval(record)
+        channels = record[["force", motion_axes(record)[0]]]
+        padded = channels.pad(time=(0, length - n), constant_values=0.0)
+        record = padded.assign_coords(time=float(record["time"][0]) + dt * np.arange(length))
+    return block_spectra(record, [0], length, None, reach, detrend=False, response=response)
+
+
+def end_pieces(record: xr.Dataset, channel: str, duration: float = 0.1) -> NDArray[np.float64]:
+    """Return the rms of consecutive pieces of a channel, shape (axes, pieces)."""
+    n = record.sizes["time"]
+    piece = min(max(8, round(duration / sample_interval(record))), n)
+    values = record[channel].sel(axis=axis_present(record, channel)).values
+    blocks = values[:, : n // piece * piece].reshape(values.shape[0], -1, piece)
+    return np.asarray(np.sqrt(np.mean(blocks**2, axis=2)))
+
+
+def at_rest(record: xr.Dataset) -> bool:
+    """Whether the record begins and ends in the air, with the motion decayed.
+
+    In the first and last 0.1 s the force is below 0.3 of its largest level (a cut that goes on is not; noise may be
+    there), the motion below 0.05 of its own or near the quietest piece of the record.
+    """
+    force, motion = end_pieces(record, "force"), end_pieces(record, motion_axes(record)[0])
+    ends = np.maximum(motion[:, 0], motion[:, -1])
+    quiet = np.maximum(0.05 * motion.max(axis=1), 3.0 * motion.min(axis=1))
+    in_air = np.maximum(force[:, 0], force[:, -1]) <= 0.3 * force.max(axis=1)
+    return bool(np.all(in_air) and np.all(ends <= quiet))
+
+
+def _overlap_matrix(blocks: Sequence[BlockSpectra], frequency: float) -> NDArray[np.complex128]:
+    """Correlation of white noise between all segments of all tests at one frequency, ``E[n_a conj(n_b)]``."""
+    sizes = [b.force.shape[2] for b in blocks]
+    out = np.zeros((sum(sizes), sum(sizes)), dtype=complex)
+    start = 0
+    for b, size in zip(blocks, sizes, strict=True):
+        lag = np.arange(size)[:, None] - np.arange(size)[None, :]
+        rho = np.zeros(size)
+        used = min(size, b.neighbour_correlation.size)
+        rho[:used] = b.neighbour_correlation[:used]
+        phase = np.exp(2j * np.pi * frequency * b.hop * lag)
+        out[start : start + size, start : start + size] = rho[np.abs(lag)] * phase
+        start += size
+    return out

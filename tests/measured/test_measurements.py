@@ -1,0 +1,58 @@
+"""What every identified measurement is checked for."""
+
+import numpy as np
+import pytest
+
+from process.compliance import ModalModel
+from process.engagement import engagement
+from process.errors import InputError
+from smfe.demo_campaign import MACHINE, TOOL, sweep_passes
+from smfe.measurements import sign_warnings, tooth_passing_band
+from smfe.sweep import identify_sweep
+from smfe.sweep_estimators import SweepPass
+
+FREQUENCY = np.arange(20.0, 80.0, 0.25)
+
+
+def test_a_passive_machine_raises_no_warning_and_a_turned_force_does() -> None:
+    compliance = MACHINE.compliance(FREQUENCY)
+    assert sign_warnings(compliance) == ()
+    turned = compliance.assign(compliance=-compliance["compliance"])
+    found = sign_warnings(turned)
+    assert [w.split()[3] for w in found] == ["xx", "yy", "zz"]
+    assert all("sign = -1" in w for w in found)
+
+
+def test_noise_alone_is_no_reason_to_suspect_a_sign() -> None:
+    rng = np.random.default_rng(1)
+    machine = ModalModel([500.0], [0.01], [1e8], [(1.0, 0.0, 0.0)])
+    compliance = machine.compliance(FREQUENCY, "x", "x")
+    noise = 1e-9 * (rng.standard_normal((FREQUENCY.size, 1, 1)) + 1j * rng.standard_normal((FREQUENCY.size, 1, 1)))
+    noisy = compliance.assign(
+        compliance=compliance["compliance"] + noise,
+        compliance_std=(("frequency", "response", "excitation"), np.full(noise.shape, 1.4e-9)),
+    )
+    assert sign_warnings(noisy) == ()
+
+
+def test_a_sweep_on_a_dynamometer_with_the_reaction_is_found_out() -> None:
+    passes = []
+    for cut, record in sweep_passes(seed=1).items():
+        turned = record.assign(force=-record["force"])
+        passes.append(SweepPass(turned, cut, engagement(cut, 0.012, TOOL.diameter)))
+    assert len(sign_warnings(identify_sweep("s", passes, (20.0, 80.0)).compliance)) == 3
+
+
+def test_the_band_of_a_sweep_is_its_tooth_passing_frequency_and_twice_that() -> None:
+    passes = [SweepPass(r, c) for c, r in sweep_passes(seed=1, duration=20.0).items()]
+    low, high = tooth_passing_band(passes, 2)
+    # From 600 rpm at 1.5 rad/s2, after half a second in the air, 20 s in the cut, two teeth.
+    assert low == pytest.approx(21.0, abs=1.0)
+    assert high == pytest.approx(2 * (20.0 + 2 * 1.5 * 20.5 / (2 * np.pi)), abs=2.0)
+
+
+def test_passes_over_different_speeds_have_no_band() -> None:
+    passes = [SweepPass(r, c) for c, r in sweep_passes(seed=1, duration=5.0).items()]
+    slow = passes[0].record.assign(spindle_speed=passes[0].record["spindle_speed"] / 10.0)
+    with pytest.raises(InputError, match="no band in common"):
+        tooth_passing_band([SweepPass(slow, "slow"), *passes[1:]], 2)
