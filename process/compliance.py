@@ -1,4 +1,4 @@
-"""Modal models and the compliance, state space and accelerance that belong to them."""
+"""Modal models and the compliance and state space that belong to them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Time simulation: a linear modal machine under given forces, and under the cut that it makes itself.
 
-Labelled in, labelled out; the loops are in `process._kernels`. The step is fixed; `default_step` states the rule and
-`step_error` halves the step to show what it costs.
+Labelled in, labelled out; the loops are in `process._kernels`. The step is fixed; `default_step` states the rule.
 """
 
 from __future__ import annotations

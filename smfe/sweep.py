@@ -286,8 +286,8 @@ def _choose(
             where = _in_words(frequency, clear.any(axis=(1, 2)))
             warnings = (
                 f"resonances are narrower than the finest band of {2 * widths[0]:g} Hz in {where}: their peaks come "
-                "out too low by about what the standard deviation says; sweep more slowly so that the lines lie closer, and "
-                "use smaller half_widths",
+                "out too low by about what the standard deviation says; sweep more slowly so that the lines lie closer, "
+                "and use smaller half_widths",
             )
     width = np.asarray(widths)[index]
     lines = float(np.mean([estimator.error_lines(w) for w in width.ravel()]))
@@ -309,7 +309,7 @@ def _with_force_noise(
     N is the noise of the force channels in the air before and after the cut, where the record has it.
     """
     if not all(at_rest(p.record) for p in passes):
-        text = "a pass begins or ends in the cut, so the noise of the forces and what it takes from the compliance are unknown"
+        text = "a pass begins or ends in the cut, so what noise on the forces takes from the compliance is unknown"
         return replace(found, warnings=(*found.warnings, text))
     assert found.half_width is not None
     power = []
@@ -371,7 +371,7 @@ def _single(
     for x, f in zip(sxf, sff, strict=True):
         conditions.append(condition_number(f))
         singular = not np.isfinite(conditions[-1])
-        gains.append(np.full(x.shape[:1] + (3,), np.nan) if singular else np.linalg.lstsq(f.T, x.T, rcond=None)[0].T)
+        gains.append(np.full((*x.shape[:1], 3), np.nan) if singular else np.linalg.lstsq(f.T, x.T, rcond=None)[0].T)
     shape = np.array(gains).shape
     unknown = np.full((*shape, 3), np.nan, dtype=complex)
     return _Estimate(
