@@ -14,7 +14,7 @@ so that ``F = a_p P (s, c, 1)^T (s, c, 1) Q d`` for a dynamic displacement d, wi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,7 +38,7 @@ class CuttingCoefficients:
     Raises
     ------
     InputError
-        When the tangential coefficient is not positive.
+        When a coefficient is not finite or the tangential one is not positive.
     """
 
     Ktc: float
@@ -49,7 +49,11 @@ class CuttingCoefficients:
     Kae: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a work material that pushes the tool forwards."""
+        """Refuse coefficients that are no numbers and a work material that pushes the tool forwards."""
+        for coefficient in fields(self):
+            value = getattr(self, coefficient.name)
+            if not math.isfinite(value):
+                raise InputError(f"{coefficient.name} is {value:g}; a cutting coefficient must be a finite number")
         if not self.Ktc > 0.0:
             raise InputError(f"K_tc is {self.Ktc / 1e6:g} N/mm^2; the tangential coefficient must be positive")
 
@@ -124,7 +128,19 @@ def directional_matrix(
     -------
     ndarray of complex, shape (3, 3)
         [N/m2]: force over displacement, per depth of cut.
+
+    Raises
+    ------
+    InputError
+        For unequal pitch, and for a helix with an order other than zero: its mean over the depth depends on the depth.
     """
+    _require_equal_pitch(tool, "the directional matrix")
+    if order != 0 and tool.helix_angle > 0.0:
+        raise InputError(
+            f"harmonic {order} of the directional matrix is asked for a helix of "
+            f"{math.degrees(tool.helix_angle):g} deg; straight edges are needed: a helix makes it depend on the depth. "
+            "Ask for order 0, or leave helix_angle out to neglect the helix"
+        )
     projection = force_projection(coefficients.cutting, tool.approach_angle)
     gram = gram_matrix(arc, order * tool.teeth)
     return tool.teeth / (2.0 * math.pi) * projection @ gram @ chip_projection(tool.approach_angle)
@@ -157,7 +173,19 @@ def force_harmonics(
     -------
     ndarray of complex, shape (n, 3)
         Peak amplitudes [N] of ``Re(F_h exp(j h N theta))``.
+
+    Raises
+    ------
+    InputError
+        For unequal pitch or run-out: the force then has lines at the spindle orders between these harmonics.
     """
+    _require_equal_pitch(tool, "the force harmonics")
+    if not tool.equal_radius:
+        microns = ", ".join(f"{1e6 * r:g}" for r in tool.runout or ())
+        raise InputError(
+            f"the tool has a run-out of {microns} um; the force harmonics hold for teeth on one circle. Use a time "
+            "simulation, or leave runout out to neglect it"
+        )
     chip = force_projection(coefficients.cutting, tool.approach_angle)
     edge = force_projection(coefficients.edge, tool.approach_angle) / math.sin(tool.approach_angle)
     rows = []
@@ -166,6 +194,15 @@ def force_harmonics(
         per_depth = feed_per_tooth * chip @ gram[:, 0] + edge @ gram[:, 2]
         rows.append(tool.teeth / math.pi * depth * per_depth * _helix_factor(tool, depth, int(h)))
     return np.array(rows)
+
+
+def _require_equal_pitch(tool: Tool, what: str) -> None:
+    if not tool.equal_pitch:
+        degrees = ", ".join(f"{math.degrees(p):g}" for p in tool.pitch_angles or ())
+        raise InputError(
+            f"the tool has unequal pitch ({degrees} deg); {what} can be had for equally spaced teeth only. Use a time "
+            "simulation, or leave pitch_angles out to treat the teeth as equally spaced"
+        )
 
 
 def _helix_factor(tool: Tool, depth: float, order: int) -> complex:

@@ -44,6 +44,7 @@ SI_UNITS: dict[str, str] = {
     "tacho": "1",
     "compliance": "m/N",
     "compliance_std": "m/N",
+    "compliance_covariance": "m^2/N^2",
     "coherence": "1",
     "force_condition": "1",
     "force_level": "N",
@@ -107,20 +108,35 @@ def make_record(
     -------
     xarray.Dataset
         Variables over ``(axis, time)`` and ``(time,)`` with units.
+
+    Raises
+    ------
+    InputError
+        For an axis that is not known, samples of another shape than the time, or what `check_record` refuses.
     """
     t = np.asarray(time, dtype=float)
     present = [a for a in AXES if any(a in channel for channel in vectors.values())]
     data: dict[str, Any] = {}
     for name, channel in vectors.items():
+        axis_index(list(channel))
         values = np.full((len(present), t.size), np.nan)
         for row, axis in enumerate(present):
             if axis in channel:
-                values[row] = np.asarray(channel[axis], dtype=float)
+                values[row] = _as_long_as(t, channel[axis], f"{name}_{axis}")
         data[name] = (("axis", "time"), values)
     for name, samples in (scalars or {}).items():
-        data[name] = (("time",), np.asarray(samples, dtype=float))
+        data[name] = (("time",), _as_long_as(t, samples, name))
     record = xr.Dataset(data, coords={"time": t, "axis": present}, attrs=dict(attrs or {}))
     return check_record(label(record))
+
+
+def _as_long_as(time: NDArray[np.float64], samples: ArrayLike, name: str) -> NDArray[np.float64]:
+    values = np.asarray(samples, dtype=float)
+    if time.ndim != 1 or values.shape != time.shape:
+        raise InputError(
+            f"channel {name} has the shape {values.shape}, the time {time.shape}; give one sample for each time"
+        )
+    return values
 
 
 def check_record(record: xr.Dataset) -> xr.Dataset:
@@ -129,12 +145,14 @@ def check_record(record: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     InputError
-        For an empty record, a time axis that is not uniform and rising, an unknown channel, or NaN in an axis
-        that is only partly there.
+        For an empty record, a time axis that is not uniform and rising, an unknown channel or axis, or NaN in an
+        axis that is only partly there.
     """
     if "time" not in record.dims or record.sizes["time"] < 2:
         raise InputError(f"the record has {record.sizes.get('time', 0)} samples; at least 2 are needed")
     sample_interval(record)
+    if "axis" in record.coords:
+        axis_index([str(a) for a in record["axis"].values])
     for name in record.data_vars:
         if str(name) not in (*RECORD_VECTORS, *RECORD_SCALARS):
             known = ", ".join((*RECORD_VECTORS, *RECORD_SCALARS))
@@ -177,11 +195,15 @@ def sample_interval(record: xr.Dataset) -> float:
 
 
 def axis_present(record: xr.Dataset, channel: str) -> list[str]:
-    """Return the axes on which `channel` has been recorded."""
+    """Return the axes on which `channel` has been recorded, in the order x, y, z."""
     if channel not in record:
         return []
     values = record[channel]
-    return [str(a) for a in values["axis"].values if not np.isnan(values.sel(axis=a).values[0])]
+    names = [str(a) for a in values["axis"].values]
+    there = [
+        i for name, i in zip(names, axis_index(names), strict=True) if not np.isnan(values.sel(axis=name).values[0])
+    ]
+    return [AXES[i] for i in sorted(there)]
 
 
 def make_compliance(

@@ -45,8 +45,8 @@ class Tool:
 
     def __post_init__(self) -> None:
         """Refuse impossible geometry."""
-        if not self.diameter > 0.0:
-            raise InputError(f"the tool diameter is {self.diameter:g} m; it must be positive")
+        if not (self.diameter > 0.0 and math.isfinite(self.diameter)):
+            raise InputError(f"the tool diameter is {self.diameter:g} m; it must be positive and finite")
         if self.teeth < 1:
             raise InputError(f"the tool has {self.teeth} teeth; at least one is needed")
         if not 0.0 < self.approach_angle <= math.pi / 2 + 1e-12:
@@ -61,6 +61,8 @@ class Tool:
         for name, values in (("pitch_angles", self.pitch_angles), ("runout", self.runout)):
             if values is not None and len(values) != self.teeth:
                 raise InputError(f"{name} has {len(values)} values for {self.teeth} teeth; give one a tooth")
+            if values is not None and not all(map(math.isfinite, values)):
+                raise InputError(f"{name} is {values}; give a finite number for each tooth")
         if self.pitch_angles is not None:
             total = math.degrees(sum(self.pitch_angles))
             if abs(total - 360.0) > 0.01 or min(self.pitch_angles) <= 0.0:
@@ -70,6 +72,11 @@ class Tool:
     def equal_pitch(self) -> bool:
         """Whether all teeth are equally spaced."""
         return self.pitch_angles is None or float(np.ptp(self.pitch_angles)) < 1e-9
+
+    @property
+    def equal_radius(self) -> bool:
+        """Whether no tooth stands out: the tool has no run-out."""
+        return self.runout is None or float(np.ptp(self.runout)) == 0.0
 
     def tooth_angles(self) -> NDArray[np.float64]:
         """Return how far each tooth runs behind tooth 0 [rad], shape (teeth,)."""

@@ -87,7 +87,7 @@ def parse(text: str, dimension: str) -> float:
     Raises
     ------
     InputError
-        When there is no number, no unit, or the unit is of another dimension.
+        When there is no number, no unit, the unit is of another dimension, or the number is too large to be held.
     """
     if not isinstance(text, str):
         raise InputError(f"{text!r} has no unit; write it as text with a unit, e.g. {_example(dimension)}")
@@ -97,7 +97,10 @@ def parse(text: str, dimension: str) -> float:
     number, unit = match.groups()
     if not unit and dimension != "dimensionless":
         raise InputError(f"'{text}' has no unit; write e.g. {_example(dimension)}")
-    return float(number) * factor(unit, dimension)
+    value = float(number) * factor(unit, dimension)
+    if not math.isfinite(value):
+        raise InputError(f"'{text}' is not finite; write e.g. {_example(dimension)}")
+    return value
 
 
 def show(value: float, unit: str, dimension: str, digits: int = 6) -> str:

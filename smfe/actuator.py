@@ -106,9 +106,10 @@ class Step:
     compliance, std : mapping of str to complex, float
         Axis -> compliance and root mean square of its complex error [m/N].
     drift : float
-        Largest relative difference of the compliances of the two halves of the fitted part [1].
+        Largest relative difference of the compliances of the two halves of the fitted part [1], of those responses
+        where it exceeds three standard deviations.
     settled : bool
-        Whether that difference is small or within its noise.
+        Whether that difference is small.
     reason : str
         Why it is not used; empty when it is.
     """
@@ -206,7 +207,7 @@ def fit_sine(samples: NDArray[np.float64], dt: float, frequency: float, fitted_f
     """
     n = samples.size
     basis = _basis(frequency, n, dt, 1)
-    (a, b, offset), *_ = np.linalg.lstsq(basis, samples, rcond=None)
+    a, b, offset = _least_squares(basis, samples)
     residual = samples - basis @ np.array([a, b, offset])
     rss = float(residual @ residual)
     tss = float(np.sum((samples - samples.mean()) ** 2))
@@ -226,7 +227,7 @@ def _distortion(samples: NDArray[np.float64], dt: float, frequency: float) -> fl
     highest = min(5, int(0.5 / (frequency * dt) * (1.0 - 1e-6)))
     if highest < 2:
         return float("nan")
-    parts, *_ = np.linalg.lstsq(_basis(frequency, samples.size, dt, highest), samples, rcond=None)
+    parts = _least_squares(_basis(frequency, samples.size, dt, highest), samples)
     power = parts[0:-1:2] ** 2 + parts[1::2] ** 2
     return float(np.sqrt(power[1:].sum() / power[0])) if power[0] > 0.0 else float("nan")
 
@@ -246,20 +247,28 @@ def refine_frequency(samples: NDArray[np.float64], dt: float, frequency: float) 
     frequency : float
         First guess [Hz], good to a fraction of 1/(n dt).
     """
-    t = (np.arange(samples.size) - 0.5 * (samples.size - 1)) * dt
-    w = 2.0 * np.pi * frequency
-    largest = np.pi / (t[-1] - t[0])  # further than half a line at once, the linearisation means nothing
-    basis = np.stack([np.cos(w * t), np.sin(w * t), np.ones_like(t)], axis=1)
-    a, b, _ = np.linalg.lstsq(basis, samples, rcond=None)[0]
+    t = np.linspace(-1.0, 1.0, samples.size)
+    half = 0.5 * (samples.size - 1) * dt
+    w = 2.0 * np.pi * frequency * half
+    one = np.ones_like(t)
+    a, b, _ = _least_squares(np.stack([np.cos(w * t), np.sin(w * t), one], axis=1), samples)
     for _ in range(20):
         cos, sin = np.cos(w * t), np.sin(w * t)
-        basis = np.stack([cos, sin, np.ones_like(t), t * (b * cos - a * sin)], axis=1)
-        a, b, _, change = np.linalg.lstsq(basis, samples, rcond=None)[0]
-        change = float(np.clip(change, -largest, largest))
+        a, b, _, change = _least_squares(np.stack([cos, sin, one, t * (b * cos - a * sin)], axis=1), samples)
+        change = float(np.clip(change, -0.5 * np.pi, 0.5 * np.pi))  # half a line; further, linearity means nothing
         w = w + change
         if abs(change) < 1e-12 * w:
             break
-    return float(w / (2.0 * np.pi))
+    return float(w / (2.0 * np.pi * half))
+
+
+def _least_squares(basis: NDArray[np.float64], samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve by the normal equations: over some cycles the columns are nearly orthogonal, and there are thousands."""
+    gram, right = basis.T @ basis, basis.T @ samples
+    try:
+        return np.asarray(np.linalg.solve(gram, right))
+    except np.linalg.LinAlgError:  # a silent force
+        return np.asarray(np.linalg.lstsq(gram, right, rcond=None)[0])
 
 
 # --- finding steps -------------------------------------------------------------------------------------------------
@@ -271,7 +280,7 @@ def find_steps(force: NDArray[np.float64], dt: float) -> list[tuple[int, int, fl
     1. Frames of four cycles of the lowest frequency (below which 0.5 % of the energy lies), an eighth of a frame
        apart: the frequency of a frame is the interpolated maximum of its Hann spectrum.
     2. A run is a series of frames between which the frequency changes no more than its usual scatter (six median
-       deviations, at least 1e-4).
+       changes, at least a hundredth of a line).
     3. A sine is fitted to the middle of the run; the step reaches as far as the force, averaged over a cycle, stays
        with that sine in phase (0.05 rad, or four times its scatter) and amplitude (20 %).
     4. A step whose phase bends over its length is a stretch of a continuous sweep, or mixes two steps: dropped.
@@ -335,14 +344,14 @@ def _frame_frequencies(
     return frequency, size
 
 
-def _steady_runs(
-    force: NDArray[np.float64], dt: float, frame: int, loudest: float
-) -> list[tuple[int, int, float]]:
+def _steady_runs(force: NDArray[np.float64], dt: float, frame: int, loudest: float) -> list[tuple[int, int, float]]:
     """Return start, stop and frequency of runs of frames whose frequency stays, the longest first."""
     starts = np.arange(0, force.size - frame + 1, max(frame // 8, 1))
     frequency, size = _frame_frequencies(force, starts, frame, dt)
-    change = np.abs(np.diff(frequency)) / np.maximum(frequency[1:], 1e-300)
-    limit = max(6.0 * float(np.median(change)), 1e-4) if change.size else 1e-4
+    change = np.abs(np.diff(frequency))
+    scatter = float(np.median(change)) if change.size else 0.0
+    # A hundredth of a line is what negative frequencies do to a short frame, noise or not.
+    limit = max(6.0 * scatter, 0.01 / (frame * dt))
     loud = size > 0.01 * loudest * 0.5 * frame  # 0.5 frame: gain of the Hann window
     joined = (change <= limit) & loud[1:] & loud[:-1]
     edges = [0, *(np.flatnonzero(~joined) + 1).tolist(), starts.size]
@@ -383,17 +392,21 @@ def _extent(
     relative, limit = _relative_to_sine(force, slice(low, high), middle, frequency, dt)
     if limit > 1.0:  # the middle is no sine of one frequency
         return None
-    with_it = (np.abs(np.angle(relative)) <= limit) & (np.abs(np.abs(relative) - 1.0) <= max(0.2, limit))
+    near = (np.abs(np.angle(relative)) <= limit) & (np.abs(np.abs(relative) - 1.0) <= max(0.2, limit))
+    # An excursion of noise lasts a cycle, over which was averaged; the next step lasts.
+    brief = np.ones(2 * max(round(0.5 / (frequency * dt)), 1) + 1, dtype=bool)
+    with_it = ndimage.binary_erosion(ndimage.binary_dilation(near, brief), brief, border_value=1)
     centre = (start + stop) // 2 - low
     left, right = np.flatnonzero(~with_it[:centre]), np.flatnonzero(~with_it[centre:])
     first = int(left[-1]) + 1 if left.size else 0
     last = centre + int(right[0]) if right.size else with_it.size
     if (last - first) * dt * frequency < 4.0:
         return None
-    x = np.linspace(-1.0, 1.0, last - first)
-    bend = np.polynomial.legendre.legfit(x, np.angle(relative[first:last]), 2)[2]
+    inside = near[first:last]
+    x = np.linspace(-1.0, 1.0, last - first)[inside]
+    bend = np.polynomial.legendre.legfit(x, np.angle(relative[first:last][inside]), 2)[2]
     # A chirp bends by the whole limit (|c| = 2/3 of it), a step by its scatter over many cycles.
-    return None if abs(bend) > 0.3 * limit else (low + first, low + last, frequency)
+    return None if abs(bend) > 0.45 * limit else (low + first, low + last, frequency)
 
 
 def _relative_to_sine(
@@ -441,11 +454,14 @@ def fit_steps(record: xr.Dataset, excitation: str, index: int = 0, rules: StepRu
     motion = {axis: record[channel].sel(axis=axis).values for axis in axes}
     steps = []
     for number, (start, stop, frequency) in enumerate(find_steps(force, dt), start=1):
-        part = _settled_part(start, stop, frequency, dt, rules)
+        # The ends are known to about a cycle, over which the force was averaged; the whole step tells its frequency.
+        cycle = round(1.0 / (frequency * dt))
+        inner = force[start + cycle : stop - cycle]
+        if inner.size > 4 * cycle:
+            frequency = refine_frequency(inner, dt, frequency)
+        part = _settled_part(start, stop - cycle, frequency, dt, rules)
         fits = _fit_part(force, motion, channel, part, frequency, dt)
-        steps.append(
-            _step(fits, rules, excitation, source, number, float(time[start]), (stop - start) * dt)
-        )
+        steps.append(_step(fits, rules, excitation, source, number, float(time[start]), (stop - start) * dt))
     if not any(not step.reason for step in steps):
         raise _no_steps(force, source, excitation)
     return steps
@@ -492,8 +508,6 @@ def _fit_part(
     dt: float,
 ) -> _PartFits:
     length = part.stop - part.start
-    if length >= 8:
-        frequency = refine_frequency(force[part], dt, frequency)
     middle = part.start + length // 2
     whole, early, late = (
         _fit_channels(force, motion, channel, s, frequency, dt)
@@ -531,10 +545,10 @@ def _step(
     drift, settled, std = 0.0, True, dict(fits.std)
     for axis, value in fits.compliance.items():
         difference = abs(fits.halves[1][axis] - fits.halves[0][axis])
-        drift = max(drift, difference / abs(value)) if value != 0.0 else drift
         if difference > 3.0 * fits.half_std[axis]:
             # What has not settled is about as wrong as its halves differ, and the residual does not know it.
             std[axis] = float(np.hypot(std[axis], difference))
+            drift = max(drift, difference / abs(value))
             settled = settled and difference <= rules.stationary * abs(value)
     reason = ""
     if round(fits.length * fits.force.frequency) < rules.minimum_cycles:
@@ -584,13 +598,12 @@ def step_table(steps: Sequence[Step]) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def _assemble(
-    name: str, steps: Sequence[Step], wanted: tuple[float, float] | None, rules: StepRules
-) -> xr.Dataset:
+def _assemble(name: str, steps: Sequence[Step], wanted: tuple[float, float] | None, rules: StepRules) -> xr.Dataset:
     """Put the steps on the union of their frequencies."""
     used = sorted((s for s in steps if not s.reason), key=lambda s: s.force.frequency)
     if wanted is not None:
-        used = [s for s in used if wanted[0] <= s.force.frequency <= wanted[1]]
+        low, high = wanted[0] * (1.0 - rules.frequency_tolerance), wanted[1] * (1.0 + rules.frequency_tolerance)
+        used = [s for s in used if low <= s.force.frequency <= high]
     if not used:
         where = f"none lies between {wanted[0]:.4g} and {wanted[1]:.4g} Hz" if wanted else "none can be used"
         raise InputError(f"measurement '{name}' has {len(steps)} steps, but {where}; see why in the table of steps")

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from process.errors import InputError
 from process.labels import AXES, axis_index, make_compliance, sample_interval
@@ -180,7 +180,7 @@ def identify_hammer(
     duration = 1.0 / resolution if resolution is not None else _longest_block(hits)
     hits = [_judge(hit, columns[hit.excitation][hit.record], duration, exclude, rules) for hit in hits]
     averages = [
-        _average_column(columns[axis], _accepted(name, axis, hits), duration, rules, gate_force)
+        _average_column(columns[axis], _accepted(name, axis, hits), duration, rules, gate_force, frequency_range)
         for axis in AXES
         if axis in columns
     ]
@@ -295,10 +295,11 @@ def _measure(
     pulse: NDArray[np.float64], starts: NDArray[np.intp], stops: NDArray[np.intp], dt: float, rules: HitRules
 ) -> Hit:
     """Return peak, impulse, duration, overload and second pulse of one group of pulses."""
-    peaks = np.array([pulse[a:b].max() for a, b in zip(starts, stops, strict=True)])
+    tops = np.array([a + np.argmax(pulse[a:b]) for a, b in zip(starts, stops, strict=True)])
+    peaks = pulse[tops]
     main = int(np.argmax(peaks))
     peak = float(peaks[main])
-    at = int(starts[main] + np.argmax(pulse[starts[main] : stops[main]]))
+    at = int(tops[main])
     low = pulse < 0.1 * peak
     before, after = np.flatnonzero(low[:at]), np.flatnonzero(low[at:])
     begin = int(before[-1]) + 1 if before.size else 0
@@ -321,7 +322,7 @@ def _measure(
         impulse=float(pulse[whole].sum()) * dt,
         duration=(end - begin) * dt,
         overloaded=full or flat_top(pulse[max(begin - margin, 0) : end + margin]),
-        second_delay=abs(int(starts[second] - starts[main])) * dt if double else float("nan"),
+        second_delay=abs(int(tops[second]) - at) * dt if double else float("nan"),
         second_force=float(peaks[second]) if double else float("nan"),
     )
 
@@ -340,12 +341,10 @@ def flat_top(samples: NDArray[np.float64]) -> bool:
     """
     top = float(samples.max())
     scale = float(np.ptp(samples))
-    steps = np.diff(np.unique(samples))
-    steps = steps[steps > 1e-9 * scale]
-    if not steps.size:
+    if scale == 0.0:
         return False
-    tolerance = 1e-5 * scale
-    starts, stops = _runs(samples >= top - tolerance)
+    tolerance = max(1e-5 * scale, _converter_step(samples, scale))
+    starts, stops = _runs(samples >= top - 1e-5 * scale)
     longest = int(np.argmax(stops - starts))
     a, b = int(starts[longest]), int(stops[longest])
     if b - a < 3:
@@ -353,8 +352,15 @@ def flat_top(samples: NDArray[np.float64]) -> bool:
     half = 0.5 * (b - a - 1)
     beyond = max(2, round(half))
     drop = [top - float(samples[i]) for i in (a - beyond, b - 1 + beyond) if 0 <= i < samples.size]
-    allowed = ((1.0 + beyond / half) ** 2 + 2.0) * max(float(steps.min()), tolerance)
-    return bool(drop) and min(drop) > allowed
+    return bool(drop) and min(drop) > ((1.0 + beyond / half) ** 2 + 2.0) * tolerance
+
+
+def _converter_step(samples: NDArray[np.float64], scale: float) -> float:
+    """Return the step of the converter that all samples are multiples of, or 0 when there is none to be seen."""
+    steps = np.diff(np.unique(samples))
+    smallest = float(steps[steps > 1e-9 * scale].min())
+    counts = (samples - samples[0]) / smallest
+    return smallest if float(np.max(np.abs(counts - np.round(counts)))) < 0.1 else 0.0
 
 
 def _flag_outliers(hits: list[Hit], pulse: NDArray[np.float64]) -> list[Hit]:
@@ -391,9 +397,10 @@ def _judge(hit: Hit, record: xr.Dataset, duration: float, exclude: Collection[st
     if duration > hit.capacity * (1.0 + 1e-9) + dt:
         short = f"{hit.capacity:.3g} s to the next hit or the end, shorter than the block of {duration:.3g} s"
         return replace(hit, reason=short)
-    force = force_samples(record, hit.excitation)[start : start + length]
-    spectrum = np.abs(fft.rfft(force - np.median(force)))[1:] ** 2
-    band = usable_band(fft.rfftfreq(length, dt)[1:], spectrum)
+    force = force_samples(record, hit.excitation)
+    noise = _quiet_state(force)[2]
+    power = np.abs(fft.rfft(force[start : start + length]))[1:] ** 2
+    band = usable_band(fft.rfftfreq(length, dt)[1:], power, noise**2 * length)
     channel, axes = motion_axes(record)
     motion = record[channel].isel(time=slice(start, start + length))
     rows = {axis: motion.sel(axis=axis).values for axis in axes}
@@ -414,8 +421,8 @@ def _faults(hit: Hit, exclude: Collection[str]) -> Iterable[str]:
         yield f"double hit: {hit.second_force:.3g} N after {hit.second_delay * 1e3:.3g} ms"
 
 
-def usable_band(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the band [Hz] round the maximum of a force spectrum in which it stays above -20 dB.
+def usable_band(frequency: NDArray[np.float64], power: NDArray[np.float64], noise: float = 0.0) -> tuple[float, float]:
+    """Return the band [Hz] round the maximum of a force spectrum in which it stays above -20 dB and out of its noise.
 
     Parameters
     ----------
@@ -423,11 +430,15 @@ def usable_band(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> t
         Frequency [Hz].
     power : ndarray, shape (f,)
         ``|F|^2``.
+    noise : float, optional
+        Expected ``|F|^2`` of the noise; a line less than 10 dB above it, where H1 is a tenth low, is not usable.
     """
     top = int(np.argmax(power))
-    weak = power < _BAND_DROP * power[top]
+    # Nine lines: signal and noise beat from line to line, and the first unlucky one must not end the band.
+    smooth = ndimage.uniform_filter1d(power, 9, mode="nearest")
+    weak = (power < _BAND_DROP * power[top]) | (smooth < 10.0 * noise)
     above, below = np.flatnonzero(weak[top:]), np.flatnonzero(weak[:top])
-    last = top + int(above[0]) - 1 if above.size else frequency.size - 1
+    last = max(top + int(above[0]) - 1, 0) if above.size else frequency.size - 1
     first = int(below[-1]) + 1 if below.size else 0
     return float(frequency[first]), min(float(frequency[last]), 2.0 * float(frequency[-1]) / _ANTI_ALIAS)
 
@@ -473,7 +484,12 @@ class _Column:
 
 
 def _average_column(
-    records: Sequence[xr.Dataset], hits: Sequence[Hit], duration: float, rules: HitRules, gate: bool
+    records: Sequence[xr.Dataset],
+    hits: Sequence[Hit],
+    duration: float,
+    rules: HitRules,
+    gate: bool,
+    wanted: tuple[float, float] | None,
 ) -> _Column:
     """Average the accepted hits of one excitation axis."""
     axis = hits[0].excitation
@@ -491,12 +507,13 @@ def _average_column(
     force = np.concatenate([b.force for b in gathered], axis=1)
     compliance, std, coherence = average_h1(motion, force)
     power = np.mean(np.abs(force) ** 2, axis=1)
-    low, high = usable_band(frequency, power)
+    noise = 0.0 if gate else float(np.mean([b.noise_energy for b in gathered]))
+    low, high = usable_band(frequency, power, noise)
     lines = 2.0 if any(motion_axes(records[h.record])[0] == "acceleration" for h in hits) else 1.0
     band = (max(low, lines * float(frequency[0])), high)
     notes = [
         *_hit_count_note(axis, len(hits)),
-        *_leakage_note(axis, gathered, band),
+        *_leakage_note(axis, gathered, band, wanted),
         *_force_noise_note(axis, gathered, frequency, power, band, gate),
     ]
     length = 1.0 / float(frequency[0])
@@ -617,7 +634,7 @@ def leakage(first: NDArray[np.complex128], last: NDArray[np.complex128]) -> tupl
 
     A decay ``exp(-t/tau)`` cut at T leaves an error of ``exp(-T/tau)``. The decay from the first to the last
     quarter of the block, whose centres are 3/4 T apart, is read where the first quarter is above a tenth of
-    its maximum, on the mean over hits (noise averages out; what is left of it is subtracted by the scatter)
+    its maximum, on the mean over hits, where that is above what the scatter of the hits leaves of the noise,
     and raised to 4/3.
 
     Parameters
@@ -633,18 +650,29 @@ def leakage(first: NDArray[np.complex128], last: NDArray[np.complex128]) -> tupl
         Index of the frequency that contributes most.
     """
     hits = first.shape[1]
-    early, late = first.mean(axis=1), last.mean(axis=1)
-    strong = np.abs(early) > 0.1 * np.abs(early).max()
-    scatter = np.sum(np.abs(last - late[:, None]) ** 2, axis=1) / max(hits * (hits - 1), 1)
-    left = np.where(strong, np.abs(late) ** 2 - scatter * (hits > 1), 0.0)
-    ratio = np.sqrt(max(float(left.sum()), 0.0) / float(np.sum(np.abs(early[strong]) ** 2)))
-    return float(min(ratio, 1.0) ** (4.0 / 3.0)), int(np.argmax(left))
+
+    def mean_and_noise(quarter: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        mean = quarter.mean(axis=1)
+        noise = np.sum(np.abs(quarter - mean[:, None]) ** 2, axis=1) / max(hits * (hits - 1), 1)
+        return np.abs(mean) ** 2, noise
+
+    (early, early_noise), (late, late_noise) = mean_and_noise(first), mean_and_noise(last)
+    # Ten and six times the noise of the mean: from few hits its estimate is itself uncertain.
+    heard = early > 10.0 * early_noise
+    strong = heard & (early > 0.01 * np.max(early, where=heard, initial=0.0))
+    if not strong.any() or late[strong].sum() <= 6.0 * late_noise[strong].sum():
+        return 0.0, 0
+    ratio = float(np.sqrt(late[strong].sum() / early[strong].sum()))
+    return min(ratio, 1.0) ** (4.0 / 3.0), int(np.argmax(np.where(strong, late, 0.0)))
 
 
-def _leakage_note(axis: str, gathered: Sequence[_Blocks], band: tuple[float, float]) -> Iterable[str]:
+def _leakage_note(
+    axis: str, gathered: Sequence[_Blocks], band: tuple[float, float], wanted: tuple[float, float] | None
+) -> Iterable[str]:
     f = gathered[0].quarter_frequency
+    low, high = wanted or band
     # Below two lines of the quarter, the window mixes the line with the drift that -1/w^2 has raised.
-    keep = (f >= max(band[0], 2.0 * f[0])) & (f <= band[1])
+    keep = (f >= max(band[0], low, 2.0 * f[0])) & (f <= min(band[1], high))
     if not keep.any():
         return
     # Velocity shows the resonances; displacement also shows the drift of the accelerometer.
@@ -723,18 +751,20 @@ def _assemble(name: str, columns: Sequence[_Column], wanted: tuple[float, float]
         frequency = frequency[:shared]
     low, high = wanted or (max(c.band[0] for c in columns), min(c.band[1] for c in columns))
     lines = np.flatnonzero((frequency >= low * (1.0 - 1e-9)) & (frequency <= high * (1.0 + 1e-9)))
-    if not lines.size:
+    f = frequency[lines]
+    claims = [(f >= c.band[0] * (1.0 - 1e-9)) & (f <= c.band[1] * (1.0 + 1e-9)) for c in columns]
+    if not any(claim.any() for claim in claims):
+        bands = ", ".join(f"{c.excitation} {c.band[0]:.4g} to {c.band[1]:.4g} Hz" for c in columns)
         raise InputError(
-            f"measurement '{name}': no frequency between {low:.4g} and {high:.4g} Hz is left; record longer "
-            "blocks, use a harder hammer tip, or ask for another frequency range"
+            f"measurement '{name}': nothing can be claimed between {low:.4g} and {high:.4g} Hz (usable: {bands}); ask "
+            "for another frequency range, record longer blocks, use a harder hammer tip, or pass gate_force=True "
+            "where force noise limits the band"
         )
     recorded = [row for row in range(len(AXES)) if any(np.isfinite(c.compliance[0, row]) for c in columns)]
-    f = frequency[lines]
 
     def stack(attribute: str) -> NDArray[np.complex128]:
         parts = []
-        for c in columns:
-            claimed = (f >= c.band[0] * (1.0 - 1e-9)) & (f <= c.band[1] * (1.0 + 1e-9))
+        for c, claimed in zip(columns, claims, strict=True):
             parts.append(np.where(claimed[:, None], getattr(c, attribute)[lines][:, recorded], np.nan))
         return np.stack(parts, axis=2)
 

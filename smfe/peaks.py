@@ -6,14 +6,14 @@ at 61 Hz on a 0.25 Hz grid). A fit is not: near its peaks a compliance is
     H(w) = sum_p [ r_p / (j w - s_p) + conj(r_p) / (j w - conj(s_p)) ] + c_0 + c_1 (f - f_0),
     s_p = 2 pi f_p (-zeta_p + j sqrt(1 - zeta_p^2)),
 
-with complex residues r and complex remainders c for the modes outside the fitted band. It is linear in r and c, so only
-f_p and zeta_p are searched (variable projection: Golub and Pereyra 1973).
+with complex residues r and complex remainders c for the modes outside the fitted band. It is linear in r and c, so
+only f_p and zeta_p are searched (variable projection: Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -87,8 +87,8 @@ def find_peaks(
     """Find and fit the peaks of one entry of a compliance matrix.
 
     Standard deviations come from linear propagation of those of the data through the fit, raised where the residual is
-    larger than they say (by ``chi^2/dof`` where that is above one by more than two of its standard deviations); without
-    them, from the residual alone.
+    larger than they say (by ``chi^2/dof`` where that is above one by more than two of its standard deviations);
+    without them, from the residual alone.
 
     Parameters
     ----------
@@ -183,9 +183,7 @@ def entries(dataset: xr.Dataset) -> list[tuple[str, str]]:
     ]
 
 
-def entry_peaks(
-    dataset: xr.Dataset, response: str, excitation: str, rules: PeakRules | None = None
-) -> list[Peak]:
+def entry_peaks(dataset: xr.Dataset, response: str, excitation: str, rules: PeakRules | None = None) -> list[Peak]:
     """Return the peaks of one entry; ``attrs["error_lines"]`` says how many lines share an error (default 1)."""
     where = {"response": response, "excitation": excitation}
     std = dataset["compliance_std"].sel(where).values if "compliance_std" in dataset else None
@@ -248,9 +246,15 @@ def _half_width(f: NDArray[np.float64], h: NDArray[np.complex128], top: int) -> 
 
 @dataclass(frozen=True)
 class _Guess:
+    """Frequency, half-power width, and the middles to the next maxima [Hz].
+
+    Each pole keeps to its side of the middles, or two would fit the stronger of two maxima.
+    """
+
     frequency: float
     width: float
-    """Half-power width [Hz]."""
+    low: float
+    high: float
 
 
 def _groups(
@@ -258,8 +262,9 @@ def _groups(
 ) -> Iterable[list[_Guess]]:
     """Yield peaks whose bands of fit touch: they are fitted together."""
     group: list[_Guess] = []
-    for top in tops:
-        guess = _Guess(float(f[top]), 2.0 * _half_width(f, h, top))
+    fences = np.concatenate([[f[0]], 0.5 * (f[tops[1:]] + f[tops[:-1]]), [f[-1]]])
+    for k, top in enumerate(tops):
+        guess = _Guess(float(f[top]), 2.0 * _half_width(f, h, top), float(fences[k]), float(fences[k + 1]))
         if group:
             reach = rules.width * (group[-1].width + guess.width)
             if guess.frequency - group[-1].frequency > reach or len(group) == _MOST_POLES:
@@ -339,8 +344,8 @@ class _Fit:
 
 def _band(f: NDArray[np.float64], group: Sequence[_Guess], rules: PeakRules) -> slice:
     """Return the lines round a group, at least so many that the fit has as many left over as it uses."""
-    low = min(g.frequency - rules.width * g.width for g in group)
-    high = max(g.frequency + rules.width * g.width for g in group)
+    low = max(min(g.frequency - rules.width * g.width for g in group), group[0].low)
+    high = min(max(g.frequency + rules.width * g.width for g in group), group[-1].high)
     a, b = int(np.searchsorted(f, low)), int(np.searchsorted(f, high, side="right"))
     least = min(4 * len(group) + 5, f.size)
     while b - a < least:
@@ -365,7 +370,9 @@ def _fit_group(
         fit = _fit(f[band], h[band], noise.level[band], noise.given, group, error_lines)
         if fit is None:
             return []
-        group = [_Guess(float(p), float(2.0 * z * p)) for p, z in fit.poles]
+        group = [
+            replace(g, frequency=p, width=2.0 * z * p) for g, (p, z) in zip(group, fit.poles.tolist(), strict=True)
+        ]
     assert fit is not None
     peaks = [_peak(fit, k, noise.given) for k in range(len(group))]
     return [p for p in peaks if p is not None and p.amplitude >= rules.significance * p.amplitude_std]
@@ -400,8 +407,8 @@ def _fit(
         return np.asarray(data - matrix @ np.linalg.lstsq(matrix, data, rcond=None)[0])
 
     one = np.ones(first.size)
-    lower = np.stack([f[0] / widths, np.log(1e-5) * one], axis=1).ravel()
-    upper = np.stack([f[-1] / widths, np.log(_LARGEST_DAMPING) * one], axis=1).ravel()
+    lower = np.stack([[g.low for g in group] / widths, np.log(1e-5) * one], axis=1).ravel()
+    upper = np.stack([[g.high for g in group] / widths, np.log(_LARGEST_DAMPING) * one], axis=1).ravel()
     inside = np.clip(start.ravel(), lower + 1e-9, upper - 1e-9)
     found = optimize.least_squares(residual, inside, bounds=(lower, upper), x_scale=0.3)
     solution = poles(found.x)

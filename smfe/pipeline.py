@@ -1,14 +1,16 @@
 """From a campaign file to a folder of results.
 
 Each verb here is a command of the same name: `run`, `demo`, `identify`, `compare`, `lobes`, `chatter`, `report`.
-Everything is written to a temporary name and moved into place; identified measurements are kept, so that a second run
-continues where the first stopped.
+Everything is computed before the first result is written, and every file is written to a temporary name and moved into
+place: a folder of results belongs together, also when a later run fails. Only identified measurements are kept at once,
+so that a second run continues where the first stopped.
 """
 
 from __future__ import annotations
 
 import datetime
 import importlib.metadata
+import json
 import math
 import shutil
 import time
@@ -25,10 +27,10 @@ import xarray as xr
 from process.compliance import ModalModel
 from process.engagement import engagement
 from process.errors import InputError
-from process.labels import AXES, full_matrix
-from process.units import parse
+from process.labels import AXES, full_matrix, make_compliance
+from process.units import parse, show
 from smfe import __version__
-from smfe.campaign import Campaign, CuttingTest, LobeRequest, Model, load_campaign
+from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement, Model, load_campaign
 from smfe.compare import compare as compare_compliances
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
@@ -46,7 +48,7 @@ DEFAULT_CHANNELS: dict[str, Channel] = {
     **{f"force_{a}": Channel(f"F{a}", "N") for a in AXES},
     **{f"acceleration_{a}": Channel(f"a{a}", "m/s^2") for a in AXES},
 }
-"""Columns that `smfe chatter` expects in a file when no campaign declares others."""
+"""Columns that `smfe chatter` looks for in a file when no campaign declares others."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,22 @@ class LobeResult:
     table: pd.DataFrame
 
 
+@dataclass(frozen=True)
+class Verdicts:
+    """What the cutting tests say.
+
+    Parameters
+    ----------
+    rows : list of dict
+        Rows of chatter.csv, one a cutting test.
+    spectra : mapping of str to xarray.Dataset
+        "test_1", "test_2", ... -> spectrum with the verdict in its attributes.
+    """
+
+    rows: list[dict[str, Any]]
+    spectra: Mapping[str, xr.Dataset]
+
+
 @dataclass
 class Notes:
     """What happened on the way: seconds a stage and warnings."""
@@ -91,7 +109,7 @@ def run(
     out: Path | str,
     fresh: bool = False,
     progress: Progress = silent,
-    show: Show | None = None,
+    licence: Show | None = None,
 ) -> Path:
     """Do everything that a campaign asks for and write the results.
 
@@ -105,7 +123,7 @@ def run(
         Identify every measurement again instead of reading back what an earlier run has kept.
     progress : callable, optional
         Called with (what, done, of).
-    show : callable, optional
+    licence : callable, optional
         Called with the licence of a public data set before it is fetched; without it nothing is fetched.
 
     Returns
@@ -116,25 +134,31 @@ def run(
     Raises
     ------
     InputError
-        When the campaign file or a record is wrong; nothing is half written.
+        When the campaign file or a record is wrong; no result is then written or touched.
     """
-    loaded, folder, notes = load_campaign(Path(campaign), show), Path(out), Notes()
+    loaded, folder, notes = load_campaign(Path(campaign), licence), Path(out), Notes()
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     with notes.timed("identify"):
         found = _identify_all(loaded, folder / KEPT, progress)
     compliances = _compliances(loaded, found)
-    _write_identifications(folder, compliances, found, notes)
     with notes.timed("compare"):
         progress("comparing", 0, 1)
-        write_csv(folder / "comparison.csv", compare_compliances({n: f.compliance for n, f in found.items()}))
-        write_csv(folder / "model_error.csv", model_errors(found, loaded.models))
+        comparison = _comparison({n: f.compliance for n, f in found.items()})
+        errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):
         results = _all_lobes(loaded, compliances, progress)
-        _write_lobes(folder, results, notes)
     with notes.timed("cutting tests"):
-        _judge_all(loaded, compliances, folder, notes, progress)
-    _write_provenance(folder, loaded, notes)
+        verdicts = _judge_all(loaded, compliances, progress)
+    notes.warnings += _warnings(found, results, verdicts)
+    provenance = _provenance(loaded, notes)
+    # From here on nothing depends on the input any more.
+    _write_identifications(folder, compliances, found)
+    write_csv(folder / "comparison.csv", comparison)
+    write_csv(folder / "model_error.csv", errors)
+    _write_lobes(folder, results)
+    _write_verdicts(folder, verdicts)
+    write_json(folder / "provenance.json", provenance)
     return report(folder, progress)
 
 
@@ -157,10 +181,10 @@ def report(folder: Path | str, progress: Progress = silent) -> Path:
 
 
 def identify(
-    campaign: Path | str, output: Path | str, progress: Progress = silent, show: Show | None = None
+    campaign: Path | str, output: Path | str, progress: Progress = silent, licence: Show | None = None
 ) -> dict[str, Identification]:
     """Identify every measurement of a campaign and write the compliances to one NetCDF file."""
-    loaded, path = load_campaign(Path(campaign), show), Path(output)
+    loaded, path = load_campaign(Path(campaign), licence), Path(output)
     found = _identify_all(loaded, path.parent / KEPT, progress)
     write_groups(path, _groups(_compliances(loaded, found), found))
     return found
@@ -184,12 +208,12 @@ def lobes(
 ) -> list[LobeResult]:
     """Compute the lobes that a campaign asks for, from its records or from a compliance file."""
     loaded, path = load_campaign(Path(campaign)), Path(output)
+    if not loaded.lobes:
+        raise InputError(f"{campaign}: it asks for no lobes; add a [[lobes]] table")
     if frf is not None:
         compliances = read_groups(Path(frf))
     else:
         compliances = _compliances(loaded, _identify_all(loaded, path.parent / KEPT, progress))
-    if not loaded.lobes:
-        raise InputError(f"{campaign}: it asks for no lobes; add a [[lobes]] table")
     results = _all_lobes(loaded, compliances, progress)
     write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results})
     if table is not None:
@@ -209,11 +233,40 @@ def chatter(record: Path | str, speed: str, teeth: int, campaign: Path | str | N
     teeth : int
         Number of teeth.
     campaign : path, optional
-        Campaign file whose [channels] tell the columns; default: t, Fx, Fy, Fz, ax, ay, az.
+        Campaign file whose [channels] tell the columns; default: those of `DEFAULT_CHANNELS` that the file has.
     """
-    channels: Mapping[str, Channel] = DEFAULT_CHANNELS if campaign is None else load_campaign(Path(campaign)).channels
-    records = read_records(Path(record), channels)
-    return chatter_verdict(records[0], parse(speed, "rotation"), teeth)
+    rotation = parse(speed, "rotation")
+    if campaign is None:
+        records = _read_default_channels(Path(record))
+    else:
+        records = read_records(Path(record), load_campaign(Path(campaign)).channels)
+    return chatter_verdict(records[0], rotation, teeth)
+
+
+def _read_default_channels(path: Path) -> list[xr.Dataset]:
+    """Read those of `DEFAULT_CHANNELS` that a file has; anything else that is wrong with it stays an error."""
+    channels = dict(DEFAULT_CHANNELS)
+    while len(channels) > ("time" in channels):
+        try:
+            return read_records(path, channels)
+        except InputError as error:
+            # The readers look for all columns before they read one, so that asking again costs little.
+            absent = [name for name, channel in channels.items() if f"no column '{channel.column}'" in str(error)]
+            if not absent and "time" in channels:
+                raise
+            if not absent:
+                raise InputError(_no_default_channels(path)) from error
+            for name in absent:
+                del channels[name]
+    raise InputError(_no_default_channels(path))
+
+
+def _no_default_channels(path: Path) -> str:
+    time, *rest = (f"{channel.column} [{channel.unit}]" for channel in DEFAULT_CHANNELS.values())
+    return (
+        f"{path.name}: looked for the columns {time}, {', '.join(rest)}; the time and at least one of the others are "
+        "needed: rename the columns, or give the campaign file whose [channels] declare them"
+    )
 
 
 def _identify_all(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
@@ -225,9 +278,33 @@ def _identify_all(campaign: Campaign, kept: Path, progress: Progress) -> dict[st
 
 
 def _compliances(campaign: Campaign, found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:
-    out = {name: item.compliance for name, item in found.items()}
+    out = {}
+    for measurement in campaign.measurements:
+        item = found[measurement.name]
+        labels = {"method": item.method, "conditions": json.dumps(_conditions(measurement))}
+        out[measurement.name] = item.compliance.assign_attrs(labels)
     out.update({m.name: _model_compliance(m.modal) for m in campaign.models})
     return out
+
+
+def _conditions(measurement: Measurement) -> dict[str, str]:
+    """Return what a measurement was made under, as a reader of the report would write it."""
+    out = {"controller": measurement.controller, "position": measurement.position}
+    if measurement.feed is not None:
+        feeds = {a: show(v, "mm/min", "speed") for a, v in measurement.feed.items()}
+        same = len(set(feeds.values())) == 1
+        out["feed"] = next(iter(feeds.values())) if same else ", ".join(f"{a} {v}" for a, v in feeds.items())
+    for name, unit, dimension in (
+        ("force_level", "N", "force"),
+        ("depth_of_cut", "mm", "length"),
+        ("feed_per_tooth", "mm", "length"),
+        ("added_mass", "kg", "mass"),
+        ("temperature", "degC", "temperature"),
+    ):
+        value = getattr(measurement, name)
+        if value is not None:
+            out[name] = show(value, unit, dimension)
+    return {name: text for name, text in out.items() if text is not None}
 
 
 def _model_compliance(modal: ModalModel) -> xr.Dataset:
@@ -238,17 +315,28 @@ def _model_compliance(modal: ModalModel) -> xr.Dataset:
     return modal.compliance(frequency).assign_attrs(method="model")
 
 
+def _comparison(measured: Mapping[str, xr.Dataset]) -> pd.DataFrame:
+    """Compare; without any measurement the table has its columns and no rows, as it has with a single one."""
+    nothing = make_compliance([0.0], np.full((1, 1, 1), complex(math.nan)), AXES[:1], AXES[:1])
+    return compare_compliances(measured or {"": nothing})
+
+
 def _groups(compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:
     return {n: pack_warnings(d, found[n].warnings if n in found else ()) for n, d in compliances.items()}
 
 
+def _warnings(found: Mapping[str, Identification], lobes: Sequence[LobeResult], verdicts: Verdicts) -> list[str]:
+    out = [f"{name}: {w}" for name, item in found.items() for w in item.warnings]
+    out += [f"{r.request}, {r.source}: {w}" for r in lobes for w in unpack_warnings(r.lobes)]
+    return out + [f"{r['file']}: undecided: {r['reason']}" for r in verdicts.rows if r["verdict"] == "undecided"]
+
+
 def _write_identifications(
-    folder: Path, compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification], notes: Notes
+    folder: Path, compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification]
 ) -> None:
     write_groups(folder / "frf.nc", _groups(compliances, found))
     shutil.rmtree(folder / "tables", ignore_errors=True)
     for name, item in found.items():
-        notes.warnings += [f"{name}: {w}" for w in item.warnings]
         for table, frame in item.tables.items():
             write_csv(folder / "tables" / f"{name}.{table}.csv", frame)
 
@@ -348,20 +436,16 @@ def _joined(results: Sequence[LobeResult]) -> pd.DataFrame:
     return pd.concat([r.table for r in results], ignore_index=True)
 
 
-def _write_lobes(folder: Path, results: Sequence[LobeResult], notes: Notes) -> None:
+def _write_lobes(folder: Path, results: Sequence[LobeResult]) -> None:
     if not results:
         for name in ("lobes.nc", "lobe_table.csv"):
             (folder / name).unlink(missing_ok=True)
         return
     write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results})
     write_table(_joined(results), folder / "lobe_table.csv")
-    for r in results:
-        notes.warnings += [f"{r.request}, {r.source}: {w}" for w in unpack_warnings(r.lobes)]
 
 
-def _judge_all(
-    campaign: Campaign, compliances: Mapping[str, xr.Dataset], folder: Path, notes: Notes, progress: Progress
-) -> None:
+def _judge_all(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progress: Progress) -> Verdicts:
     rows, spectra = [], {}
     for i, test in enumerate(campaign.cutting_tests):
         progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
@@ -369,14 +453,16 @@ def _judge_all(
         rows.append(_chatter_row(campaign, test, verdict, compliances))
         assert campaign.tool is not None
         spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth)
-        if verdict.verdict == "undecided":
-            notes.warnings.append(f"{test.file.name}: undecided: {verdict.reason}")
-    if not rows:
+    return Verdicts(rows, spectra)
+
+
+def _write_verdicts(folder: Path, verdicts: Verdicts) -> None:
+    if not verdicts.rows:
         for name in ("chatter.csv", "spectra.nc"):
             (folder / name).unlink(missing_ok=True)
         return
-    write_csv(folder / "chatter.csv", pd.DataFrame(rows))
-    write_groups(folder / "spectra.nc", spectra)
+    write_csv(folder / "chatter.csv", pd.DataFrame(verdicts.rows))
+    write_groups(folder / "spectra.nc", verdicts.spectra)
 
 
 def _judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
@@ -403,11 +489,18 @@ def _chatter_row(
         "lobes": _matching_request(campaign, test),
         "reason": verdict.reason,
     }
-    assert campaign.tool is not None
-    assert campaign.coefficients is not None
-    arc = engagement(test.cut, test.width_of_cut, campaign.tool.diameter)
-    for source in dict.fromkeys(s for r in campaign.lobes for s in r.measurements):
-        limits = zero_order(compliances[source], campaign.tool, arc, campaign.coefficients, [test.spindle_speed])
+    sources = list(dict.fromkeys(s for r in campaign.lobes for s in r.measurements))
+    return row | _predictions(campaign, test, {s: compliances[s] for s in sources})
+
+
+def _predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str, xr.Dataset]) -> dict[str, Any]:
+    """Return limit and prediction of each source; without lobes there is none, and no work material is needed."""
+    row: dict[str, Any] = {}
+    for source, compliance in compliances.items():
+        assert campaign.tool is not None
+        assert campaign.coefficients is not None
+        arc = engagement(test.cut, test.width_of_cut, campaign.tool.diameter)
+        limits = zero_order(compliance, campaign.tool, arc, campaign.coefficients, [test.spindle_speed])
         limit = float(limits["limit_depth"].values[0])
         row[f"limit_{source}_mm"] = limit
         row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
@@ -437,19 +530,16 @@ def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int) -> xr.D
     )
 
 
-def _write_provenance(folder: Path, campaign: Campaign, notes: Notes) -> None:
+def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
     files = [f for m in campaign.measurements for entry in m.records for f in entry.files]
     files = list(dict.fromkeys([campaign.path, *files, *(t.file for t in campaign.cutting_tests)]))
     packages = ("smfe", "numpy", "scipy", "numba", "xarray", "pandas", "h5netcdf")
-    write_json(
-        folder / "provenance.json",
-        {
-            "campaign": campaign.name,
-            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "versions": {"smfe": __version__, **{p: importlib.metadata.version(p) for p in packages[1:]}},
-            "inputs": [{"file": f.name, "sha256": file_hash(f)} for f in files],
-            "settings": {m.name: m.settings() for m in campaign.measurements},
-            "seconds": notes.seconds,
-            "warnings": notes.warnings,
-        },
-    )
+    return {
+        "campaign": campaign.name,
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "versions": {"smfe": __version__, **{p: importlib.metadata.version(p) for p in packages[1:]}},
+        "inputs": [{"file": f.name, "sha256": file_hash(f)} for f in files],
+        "settings": {m.name: m.settings() for m in campaign.measurements},
+        "seconds": notes.seconds,
+        "warnings": notes.warnings,
+    }

@@ -286,8 +286,8 @@ def _choose(
             where = _in_words(frequency, clear.any(axis=(1, 2)))
             warnings = (
                 f"resonances are narrower than the finest band of {2 * widths[0]:g} Hz in {where}: their peaks come "
-                "out too low by about what the standard deviation says; sweep more slowly so that the lines lie closer, "
-                "and use smaller half_widths",
+                "out too low by about what the standard deviation says; sweep more slowly so that the lines lie "
+                "closer, and use smaller half_widths",
             )
     width = np.asarray(widths)[index]
     lines = float(np.mean([estimator.error_lines(w) for w in width.ravel()]))

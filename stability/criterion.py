@@ -13,6 +13,8 @@ The paper says no more than that. What is added here, and why (theory 5):
 - The last part of the cut is used: transients of the entry trigger the criterion 3 to 10 % below the limit.
 - The highest tooth harmonic is not let below an absolute floor: a slot with 4 equal teeth has no tooth line
   in x at all.
+- A record in which nothing reaches that floor says nothing about the cut: a dead sensor, a wrong unit or air look
+  the same. It is *undecided*.
 - What stands inside a mask is not declared stable: it is *undecided*, and the record length that would
   separate it is said.
 - The quantity is not stated in the paper and matters, because the ratio changes by ``(f_c/f_T)^2`` between
@@ -62,6 +64,12 @@ FEWEST_TURNS = 6
 
 HIGHEST_SHARE_OF_SAMPLE_RATE = 0.4
 """Default upper end of the band, in sample rates: above it anti-alias filters act."""
+
+SPEED_MISMATCH = 0.01
+"""Relative difference between a recorded and the given speed above which one of them must be wrong [1]."""
+
+SPEED_PIECES = 32
+"""Most pieces on whose means a recorded speed is tested for being constant."""
 
 GROWTH = 3.0
 """Growth of order Z/2 from the first to the last quarter of the cut that run-out cannot explain."""
@@ -146,6 +154,8 @@ class _Evidence:
     tooth_frequency: float
     tooth_amplitude: float
     denominator: float
+    floor: float
+    unit: str
     threshold: float
     teeth: int
     half: tuple[float, float]
@@ -169,6 +179,11 @@ class _Evidence:
         local = np.zeros(self.amplitude.size, dtype=bool)
         local[1:-1] = (inner >= self.amplitude[:-2]) & (inner >= self.amplitude[2:])
         return self.peak(local & ~self.masked, self.amplitude)
+
+    @property
+    def highest(self) -> float:
+        """Highest amplitude in the band, spindle orders included."""
+        return float(self.amplitude.max(initial=0.0))
 
     @property
     def tooth_line(self) -> float:
@@ -227,7 +242,7 @@ def chatter_verdict(
     record : xarray.Dataset
         Record of one cut at constant speed, air before and after it allowed.
     rotation : float
-        Nominal spindle rotation [rad/s].
+        Nominal spindle rotation [rad/s]; a record with a ``spindle_angle`` or a ``spindle_speed`` must agree.
     teeth : int
         Number of teeth.
     quantity : {"acceleration", "displacement", "force"}, optional
@@ -240,8 +255,8 @@ def chatter_verdict(
     frequency_range : (float, float or None), optional
         Band [Hz]; the lower end keeps servo and table motion out, the upper end defaults to 0.4 sample rates.
     speed_tolerance : float, optional
-        Relative error of `rotation` to search [1]; 0 takes the speed as exact. Not used where the record has
-        a ``spindle_angle``.
+        Relative error of the speed, given or recorded, to search [1]; 0 takes the speed as exact. Not used where the
+        record has a ``spindle_angle``.
     floor : float, optional
         Least amplitude that counts as tooth harmonic, in the unit of the quantity; default `DEFAULT_FLOOR`.
     interval : (float, float), optional
@@ -269,7 +284,17 @@ def chatter_verdict(
     least = DEFAULT_FLOOR[chosen] if floor is None else floor
     integrate = chosen != recorded
     evidence = _gather(
-        part, base, teeth, band, exact, speed_tolerance, integrate, least, threshold, half_order_reference
+        part,
+        base,
+        teeth,
+        band,
+        exact,
+        speed_tolerance,
+        integrate,
+        least,
+        UNITS[chosen],
+        threshold,
+        half_order_reference,
     )
     finding = _too_few_turns(part, base) or _judge(evidence)
     return ChatterVerdict(
@@ -410,20 +435,36 @@ def _spindle_frequency(record: xr.Dataset, part: _Part, nominal: float, toleranc
     inside = (record["time"] >= part.interval[0]) & (record["time"] <= part.interval[1])
     time = record["time"].values[inside.values]
     if "spindle_angle" not in record:
-        if "spindle_speed" in record:
-            _check_constant(record["spindle_speed"].values[inside.values])
-        return nominal, tolerance == 0.0
+        return _recorded_speed(record, inside.values, nominal, tolerance), tolerance == 0.0
     angle = np.unwrap(record["spindle_angle"].values[inside.values])
     half = angle.size // 2
     slopes = [np.polyfit(t - t[0], a, 1)[0] for t, a in ((time[:half], angle[:half]), (time[half:], angle[half:]))]
     _check_constant(np.array(slopes) * 30.0 / np.pi)
     measured = float(np.polyfit(time - time[0], angle, 1)[0]) / (2.0 * math.pi)
-    if abs(measured / nominal - 1.0) > max(tolerance, 0.01):
-        raise InputError(
-            f"the spindle angle of the record turns at {60.0 * measured:g} rpm, {60.0 * nominal:g} rpm were given: "
-            "correct one of them"
-        )
+    _check_same(measured, nominal, tolerance, "the spindle angle of the record turns at")
     return measured, True
+
+
+def _recorded_speed(record: xr.Dataset, inside: NDArray[np.bool_], nominal: float, tolerance: float) -> float:
+    """Return the median of the recorded spindle speed [Hz], `nominal` where none has been recorded."""
+    if "spindle_speed" not in record:
+        return nominal
+    speed = record["spindle_speed"].values[inside].astype(float)
+    if np.isnan(speed).all():
+        return nominal
+    # Means, because every sample of a measured speed carries noise; a piece is a turn at least.
+    turn = sample_interval(record) * nominal
+    pieces = int(np.clip(speed.size * turn, 2, SPEED_PIECES))
+    _check_constant(np.array([piece.mean() for piece in np.array_split(speed, pieces)]))
+    measured = float(np.median(speed)) / 60.0
+    _check_same(measured, nominal, tolerance, "the recorded spindle speed is")
+    return measured
+
+
+def _check_same(measured: float, nominal: float, tolerance: float, what: str) -> None:
+    """Refuse a record whose speed [Hz] is not the one given."""
+    if abs(measured / nominal - 1.0) > max(tolerance, SPEED_MISMATCH):
+        raise InputError(f"{what} {60.0 * measured:g} rpm, {60.0 * nominal:g} rpm were given: correct one of them")
 
 
 def _check_constant(speed: NDArray[np.float64]) -> None:
@@ -448,6 +489,7 @@ def _gather(
     tolerance: float,
     integrate: bool,
     floor: float,
+    unit: str,
     threshold: float,
     reference: float | None,
 ) -> _Evidence:
@@ -475,6 +517,8 @@ def _gather(
         tooth_frequency=tooth_frequency,
         tooth_amplitude=tooth_amplitude,
         denominator=max(tooth_amplitude, floor),
+        floor=floor,
+        unit=unit,
         threshold=threshold,
         teeth=teeth,
         half=half,
@@ -539,8 +583,8 @@ def _too_few_turns(part: _Part, base: float) -> _Finding | None:
 
 
 def _judge(e: _Evidence) -> _Finding:
-    """Ask the rules in turn: a clear line first, then period doubling, then what may be hidden."""
-    for rule in (_line, _period_doubling, _hidden, _crowded):
+    """Ask the rules in turn: whether there is a signal, a clear line, period doubling, then what may be hidden."""
+    for rule in (_silent, _line, _period_doubling, _hidden, _crowded):
         finding = rule(e)
         if finding is not None:
             return finding
@@ -557,6 +601,19 @@ def _denominator(e: _Evidence) -> str:
     if e.tooth_amplitude < e.denominator:
         return f"the floor {e.denominator:g} (no tooth harmonic reaches it)"
     return f"the highest tooth harmonic at {e.tooth_frequency:.4g} Hz"
+
+
+def _silent(e: _Evidence) -> _Finding | None:
+    """A spectrum of which nothing, not even a spindle order, reaches the floor."""
+    if e.highest >= e.floor:
+        return None
+    return _Finding(
+        "undecided",
+        e.ratio,
+        math.nan,
+        f"nothing reaches the floor of {e.floor:g} {e.unit} (the highest line has {e.highest:.2g} {e.unit}), so no cut "
+        "is seen: check sensor, unit and interval, or give a lower floor",
+    )
 
 
 def _line(e: _Evidence) -> _Finding | None:

@@ -103,21 +103,15 @@ def write_table(frame: pd.DataFrame, path: str | Path) -> Path:
     frame : pandas.DataFrame
         Any table.
     path : str or Path
-        File to write; its folder must exist. A file that is there is replaced in one step.
+        File to write; its folder is made when missing. A file that is there is replaced in one step.
 
     Returns
     -------
     Path
         The file written.
-
-    Raises
-    ------
-    InputError
-        When the folder does not exist.
     """
     target = Path(path)
-    if not target.parent.is_dir():
-        raise InputError(f"the folder '{target.parent}' does not exist; create it or choose another")
+    target.parent.mkdir(parents=True, exist_ok=True)
     text = frame.replace([np.inf, -np.inf], np.nan).to_csv(index=False, float_format="%.9g", lineterminator="\n")
     handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
     try:

@@ -121,8 +121,8 @@ def _sweeps(raw: Raw) -> Iterator[Complaint]:
             width = _quantity(record, "width_of_cut", "length")
             passes.add((str(record.get("cut")), width))
             yield from _fits(diameter, (*where, *place), width, record)
-        # With a single reference one pass is all that the estimator can use.
-        if len(passes) < 3 and table.get("references", "all") == "all":
+        # The estimator with a single reference is fed the same passes, so that the two can be compared.
+        if len(passes) < 3:
             yield (*where, "records"), _too_few(passes, diameter)
 
 

@@ -163,12 +163,17 @@ def comparison(frame: pd.DataFrame) -> tuple[list[str], Table]:
     alone = int((frame["match"] != "both").sum()) if "match" in frame else 0
     sentences = [f"{len(frame) - alone} pairs of peaks were compared."]
     if "significant" in frame:
-        rows = frame[[true(v) for v in frame["significant"]]]
+        rows = _where(frame, "significant")
         sentences[0] += f" {len(rows)} differ significantly (shaded rows)."
         sentences += _largest(rows)
     if alone:
         sentences.append(f"{alone} peaks were found in one of two measurements only.")
     return sentences, marked
+
+
+def _where(frame: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Return the rows in which a column is true; an empty list would select columns, so the mask is an array."""
+    return frame[np.array([true(v) for v in frame[column]], dtype=bool)]
 
 
 def _largest(rows: pd.DataFrame) -> list[str]:
@@ -179,7 +184,7 @@ def _largest(rows: pd.DataFrame) -> list[str]:
         quantity, found, _ = column.partition("_difference")
         if not found or "_std" in column or not _numeric(rows[column]) or (own and quantity not in own):
             continue
-        counted = rows[[true(v) for v in rows[f"{quantity}_significant"]]] if own else rows
+        counted = _where(rows, f"{quantity}_significant") if own else rows
         values = counted[column].abs().fillna(0.0).to_numpy(dtype=float)
         if values.max(initial=0.0) > 0.0:
             out.append(_difference_text(counted.iloc[int(values.argmax())], column))

@@ -177,12 +177,14 @@ class TestWhatItSays:
         assert campaign.tool is None
         assert campaign.measurements[0].records[0].channels["time"] == Channel(sample_rate=51200.0)
 
-    def test_one_pass_is_enough_for_a_single_reference(self, folder: Path) -> None:
+    def test_a_sweep_has_three_passes_also_with_a_single_reference(self, folder: Path) -> None:
         start, end = EXAMPLE.index('            { file = "up.csv"'), EXAMPLE.index("[[model]]")
         text = EXAMPLE[:start] + "]\n" + EXAMPLE[end:]
         assert "three independent force directions" in errors(folder, text)[0]
-        sweep = load(folder, changed('resolution = "0.25 Hz"', 'references = "x"', text)).measurements[1]
-        assert (sweep.references, len(sweep.records)) == ("x", 1)
+        single = changed('resolution = "0.25 Hz"', 'references = "x"', text)
+        assert "three independent force directions" in errors(folder, single)[0]
+        sweep = load(folder, changed('resolution = "0.25 Hz"', 'references = "x"')).measurements[1]
+        assert (sweep.references, len(sweep.records)) == ("x", 3)
 
     def test_settings_are_plain_values(self, folder: Path) -> None:
         text = changed('controller = "K2"', 'controller = "K2"\nstarted = 2024-05-04T10:00:00\nadded_mass = "12 g"')

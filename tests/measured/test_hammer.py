@@ -62,9 +62,7 @@ def relative_error(compliance: xr.Dataset, row: int = 0, column: int = 0) -> flo
 # --- accuracy ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("block", "percent"), [(0.25, 35.0), (0.5, 11.0), (1.0, 1.1), (2.0, 0.01), (4.0, 0.01)]
-)
+@pytest.mark.parametrize(("block", "percent"), [(0.25, 35.0), (0.5, 11.0), (1.0, 1.1), (2.0, 0.01), (4.0, 0.01)])
 def test_error_of_a_block_that_is_too_short(block: float, percent: float) -> None:
     """The table of the theory: the error is exp(-T/tau) with tau = 0.217 s until the sampling limits it."""
     record = bench([(0.02 * block, 25.0)], block, rate=20000.0)
@@ -96,11 +94,11 @@ def test_noise_free_hits_recover_the_bench(channel: str) -> None:
 
 
 def test_error_falls_with_noise_and_hits() -> None:
-    """Accelerometer noise 0.05 m/s2, five hits of 25 N: better than 1 % of the peak within 30 to 120 Hz."""
+    """Accelerometer noise 0.05 m/s2, five hits of 25 N: better than 2 % of the peak within 30 to 120 Hz."""
     record = bench([(0.1 + 4.0 * k, 25.0) for k in range(5)], 20.0, noise=0.05, seed=1)
     found = identify_hammer("bench", {"x": [record]}, frequency_range=(30.0, 120.0))
-    assert relative_error(found.compliance) < 0.01
-    assert float(found.compliance["coherence"].sel(frequency=61.0, method="nearest")) > 0.99
+    assert relative_error(found.compliance) < 0.02
+    assert found.compliance["coherence"].sel(frequency=61.0, method="nearest").item() > 0.99
 
 
 def test_standard_deviation_is_calibrated() -> None:
@@ -147,12 +145,27 @@ def test_coherence_of_noise_that_only_some_hits_share_is_below_one() -> None:
 def test_force_noise_lowers_the_compliance_and_the_gate_repairs_it() -> None:
     """H1 is low by S_nn/S_FF; the force between the hits carries no information and can go."""
     hits = [(0.1 + 4.0 * k, 25.0) for k in range(5)]
-    record = bench(hits, 20.0, force_noise=1.5, seed=4)
+    record = bench(hits, 20.0, force_noise=0.4, seed=4)
     plain = identify_hammer("bench", {"x": [record]}, frequency_range=(30.0, 120.0))
     gated = identify_hammer("bench", {"x": [record]}, frequency_range=(30.0, 120.0), gate_force=True)
     assert any("force noise lowers the compliance" in w for w in plain.warnings)
-    assert relative_error(gated.compliance) < 0.02
-    assert relative_error(plain.compliance) > 3.0 * relative_error(gated.compliance)
+    assert relative_error(gated.compliance) < 0.01
+    assert relative_error(plain.compliance) > 0.02
+
+
+def test_force_noise_ends_the_band() -> None:
+    """Noise of 2 N makes every line of a 25 N hit uncertain by more than a tenth: nothing is claimed."""
+    record = bench([(0.1 + 4.0 * k, 25.0) for k in range(3)], 12.0, force_noise=2.0, seed=4)
+    with pytest.raises(InputError, match="gate_force=True where force noise limits the band"):
+        identify_hammer("noisy", {"x": [record]}, frequency_range=(30.0, 120.0))
+
+
+def test_noise_is_no_leakage() -> None:
+    """A response that drowns in noise at the end of the block has decayed as far as anyone can tell."""
+    for seed in range(10):
+        record = bench([(0.1 + 4.0 * k, 25.0) for k in range(4)], 16.0, noise=0.5, seed=seed)
+        found = identify_hammer("noisy", {"x": [record]}, frequency_range=(30.0, 120.0))
+        assert not any("decayed" in w for w in found.warnings)
 
 
 # --- one hit -------------------------------------------------------------------------------------------------------
@@ -410,8 +423,10 @@ def test_different_sampling_rates() -> None:
 
 
 def test_a_range_the_force_does_not_reach() -> None:
-    with pytest.raises(InputError, match="no frequency between 3000 and 4000 Hz is left"):
+    with pytest.raises(InputError, match="nothing can be claimed between 3000 and 4000 Hz"):
         identify_hammer("high", {"x": [bench([(0.1, 25.0)], 4.0)]}, frequency_range=(3000.0, 4000.0))
+    with pytest.raises(InputError, match=r"nothing can be claimed between 500 and 800 Hz \(usable: x 0\.5"):
+        identify_hammer("high", {"x": [bench([(0.1, 25.0)], 4.0)]}, frequency_range=(500.0, 800.0))
 
 
 def test_unknown_fault() -> None:

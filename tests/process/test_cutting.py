@@ -134,6 +134,11 @@ def test_an_impossible_cut_is_refused(cut: str, width: float, message: str) -> N
     ("geometry", "message"),
     [
         ({"diameter": 0.0}, "must be positive"),
+        ({"diameter": math.inf}, "diameter is inf m"),
+        ({"diameter": math.nan}, "diameter is nan m"),
+        ({"runout": (0.0, math.nan)}, "runout is .*a finite number for each tooth"),
+        ({"pitch_angles": (math.pi, math.nan)}, "pitch_angles is .*a finite number for each tooth"),
+        ({"approach_angle": math.nan}, "approach angle"),
         ({"teeth": 0}, "at least one"),
         ({"approach_angle": 2.0}, "approach angle"),
         ({"pitch_angles": (1.0, 1.0)}, "add up to"),
@@ -144,3 +149,36 @@ def test_an_impossible_cut_is_refused(cut: str, width: float, message: str) -> N
 def test_an_impossible_tool_is_refused(geometry: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Tool(**{"diameter": 0.05, "teeth": 2, **geometry})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("name", ["Ktc", "Krc", "Kac", "Kte", "Kre", "Kae"])
+def test_a_coefficient_is_a_finite_number(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"{name} is {value}"):
+        CuttingCoefficients(**{"Ktc": 1e9, "Krc": 0.0, "Kac": 0.0, name: value})
+
+
+UNEQUAL = Tool(0.05, 2, pitch_angles=(math.radians(170.0), math.radians(190.0)))
+ECCENTRIC = Tool(0.05, 2, runout=(5e-6, -5e-6))
+HELICAL = Tool(0.05, 2, helix_angle=0.5)
+
+
+@pytest.mark.parametrize(
+    ("tool", "message"), [(UNEQUAL, "unequal pitch .170, 190 deg"), (ECCENTRIC, "run-out of 5, -5")]
+)
+def test_force_harmonics_of_unequal_teeth_are_refused(tool: Tool, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        force_harmonics(tool, Engagement(0.4, 2.1), MATERIAL, 1e-3, 1e-4, [1])
+
+
+def test_a_directional_matrix_that_the_formula_does_not_hold_for_is_refused() -> None:
+    arc = Engagement(0.4, 2.1)
+    for order in (0, 1):
+        with pytest.raises(InputError, match="unequal pitch"):
+            directional_matrix(UNEQUAL, arc, MATERIAL, order)
+    with pytest.raises(InputError, match=r"helix of 28\.6479 deg; straight edges"):
+        directional_matrix(HELICAL, arc, MATERIAL, 1)
+    # Run-out and a helix leave the mean matrix as it is.
+    plain = directional_matrix(Tool(0.05, 2), arc, MATERIAL)
+    np.testing.assert_array_equal(directional_matrix(HELICAL, arc, MATERIAL), plain)
+    np.testing.assert_array_equal(directional_matrix(ECCENTRIC, arc, MATERIAL), plain)

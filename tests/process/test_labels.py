@@ -9,6 +9,7 @@ from process.labels import (
     AXES,
     axis_present,
     check_compliance,
+    check_record,
     full_matrix,
     make_compliance,
     make_record,
@@ -84,3 +85,30 @@ def test_a_compliance_in_other_units_is_refused() -> None:
     c["compliance"].attrs["units"] = "um/N"
     with pytest.raises(InputError, match="units 'um/N'"):
         check_compliance(c)
+
+
+def test_axes_come_in_their_order_whatever_that_of_the_dataset() -> None:
+    r = record(vectors={"force": {"z": np.ones(100), "x": np.ones(100)}})
+    assert axis_present(r.isel(axis=slice(None, None, -1)), "force") == ["x", "z"]
+
+
+def test_an_axis_that_is_not_known_is_refused_not_dropped() -> None:
+    with pytest.raises(InputError, match="axis 'w' is none of x, y, z"):
+        record(vectors={"force": {"x": np.ones(100), "w": np.ones(100)}})
+    with pytest.raises(InputError, match="axis 'w'"):
+        check_record(record().assign_coords(axis=["x", "w"]))
+    with pytest.raises(InputError, match="axis 'w'"):
+        axis_present(record().assign_coords(axis=["x", "w"]), "force")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"vectors": {"force": {"y": np.ones(99)}}}, r"channel force_y has the shape \(99,\), the time \(100,\)"),
+        ({"vectors": {"force": {"y": 1.0}}}, r"channel force_y has the shape \(\)"),
+        ({"scalars": {"spindle_speed": np.ones(101)}}, r"channel spindle_speed has the shape \(101,\)"),
+    ],
+)
+def test_every_channel_has_a_sample_for_each_time(change: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        record(**change)

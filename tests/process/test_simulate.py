@@ -129,6 +129,25 @@ def test_a_swept_tooth_passing_frequency_is_where_the_angle_says() -> None:
     assert record["spindle_speed"].values[-1] == pytest.approx((20.0 + 1.5 * 20.0) * 30 / np.pi, rel=1e-3)
 
 
+def test_with_unequal_pitch_every_tooth_cuts_when_and_what_its_place_says() -> None:
+    # Tooth j+1 comes pitch[j] after tooth j, and takes off what the feed has advanced in that angle.
+    pitch = np.radians([100.0, 150.0, 110.0])
+    tool, arc, feed = Tool(0.05, 3, pitch_angles=tuple(pitch)), Engagement(0.3, 1.1), 1e-4
+    tangential = CuttingCoefficients(1800e6, 0.0, 0.0)
+    cut = MillingCut(tool, arc, tangential, 1e-3, feed_per_tooth=feed)
+    rate, turns = 60000.0, 10.0
+    record = simulate_milling(RIGID, cut, Spindle(2 * math.pi * turns), 0.4, rate, step=1.0 / rate)
+    angle = record["spindle_angle"].values - 4 * math.pi  # the third turn: all surfaces are cut ones
+    force = np.linalg.norm(record["force"].values, axis=0)
+    behind = {0: 0.0, 1: pitch[0], 2: pitch[0] + pitch[1]}
+    starts = angle[1:][(force[1:] > 0.0) & (force[:-1] == 0.0) & (angle[1:] > 0.0) & (angle[1:] < 2 * math.pi)]
+    np.testing.assert_allclose(starts, [arc.entry + behind[j] for j in range(3)], atol=2 * 2 * math.pi * turns / rate)
+    for tooth, before in ((0, pitch[2]), (1, pitch[0]), (2, pitch[1])):
+        phi = 0.7
+        chip = feed * 3 * before / (2 * math.pi) * math.sin(phi)
+        assert np.interp(phi + behind[tooth], angle, force) == pytest.approx(1800e6 * 1e-3 * chip, rel=2e-3), tooth
+
+
 def test_a_helical_edge_has_the_shortened_harmonics() -> None:
     tool = Tool(0.02, 4, helix_angle=math.radians(30.0))
     arc = engagement("down", 0.01, 0.02)

@@ -53,6 +53,7 @@ def test_what_is_written_reads_back(value: float, unit: tuple[str, str]) -> None
         ("125 kg", "length", "not a unit of length"),
         ("1.2.3 mm", "length", "not a unit of length"),
         ("nan mm", "length", "not a number"),
+        ("1e400 mm", "length", "'1e400 mm' is not finite"),
     ],
 )
 def test_a_quantity_without_sense_is_refused_with_the_units_that_fit(text: str, dimension: str, message: str) -> None:

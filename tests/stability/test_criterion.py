@@ -10,7 +10,7 @@ from process.errors import InputError
 from process.labels import make_record
 from process.simulate import MillingCut, Spindle, simulate_milling
 from process.tool import Tool
-from stability import chatter_verdict
+from stability import chatter_verdict, zero_order
 
 TEETH = 4
 RPM = 1500.0  # spindle order 25 Hz, tooth passing 100 Hz
@@ -152,6 +152,31 @@ def test_the_spindle_angle_is_believed_where_it_is_recorded():
         judge(record, rpm=1600.0)
 
 
+def with_speed(record, rpm, noise=0.0):
+    values = rpm * (1.0 + noise * np.random.default_rng(5).standard_normal(record.time.size))
+    return record.assign(spindle_speed=("time", values, {"units": "rpm"}))
+
+
+def test_a_recorded_speed_that_contradicts_the_given_one_is_refused():
+    with pytest.raises(InputError, match="the recorded spindle speed is 700 rpm, 720 rpm were given: correct one"):
+        judge(with_speed(cut_record(rpm=700.0), 700.0), rpm=720.0)
+
+
+def test_the_search_starts_from_the_recorded_speed():
+    # 0.8 % off the given speed: outside of what is searched around that
+    found = judge(with_speed(cut_record(rpm=RPM * 1.008), RPM * 1.007))
+    assert found.spindle_speed_rpm == pytest.approx(RPM * 1.008, rel=1e-4)
+    assert found.verdict == "stable"
+
+
+@pytest.mark.parametrize("rpm", [RPM, 12000.0])
+def test_noise_on_a_recorded_speed_is_no_sweep(rpm):
+    teeth = 2
+    record = with_speed(cut_record(rpm=rpm, teeth=teeth, tooth=(10.0,)), rpm, noise=0.004)
+    assert np.ptp(record.spindle_speed.values) > 0.02 * rpm
+    assert judge(record, rpm=rpm, teeth=teeth).verdict == "stable"
+
+
 def test_a_sweep_is_refused():
     record = cut_record()
     record["spindle_speed"] = ("time", np.linspace(1400, 1600, record.time.size), {"units": "rpm"})
@@ -164,12 +189,35 @@ def test_a_sweep_is_refused():
 
 def test_a_cut_without_tooth_line_is_measured_against_the_floor():
     """The ideal slot: without the floor, a trace of free vibration is a ratio of 1000."""
-    quiet = cut_record([(62.0, 0.02)], tooth=(), runout=(), noise=1e-5)
+    quiet = cut_record([(62.0, 0.02)], tooth=(), runout=(0.3,), noise=1e-5)
     found = judge(quiet)
     assert found.verdict == "stable"
-    assert "floor" in found.reason
+    assert "of the floor 0.1 (no tooth harmonic reaches it)" in found.reason
     assert math.isnan(found.tooth_passing_harmonic_Hz)
     assert judge(quiet, floor=1e-6).verdict == "chatter"
+
+
+def scaled(record, factor):
+    record["acceleration"] *= factor
+    return record
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        cut_record([(63.07, 20.0)], tooth=(), runout=(), noise=1e-6).pipe(scaled, 0.0),
+        cut_record(tooth=(), runout=(), noise=1e-6),
+        cut_record([(63.07, 20.0)]).pipe(scaled, 1e-3),
+        cut_record(tooth=(), runout=(), noise=0.05),
+    ],
+    ids=["all zero", "dead", "unit off by 1000", "air only"],
+)
+def test_a_record_that_shows_no_cut_is_not_called_stable(record):
+    found = judge(record)
+    assert found.verdict == "undecided"
+    assert "nothing reaches the floor of 0.1 m/s^2" in found.reason
+    assert "check sensor, unit and interval" in found.reason
+    assert math.isnan(found.chatter_frequency_Hz)
 
 
 def test_period_doubling_of_an_even_number_of_teeth_that_grows_is_chatter():
@@ -266,10 +314,13 @@ def test_the_spectrum_is_there_to_be_drawn():
 # --- a cut, not a signal ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("share", "verdict"), [(0.5, "stable"), (0.8, "stable"), (1.03, "chatter"), (1.1, "chatter")])
+@pytest.mark.parametrize(
+    ("share", "verdict"), [(0.5, "undecided"), (0.8, "undecided"), (1.03, "chatter"), (1.1, "chatter")]
+)
 @pytest.mark.parametrize("runout", [0.0, 20e-6])
 def test_verdict_of_a_simulated_cut_changes_at_the_limit(lab_slot, share, verdict, runout):
-    # 1500 rpm: limit 0.1604 mm, chatter at 63.07 Hz (theory 2.5 a)
+    # 1500 rpm: limit 0.1604 mm, chatter at 63.07 Hz (theory 2.5 a). Below it the ideal slot has no tooth line and the
+    # table nearly rests: 0.06 m/s^2 of run-out is less than the floor, so that no more can be said than that.
     tool = Tool(50.8e-3, 4, runout=tuple(runout * np.cos(np.arange(4) * np.pi / 2 + 0.3)))
     cut = MillingCut(
         tool, lab_slot.arc, CuttingCoefficients(780e6, 351e6, 0.0), share * 0.1604e-3, feed_per_tooth=0.2e-3
@@ -279,6 +330,20 @@ def test_verdict_of_a_simulated_cut_changes_at_the_limit(lab_slot, share, verdic
     assert found.verdict == verdict
     if verdict == "chatter":
         assert found.chatter_frequency_Hz == pytest.approx(63.07, abs=0.3)
+    else:
+        assert "nothing reaches the floor" in found.reason
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.5, "stable"), (0.8, "stable"), (1.2, "chatter")])
+def test_verdict_of_a_simulated_cut_with_a_tooth_line(lab_slot, share, verdict):
+    # Three teeth in a slot: the force changes at the tooth passing frequency and the table follows.
+    tool = Tool(50.8e-3, 3)
+    limit = float(
+        zero_order(lab_slot.compliance(20, 200, 0.1), tool, lab_slot.arc, lab_slot.coefficients, [RPM]).limit_depth[0]
+    )
+    cut = MillingCut(tool, lab_slot.arc, lab_slot.coefficients, share * limit * 1e-3, feed_per_tooth=0.2e-3)
+    record = simulate_milling(lab_slot.machine, cut, Spindle(RPM * math.pi / 30), 16.0, 2048.0, lead=0.5, tail=0.5)
+    assert judge(record, teeth=3, axes=["x"]).verdict == verdict
 
 
 # --- refusals --------------------------------------------------------------------------------------------------------
