@@ -28,23 +28,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from process.compliance import displacement_over_acceleration
 from process.errors import InputError
-from process.labels import UNITS, axis_present, check_record, sample_interval
-from stability.line_spectrum import (
-    STANDS_OUT,
-    LineSpectrum,
-    comb_speed,
-    hann_spectrum,
-    highest_visible_order,
-    noise_rms,
-    order_phasors,
-    without_orders,
-)
+from process.labels import UNITS, axis_present, check_record
+from stability.cut_interval import CutPart, judged_part, spindle_frequency
+from stability.evidence import MASK_BINS, Evidence, gather, labelled_spectrum
+from stability.line_spectrum import STANDS_OUT
 
 Verdict = Literal["stable", "chatter", "undecided"]
 
@@ -53,23 +43,11 @@ QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force")
 DEFAULT_FLOOR: dict[str, float] = {"acceleration": 0.1, "displacement": 1e-6, "force": 5.0}
 """Least amplitude that counts as the highest tooth harmonic [m/s2, m, N]."""
 
-MASK_BINS = 3.0
-"""Half width of the mask of an order [bins of 1/T]."""
-
-SPEED_VARIATION = 5e-4
-"""Relative variation of the speed within the record that the masks allow for [1]."""
-
 FEWEST_TURNS = 6
 """Below this number of turns the masks of neighbouring orders meet."""
 
 HIGHEST_SHARE_OF_SAMPLE_RATE = 0.4
 """Default upper end of the band, in sample rates: above it anti-alias filters act."""
-
-SPEED_MISMATCH = 0.01
-"""Relative difference between a recorded and the given speed above which one of them must be wrong [1]."""
-
-SPEED_PIECES = 32
-"""Most pieces on whose means a recorded speed is tested for being constant."""
 
 GROWTH = 3.0
 """Growth of order Z/2 from the first to the last quarter of the cut that run-out cannot explain."""
@@ -125,90 +103,6 @@ class ChatterVerdict:
     resolution_Hz: float
     interval_s: tuple[float, float]
     half_order_ratio: float
-
-
-@dataclass(frozen=True)
-class _Part:
-    """The samples that are judged, and the whole cut they are taken from; shapes (axes, n)."""
-
-    samples: NDArray[np.float64]
-    cut: NDArray[np.float64]
-    dt: float
-    interval: tuple[float, float]
-
-    @property
-    def duration(self) -> float:
-        return float(self.samples.shape[1] * self.dt)
-
-
-@dataclass(frozen=True)
-class _Evidence:
-    """Everything the rules look at."""
-
-    spectrum: LineSpectrum
-    amplitude: NDArray[np.float64]
-    left: NDArray[np.float64]
-    masked: NDArray[np.bool_]
-    base: float
-    speed_error: float
-    tooth_frequency: float
-    tooth_amplitude: float
-    denominator: float
-    floor: float
-    unit: str
-    threshold: float
-    teeth: int
-    half: tuple[float, float]
-    half_growth: float
-    half_reference: float | None
-
-    def peak(self, where: NDArray[np.bool_], amplitude: NDArray[np.float64]) -> tuple[float, float]:
-        """Return frequency and amplitude of the highest of the points marked; NaN, 0 for none."""
-        if not where.any():
-            return math.nan, 0.0
-        top = int(np.argmax(np.where(where, amplitude, -1.0)))
-        return float(self.spectrum.frequency[top]), float(amplitude[top])
-
-    @property
-    def candidate(self) -> tuple[float, float]:
-        """Frequency and amplitude of the largest peak that is not a harmonic.
-
-        A shoulder of a masked order is no peak: the point must be a local maximum.
-        """
-        inner = self.amplitude[1:-1]
-        local = np.zeros(self.amplitude.size, dtype=bool)
-        local[1:-1] = (inner >= self.amplitude[:-2]) & (inner >= self.amplitude[2:])
-        return self.peak(local & ~self.masked, self.amplitude)
-
-    @property
-    def highest(self) -> float:
-        """Highest amplitude in the band, spindle orders included."""
-        return float(self.amplitude.max(initial=0.0))
-
-    @property
-    def tooth_line(self) -> float:
-        """Frequency of the highest tooth harmonic [Hz]; NaN when it does not stand out of the noise."""
-        if math.isnan(self.tooth_frequency):
-            return math.nan
-        noise = noise_rms(self.spectrum, self.amplitude, ~self.masked, self.tooth_frequency)
-        return self.tooth_frequency if self.tooth_amplitude > STANDS_OUT * noise else math.nan
-
-    @property
-    def ratio(self) -> float:
-        """Candidate over tooth harmonic."""
-        return self.candidate[1] / self.denominator
-
-    @property
-    def noise(self) -> float:
-        """Rms noise amplitude around the candidate."""
-        frequency = self.candidate[0]
-        where = self.teeth * self.base if math.isnan(frequency) else frequency
-        return noise_rms(self.spectrum, self.amplitude, ~self.masked, where)
-
-    @property
-    def guard(self) -> float:
-        """Two standard deviations of the ratio, from the noise on both amplitudes."""
-        return self.noise / self.denominator * math.sqrt(2.0 * (1.0 + self.threshold**2))
 
 
 @dataclass(frozen=True)
@@ -278,12 +172,12 @@ def chatter_verdict(
     check_record(record)
     chosen, recorded = _choose_quantity(record, quantity)
     names = _choose_axes(record, recorded, axes)
-    part = _judged_part(record, recorded, names, 2.0 * math.pi / rotation, interval)
-    base, exact = _spindle_frequency(record, part, rotation / (2.0 * math.pi), speed_tolerance)
+    part = judged_part(record, recorded, names, 2.0 * math.pi / rotation, interval)
+    base, exact = spindle_frequency(record, part, rotation / (2.0 * math.pi), speed_tolerance)
     band = _band(frequency_range, part, teeth * base)
     least = DEFAULT_FLOOR[chosen] if floor is None else floor
     integrate = chosen != recorded
-    evidence = _gather(
+    evidence = gather(
         part,
         base,
         teeth,
@@ -304,7 +198,7 @@ def chatter_verdict(
         tooth_passing_harmonic_Hz=evidence.tooth_line,
         spindle_speed_rpm=60.0 * evidence.base,
         reason=finding.reason,
-        spectrum=_labelled(evidence, names, UNITS[chosen]),
+        spectrum=labelled_spectrum(evidence, names, UNITS[chosen]),
         quantity="displacement from acceleration" if integrate else chosen,
         axes=tuple(names),
         threshold=threshold,
@@ -354,7 +248,7 @@ def _choose_axes(record: xr.Dataset, channel: str, axes: Sequence[str] | None) -
     return chosen
 
 
-def _band(frequency_range: tuple[float, float | None], part: _Part, tooth: float) -> tuple[float, float]:
+def _band(frequency_range: tuple[float, float | None], part: CutPart, tooth: float) -> tuple[float, float]:
     """Return the band [Hz]; below `MASK_BINS` bins the mean leaks."""
     low, high = frequency_range
     sample_rate = 1.0 / part.dt
@@ -372,204 +266,10 @@ def _band(frequency_range: tuple[float, float | None], part: _Part, tooth: float
     return max(low, MASK_BINS / part.duration), top
 
 
-# --- the part of the record ------------------------------------------------------------------------------------------
-
-
-def _judged_part(
-    record: xr.Dataset, channel: str, axes: list[str], turn: float, interval: tuple[float, float] | None
-) -> _Part:
-    """Return the samples to judge: the given interval, or the last half of the cut."""
-    dt = sample_interval(record)
-    time = record["time"].values
-    samples = record[channel].sel(axis=axes).transpose("axis", "time").values.astype(float)
-    if interval is not None:
-        first, last = np.searchsorted(time, interval)
-        if last - first < 16:
-            raise InputError(
-                f"the interval {interval[0]:g} to {interval[1]:g} s holds {max(last - first, 0)} samples of a record "
-                f"from {time[0]:g} to {time[-1]:g} s; give one with more"
-            )
-        begin = first
-    else:
-        # The force is nearly zero in air: it shows the cut best where it has been recorded.
-        shows = "force" if axis_present(record, "force") else channel
-        every = record[shows].sel(axis=axis_present(record, shows)).transpose("axis", "time").values.astype(float)
-        first, last = _find_cut(every, max(2, round(turn / dt)), shows == "force")
-        begin = (first + last) // 2
-    bounds = float(time[begin]), float(time[last - 1])
-    return _Part(samples[:, begin:last], samples[:, first:last], dt, bounds)
-
-
-def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[int, int]:
-    """Return first and last sample of the longest stretch of turns that is not air, less its last turn (the exit).
-
-    A turn counts as cut when its level exceeds a fifth of the 95 % quantile. The level is the standard deviation
-    within the turn; with `static` (forces) the departure of its mean from the record's quieter end counts too, because
-    a slot with many teeth cuts with a constant force.
-    """
-    n = samples.shape[1]
-    blocks = n // turn
-    if blocks < 4:
-        return 0, n
-    turns = samples[:, : blocks * turn].reshape(samples.shape[0], blocks, turn)
-    power = turns.var(axis=2).sum(axis=0)
-    if static:
-        means = turns.mean(axis=2)
-        air = means[:, :1] if power[0] <= power[-1] else means[:, -1:]
-        power = power + ((means - air) ** 2).sum(axis=0)
-    level = np.sqrt(power)
-    loud = np.concatenate([[False], level > 0.2 * np.quantile(level, 0.95), [False]])
-    edges = np.flatnonzero(np.diff(loud.astype(int)))
-    starts, stops = edges[::2], edges[1::2]
-    if starts.size == 0:
-        return 0, n
-    longest = int(np.argmax(stops - starts))
-    start, stop = int(starts[longest]), int(stops[longest])
-    if stop == blocks:
-        return start * turn, n
-    return start * turn, max(stop - 1, start + 1) * turn
-
-
-def _spindle_frequency(record: xr.Dataset, part: _Part, nominal: float, tolerance: float) -> tuple[float, bool]:
-    """Return the spindle frequency [Hz] to start from, and whether the record states it exactly."""
-    inside = (record["time"] >= part.interval[0]) & (record["time"] <= part.interval[1])
-    time = record["time"].values[inside.values]
-    if "spindle_angle" not in record:
-        return _recorded_speed(record, inside.values, nominal, tolerance), tolerance == 0.0
-    angle = np.unwrap(record["spindle_angle"].values[inside.values])
-    half = angle.size // 2
-    slopes = [np.polyfit(t - t[0], a, 1)[0] for t, a in ((time[:half], angle[:half]), (time[half:], angle[half:]))]
-    _check_constant(np.array(slopes) * 30.0 / np.pi)
-    measured = float(np.polyfit(time - time[0], angle, 1)[0]) / (2.0 * math.pi)
-    _check_same(measured, nominal, tolerance, "the spindle angle of the record turns at")
-    return measured, True
-
-
-def _recorded_speed(record: xr.Dataset, inside: NDArray[np.bool_], nominal: float, tolerance: float) -> float:
-    """Return the median of the recorded spindle speed [Hz], `nominal` where none has been recorded."""
-    if "spindle_speed" not in record:
-        return nominal
-    speed = record["spindle_speed"].values[inside].astype(float)
-    if np.isnan(speed).all():
-        return nominal
-    # Means, because every sample of a measured speed carries noise; a piece is a turn at least.
-    turn = sample_interval(record) * nominal
-    pieces = int(np.clip(speed.size * turn, 2, SPEED_PIECES))
-    _check_constant(np.array([piece.mean() for piece in np.array_split(speed, pieces)]))
-    measured = float(np.median(speed)) / 60.0
-    _check_same(measured, nominal, tolerance, "the recorded spindle speed is")
-    return measured
-
-
-def _check_same(measured: float, nominal: float, tolerance: float, what: str) -> None:
-    """Refuse a record whose speed [Hz] is not the one given."""
-    if abs(measured / nominal - 1.0) > max(tolerance, SPEED_MISMATCH):
-        raise InputError(f"{what} {60.0 * measured:g} rpm, {60.0 * nominal:g} rpm were given: correct one of them")
-
-
-def _check_constant(speed: NDArray[np.float64]) -> None:
-    """Refuse a sweep."""
-    low, high = float(speed.min()), float(speed.max())
-    if high - low > 0.01 * abs(high):
-        raise InputError(
-            f"the spindle speed varies from {low:g} to {high:g} rpm within the part that is judged; the "
-            "criterion needs a constant speed: give an interval in which it is constant"
-        )
-
-
-# --- evidence --------------------------------------------------------------------------------------------------------
-
-
-def _gather(
-    part: _Part,
-    base: float,
-    teeth: int,
-    band: tuple[float, float],
-    exact: bool,
-    tolerance: float,
-    integrate: bool,
-    floor: float,
-    unit: str,
-    threshold: float,
-    reference: float | None,
-) -> _Evidence:
-    """Turn samples into spectra, masks and the amplitudes that the rules compare."""
-    raw = hann_spectrum(part.samples, part.dt, band)
-    if not exact:
-        base = comb_speed(raw, base, teeth, tolerance)
-    count = max(teeth, int(band[1] / base))
-    error = SPEED_VARIATION + (0.0 if exact else _remaining_error(raw, base, count, tolerance))
-    phasors = order_phasors(part.samples, part.dt, base, count)
-    scale = np.abs(displacement_over_acceleration(raw.frequency)) if integrate else np.ones(raw.frequency.size)
-    spectrum = LineSpectrum(raw.frequency, raw.phasor * scale, raw.resolution)
-    amplitude = spectrum.vector_amplitude
-    tooth_frequency, tooth_amplitude = _highest_line(spectrum, amplitude, teeth * base, 1, error)
-    half = (math.nan, math.nan)
-    if teeth % 2 == 0:
-        half = _highest_line(spectrum, amplitude, 0.5 * teeth * base, 2, error)
-    return _Evidence(
-        spectrum=spectrum,
-        amplitude=amplitude,
-        left=without_orders(raw, phasors, base) * scale,
-        masked=_order_mask(spectrum, base, error),
-        base=base,
-        speed_error=error,
-        tooth_frequency=tooth_frequency,
-        tooth_amplitude=tooth_amplitude,
-        denominator=max(tooth_amplitude, floor),
-        floor=floor,
-        unit=unit,
-        threshold=threshold,
-        teeth=teeth,
-        half=half,
-        half_growth=_growth(part, half[0]),
-        half_reference=reference,
-    )
-
-
-def _remaining_error(spectrum: LineSpectrum, base: float, count: int, tolerance: float) -> float:
-    """Return the relative error left after the comb: half a bin at the highest order that can be seen."""
-    visible = highest_visible_order(spectrum, base, count)
-    if visible == 0:
-        return tolerance
-    return min(tolerance, 0.5 * spectrum.resolution / (visible * base))
-
-
-def _highest_line(
-    spectrum: LineSpectrum, amplitude: NDArray[np.float64], base: float, stride: int, error: float
-) -> tuple[float, float]:
-    """Return frequency [Hz] and amplitude of the highest of the multiples 1, 1 + stride, ... of `base` in the band."""
-    multiples = base * np.arange(1, int(spectrum.frequency[-1] / base) + 1, stride)
-    best = (math.nan, 0.0)
-    for frequency in multiples[multiples >= spectrum.frequency[0]]:
-        near = spectrum.near(float(frequency), spectrum.resolution + error * float(frequency))
-        top = float(amplitude[near].max())
-        if top > best[1]:
-            best = (float(frequency), top)
-    return best
-
-
-def _order_mask(spectrum: LineSpectrum, base: float, error: float) -> NDArray[np.bool_]:
-    """Mark ``|f - h base| <= 3/T + error h base`` for every order h >= 1."""
-    order = np.maximum(1.0, np.round(spectrum.frequency / base))
-    nearest = order * base
-    return np.abs(spectrum.frequency - nearest) <= MASK_BINS * spectrum.resolution + error * nearest
-
-
-def _growth(part: _Part, frequency: float) -> float:
-    """Return how much a line has grown from the first to the last quarter of the cut; NaN when there is no line."""
-    quarter = part.cut.shape[1] // 4
-    if math.isnan(frequency) or quarter * part.dt * frequency < 4.0:
-        return math.nan
-    pieces = (part.cut[:, :quarter], part.cut[:, -quarter:])
-    first, last = (float(np.linalg.norm(order_phasors(p, part.dt, frequency, 1))) for p in pieces)
-    return last / first if first > 0.0 else math.inf
-
-
 # --- rules -----------------------------------------------------------------------------------------------------------
 
 
-def _too_few_turns(part: _Part, base: float) -> _Finding | None:
+def _too_few_turns(part: CutPart, base: float) -> _Finding | None:
     turns = part.duration * base
     if turns >= FEWEST_TURNS:
         return None
@@ -582,7 +282,7 @@ def _too_few_turns(part: _Part, base: float) -> _Finding | None:
     )
 
 
-def _judge(e: _Evidence) -> _Finding:
+def _judge(e: Evidence) -> _Finding:
     """Ask the rules in turn: whether there is a signal, a clear line, period doubling, then what may be hidden."""
     for rule in (_silent, _line, _period_doubling, _hidden, _crowded):
         finding = rule(e)
@@ -596,14 +296,14 @@ def _judge(e: _Evidence) -> _Finding:
     )
 
 
-def _denominator(e: _Evidence) -> str:
+def _denominator(e: Evidence) -> str:
     """Name what the ratio is taken of."""
     if e.tooth_amplitude < e.denominator:
         return f"the floor {e.denominator:g} (no tooth harmonic reaches it)"
     return f"the highest tooth harmonic at {e.tooth_frequency:.4g} Hz"
 
 
-def _silent(e: _Evidence) -> _Finding | None:
+def _silent(e: Evidence) -> _Finding | None:
     """A spectrum of which nothing, not even a spindle order, reaches the floor."""
     if e.highest >= e.floor:
         return None
@@ -616,7 +316,7 @@ def _silent(e: _Evidence) -> _Finding | None:
     )
 
 
-def _line(e: _Evidence) -> _Finding | None:
+def _line(e: Evidence) -> _Finding | None:
     """A peak that is not a harmonic."""
     frequency, amplitude = e.candidate
     if math.isnan(frequency) or e.ratio < e.threshold - e.guard:
@@ -630,7 +330,7 @@ def _line(e: _Evidence) -> _Finding | None:
     return _Finding("chatter", e.ratio, frequency, f"{what}, above {e.threshold:g}")
 
 
-def _period_doubling(e: _Evidence) -> _Finding | None:
+def _period_doubling(e: Evidence) -> _Finding | None:
     """Order Z/2 of an even number of teeth: run-out or period doubling."""
     frequency, amplitude = e.half
     ratio = amplitude / e.denominator
@@ -653,7 +353,7 @@ def _period_doubling(e: _Evidence) -> _Finding | None:
     )
 
 
-def _hidden(e: _Evidence) -> _Finding | None:
+def _hidden(e: Evidence) -> _Finding | None:
     """Something that does not repeat with the spindle, inside the mask of an order."""
     frequency, amplitude = e.peak(e.masked, e.left)
     ratio = amplitude / e.denominator
@@ -671,7 +371,7 @@ def _hidden(e: _Evidence) -> _Finding | None:
     )
 
 
-def _crowded(e: _Evidence) -> _Finding | None:
+def _crowded(e: Evidence) -> _Finding | None:
     """Masks that hide more than half of the spectrum at the tooth passing frequency."""
     tooth = e.teeth * e.base
     half_width = MASK_BINS * e.spectrum.resolution + e.speed_error * tooth
@@ -686,14 +386,3 @@ def _crowded(e: _Evidence) -> _Finding | None:
         f"+-{half_width:.2g} Hz each) hide more than half of the spectrum; {needed:.2g} s of cut are needed, "
         f"{1.0 / e.spectrum.resolution:.2g} s are there",
     )
-
-
-def _labelled(e: _Evidence, axes: list[str], unit: str) -> xr.Dataset:
-    """Return the spectrum for plotting."""
-    data = {
-        "amplitude": (("axis", "frequency"), np.abs(e.spectrum.phasor), {"units": unit}),
-        "vector_amplitude": ("frequency", e.amplitude, {"units": unit}),
-        "harmonic": ("frequency", e.masked, {"units": "1"}),
-    }
-    coords = {"axis": axes, "frequency": ("frequency", e.spectrum.frequency, {"units": "Hz"})}
-    return xr.Dataset(data, coords=coords, attrs={"resolution_Hz": e.spectrum.resolution, "window": "hann"})

@@ -40,6 +40,9 @@ DPI = 150
 MOST_SPECTRA = 24
 """The picture of the spectra holds no more; the HTML file shows all."""
 
+NOTHING = "nothing to draw:\nzero or not known"
+"""What a panel says that has no positive value for its logarithmic axis."""
+
 _STYLES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 _MARKERS: dict[str, dict[str, Any]] = {
     "stable": {"marker": "o", "color": "black", "markersize": 6},
@@ -94,9 +97,7 @@ def save(figure: Figure, path: Path) -> Path:
     with warnings.catch_warnings():
         # Names are the user's; a letter that the font lacks becomes a box and is no fault of the report.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        return write_atomically(
-            path, lambda p: figure.savefig(p, format="png", pil_kwargs={"compress_level": 3})
-        )
+        return write_atomically(path, lambda p: figure.savefig(p, format="png", pil_kwargs={"compress_level": 3}))
 
 
 def literal(text: str) -> str:
@@ -238,19 +239,35 @@ def _draw_entry(
     pair: tuple[str, str],
     floor: float,
 ) -> None:
+    """Draw one entry of everyone who claims it; an axis of logarithms has no place for zero."""
     _plain_axes(axes)
-    for m in measurements:
-        if pair not in m.entries:
-            continue
-        look, values, std = looks[m.name], m.entry(*pair), m.std(*pair)
-        if std is not None:
-            edges = magnitude_band(values, std, floor)
-            axes.fill_between(m.frequency, *edges, color=look.colour, alpha=0.2, linewidth=0)
-        axes.plot(
-            m.frequency, 1e6 * np.abs(values), color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.0
-        )
+    drawn = [_draw_magnitude(axes, m, looks[m.name], pair, floor) for m in measurements if pair in m.entries]
+    if not any(drawn):
+        _say_empty(axes)
     name = rf"$\Phi_{{{pair[0]}{pair[1]}}}$"
     axes.text(0.97, 0.95, name, transform=axes.transAxes, ha="right", va="top", fontsize=10)
+
+
+def _draw_magnitude(axes: Axes, m: Measurement, look: Line, pair: tuple[str, str], floor: float) -> bool:
+    """Draw magnitude and band where they are positive, and return whether they are anywhere."""
+    values, std = m.entry(*pair), m.std(*pair)
+    magnitude = 1e6 * np.abs(values)
+    drawn = False
+    if std is not None:
+        low, high = magnitude_band(values, std, floor)
+        drawn = bool((high > 0.0).any())
+        if drawn:
+            axes.fill_between(m.frequency, low, high, where=high > 0.0, color=look.colour, alpha=0.2, linewidth=0)
+    if (magnitude > 0.0).any():
+        shown = np.where(magnitude > 0.0, magnitude, np.nan)
+        axes.plot(m.frequency, shown, color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.0)
+        drawn = True
+    return drawn
+
+
+def _say_empty(axes: Axes) -> None:
+    place = axes.transAxes
+    axes.text(0.5, 0.5, NOTHING, transform=place, ha="center", va="center", fontsize=9, color="#666666")
 
 
 def draw_quality(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure:
@@ -290,9 +307,7 @@ def draw_quality(measurements: Sequence[Measurement], looks: Mapping[str, Line])
     return figure
 
 
-def _draw_coherence(
-    axes: Axes, measured: Sequence[Measurement], looks: Mapping[str, Line], response: str
-) -> None:
+def _draw_coherence(axes: Axes, measured: Sequence[Measurement], looks: Mapping[str, Line], response: str) -> None:
     _plain_axes(axes)
     for m in measured:
         for e, values in m.coherences(response):
@@ -321,9 +336,7 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     axes_names = sorted({str(a) for s in shown for a in s["axis"].values})
-    entries: list[tuple[Artist, str]] = [
-        (Line2D([], [], color=AXIS_COLOURS.get(a, "#000000")), a) for a in axes_names
-    ]
+    entries: list[tuple[Artist, str]] = [(Line2D([], [], color=AXIS_COLOURS.get(a, "#000000")), a) for a in axes_names]
     if any(harmonic_bands(s) for s in shown):
         entries.append((Patch(facecolor="#777777", alpha=0.3), "removed harmonics"))
     entries.append((Line2D([], [], color=CHATTER, linestyle=":"), "chatter line"))
@@ -352,9 +365,7 @@ def _draw_spectrum(axes: Axes, dataset: xr.Dataset, end: float) -> None:
     _plain_axes(axes)
     _, floor, top = spectrum_span(dataset)
     pairs = [(a, b) for a, b in harmonic_bands(dataset) if a < end]
-    axes.broken_barh(
-        [(a, b - a) for a, b in pairs], (1e-3 * floor, 1e3 * top), facecolor="#777777", alpha=0.25
-    )
+    axes.broken_barh([(a, b - a) for a, b in pairs], (1e-3 * floor, 1e3 * top), facecolor="#777777", alpha=0.25)
     frequency = dataset["frequency"].values.astype(float)
     inside = frequency <= end
     for axis in dataset["axis"].values:

@@ -74,9 +74,7 @@ def number(value: object, digits: int = 4) -> str:
     text = f"{x:.{digits}g}"
     if "e" in text and 1e-4 <= abs(x) < 1e7:
         text = f"{float(text):.0f}"
-    return re.sub(r"e([+-])0*(\d+)", lambda m: f"·10^{'-' if m[1] == '-' else ''}{m[2]}", text).replace(
-        "-", "−"
-    )
+    return re.sub(r"e([+-])0*(\d+)", lambda m: f"·10^{'-' if m[1] == '-' else ''}{m[2]}", text).replace("-", "−")
 
 
 def band_text(pairs: Iterable[tuple[float, float]], limit: int = 12) -> str:
@@ -129,9 +127,7 @@ def magnitude_range(measurements: Sequence[Measurement], span: tuple[float, floa
     return max(0.8 * float(np.quantile(joined, 0.01)), 1e-4 * top), 1.5 * top
 
 
-def part_ranges(
-    measurements: Sequence[Measurement], span: tuple[float, float]
-) -> tuple[list[float], list[float]]:
+def part_ranges(measurements: Sequence[Measurement], span: tuple[float, float]) -> tuple[list[float], list[float]]:
     """Return the ranges of real and imaginary parts [um/N]."""
     joined = _shown_values(measurements, span)
     return _padded(joined.real), _padded(joined.imag)

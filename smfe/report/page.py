@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smfe.report import figures, interactive, tables
+from smfe.report import figures, interactive, interactive_compliance, tables
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
 from smfe.report.results import Lobes, Measurement, Results, bands, read_results
@@ -185,9 +185,7 @@ def _spectra(results: Results, plots: dict[str, Any]) -> dict[str, Any]:
     found = []
     if results.chatter is not None:
         # Each reason stands below its spectrum.
-        found = tables.cutting_tests(
-            results.chatter.drop(columns="reason" if results.spectra else [], errors="ignore")
-        )
+        found = tables.cutting_tests(results.chatter.drop(columns="reason" if results.spectra else [], errors="ignore"))
     return {
         "tests": tests,
         "tables": found,
@@ -235,8 +233,8 @@ def _disagreeing(chatter: pd.DataFrame | None) -> list[str]:
 def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> dict[str, Any]:
     shown = [m for m in results.measurements if m.entries]
     if shown:
-        plots["plot-compliance"] = interactive.compliance_figure(shown, looks)
-        quality = interactive.quality_figure(shown, looks)
+        plots["plot-compliance"] = interactive_compliance.compliance_figure(shown, looks)
+        quality = interactive_compliance.quality_figure(shown, looks)
         if quality is not None:
             plots["plot-quality"] = quality
     return {
@@ -245,7 +243,7 @@ def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any])
         "quality": "plot-quality" in plots,
         "by_force": any(e for m in shown for r in "xyz" for e, _ in m.coherences(r)),
         "uncertain": any(m.std(*pair) is not None for m in shown for pair in m.entries),
-        "conditions": [(m.name, interactive.bad_bands_text(m)) for m in shown if m.condition() is not None],
+        "conditions": [(m.name, interactive_compliance.bad_bands_text(m)) for m in shown if m.condition() is not None],
     }
 
 
@@ -298,8 +296,6 @@ def _provenance(results: Results) -> dict[str, Any]:
         "created": _moment(str(content.get("created", ""))),
         "versions": pairs("versions"),
         "seconds": pairs("seconds"),
-        "settings": json.dumps(content["settings"], indent=2, ensure_ascii=False)
-        if content.get("settings")
-        else "",
+        "settings": json.dumps(content["settings"], indent=2, ensure_ascii=False) if content.get("settings") else "",
         "inputs": [i for i in inputs if isinstance(i, dict)] if isinstance(inputs, list) else [],
     }

@@ -63,9 +63,7 @@ class Measurement:
     @property
     def entries(self) -> list[tuple[str, str]]:
         """(response, excitation) of every entry that is claimed at one frequency at least."""
-        pairs = (
-            (str(r), str(e)) for r in self.data["response"].values for e in self.data["excitation"].values
-        )
+        pairs = ((str(r), str(e)) for r in self.data["response"].values for e in self.data["excitation"].values)
         return [pair for pair in pairs if np.isfinite(self.entry(*pair)).any()]
 
     def entry(self, response: str, excitation: str) -> NDArray[np.complex128]:
@@ -223,9 +221,7 @@ def read_results(folder: Path) -> Results:
         When the folder does not exist or a file in it cannot be read or lacks what it must hold.
     """
     if not folder.is_dir():
-        raise InputError(
-            f"'{folder}' is not a folder of results; `smfe run CAMPAIGN --out {folder}` makes one"
-        )
+        raise InputError(f"'{folder}' is not a folder of results; `smfe run CAMPAIGN --out {folder}` makes one")
     table = _read_csv(folder / "lobe_table.csv", ("source", "spindle_speed_rpm", "limit_depth_mm"))
     return Results(
         folder,
@@ -235,9 +231,7 @@ def read_results(folder: Path) -> Results:
         _read_tables(folder / "tables"),
         _read_csv(folder / "chatter.csv", ("file", "spindle_speed_rpm", "depth_of_cut_mm", "verdict")),
         _read_csv(folder / "comparison.csv", ()),
-        _read_csv(
-            folder / "model_error.csv", ("measurement", "model", "response", "excitation", "error_percent")
-        ),
+        _read_csv(folder / "model_error.csv", ("measurement", "model", "response", "excitation", "error_percent")),
         _read_provenance(folder / "provenance.json"),
     )
 
@@ -263,31 +257,24 @@ def _json_attr(path: Path, group: str, dataset: xr.Dataset, name: str) -> dict[s
         content = json.loads(dataset.attrs.get(name, "{}"))
         return {str(k): str(v) for k, v in content.items()}
     except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"{path}, group '{group}': attribute '{name}' is not a JSON object; write it again"
-        ) from error
+        raise InputError(f"{path}, group '{group}': attribute '{name}' is not a JSON object; write it again") from error
 
 
 def _warnings(path: Path, group: str, dataset: xr.Dataset) -> tuple[str, ...]:
     try:
         return tuple(str(w) for w in unpack_warnings(dataset))
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}, group '{group}': attribute 'warnings' is not a JSON list; write it again"
-        ) from error
+        raise InputError(f"{path}, group '{group}': attribute 'warnings' is not a JSON list; write it again") from error
 
 
 def _require(path: Path, group: str, dataset: xr.Dataset, variables: Mapping[str, Sequence[str]]) -> None:
     """Raise unless every variable is there with its dimensions."""
     for name, dims in variables.items():
         if name not in dataset:
-            raise InputError(
-                f"{path}, group '{group}' has no variable '{name}'; write it again with `smfe run`"
-            )
+            raise InputError(f"{path}, group '{group}' has no variable '{name}'; write it again with `smfe run`")
         if set(dataset[name].dims) != set(dims):
             raise InputError(
-                f"{path}, group '{group}': '{name}' has the dimensions {dataset[name].dims}; "
-                f"{tuple(dims)} are needed"
+                f"{path}, group '{group}': '{name}' has the dimensions {dataset[name].dims}; {tuple(dims)} are needed"
             )
 
 
@@ -347,11 +334,7 @@ def _take_block(blocks: list[pd.DataFrame], request: str, source: str, dataset: 
 def _same_cut(block: pd.DataFrame, dataset: xr.Dataset) -> bool:
     for name in ("width_of_cut_mm", "feed_per_tooth_mm"):
         given = dataset.attrs.get(name)
-        if (
-            name in block
-            and given is not None
-            and not np.isclose(block[name].iloc[0], float(given), rtol=1e-6)
-        ):
+        if name in block and given is not None and not np.isclose(block[name].iloc[0], float(given), rtol=1e-6):
             return False
     return True
 
@@ -405,23 +388,17 @@ def _read_csv(path: Path, columns: Sequence[str]) -> pd.DataFrame | None:
         return None
     try:
         # Only an empty field is missing: a measurement may be called "NA".
-        frame = pd.read_csv(
-            path, dtype=dict.fromkeys(_TEXT_COLUMNS, str), keep_default_na=False, na_values=[""]
-        )
+        frame = pd.read_csv(path, dtype=dict.fromkeys(_TEXT_COLUMNS, str), keep_default_na=False, na_values=[""])
     except pd.errors.EmptyDataError:
         return pd.DataFrame(columns=list(columns))
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path} is not a readable CSV table ({error}); write it again with `smfe run`"
-        ) from error
+        raise InputError(f"{path} is not a readable CSV table ({error}); write it again with `smfe run`") from error
     missing = [c for c in columns if c not in frame.columns]
     if missing:
         raise InputError(f"{path} has no column '{missing[0]}'; write it again with `smfe run`")
     text = [c for c in columns if c.endswith(("_rpm", "_mm", "_percent")) and not _is_number(frame[c])]
     if text:
-        raise InputError(
-            f"{path}: column '{text[0]}' holds text instead of numbers; write it again with `smfe run`"
-        )
+        raise InputError(f"{path}: column '{text[0]}' holds text instead of numbers; write it again with `smfe run`")
     return frame
 
 

@@ -121,9 +121,7 @@ def hits(frame: pd.DataFrame, title: str) -> Table:
     if "used" not in frame:
         return table(shown, f"{title}: {len(frame)} rows")
     used = int(sum(true(v) for v in frame["used"]))
-    return table(
-        shown, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected"
-    )
+    return table(shown, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected")
 
 
 def cutting_tests(frame: pd.DataFrame) -> list[Table]:

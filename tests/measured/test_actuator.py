@@ -6,8 +6,9 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.actuator import StepRules, find_steps, fit_sine, identify_actuator, refine_frequency
+from smfe.actuator import identify_actuator
 from smfe.peaks import find_peaks
+from smfe.steps import StepRules, find_steps, fit_sine, refine_frequency
 
 # A mode of the large machine of the paper: 24 Hz, 2.2 %.
 FREQUENCY, RATIO, STIFFNESS = 24.0, 0.022, 40e6

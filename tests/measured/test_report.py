@@ -19,8 +19,9 @@ from process.errors import InputError
 from process.tool import Tool
 from smfe.report import write_report
 from smfe.report.answer import answers, pockets, score
+from smfe.report.figures import NOTHING, draw_compliance
 from smfe.report.interactive import packed
-from smfe.report.look import depth_range, frequency_range, magnitude_range, number
+from smfe.report.look import depth_range, frequency_range, magnitude_range, number, palette
 from smfe.report.results import read_results
 from smfe.store import pack_warnings, write_csv, write_groups, write_json
 from stability import lobe_curves, lobe_table, write_table, zero_order
@@ -37,9 +38,7 @@ WIDTH, FEED = 0.1, 0.2e-3
 SPEEDS = np.arange(250.0, 751.0, 2.0)
 
 
-def measured(
-    method: str, top: float, step: float, error: float, seed: int, softer: float = 1.0
-) -> xr.Dataset:
+def measured(method: str, top: float, step: float, error: float, seed: int, softer: float = 1.0) -> xr.Dataset:
     """Return a compliance with noise of a known standard deviation, as `method` leaves it."""
     rng = np.random.default_rng(seed)
     frequency = np.arange(10.0, top, step)
@@ -52,9 +51,7 @@ def measured(
     dataset["compliance"] = (dims, dataset["compliance"].values + noise, {"units": "m/N"})
     dataset["compliance_std"] = (dims, std, {"units": "m/N"})
     if method == "sweep":
-        condition = (
-            4.0 + 60.0 * np.exp(-(((frequency - 93.0) / 3.0) ** 2)) + rng.uniform(0, 2, frequency.size)
-        )
+        condition = 4.0 + 60.0 * np.exp(-(((frequency - 93.0) / 3.0) ** 2)) + rng.uniform(0, 2, frequency.size)
         dataset["force_condition"] = ("frequency", condition, {"units": "1"})
         dataset["coherence"] = (dims[:2], 1.0 - 0.1 * rng.uniform(size=shape[:2]) ** 3, {"units": "1"})
         dataset["compliance"] = dataset["compliance"].where(condition_ok(dataset, 55.0))
@@ -97,9 +94,7 @@ def spectrum(row: pd.Series, units: str = "m/s^2") -> xr.Dataset:
     if row["verdict"] == "chatter":
         amplitude[:2] += 3.0 * np.exp(-(((frequency - row["chatter_frequency_Hz"]) / 0.8) ** 2))
     data = {"amplitude": (("axis", "frequency"), amplitude), "harmonic": ("frequency", harmonic)}
-    attrs = row[
-        ["file", "spindle_speed_rpm", "depth_of_cut_mm", "verdict", "ratio", "chatter_frequency_Hz", "reason"]
-    ]
+    attrs = row[["file", "spindle_speed_rpm", "depth_of_cut_mm", "verdict", "ratio", "chatter_frequency_Hz", "reason"]]
     more = {
         "quantity": "acceleration",
         "units": units,
@@ -126,8 +121,7 @@ def cutting_tests() -> pd.DataFrame:
             "observed": ["stable", "chatter", "", "stable", "chatter", ""],
             "lobes": ["lobes_1"] * 5 + [""],
             "reason": [
-                f"the largest line reaches {r} of the tooth passing line"
-                for r in (0.01, 1.5, 0.02, 0.8, 0.3, 0.03)
+                f"the largest line reaches {r} of the tooth passing line" for r in (0.01, 1.5, 0.02, 0.8, 0.3, 0.03)
             ],
             "limit_hammer_idle_mm": [1.1] * 6,
             "predicted_hammer_idle": ["stable", "chatter", "chatter", "chatter", "stable", "chatter"],
@@ -196,22 +190,16 @@ def model_error() -> pd.DataFrame:
 def write_sample(folder: Path, name: str = "Ram machine, K1 and K2") -> Path:
     """Write what three methods, a model, six cutting tests and two lobe requests leave behind."""
     frf = {
-        "hammer_idle": pack_warnings(
-            measured("hammer", 400.0, 0.5, 4e-10, 1), ["1 of 21 hits is overloaded"]
-        ),
+        "hammer_idle": pack_warnings(measured("hammer", 400.0, 0.5, 4e-10, 1), ["1 of 21 hits is overloaded"]),
         "actuator": measured("actuator", 200.0, 0.5, 2e-10, 2),
-        "sweep": pack_warnings(
-            measured("sweep", 200.0, 0.25, 8e-10, 3, 0.97), ["badly conditioned in 90-96 Hz"]
-        ),
+        "sweep": pack_warnings(measured("sweep", 200.0, 0.25, 8e-10, 3, 0.97), ["badly conditioned in 90-96 Hz"]),
         "bench": MACHINE.compliance(np.arange(1.0, 360.0, 0.25)).assign_attrs(method="model"),
     }
     write_groups(folder / "frf.nc", frf)
     jobs = [("lobes_1", "down", s) for s in ("hammer_idle", "sweep")] + [("lobes_2", "up", "sweep")]
     results = {f"{request}/{source}": lobes_of(frf[source], source, cut) for request, cut, source in jobs}
     write_groups(folder / "lobes.nc", {name: item[0] for name, item in results.items()})
-    write_table(
-        pd.concat([item[1] for item in results.values()], ignore_index=True), folder / "lobe_table.csv"
-    )
+    write_table(pd.concat([item[1] for item in results.values()], ignore_index=True), folder / "lobe_table.csv")
     tests = cutting_tests()
     write_csv(folder / "chatter.csv", tests)
     write_groups(folder / "spectra.nc", {f"test_{i + 1}": spectrum(row) for i, row in tests.iterrows()})
@@ -374,9 +362,7 @@ class TestAnswer:
             rows = table[table["source"] == found.source]
             assert found.pockets
             for p in found.pockets:
-                same = rows[
-                    (rows["spindle_speed_rpm"] == p.speed[0]) & np.isclose(rows["limit_depth_mm"], p.depth)
-                ]
+                same = rows[(rows["spindle_speed_rpm"] == p.speed[0]) & np.isclose(rows["limit_depth_mm"], p.depth)]
                 assert len(same) == 1
                 assert same["removal_rate_cm3_min"].item() == pytest.approx(p.removal_rate)
                 shown = (p.speed[0], p.depth, p.removal_rate)
@@ -417,9 +403,7 @@ class TestAnswer:
         assert [p.at_edge for p in found] == [False, False, True]
 
     def test_no_limit_at_all(self, tmp_path: Path) -> None:
-        frame = pd.DataFrame(
-            {"source": "a", "spindle_speed_rpm": [100.0, 110.0, 120.0], "limit_depth_mm": np.nan}
-        )
+        frame = pd.DataFrame({"source": "a", "spindle_speed_rpm": [100.0, 110.0, 120.0], "limit_depth_mm": np.nan})
         write_csv(tmp_path / "lobe_table.csv", frame)
         write_report(tmp_path)
         assert "no limit was found at any speed from 100 to 120 rpm" in written(tmp_path)
@@ -462,9 +446,7 @@ class TestFigures:
         def drawn(name: str) -> int:
             traces = plots(sample)[name]["data"]
             return sum(
-                unpacked(t["x"]).size
-                for t in traces
-                if "cutting test" in t.get("name", "") and "yaxis" not in t
+                unpacked(t["x"]).size for t in traces if "cutting test" in t.get("name", "") and "yaxis" not in t
             )
 
         assert drawn("plot-lobes-1") == 5
@@ -538,9 +520,7 @@ class TestWhatIsMissing:
         assert write_report(tmp_path).is_file()
 
     def test_no_standard_deviation_and_no_coherence(self, tmp_path: Path) -> None:
-        write_groups(
-            tmp_path / "frf.nc", {"m": MACHINE.compliance(np.arange(1.0, 90.0)).assign_attrs(method="model")}
-        )
+        write_groups(tmp_path / "frf.nc", {"m": MACHINE.compliance(np.arange(1.0, 90.0)).assign_attrs(method="model")})
         write_report(tmp_path)
         assert set(plots(tmp_path)) == {"plot-compliance"}
         assert "Band:" not in written(tmp_path)
@@ -551,6 +531,28 @@ class TestWhatIsMissing:
         write_groups(tmp_path / "frf.nc", {"m": dataset})
         assert read_results(tmp_path).measurements[0].entries == [("x", "x")]
         write_report(tmp_path)
+
+    @pytest.mark.parametrize("unknown", [False, True])
+    def test_panel_without_a_positive_value_says_so(self, tmp_path: Path, unknown: bool) -> None:
+        # Flexible in x alone: eight of nine entries are zero, which a logarithmic axis cannot show.
+        model = ModalModel([60.0], [0.03], [5e7], [[1.0, 0.0, 0.0]]).compliance(np.arange(1.0, 90.0))
+        if unknown:
+            model["compliance"].loc[{"response": "y", "excitation": "y"}] = np.nan
+        write_groups(tmp_path / "frf.nc", {"m": model.assign_attrs(method="model")})
+        assert write_report(tmp_path).is_file()
+        results = read_results(tmp_path)
+        panels = draw_compliance(results.measurements, palette(results)).axes
+        assert [len(axes.lines) for axes in panels] == [1] + [0] * 8
+        assert [NOTHING in [text.get_text() for text in axes.texts] for axes in panels] == [False] + [True] * 8
+
+    def test_zero_with_a_known_deviation_keeps_its_band(self, tmp_path: Path) -> None:
+        model = ModalModel([60.0], [0.03], [5e7], [[1.0, 0.0, 0.0]]).compliance(np.arange(1.0, 90.0))
+        model["compliance_std"] = (model["compliance"].dims, np.full(model["compliance"].shape, 1e-9))
+        write_groups(tmp_path / "frf.nc", {"m": model})
+        results = read_results(tmp_path)
+        panels = draw_compliance(results.measurements, palette(results)).axes
+        assert [len(axes.collections) for axes in panels] == [1] * 9
+        assert not any(NOTHING in [text.get_text() for text in axes.texts] for axes in panels)
 
     def test_empty_tables(self, tmp_path: Path) -> None:
         write_csv(tmp_path / "comparison.csv", pd.DataFrame())
@@ -645,9 +647,7 @@ class TestTables:
     def test_significant_differences(self, sample: Path) -> None:
         assert page(sample).count('<tr class="significant">') == 3
         assert "9 pairs of peaks were compared. 3 differ significantly" in written(sample)
-        assert "Largest significant frequency difference: −2 ± 0.2 Hz (actuator, sweep, xx)." in written(
-            sample
-        )
+        assert "Largest significant frequency difference: −2 ± 0.2 Hz (actuator, sweep, xx)." in written(sample)
 
     def test_model_errors_are_a_matrix(self, sample: Path) -> None:
         assert "sweep 10–200 7.25 7.25" in written(sample)
