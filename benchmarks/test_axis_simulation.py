@@ -1,0 +1,107 @@
+"""Time simulation of a feed axis: the compiled fixed step against SciPy's LSODA at equal error, in one run."""
+
+import contextlib
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import solve_ivp
+
+from process._friction_kernels import friction_force
+from process.axis_simulation import Excitation, HalfSine, SteppedSine, simulate_axis
+from process.drive import Drive
+from process.errors import InputError
+from process.friction import Andersson
+from process.servo import Servo
+
+MM_MIN = 1.0 / 6e4
+FRICTION = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
+BENCH = Drive(23.1, 11.3, 1.68e6, 104.0, Servo(6268.0, 10.9e-3, 45.5))
+DURATION, RATE = 2.0, 2500.0
+ALLOWED = 1e-6
+STEPS = (80e-6, 40e-6, 20e-6, 10e-6)
+# Excitation, its frequency for LSODA, its end, feed [mm/min]. The sine breaks the idle carriage away twice a period.
+CASES = {
+    "hammer, 500 mm/min": (HalfSine.from_peak(100.0, start=0.0), 125.0, 4e-3, 500.0),
+    "hammer, idle": (HalfSine.from_peak(100.0, start=0.0), 125.0, 4e-3, 0.0),
+    "actuator, 500 mm/min": (SteppedSine((40.0,), 100.0, DURATION, 0.0), 40.0, DURATION, 500.0),
+    "actuator, idle": (SteppedSine((40.0,), 100.0, DURATION, 0.0), 40.0, DURATION, 0.0),
+}
+
+
+def ours(excitation: Excitation, feed: float, step: float) -> np.ndarray:
+    return simulate_axis(BENCH, FRICTION, excitation, feed, DURATION, 1.0 / step, step)["displacement"].values[0]
+
+
+def _equations(t, q, law, parameters, feed, steady, frequency, end):  # type: ignore[no-untyped-def]
+    xt, vt, xm, vm, j = q
+    force = 100.0 * np.sin(2.0 * np.pi * frequency * t) if t < end else 0.0
+    joint = 1.68e6 * (xt - xm) + 104.0 * (vt - vm)
+    drive = -6268.0 * (vm + 45.5 * xm + (xm + 45.5 * j) / 10.9e-3)
+    rub = friction_force(law, parameters, feed + vm) - steady
+    return np.array([vt, (force - joint) / 11.3, vm, (joint + drive - rub) / 23.1, xm])
+
+
+COMPILED = njit(_equations)
+
+
+def lsoda(equations: Callable[..., np.ndarray], case: str, tolerance: float) -> np.ndarray:
+    """The same with SciPy, which is told where the pulse ends, what sizes to expect, and where samples are wanted."""
+    _, frequency, end, feed_mm_min = CASES[case]
+    feed = feed_mm_min * MM_MIN
+    args = (*FRICTION.packed(), feed, float(FRICTION.force(feed)), frequency, end)
+    grid = np.arange(round(DURATION * RATE)) / RATE
+    out, q = [], np.zeros(5)
+    # Absolute tolerance in proportion to the size of each state: m, m/s, m, m/s, m s.
+    atol = tolerance * np.array([1e-5, 5e-3, 1e-6, 1e-3, 1e-8])
+    for part in (grid[:11], grid[10:]):
+        span = (part[0], part[-1])
+        run = solve_ivp(equations, span, q, "LSODA", part, args=args, rtol=tolerance, atol=atol, max_step=1e-3)
+        out.append(run.y[0])
+        q = run.y[:, -1]
+    return np.concatenate([out[0], out[1][1:]])
+
+
+@pytest.mark.benchmark(group="axis")
+@pytest.mark.parametrize("case", CASES)
+def test_compiled_steps_against_lsoda_at_equal_error(benchmark, case) -> None:  # type: ignore[no-untyped-def]
+    excitation, feed = CASES[case][0], CASES[case][3] * MM_MIN
+    truth = ours(excitation, feed, 2e-6)[:: round(1.0 / RATE / 2e-6)]
+
+    def error(x: np.ndarray) -> float:
+        n = min(x.size, truth.size)
+        return float(np.abs(x[:n] - truth[:n]).max() / np.abs(truth).max())
+
+    # Each as coarse as the same error allows. Near rest the friction is too steep for 80 us, which is refused.
+    errors = {}
+    for h in STEPS:
+        with contextlib.suppress(InputError):
+            errors[h] = error(ours(excitation, feed, h)[:: round(1.0 / RATE / h)])
+    step = max((h for h in errors if errors[h] <= ALLOWED), default=min(errors))
+    allowed = max(ALLOWED, errors[step])
+    for tolerance in 10.0 ** -np.arange(3.0, 13.0, 0.25):
+        if error(lsoda(COMPILED, case, float(tolerance))) <= allowed:
+            break
+    benchmark(ours, excitation, feed, step)
+    ratio = {}
+    for name, equations in (("python", _equations), ("compiled", COMPILED)):
+        spent = []
+        for _ in range(2):
+            start = time.perf_counter()
+            lsoda(equations, case, float(tolerance))
+            spent.append(time.perf_counter() - start)
+        ratio[name] = round(min(spent) / benchmark.stats.stats.min, 1)
+    benchmark.extra_info.update(
+        times_faster_than_lsoda=ratio["python"],
+        times_faster_than_lsoda_with_compiled_equations=ratio["compiled"],
+        step_s=step,
+        error=errors[step],
+        lsoda_rtol=float(tolerance),
+    )
+    print(
+        f"\n{case}, step {step * 1e6:g} us, error {errors[step]:.1e} (LSODA {allowed:.0e} at rtol {tolerance:.0e}): "
+        f"{ratio['python']} times faster than LSODA, {ratio['compiled']} times with its equations compiled; "
+        f"{DURATION / benchmark.stats.stats.min:.0f} times real time"
+    )

@@ -1,0 +1,407 @@
+"""One feed axis: a carriage held by a servo, and a flexible tip; its linear responses, poles and limits.
+
+::
+
+    m_t x_t'' = F_tip - k (x_t - x_m) - c (x_t' - x_m')
+    m_m x_m'' = k (x_t - x_m) + c (x_t' - x_m') + F_servo(t - tau) - f(x_m')
+
+Here the friction f is its slope sigma; `process.axis_simulation` takes the whole law.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, optimize
+
+from process.errors import InputError
+from process.labels import make_compliance
+from process.servo import Plant, QuasiPolynomial, Servo, position_characteristic, require_stable
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Two masses and a servo: Figure 10 of Franco et al. 2024 (JMMP 8/5/207).
+
+    Parameters
+    ----------
+    moving_mass : float
+        Carriage with the motor's moving part, m_m [kg].
+    tip_mass : float
+        Mass that vibrates on it, m_t [kg].
+    stiffness : float
+        Between the two, k [N/m].
+    damping : float
+        Between the two, c [N s/m].
+    servo : Servo, optional
+        None: the carriage is free (K_p = 0).
+    sigma : float, optional
+        Friction slope df/dv at the operating point [N s/m]; negative on the falling part of a Stribeck curve.
+
+    Raises
+    ------
+    InputError
+        When a mass or the stiffness is not positive, or the damping is negative.
+    """
+
+    moving_mass: float
+    tip_mass: float
+    stiffness: float
+    damping: float
+    servo: Servo | None = None
+    sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is not two masses and a spring."""
+        for name, unit in (("moving_mass", "kg"), ("tip_mass", "kg"), ("stiffness", "N/m")):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"the {name.replace('_', ' ')} is {value:g} {unit}; it must be positive")
+        if not (math.isfinite(self.damping) and self.damping >= 0.0):
+            raise InputError(f"the damping is {self.damping:g} N s/m; it must be zero or positive")
+        if not math.isfinite(self.sigma):
+            raise InputError(f"the friction slope is {self.sigma:g} N s/m; it must be finite")
+
+    @property
+    def locked_frequency(self) -> float:
+        """Natural frequency [Hz] with the carriage held, ``sqrt(k/m_t)/2 pi``: K_p to infinity; the anti-resonance."""
+        return math.sqrt(self.stiffness / self.tip_mass) / (2.0 * math.pi)
+
+    @property
+    def locked_damping(self) -> float:
+        """Damping ratio [1] with the carriage held, ``c/(2 sqrt(k m_t))``."""
+        return self.damping / (2.0 * math.sqrt(self.stiffness * self.tip_mass))
+
+    @property
+    def static_compliance(self) -> float:
+        """``Phi(0)`` [m/N]: 1/k with any servo, whose integrator holds the carriage; infinite without."""
+        return math.inf if self.servo is None else 1.0 / self.stiffness
+
+    def plant(self) -> Plant:
+        """Return Eq. (2) without its delay: carriage position over drive force, for `process.servo`."""
+        mm, mt, k, c, sigma = self.moving_mass, self.tip_mass, self.stiffness, self.damping, self.sigma
+        # Eq. (2); its denominator is (m_m s^2 + sigma s + c s + k)(m_t s^2 + c s + k) - (c s + k)^2.
+        return Plant((k, c, mt), (0.0, sigma * k, k * (mm + mt) + sigma * c, c * (mm + mt) + sigma * mt, mm * mt))
+
+    def tip_transfer(self, s: ArrayLike) -> NDArray[np.complex128]:
+        """Return the tip compliance [m/N] at complex s [rad/s], stable or not (the formula and nothing else).
+
+        ``Phi = (m_m s^2 + (c + sigma) s + k + G)/((m_t s^2 + c s + k)(m_m s^2 + (c + sigma) s + k + G) - (c s + k)^2)``
+        with ``G = (s + Kv) Kp (1 + 1/(Ti s)) e^(-s tau)``: Eq. (4) of Franco et al. 2024 with the ``sigma s`` that its
+        printed numerator lacks, and with the dead time of its Eq. (2). Both are multiplied by s, so that s = 0 is good.
+        """
+        s = np.asarray(s, dtype=np.complex128)
+        joint = self.damping * s + self.stiffness
+        carriage = s * (self.moving_mass * s**2 + self.sigma * s + joint)
+        if self.servo is not None:
+            v = self.servo
+            carriage = carriage + (s + v.Kv) * v.Kp * (s + 1.0 / v.Ti) * np.exp(-v.delay * s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(carriage / ((self.tip_mass * s**2 + joint) * carriage - s * joint**2))
+
+    def tip_compliance(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return the closed-loop compliance of the tip [m/N] at frequencies [Hz], corrected Eq. (4) (`tip_transfer`).
+
+        Raises
+        ------
+        InputError
+            When the loop is unstable: then no steady response exists.
+        """
+        self.require_stable()
+        return self.tip_transfer(2j * np.pi * np.asarray(frequency, dtype=float))
+
+    def locked_compliance(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return the tip compliance [m/N] with the carriage held, ``1/(m_t s^2 + c s + k)``, at frequencies [Hz]."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        return np.asarray(1.0 / (self.tip_mass * s**2 + self.damping * s + self.stiffness))
+
+    def compliance(self, frequency: ArrayLike, axis: str = "x") -> xr.Dataset:
+        """Return the labelled compliance of the tip along `axis` at frequencies [Hz]."""
+        f = np.atleast_1d(np.asarray(frequency, dtype=float))
+        return make_compliance(f, self.tip_compliance(f)[:, None, None], [axis], [axis])
+
+    def open_loop(self, frequency: ArrayLike, delay: float | None = None) -> NDArray[np.complex128]:
+        """Return carriage position over drive force [m/N] at frequencies [Hz], Eq. (2).
+
+        Parameters
+        ----------
+        frequency : array_like
+            Frequency [Hz], above zero.
+        delay : float, optional
+            Dead time [s]; default that of the servo, if there is one.
+        """
+        if delay is None:
+            delay = 0.0 if self.servo is None else self.servo.delay
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        return np.asarray(self.plant()(s) * np.exp(-delay * s))
+
+    def characteristic(self) -> QuasiPolynomial:
+        """Return the characteristic function of the axis: with its servo, or free."""
+        plant = self.plant()
+        if self.servo is None:
+            return QuasiPolynomial(Polynomial(plant.denominator[1:]), Polynomial([0.0]), 0.0)
+        return position_characteristic(self.servo, plant)
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Return the poles [rad/s], rightmost first; with a dead time those within ``|s| < pi/tau``.
+
+        Without servo the rigid-body pole at s = 0 is left out.
+        """
+        return self.characteristic().roots()
+
+    def modes(self) -> NDArray[np.float64]:
+        """Return natural frequency [Hz] and damping ratio [1] of each oscillating pole, shape (modes, 2), sorted.
+
+        ``f = |s|/2 pi``, ``zeta = -Re s/|s|``; negative damping is an unstable pole.
+        """
+        s = self.poles()
+        s = s[s.imag > 1e-9 * np.abs(s)]
+        table = np.stack([np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s)], axis=1)
+        return np.asarray(table[np.argsort(table[:, 0])])
+
+    def unstable_poles(self) -> int:
+        """Return the number of poles in the right half plane (argument principle, exact delay).
+
+        Without servo the rigid body rests on the axis: it does not count.
+        """
+        if self.servo is None:
+            s = self.poles()
+            return int(np.sum(s.real > 1e-9 * np.abs(s).max()))
+        return self.characteristic().unstable_count()
+
+    def require_stable(self) -> None:
+        """Raise `InputError` when there is a servo and its loop is unstable."""
+        if self.servo is not None:
+            require_stable(self.characteristic(), f"the axis (friction slope {self.sigma:g} N s/m)", self.servo)
+
+    def state_space(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return A, B, C, K of ``q' = A q + B F_tip - E K q(t - tau)``, ``x_tip = C q``.
+
+        State ``q = (x_t, x_t', x_m, x_m', int x_m)``, deviations from the ramp; ``E = (0, 0, 0, 1/m_m, 0)``. The servo
+        is ``F = -K q = -Kp [x_m' + Kv x_m + (x_m + Kv int x_m)/Ti]``, which is Eq. (3) for deviations.
+
+        Returns
+        -------
+        tuple of ndarray
+            A (5, 5), B (5,), C (5,), K (5,).
+        """
+        k, c, mm, mt = self.stiffness, self.damping, self.moving_mass, self.tip_mass
+        a = np.zeros((5, 5))
+        a[0, 1] = a[2, 3] = a[4, 2] = 1.0
+        a[1, :4] = np.array([-k, -c, k, c]) / mt
+        a[3, :4] = np.array([k, c, -k, -c - self.sigma]) / mm
+        b, out, gain = np.zeros(5), np.zeros(5), np.zeros(5)
+        b[1], out[0] = 1.0 / mt, 1.0
+        if self.servo is not None:
+            v = self.servo
+            gain[2:] = v.Kp * np.array([v.Kv + 1.0 / v.Ti, 1.0, v.Kv / v.Ti])
+        return a, b, out, gain
+
+
+def sampled_poles(drive: Drive, period: float, lag: int = 1) -> NDArray[np.complex128]:
+    """Return the poles of the axis under a sampled servo, as ``s = ln(z)/T`` [rad/s], rightmost first.
+
+    Encoder position and velocity are read every T; ``e = -(Kv x + x')``, ``I <- I + T e``, ``F = Kp (e + I/Ti)``:
+    Eq. (3) with a rectangular integral; the force is applied `lag` samples later and held. The masses move exactly.
+    For a short T this is the continuous servo with a dead time of ``(lag + 1/2) T``. Stable: all real parts negative.
+
+    Parameters
+    ----------
+    drive : Drive
+        Axis with a servo without a delay of its own.
+    period : float
+        Sampling period T [s].
+    lag : int, optional
+        Whole periods from reading to force.
+
+    Returns
+    -------
+    ndarray of complex, shape (5 + lag,)
+        Poles [rad/s], imaginary part up to pi/T; a pole at z = 0 is at minus infinity and left out.
+    """
+    servo = drive.servo
+    if servo is None or servo.delay != 0.0 or not (period > 0.0 and lag >= 0):
+        raise InputError(
+            f"sampling with period {period:g} s and lag {lag} needs a servo with delay 0: both make its dead time"
+        )
+    a = drive.state_space()[0]
+    block = np.zeros((5, 5))
+    block[:4, :4], block[3, 4] = a[:4, :4], 1.0 / drive.moving_mass
+    exact = linalg.expm(block * period)
+    # State: masses (4), the integral, and the forces that wait, newest first.
+    n = 5 + lag
+    z = np.zeros((n, n))
+    error, force = np.zeros(n), np.zeros(n)
+    error[2:4] = -servo.Kv, -1.0
+    force[4] = servo.Kp / servo.Ti
+    force += servo.Kp * (1.0 + period / servo.Ti) * error
+    z[:4, :4] = exact[:4, :4]
+    z[4] = period * error
+    z[4, 4] = 1.0
+    if lag == 0:
+        z[:4] += np.outer(exact[:4, 4], force)
+    else:
+        z[:4, -1] += exact[:4, 4]
+        z[5] = force
+        z[6:, 5:-1] = np.eye(lag - 1)
+    found = np.linalg.eigvals(z).astype(np.complex128)
+    s = np.log(found[np.abs(found) > 1e-12]) / period
+    return np.asarray(s[np.lexsort((s.imag, -s.real))])
+
+
+def unstable_feeds(
+    drive: Drive, slope: Callable[[float], ArrayLike], lowest: float, highest: float, count: int = 400
+) -> list[tuple[float, float]]:
+    """Return the feeds at which uniform motion is linearly unstable (stick-slip), with the local friction slope.
+
+    Parameters
+    ----------
+    drive : Drive
+        The axis; its own sigma is replaced by the slope.
+    slope : callable
+        Velocity [m/s] to friction slope df/dv [N s/m], for instance ``Andersson(...).slope``.
+    lowest, highest : float
+        Range of feeds [m/s], both positive.
+    count : int, optional
+        Feeds tried, in geometric steps; each end of a range is then refined to 1e-9 of the feed.
+
+    Returns
+    -------
+    list of (float, float)
+        First and last unstable feed [m/s] of each range; ends of the search count as ends of a range.
+    """
+    if not 0.0 < lowest < highest:
+        raise InputError(f"feeds from {lowest:g} to {highest:g} m/s; give 0 < lowest < highest")
+
+    def unstable(feed: float) -> bool:
+        return replace(drive, sigma=float(np.asarray(slope(feed)))).unstable_poles() > 0
+
+    def boundary(low: float, high: float) -> float:
+        at_low = unstable(low)
+        while high - low > 1e-9 * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if unstable(middle) == at_low else (low, middle)
+        return 0.5 * (low + high)
+
+    feeds = [float(v) for v in np.geomspace(lowest, highest, count)]
+    state = [unstable(v) for v in feeds]
+    ends = [boundary(feeds[i], feeds[i + 1]) for i in range(count - 1) if state[i] != state[i + 1]]
+    ends = [lowest] * state[0] + ends + [highest] * state[-1]
+    return list(zip(ends[::2], ends[1::2], strict=True))
+
+
+PARAMETERS: tuple[str, ...] = ("moving_mass", "tip_mass", "stiffness", "damping", "sigma", "delay")
+"""What `fit_open_loop` finds, in the order of its covariance."""
+
+
+@dataclass(frozen=True)
+class OpenLoopFit:
+    """Eq. (2) fitted to a measured open-loop response.
+
+    Parameters
+    ----------
+    drive : Drive
+        Masses, stiffness, damping and friction slope; no servo.
+    delay : float
+        Dead time [s].
+    std : dict
+        Name in `PARAMETERS` -> standard deviation (SI).
+    covariance : ndarray, shape (6, 6)
+        Of the parameters, in the order of `PARAMETERS` (SI).
+    misfit : float
+        Root mean square of the weighted complex residual; with the default weight, relative to the response.
+    """
+
+    drive: Drive
+    delay: float
+    std: dict[str, float]
+    covariance: NDArray[np.float64]
+    misfit: float
+
+
+def fit_open_loop(
+    frequency: ArrayLike, response: ArrayLike, std: ArrayLike | None = None, start: Drive | None = None
+) -> OpenLoopFit:
+    """Fit Eq. (2) to a measured response of carriage position to drive force.
+
+    Least squares of ``(model - response)/std``, or of the complex ``ln(model/response)`` where no std is given: for
+    noise in proportion to the response that is unbiased, which ``model/response - 1`` is not. Masses, stiffness and
+    damping are fitted as logarithms, so they stay positive. The uncertainty is ``s^2 (J^T J)^-1`` with s^2 from the
+    residual, 2 n - 6 degrees of freedom.
+
+    Parameters
+    ----------
+    frequency : array_like, shape (n,)
+        Frequency [Hz], above zero, reaching beyond the resonance.
+    response : array_like of complex, shape (n,)
+        Position over force [m/N].
+    std : array_like, shape (n,), optional
+        Standard deviation of the response [m/N], on any common scale; default in proportion to its magnitude.
+    start : Drive, optional
+        First guess; default read off the anti-resonance, the resonance and the low-frequency mass line.
+
+    Returns
+    -------
+    OpenLoopFit
+        Parameters with uncertainty.
+
+    Raises
+    ------
+    InputError
+        With fewer than 4 lines, or when the least squares do not converge.
+    """
+    f, h = np.asarray(frequency, dtype=float), np.asarray(response, dtype=np.complex128)
+    if f.size < 4 or f.shape != h.shape or not np.all(f > 0.0):
+        raise InputError(f"{f.size} frequencies and {h.size} values; at least 4 lines above 0 Hz are needed")
+    weight = None if std is None else 1.0 / np.asarray(std, dtype=float)
+    first = _first_guess(f, h) if start is None else start
+    # Logarithms for what is positive; the other two in units that make them of order one.
+    theta0 = np.array([*np.log([first.moving_mass, first.tip_mass, first.stiffness, first.damping]), 0.0, 0.0])
+    unit = np.array([1.0, 1.0, 1.0, 1.0, 2.0 * np.pi * f.min() * (first.moving_mass + first.tip_mass), 1e-3])
+
+    def model(theta: NDArray[np.float64]) -> tuple[Drive, float]:
+        mm, mt, k, c = np.exp(np.clip(theta[:4], -50.0, 50.0))
+        return Drive(float(mm), float(mt), float(k), float(c), None, float(theta[4] * unit[4])), float(theta[5] * 1e-3)
+
+    def residual(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        drive, delay = model(theta)
+        x = drive.open_loop(f, delay)
+        r = np.log(x / h) if weight is None else (x - h) * weight
+        return np.concatenate([r.real, r.imag])
+
+    found = optimize.least_squares(residual, theta0, x_scale="jac", max_nfev=500, ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    if not found.success:
+        raise InputError("the fit of Eq. (2) did not converge; check the band, or give a start")
+    drive, delay = model(found.x)
+    return _with_uncertainty(drive, delay, np.asarray(found.jac), found.fun, unit)
+
+
+def _with_uncertainty(
+    drive: Drive, delay: float, jacobian: NDArray[np.float64], residual: NDArray[np.float64], unit: NDArray[np.float64]
+) -> OpenLoopFit:
+    variance = float(residual @ residual) / max(1, residual.size - len(PARAMETERS))
+    # d parameter/d theta: a logarithm's is the parameter itself.
+    scale = np.array([drive.moving_mass, drive.tip_mass, drive.stiffness, drive.damping, *unit[4:]])
+    covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian) * np.outer(scale, scale), dtype=float)
+    std = dict(zip(PARAMETERS, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    misfit = math.sqrt(2.0 * float(residual @ residual) / residual.size)
+    return OpenLoopFit(drive, delay, std, covariance, misfit)
+
+
+def _first_guess(f: NDArray[np.float64], h: NDArray[np.complex128]) -> Drive:
+    """Read ``|w^2 H|``: 1/(m_m + m_t) at low frequency, its least at f_t, its greatest at f_t sqrt(1 + m_t/m_m)."""
+    mobility = np.abs(h) * (2.0 * np.pi * f) ** 2
+    low = int(np.argmin(mobility[: max(3, int(np.argmax(mobility)))]))
+    high = low + int(np.argmax(mobility[low:]))
+    ratio = max((f[high] / f[low]) ** 2 - 1.0, 0.05)
+    # Between the two limits, 1/(m_m + m_t) below and 1/m_m above, the geometric mean of the quiet lines will do.
+    total = 1.0 / float(np.median(mobility[: max(2, low // 2)]))
+    tip = total * ratio / (1.0 + ratio)
+    stiffness = tip * (2.0 * np.pi * f[low]) ** 2
+    return Drive(total - tip, tip, stiffness, 0.04 * math.sqrt(stiffness * tip))

@@ -1,0 +1,207 @@
+"""Friction laws: numbers of the paper's bench, slopes, energy, memory; and their identification from steady runs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from process.errors import InputError
+from process.friction import (
+    Andersson,
+    Coulomb,
+    CoulombViscous,
+    FrictionLaw,
+    GeneralisedMaxwellSlip,
+    LuGre,
+    MemoryLaw,
+    Viscous,
+    fit_coulomb_curve,
+    fit_friction_curve,
+)
+
+MM_MIN = 1.0 / 60e3
+# Table 1 of the paper; 0.0028 N min/mm = 168 N s/m, 0.25 min/mm = 15000 s/m.
+BACKWARDS = Andersson(38.7, 88.0, 421.0 * MM_MIN, 0.0025 * 60e3, 0.25 * 60e3)
+BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 0.0028 * 60e3, 0.25 * 60e3, negative=BACKWARDS)
+LAWS = [Viscous(168.0), Coulomb(44.2, 15000.0), CoulombViscous(44.2, 168.0, 15000.0), BENCH]
+
+LUGRE = LuGre(2e7, 1e3, 44.2, 84.0, 387.4 * MM_MIN, 168.0)
+SLIP = GeneralisedMaxwellSlip((1e7, 6e6, 4e6), (0.2, 0.3, 0.5), 44.2, 84.0, 387.4 * MM_MIN, 168.0, 2e4)
+
+
+@pytest.mark.parametrize(("feed", "expected"), [(13.5, 82.5), (25.0, 81.6), (1396.0, 49.2), (1500.0, 49.2)])
+def test_the_bench_curve_has_the_reference_forces(feed: float, expected: float) -> None:
+    assert float(BENCH.force(feed * MM_MIN)) == pytest.approx(expected, abs=0.05)
+
+
+def test_the_bench_curve_has_its_extremes_where_the_reference_says() -> None:
+    feed = np.linspace(0.0, 3000.0, 300001)
+    force = BENCH.force(feed * MM_MIN)
+    assert feed[force.argmax()] == pytest.approx(13.5, abs=0.1)
+    sliding = feed > 100.0
+    assert feed[sliding][force[sliding].argmin()] == pytest.approx(1396, abs=0.5)
+
+
+def test_the_slope_at_rest_is_static_force_times_steepness() -> None:
+    assert float(BENCH.slope(0.0)) == pytest.approx(84.0 * 15000.0 + 168.0)
+    assert float(BENCH.slope(500.0 * MM_MIN)) == pytest.approx(-1528, abs=1)
+    assert float(Coulomb(44.2).slope(0.0)) == math.inf
+    assert float(CoulombViscous(44.2, 168.0).slope(0.01)) == 168.0
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_slope_is_the_derivative_of_the_force(law: FrictionLaw) -> None:
+    v = np.array([-0.05, -3e-3, -1e-4, -1e-6, 1e-6, 2e-4, 7e-3, 0.1])
+    h = 1e-7 * np.abs(v)
+    numeric = (law.force(v + h) - law.force(v - h)) / (2.0 * h)
+    np.testing.assert_allclose(law.slope(v), numeric, rtol=1e-5, atol=1e-3)
+
+
+@pytest.mark.parametrize("law", [*LAWS, Coulomb(44.2)])
+def test_friction_takes_energy_and_vanishes_at_rest(law: FrictionLaw) -> None:
+    v = np.concatenate([-np.geomspace(1e-8, 1.0, 50), np.geomspace(1e-8, 1.0, 50)])
+    assert np.all(law.force(v) * v >= 0.0)
+    assert float(law.force(0.0)) == 0.0
+
+
+def test_each_direction_has_its_own_curve() -> None:
+    v = np.array([1e-3, 1e-2, 0.1])
+    np.testing.assert_array_equal(BENCH.force(-v), -BACKWARDS.force(v))
+    np.testing.assert_array_equal(BENCH.slope(-v), BACKWARDS.slope(v))
+
+
+def test_equal_static_and_sliding_force_is_coulomb_and_viscous() -> None:
+    v = np.linspace(-0.02, 0.02, 41)
+    plain = Andersson(44.2, 44.2, 1.0, 168.0, 15000.0)
+    np.testing.assert_allclose(plain.force(v), CoulombViscous(44.2, 168.0, 15000.0).force(v), atol=1e-12)
+
+
+def test_an_infinite_steepness_is_the_sign_of_the_velocity() -> None:
+    v = np.array([-0.01, -1e-3, 1e-3, 0.01])
+    np.testing.assert_array_equal(Coulomb(44.2).force(v), 44.2 * np.sign(v))
+
+
+def test_any_shape_goes_in_and_comes_out() -> None:
+    assert BENCH.force(np.zeros((2, 3))).shape == (2, 3)
+    assert BENCH.slope(0.1).shape == ()
+
+
+@pytest.mark.parametrize("law", [LUGRE, SLIP])
+def test_a_law_with_memory_settles_on_the_stribeck_curve(law: MemoryLaw) -> None:
+    for velocity in (-0.02, 1e-3, 5e-3):
+        force = law.history(np.full(40000, velocity), 1e-5)[-1]
+        assert force == pytest.approx(float(law.steady_force(velocity)), rel=1e-3)
+    one_way = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, math.inf)
+    np.testing.assert_allclose(law.steady_force([1e-3, 0.01]), one_way.force([1e-3, 0.01]))
+
+
+@pytest.mark.parametrize("law", [LUGRE, SLIP])
+def test_a_law_with_memory_is_a_spring_before_it_slips(law: MemoryLaw) -> None:
+    n, step, amplitude = 4000, 1e-5, 2e-8
+    t = (np.arange(n) + 0.5) * step
+    w = 2.0 * math.pi * 50.0
+    displacement = amplitude * np.sin(w * (t + 0.5 * step))
+    force = law.history(amplitude * w * np.cos(w * t), step)
+    stiffness = float(force @ displacement / (displacement @ displacement))
+    assert stiffness == pytest.approx(law.stiffness, rel=0.02)
+
+
+@pytest.mark.parametrize("law", [LUGRE, SLIP])
+def test_the_loop_of_a_law_with_memory_takes_energy(law: MemoryLaw) -> None:
+    step, w = 1e-5, 2.0 * math.pi * 20.0
+    t = np.arange(10000) * step
+    velocity = 50e-6 * w * np.cos(w * t)
+    work = np.cumsum(law.history(velocity, step) * velocity) * step
+    # A whole cycle of sliding costs about 4 X times the static to the sliding force.
+    cycle = work[9999] - work[4999]
+    assert 4 * 50e-6 * 44.2 * 0.9 < cycle < 4 * 50e-6 * 90.0
+
+
+def test_half_the_step_changes_the_memory_laws_little() -> None:
+    w = 2.0 * math.pi * 20.0
+    for law in (LUGRE, SLIP):
+        ends = []
+        for step in (2e-5, 1e-5, 5e-6):
+            t = (np.arange(round(0.11 / step)) + 0.5) * step
+            ends.append(law.history(1e-3 * np.cos(w * t), step)[-1])
+        assert abs(ends[2] - ends[1]) < 0.7 * abs(ends[1] - ends[0]) + 1e-9
+        assert abs(ends[2] - ends[1]) < 0.5
+
+
+def runs(noise: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    feed = np.array([20.0, 50.0, 100.0, 200.0, 350.0, 500.0, 800.0, 1200.0, 1800.0, 2500.0]) * MM_MIN
+    velocity = np.concatenate([feed, -feed])
+    rng = np.random.default_rng(seed)
+    return velocity, BENCH.force(velocity) + noise * rng.standard_normal(velocity.size)
+
+
+def test_steady_runs_give_back_the_curve_of_both_directions() -> None:
+    velocity, force = runs(0.0)
+    fit = fit_friction_curve(velocity, force, kt=15000.0)
+    assert fit.law.negative is not None
+    for found, true in ((fit.law, BENCH), (fit.law.negative, BACKWARDS)):
+        assert found.coulomb == pytest.approx(true.coulomb, rel=1e-5)
+        assert found.static == pytest.approx(true.static, rel=1e-5)
+        assert found.stribeck_speed == pytest.approx(true.stribeck_speed, rel=1e-5)
+        assert found.sigma == pytest.approx(true.sigma, rel=1e-4)
+    assert fit.status == "ok"
+    assert list(fit.estimates["direction"].values) == [1, -1]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_standard_deviations_are_those_of_repeated_trials(known: bool) -> None:
+    true = np.array([44.2, 84.0, 387.4 * MM_MIN, 168.0])
+    score = []
+    for seed in range(150):
+        velocity, force = runs(0.5, seed)
+        std = np.full(velocity.size, 0.5) if known else None
+        one = fit_friction_curve(velocity, force, std, kt=15000.0).estimates.sel(direction=1)
+        score.append((one["value"].values - true) / one["std"].values)
+    spread = np.std(score, axis=0)
+    # With six degrees of freedom the scatter itself is uncertain: Student's t is wider than the normal.
+    np.testing.assert_allclose(spread, 1.0 if known else 1.2, atol=0.25)
+
+
+def test_a_curve_without_stribeck_is_said_to_be_unresolved_and_fits_as_coulomb() -> None:
+    velocity = np.array([50.0, 100.0, 300.0, 600.0, 1000.0, 2000.0]) * MM_MIN
+    rng = np.random.default_rng(3)
+    force = 44.2 + 168.0 * velocity + 0.3 * rng.standard_normal(velocity.size)
+    assert "fit_coulomb_curve" in fit_friction_curve(velocity, force, kt=15000.0).status
+    fit = fit_coulomb_curve(velocity, force, kt=15000.0)
+    error = np.abs(fit.estimates["value"].sel(direction=1, parameter="coulomb") - 44.2)
+    assert float(error) < 3.0 * float(fit.estimates["std"].sel(direction=1, parameter="coulomb"))
+    assert fit.law.static == fit.law.coulomb
+    assert fit.law.negative is None
+
+
+def test_the_coulomb_fit_equals_the_normal_equations() -> None:
+    velocity = np.array([0.01, 0.02, 0.05, 0.1])
+    force = np.array([46.0, 47.5, 52.8, 61.0])
+    line, covariance = np.polyfit(velocity, force, 1, cov="unscaled")
+    fit = fit_coulomb_curve(velocity, force, np.ones(4), kt=math.inf)
+    assert fit.law.sigma == pytest.approx(line[0])
+    assert fit.law.coulomb == pytest.approx(line[1])
+    assert float(fit.estimates["std"].sel(direction=1, parameter="sigma")) == pytest.approx(math.sqrt(covariance[0, 0]))
+
+
+def test_refusals_say_what_is_needed() -> None:
+    with pytest.raises(InputError, match="sigma is -1"):
+        Viscous(-1.0)
+    with pytest.raises(InputError, match="stribeck speed is 0"):
+        Andersson(1.0, 2.0, 0.0, 0.0, 1e4)
+    with pytest.raises(InputError, match="give it without"):
+        Andersson(1.0, 2.0, 1.0, 0.0, 1e4, negative=BENCH)
+    with pytest.raises(InputError, match="sum to 1"):
+        GeneralisedMaxwellSlip((1e6,), (0.5,), 1.0, 2.0, 1.0, 0.0, 1.0)
+    with pytest.raises(InputError, match="as many of both"):
+        GeneralisedMaxwellSlip((1e6, 1e6), (1.0,), 1.0, 2.0, 1.0, 0.0, 1.0)
+    with pytest.raises(InputError, match="positive step"):
+        LUGRE.history([0.0], 0.0)
+    with pytest.raises(InputError, match="4 are needed"):
+        fit_friction_curve([0.1, 0.2, 0.3], [1.0, 2.0, 3.0], kt=1e4)
+    with pytest.raises(InputError, match="leave such runs out"):
+        fit_coulomb_curve([0.0, 0.2, 0.3], [1.0, 2.0, 3.0], kt=1e4)
+    with pytest.raises(InputError, match="one value a run"):
+        fit_coulomb_curve([0.2, 0.3], [1.0, 2.0, 3.0], kt=1e4)
+    with pytest.raises(InputError, match="positive ones or none"):
+        fit_coulomb_curve([0.2, 0.3], [1.0, 2.0], [0.0, 1.0], kt=1e4)
