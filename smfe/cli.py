@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from process.errors import InputError
 from smfe import __version__, pipeline
 from smfe.demo_campaign import DEMO_SEED
 from smfe.progress import bar
+from smfe.store import unpack_warnings
 
 app = typer.Typer(
     help="Machine-tool dynamics: measured records -> compliance -> stability lobes -> chatter verdicts.",
@@ -52,6 +55,7 @@ def demo(
     """Simulate a whole measuring campaign and run it."""
     with bar(console) as progress:
         report = pipeline.demo(folder, seed, progress)
+    _warn(report.parent)
     _done(report)
 
 
@@ -64,6 +68,7 @@ def run(
     """Do everything a campaign asks for: compliances, comparison, lobes, verdicts, report."""
     with bar(console) as progress:
         report = pipeline.run(campaign, folder, fresh, progress, _show)
+    _warn(report.parent)
     _done(report)
 
 
@@ -79,7 +84,7 @@ def identify(
         sizes = " x ".join(str(item.compliance.sizes[d]) for d in ("frequency", "response", "excitation"))
         out.print(f"{name}: {item.method}, {sizes} (frequencies x responses x excitations)", highlight=False)
         for warning in item.warnings:
-            console.print(f"  warning: {warning}", markup=False, highlight=False)
+            console.print(f"warning, {name}: {warning}", markup=False, highlight=False)
     out.print(f"written: {output}", highlight=False)
 
 
@@ -105,13 +110,16 @@ def lobes(
     """Compute the stability lobes that a campaign asks for."""
     with bar(console) as progress:
         results = pipeline.lobes(campaign, output, table, frf, progress)
-    shown = Table("lobes", "source", "smallest limit [mm]", "at [rpm]", "largest limit [mm]", "at [rpm]")
+    heads = ("lobes", "source", "smallest limit [mm]", "at [rpm]", "largest limit [mm]", "at [rpm]")
+    shown = Table(*map(escape, heads))
     for r in results:
         depth, speed = r.lobes["limit_depth"].values, r.lobes["spindle_speed"].values
         low, high = int(depth.argmin()), int(depth.argmax())
         shown.add_row(
             r.request, r.source, f"{depth[low]:.3g}", f"{speed[low]:g}", f"{depth[high]:.3g}", f"{speed[high]:g}"
         )
+        for warning in unpack_warnings(r.lobes):
+            console.print(f"warning, {r.request}, {r.source}: {warning}", markup=False, highlight=False)
     out.print(shown)
     out.print(f"written: {output}, {table}", highlight=False)
 
@@ -143,6 +151,12 @@ def report(folder: Annotated[Path, typer.Argument(help="Folder of results.", sho
 def _show(text: str) -> None:
     """Show the licence of a public data set that is about to be fetched."""
     console.print(text, markup=False, highlight=False)
+
+
+def _warn(folder: Path) -> None:
+    """Print the warnings of a run; the report has them too."""
+    for warning in json.loads((folder / "provenance.json").read_text(encoding="utf-8"))["warnings"]:
+        console.print(f"warning, {warning}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _done(report_file: Path) -> None:

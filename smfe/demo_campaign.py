@@ -205,6 +205,7 @@ force_z = { column = "Fz", unit = "N" }
 acceleration_x = { column = "ax", unit = "m/s^2" }
 acceleration_y = { column = "ay", unit = "m/s^2" }
 acceleration_z = { column = "az", unit = "m/s^2" }
+spindle_speed = { column = "n", unit = "rpm" }
 
 """
 

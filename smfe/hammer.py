@@ -159,7 +159,7 @@ def _average_column(
     notes = [
         *_hit_count_note(axis, len(hits)),
         *_leakage_note(axis, gathered, band, wanted),
-        *_force_noise_note(axis, gathered, frequency, power, band, gate),
+        *_force_noise_note(axis, gathered, frequency, power, _within(band, wanted), gate),
     ]
     length = 1.0 / float(frequency[0])
     return _Column(axis, frequency, length, compliance, std, coherence, band, tuple(notes))
@@ -337,6 +337,11 @@ def _leakage_note(
         )
 
 
+def _within(band: tuple[float, float], wanted: tuple[float, float] | None) -> tuple[float, float]:
+    """Return the part of the usable band that was asked for."""
+    return band if wanted is None else (max(band[0], wanted[0]), min(band[1], wanted[1]))
+
+
 def _force_noise_note(
     axis: str,
     gathered: Sequence[_Blocks],
@@ -359,7 +364,8 @@ def _force_noise_note(
     if bias > 0.01:
         yield (
             f"excitation {axis}: force noise lowers the compliance by up to {100.0 * bias:.2g} % (at "
-            f"{frequency[weakest]:.4g} Hz); gate_force=True removes most of it"
+            f"{frequency[weakest]:.4g} Hz); hit harder, use a harder tip or a narrower frequency_range (from Python: "
+            "gate_force=True removes most of it)"
         )
 
 

@@ -18,9 +18,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from process.engagement import engagement
+from process.engagement import Engagement, engagement
 from process.errors import InputError
 from process.labels import make_compliance, sample_interval
+from process.tool import Tool
 from smfe import __version__
 from smfe.actuator import identify_actuator
 from smfe.campaign import Campaign, Measurement, RecordEntry
@@ -28,7 +29,7 @@ from smfe.hammer import identify_hammer
 from smfe.identification import Identification, Progress, silent
 from smfe.records import read_frf, read_records
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
-from smfe.sweep import identify_sweep
+from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import LocalPolynomial, SingleReference, SweepPass
 
 
@@ -81,6 +82,30 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
         message = str(error)
         named = message if measurement.name in message else f"measurement '{measurement.name}': {message}"
         raise InputError(named) from error
+
+
+def check_sweeps(campaign: Campaign) -> None:
+    """Refuse sweeps whose passes are dependent by geometry, before any record is read.
+
+    Raises
+    ------
+    InputError
+        With the name of the measurement.
+    """
+    for measurement in campaign.measurements:
+        if measurement.method != "sweep" or campaign.tool is None:
+            continue
+        try:
+            check_independent([_pass_of(campaign.tool, entry) for entry in measurement.records])
+        except InputError as error:
+            raise InputError(f"measurement '{measurement.name}': {error}") from error
+
+
+def _pass_of(tool: Tool, entry: RecordEntry) -> tuple[str, Engagement]:
+    """Return what a pass is called and its arc of engagement."""
+    assert entry.cut is not None
+    assert entry.width_of_cut is not None
+    return f"{entry.cut} {entry.width_of_cut * 1e3:g} mm", engagement(entry.cut, entry.width_of_cut, tool.diameter)
 
 
 def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
@@ -139,12 +164,9 @@ def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> 
     assert campaign.tool is not None
     passes = []
     for entry in measurement.records:
-        assert entry.cut is not None
-        assert entry.width_of_cut is not None
-        arc = engagement(entry.cut, entry.width_of_cut, campaign.tool.diameter)
+        name, arc = _pass_of(campaign.tool, entry)
         for number, record in enumerate(_records_of(entry)):
-            label = f"{entry.cut} {entry.width_of_cut * 1e3:g} mm" + (f" ({number + 1})" if number else "")
-            passes.append(SweepPass(record, label, arc))
+            passes.append(SweepPass(record, name + (f" ({number + 1})" if number else ""), arc))
     band = measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
     estimator: LocalPolynomial | SingleReference = LocalPolynomial(measurement.resolution or 0.25)
     if measurement.references != "all":

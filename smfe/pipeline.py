@@ -35,7 +35,7 @@ from smfe.compare import compare as compare_compliances
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.identification import Identification, Progress, silent
-from smfe.measurements import cached_identification, file_hash
+from smfe.measurements import cached_identification, check_sweeps, file_hash
 from smfe.records import Channel, read_records
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
 from stability import ChatterVerdict, chatter_verdict, lobe_curves, lobe_table, write_table, zero_order
@@ -47,6 +47,7 @@ DEFAULT_CHANNELS: dict[str, Channel] = {
     "time": Channel("t", "s"),
     **{f"force_{a}": Channel(f"F{a}", "N") for a in AXES},
     **{f"acceleration_{a}": Channel(f"a{a}", "m/s^2") for a in AXES},
+    "spindle_speed": Channel("n", "rpm"),
 }
 """Columns that `smfe chatter` looks for in a file when no campaign declares others."""
 
@@ -270,6 +271,7 @@ def _no_default_channels(path: Path) -> str:
 
 
 def _identify_all(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
+    check_sweeps(campaign)
     found = {}
     for i, measurement in enumerate(campaign.measurements):
         progress(f"identifying {measurement.name}", i, len(campaign.measurements))

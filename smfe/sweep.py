@@ -100,7 +100,7 @@ def identify_sweep(
     chosen = LocalPolynomial() if estimator is None else estimator
     response = _check_passes(passes)
     _check_band(passes, frequency_range)
-    check_independent(passes)
+    check_independent([(p.label, p.arc) for p in passes])
     frequency = chosen.axis(frequency_range, passes)
     if isinstance(chosen, LocalPolynomial):
         found = _local(chosen, passes, frequency, response, progress)
@@ -165,25 +165,30 @@ def _check_band(passes: Sequence[SweepPass], band: tuple[float, float]) -> None:
             )
 
 
-def check_independent(passes: Sequence[SweepPass]) -> None:
+def check_independent(arcs: Sequence[tuple[str, Engagement | None]]) -> None:
     """Refuse passes whose forces are dependent by geometry.
 
     Forces add up over the arc: a pass whose arc is the sum of others brings nothing new at any harmonic, for any tool
     and material. All distinct arcs together must span three directions in at least one of the first harmonics of a
     probe with unlike coefficients. Passes of unknown arc are left to the measured forces.
 
+    Parameters
+    ----------
+    arcs : sequence of (str, Engagement or None)
+        What each pass is called, and its arc.
+
     Raises
     ------
     InputError
         When they do not.
     """
-    arcs = {p.arc: p.label for p in passes if p.arc is not None}
-    if any(p.arc is None for p in passes) or _best_condition(list(arcs)) <= 1e6:
+    distinct = {arc: label for label, arc in arcs if arc is not None}
+    if any(arc is None for _, arc in arcs) or _best_condition(list(distinct)) <= 1e6:
         return
     raise InputError(
-        f"the passes {', '.join(arcs.values())} are not independent: cutting forces add up over the arc of engagement, "
-        "so a pass whose arc is the sum of the others repeats them (half-immersion down and up milling add up to the "
-        "slot) and the nine compliances cannot be separated; change one width, e.g. widths of 30, 50 and 85 % of the "
+        f"the passes {', '.join(distinct.values())} are not independent: cutting forces add up over the arc of "
+        "engagement, so a pass whose arc is the sum of the others repeats them (half-immersion down and up milling add up to "
+        "the slot) and the nine compliances cannot be separated; change one width, e.g. widths of 30, 50 and 85 % of the "
         "diameter for down, up and central milling"
     )
 

@@ -437,3 +437,45 @@ def test_wrong_usage_is_exit_code_2(monkeypatch: pytest.MonkeyPatch) -> None:
     assert smfe(monkeypatch, "run") == 2
     assert smfe(monkeypatch, "fly") == 2
     assert smfe(monkeypatch, "--version") == 0
+
+
+def test_warnings_are_printed_where_the_run_was_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN + SWEEPS_LOBES)
+    hit_table().to_csv(tmp_path / "hit.csv", index=False)
+    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
+    assert "partial matrix" in capsys.readouterr().err
+
+
+SWEEPS_LOBES = """
+[[lobes]]
+measurements = ["hammer"]
+method = "zero_order"
+cut = "down"
+width_of_cut = "20 mm"
+feed_per_tooth = "0.1 mm"
+spindle_speed = ["600 rpm", "1500 rpm", "10 rpm"]
+"""
+
+
+def test_a_wrong_speed_is_found_out_by_the_speed_in_the_record(
+    demo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = demo / "records" / "cut_950rpm_5mm.csv"
+    assert smfe(monkeypatch, "chatter", record, "--speed", "900 rpm", "--teeth", 2) == 1
+    assert "950" in capsys.readouterr().err
+
+
+def test_dependent_sweeps_are_refused_before_any_record_is_read(
+    demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (demo / "campaign.toml").read_text().replace('"records/', f'"{demo}/records/')
+    for cut, width in (("down", 40), ("up", 40), ("central", 80)):
+        text = text.replace(f'cut = "{cut}", width_of_cut = "12 mm"', f'cut = "{cut}", width_of_cut = "{width} mm"')
+    (tmp_path / "campaign.toml").write_text(text)
+    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 1
+    said = capsys.readouterr().err
+    assert "add up to the slot" in said
+    assert "identifying" not in said
+    assert not (tmp_path / "results").exists()

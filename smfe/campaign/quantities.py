@@ -41,6 +41,13 @@ def _quantity(dimension: str, low: float = -math.inf, above: float = -math.inf) 
     return BeforeValidator(parse)
 
 
+_SYNONYMS = {
+    "conventional": "; conventional milling is up milling: write 'up'",
+    "climb": "; climb milling is down milling: write 'down'",
+    "slot": "; a slot is any of them with a width equal to the diameter",
+}
+
+
 def one_of(names: Sequence[str], what: str) -> BeforeValidator:
     """One of a list of names."""
 
@@ -49,6 +56,7 @@ def one_of(names: Sequence[str], what: str) -> BeforeValidator:
             return value
         later = " is not available yet" if value in _LATER else ""
         near = did_you_mean(value, names) if isinstance(value, str) and not later else ""
+        near = _SYNONYMS.get(value, near) if what == "cut" and isinstance(value, str) else near
         raise InputError(f"{what} {value!r}{later or ' is not known'}{near}; available: {', '.join(names)}")
 
     return BeforeValidator(check)

@@ -213,7 +213,7 @@ def draw_compliance(measurements: Sequence[Measurement], looks: Mapping[str, Lin
     grid = figure.add_gridspec(
         len(responses),
         len(excitations),
-        left=0.1,
+        left=0.1 if len(excitations) > 1 else 0.16,
         right=0.985,
         bottom=0.5 / height,
         top=top,
