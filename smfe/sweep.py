@@ -187,9 +187,9 @@ def check_independent(arcs: Sequence[tuple[str, Engagement | None]]) -> None:
         return
     raise InputError(
         f"the passes {', '.join(distinct.values())} are not independent: cutting forces add up over the arc of "
-        "engagement, so a pass whose arc is the sum of the others repeats them (half-immersion down and up milling add up to "
-        "the slot) and the nine compliances cannot be separated; change one width, e.g. widths of 30, 50 and 85 % of the "
-        "diameter for down, up and central milling"
+        "engagement, so a pass whose arc is the sum of the others repeats them (half-immersion down and up milling "
+        "add up to the slot) and the nine compliances cannot be separated; change one width, e.g. widths of 30, 50 "
+        "and 85 % of the diameter for down, up and central milling"
     )
 
 
