@@ -64,7 +64,7 @@ docs: $(READY)
 
 bench: $(READY)
 	@set -- benchmarks/*.py; test -e "$$1" || { echo "benchmarks/ holds no benchmark" >&2; exit 1; }
-	$(RUN) $(BIN)/pytest benchmarks --benchmark-only $(ARGS)
+	$(RUN) $(BIN)/pytest benchmarks --benchmark-only -s $(ARGS)
 
 wheel: $(VENV)/.locked
 	rm -rf dist
