@@ -299,7 +299,7 @@ BAD_INPUT = {
     "truncated MAT file": (
         lambda s: s.replace("hit.csv", "hit.mat"),
         lambda folder: mat_of(folder / "hit.mat", cut=5000),
-        ["hit.mat"],
+        ["hit.mat", "truncated"],
     ),
     "wrong column in a cutting test": (
         lambda s: s + CUTTING_TEST + WRONG_COLUMN,

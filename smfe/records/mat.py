@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,33 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
         return [_read_hdf5(path, wanted) if head[512:] == b"\x89HDF\r\n\x1a\n" else _read_mat(path, wanted)]
 
 
+def _refuse_truncated(path: Path) -> None:
+    """Refuse a version 5 file that ends within a variable: scipy would list the variables before it and say nothing.
+
+    After a header of 128 bytes each variable is a tag of type and size (two 32-bit integers) and as many bytes.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        header = stream.read(128)
+        # Version 4 has no such header; its own reader finds out.
+        if header[126:128] not in (b"IM", b"MI"):
+            return
+        order = "<" if header[126:128] == b"IM" else ">"
+        place = 128
+        while place < size:
+            stream.seek(place)
+            tag = stream.read(8)
+            length = struct.unpack(f"{order}II", tag)[1] if len(tag) == 8 else size
+            place += 8 + length
+    if place > size:
+        raise InputError(
+            f"{path.name}: the file is truncated: its last variable needs {place - size} bytes more than the "
+            f"{size} that are there; copy it again"
+        )
+
+
 def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
+    _refuse_truncated(path)
     shapes = {name: shape for name, shape, kind in io.whosmat(path) if kind not in ("char", "cell", "struct", "object")}
     places = list(_places(shapes.items()))
     at = find_columns(path.name, [name for name, _, _ in places], wanted, len(places))
