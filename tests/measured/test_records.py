@@ -448,7 +448,8 @@ class TestDamage:
         ]
 
     @staticmethod
-    def reads_or_says(path: Path) -> None:
+    def reads_or_says(path: Path) -> str:
+        """Return the sentence with which the file is refused; empty when it is read."""
         channels = LVM if path.suffix == ".lvm" else PLAIN
         said = ""
         try:
@@ -457,6 +458,7 @@ class TestDamage:
             said = str(error)
         assert not said or path.name in said
         assert "\n" not in said
+        return said
 
     def test_empty(self, files: list[Path]) -> None:
         for path in files:
@@ -469,7 +471,8 @@ class TestDamage:
             whole = path.read_bytes()
             for size in np.linspace(1, len(whole) - 1, 40, dtype=int):
                 path.write_bytes(whole[:size])
-                self.reads_or_says(path)
+                # Text that ends with a whole row cannot be told from a short record; a binary file knows its size.
+                assert self.reads_or_says(path) or path.suffix in (".csv", ".lvm")
 
     def test_flipped_bits(self, files: list[Path]) -> None:
         rng = np.random.default_rng(20)
