@@ -5,26 +5,37 @@ import time
 import numpy as np
 import pytest
 
+from process.axis_simulation import SteppedSine, simulate_axis
+from process.drive import Drive
 from process.equivalent_friction import equivalent_damping
 from process.friction import Andersson
-from process.harmonic_balance import SlidingAxis, multi_harmonic, quasi_frf, single_harmonic
+from process.harmonic_balance import SlidingAxis, quasi_frf, two_mass_compliance
+from process.machine import FeedAxis, Machine
+from process.machine_balance import quasi_compliance
+from process.multi_harmonic import multi_harmonic
+from process.servo import Servo
+from process.single_harmonic import single_harmonic
+from process.structure import two_mass_axes
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
 FREQUENCY = np.linspace(20.0, 95.0, 1100)
+DRIVE, SERVO = Drive(23.1, 11.3, 1.68e6, 104.0), Servo(6268.0, 10.9e-3, 45.5)
+FEW = np.arange(25, FREQUENCY.size, 250)
 
-
-def compliance(frequency: np.ndarray) -> np.ndarray:
-    """The bench of the paper under K2, without friction: (tool, carriage)."""
-    s = 2j * np.pi * frequency
-    q = 104.0 * s + 1.68e6
-    tip, carriage = 11.3 * s**2 + q, 23.1 * s**2 + q + 6268.0 * (s + 1.0 / 10.9e-3) * (s + 45.5) / s
-    out = np.empty((s.size, 2, 2), dtype=complex)
-    out[:, 0, 0], out[:, 1, 1], out[:, 0, 1], out[:, 1, 0] = carriage, tip, q, q
-    return out / (tip * carriage - q**2)[:, None, None]
-
-
+compliance = two_mass_compliance(23.1, 11.3, 1.68e6, 104.0, lambda f: SERVO.feedback(2j * np.pi * f))
 AXIS = SlidingAxis(compliance, BENCH, 500.0 * MM_MIN)
+
+
+def stepped_sine(frequency: float, force: float, feed: float) -> complex:
+    """One point by time simulation: phasor over the last whole periods of 4 s."""
+    drive = Drive(23.1, 11.3, 1.68e6, 104.0, SERVO)
+    sine = SteppedSine((float(frequency),), force, 4.0, 0.0)
+    record = simulate_axis(drive, BENCH, sine, feed, 4.0, 100.0 * frequency)
+    shown = slice(-100 * int(frequency), None)
+    wave = np.exp(-2j * np.pi * frequency * record["time"].values[shown])
+    x, push = (record[name].values[0, shown] @ wave for name in ("displacement", "force"))
+    return complex(x / push)
 
 
 @pytest.mark.benchmark(group="harmonic balance")
@@ -41,20 +52,46 @@ def test_single_harmonic_frf_against_a_bisection_for_each_frequency(benchmark) -
         above = middle * loop > np.abs(s * g[:, 1, 0]) * 50.0
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     seconds = (time.perf_counter() - start) / few.size * FREQUENCY.size
-    np.testing.assert_allclose(np.abs(found.velocity[few, 0]), middle, rtol=2e-3)
+    np.testing.assert_allclose(np.abs(found.fundamental[few, 0]), middle, rtol=2e-3)
     if benchmark.stats is not None:
-        assert seconds > 5.0 * benchmark.stats.stats.median
+        print(f"\nbisection {seconds * 1e3:.0f} ms, table {benchmark.stats.stats.median * 1e3:.1f} ms")
 
 
 @pytest.mark.benchmark(group="harmonic balance")
 def test_many_harmonics(benchmark) -> None:
     f = np.linspace(60.0, 75.0, 150)
-    start = single_harmonic(AXIS, 50.0, f).velocity[:, 0]
+    start = single_harmonic(AXIS, 50.0, f)
     balance = benchmark(multi_harmonic, AXIS, 50.0, f, 25, start)
     assert balance.converged.all()
 
 
 @pytest.mark.benchmark(group="harmonic balance")
-def test_quasi_frf_with_automatic_choice(benchmark) -> None:
-    result = benchmark(quasi_frf, AXIS, 50.0, FREQUENCY[::10])
-    assert result.attrs["status"] == "ok"
+@pytest.mark.parametrize(("feed", "force"), [(500.0, 50.0), (250.0, 60.0), (0.0, 50.0)])
+def test_quasi_frf_against_stepped_sines(benchmark, feed: float, force: float) -> None:
+    axis = SlidingAxis(compliance, BENCH, feed * MM_MIN)
+    quasi_frf(axis, force, FREQUENCY[::100])
+    result = benchmark.pedantic(quasi_frf, (axis, force, FREQUENCY), rounds=2)
+    found = result["compliance"].values[FEW, 0, 0]
+    # A part of the points is simulated, and its time scaled to all of them.
+    stepped_sine(40.0, force, feed * MM_MIN)
+    start = time.perf_counter()
+    simulated = np.array([stepped_sine(f, force, feed * MM_MIN) for f in FREQUENCY[FEW]])
+    seconds = (time.perf_counter() - start) / FEW.size * FREQUENCY.size
+    error = np.abs(found / simulated - 1.0)
+    assert error.max() < 3e-3
+    if benchmark.stats is not None:
+        own_time = benchmark.stats.stats.min
+        print(
+            f"\nfeed {feed:g} mm/min, {force:g} N: {FREQUENCY.size} points in {own_time:.2f} s, time simulation "
+            f"{seconds:.0f} s (from {FEW.size} points), ratio {seconds / own_time:.0f}; they differ by at most "
+            f"{error.max():.1e}"
+        )
+        assert seconds > 20.0 * own_time
+
+
+@pytest.mark.benchmark(group="harmonic balance")
+def test_two_axes_with_one_harmonic(benchmark) -> None:
+    machine = Machine(two_mass_axes({"x": DRIVE, "y": DRIVE}), dict.fromkeys("xy", FeedAxis(SERVO, BENCH)))
+    args = (machine, FREQUENCY, 50.0, 500.0 * MM_MIN)
+    found = benchmark(quasi_compliance, *args, excitation=["x", "y"], tolerance=np.inf)
+    assert found.attrs["status"] == "ok"

@@ -109,28 +109,6 @@ def first_harmonics(law, parameters, bias, amplitude, scale, nodes, weights, out
         out[i] = first_harmonic(law, parameters, bias[i], amplitude[i], scale, nodes, weights)
 
 
-@njit(cache=True, nogil=True)
-def crossings(real, imag, drive, amplitude, damping, position, count):
-    """Solve ``V |1 + Y c(V)| = drive`` on a rising grid of V (m,) for each mobility Y = real + j imag (n,).
-
-    position (n,) receives the place of the first solution in grid steps, linear in log V (-1: none);
-    count (n,) the number of solutions.
-    """
-    for i in range(real.size):
-        position[i], count[i] = -1.0, 0
-        last = 0.0
-        for k in range(amplitude.size):
-            a, b = 1.0 + real[i] * damping[k], imag[i] * damping[k]
-            now = math.log(amplitude[k] * math.sqrt(a * a + b * b) / drive[i] + 1e-300)
-            if k == 0 and now > 0.0:  # below the table, where the damping is that of its first point
-                position[i], count[i] = 0.0, 1
-            elif k > 0 and (now > 0.0) != (last > 0.0):
-                if count[i] == 0:
-                    position[i] = k - 1 + last / (last - now)
-                count[i] += 1
-            last = now
-
-
 # Friction with memory: `state` holds the deflection or the force of the elements.
 LUGRE = 10  # stiffness, micro damping, sigma, coulomb, static, stribeck_speed, delta
 MAXWELL_SLIP = 11  # coulomb, static, stribeck_speed, delta, sigma, attraction; then stiffness, share of each element
@@ -156,18 +134,25 @@ def _lugre_step(p, state, velocity, step):
 
 @njit(cache=True, nogil=True)
 def _maxwell_slip_step(p, state, velocity, step):
-    """Each element sticks (F' = k v) until it reaches its share of s(v), then is drawn to it; sticks on reversal."""
+    """Each element sticks (F' = k v) until it reaches its share of s(v), then is drawn to it; sticks on reversal.
+
+    state: force and direction of slip (0: it sticks) of each element.
+    """
     total = p[4] * velocity
     s = _stribeck(p[0], p[1], p[2], p[3], velocity)
     sign = math.copysign(1.0, velocity)
-    for i in range(state.size):
+    for i in range(state.size // 2):
         stiffness, limit = p[6 + 2 * i], p[7 + 2 * i] * s
-        if sign * state[i] < limit:
-            state[i] = sign * min(sign * state[i] + stiffness * abs(velocity) * step, limit)
+        force, slips = state[2 * i], state[2 * i + 1]
+        if velocity != 0.0 and slips == sign:
+            force = sign * (limit + (sign * force - limit) * math.exp(-p[5] / s * step))
         elif velocity != 0.0:
-            decay = math.exp(-p[5] / s * step)
-            state[i] = sign * (limit + (sign * state[i] - limit) * decay)
-        total += state[i]
+            slips = 0.0
+            force += stiffness * velocity * step
+            if sign * force >= limit:
+                force, slips = sign * limit, sign
+        state[2 * i], state[2 * i + 1] = force, slips
+        total += force
     return total
 
 

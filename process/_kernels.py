@@ -1,251 +1,124 @@
 """Numba loops of the time simulation. Floats and plain arrays only; labels live in `process.simulate`."""
 
-from __future__ import annotations
-
-import math
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import njit
 
-TURN = 2.0 * math.pi
-
-# Helpers are inlined: a call with a tuple of arrays costs more in reference counts than the arithmetic in it.
+from process._cutting_kernels import cutting_force, make_pose, moved, pass_over, turn
 
 
 class Modes(NamedTuple):
     """Linear modes and their exact step for a force that is linear over the step.
 
-    ``s_{k+1} = a s_k + b0 f_k + b1 f_{k+1}`` with s = (position, velocity) and f the modal force.
-    Shapes: a (m, 2, 2); b0, b1 (m, 2); shape (m, 3); the rest (m,).
+    With s = (position, velocity) and f the modal force, ``s_{k+1} = p + d (f_{k+1} - f_k)`` and ``p = a s_k + b f_k``,
+    the prediction with the force held. So ``p_{k+1} = a p_k + b f_k + e (f_{k+1} - f_k)`` with ``e = a d + b``: most of
+    the next prediction can be computed before the force is known.
+    step (m, 10): a by rows, b, d, e. shape (m, 3). law (m, 3): 1/mass, 2 zeta omega, omega^2.
     """
 
-    a: Any
-    b0: Any
-    b1: Any
+    step: Any
     shape: Any
-    mass: Any
-    omega2: Any
-    two_zeta_omega: Any
-
-
-class Motion(NamedTuple):
-    """The spindle and the feed: ``angle0 + rotation t + rate t^2/2``; a feed per time and one per angle."""
-
-    angle0: float
-    rotation: float
-    rate: float
-    start: float
-    stop: float
-    feed_rate: float
-    feed_per_angle: float
-
-
-class Teeth(NamedTuple):
-    """Geometry and material of the cut; lag and offset (teeth,), slice_lag (slices,), cutting and edge (3,)."""
-
-    lag: Any
-    offset: Any
-    slice_lag: Any
-    entry: float
-    leave: float
-    sin_k: float
-    cos_k: float
-    edge_length: float
-    cutting: Any
-    edge: Any
+    law: Any
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _modal_force(modes, x, y, z, out):
-    for m in range(modes.mass.size):
-        out[m] = modes.shape[m, 0] * x + modes.shape[m, 1] * y + modes.shape[m, 2] * z
+def _advance(modes, state, fx, fy, fz):
+    """Correct the predicted state (m, 3: position, velocity, old force) for a force now, and predict the next.
+
+    Return position and acceleration of the tool now, and its predicted position after the next step.
+    """
+    x, y, z, ax, ay, az, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for m in range(state.shape[0]):
+        p, w, old = state[m, 0], state[m, 1], state[m, 2]
+        held_p = modes.step[m, 0] * p + modes.step[m, 1] * w + modes.step[m, 4] * old
+        held_w = modes.step[m, 2] * p + modes.step[m, 3] * w + modes.step[m, 5] * old
+        sx, sy, sz = modes.shape[m, 0], modes.shape[m, 1], modes.shape[m, 2]
+        f = sx * fx + sy * fy + sz * fz
+        rise = f - old
+        q = p + modes.step[m, 6] * rise
+        v = w + modes.step[m, 7] * rise
+        a = modes.law[m, 0] * f - modes.law[m, 1] * v - modes.law[m, 2] * q
+        next_p = held_p + modes.step[m, 8] * rise
+        state[m, 0], state[m, 1], state[m, 2] = next_p, held_w + modes.step[m, 9] * rise, f
+        x, y, z = x + sx * q, y + sy * q, z + sz * q
+        ax, ay, az = ax + sx * a, ay + sy * a, az + sz * a
+        px, py, pz = px + sx * next_p, py + sy * next_p, pz + sz * next_p
+    return x, y, z, ax, ay, az, px, py, pz
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _march(modes, state, f_old, f_new, out):
-    """Advance every mode by one step; state and out (m, 2)."""
-    for m in range(modes.mass.size):
-        for i in range(2):
-            out[m, i] = (
-                modes.a[m, i, 0] * state[m, 0]
-                + modes.a[m, i, 1] * state[m, 1]
-                + modes.b0[m, i] * f_old[m]
-                + modes.b1[m, i] * f_new[m]
-            )
+def _at_tool(modes, state, column):
+    """Return the predicted position (column 0) or velocity (column 1) of the tool."""
+    x, y, z = 0.0, 0.0, 0.0
+    for m in range(state.shape[0]):
+        x += modes.shape[m, 0] * state[m, column]
+        y += modes.shape[m, 1] * state[m, column]
+        z += modes.shape[m, 2] * state[m, column]
+    return x, y, z
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _position(modes, state, out):
-    for i in range(3):
-        out[i] = 0.0
-        for m in range(modes.mass.size):
-            out[i] += modes.shape[m, i] * state[m, 0]
+def _hit(modes, state, impulse):
+    """Add to the prediction what the velocity does that an impulse (3,) gives every mode now."""
+    for m in range(state.shape[0]):
+        modal = modes.shape[m, 0] * impulse[0] + modes.shape[m, 1] * impulse[1] + modes.shape[m, 2] * impulse[2]
+        state[m, 0] += modes.step[m, 1] * modes.law[m, 0] * modal
+        state[m, 1] += modes.step[m, 3] * modes.law[m, 0] * modal
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _record(modes, state, f_modal, k, displacement, acceleration):
-    """Write position and acceleration of the tool at step k."""
-    for i in range(3):
-        displacement[i, k] = 0.0
-        acceleration[i, k] = 0.0
-    for m in range(modes.mass.size):
-        a = f_modal[m] / modes.mass[m] - modes.two_zeta_omega[m] * state[m, 1] - modes.omega2[m] * state[m, 0]
-        for i in range(3):
-            displacement[i, k] += modes.shape[m, i] * state[m, 0]
-            acceleration[i, k] += modes.shape[m, i] * a
+@njit(cache=True, nogil=True, _nrt=False)
+def forced_response(modes, state, force, displacement, acceleration):
+    """March linear modes under a given force (3, n), linear between samples; fill the other two (3, n).
 
-
-@njit(cache=True, nogil=True)
-def forced_response(modes, force, displacement, acceleration):
-    """March linear modes under a given force (3, n), linear between samples; fill the other two (3, n)."""
-    count = modes.mass.size
-    state, new = np.zeros((count, 2)), np.zeros((count, 2))
-    f_old, f_new = np.zeros(count), np.zeros(count)
+    state (m, 3): position, velocity and force of each mode at the first sample.
+    """
     for k in range(force.shape[1]):
-        _modal_force(modes, force[0, k], force[1, k], force[2, k], f_new)
-        if k > 0:
-            _march(modes, state, f_old, f_new, new)
-            state[:] = new
-        f_old[:] = f_new
-        _record(modes, state, f_new, k, displacement, acceleration)
+        x, y, z, ax, ay, az, _, _, _ = _advance(modes, state, force[0, k], force[1, k], force[2, k])
+        displacement[0, k], displacement[1, k], displacement[2, k] = x, y, z
+        acceleration[0, k], acceleration[1, k], acceleration[2, k] = ax, ay, az
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _engaged_share(phi, half_step, entry, leave):
-    """Share of the interval phi -+ half_step that lies in the arc: moves entry and exit off the time grid."""
-    low = max(phi - half_step, entry)
-    high = min(phi + half_step, leave)
-    return max(0.0, high - low) / (2.0 * half_step)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _passing(surfaces, node, tooth, teeth):
-    """Buffer of tooth's pass over an absolute node. A single tooth alternates between two, to read its last turn."""
-    return (node // surfaces.shape[2] * teeth + tooth) % surfaces.shape[1]
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _reach(teeth, j, phi, advance, r):
-    """How far tooth j reaches along the chip normal at angle phi."""
-    in_plane = (advance + r[0]) * math.sin(phi) + r[1] * math.cos(phi) + teeth.offset[j]
-    return in_plane * teeth.sin_k - r[2] * teeth.cos_k
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _cutting_force(teeth, surfaces, angle, half_step, advance, r, total):
-    """Sum the force of all teeth at tool position r; return (engaged steps without contact, largest chip)."""
-    lost, largest = 0, 0.0
-    count, nodes = teeth.lag.size, surfaces.shape[2]
-    spacing = TURN / nodes
-    length = teeth.edge_length / teeth.slice_lag.size
-    total[:] = 0.0
-    for s in range(teeth.slice_lag.size):
-        for j in range(teeth.lag.size):
-            turn = angle - teeth.lag[j] - teeth.slice_lag[s]
-            phi = turn - TURN * math.floor(turn / TURN)
-            share = _engaged_share(phi, half_step, teeth.entry, teeth.leave)
-            if share == 0.0:
-                continue
-            place = turn / spacing
-            node = math.floor(place)
-            weight = place - node
-            before = surfaces[s, _passing(surfaces, node, j - 1, count), node % nodes]
-            after = surfaces[s, _passing(surfaces, node + 1, j - 1, count), (node + 1) % nodes]
-            left = (1.0 - weight) * before + weight * after
-            h = _reach(teeth, j, phi, advance, r) - left
-            if h <= 0.0:
-                lost += 1
-                continue
-            largest = max(largest, h)
-            sin_p, cos_p = math.sin(phi), math.cos(phi)
-            ft = share * length * (teeth.cutting[0] * h + teeth.edge[0])
-            fr = share * length * (teeth.cutting[1] * h + teeth.edge[1])
-            fa = share * length * (teeth.cutting[2] * h + teeth.edge[2])
-            total[0] += -cos_p * ft - teeth.sin_k * sin_p * fr - teeth.cos_k * sin_p * fa
-            total[1] += sin_p * ft - teeth.sin_k * cos_p * fr - teeth.cos_k * cos_p * fa
-            total[2] += teeth.cos_k * fr - teeth.sin_k * fa
-    return lost, largest
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _leave_surface(teeth, surfaces, s, j, from_angle, from_reach, to_angle, to_reach):
-    """Write every node that tooth j has passed in this step: the farthest that any tooth has reached there."""
-    count, nodes = teeth.lag.size, surfaces.shape[2]
-    spacing = TURN / nodes
-    for node in range(math.floor(from_angle / spacing) + 1, math.floor(to_angle / spacing) + 1):
-        left = surfaces[s, _passing(surfaces, node, j - 1, count), node % nodes]
-        phi = (node % nodes) * spacing
-        if teeth.entry - 2.0 * spacing <= phi <= teeth.leave + 2.0 * spacing:
-            weight = (node * spacing - from_angle) / (to_angle - from_angle)
-            left = max(left, (1.0 - weight) * from_reach + weight * to_reach)
-        surfaces[s, _passing(surfaces, node, j, count), node % nodes] = left
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _pass_over(teeth, surfaces, angle, advance, r, write, old_angle, old_reach):
-    """Move all teeth to where they are now; leave the surface behind where they have just cut."""
-    for s in range(teeth.slice_lag.size):
-        for j in range(teeth.lag.size):
-            turn = angle - teeth.lag[j] - teeth.slice_lag[s]
-            reach = _reach(teeth, j, turn, advance, r)
-            if write:
-                _leave_surface(teeth, surfaces, s, j, old_angle[s, j], old_reach[s, j], turn, reach)
-            old_angle[s, j], old_reach[s, j] = turn, reach
-
-
-@njit(cache=True, nogil=True)
-def milling(modes, motion, teeth, step, nodes, impulse, force, displacement, acceleration):
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
+def milling(modes, state, motion, teeth, surfaces, step, start, stop, impulse, force, displacement, acceleration):
     """March linear modes under their own cutting force, with the chip cut from the surface left behind.
 
-    A tooth at angle phi reaches ``n = ((x_f + x) sin phi + y cos phi + rho) sin k - z cos k`` along the chip normal;
-    the chip thickness is n less the farthest n that any tooth before has reached at that angle, so a tooth that leaves
-    the cut leaves the older surface behind. One surface a tooth is kept on `nodes` angles a turn. The force is linear
-    between steps; one prediction and one correction a step. force, displacement, acceleration (3, steps) are filled.
+    state (m, 3) is zero: at rest before the first sample. The tool is in the work while start <= t < stop; the impulse
+    [N s] acts at entry. The force is linear between steps; one prediction and one correction a step. force,
+    displacement, acceleration (3, steps) are filled. Arrays are not counted (_nrt): that took most of the time.
     Returns (engaged tooth steps without contact, largest chip thickness).
     """
-    count = modes.mass.size
-    state, new = np.zeros((count, 2)), np.zeros((count, 2))
-    f_old, f_new = np.zeros(count), np.zeros(count)
-    surfaces = np.zeros((teeth.slice_lag.size, max(teeth.lag.size, 2), nodes))
-    old_angle = np.zeros((teeth.slice_lag.size, teeth.lag.size))
-    old_reach = np.zeros((teeth.slice_lag.size, teeth.lag.size))
-    r, total = np.zeros(3), np.zeros(3)
     lost, largest = 0, 0.0
-    was_active = False
+    cutting = False
     entry_time, entry_angle = 0.0, 0.0
+    before = make_pose(teeth, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    px, py, pz = 0.0, 0.0, 0.0
     for k in range(force.shape[1]):
         t = k * step
-        angle = motion.angle0 + motion.rotation * t + 0.5 * motion.rate * t * t
-        half_step = 0.5 * (motion.rotation + motion.rate * t) * step
-        active = motion.start <= t < motion.stop
-        entering = active and not was_active
-        if entering:
-            entry_time, entry_angle = t, angle
-        advance = motion.feed_rate * (t - entry_time) + motion.feed_per_angle * (angle - entry_angle)
-        # Predict the position with the force held; then find the force there.
-        if k > 0:
-            _march(modes, state, f_old, f_old, new)
-        _position(modes, new, r)
-        total[:] = 0.0
-        if active:
-            missed, thickness = _cutting_force(teeth, surfaces, angle, half_step, advance, r, total)
+        fx, fy, fz = 0.0, 0.0, 0.0
+        inside = start <= t < stop
+        if inside:
+            angle, rotation = turn(motion, t)
+            if not cutting:
+                entry_time, entry_angle = t, angle
+            advance = motion.feed_rate * (t - entry_time) + motion.feed_per_angle * (angle - entry_angle)
+            pose = make_pose(teeth, angle, rotation, advance, px, py, pz)
+            vx, vy, vz = 0.0, 0.0, 0.0
+            if teeth.damping != 0.0:
+                vx, vy, vz = _at_tool(modes, state, 1)
+            fx, fy, fz, missed, thickest = cutting_force(teeth, surfaces, pose, step, vx, vy, vz)
             lost += missed
-            largest = max(largest, thickness)
-        # Correct the state with that force.
-        _modal_force(modes, total[0], total[1], total[2], f_new)
-        if k > 0:
-            _march(modes, state, f_old, f_new, new)
-        state[:] = new
-        if entering:
-            _modal_force(modes, impulse[0], impulse[1], impulse[2], f_old)
-            state[:, 1] += f_old / modes.mass
-        f_old[:] = f_new
-        _position(modes, state, r)
-        _record(modes, state, f_new, k, displacement, acceleration)
-        for i in range(3):
-            force[i, k] = total[i]
-        if active:
-            _pass_over(teeth, surfaces, angle, advance, r, was_active, old_angle, old_reach)
-        was_active = active
+            largest = max(largest, thickest)
+        x, y, z, ax, ay, az, px, py, pz = _advance(modes, state, fx, fy, fz)
+        force[0, k], force[1, k], force[2, k] = fx, fy, fz
+        displacement[0, k], displacement[1, k], displacement[2, k] = x, y, z
+        acceleration[0, k], acceleration[1, k], acceleration[2, k] = ax, ay, az
+        if inside:
+            after = moved(pose, x, y, z)
+            if cutting:
+                pass_over(teeth, surfaces, before, after)
+            else:
+                _hit(modes, state, impulse)
+                px, py, pz = _at_tool(modes, state, 0)
+            before = after
+        cutting = inside
     return lost, largest

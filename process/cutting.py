@@ -68,6 +68,48 @@ class CuttingCoefficients:
         return np.array([self.Kte, self.Kre, self.Kae])
 
 
+@dataclass(frozen=True)
+class ProcessDamping:
+    """Resistance of the worn flank to waves on the surface, SI.
+
+    While an edge of length b cuts at the speed ``v_c = pi D n`` and moves into the work at ``v_n`` along its chip
+    normal, its flank displaces material: ``F_r = C b v_n/v_c`` [N/m m = N] against ``v_n``, and ``mu F_r`` along the
+    cutting speed. Small vibration: the equivalent linear damper, for both signs of ``v_n``. Source: Ahmadi & Altintas,
+    Int. J. Mach. Tools Manuf. 2011.
+
+    Parameters
+    ----------
+    coefficient : float
+        ``C = K_sp L_w^2/4`` [N/m], with the indentation coefficient ``K_sp`` (force over displaced volume, N/m3) and
+        the length ``L_w`` [m] of the wear land on the flank; `from_wear_land`.
+    friction : float, optional
+        Friction coefficient mu between flank and work [1].
+
+    Raises
+    ------
+    InputError
+        When one of them is negative or not finite.
+    """
+
+    coefficient: float
+    friction: float = 0.3
+
+    def __post_init__(self) -> None:
+        """Refuse a flank that drives the vibration."""
+        for name, value in (("coefficient", self.coefficient), ("friction", self.friction)):
+            if not 0.0 <= value < math.inf:
+                raise InputError(f"the {name} of the process damping is {value:g}; it must be finite and not negative")
+
+    @classmethod
+    def from_wear_land(cls, indentation: float, wear_land: float, friction: float = 0.3) -> ProcessDamping:
+        """Return the damping of an indentation coefficient K_sp [N/m3] and a wear land L_w [m]."""
+        return cls(0.25 * indentation * wear_land**2, friction)
+
+
+NO_DAMPING = ProcessDamping(0.0)
+"""A sharp edge."""
+
+
 def force_projection(triple: NDArray[np.float64], approach_angle: float) -> NDArray[np.float64]:
     """Return P with ``T(phi) K = P (sin phi, cos phi, 1)`` for a triple K = (tangential, radial, axial).
 

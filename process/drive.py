@@ -18,11 +18,14 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, optimize
+from scipy import ndimage, optimize
 
 from process.errors import InputError
-from process.labels import make_compliance
+from process.labels import axis_present, label, make_compliance, sample_interval
 from process.servo import Plant, QuasiPolynomial, Servo, position_characteristic, require_stable
+
+_EXCITED = 1e-3
+_NEIGHBOURS = 9
 
 
 @dataclass(frozen=True)
@@ -204,57 +207,6 @@ class Drive:
         return a, b, out, gain
 
 
-def sampled_poles(drive: Drive, period: float, lag: int = 1) -> NDArray[np.complex128]:
-    """Return the poles of the axis under a sampled servo, as ``s = ln(z)/T`` [rad/s], rightmost first.
-
-    Encoder position and velocity are read every T; ``e = -(Kv x + x')``, ``I <- I + T e``, ``F = Kp (e + I/Ti)``:
-    Eq. (3) with a rectangular integral; the force is applied `lag` samples later and held. The masses move exactly.
-    For a short T this is the continuous servo with a dead time of ``(lag + 1/2) T``. Stable: all real parts negative.
-
-    Parameters
-    ----------
-    drive : Drive
-        Axis with a servo without a delay of its own.
-    period : float
-        Sampling period T [s].
-    lag : int, optional
-        Whole periods from reading to force.
-
-    Returns
-    -------
-    ndarray of complex, shape (5 + lag,)
-        Poles [rad/s], imaginary part up to pi/T; a pole at z = 0 is at minus infinity and left out.
-    """
-    servo = drive.servo
-    if servo is None or servo.delay != 0.0 or not (period > 0.0 and lag >= 0):
-        raise InputError(
-            f"sampling with period {period:g} s and lag {lag} needs a servo with delay 0: both make its dead time"
-        )
-    a = drive.state_space()[0]
-    block = np.zeros((5, 5))
-    block[:4, :4], block[3, 4] = a[:4, :4], 1.0 / drive.moving_mass
-    exact = linalg.expm(block * period)
-    # State: masses (4), the integral, and the forces that wait, newest first.
-    n = 5 + lag
-    z = np.zeros((n, n))
-    error, force = np.zeros(n), np.zeros(n)
-    error[2:4] = -servo.Kv, -1.0
-    force[4] = servo.Kp / servo.Ti
-    force += servo.Kp * (1.0 + period / servo.Ti) * error
-    z[:4, :4] = exact[:4, :4]
-    z[4] = period * error
-    z[4, 4] = 1.0
-    if lag == 0:
-        z[:4] += np.outer(exact[:4, 4], force)
-    else:
-        z[:4, -1] += exact[:4, 4]
-        z[5] = force
-        z[6:, 5:-1] = np.eye(lag - 1)
-    found = np.linalg.eigvals(z).astype(np.complex128)
-    s = np.log(found[np.abs(found) > 1e-12]) / period
-    return np.asarray(s[np.lexsort((s.imag, -s.real))])
-
-
 def unstable_feeds(
     drive: Drive, slope: Callable[[float], ArrayLike], lowest: float, highest: float, count: int = 400
 ) -> list[tuple[float, float]]:
@@ -294,6 +246,111 @@ def unstable_feeds(
     ends = [boundary(feeds[i], feeds[i + 1]) for i in range(count - 1) if state[i] != state[i + 1]]
     ends = [lowest] * state[0] + ends + [highest] * state[-1]
     return list(zip(ends[::2], ends[1::2], strict=True))
+
+
+def open_loop_response(
+    record: xr.Dataset,
+    axis: str,
+    period: float,
+    *,
+    skip: int = 1,
+    hold: float = 0.0,
+    band: tuple[float, float] = (0.0, math.inf),
+) -> xr.Dataset:
+    """Return the response of carriage position to drive force from a record with periodic excitation, as in Figure 12.
+
+    The ramp of a moving axis is taken away with the slope ``(x(t + T) - x(t))/T``, averaged, which periodic motion does
+    not touch. Then ``H = <X>/<F>`` with the Fourier coefficients averaged over whole periods: free of leakage, and free
+    of the bias that noise in a closed loop gives to cross spectra, as that averages out before the division.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With ``encoder_position`` and ``drive_force``; the excitation (`process.excitation.PseudoRandom`, ``Multisine``)
+        is on all the time, at constant feed and without reversals.
+    axis : {"x", "y", "z"}
+        Axis that moves.
+    period : float
+        Period T of the excitation [s], a whole number of samples.
+    skip : int, optional
+        Periods left out at the beginning, for the transient.
+    hold : float, optional
+        Time [s] for which a sample of the drive force acts unchanged: the sampling interval where the record holds the
+        command of a sampled servo, which else reads as half a sample of dead time; 0 where the force is measured.
+    band : tuple of float, optional
+        Lowest and highest frequency [Hz].
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``frequency`` [Hz], the excited lines: ``response`` [m/N]; ``std`` [m/N], the root mean square of its
+        complex error, from the scatter ``X_p - H F_p`` of the P periods, its power averaged over nine lines;
+        ``coherence`` [1] over the periods. `fit_open_loop` takes the first three. Attribute ``periods``: P.
+
+    Raises
+    ------
+    InputError
+        When a channel is missing, the period is not a whole number of samples, fewer than 2 periods are left, or no
+        line is excited in the band.
+    """
+    force, position = _periods_of(record, axis, period, skip)
+    if not 0.0 <= hold <= sample_interval(record) * (1.0 + 1e-6):
+        raise InputError(
+            f"a hold of {hold:g} s; give 0, or the sampling interval of the record, {sample_interval(record):g} s"
+        )
+    count, n = force.shape
+    lines = np.arange(1, (n + 1) // 2)
+    frequency = lines / period
+    f_p, x_p = (np.fft.rfft(samples, axis=1)[:, lines] for samples in (force, position))
+    f_p = f_p * np.sinc(frequency * hold) * np.exp(-1j * np.pi * frequency * hold)
+    f, x = f_p.mean(axis=0), x_p.mean(axis=0)
+    excited = np.abs(f) > _EXCITED * np.abs(f).max()
+    used = excited & (frequency >= band[0]) & (frequency <= band[1])
+    if not used.any():
+        raise InputError(
+            f"no line between {band[0]:g} and {band[1]:g} Hz is excited by the drive force; widen the band, or check "
+            "the period"
+        )
+    frequency, f_p, x_p, f, x = frequency[used], f_p[:, used], x_p[:, used], f[used], x[used]
+    h = x / f
+    scatter = np.sum(np.abs(x_p - h * f_p) ** 2, axis=0) / (count * (count - 1))
+    std = np.sqrt(ndimage.uniform_filter1d(scatter, min(_NEIGHBOURS, scatter.size), mode="nearest")) / np.abs(f)
+    cross = np.abs(np.sum(x_p * np.conj(f_p), axis=0)) ** 2
+    coherence = cross / (np.sum(np.abs(x_p) ** 2, axis=0) * np.sum(np.abs(f_p) ** 2, axis=0))
+    data = {
+        "response": ("frequency", h, {"units": "m/N"}),
+        "std": ("frequency", std, {"units": "m/N"}),
+        "coherence": ("frequency", coherence, {"units": "1"}),
+    }
+    return label(xr.Dataset(data, coords={"frequency": frequency}, attrs={"axis": axis, "periods": count}))
+
+
+def _periods_of(
+    record: xr.Dataset, axis: str, period: float, skip: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Drive force and position without its ramp, each (periods, samples a period)."""
+    for channel in ("encoder_position", "drive_force"):
+        if axis not in axis_present(record, channel):
+            raise InputError(f"the record has no {channel} on axis {axis!r}; the open loop is read from both channels")
+    dt = sample_interval(record)
+    n = round(period / dt) if 0.0 < period < math.inf else 0
+    if n < 4 or abs(n * dt - period) > 1e-3 * dt:
+        raise InputError(
+            f"the period {period:g} s is {period / dt:.6g} samples; a response without leakage needs a whole number, 4 "
+            "or more: choose the clock of the excitation as a divisor of the sampling rate"
+        )
+    count = record.sizes["time"] // n - skip
+    if skip < 0 or count < 2:
+        raise InputError(
+            f"the record holds {record.sizes['time'] / n:.3g} periods and {skip} are skipped; 2 more are needed"
+        )
+    first = skip * n
+    force, position = (
+        record[name].sel(axis=axis).values[first : first + count * n] for name in ("drive_force", "encoder_position")
+    )
+    slope = float(np.mean(position[n:] - position[:-n])) / n
+    ramp = slope * np.arange(count * n)
+    return force.reshape(count, n), (position - position[0] - ramp).reshape(count, n)
 
 
 PARAMETERS: tuple[str, ...] = ("moving_mass", "tip_mass", "stiffness", "damping", "sigma", "delay")

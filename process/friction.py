@@ -1,4 +1,4 @@
-"""Friction laws of guideways and drives, and their identification from steady runs.
+"""Friction laws of guideways and drives; `process.friction_fit` identifies them from steady runs.
 
 A law gives the force that opposes the motion: ``m x'' = F - law.force(x')``. All quantities are SI; `process.units`
 turns ``mm/min`` into m/s (N min/mm into N s/m and min/mm into s/m both have the factor 6e4).
@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
-from scipy.optimize import least_squares, nnls
 
 from process import _friction_kernels as kernels
 from process.errors import InputError
@@ -41,16 +40,16 @@ class FrictionLaw(ABC):
 
     def force(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the force [N] that opposes the motion at velocities [m/s] of any shape."""
-        v = np.asarray(velocity, dtype=float)
-        out = np.empty(v.size)
-        kernels.friction_forces(*self.packed(), np.ascontiguousarray(v).reshape(-1), out)
-        return out.reshape(v.shape)
+        return self._filled(kernels.friction_forces, velocity)
 
     def slope(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the local damping ``d force / d velocity`` [N s/m] at velocities [m/s] of any shape."""
+        return self._filled(kernels.friction_slopes, velocity)
+
+    def _filled(self, kernel: Callable[..., Any], velocity: ArrayLike) -> NDArray[np.float64]:
         v = np.asarray(velocity, dtype=float)
         out = np.empty(v.size)
-        kernels.friction_slopes(*self.packed(), np.ascontiguousarray(v).reshape(-1), out)
+        kernel(*self.packed(), np.ascontiguousarray(v).reshape(-1), out)
         return out.reshape(v.shape)
 
 
@@ -75,8 +74,25 @@ class Viscous(FrictionLaw):
         return kernels.VISCOUS, np.array([self.sigma])
 
 
+class _Step(FrictionLaw):
+    """A step at rest and a slope: ``F tanh(kt v) + sigma v``."""
+
+    coulomb: float
+    sigma: float
+    kt: float
+
+    def __post_init__(self) -> None:
+        """Refuse negative parameters."""
+        _not_negative(coulomb_force=self.coulomb, sigma=self.sigma)
+        _positive(kt=self.kt)
+
+    def packed(self) -> tuple[int, NDArray[np.float64]]:
+        """Return the code of the law and its parameters."""
+        return kernels.COULOMB, np.array([self.coulomb, self.sigma, self.kt])
+
+
 @dataclass(frozen=True)
-class Coulomb(FrictionLaw):
+class Coulomb(_Step):
     """Constant force against the motion: ``F tanh(kt v)``, which is ``F sign(v)`` for an infinite kt.
 
     Parameters
@@ -89,19 +105,11 @@ class Coulomb(FrictionLaw):
 
     coulomb: float
     kt: float = math.inf
-
-    def __post_init__(self) -> None:
-        """Refuse a negative force or steepness."""
-        _not_negative(coulomb_force=self.coulomb)
-        _positive(kt=self.kt)
-
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
-        """Return the code of the law and its parameters."""
-        return kernels.COULOMB, np.array([self.coulomb, 0.0, self.kt])
+    sigma: float = field(default=0.0, init=False, repr=False)
 
 
 @dataclass(frozen=True)
-class CoulombViscous(FrictionLaw):
+class CoulombViscous(_Step):
     """Coulomb and viscous friction: ``F tanh(kt v) + sigma v``.
 
     Parameters
@@ -117,15 +125,6 @@ class CoulombViscous(FrictionLaw):
     coulomb: float
     sigma: float
     kt: float = math.inf
-
-    def __post_init__(self) -> None:
-        """Refuse negative parameters."""
-        _not_negative(coulomb_force=self.coulomb, sigma=self.sigma)
-        _positive(kt=self.kt)
-
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
-        """Return the code of the law and its parameters."""
-        return kernels.COULOMB, np.array([self.coulomb, self.sigma, self.kt])
 
 
 @dataclass(frozen=True)
@@ -201,9 +200,8 @@ class MemoryLaw(ABC):
 
     def steady_force(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the force [N] under constant velocity: ``s(v) sign(v) + sigma v`` with the Stribeck curve s."""
-        v = np.asarray(velocity, dtype=float)
-        boost = (self.static - self.coulomb) * np.exp(-((np.abs(v) / self.stribeck_speed) ** self.delta))
-        return np.asarray((self.coulomb + boost) * np.sign(v) + self.sigma * v)
+        curve = Andersson(self.coulomb, self.static, self.stribeck_speed, self.sigma, math.inf, self.delta)
+        return curve.force(velocity)
 
     def history(self, velocity: ArrayLike, step: float) -> NDArray[np.float64]:
         """Return the force [N] at the end of each step [s] of a velocity history [m/s], shape (n,), from rest."""
@@ -327,230 +325,10 @@ class GeneralisedMaxwellSlip(MemoryLaw):
 
     @property
     def states(self) -> int:
-        """One an element: its force [N]."""
-        return len(self.share)
+        """Two an element: its force [N] and its direction of slip (0: it sticks)."""
+        return 2 * len(self.share)
 
     @property
     def stiffness(self) -> float:
         """Stiffness of the contact while it sticks [N/m]."""
         return sum(self.element_stiffness)
-
-
-PARAMETERS = ("coulomb", "static", "stribeck_speed", "sigma")
-"""What steady runs identify, for each direction."""
-
-
-@dataclass(frozen=True)
-class FrictionFit:
-    """A friction law identified from steady runs.
-
-    Attributes
-    ----------
-    law : Andersson
-        The law, with its own parameters for negative velocity where both directions were run.
-    estimates : xarray.Dataset
-        ``value``, ``std`` (direction, parameter), SI; NaN where a parameter is not part of the law;
-        ``residual_std(direction)`` [N]; ``runs(direction)``. Direction is 1 or -1.
-    status : str
-        "ok", or what the runs could not resolve.
-    """
-
-    law: Andersson
-    estimates: xr.Dataset
-    status: str
-
-
-@dataclass(frozen=True)
-class _Side:
-    """Fit of one direction: value and std (4,), in the order of `PARAMETERS`; chance of no Stribeck curve."""
-
-    value: NDArray[np.float64]
-    std: NDArray[np.float64]
-    residual: float
-    runs: int
-    chance: float = 0.0
-
-
-def fit_friction_curve(
-    velocity: ArrayLike, force: ArrayLike, force_std: ArrayLike | None = None, *, kt: float, delta: float = 1.0
-) -> FrictionFit:
-    """Identify the Stribeck curve from runs at constant feeds, each direction by itself.
-
-    Weighted least squares of ``[Fc + (Fs - Fc) exp(-(|v|/vs)^delta)] tanh(kt |v|) + sigma |v|``: the law is linear in
-    Fc, Fs - Fc and sigma, so that vs is scanned first; then all four are refined with none negative.
-
-    Parameters
-    ----------
-    velocity : array_like, shape (n,)
-        Feed of each run [m/s]; the sign is the direction.
-    force : array_like, shape (n,)
-        Mean drive force of each run [N], of the sign of the velocity.
-    force_std : array_like, shape (n,), optional
-        Standard deviation of each force [N]; without it, the scatter about the curve is taken.
-    kt : float
-        Steepness at rest [s/m]; steady sliding does not show it.
-    delta : float, optional
-        Shape of the Stribeck curve.
-
-    Returns
-    -------
-    FrictionFit
-        Law, values and standard deviations.
-
-    Raises
-    ------
-    InputError
-        For a run at rest, or fewer than four different feeds in a direction.
-    """
-    return _fit(velocity, force, force_std, kt, delta, least=4)
-
-
-def fit_coulomb_curve(
-    velocity: ArrayLike, force: ArrayLike, force_std: ArrayLike | None = None, *, kt: float
-) -> FrictionFit:
-    """Identify Coulomb and viscous friction from runs at constant feeds: the limit without a Stribeck curve.
-
-    Parameters
-    ----------
-    velocity, force, force_std, kt
-        As in `fit_friction_curve`; two different feeds in a direction are enough.
-
-    Returns
-    -------
-    FrictionFit
-        The law has ``static = coulomb``.
-    """
-    return _fit(velocity, force, force_std, kt, 1.0, least=2)
-
-
-def _fit(
-    velocity: ArrayLike, force: ArrayLike, force_std: ArrayLike | None, kt: float, delta: float, least: int
-) -> FrictionFit:
-    v, f = np.asarray(velocity, dtype=float), np.asarray(force, dtype=float)
-    std = None if force_std is None else np.asarray(force_std, dtype=float)
-    _positive(kt=kt, delta=delta)
-    _check_runs(v, f, std, least)
-    sides: dict[int, _Side] = {}
-    for direction in (1, -1):
-        here = v * direction > 0.0
-        if here.any():
-            fit_side = _fit_stribeck if least == 4 else _fit_coulomb
-            weight = None if std is None else 1.0 / std[here]
-            sides[direction] = fit_side(np.abs(v[here]), direction * f[here], weight, kt, delta)
-    laws = {d: Andersson(*_law_values(s.value), kt=kt, delta=delta) for d, s in sides.items()}
-    first, *rest = laws.values()
-    law = first if not rest else replace(first, negative=rest[0])
-    return FrictionFit(law, _estimates(sides), _fit_status(sides))
-
-
-def _law_values(value: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    coulomb, static, speed, sigma = (float(x) for x in value)
-    return coulomb, coulomb if math.isnan(static) else static, 1.0 if math.isnan(speed) else speed, sigma
-
-
-def _check_runs(v: NDArray[np.float64], f: NDArray[np.float64], std: NDArray[np.float64] | None, least: int) -> None:
-    if v.ndim != 1 or v.shape != f.shape or (std is not None and std.shape != v.shape):
-        raise InputError(f"velocity of shape {v.shape} and force of shape {f.shape}; give one value a run to each")
-    if v.size == 0 or not (np.all(np.isfinite(v)) and np.all(np.isfinite(f))) or np.any(v == 0.0):
-        raise InputError("a run has no feed, or a value that is not finite; leave such runs out")
-    if std is not None and not np.all(std > 0.0):
-        raise InputError("a standard deviation of the force is not positive; give positive ones or none")
-    for direction, name in ((1.0, "positive"), (-1.0, "negative")):
-        feeds = np.unique(v[v * direction > 0.0]).size
-        if 0 < feeds < least:
-            raise InputError(f"{feeds} different feeds in {name} direction; {least} are needed, run more feeds")
-
-
-def _covariance(jacobian: NDArray[np.float64], residual: NDArray[np.float64], known: bool) -> NDArray[np.float64]:
-    """``(J^T J)^-1``, times the scatter where the noise is not known; NaN without degrees of freedom."""
-    freedom = residual.size - jacobian.shape[1]
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    if known:
-        return np.asarray(inverse)
-    return np.asarray(inverse * (float(residual @ residual) / freedom if freedom > 0 else math.nan))
-
-
-def _fit_coulomb(
-    v: NDArray[np.float64], f: NDArray[np.float64], weight: NDArray[np.float64] | None, kt: float, delta: float
-) -> _Side:
-    w = np.ones(v.size) if weight is None else weight
-    basis = np.stack([np.tanh(kt * v), v], axis=1)
-    (coulomb, sigma), _ = nnls(basis * w[:, None], f * w)
-    residual = f - basis @ [coulomb, sigma]
-    std = np.sqrt(np.diag(_covariance(basis * w[:, None], residual * w, weight is not None)))
-    nan = math.nan
-    value, spread = np.array([coulomb, nan, nan, sigma]), np.array([std[0], nan, nan, std[1]])
-    return _Side(value, spread, _scatter(residual, 2), v.size)
-
-
-def _scatter(residual: NDArray[np.float64], unknowns: int) -> float:
-    return math.sqrt(float(residual @ residual) / max(residual.size - unknowns, 1))
-
-
-def _fit_stribeck(
-    v: NDArray[np.float64], f: NDArray[np.float64], weight: NDArray[np.float64] | None, kt: float, delta: float
-) -> _Side:
-    w = np.ones(v.size) if weight is None else weight
-
-    def model(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        boost = (p[1] - p[0]) * np.exp(-((v / p[2]) ** delta))
-        return np.asarray((p[0] + boost) * np.tanh(kt * v) + p[3] * v)
-
-    def basis(speed: float) -> NDArray[np.float64]:
-        fall, sign = np.exp(-((v / speed) ** delta)), np.tanh(kt * v)
-        return np.asarray(np.stack([sign, sign * fall, v], axis=1) * w[:, None])
-
-    speeds = np.geomspace(0.2 * v.min(), 2.0 * v.max(), 200)
-    speed = float(speeds[np.argmin([nnls(basis(s), f * w)[1] for s in speeds])])
-    coulomb, boost, sigma = nnls(basis(speed), f * w)[0]
-    scale = np.array([np.abs(f).max(), np.abs(f).max(), speed, np.abs(f).max() / v.max()])
-    start = np.array([coulomb, coulomb + boost, speed, sigma]) / scale
-    # A Stribeck speed far below the slowest run cannot be seen; it would only send the static force to infinity.
-    low = np.array([0.0, 0.0, speeds[0] / speed, 0.0])
-
-    def misfit(q: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray((f - model(q * scale)) * w)
-
-    found = least_squares(misfit, np.maximum(start, low + 1e-9), bounds=(low, np.inf), xtol=1e-14, ftol=1e-14)
-    value = np.asarray(found.x * scale)
-    jacobian = np.asarray(found.jac, dtype=float)
-    std = scale * np.sqrt(np.diag(_covariance(jacobian, found.fun, weight is not None)))
-    chance = _chance(basis(1.0)[:, [0, 2]], f * w, float(found.fun @ found.fun), weight is not None)
-    return _Side(value, std, _scatter(f - model(value), 4), v.size, chance)
-
-
-def _chance(line: NDArray[np.float64], f: NDArray[np.float64], remaining: float, known: bool) -> float:
-    """Probability that runs without a Stribeck curve gain as much by fitting one (chi-square, or F test)."""
-    gained = nnls(line, f)[1] ** 2 - remaining
-    if known:
-        return float(stats.chi2.sf(gained, 2))
-    freedom = f.size - 4
-    if freedom < 1:
-        return 1.0
-    return float(stats.f.sf(gained / 2.0 * freedom / max(remaining, 1e-300), 2, freedom))
-
-
-def _estimates(sides: dict[int, _Side]) -> xr.Dataset:
-    units = ["N", "N", "m/s", "N s/m"]
-    both = ("direction", "parameter")
-    return xr.Dataset(
-        {
-            "value": (both, np.array([s.value for s in sides.values()]), {"units": ", ".join(units)}),
-            "std": (both, np.array([s.std for s in sides.values()]), {"units": ", ".join(units)}),
-            "residual_std": ("direction", [s.residual for s in sides.values()], {"units": "N"}),
-            "runs": ("direction", [s.runs for s in sides.values()], {"units": "1"}),
-        },
-        coords={"direction": list(sides), "parameter": list(PARAMETERS), "unit": ("parameter", units)},
-    )
-
-
-def _fit_status(sides: dict[int, _Side]) -> str:
-    """Say where the Stribeck curve is not resolved by the runs."""
-    for direction, side in sides.items():
-        if side.chance > 0.05:
-            name = "positive" if direction > 0 else "negative"
-            return (
-                f"the Stribeck curve in {name} direction is not resolved: a straight line fits the runs as well "
-                f"(chance {side.chance:.2g}); run more and slower feeds, or use fit_coulomb_curve"
-            )
-    return "ok"

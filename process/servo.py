@@ -15,11 +15,12 @@ from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
+from process.argument_principle import right_half_plane_zeros
+from process.delay_equation import chebyshev_derivative
 from process.errors import InputError
 
 Response = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 
-_PHASE_STEP = 0.3
 _COLLOCATION = 36
 _HALF_POWER = math.sqrt(0.5)
 
@@ -105,7 +106,7 @@ def tune(bandwidth: float, mass: float, delay: float = 0.0) -> Servo:
     Servo
         The gains.
     """
-    if not (bandwidth > 0.0 and mass > 0.0):
+    if not (0.0 < bandwidth < math.inf and 0.0 < mass < math.inf):
         raise InputError(f"bandwidth {bandwidth:g} Hz and mass {mass:g} kg; both must be positive")
     w = 2.0 * math.pi * bandwidth
     return Servo(w * mass, 2.0 / w, w / 4.0, delay)
@@ -132,6 +133,8 @@ class Plant:
 
     def __post_init__(self) -> None:
         """Refuse what a P-PI cascade is not made for."""
+        if not np.all(np.isfinite([*self.numerator, *self.denominator])):
+            raise InputError("a coefficient of the plant is not finite; check its masses, stiffness and damping")
         n, d = Polynomial(self.numerator).trim(), Polynomial(self.denominator).trim()
         if d.coef[0] != 0.0 or n.coef[0] == 0.0:
             raise InputError("the plant has no pole at s = 0; a P-PI cascade moves a carriage, which has one")
@@ -149,8 +152,8 @@ class Plant:
 
 def rigid_plant(mass: float, sigma: float = 0.0) -> Plant:
     """Return ``1/(m s^2 + sigma s)``: a rigid carriage of mass [kg] with friction slope sigma [N s/m]."""
-    if not mass > 0.0:
-        raise InputError(f"the mass is {mass:g} kg; it must be positive")
+    if not 0.0 < mass < math.inf:
+        raise InputError(f"the mass is {mass:g} kg; it must be positive and finite")
     return Plant((1.0,), (0.0, sigma, mass))
 
 
@@ -185,41 +188,16 @@ class QuasiPolynomial:
     def unstable_count(self) -> int:
         """Return how many zeros lie in Re s > 0, by the argument principle with the exact delay.
 
-        ``r(w) = C(jw)/(a_n (jw + w0)^n)`` tends to 1, and its phase changes by ``-pi Z`` from w = 0 to infinity. The
-        grid is refined until no step of phase exceeds 0.3 rad. A zero on the axis itself counts as unstable.
+        A zero on the axis itself counts as unstable.
         """
-        w = self._contour()
-        for _ in range(60):
-            r = self._ratio(w)
-            if np.any(r == 0.0):
-                return max(1, self._count(r[r != 0.0]))
-            wide = np.abs(np.angle(r[1:] / r[:-1])) > _PHASE_STEP
-            if not wide.any():
-                return self._count(r)
-            w = np.sort(np.concatenate([w, 0.5 * (w[1:] + w[:-1])[wide]]))
-        return max(1, self._count(r))
+        roots = np.concatenate([p.roots() for p in (self.plain, self.delayed, self.plain + self.delayed)])
+        sizes = np.concatenate([[self.scale], np.abs(roots), np.abs(roots.imag)])
+        return right_half_plane_zeros(self._ratio, sizes[sizes > 0.0], self.delay)
 
-    def _ratio(self, w: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def _ratio(self, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
         n = self.plain.degree()
         lead = self.plain.coef[-1] * self.scale**n
-        return np.asarray(self(1j * w) / (lead * (1j * w / self.scale + 1.0) ** n))
-
-    @staticmethod
-    def _count(r: NDArray[np.complex128]) -> int:
-        turn = float(np.sum(np.angle(r[1:] / r[:-1]))) - float(np.angle(r[-1]))
-        # The phase starts at 0 or pi (sign of the static term) and ends at 0.
-        return round(-turn / math.pi)
-
-    def _contour(self) -> NDArray[np.float64]:
-        """First grid [rad/s]: dense around every root of P, Q and P + Q, fine against the delay, far enough."""
-        roots = np.concatenate([p.roots() for p in (self.plain, self.delayed, self.plain + self.delayed)])
-        far = 20.0 * max(float(np.abs(roots).max()), self.scale)
-        while np.abs(self._ratio(np.array([far, 3.0 * far])) - 1.0).max() > 0.3:
-            far *= 2.0
-        near = [np.abs(roots.imag) + u * np.abs(roots) for u in (-0.1, -0.03, -0.01, 0.0, 0.01, 0.03, 0.1)]
-        even = np.arange(0.0, far, 0.25 / self.delay) if self.delay > 0.0 else np.zeros(1)
-        w = np.concatenate([np.geomspace(1e-6 * self.scale, far, 1500), *near, even[:20000]])
-        return np.unique(np.clip(np.concatenate([w, [0.0]]), 0.0, far))
+        return np.asarray(self(s) / (lead * (s / self.scale + 1.0) ** n))
 
     def roots(self) -> NDArray[np.complex128]:
         """Return the zeros [rad/s], rightmost first; with a delay the unstable ones and those within ``|s| < pi/tau``.
@@ -242,7 +220,7 @@ class QuasiPolynomial:
         plain, delayed = np.asarray(self.plain.coef, dtype=float), np.asarray(self.delayed.coef, dtype=float)
         now[-1] = -plain[:n] * powers / lead
         past[-1, : delayed.size] = -delayed * powers[: delayed.size] / lead
-        differences = _chebyshev_derivative(_COLLOCATION) * 2.0 / tau
+        differences = chebyshev_derivative(_COLLOCATION) * 2.0 / tau
         matrix = np.kron(differences, np.eye(n))
         matrix[:n] = 0.0
         matrix[:n, :n], matrix[:n, -n:] = now, past
@@ -266,16 +244,6 @@ class QuasiPolynomial:
             if all(abs(value - other) > 1e-6 * abs(value) for other in kept):
                 kept.append(complex(value))
         return np.array(kept, dtype=np.complex128)
-
-
-def _chebyshev_derivative(order: int) -> NDArray[np.float64]:
-    """Differentiation matrix on the points cos(pi i/order), i = 0..order (Trefethen 2000, p. 54)."""
-    x = np.cos(np.pi * np.arange(order + 1) / order)
-    c = np.ones(order + 1)
-    c[0] = c[-1] = 2.0
-    c *= (-1.0) ** np.arange(order + 1)
-    d = np.outer(c, 1.0 / c) / (x[:, None] - x[None, :] + np.eye(order + 1))
-    return np.asarray(d - np.diag(d.sum(axis=1)))
 
 
 def velocity_characteristic(servo: Servo, plant: Plant) -> QuasiPolynomial:
@@ -389,13 +357,13 @@ class Margins:
 def velocity_margins(servo: Servo, plant: Plant) -> Margins:
     """Return the margins of the velocity loop."""
     require_stable(velocity_characteristic(servo, plant), "the velocity loop", servo)
-    return _margins(lambda f: open_velocity_loop(servo, plant, f), _grid(servo, plant))
+    return margins(lambda f: open_velocity_loop(servo, plant, f), frequency_grid(servo, plant))
 
 
 def position_margins(servo: Servo, plant: Plant) -> Margins:
     """Return the margins of both loops together, cut at the drive force: ``L = G H``."""
     require_stable(position_characteristic(servo, plant), "the position loop", servo)
-    return _margins(lambda f: np.asarray(servo.feedback(_s(f)) * plant(_s(f))), _grid(servo, plant))
+    return margins(lambda f: np.asarray(servo.feedback(_s(f)) * plant(_s(f))), frequency_grid(servo, plant))
 
 
 def bandwidth(response: Response, lowest: float, highest: float) -> float:
@@ -413,6 +381,8 @@ def bandwidth(response: Response, lowest: float, highest: float) -> float:
     InputError
         When the response does not fall below -3 dB in the band.
     """
+    if not 0.0 < lowest < highest < math.inf:
+        raise InputError(f"a band from {lowest:g} to {highest:g} Hz; give 0 < lowest < highest")
     f = np.geomspace(lowest, highest, 4000)
     level = np.abs(response(f)) - _HALF_POWER
     falls = np.flatnonzero((level[:-1] >= 0.0) & (level[1:] < 0.0))
@@ -430,12 +400,12 @@ def velocity_bandwidth(servo: Servo, plant: Plant) -> float:
         gain = open_velocity_loop(servo, plant, f)
         return np.asarray(gain / (1.0 + gain))
 
-    grid = _grid(servo, plant)
+    grid = frequency_grid(servo, plant)
     return bandwidth(closed, grid[0], grid[-1])
 
 
-def _grid(servo: Servo, plant: Plant) -> NDArray[np.float64]:
-    """Frequencies [Hz] over all that the loop does, dense at its lightly damped roots."""
+def frequency_grid(servo: Servo, plant: Plant) -> NDArray[np.float64]:
+    """Return frequencies [Hz] over all that the position loop does, dense at its lightly damped roots."""
     characteristic = position_characteristic(servo, plant)
     plain, delayed = characteristic.plain, characteristic.delayed
     roots = np.concatenate([p.roots() for p in (plain, delayed, plain + delayed)])
@@ -449,7 +419,16 @@ def _crossing(function: Callable[[float], float], low: float, high: float) -> fl
     return float(optimize.brentq(function, low, high, xtol=1e-12 * high, rtol=1e-13))
 
 
-def _margins(loop: Response, f: NDArray[np.float64]) -> Margins:
+def margins(loop: Response, f: NDArray[np.float64]) -> Margins:
+    """Return the margins of a stable loop.
+
+    Parameters
+    ----------
+    loop : callable
+        Frequencies [Hz], shape (n,), to the loop gain L [1].
+    f : ndarray, shape (n,)
+        Frequencies [Hz], rising, dense enough that each crossing lies between two of them.
+    """
     gain = loop(f)
 
     def value(x: float) -> complex:

@@ -47,8 +47,8 @@ class Tool:
         """Refuse impossible geometry."""
         if not (self.diameter > 0.0 and math.isfinite(self.diameter)):
             raise InputError(f"the tool diameter is {self.diameter:g} m; it must be positive and finite")
-        if self.teeth < 1:
-            raise InputError(f"the tool has {self.teeth} teeth; at least one is needed")
+        if self.teeth < 1 or self.teeth != int(self.teeth):
+            raise InputError(f"the tool has {self.teeth:g} teeth; a whole number, at least one, is needed")
         if not 0.0 < self.approach_angle <= math.pi / 2 + 1e-12:
             raise InputError(
                 f"the approach angle is {math.degrees(self.approach_angle):g} deg; it must be above 0 and at most 90"

@@ -1,89 +1,63 @@
 """Virtual trials: what the instruments of a measuring campaign would record on a simulated machine.
 
-Hammer, inertial actuator, sweep milling and cutting tests on a linear modal machine, seen by sensors with noise. Each
-returns a record; writing files is left to the measured side.
+Hammer, inertial actuator, sweep milling, cutting tests, and axes that move under their drives, on a linear modal
+machine or on one with drives, guideways and joints, seen by a chain of sensors. Each returns a record; writing files is
+left to the measured side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.compliance import ModalModel
 from process.errors import InputError
-from process.labels import AXES
+from process.excitation import Excitation, HalfSine, SteppedSine, Sum
+from process.labels import AXES, axis_index
+from process.machine import Machine
+from process.machine_simulation import SampledControl, simulate_machine
+from process.sensors import Sensors
 from process.simulate import MillingCut, Spindle, default_step, simulate_forced, simulate_milling
 
 DEFAULT_SAMPLE_RATE = 2000.0
 """Samples a second [Hz] of a virtual record."""
 
+STEPS_PER_EVENT = 40
+"""Integration steps in the shortest event of an excitation, half a sine."""
+
 
 @dataclass(frozen=True)
-class Sensors:
-    """White measurement noise of force sensor and accelerometer.
+class Running:
+    """How a machine with drives runs while it is measured; a machine of modes alone only rests.
 
     Parameters
     ----------
-    force_noise : (float, float, float), optional
-        Root mean square of each force channel's noise [N].
-    acceleration_noise : (float, float, float), optional
-        The same for the accelerations [m/s2].
+    feed : float or mapping, optional
+        Feed of all axes, or axis name -> feed [m/s].
+    controller : str, optional
+        Name of the controllers.
+    position : float, optional
+        Position [m] of the axis that a posture depends on.
+    control : SampledControl, optional
+        Default: a controller that acts continuously.
     """
 
-    force_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    acceleration_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def measure(self, record: xr.Dataset, rng: np.random.Generator, keep_axis: str | None = None) -> xr.Dataset:
-        """Return what the sensors record of a true motion: noisy force and acceleration, no displacement.
-
-        Parameters
-        ----------
-        record : xarray.Dataset
-            True force and acceleration on x, y and z.
-        rng : numpy.random.Generator
-            Source of the noise.
-        keep_axis : str, optional
-            The force sensor has this axis only (a hammer, an actuator); the other force axes become NaN.
-        """
-        shape = record["force"].shape
-        force = record["force"] + np.asarray(self.force_noise)[:, None] * rng.standard_normal(shape)
-        motion = record["acceleration"] + np.asarray(self.acceleration_noise)[:, None] * rng.standard_normal(shape)
-        if keep_axis is not None:
-            force = force.where(force["axis"] == keep_axis)
-        out = record.drop_vars("displacement").assign(force=force, acceleration=motion)
-        for name in ("force", "acceleration"):
-            out[name].attrs = record[name].attrs
-        return out
+    feed: float | Mapping[str, float] = 0.0
+    controller: str | None = None
+    position: float | None = None
+    control: SampledControl | None = None
 
 
-def _axis(axis: str) -> int:
-    if axis not in AXES:
-        raise InputError(f"axis {axis!r} is none of {', '.join(AXES)}")
-    return AXES.index(axis)
-
-
-def _oversampling(machine: ModalModel, sample_rate: float, shortest: float) -> int:
-    """Integration steps a sample: resolve the modes and whatever lasts only `shortest` seconds."""
-    step = min(default_step(machine, None, 0.0), shortest / 40.0)
-    return max(1, int(np.ceil(1.0 / (sample_rate * step))))
-
-
-def half_sine(time: NDArray[np.float64], start: float, impulse: float, duration: float) -> NDArray[np.float64]:
-    """Return a half-sine pulse [N] of given impulse [N s] and duration [s].
-
-    The peak is ``pi/2 impulse/duration``.
-    """
-    u = (time - start) / duration
-    inside = (u > 0.0) & (u < 1.0)
-    return np.where(inside, 0.5 * np.pi * impulse / duration * np.sin(np.pi * np.clip(u, 0.0, 1.0)), 0.0)
+AT_REST = Running()
 
 
 def hammer_trial(
-    machine: ModalModel,
+    machine: ModalModel | Machine,
     axis: str,
     impulses: Sequence[float],
     sensors: Sensors,
@@ -91,19 +65,20 @@ def hammer_trial(
     pulse_duration: float = 4e-3,
     interval: float = 4.0,
     sample_rate: float = DEFAULT_SAMPLE_RATE,
+    running: Running = AT_REST,
 ) -> xr.Dataset:
     """Return one record with several hammer hits along `axis`.
 
     Parameters
     ----------
-    machine : ModalModel
+    machine : ModalModel or Machine
         The machine.
     axis : {"x", "y", "z"}
         Direction of the hits.
     impulses : sequence of float
         Impulse of each hit [N s]; one record holds them all.
     sensors : Sensors
-        Noise.
+        Measuring chain.
     rng : numpy.random.Generator
         Seeded by the caller.
     pulse_duration : float, optional
@@ -112,25 +87,16 @@ def hammer_trial(
         Time between hits [s].
     sample_rate : float, optional
         Samples a second [Hz].
+    running : Running, optional
+        Feed, controller, position.
     """
-    keep = _oversampling(machine, sample_rate, pulse_duration)
-    rate = sample_rate * keep
-    time = np.arange(round(interval * len(impulses) * rate)) / rate
-    force = np.zeros((3, time.size))
-    for hit, impulse in enumerate(impulses):
-        force[_axis(axis)] += half_sine(time, 0.05 * interval + hit * interval, impulse, pulse_duration)
-    return sensors.measure(simulate_forced(machine, force, rate, keep), rng, axis)
-
-
-def stepped_sine(frequencies: ArrayLike, amplitude: float, dwell: float, rate: float) -> NDArray[np.float64]:
-    """Return a constant-force stepped sine [N], phase-continuous, `dwell` seconds a step."""
-    f = np.repeat(np.asarray(frequencies, dtype=float), round(dwell * rate))
-    phase = 2.0 * np.pi * np.cumsum(f) / rate
-    return np.asarray(amplitude * np.sin(phase))
+    starts = interval * (0.05 + np.arange(len(impulses)))
+    hits = Sum(tuple(HalfSine(float(i), pulse_duration, float(t)) for i, t in zip(impulses, starts, strict=True)))
+    return _excited(machine, axis, hits, interval * len(impulses), sensors, rng, sample_rate, running)
 
 
 def actuator_trial(
-    machine: ModalModel,
+    machine: ModalModel | Machine,
     axis: str,
     frequencies: ArrayLike,
     force_amplitude: float,
@@ -138,12 +104,13 @@ def actuator_trial(
     rng: np.random.Generator,
     dwell: float = 1.5,
     sample_rate: float = DEFAULT_SAMPLE_RATE,
+    running: Running = AT_REST,
 ) -> xr.Dataset:
     """Return the record of a constant-force stepped sine along `axis`.
 
     Parameters
     ----------
-    machine : ModalModel
+    machine : ModalModel or Machine
         The machine.
     axis : {"x", "y", "z"}
         Direction of the actuator.
@@ -152,23 +119,125 @@ def actuator_trial(
     force_amplitude : float
         Amplitude of the force [N].
     sensors : Sensors
-        Noise.
+        Measuring chain.
     rng : numpy.random.Generator
         Seeded by the caller.
     dwell : float, optional
         Time a step [s].
     sample_rate : float, optional
         Samples a second [Hz].
+    running : Running, optional
+        Feed, controller, position.
     """
-    keep = _oversampling(machine, sample_rate, 1.0 / float(np.max(frequencies)))
-    sine = stepped_sine(frequencies, force_amplitude, dwell, sample_rate * keep)
-    force = np.zeros((3, sine.size))
-    force[_axis(axis)] = sine
-    return sensors.measure(simulate_forced(machine, force, sample_rate * keep, keep), rng, axis)
+    steps = tuple(float(f) for f in np.atleast_1d(np.asarray(frequencies, dtype=float)))
+    sine = SteppedSine(steps, force_amplitude, dwell, start=0.0)
+    return _excited(machine, axis, sine, sine.end, sensors, rng, sample_rate, running)
+
+
+def _excited(
+    machine: ModalModel | Machine,
+    axis: str,
+    excitation: Excitation,
+    duration: float,
+    sensors: Sensors,
+    rng: np.random.Generator,
+    sample_rate: float,
+    running: Running,
+) -> xr.Dataset:
+    """Return the measured record of a force along one axis at the tool."""
+    row = axis_index([axis])[0]
+    fine = sensors.oversampling
+    if isinstance(machine, Machine):
+        true = _simulated(machine, duration, sample_rate * fine, running, forces={axis: excitation})
+        return sensors.measure(true, rng, axis, fine)
+    _require_rest(running)
+    step = min(default_step(machine, None, 0.0), excitation.shortest / STEPS_PER_EVENT)
+    inner = max(1, int(np.ceil(1.0 / (sample_rate * fine * step))))
+    rate = sample_rate * fine * inner
+    time = np.arange(round(duration * sample_rate) * fine * inner) / rate
+    force = np.zeros((3, time.size))
+    force[row] = excitation.force(time)
+    return sensors.measure(simulate_forced(machine, force, rate, inner), rng, axis, fine)
+
+
+def _simulated(machine: Machine, duration: float, rate: float, running: Running, **loads: Any) -> xr.Dataset:
+    return simulate_machine(
+        machine,
+        duration=duration,
+        feed=running.feed,
+        controller=running.controller,
+        position=running.position,
+        control=running.control,
+        sample_rate=rate,
+        **loads,
+    )
+
+
+def _require_rest(running: Running) -> None:
+    if running != AT_REST:
+        raise InputError(
+            "a machine of modes alone has no drives: it takes neither feed, controller, position nor sampled control; "
+            "give a Machine with axes"
+        )
+
+
+def moving_trial(
+    machine: Machine,
+    duration: float,
+    sensors: Sensors,
+    rng: np.random.Generator,
+    drive_forces: Mapping[str, Excitation] | None = None,
+    sample_rate: float = DEFAULT_SAMPLE_RATE,
+    running: Running = AT_REST,
+) -> xr.Dataset:
+    """Return the record of axes that move under their drives, without a force on the tool.
+
+    With excitation: the open loop of a drive. Without: what the machine does by itself, limit cycles and backgrounds.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    duration : float
+        [s].
+    sensors : Sensors
+        Measuring chain; there is no force sensor.
+    rng : numpy.random.Generator
+        Seeded by the caller.
+    drive_forces : mapping, optional
+        Axis name -> force added to the one that its servo asks for.
+    sample_rate : float, optional
+        Samples a second [Hz].
+    running : Running, optional
+        Feed, controller, position.
+    """
+    fine = sensors.oversampling
+    true = _simulated(machine, duration, sample_rate * fine, running, drive_forces=drive_forces)
+    return sensors.measure(true, rng, keep=fine)
+
+
+def silent_trial(
+    machine: ModalModel | Machine,
+    duration: float,
+    sensors: Sensors,
+    rng: np.random.Generator,
+    sample_rate: float = DEFAULT_SAMPLE_RATE,
+    running: Running = AT_REST,
+) -> xr.Dataset:
+    """Return the record of a machine that nothing excites: noise, tones, and the limit cycles of its drives.
+
+    Parameters are those of `moving_trial`.
+    """
+    if isinstance(machine, Machine):
+        return moving_trial(machine, duration, sensors, rng, None, sample_rate, running)
+    _require_rest(running)
+    fine = sensors.oversampling
+    nothing = np.zeros((len(AXES), round(duration * sample_rate) * fine))
+    return sensors.measure(simulate_forced(machine, nothing, sample_rate * fine), rng, keep=fine)
 
 
 def milling_trial(
-    machine: ModalModel,
+    machine: ModalModel | Machine,
     cut: MillingCut,
     spindle: Spindle,
     duration: float,
@@ -177,12 +246,13 @@ def milling_trial(
     lead: float = 0.5,
     tail: float = 2.0,
     sample_rate: float = DEFAULT_SAMPLE_RATE,
+    running: Running = AT_REST,
 ) -> xr.Dataset:
     """Return the record of a cut from air to air, at constant or sweeping speed.
 
     Parameters
     ----------
-    machine : ModalModel
+    machine : ModalModel or Machine
         The machine.
     cut : MillingCut
         The cut.
@@ -191,12 +261,21 @@ def milling_trial(
     duration : float
         Time in the cut [s].
     sensors : Sensors
-        Noise.
+        Measuring chain.
     rng : numpy.random.Generator
         Seeded by the caller.
     lead, tail : float, optional
         Time in air before and after [s]; the tail holds the free decay.
     sample_rate : float, optional
         Samples a second [Hz].
+    running : Running, optional
+        Feed, controller, position.
     """
-    return sensors.measure(simulate_milling(machine, cut, spindle, duration, sample_rate, lead, tail), rng)
+    fine = sensors.oversampling
+    rate = sample_rate * fine
+    if isinstance(machine, ModalModel):
+        _require_rest(running)
+        return sensors.measure(simulate_milling(machine, cut, spindle, duration, rate, lead, tail), rng, keep=fine)
+    loads = {"cut": cut, "spindle": spindle, "lead": lead, "tail": tail}
+    true = _simulated(machine, duration, rate, running, **loads)
+    return sensors.measure(true, rng, keep=fine)

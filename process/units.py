@@ -24,14 +24,18 @@ UNITS: dict[str, dict[str, float]] = {
     "rotation_rate": {"rad/s^2": 1.0, "rpm/s": _REVOLUTION / 60.0},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0, "rev": _REVOLUTION},
     "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
+    "impulse": {"N s": 1.0, "Ns": 1.0},
+    "force_rate": {"N/s": 1.0},
     "mass": {"kg": 1.0, "g": 1e-3},
     "stiffness": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6},
     "compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6, "µm/N": 1e-6},
+    "cubic_stiffness": {"N/m^3": 1.0, "N/mm^3": 1e9},
     "viscosity": {"N s/m": 1.0, "Ns/m": 1.0, "N s/mm": 1e3},
+    "steepness": {"s/m": 1.0, "s/mm": 1e3},
     "pressure": {"N/m^2": 1.0, "Pa": 1.0, "MPa": 1e6, "N/mm^2": 1e6, "GPa": 1e9},
     "line_force": {"N/m": 1.0, "N/mm": 1e3},
     "temperature": {"degC": 1.0, "°C": 1.0},
-    "dimensionless": {"": 1.0, "1": 1.0, "%": 0.01},
+    "dimensionless": {"": 1.0, "1": 1.0, "%": 0.01, "ppm": 1e-6},
 }
 """Dimension -> unit -> factor to SI."""
 

@@ -1,7 +1,7 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
-The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter` here, and ``compare`` and
-``report`` in `smfe.pipeline`, whose names are taken by the packages that do the work.
+The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter`, `simulate` here, and
+``compare`` and ``report`` in `smfe.pipeline`, whose names are taken by the packages that do the work.
 """
 
 # ruff: noqa: I001  (the version and the check for a foreign process.py come before everything that needs them)
@@ -18,6 +18,7 @@ from smfe.actuator import identify_actuator
 from smfe.identification import Identification
 from smfe.pipeline import LobeResult, chatter, demo, identify, lobes, run
 from smfe.records import read_records
+from smfe.scenario import simulate
 from smfe.sweep import identify_sweep
 from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
 
@@ -41,4 +42,5 @@ __all__ = [
     "lobes",
     "read_records",
     "run",
+    "simulate",
 ]

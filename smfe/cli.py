@@ -16,6 +16,7 @@ from process.errors import InputError
 from smfe import __version__, pipeline
 from smfe.demo_campaign import DEMO_SEED
 from smfe.progress import bar
+from smfe.scenario import simulate as simulate_scenario
 from smfe.store import unpack_warnings
 
 app = typer.Typer(
@@ -138,6 +139,20 @@ def chatter(
         f"ratio {verdict.ratio:.3g}, spindle speed {verdict.spindle_speed_rpm:.5g} rpm, judged on {verdict.quantity}",
         highlight=False,
     )
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).", show_default=False)],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for records and campaign file.")] = Path(
+        "simulated"
+    ),
+    workers: Annotated[int | None, typer.Option(min=1, help="Records at a time; default: one a core.")] = None,
+) -> None:
+    """Simulate the trials of a scenario; write their records and the campaign file that reads them."""
+    with bar(console) as progress:
+        campaign = simulate_scenario(scenario, output, workers, progress)
+    out.print(f"written: {campaign}; next: smfe run {campaign}", highlight=False, soft_wrap=True)
 
 
 @app.command()

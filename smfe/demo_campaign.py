@@ -18,9 +18,10 @@ import xarray as xr
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
 from process.engagement import engagement
+from process.sensors import Sensors
 from process.simulate import MillingCut, Spindle
 from process.tool import Tool
-from process.trials import Sensors, actuator_trial, hammer_trial, milling_trial
+from process.trials import actuator_trial, hammer_trial, milling_trial
 from smfe.identification import Progress, silent
 from smfe.records import write_record_csv, write_record_mat, write_record_netcdf
 from smfe.store import write_atomically

@@ -31,6 +31,7 @@ from process.labels import AXES, full_matrix, make_compliance
 from process.units import parse, show
 from smfe import __version__
 from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement, Model, load_campaign
+from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.compare import compare as compare_compliances
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
@@ -151,6 +152,7 @@ def run(
         results = _all_lobes(loaded, compliances, progress)
     with notes.timed("cutting tests"):
         verdicts = _judge_all(loaded, compliances, progress)
+    notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
     notes.warnings += _warnings(found, results, verdicts)
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.
@@ -274,14 +276,21 @@ def _identify_all(campaign: Campaign, kept: Path, progress: Progress) -> dict[st
     check_sweeps(campaign)
     found = {}
     for i, measurement in enumerate(campaign.measurements):
+        if measurement.method not in COMPLIANCE_METHODS:
+            progress(_left_out(measurement), i, len(campaign.measurements))
+            continue
         progress(f"identifying {measurement.name}", i, len(campaign.measurements))
         found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
     return found
 
 
+def _left_out(measurement: Measurement) -> str:
+    return f"{measurement.name}: method '{measurement.method}' gives no compliance; it is left out"
+
+
 def _compliances(campaign: Campaign, found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:
     out = {}
-    for measurement in campaign.measurements:
+    for measurement in (m for m in campaign.measurements if m.name in found):
         item = found[measurement.name]
         labels = {"method": item.method, "conditions": json.dumps(_conditions(measurement))}
         out[measurement.name] = item.compliance.assign_attrs(labels)

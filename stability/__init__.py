@@ -3,6 +3,8 @@
 - `zero_order`: limit depth over spindle speed from a measured 3x3 compliance, `lobe_curves` for the single
   lobes, `critical_depth` for the limit that holds at every speed; the ``..._from_matrix`` forms take any
   directional matrix.
+- `semi_discretization`, `multi_frequency`: converged limits, with period doubling and any pitch; `limit_depth`,
+  `stability_bands` and `floquet_multipliers` for one speed.
 - `chatter_verdict`: stable, chatter or undecided, from the record of a cut.
 - `lobe_table`, `write_table`, `read_table`: tables for CAM.
 
@@ -16,7 +18,16 @@ from stability._guard import check_process
 check_process()
 
 from stability.criterion import ChatterVerdict, chatter_verdict
+from stability.multi_frequency import multi_frequency
 from stability.problem import Cut
+from stability.semi_discretization import (
+    BAND_COLUMNS,
+    LimitDepth,
+    floquet_multipliers,
+    limit_depth,
+    semi_discretization,
+    stability_bands,
+)
 from stability.tables import LOBE_COLUMNS, lobe_table, read_table, write_table
 from stability.zero_order import (
     CriticalDepth,
@@ -28,16 +39,23 @@ from stability.zero_order import (
 )
 
 __all__ = [
+    "BAND_COLUMNS",
     "LOBE_COLUMNS",
     "ChatterVerdict",
     "CriticalDepth",
     "Cut",
+    "LimitDepth",
     "chatter_verdict",
     "critical_depth",
     "critical_depth_from_matrix",
+    "floquet_multipliers",
+    "limit_depth",
     "lobe_curves",
     "lobe_table",
+    "multi_frequency",
     "read_table",
+    "semi_discretization",
+    "stability_bands",
     "write_table",
     "zero_order",
     "zero_order_from_matrix",

@@ -259,29 +259,31 @@ def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
         With every error of the file at once, each with its place.
     """
     path = Path(path).absolute()
-    raw = _toml(path)
+    raw = read_toml(path)
     found = check(raw)
     try:
         file = schema.CampaignFile.model_validate(raw, context={"path": path, "show": show})
     except ValidationError as error:
         found = complaints(error) + found
     if found:
-        raise InputError(_report(path, found))
+        raise InputError(report(path, found))
     return _build(path, file)
 
 
-def _toml(file: Path) -> dict[str, object]:
+def read_toml(file: Path, kind: str = "campaign") -> dict[str, object]:
+    """Read a TOML file; `kind` names what it should have been."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); name a campaign file") from error
+        raise InputError(f"{file}: cannot be read ({error.strerror}); name a {kind} file") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: not UTF-8 text; save it as UTF-8") from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{file}: not TOML: {error}; texts need quotes, tables one line") from error
 
 
-def _report(file: Path, found: list[tuple[tuple[str | int, ...], str]]) -> str:
+def report(file: Path, found: list[tuple[tuple[str | int, ...], str]]) -> str:
+    """Return all complaints about a file as one message."""
     lines = [f"{path(where)}: {text}" if where else text for where, text in found]
     if len(lines) == 1:
         return f"{file.name}: {lines[0]}"
@@ -342,8 +344,8 @@ def _record(table: schema.RecordTable, method: str, inherited: Declared, common:
 
 
 def _for_method(method: str, base: Declared) -> Declared:
-    """Leave out what a whole campaign declares for its cuts: hammer and actuator records have no spindle channels."""
-    spindle = RECORD_SCALARS if method in ("hammer", "actuator") else ()
+    """Leave out what a whole campaign declares for its cuts: other records have no spindle channels."""
+    spindle = RECORD_SCALARS if method in ("hammer", "actuator", "drive", "silent") else ()
     return {name: entry for name, entry in base.items() if name not in spindle}
 
 

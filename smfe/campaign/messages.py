@@ -14,19 +14,20 @@ from smfe.campaign.schema import CampaignFile
 from smfe.records.words import did_you_mean
 
 
-def complaints(error: ValidationError) -> list[Complaint]:
-    """Return every error of a validation as (place, sentence)."""
-    return [_complaint(details) for details in error.errors()]
+def complaints(error: ValidationError, root: type[BaseModel] = CampaignFile) -> list[Complaint]:
+    """Return every error of the validation of a file whose tables begin at `root`, as (place, sentence)."""
+    return [complaint(details, root) for details in error.errors()]
 
 
-def _complaint(details: ErrorDetails) -> Complaint:
+def complaint(details: ErrorDetails, root: type[BaseModel]) -> Complaint:
+    """Return one error as (place, sentence)."""
     # A key of a table that is itself wrong is marked by pydantic with "[key]" behind it.
     where: Loc = tuple(part for part in details["loc"] if part != "[key]")
     cause = details.get("ctx", {}).get("error")
     if cause is not None:
         return where, str(cause)
     if details["type"] == "extra_forbidden":
-        known = keys_at(where[:-1])
+        known = keys_at(where[:-1], root)
         near = did_you_mean(str(where[-1]), known)
         return where, f"this key is not known{near}; known here: {', '.join(sorted(known))}"
     if details["type"] == "missing":
@@ -36,9 +37,9 @@ def _complaint(details: ErrorDetails) -> Complaint:
     return where, f"{shown if len(shown) < 60 else shown[:57] + '...'}: {message}"
 
 
-def keys_at(where: Loc) -> list[str]:
+def keys_at(where: Loc, root: type[BaseModel] = CampaignFile) -> list[str]:
     """Return the keys that the table at a place of the file may have."""
-    annotation: Any = CampaignFile
+    annotation: Any = root
     for part in where:
         annotation = _below(_table(annotation), part)
     table = _table(annotation)

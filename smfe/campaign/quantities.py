@@ -18,16 +18,19 @@ from smfe import datasets
 from smfe.records.read import READERS
 from smfe.records.words import did_you_mean, listed
 
-METHODS = ("hammer", "actuator", "sweep", "frf")
-"""How a measurement was made; "frf" is a compliance that another program has averaged."""
+COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
+"""Methods of a measurement that give a compliance; "frf" is one that another program has averaged."""
+
+METHODS = (*COMPLIANCE_METHODS, "drive", "silent")
+"""How a measurement was made; "drive" is an axis that moves, "silent" a machine that nothing excites."""
 
 LOBE_METHODS = ("zero_order",)
 """Methods for stability lobes that can be asked for."""
 
-_LATER = ("drive", "silent", "multi_frequency", "semi_discretization", "operating_point")
+_LATER = ("multi_frequency", "semi_discretization", "operating_point")
 
 
-def _quantity(dimension: str, low: float = -math.inf, above: float = -math.inf) -> BeforeValidator:
+def quantity(dimension: str, low: float = -math.inf, above: float = -math.inf) -> BeforeValidator:
     """Text with a unit of `dimension` -> SI, at least `low` and more than `above`."""
 
     def parse(value: Any) -> float:
@@ -62,18 +65,18 @@ def one_of(names: Sequence[str], what: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-PositiveLength = Annotated[float, _quantity("length", above=0.0)]
-Length = Annotated[float, _quantity("length")]
-Time = Annotated[float, _quantity("time")]
-PositiveFrequency = Annotated[float, _quantity("frequency", above=0.0)]
-Angle = Annotated[float, _quantity("angle")]
-Force = Annotated[float, _quantity("force", low=0.0)]
-Mass = Annotated[float, _quantity("mass", low=0.0)]
-Stiffness = Annotated[float, _quantity("stiffness", above=0.0)]
-Pressure = Annotated[float, _quantity("pressure")]
-LineForce = Annotated[float, _quantity("line_force")]
-Temperature = Annotated[float, _quantity("temperature")]
-Rotation = Annotated[float, _quantity("rotation", above=0.0)]
+PositiveLength = Annotated[float, quantity("length", above=0.0)]
+Length = Annotated[float, quantity("length")]
+Time = Annotated[float, quantity("time")]
+PositiveFrequency = Annotated[float, quantity("frequency", above=0.0)]
+Angle = Annotated[float, quantity("angle")]
+Force = Annotated[float, quantity("force", low=0.0)]
+Mass = Annotated[float, quantity("mass", low=0.0)]
+Stiffness = Annotated[float, quantity("stiffness", above=0.0)]
+Pressure = Annotated[float, quantity("pressure")]
+LineForce = Annotated[float, quantity("line_force")]
+Temperature = Annotated[float, quantity("temperature")]
+Rotation = Annotated[float, quantity("rotation", above=0.0)]
 
 Axis = Annotated[str, one_of(AXES, "axis")]
 CutName = Annotated[str, one_of(CUTS, "cut")]

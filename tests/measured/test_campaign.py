@@ -351,7 +351,7 @@ ONE_FAULT = [
         '"hamer"',
         "measurement[0].method: method 'hamer' is not known (did you mean 'hammer'?); available: hammer,",
     ),
-    ('"hammer"', '"drive"', "measurement[0].method: method 'drive' is not available yet; available: hammer, actuator"),
+    ('"hammer"', '"drive"', "measurement[0].records[0].excitation: method 'drive' does not read it"),
     (
         ', excitation = "x"',
         "",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.axis_simulation import HalfSine, SteppedSine, default_step, simulate_axis, sliding_step, step_error
+from process.axis_simulation import HalfSine, SteppedSine, simulate_axis, step_error
 from process.drive import Drive
 from process.errors import InputError
 from process.friction import Andersson, CoulombViscous, FrictionLaw, Viscous
@@ -66,24 +66,31 @@ def test_without_nonlinearity_the_hammer_measures_equation_4(sigma: float, delay
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.75e-3, 0.7531e-3])
-def test_the_step_has_order_four_with_and_without_delay(delay: float) -> None:
-    drive = bench("K3", delay=delay)
-    # The pulse begins and ends on the grid of every step.
-    runs = [simulate_axis(drive, COULOMB, HIT, 500 * MM_MIN, 0.1, 1 / h, h) for h in (40e-6, 20e-6, 10e-6, 5e-6)]
+@pytest.mark.parametrize(("feed", "peak"), [(0.0, 25.0), (500.0, 25.0), (0.0, 500.0)])
+def test_the_step_has_order_four_with_and_without_delay(feed: float, peak: float, delay: float) -> None:
+    drive, hit = bench("K3", delay=delay), HalfSine.from_peak(peak, start=0.01)
+    # The pulse begins and ends on the grid of every step; the last hit breaks the idle carriage away.
+    steps = [400e-6 / 2**i for i in range(4)]
+    runs = [simulate_axis(drive, ANDERSSON, hit, feed * MM_MIN, 0.1, 1 / h, h) for h in steps]
     x = [run["displacement"].values[0][:: 2**i] for i, run in enumerate(runs)]
     n = min(part.size for part in x)
-    change = [np.abs(x[i][:n] - x[i + 1][:n]).max() for i in range(3)]
-    orders = np.log2(np.array(change[:-1]) / change[1:])
-    assert np.all(orders > 3.5)
-    assert np.all(orders < 4.6)
+    change = np.array([np.abs(x[i][:n] - x[i + 1][:n]).max() for i in range(3)]) / np.abs(x[3]).max()
+    # With a dead time the break-away comes back between two half steps: a kink, of order three.
+    least = 2.0 if delay and peak > 100.0 else 3.5
+    assert np.log2(change[0] / change[2]) / 2.0 > least
+    assert change[0] < (2e-4 if peak > 100.0 else 2e-6)
 
 
 @pytest.mark.parametrize("feed", [0.0, 50.0, 500.0])
 @pytest.mark.parametrize("law", LAWS)
 def test_energy_is_conserved(law: str, feed: float) -> None:
     # Work of hammer and servo = masses + spring + what joint and guideway take.
-    record = simulate_axis(bench("K2", delay=0.75e-3), LAWS[law], HIT, feed * MM_MIN, 0.5)
-    assert record.attrs["energy_error"] < 1e-7
+    errors = [
+        simulate_axis(bench("K2", delay=0.75e-3), LAWS[law], HIT, feed * MM_MIN, 0.5, step=h).attrs["energy_error"]
+        for h in (None, 62.5e-6)
+    ]
+    assert errors[0] < 1e-5
+    assert errors[1] < 1e-7
 
 
 def test_energy_by_hand_from_the_record() -> None:
@@ -227,31 +234,37 @@ def test_both_directions_of_a_symmetric_law_are_mirror_images() -> None:
     np.testing.assert_allclose(there, -back, atol=1e-15)
 
 
-def test_the_default_step_costs_less_than_a_millionth() -> None:
-    # 10 us on the bench, as the friction at rest decides.
-    assert default_step(bench(), ANDERSSON, HIT) == pytest.approx(10e-6, rel=0.05)
-    assert step_error(bench("K2", delay=0.75e-3), ANDERSSON, HIT, 0.0, 0.3) < 1e-6
-    # In motion 40 us do, a hundredth of the pulse.
-    sliding = sliding_step(bench(), ANDERSSON, HIT)
-    assert sliding == pytest.approx(40e-6)
-    assert step_error(bench("K2", delay=0.75e-3), ANDERSSON, HIT, 500 * MM_MIN, 0.3, sliding) < 1e-6
+@pytest.mark.parametrize("feed", HAMMER)
+def test_the_default_step_costs_less_than_two_millionths(feed: int) -> None:
+    # Half a sample of 2 kHz: the pole, the pulse and the dead time would allow more. The cases of the table above.
+    for law in (ANDERSSON, COULOMB):
+        for servo in ("K2", "K3"):
+            record = simulate_axis(bench(servo), law, HIT, feed * MM_MIN, 0.3)
+            assert record.attrs["step_s"] == pytest.approx(250e-6)
+            if not record.attrs["unstable_poles"]:
+                assert step_error(bench(servo), law, HIT, feed * MM_MIN, 0.3, 250e-6) < 2e-6
 
 
-def test_the_step_becomes_fine_when_a_strong_hit_stops_the_carriage() -> None:
-    drive, feed = bench(delay=0.75e-3), 100 * MM_MIN
-    soft, hard = (simulate_axis(drive, ANDERSSON, HalfSine.from_peak(p), feed, 0.5) for p in (5.0, 250.0))
-    assert soft.attrs["step_s"] == pytest.approx(40e-6, rel=0.05)
-    assert hard.attrs["step_s"] == pytest.approx(10e-6, rel=0.05)
-    for record in (soft, hard):
-        assert record.attrs["energy_error"] < 1e-6
+@pytest.mark.parametrize("feed", [0.0, 100.0, 500.0])
+def test_a_strong_hit_that_breaks_away_and_stops_costs_little_more(feed: float) -> None:
+    for peak in (100.0, 250.0, 1000.0):
+        hit = HalfSine.from_peak(peak, start=0.01)
+        assert step_error(bench(delay=0.75e-3), ANDERSSON, hit, feed * MM_MIN, 0.3, 250e-6) < 1e-4
+
+
+def test_a_pulse_off_the_grid_has_the_same_effect() -> None:
+    # The parabola in a step has the moments of the force, not its values: a kink within a step does no harm.
+    # Its response is that of a pulse on the grid, later.
+    on, off = (
+        simulate_axis(bench(), ANDERSSON, HalfSine(0.064, 4e-3, start), 500 * MM_MIN, 0.2, 16e3, step=250e-6)
+        for start in (0.01, 0.010125)
+    )
+    assert on.attrs["step_s"] == off.attrs["step_s"]
+    x, y = (r["displacement"].values[0] for r in (on, off))
+    assert np.abs(x[:-2] - y[2:]).max() < 1e-4 * np.abs(x).max()
 
 
 def test_a_step_that_cannot_follow_is_refused() -> None:
-    for feed, force in ((0.0, 1.0), (100.0, 250.0)):
-        hit = HalfSine.from_peak(force)
-        with pytest.raises(InputError, match=r"step is 60 us, too large.* slower than .* at most 4\d\.\d+ us"):
-            simulate_axis(bench(), ANDERSSON, hit, feed * MM_MIN, 0.1, step=60e-6)
-    assert simulate_axis(bench(), ANDERSSON, HIT, 500 * MM_MIN, 0.1, step=60e-6).attrs["energy_error"] < 1e-6
     with pytest.raises(InputError, match=r"at most 5 us follow .* dead time"):
         simulate_axis(bench(delay=5e-6), COULOMB, HIT, 0.0, 0.1, step=10e-6)
     with pytest.raises(InputError, match=r"at most [56]\d\d.* us follow the fastest pole"):
@@ -259,7 +272,7 @@ def test_a_step_that_cannot_follow_is_refused() -> None:
 
 
 def test_an_unstable_servo_is_refused_before_it_runs_away() -> None:
-    with pytest.raises(InputError, match="is unstable with Kp 18804"):
+    with pytest.raises(InputError, match=r"unstable with its servos.* Kp 18804"):
         simulate_axis(bench("K4", delay=3e-3), ANDERSSON, HIT, 500 * MM_MIN, 0.1)
 
 

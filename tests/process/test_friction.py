@@ -1,4 +1,4 @@
-"""Friction laws: numbers of the paper's bench, slopes, energy, memory; and their identification from steady runs."""
+"""Friction laws: numbers of the paper's bench, slopes, energy, memory."""
 
 import math
 
@@ -15,8 +15,6 @@ from process.friction import (
     LuGre,
     MemoryLaw,
     Viscous,
-    fit_coulomb_curve,
-    fit_friction_curve,
 )
 
 MM_MIN = 1.0 / 60e3
@@ -128,62 +126,6 @@ def test_half_the_step_changes_the_memory_laws_little() -> None:
         assert abs(ends[2] - ends[1]) < 0.5
 
 
-def runs(noise: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    feed = np.array([20.0, 50.0, 100.0, 200.0, 350.0, 500.0, 800.0, 1200.0, 1800.0, 2500.0]) * MM_MIN
-    velocity = np.concatenate([feed, -feed])
-    rng = np.random.default_rng(seed)
-    return velocity, BENCH.force(velocity) + noise * rng.standard_normal(velocity.size)
-
-
-def test_steady_runs_give_back_the_curve_of_both_directions() -> None:
-    velocity, force = runs(0.0)
-    fit = fit_friction_curve(velocity, force, kt=15000.0)
-    assert fit.law.negative is not None
-    for found, true in ((fit.law, BENCH), (fit.law.negative, BACKWARDS)):
-        assert found.coulomb == pytest.approx(true.coulomb, rel=1e-5)
-        assert found.static == pytest.approx(true.static, rel=1e-5)
-        assert found.stribeck_speed == pytest.approx(true.stribeck_speed, rel=1e-5)
-        assert found.sigma == pytest.approx(true.sigma, rel=1e-4)
-    assert fit.status == "ok"
-    assert list(fit.estimates["direction"].values) == [1, -1]
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_the_standard_deviations_are_those_of_repeated_trials(known: bool) -> None:
-    true = np.array([44.2, 84.0, 387.4 * MM_MIN, 168.0])
-    score = []
-    for seed in range(150):
-        velocity, force = runs(0.5, seed)
-        std = np.full(velocity.size, 0.5) if known else None
-        one = fit_friction_curve(velocity, force, std, kt=15000.0).estimates.sel(direction=1)
-        score.append((one["value"].values - true) / one["std"].values)
-    spread = np.std(score, axis=0)
-    # With six degrees of freedom the scatter itself is uncertain: Student's t is wider than the normal.
-    np.testing.assert_allclose(spread, 1.0 if known else 1.2, atol=0.25)
-
-
-def test_a_curve_without_stribeck_is_said_to_be_unresolved_and_fits_as_coulomb() -> None:
-    velocity = np.array([50.0, 100.0, 300.0, 600.0, 1000.0, 2000.0]) * MM_MIN
-    rng = np.random.default_rng(3)
-    force = 44.2 + 168.0 * velocity + 0.3 * rng.standard_normal(velocity.size)
-    assert "fit_coulomb_curve" in fit_friction_curve(velocity, force, kt=15000.0).status
-    fit = fit_coulomb_curve(velocity, force, kt=15000.0)
-    error = np.abs(fit.estimates["value"].sel(direction=1, parameter="coulomb") - 44.2)
-    assert float(error) < 3.0 * float(fit.estimates["std"].sel(direction=1, parameter="coulomb"))
-    assert fit.law.static == fit.law.coulomb
-    assert fit.law.negative is None
-
-
-def test_the_coulomb_fit_equals_the_normal_equations() -> None:
-    velocity = np.array([0.01, 0.02, 0.05, 0.1])
-    force = np.array([46.0, 47.5, 52.8, 61.0])
-    line, covariance = np.polyfit(velocity, force, 1, cov="unscaled")
-    fit = fit_coulomb_curve(velocity, force, np.ones(4), kt=math.inf)
-    assert fit.law.sigma == pytest.approx(line[0])
-    assert fit.law.coulomb == pytest.approx(line[1])
-    assert float(fit.estimates["std"].sel(direction=1, parameter="sigma")) == pytest.approx(math.sqrt(covariance[0, 0]))
-
-
 def test_refusals_say_what_is_needed() -> None:
     with pytest.raises(InputError, match="sigma is -1"):
         Viscous(-1.0)
@@ -197,11 +139,3 @@ def test_refusals_say_what_is_needed() -> None:
         GeneralisedMaxwellSlip((1e6, 1e6), (1.0,), 1.0, 2.0, 1.0, 0.0, 1.0)
     with pytest.raises(InputError, match="positive step"):
         LUGRE.history([0.0], 0.0)
-    with pytest.raises(InputError, match="4 are needed"):
-        fit_friction_curve([0.1, 0.2, 0.3], [1.0, 2.0, 3.0], kt=1e4)
-    with pytest.raises(InputError, match="leave such runs out"):
-        fit_coulomb_curve([0.0, 0.2, 0.3], [1.0, 2.0, 3.0], kt=1e4)
-    with pytest.raises(InputError, match="one value a run"):
-        fit_coulomb_curve([0.2, 0.3], [1.0, 2.0, 3.0], kt=1e4)
-    with pytest.raises(InputError, match="positive ones or none"):
-        fit_coulomb_curve([0.2, 0.3], [1.0, 2.0], [0.0, 1.0], kt=1e4)

@@ -1,6 +1,7 @@
 """The servo: Table 2, closed loops against closed forms, and stability with exact dead time against known limits."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from process.servo import (
     Plant,
     QuasiPolynomial,
     Servo,
+    bandwidth,
     open_position_loop,
     open_velocity_loop,
     position_characteristic,
@@ -174,6 +176,24 @@ def test_a_plant_with_static_stiffness_is_refused() -> None:
         Plant((1.0,), (1.0, 0.0, 1.0))
     with pytest.raises(InputError, match="f > 0"):
         open_velocity_loop(tune(29.0, MASS), BENCH, [0.0])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: rigid_plant(0.0), "mass is 0 kg"),
+        (lambda: rigid_plant(-34.4), "mass is -34.4 kg"),
+        (lambda: rigid_plant(MASS, math.nan), "not finite"),
+        (lambda: Plant((1.0, 0.1), (0.0, 1.0, 1.0)), "at least 2 poles more"),
+        (lambda: tune(29.0, -1.0), "both must be positive"),
+        (lambda: tune(math.inf, MASS), "both must be positive"),
+        (lambda: bandwidth(lambda f: np.ones(f.size, complex), 1.0, 10.0), "does not fall through -3 dB"),
+        (lambda: bandwidth(lambda f: np.ones(f.size, complex), 10.0, 1.0), "0 < lowest < highest"),
+    ],
+)
+def test_what_has_no_loop_or_bandwidth_is_refused(wrong: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        wrong()
 
 
 def test_the_bandwidth_is_a_half_power_point() -> None:

@@ -1,15 +1,26 @@
 """The time simulation against closed forms: linear response, static forces, the lab slot, order of convergence."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import root
 
+from process import _cutting_kernels
 from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients, force_harmonics
+from process.cutting import CuttingCoefficients, ProcessDamping, force_harmonics, force_projection, gram_matrix
 from process.engagement import Engagement, engagement
 from process.errors import InputError
-from process.simulate import MillingCut, Spindle, simulate_forced, simulate_milling
+from process.simulate import (
+    MillingCut,
+    Spindle,
+    default_step,
+    milling_step_error,
+    pack_motion,
+    simulate_forced,
+    simulate_milling,
+)
 from process.tool import Tool
 
 BENCH = ModalModel([61.367], [0.011935], [1.68e6], [(1.0, 0.0, 0.0)])
@@ -170,14 +181,226 @@ def test_in_air_there_is_no_force_and_no_motion() -> None:
     assert force[(t > 0.6) & (t < 0.9)].min() > 1.0
 
 
-def test_a_spindle_that_stops_is_refused() -> None:
+@pytest.mark.parametrize("cut", ["up", "down"])
+def test_the_mean_force_has_its_closed_form(cut: str) -> None:
+    # Entry at 0 and exit at pi, with edge forces that jump there: the share of a step that lies in the arc sees to it.
+    tool, arc = Tool(0.0508, 2), engagement(cut, 0.02, 0.0508)
+    feed, depth = 1e-4, 1e-3
+    milling = MillingCut(tool, arc, STEEL, depth, feed_per_tooth=feed)
+    record = simulate_milling(RIGID, milling, Spindle(2 * math.pi * 10.0), 2.0, 4800.0)
+    mean = record["force"].values[:, 960:].mean(axis=1)
+    chip, edge = (force_projection(k, math.pi / 2) for k in (STEEL.cutting, STEEL.edge))
+    gram = gram_matrix(arc).real
+    expected = 2 / (2 * math.pi) * depth * (feed * chip @ gram[:, 0] + edge @ gram[:, 2])
+    np.testing.assert_allclose(mean, expected, atol=5e-3 * np.abs(expected).max())
+
+
+def test_air_before_the_cut_only_shifts_the_record() -> None:
+    cut = MillingCut(arc=SLOT, depth=1e-4, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
+    late = simulate_milling(BENCH, cut, Spindle(100.0, angle0=-50.0), 0.5, 2000.0, lead=0.5, step=1 / 2000)
+    prompt = simulate_milling(BENCH, cut, Spindle(100.0), 0.5, 2000.0, step=1 / 2000)
+    for name in ("force", "displacement", "acceleration"):
+        expected = prompt[name].values
+        np.testing.assert_allclose(late[name].values[:, 1000:], expected, atol=1e-8 * np.abs(expected).max())
+
+
+def perturbation(machine: ModalModel, cut: MillingCut, spindle: Spindle, duration: float, rate: float) -> np.ndarray:
+    """What a light hit at entry changes of the displacement, summed over the axes."""
+    hit, calm = (
+        simulate_milling(machine, cut, spindle, duration, rate, impulse=(i, i, i), step=1 / rate) for i in (1e-4, 0.0)
+    )
+    return np.asarray((hit["displacement"] - calm["displacement"]).sum("axis").values)
+
+
+def decay_rate(x: np.ndarray, rate: float) -> float:
+    """Decay rate [1/s] of one damped oscillation: x_{n+1} = 2 r cos(w h) x_n - r^2 x_{n-1}."""
+    two = np.linalg.lstsq(np.column_stack([x[1:-1], x[:-2]]), x[2:], rcond=None)[0]
+    return float(-0.5 * math.log(-two[1]) * rate)
+
+
+# A slot with N >= 4 teeth: sum s^2 = N/4, sum s c = 0, sum 1 = N/2 over the teeth in the work, at every angle.
+@pytest.mark.parametrize(
+    ("direction", "factor"),
+    [((1.0, 0.0, 0.0), math.sin(0.9) ** 2 * 4 / 4), ((0.0, 0.0, 1.0), math.cos(0.9) ** 2 * 4 / 2)],
+)
+@pytest.mark.parametrize(("diameter", "rpm", "friction"), [(0.0508, 1500, 0.3), (0.0508, 3000, 0.0), (0.1016, 1500, 2)])
+def test_process_damping_of_a_slot_is_a_linear_damper(
+    direction: tuple[float, float, float], factor: float, diameter: float, rpm: float, friction: float
+) -> None:
+    # c = C b/v_c factor, b = a_p/sin k. Without cutting force nothing regenerates; in the sum over the teeth
+    # the friction has no part along x or z.
+    machine = ModalModel([61.367], [0.011935], [1.68e6], [direction])
+    flank, depth, rate = 4e5, 1e-3, 32000.0
+    tool, soft = Tool(diameter, 4, 0.9), CuttingCoefficients(1.0, 0.0, 0.0)
+    arc = engagement("up", diameter, diameter)
+    rates = []
+    for damping in (ProcessDamping(0.0), ProcessDamping(flank, friction)):
+        cut = MillingCut(tool, arc, soft, depth, feed_per_tooth=2e-4, process_damping=damping)
+        x = perturbation(machine, cut, Spindle(rpm * math.pi / 30), 0.3, rate)
+        rates.append(decay_rate(x, rate))
+    cutting_speed = math.pi * diameter * rpm / 60
+    added = flank * depth / math.sin(0.9) / cutting_speed * factor
+    assert rates[0] == pytest.approx(0.011935 * 2 * math.pi * 61.367, rel=1e-3)
+    assert rates[1] - rates[0] == pytest.approx(added / (2 * machine.mass[0]), rel=5e-3)
+
+
+def characteristic(s: complex, depth: float, rpm: float, flank: float) -> complex:
+    """The lab slot with its tooth period and process damping: m s^2 + c s + k + K_rc a_p (1 - exp(-s T))."""
+    damper = flank * depth / (math.pi * 0.0508 * rpm / 60)
+    m, w = float(BENCH.mass[0]), 2 * math.pi * 61.367
+    machine = m * (s**2 + 2 * 0.011935 * w * s + w**2) + damper * s
+    return machine + 351e6 * depth * (1 - np.exp(-s * 15 / rpm))
+
+
+def solved(equation, start: tuple[float, float]) -> np.ndarray:  # type: ignore[no-untyped-def]
+    found = root(lambda p: [(e := equation(*p)).real / 1.68e6, e.imag / 1.68e6], start, tol=1e-12)
+    assert found.success
+    return np.asarray(found.x)
+
+
+def test_regeneration_and_process_damping_together_decay_as_the_characteristic_root_says() -> None:
+    depth, rpm, flank, rate = 1e-4, 1500.0, 4e5, 16000.0
+    sigma, _ = solved(lambda a, b: characteristic(complex(a * 100, b * 100), depth, rpm, flank), (-0.05, 3.9)) * 100
+    cut = MillingCut(
+        arc=SLOT,
+        depth=depth,
+        feed_per_tooth=2e-4,
+        process_damping=ProcessDamping(flank),
+        **BENCH_CUT,  # type: ignore[arg-type]
+    )
+    x = perturbation(BENCH, cut, Spindle(rpm * math.pi / 30), 0.8, rate)
+    assert decay_rate(x[x.size // 2 :], rate) == pytest.approx(-sigma, rel=0.01)
+
+
+def test_process_damping_raises_the_limit_of_the_lab_slot_to_its_closed_form() -> None:
+    rpm, flank = 1500.0, 4e5
+    depth, _ = solved(lambda a, w: characteristic(1j * w * 100, a * 1e-3, rpm, flank), (0.16, 3.96)) * 1e-3
+    assert depth > 1.1 * 0.1604e-3
+    for factor, sign in ((0.995, -1), (1.005, 1)):
+        cut = MillingCut(
+            arc=SLOT,
+            depth=depth * factor,
+            feed_per_tooth=2e-4,
+            process_damping=ProcessDamping(flank),
+            **BENCH_CUT,  # type: ignore[arg-type]
+        )
+        assert sign * growth(BENCH, cut, rpm) > 0.0, f"{factor} of {depth * 1e3:.4f} mm"
+
+
+def test_a_sharp_edge_has_no_process_damping_to_the_last_bit() -> None:
+    plain = MillingCut(arc=SLOT, depth=1e-4, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
+    sharp = replace(plain, process_damping=ProcessDamping.from_wear_land(3e13, 0.0, friction=0.5))
+    a, b = (simulate_milling(BENCH, cut, Spindle(100.0), 0.5, 2000.0) for cut in (plain, sharp))
+    np.testing.assert_array_equal(a["force"].values, b["force"].values)
+    assert ProcessDamping.from_wear_land(4e13, 80e-6).coefficient == pytest.approx(6.4e4)
+
+
+@pytest.mark.parametrize(("coefficient", "friction"), [(-1.0, 0.3), (math.nan, 0.3), (1e5, -0.1), (1e5, math.inf)])
+def test_a_flank_that_drives_the_vibration_is_refused(coefficient: float, friction: float) -> None:
+    with pytest.raises(InputError, match="process damping"):
+        ProcessDamping(coefficient, friction)
+
+
+VARYING = Spindle(80.0, -3.0, 0.4, 0.3, 1.7)
+
+
+def test_the_speed_of_a_varying_spindle_is_the_rate_of_its_angle() -> None:
+    t, h = np.linspace(0.0, 4.0, 1001), 1e-5
+    rate = (VARYING.angle(t + h) - VARYING.angle(t - h)) / (2 * h)
+    np.testing.assert_allclose(rate * 30 / np.pi, VARYING.speed(t), rtol=1e-8)
+    lowest, highest = VARYING.extremes(0.0, 4.0)
+    assert lowest == pytest.approx(VARYING.speed(t).min() * np.pi / 30, rel=1e-4)
+    assert highest == pytest.approx(VARYING.speed(t).max() * np.pi / 30, rel=1e-4)
+    cut = MillingCut(arc=SLOT, depth=1e-4, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
+    turned = [_cutting_kernels.turn(pack_motion(VARYING, cut), time) for time in t[::100]]
+    np.testing.assert_allclose(turned, np.transpose([VARYING.angle(t[::100]), VARYING.speed(t[::100]) * np.pi / 30]))
+
+
+def test_with_feed_per_tooth_a_varying_speed_changes_when_a_force_comes_but_not_the_force() -> None:
+    cut = MillingCut(Tool(0.0508, 2), Engagement(0.5, 2.0), STEEL, 1e-3, feed_per_tooth=1e-4)
+    steady, varying = (
+        simulate_milling(RIGID, cut, s, 1.0, 20000.0, step=1 / 20000.0)
+        for s in (Spindle(80.0), Spindle(80.0, variation=0.3, variation_frequency=3.0))
+    )
+    angle = np.linspace(10.0, 60.0, 2000)
+    phi = angle % math.pi
+    angle = angle[(np.abs(phi - 0.5) > 0.02) & (np.abs(phi - 2.0) > 0.02)]  # not where the force jumps
+    force = [np.interp(angle, r["spindle_angle"].values, r["force"].sel(axis="y").values) for r in (steady, varying)]
+    np.testing.assert_allclose(force[1], force[0], atol=2e-3 * np.abs(force[0]).max())
+
+
+def test_varying_the_speed_makes_an_unstable_cut_at_a_high_lobe_stable() -> None:
+    # 250 rpm: 3.7 waves a tooth period; 0.2 mm is over the limit there. Twenty per cent at 1 Hz.
+    cut = MillingCut(arc=SLOT, depth=2e-4, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
+    change = []
+    for variation in (0.0, 0.2):
+        spindle = Spindle(250 * math.pi / 30, variation=variation, variation_frequency=1.0)
+        x = perturbation(BENCH, cut, spindle, 6.0, 4000.0)
+        change.append(float(np.std(x[-4000:]) / np.std(x[:4000])))
+    assert change[0] > 10.0
+    assert change[1] < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"rotation": math.nan}, "rotation is nan"),
+        ({"rotation": 80.0, "variation": 1.0, "variation_frequency": 1.0}, "below 100 %"),
+        ({"rotation": 80.0, "variation": -0.1, "variation_frequency": 1.0}, "below 100 %"),
+        ({"rotation": 80.0, "variation": 0.1}, "variation_frequency must be positive"),
+    ],
+)
+def test_a_variation_that_is_none_is_refused(given: dict[str, float], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        Spindle(**given)
+
+
+@pytest.mark.parametrize("spindle", [Spindle(10.0, -20.0), Spindle(10.0, -4.0, 0.0, 0.9, 2.0), Spindle(-5.0)])
+def test_a_spindle_that_stops_is_refused(spindle: Spindle) -> None:
     cut = MillingCut(arc=SLOT, depth=1e-4, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="must turn forward"):
-        simulate_milling(BENCH, cut, Spindle(10.0, -20.0), 1.0, 1000.0)
+        simulate_milling(BENCH, cut, spindle, 1.0, 1000.0)
 
 
-def test_a_cut_needs_depth_and_one_feed() -> None:
-    with pytest.raises(InputError, match="depth of cut"):
-        MillingCut(arc=SLOT, depth=0.0, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="either"):
-        MillingCut(arc=SLOT, depth=1e-3, **BENCH_CUT)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"depth": 0.0, "feed_per_tooth": 2e-4}, "the depth of cut is 0 mm"),
+        ({"depth": math.inf, "feed_per_tooth": 2e-4}, "the depth of cut is inf mm"),
+        ({"depth": 1e-3}, "neither of feed_rate and feed_per_tooth"),
+        ({"depth": 1e-3, "feed_rate": 1e-2, "feed_per_tooth": 2e-4}, "both of feed_rate and feed_per_tooth"),
+        ({"depth": 1e-3, "feed_rate": 0.0}, "the feed rate is 0 mm/min; it must be positive"),
+        ({"depth": 1e-3, "feed_rate": math.nan}, "the feed rate is nan mm/min"),
+        ({"depth": 1e-3, "feed_per_tooth": -1e-4}, "the feed per tooth is -0.1 mm; it must be positive"),
+    ],
+)
+def test_a_cut_needs_depth_and_one_feed(given: dict[str, float], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        MillingCut(arc=SLOT, **given, **BENCH_CUT)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("teeth", "sentence"), [(0, "the tool has 0 teeth"), (-2, "has -2 teeth"), (2.5, "has 2.5 teeth")]
+)
+def test_a_tool_has_a_whole_number_of_teeth(teeth: int, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        Tool(0.05, teeth)
+
+
+def test_a_step_that_misses_the_vibration_or_the_tooth_is_refused() -> None:
+    cut = MillingCut(arc=SLOT, depth=1e-4, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="at least 4 steps in the one"):
+        simulate_milling(BENCH, cut, Spindle(1.0), 1.0, 1000.0, step=5e-3)
+    with pytest.raises(InputError, match="10 in the other"):
+        simulate_milling(BENCH, cut, Spindle(100.0), 1.0, 1000.0, step=2e-3)
+    with pytest.raises(InputError, match="the step is 0 us"):
+        simulate_milling(BENCH, cut, Spindle(100.0), 1.0, 1000.0, step=0.0)
+
+
+def test_the_step_error_falls_fourfold_with_the_step() -> None:
+    cut = MillingCut(arc=Engagement(0.5, 2.5), depth=5e-5, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
+    spindle = Spindle(2 * math.pi * 20.0)
+    step = default_step(BENCH, cut, spindle.rotation)
+    errors = [milling_step_error(BENCH, cut, spindle, 0.5, h) for h in (step, step / 2, step / 4)]
+    assert errors[0] < 5e-3
+    assert 1.7 < math.log2(errors[0] / errors[2]) / 2 < 2.3, errors

@@ -4,17 +4,30 @@ import numpy as np
 import pytest
 
 from process.compliance import ModalModel
+from process.cutting import CuttingCoefficients
+from process.drive import Drive
+from process.engagement import engagement
 from process.errors import InputError
+from process.excitation import Chirp, HalfSine, SteppedSine
+from process.friction import Viscous
 from process.labels import axis_present
-from process.trials import Sensors, actuator_trial, half_sine, hammer_trial, stepped_sine
+from process.machine import FeedAxis, Machine
+from process.sensors import AntiAlias, Resonance, Sensors, with_added_mass
+from process.servo import Servo
+from process.simulate import MillingCut, Spindle
+from process.structure import two_mass_axes
+from process.tool import Tool
+from process.trials import Running, actuator_trial, hammer_trial, milling_trial, moving_trial, silent_trial
 
 MACHINE = ModalModel([40.0], [0.03], [2e7], [(0.6, 0.8, 0.0)])
 QUIET = Sensors()
+SERVO = Servo(4e5, 0.03, 25.0)
+AXIS = Machine(two_mass_axes({"x": Drive(4000.0, 300.0, 4e7, 5e3)}), {"x": FeedAxis(SERVO, Viscous(4000.0))})
 
 
 def test_a_half_sine_pulse_has_the_impulse_it_is_asked_for() -> None:
     t = np.arange(0, 0.1, 1e-6)
-    pulse = half_sine(t, 0.02, 2.5, 4e-3)
+    pulse = HalfSine(2.5, 4e-3, 0.02).force(t)
     assert np.trapezoid(pulse, t) == pytest.approx(2.5, rel=1e-6)
     assert pulse.max() == pytest.approx(np.pi / 2 * 2.5 / 4e-3, rel=1e-6)
 
@@ -28,7 +41,7 @@ def test_a_hammer_record_holds_its_hits_and_one_force_axis() -> None:
 
 
 def test_a_stepped_sine_keeps_its_phase_and_its_amplitude() -> None:
-    sine = stepped_sine([20.0, 30.0], 100.0, 1.0, 2000.0)
+    sine = SteppedSine((20.0, 30.0), 100.0, 1.0).force(np.arange(4000) / 2000.0)
     assert np.abs(sine).max() == pytest.approx(100.0, rel=1e-4)
     assert np.abs(np.diff(sine)).max() < 100 * 2 * np.pi * 30.0 / 2000.0 * 1.01
 
@@ -56,3 +69,66 @@ def test_noise_has_the_stated_level_and_comes_from_the_seed() -> None:
 def test_an_unknown_axis_is_refused() -> None:
     with pytest.raises(InputError, match="none of x, y, z"):
         hammer_trial(MACHINE, "w", [1.0], QUIET, np.random.default_rng(1))
+
+
+def test_one_filter_on_all_channels_leaves_the_compliance_as_it_is() -> None:
+    """The delay of the anti-alias filter is in force and motion alike."""
+    sensors = Sensors(anti_alias=AntiAlias(8, 400.0))
+    record = actuator_trial(MACHINE, "x", [35.0], 100.0, sensors, np.random.default_rng(1), dwell=4.0)
+    t = record["time"].values
+    last = slice(6000, 8000)
+    kernel = np.exp(-2j * np.pi * 35.0 * t[last])
+    force = record["force"].sel(axis="x").values[last] @ kernel
+    motion = record["acceleration"].values[:, last] @ kernel / -((2 * np.pi * 35.0) ** 2)
+    np.testing.assert_allclose(motion / force, MACHINE.matrix(35.0)[0, :, 0], rtol=2e-3)
+    assert abs(np.angle(force * 1j)) > 0.1
+
+
+def test_a_silent_record_of_a_machine_without_drives_is_its_noise() -> None:
+    record = silent_trial(MACHINE, 20.0, Sensors((1.0,) * 3, (0.02, 0.03, 0.001)), np.random.default_rng(1))
+    np.testing.assert_allclose(record["acceleration"].std("time").values, [0.02, 0.03, 0.001], rtol=0.03)
+
+
+def test_a_machine_without_drives_takes_no_feed() -> None:
+    with pytest.raises(InputError, match="has no drives"):
+        hammer_trial(MACHINE, "x", [1.0], Sensors(), np.random.default_rng(1), running=Running(feed=0.01))
+
+
+def test_an_actuator_on_a_moving_axis_measures_its_linear_compliance() -> None:
+    running = Running(feed=0.01)
+    record = actuator_trial(AXIS, "x", [50.0], 100.0, QUIET, np.random.default_rng(1), dwell=4.0, running=running)
+    t = record["time"].values
+    last = slice(6000, 8000)
+    kernel = np.exp(-2j * np.pi * 50.0 * t[last])
+    force = record["force"].sel(axis="x").values[last] @ kernel
+    motion = record["acceleration"].sel(axis="x").values[last] @ kernel / -((2 * np.pi * 50.0) ** 2)
+    assert motion / force == pytest.approx(AXIS.at(0.01).matrix(50.0)[0, 0, 0], rel=5e-3)
+
+
+def test_a_moving_axis_travels_with_its_feed_and_shakes_with_its_drive() -> None:
+    shaken = {"x": Chirp(20.0, 60.0, 1000.0, 1.5, 0.2)}
+    records = [
+        moving_trial(AXIS, 2.0, QUIET, np.random.default_rng(1), forces, running=Running(feed=0.02))
+        for forces in (None, shaken)
+    ]
+    for record in records:
+        assert np.ptp(record["encoder_position"].sel(axis="x").values) == pytest.approx(0.04, rel=0.01)
+    still, moved = (float(np.std(record["acceleration"].sel(axis="x").values)) for record in records)
+    assert moved > 100 * still
+    assert list(records[0]["axis"].values) == ["x", "y", "z"]
+
+
+def test_a_machine_of_modes_and_one_of_matrices_make_the_same_cut() -> None:
+    """Two simulations, one by modes and one by matrices, and a sensor that both go through."""
+    tool = Tool(0.08, 2)
+    cut = MillingCut(
+        tool, engagement("down", 0.02, 0.08), CuttingCoefficients(1.9e9, 8e8, 3e8), 1e-3, feed_per_tooth=1e-4
+    )
+    sensors = Sensors(stages=(Resonance("force", 2000.0),))
+    one, two = (
+        milling_trial(machine, cut, Spindle(70.0), 0.6, sensors, np.random.default_rng(1), 0.1, 0.3)
+        for machine in (MACHINE, with_added_mass(MACHINE, 0.0))
+    )
+    for name in ("force", "acceleration"):
+        size = np.abs(one[name].values).max()
+        np.testing.assert_allclose(two[name].values, one[name].values, atol=0.02 * size)

@@ -1,0 +1,102 @@
+"""Converged limit curve of the classical milling benchmark: the library against plain NumPy, in one run.
+
+The plain method is the textbook's: zero-order hold of state and delayed state over m steps with exact interval averages
+of the directional factor, the m matrices multiplied out, eigenvalues of the product, bisection on the depth, and m
+doubled until the limit moves by less than the same 0.1 %. It starts with a bracket around the known limit, which the
+library has to find.
+"""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from process import CuttingCoefficients, ModalModel, Tool, engagement
+from process.cutting import chip_projection, force_projection, gram_matrix
+from process.engagement import Engagement
+from stability import semi_discretization
+
+MATERIAL = CuttingCoefficients(6e8, 2e8, 0.0)
+TOOL = Tool(10e-3, 2)
+ARC = engagement("down", 5e-3, 10e-3)
+SPEED = np.linspace(10000.0, 25000.0, 200)
+PLAIN_SPEED = (16000.0,)
+
+
+def machine(directions: int) -> ModalModel:
+    ones = np.ones(directions)
+    stiffness = 0.03993 * (2 * math.pi * 922.0) ** 2
+    return ModalModel(922.0 * ones, 0.011 * ones, stiffness * ones, np.eye(3)[:directions])
+
+
+def averages(steps: int) -> np.ndarray:
+    """Mean directional matrix [N/m2] over each step of one tooth period, both teeth, shape (steps, 3, 3)."""
+    projection, chip = force_projection(MATERIAL.cutting, TOOL.approach_angle), chip_projection(TOOL.approach_angle)
+    out = np.zeros((steps, 3, 3))
+    width = math.pi / steps
+    for i in range(steps):
+        low, high = max(i * width, ARC.entry), min((i + 1) * width, ARC.exit)
+        if high - low > 1e-12:
+            out[i] = (projection @ gram_matrix(Engagement(low, high)) @ chip).real / width
+    return out
+
+
+def plain_radius(model: ModalModel, factor: np.ndarray, depth: float, rpm: float) -> float:
+    """Largest multiplier from the product of the step matrices of the state and all delayed displacements."""
+    a, b, c = model.state_space()
+    moving = np.flatnonzero(np.abs(c).max(axis=1) > 0.0)
+    n, d, steps = a.shape[0], moving.size, factor.shape[0]
+    step = 60.0 / (TOOL.teeth * rpm * steps)
+    size = n + d * steps
+    product = np.eye(size)
+    for i in range(steps):
+        cutting = depth * b @ factor[i]
+        block = np.zeros((2 * n, 2 * n))
+        block[:n, :n], block[:n, n:] = a + cutting @ c, np.eye(n)
+        exact = expm(step * block)
+        matrix = np.zeros((size, size))
+        matrix[:n, :n] = exact[:n, :n]
+        delayed = -exact[:n, n:] @ cutting[:, moving]
+        matrix[:n, size - d :] += 0.5 * delayed
+        matrix[:n, size - 2 * d : size - d] += 0.5 * delayed
+        matrix[n : n + d, :n] = c[moving]
+        matrix[n + d :, n : size - d] = np.eye(size - n - d)
+        product = matrix @ product
+    return float(np.abs(np.linalg.eigvals(product)).max())
+
+
+def plain_limit(model: ModalModel, rpm: float, near: float) -> tuple[float, int]:
+    """Limit [m] to 0.1 % and the steps it took, by bisection between 0.9 and 1.1 of a limit that is known."""
+    old, steps = math.inf, 20
+    while steps <= 320:
+        factor, low, high = averages(steps), 0.9 * near, 1.1 * near
+        while high - low > 2e-4 * near:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if plain_radius(model, factor, middle, rpm) < 1.0 else (low, middle)
+        if abs(low / old - 1.0) < 1e-3:
+            return low, steps
+        old, steps = low, 2 * steps
+    return old, steps // 2
+
+
+@pytest.mark.benchmark(group="semi-discretisation")
+@pytest.mark.parametrize("directions", [1, 2])
+def test_limit_curve_against_plain_numpy(benchmark, directions: int) -> None:
+    model = machine(directions)
+    cut = (TOOL, ARC, MATERIAL)
+    known = semi_discretization(model, *cut, PLAIN_SPEED)["limit_depth"].values * 1e-3
+    found = benchmark.pedantic(semi_discretization, (model, *cut, SPEED), rounds=2)
+    assert np.all(found["limit_depth_error"] <= 1e-3 * found["limit_depth"])
+    a_speed = benchmark.stats.stats.min / SPEED.size
+    start = time.perf_counter()
+    plain = [plain_limit(model, rpm, near) for rpm, near in zip(PLAIN_SPEED, known, strict=True)]
+    seconds = (time.perf_counter() - start) / len(plain)
+    np.testing.assert_allclose([depth for depth, _ in plain], known, rtol=2e-3)
+    benchmark.extra_info["ms_a_speed"] = round(1e3 * a_speed, 1)
+    benchmark.extra_info["times_faster_than_plain_numpy"] = round(seconds / a_speed)
+    print(
+        f"\n{1e3 * a_speed:.1f} ms a speed; {seconds / a_speed:.0f} times faster than plain NumPy, "
+        f"which takes {', '.join(str(steps) for _, steps in plain)} steps"
+    )

@@ -1,0 +1,388 @@
+"""From a trial of the scenario to its records: one entry of the campaign for each combination of its lists."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from process.compliance import ModalModel
+from process.engagement import engagement
+from process.errors import InputError
+from process.excitation import Chirp
+from process.machine import Machine
+from process.machine_simulation import SampledControl
+from process.sensors import Sensors
+from process.simulate import MillingCut, Spindle
+from process.structure import Posture
+from process.trials import (
+    AT_REST,
+    Running,
+    actuator_trial,
+    hammer_trial,
+    milling_trial,
+    moving_trial,
+    silent_trial,
+)
+from process.units import show
+from smfe.records.words import did_you_mean, listed
+from smfe.scenario import schema
+
+Make = Callable[..., xr.Dataset]
+
+SAMPLES_A_PULSE = 4
+"""Fewest samples of a record in a hammer's pulse: with less its peak and its double hits are not seen."""
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Everything that a trial works with.
+
+    Parameters
+    ----------
+    file : ScenarioFile
+        The scenario.
+    machine, loaded : Machine or ModalModel
+        Bare, and with the mass of the accelerometer.
+    sensors : Sensors
+        Measuring chain of the method.
+    trial : int
+        Number of the trial in the file.
+    """
+
+    file: schema.ScenarioFile
+    machine: Machine | ModalModel
+    loaded: Machine | ModalModel
+    sensors: Sensors
+    trial: int
+
+
+@dataclass(frozen=True)
+class Job:
+    """One record: its file without suffix, how it comes about, and what the campaign says about it."""
+
+    file: str
+    make: Make
+    says: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One ``[[measurement]]`` or ``[[cutting_test]]`` of the campaign.
+
+    Parameters
+    ----------
+    name : str
+        Unique.
+    method : str
+        Of the trial.
+    trial : int
+        Its number in the file.
+    says : mapping
+        Conditions as the campaign writes them.
+    running : Running
+        Conditions as the machine takes them.
+    jobs : tuple of Job
+        Its records.
+    """
+
+    name: str
+    method: str
+    trial: int
+    says: Mapping[str, Any]
+    running: Running
+    jobs: tuple[Job, ...]
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One choice of all that a trial gives as a list."""
+
+    name: str
+    running: Running
+    says: dict[str, Any]
+    level: float
+
+
+def entries(stand: Stand) -> list[Entry]:
+    """Return the entries of one trial.
+
+    Raises
+    ------
+    InputError
+        When the machine cannot run it, or the sample rate cannot follow it.
+    """
+    trial = stand.file.trial[stand.trial]
+    makers: dict[str, Callable[[Stand, Any, Combination], Iterator[Entry]]] = {
+        "hammer": _hammer,
+        "actuator": _actuator,
+        "sweep": _sweep,
+        "cut": _cuts,
+        "drive": _drive,
+        "silent": _silent,
+    }
+    _check_machine(stand.machine, trial)
+    combined = list(_combinations(stand.machine, trial))
+    return [entry for chosen in combined for entry in makers[trial.method](stand, trial, chosen)]
+
+
+# --- conditions ---------------------------------------------------------------------------------------------
+
+
+def _check_machine(machine: Machine | ModalModel, trial: schema.Trial) -> None:
+    if isinstance(machine, ModalModel):
+        given = [key for key in ("controller", "position", "control") if getattr(trial, key) is not None]
+        given += ["feed"] * bool(trial.feed is not None and any(any(feed.values()) for feed in trial.feed))
+        if given or trial.method == "drive":
+            what = f"its {listed(given)} need" if given else "a drive trial needs"
+            raise InputError(f"{what} axes, and the machine has modes alone; add [machine.axis.x]")
+        return
+    servos = {k: v for axis in machine.axes.values() if isinstance(axis.servo, Mapping) for k, v in axis.servo.items()}
+    known = set(servos)
+    for name in trial.controller or ():
+        if name not in known:
+            raise InputError(f"controller '{name}' is not known{did_you_mean(name, known)}; there are {listed(known)}")
+    if trial.control is not None and any(servo.delay > 0.0 for servo in servos.values()):
+        raise InputError(
+            "its control has a period and a lag, which make the dead time; leave the delay of the servos out"
+        )
+    if trial.position is not None and not isinstance(machine.structure, Posture):
+        raise InputError("gives a position, and the machine is the same everywhere; add [machine.posture]")
+    if isinstance(trial, schema.DriveTable) and trial.axis not in machine.axes:
+        raise InputError(f"axis {trial.axis} does not move; the machine moves {listed(machine.axes)}")
+
+
+def _combinations(machine: Machine | ModalModel, trial: schema.Trial) -> Iterator[Combination]:
+    base = trial.name or trial.method
+    lists: dict[str, tuple[Any, ...]] = {
+        "feed": trial.feed or (None,),
+        "controller": trial.controller or (None,),
+        "position": trial.position or (None,),
+        "level": _levels(trial),
+        "repeat": tuple(range(1, trial.repeats + 1)),
+    }
+    for values in itertools.product(*lists.values()):
+        chosen = dict(zip(lists, values, strict=True))
+        varied = {key: chosen[key] for key, options in lists.items() if len(options) > 1}
+        running = AT_REST
+        says: dict[str, Any] = {}
+        if isinstance(machine, Machine):
+            control = None if trial.control is None else _control(trial.control)
+            running = Running(_feed(machine, chosen["feed"]), chosen["controller"], chosen["position"], control)
+        if chosen["feed"] is not None:
+            says["feed"] = {axis: show(v, "mm/min", "speed") for axis, v in chosen["feed"].items()}
+        if chosen["controller"] is not None:
+            says["controller"] = chosen["controller"]
+        if chosen["position"] is not None:
+            says["position"] = show(chosen["position"], "mm", "length")
+        if trial.repeats > 1:
+            says["repeat"] = chosen["repeat"]
+        name = "_".join([base, *(_label(trial.method, key, value) for key, value in varied.items())])
+        yield Combination(name, running, says, chosen["level"])
+
+
+def _control(table: schema.ControlTable) -> SampledControl:
+    return SampledControl(table.period, table.lag, table.encoder_resolution)
+
+
+def _levels(trial: schema.Trial) -> tuple[float, ...]:
+    """Return what a trial varies in strength: impulse [N s], force [N] or depth of cut [m]."""
+    if isinstance(trial, schema.HammerTable):
+        peaks = tuple(2.0 / math.pi * peak * trial.duration for peak in trial.peak_force or ())
+        return trial.impulse or peaks
+    if isinstance(trial, schema.SweepTable | schema.CutTable):
+        return trial.depth_of_cut
+    if isinstance(trial, schema.ActuatorTable):
+        return trial.force
+    return (trial.force or (0.0,)) if isinstance(trial, schema.DriveTable) else (0.0,)
+
+
+def _label(method: str, key: str, value: Any) -> str:
+    if key == "feed":
+        moving = [f"{axis}{v * 6e4:g}" for axis, v in value.items() if v]
+        same = len(set(value.values())) == 1
+        return "f" + (f"{value['x'] * 6e4:g}" if same else "".join(moving) or "0")
+    if key == "position":
+        return f"p{value * 1e3:g}"
+    if key == "level":
+        return f"{value * 1e3:g}mm" if method in ("sweep", "cut") else f"{value:g}N" + "s" * (method == "hammer")
+    return f"r{value}" if key == "repeat" else str(value)
+
+
+def _feed(machine: Machine, feed: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the feed of the machine's axes; one value for all axes means those that there are."""
+    if feed is None:
+        return {}
+    same = len(set(feed.values())) == 1
+    return {axis: v for axis, v in feed.items() if axis in machine.axes or (v != 0.0 and not same)}
+
+
+# --- methods ------------------------------------------------------------------------------------------------
+
+
+def _entry(stand: Stand, chosen: Combination, says: Mapping[str, Any], jobs: list[Job]) -> Entry:
+    trial = stand.file.trial[stand.trial]
+    mounted = stand.file.sensors.accelerometer.mass
+    added = {"added_mass": show(mounted, "kg", "mass")} if mounted and trial.method != "cut" else {}
+    return Entry(chosen.name, trial.method, stand.trial, {**chosen.says, **says, **added}, chosen.running, tuple(jobs))
+
+
+def _common(stand: Stand, chosen: Combination) -> dict[str, Any]:
+    return {"sample_rate": stand.file.scenario.sample_rate, "sensors": stand.sensors, "running": chosen.running}
+
+
+def _band(trial: Any) -> dict[str, Any]:
+    band = trial.frequency_range
+    return {} if band is None else {"frequency_range": [show(f, "Hz", "frequency") for f in band]}
+
+
+def _hammer(stand: Stand, trial: schema.HammerTable, chosen: Combination) -> Iterator[Entry]:
+    samples = trial.duration * stand.file.scenario.sample_rate
+    if samples < SAMPLES_A_PULSE:
+        raise InputError(
+            f"a pulse of {trial.duration * 1e3:g} ms has {samples:.2g} samples at "
+            f"{stand.file.scenario.sample_rate:g} Hz; at least {SAMPLES_A_PULSE} are needed: sample at "
+            f"{SAMPLES_A_PULSE / trial.duration:g} Hz or more, or hit softer"
+        )
+    jobs = []
+    for axis in trial.directions:
+        hits = {"pulse_duration": trial.duration, "interval": trial.interval, **_common(stand, chosen)}
+        make = partial(_scattered, stand.loaded, axis, chosen.level, trial.hits, trial.scatter, hits)
+        jobs.append(Job(f"{chosen.name}_{axis}", make, {"excitation": axis}))
+    peak = show(0.5 * math.pi * chosen.level / trial.duration, "N", "force")
+    yield _entry(stand, chosen, {"force_level": peak, **_band(trial)}, jobs)
+
+
+def _scattered(
+    machine: Machine | ModalModel,
+    axis: str,
+    impulse: float,
+    hits: int,
+    scatter: float,
+    options: Mapping[str, Any],
+    rng: np.random.Generator,
+) -> xr.Dataset:
+    """Hit as an arm does: no two hits alike."""
+    impulses = impulse * (1.0 + scatter * rng.uniform(-1.0, 1.0, hits))
+    return hammer_trial(machine, axis, list(impulses), rng=rng, **options)
+
+
+def _actuator(stand: Stand, trial: schema.ActuatorTable, chosen: Combination) -> Iterator[Entry]:
+    low, high, step = trial.frequencies
+    rate = stand.file.scenario.sample_rate
+    _check_rate(high, rate, "the highest frequency")
+    steps = low + step * np.arange(int((high - low) / step * (1.0 + 1e-9)) + 1)
+    jobs = [
+        Job(
+            f"{chosen.name}_{axis}",
+            partial(
+                actuator_trial, stand.loaded, axis, steps, chosen.level, dwell=trial.dwell, **_common(stand, chosen)
+            ),
+            {"excitation": axis},
+        )
+        for axis in trial.directions
+    ]
+    yield _entry(stand, chosen, {"force_level": show(chosen.level, "N", "force")}, jobs)
+
+
+def _check_rate(frequency: float, rate: float, what: str) -> None:
+    if frequency > 0.4 * rate:
+        raise InputError(
+            f"{what} is {frequency:g} Hz, sampled at {rate:g} Hz; sample at {frequency / 0.4:g} Hz or more"
+        )
+
+
+def _milled(stand: Stand, trial: schema.CuttingTable, chosen: Combination, rotation: float, highest: float) -> Any:
+    """Return tool, material, feed rate, and the running with the axis x that feeds, where nothing else is said."""
+    file = stand.file
+    missing = [f"[{name}]" for name in ("tool", "material") if getattr(file, name) is None]
+    if file.tool is None or file.material is None:
+        raise InputError(f"a cut needs {' and '.join(missing)}; add it")
+    tool = file.tool.build()
+    _check_rate(tool.tooth_passing_frequency(highest), file.scenario.sample_rate, "the tooth passing frequency")
+    feed_rate = trial.feed_per_tooth * tool.tooth_passing_frequency(rotation)
+    running = chosen.running
+    if isinstance(stand.machine, Machine) and trial.feed is None and "x" in stand.machine.axes:
+        running = replace(running, feed={"x": feed_rate})
+    return tool, file.material.build(), feed_rate, running
+
+
+def _sweep(stand: Stand, trial: schema.SweepTable, chosen: Combination) -> Iterator[Entry]:
+    start, end = trial.spindle_speed
+    tool, material, feed_rate, running = _milled(stand, trial, chosen, start, end)
+    if running != chosen.running:
+        chosen.says["feed"] = {"x": show(feed_rate, "mm/min", "speed")}
+    chosen = replace(chosen, running=running)
+    jobs = []
+    for number, one in enumerate(trial.passes, 1):
+        arc = engagement(one.cut, one.width_of_cut, tool.diameter)
+        make = partial(
+            milling_trial,
+            stand.loaded,
+            MillingCut(tool, arc, material, chosen.level, feed_rate=feed_rate),
+            Spindle(start, trial.rate),
+            (end - start) / trial.rate,
+            lead=trial.lead,
+            tail=trial.tail,
+            **_common(stand, chosen),
+        )
+        says = {"cut": one.cut, "width_of_cut": show(one.width_of_cut, "mm", "length")}
+        jobs.append(Job(f"{chosen.name}_{one.cut}_{number}", make, says))
+    says = {"depth_of_cut": show(chosen.level, "mm", "length"), **_band(trial)}
+    yield _entry(stand, chosen, says, jobs)
+
+
+def _cuts(stand: Stand, trial: schema.CutTable, chosen: Combination) -> Iterator[Entry]:
+    for rotation in trial.spindle_speed:
+        rpm = rotation * 30.0 / math.pi
+        tool, material, _, running = _milled(stand, trial, chosen, rotation, rotation)
+        name = chosen.name + (f"_{rpm:.6g}rpm" if len(trial.spindle_speed) > 1 else "")
+        one = replace(chosen, name=name, running=running)
+        arc = engagement(trial.cut, trial.width_of_cut, tool.diameter)
+        make = partial(
+            milling_trial,
+            stand.loaded,
+            MillingCut(tool, arc, material, chosen.level, feed_per_tooth=trial.feed_per_tooth),
+            Spindle(rotation),
+            trial.duration,
+            lead=trial.lead,
+            tail=trial.tail,
+            **_common(stand, one),
+        )
+        says = {
+            "spindle_speed": f"{rpm:.9g} rpm",
+            "depth_of_cut": show(chosen.level, "mm", "length"),
+            "cut": trial.cut,
+            "width_of_cut": show(trial.width_of_cut, "mm", "length"),
+            "feed_per_tooth": show(trial.feed_per_tooth, "mm", "length"),
+        }
+        # A cutting test of the campaign has no conditions of its own.
+        yield Entry(name, "cut", stand.trial, says, running, (Job(name, make, {}),))
+
+
+def _drive(stand: Stand, trial: schema.DriveTable, chosen: Combination) -> Iterator[Entry]:
+    forces = None
+    if trial.frequency_range is not None:
+        low, high = trial.frequency_range
+        _check_rate(high, stand.file.scenario.sample_rate, "the highest frequency")
+        forces = {trial.axis: Chirp(low, high, chosen.level, 0.9 * trial.duration, 0.05 * trial.duration)}
+    make = partial(_without_force, moving_trial, stand.loaded, trial.duration, drive_forces=forces)
+    says = {} if forces is None else {"force_level": show(chosen.level, "N", "force")}
+    job = Job(chosen.name, partial(make, **_common(stand, chosen)), {})
+    yield _entry(stand, chosen, says, [job])
+
+
+def _silent(stand: Stand, trial: schema.SilentTable, chosen: Combination) -> Iterator[Entry]:
+    make = partial(_without_force, silent_trial, stand.loaded, trial.duration, **_common(stand, chosen))
+    yield _entry(stand, chosen, {}, [Job(chosen.name, make, {})])
+
+
+def _without_force(trial: Make, *arguments: Any, **options: Any) -> xr.Dataset:
+    """Nothing measures a force where nothing touches the tool."""
+    return trial(*arguments, **options).drop_vars("force")

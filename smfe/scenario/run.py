@@ -1,0 +1,217 @@
+"""From a scenario to a folder: records, the campaign that reads them, what is true, and the scenario itself."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy import linalg
+
+from process.compliance import ModalModel
+from process.errors import InputError
+from process.machine import FeedAxis, Machine
+from process.structure import Posture
+from process.trials import Running
+from smfe import __version__
+from smfe.identification import Progress, silent
+from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
+from smfe.scenario.batch import run_all
+from smfe.scenario.campaign_file import campaign_text
+from smfe.scenario.plan import Entry, Job
+from smfe.scenario.scenario import Scenario, load_scenario
+from smfe.store import write_groups
+
+CSV_VALUES = 250_000
+"""Numbers in a record above which it is written as NetCDF."""
+
+_TRUE_STEP = 0.25
+"""Largest step of the true compliance [Hz]."""
+
+_LEAST_BAND = 100.0
+"""Frequency to which the true compliance goes at least [Hz]."""
+
+_LEAST_DAMPING = 1e-3
+"""Damping ratio below which the true compliance is not sampled more finely."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One record: its job, its seed, and where it goes."""
+
+    job: Job
+    seed: np.random.SeedSequence
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Written:
+    """A record on disk: its name and the channels that read it."""
+
+    file: str
+    channels: Mapping[str, Channel]
+
+
+def simulate(scenario: Path | str, out: Path | str, workers: int | None = None, progress: Progress = silent) -> Path:
+    """Simulate the trials of a scenario and write their records with the campaign file that reads them.
+
+    Everything is made in a temporary folder and moved to `out` when it is complete. The same scenario makes the same
+    numbers, with any number of workers.
+
+    Parameters
+    ----------
+    scenario : path
+        Scenario file.
+    out : path
+        Folder for ``campaign.toml``, ``records/``, ``truth.nc`` and ``scenario.toml``; made when missing.
+    workers : int, optional
+        Records at a time; default: as many as there are cores.
+    progress : callable, optional
+        Called with (what, done, of).
+
+    Returns
+    -------
+    Path
+        The campaign file.
+
+    Raises
+    ------
+    InputError
+        When the scenario is wrong; nothing is then written.
+    """
+    loaded = load_scenario(scenario)
+    true = truths(loaded)
+    with _made_aside(Path(out)) as folder:
+        (folder / "records").mkdir()
+        jobs = [job for entry in loaded.entries for job in entry.jobs]
+        seeds = np.random.SeedSequence(loaded.file.scenario.seed).spawn(len(jobs))
+        tasks = [_Task(job, seed, folder / "records") for job, seed in zip(jobs, seeds, strict=True)]
+        written = iter(run_all(_record, tasks, workers, progress))
+        records = [[next(written) for _ in entry.jobs] for entry in loaded.entries]
+        write_groups(folder / "truth.nc", true)
+        (folder / "scenario.toml").write_text(_with_versions(loaded), encoding="utf-8")
+        text = campaign_text(loaded, [[(w.file, w.channels) for w in one] for one in records])
+        (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    return Path(out) / "campaign.toml"
+
+
+def _record(task: _Task) -> Written:
+    """Simulate and write one record."""
+    try:
+        record = task.job.make(rng=np.random.default_rng(task.seed))
+    except InputError as error:
+        raise InputError(f"record '{task.job.file}': {error}") from error
+    channels = record_columns(record)
+    if record.sizes["time"] * len(channels) > CSV_VALUES:
+        path = write_record_netcdf(record, task.folder / f"{task.job.file}.nc")
+    else:
+        path = write_record_csv(record, task.folder / f"{task.job.file}.csv")
+    return Written(f"records/{path.name}", channels)
+
+
+def _with_versions(scenario: Scenario) -> str:
+    packages = ("numpy", "scipy", "numba", "xarray")
+    versions = ", ".join([f"smfe {__version__}", *(f"{p} {importlib.metadata.version(p)}" for p in packages)])
+    text = scenario.path.read_text(encoding="utf-8")
+    return f"# simulated with seed {scenario.file.scenario.seed} by {versions}\n{text}"
+
+
+@contextmanager
+def _made_aside(out: Path) -> Iterator[Path]:
+    """Yield an empty folder beside `out`; what is in it in the end goes to `out`, the campaign file last."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out} is a file; name a folder")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))
+    try:
+        yield aside
+        for path in sorted(p for p in aside.rglob("*") if p.is_file() and p.name != "campaign.toml"):
+            target = out / path.relative_to(aside)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(path, target)
+        os.replace(aside / "campaign.toml", out / "campaign.toml")
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+# --- what is true -------------------------------------------------------------------------------------------
+
+
+def truths(scenario: Scenario) -> dict[str, xr.Dataset]:
+    """Return the true compliance of the bare machine for each entry of the campaign, for small vibration.
+
+    Friction and joints are linearised; sampled servos act continuously, with the dead time of their lag and half a
+    period.
+
+    Raises
+    ------
+    InputError
+        When the machine is not stable in one of them; all are named at once.
+    """
+    out: dict[str, xr.Dataset] = {}
+    wrong: dict[str, str] = {}
+    known: dict[str, xr.Dataset] = {}
+    frequency = _frequencies(scenario.machine)
+    for entry in scenario.entries:
+        key = repr(entry.running)
+        try:
+            if key not in known:
+                known[key] = _true(scenario.machine, entry.running, frequency)
+        except InputError as error:
+            wrong[f"trial[{entry.trial}], {entry.name}"] = str(error)
+            continue
+        out[entry.name] = known[key].assign_attrs(method="truth", **_flat(entry))
+    if wrong:
+        lines = [f"{name}: {text}" for name, text in wrong.items()]
+        raise InputError("\n  ".join([f"{scenario.path.name}: the machine cannot be measured", *lines]))
+    return out
+
+
+def _flat(entry: Entry) -> dict[str, str]:
+    return {key: str(value) for key, value in entry.says.items()}
+
+
+def _true(machine: Machine | ModalModel, running: Running, frequency: Sequence[float]) -> xr.Dataset:
+    if isinstance(machine, ModalModel):
+        return machine.compliance(frequency)
+    if running.control is not None:
+        machine = _with_dead_time(machine, (running.control.lag + 0.5) * running.control.period)
+    return machine.at(running.feed, running.controller, running.position).compliance(frequency)
+
+
+def _with_dead_time(machine: Machine, delay: float) -> Machine:
+    """Return the machine whose servos act continuously, as late as sampled ones do: the lag and half a period [s]."""
+
+    def late(axis: FeedAxis) -> FeedAxis:
+        assert isinstance(axis.servo, Mapping)
+        return replace(axis, servo={name: replace(servo, delay=delay) for name, servo in axis.servo.items()})
+
+    return replace(machine, axes={n: late(a) if a.servo is not None else a for n, a in machine.axes.items()})
+
+
+def _frequencies(machine: Machine | ModalModel) -> Any:
+    """Return 1 Hz to three times the last mode, ten lines in the narrowest half-power band."""
+    if isinstance(machine, ModalModel):
+        frequency, damping = machine.frequency, machine.damping
+    else:
+        frequency, damping = _elastic_modes(machine)
+    step = min(_TRUE_STEP, float(np.min(2.0 * damping * frequency)) / 10.0)
+    return np.arange(1.0, max(3.0 * float(frequency.max()), _LEAST_BAND), step)
+
+
+def _elastic_modes(machine: Machine) -> tuple[Any, Any]:
+    """Return frequency [Hz] and damping ratio [1] of the modes with free slides and without joints."""
+    structure = machine.structure.structures[0] if isinstance(machine.structure, Posture) else machine.structure
+    squares, shapes = linalg.eigh(structure.stiffness, structure.mass)
+    w = np.sqrt(np.clip(squares, 0.0, None))
+    damping = np.einsum("ir,ij,jr->r", shapes, structure.damping, shapes) / (2.0 * np.maximum(w, 1.0))
+    elastic = w > 2.0 * np.pi
+    return w[elastic] / (2.0 * np.pi), np.maximum(damping[elastic], _LEAST_DAMPING)

@@ -1,0 +1,399 @@
+"""The scenario file as it is written, table by table; every field comes out in SI."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, StrictInt, StrictStr, model_validator
+
+from process import units
+from process.errors import InputError
+from process.labels import AXES
+from process.servo import Servo
+from process.trials import DEFAULT_SAMPLE_RATE
+from smfe.campaign import quantities as q
+from smfe.campaign.schema import LobesTable, MaterialTable, ModeTable, Table, ToolTable
+
+Triple = tuple[float, float, float]
+
+
+def _many(value: Any) -> Any:
+    """One value or a list of them -> list."""
+    if value == []:
+        raise InputError("is empty; at least one entry is needed")
+    return value if isinstance(value, list) else [value]
+
+
+def _values(dimension: str, above: float = -math.inf) -> BeforeValidator:
+    """One quantity or a list of them -> tuple in SI, each more than `above`."""
+
+    def parse(value: Any) -> tuple[float, ...]:
+        numbers = tuple(units.parse(item, dimension) for item in _many(value))
+        for number, item in zip(numbers, _many(value), strict=True):
+            if not number > above:
+                raise InputError(f"'{item}' is not possible; it must be positive")
+        return numbers
+
+    return BeforeValidator(parse)
+
+
+def _triple(dimension: str) -> BeforeValidator:
+    """One quantity for all axes, or a list of three -> triple."""
+
+    def parse(value: Any) -> Triple:
+        items = value if isinstance(value, list) else [value] * 3
+        if len(items) != 3:
+            raise InputError(f"{value!r} has {len(items)} values; give one for all axes, or one each for x, y and z")
+        x, y, z = (_number(item) if dimension == "dimensionless" else units.parse(item, dimension) for item in items)
+        return x, y, z
+
+    return BeforeValidator(parse)
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, str):
+        return units.parse(value, "dimensionless")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{value!r} is not a number; write 0.02 or '2 %'")
+    return float(value)
+
+
+def _range(dimension: str, steps: bool) -> BeforeValidator:
+    """[from, to] or [from, to, step] -> tuple in SI, rising."""
+
+    def parse(value: Any) -> tuple[float, ...]:
+        wanted = "[from, to, step]" if steps else "[from, to]"
+        if not isinstance(value, list) or len(value) != (3 if steps else 2):
+            raise InputError(f"{value!r} is no range; write {wanted}, each with its unit")
+        numbers = tuple(units.parse(item, dimension) for item in value)
+        if not 0.0 < numbers[0] < numbers[1] or (steps and not 0.0 < numbers[2] <= numbers[1] - numbers[0]):
+            raise InputError(f"{value!r} is no range; write {wanted} with positive, rising values")
+        return numbers
+
+    return BeforeValidator(parse)
+
+
+Axis = q.Axis
+Directions = Annotated[tuple[Axis, ...], q.NotEmpty]
+PositiveMass = Annotated[float, q.quantity("mass", above=0.0)]
+PositiveTime = Annotated[float, q.quantity("time", above=0.0)]
+Delay = Annotated[float, q.quantity("time", low=0.0)]
+PositiveForce = Annotated[float, q.quantity("force", above=0.0)]
+Viscosity = Annotated[float, q.quantity("viscosity", low=0.0)]
+Speed = Annotated[float, q.quantity("speed", above=0.0)]
+Ratios = Annotated[Triple, _triple("dimensionless")]
+Matrix = Annotated[tuple[Ratios, Ratios, Ratios], q.NotEmpty]
+
+
+class ScenarioTable(Table):
+    """``[scenario]``."""
+
+    name: q.Name
+    seed: Annotated[StrictInt, Field(ge=0)] = 0
+    sample_rate: q.PositiveFrequency = DEFAULT_SAMPLE_RATE
+
+
+# --- machine ------------------------------------------------------------------------------------------------
+
+
+class ServoTable(Table):
+    """One controller of an axis."""
+
+    Kp: Annotated[float, q.quantity("viscosity", above=0.0)]
+    Ti: PositiveTime
+    Kv: q.PositiveFrequency
+    delay: Delay = 0.0
+    feed_forward: q.Ratio = 1.0
+
+    def build(self) -> Servo:
+        """Return the servo."""
+        return Servo(**dict(self))
+
+
+class FrictionTable(Table):
+    """``friction`` of an axis: the law by name and its parameters."""
+
+    law: Annotated[str, q.one_of(("viscous", "coulomb", "coulomb_viscous", "andersson", "lugre", "gms"), "law")]
+    coulomb: q.Force | None = None
+    static: q.Force | None = None
+    stribeck_speed: Speed | None = None
+    sigma: Viscosity | None = None
+    kt: Annotated[float, q.quantity("steepness", above=0.0)] | None = None
+    delta: q.Ratio | None = None
+    bristle_stiffness: q.Stiffness | None = None
+    bristle_damping: Viscosity | None = None
+    element_stiffness: Annotated[tuple[float, ...], _values("stiffness", above=0.0)] | None = None
+    share: tuple[q.Ratio, ...] | None = None
+    attraction: Annotated[float, q.quantity("force_rate", above=0.0)] | None = None
+
+
+class AxisTable(Table):
+    """``[machine.axis.x]``."""
+
+    moving_mass: PositiveMass
+    tip_mass: PositiveMass | None = None
+    stiffness: q.Stiffness | None = None
+    damping: Viscosity | None = None
+    controllers: Annotated[dict[StrictStr, ServoTable], Field(default_factory=dict)]
+    friction: FrictionTable | None = None
+
+
+class JointTable(Table):
+    """``[[machine.joint]]``."""
+
+    law: Annotated[str, q.one_of(("jenkins", "iwan", "cubic", "gap"), "law")]
+    stiffness: q.Stiffness
+    slip_force: PositiveForce | None = None
+    cubic: Annotated[float, q.quantity("cubic_stiffness")] | None = None
+    gap: q.PositiveLength | None = None
+    participation: tuple[q.Ratio, ...] | None = None
+    axis: Axis | None = None
+
+
+class PostureEntry(Table):
+    """One entry of ``at`` of a posture."""
+
+    position: q.Length
+    modes: Annotated[tuple[ModeTable, ...], q.NotEmpty]
+
+
+class PostureTable(Table):
+    """``[machine.posture]``."""
+
+    axis: Axis
+    at: Annotated[tuple[PostureEntry, ...], q.NotEmpty]
+
+
+class MachineTable(Table):
+    """``[machine]``."""
+
+    modes: tuple[ModeTable, ...] = ()
+    tip_mass: PositiveMass | None = None
+    axis: Annotated[dict[Axis, AxisTable], Field(default_factory=dict)]
+    joint: tuple[JointTable, ...] = ()
+    posture: PostureTable | None = None
+
+
+# --- sensors ------------------------------------------------------------------------------------------------
+
+
+class RotationTable(Table):
+    """``misalignment`` of a sensor."""
+
+    axis: Axis
+    angle: q.Angle
+
+
+class SensorTable(Table):
+    """What accelerometers and force sensors have in common."""
+
+    resonance: q.PositiveFrequency | None = None
+    damping: q.Ratio = 0.02
+    gain: Ratios = (1.0, 1.0, 1.0)
+    cross_axis: Matrix | None = None
+    misalignment: RotationTable | None = None
+    noise_corner: Annotated[float, q.quantity("frequency", low=0.0)] = 0.0
+    bits: StrictInt = 24
+
+
+class AccelerometerTable(SensorTable):
+    """``[sensors.accelerometer]``."""
+
+    mass: q.Mass = 0.0
+    moves: Directions = AXES
+    noise: Annotated[Triple, _triple("acceleration")] = (0.0, 0.0, 0.0)
+    range: Annotated[float, q.quantity("acceleration", above=0.0)] | None = None
+
+
+class ForceSensorTable(SensorTable):
+    """``[sensors.hammer]``, ``[sensors.actuator]``, ``[sensors.dynamometer]``."""
+
+    mass: q.Mass = 0.0
+    drift: Annotated[Triple, _triple("force_rate")] = (0.0, 0.0, 0.0)
+    noise: Annotated[Triple, _triple("force")] = (0.0, 0.0, 0.0)
+    range: PositiveForce | None = None
+
+
+class EncoderTable(Table):
+    """``[sensors.encoder]``."""
+
+    resolution: q.PositiveLength
+
+
+class ToneTable(Table):
+    """``[[sensors.tone]]``."""
+
+    channel: StrictStr
+    amplitude: StrictStr
+    frequency: q.PositiveFrequency | None = None
+    order: q.Ratio | None = None
+    phase: q.Angle | None = None
+
+
+class AntiAliasTable(Table):
+    """``[sensors.anti_alias]``."""
+
+    order: StrictInt = 8
+    corner: q.PositiveFrequency
+
+
+class ClockTable(Table):
+    """``[[sensors.clock]]``."""
+
+    channel: StrictStr
+    skew: q.Time = 0.0
+    rate_error: q.Ratio = 0.0
+
+
+class SensorsTable(Table):
+    """``[sensors]``."""
+
+    accelerometer: AccelerometerTable = AccelerometerTable()
+    hammer: ForceSensorTable = ForceSensorTable()
+    actuator: ForceSensorTable = ForceSensorTable()
+    dynamometer: ForceSensorTable = ForceSensorTable()
+    encoder: EncoderTable | None = None
+    tone: tuple[ToneTable, ...] = ()
+    anti_alias: AntiAliasTable | None = None
+    clock: tuple[ClockTable, ...] = ()
+
+
+# --- trials -------------------------------------------------------------------------------------------------
+
+
+class ControlTable(Table):
+    """``control`` of a trial: a sampled servo."""
+
+    period: PositiveTime
+    lag: Annotated[StrictInt, Field(ge=0)] = 1
+    encoder_resolution: Annotated[float, q.quantity("length", low=0.0)] = 0.0
+
+
+class TrialTable(Table):
+    """What all trials have in common; a list makes one record of each combination."""
+
+    name: q.Name | None = None
+    feed: Annotated[tuple[q.Feed, ...], BeforeValidator(_many)] | None = None
+    controller: Annotated[tuple[StrictStr, ...], BeforeValidator(_many)] | None = None
+    position: Annotated[tuple[float, ...], _values("length")] | None = None
+    repeats: Annotated[StrictInt, Field(ge=1, le=1000)] = 1
+    control: ControlTable | None = None
+
+
+class HammerTable(TrialTable):
+    """``method = "hammer"``: `scatter` is the largest departure of a hit from the level."""
+
+    method: Literal["hammer"]
+    directions: Directions = AXES
+    hits: Annotated[StrictInt, Field(ge=1, le=1000)] = 5
+    impulse: Annotated[tuple[float, ...], _values("impulse", above=0.0)] | None = None
+    peak_force: Annotated[tuple[float, ...], _values("force", above=0.0)] | None = None
+    scatter: Annotated[float, BeforeValidator(_number), Field(ge=0.0, lt=1.0)] = 0.0
+    duration: PositiveTime = 4e-3
+    interval: PositiveTime = 4.0
+    frequency_range: q.FrequencyRange | None = None
+
+    @model_validator(mode="after")
+    def _one_level(self) -> HammerTable:
+        if (self.impulse is None) == (self.peak_force is None):
+            raise InputError("a hammer trial needs an impulse or a peak_force, one of them")
+        if self.duration >= 0.5 * self.interval:
+            raise InputError("the interval must be more than twice the duration of a hit")
+        return self
+
+
+class ActuatorTable(TrialTable):
+    """``method = "actuator"``."""
+
+    method: Literal["actuator"]
+    directions: Directions = AXES
+    force: Annotated[tuple[float, ...], _values("force", above=0.0)]
+    frequencies: Annotated[tuple[float, float, float], _range("frequency", steps=True)]
+    dwell: PositiveTime = 1.5
+
+
+class PassTable(Table):
+    """One entry of ``passes`` of a sweep."""
+
+    cut: q.CutName
+    width_of_cut: q.PositiveLength
+
+
+class CuttingTable(TrialTable):
+    """What sweeps and cutting tests have in common."""
+
+    depth_of_cut: Annotated[tuple[float, ...], _values("length", above=0.0)]
+    feed_per_tooth: q.PositiveLength
+    lead: Delay = 0.5
+    tail: Delay = 2.0
+
+
+class SweepTable(CuttingTable):
+    """``method = "sweep"``: the feed rate is held while the speed rises, `feed_per_tooth` is that of the start."""
+
+    method: Literal["sweep"]
+    spindle_speed: Annotated[tuple[float, float], _range("rotation", steps=False)]
+    rate: Annotated[float, q.quantity("rotation_rate", above=0.0)]
+    passes: Annotated[tuple[PassTable, ...], q.NotEmpty]
+    frequency_range: q.FrequencyRange | None = None
+
+
+class CutTable(CuttingTable):
+    """``method = "cut"``: cutting tests at constant speed."""
+
+    method: Literal["cut"]
+    spindle_speed: Annotated[tuple[float, ...], _values("rotation", above=0.0)]
+    cut: q.CutName
+    width_of_cut: q.PositiveLength
+    duration: PositiveTime
+    lead: Delay = 0.25
+    tail: Delay = 0.25
+
+
+class DriveTable(TrialTable):
+    """``method = "drive"``: a sweep of force added to the drive of one axis, or nothing."""
+
+    method: Literal["drive"]
+    axis: Axis
+    duration: PositiveTime
+    force: Annotated[tuple[float, ...], _values("force", above=0.0)] | None = None
+    frequency_range: q.FrequencyRange | None = None
+
+    @model_validator(mode="after")
+    def _both(self) -> DriveTable:
+        if (self.force is None) != (self.frequency_range is None):
+            raise InputError("give force and frequency_range, or neither")
+        return self
+
+
+class SilentTable(TrialTable):
+    """``method = "silent"``."""
+
+    method: Literal["silent"]
+    duration: PositiveTime
+
+
+TRIALS: dict[str, type[TrialTable]] = {
+    "hammer": HammerTable,
+    "actuator": ActuatorTable,
+    "sweep": SweepTable,
+    "cut": CutTable,
+    "drive": DriveTable,
+    "silent": SilentTable,
+}
+"""Method -> its table."""
+
+Trial = HammerTable | ActuatorTable | SweepTable | CutTable | DriveTable | SilentTable
+
+
+class ScenarioFile(Table):
+    """The whole file."""
+
+    scenario: ScenarioTable
+    machine: MachineTable
+    tool: ToolTable | None = None
+    material: MaterialTable | None = None
+    sensors: SensorsTable = SensorsTable()
+    trial: Annotated[tuple[Annotated[Trial, Field(discriminator="method")], ...], q.NotEmpty]
+    lobes: tuple[LobesTable, ...] = ()

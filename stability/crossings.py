@@ -1,0 +1,195 @@
+"""Depths at which a Floquet multiplier lies on the unit circle: eigenvalue curves that cross the real axis.
+
+Both converged methods end in a matrix M(theta) whose eigenvalues are 1/depth when ``exp(j theta)`` is a multiplier of
+the period. A depth is real: the crossings of all curves with the positive real axis over 0 <= theta <= pi are *all*
+depths at which stability can change, islands included, and no grid over depth is needed to find them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from stability.periodic import Complex, Real
+
+Curve = Callable[[float], Complex]
+
+NEGLIGIBLE = 3e-3
+"""Eigenvalues below this share of the largest over all angles stand for depths beyond any limit of use."""
+
+LARGEST_STEP = 0.25
+"""An eigenvalue near the real axis may change by this share of itself before the interval is halved."""
+
+TANGENT_STEP = 0.02
+"""As `LARGEST_STEP` where a curve comes near the axis without crossing it: a narrow island hides there."""
+
+SMALLEST_INTERVAL = 1e-7
+"""Intervals of theta are not halved below this [rad]."""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A depth at which a multiplier ``exp(j angle)`` is on the unit circle.
+
+    Parameters
+    ----------
+    angle : float
+        theta [rad], 0 to pi.
+    depth : float
+        Axial depth [m].
+    """
+
+    angle: float
+    depth: float
+
+    @property
+    def kind(self) -> str:
+        """Type of the loss: ``flip`` (period doubling) at pi, ``fold`` at 0, else ``hopf``."""
+        if self.angle == math.pi:
+            return "flip"
+        return "fold" if self.angle == 0.0 else "hopf"
+
+
+def angle_grid(poles: Complex, count: int) -> Real:
+    """Return angles 0 to pi, evenly spaced and gathered about poles ``exp(lambda T)`` of the machine alone.
+
+    Parameters
+    ----------
+    poles : ndarray of complex
+        Multipliers of the machine without cutting.
+    count : int
+        Number of even steps.
+    """
+    even = math.pi * np.arange(count + 1) / count
+    offset = np.tan(np.pi * np.array([-7.2, -6.5, -5.0, -2.5, 0.0, 2.5, 5.0, 6.5, 7.2]) / 16.0)
+    width = np.minimum(-np.log(np.maximum(np.abs(poles), 1e-300)), 1.0)
+    near = (np.abs(np.angle(poles))[:, None] + width[:, None] * offset).ravel()
+    grid = np.unique(np.concatenate([even, near[(near > 0.0) & (near < math.pi)]]))
+    apart = np.concatenate([[True], np.diff(grid) > 1e-4])
+    apart[-2:] = True
+    return np.asarray(grid[apart])
+
+
+def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> list[Crossing]:
+    """Return crossings, lowest depth first.
+
+    Parameters
+    ----------
+    curve : callable
+        theta -> eigenvalues [1/m], shape (any,), in any order.
+    angles : ndarray
+        Rising angles from 0 to pi; intervals are halved where a curve turns too far between them.
+    deepest : float, optional
+        Depth [m] up to which all crossings are wanted. Without it only the lowest one is certain to be there:
+        intervals that can only hold deeper ones than those found so far are left out.
+    """
+    samples = [(float(a), curve(float(a))) for a in angles]
+    for _, values in (samples[0], samples[-1]):
+        values.imag[np.abs(values.imag) <= 1e-9 * np.abs(values)] = 0.0
+    found = [Crossing(a, depth) for a, values in (samples[0], samples[-1]) for depth in _real_depths(values)]
+    pairs = list(pairwise(samples))
+    pairs.sort(key=lambda pair: -max(float(pair[0][1].real.max()), float(pair[1][1].real.max())))
+    largest = max(float(np.abs(values).max()) for _, values in samples)
+    if largest == 0.0:
+        return []
+    for low, high in pairs:
+        bound = deepest or min([c.depth for c in found] + [1.0 / (NEGLIGIBLE * largest)])
+        found.extend(_between(curve, low, high, 0.7 / bound))
+    return sorted((c for c in found if deepest is None or c.depth <= deepest), key=lambda c: c.depth)
+
+
+def _real_depths(values: Complex) -> list[float]:
+    """Depths of the real positive eigenvalues of a real matrix (theta 0 or pi)."""
+    size = np.abs(values)
+    real = (np.abs(values.imag) <= 1e-9 * size) & (values.real > 1e-6 * size.max(initial=0.0))
+    return [1.0 / float(v) for v in values.real[real]]
+
+
+def _between(curve: Curve, low: tuple[float, Complex], high: tuple[float, Complex], least: float) -> Iterator[Crossing]:
+    """Yield the crossings strictly between two angles, halving as needed."""
+    work = [(low, high)]
+    while work:
+        (a, at_a), (b, at_b) = work.pop()
+        steps = _matched(at_a, at_b, least)
+        if b - a > SMALLEST_INTERVAL and any(_too_far(first, last) for first, last in steps):
+            middle = 0.5 * (a + b)
+            at_middle = curve(middle)
+            work += [((a, at_a), (middle, at_middle)), ((middle, at_middle), (b, at_b))]
+            continue
+        for first, last in steps:
+            if first.imag * last.imag < 0.0 and max(first.real, last.real) > 0.0:
+                yield from _root(curve, (a, first), (b, last))
+
+
+def _too_far(first: complex, last: complex) -> bool:
+    """Whether a curve may do something between two values that a straight line does not show."""
+    if max(first.real, last.real) <= 0.0:
+        return False
+    step, size = abs(last - first), max(abs(first), abs(last))
+    if first.imag * last.imag <= 0.0:
+        return step > LARGEST_STEP * size
+    return min(abs(first.imag), abs(last.imag)) < 0.5 * step and step > TANGENT_STEP * size
+
+
+def _matched(at_a: Complex, at_b: Complex, least: float) -> list[tuple[complex, complex]]:
+    """Pair the eigenvalues of two angles, nearest with nearest; those too small to matter are left out."""
+    first, last = at_a[np.abs(at_a) > least], at_b[np.abs(at_b) > 0.5 * least]
+    if first.size == 0 or last.size == 0:
+        return []
+    rows, columns = linear_sum_assignment(np.abs(first[:, None] - last[None, :]))
+    return [(complex(first[i]), complex(last[j])) for i, j in zip(rows, columns, strict=True)]
+
+
+def _root(curve: Curve, low: tuple[float, complex], high: tuple[float, complex]) -> Iterator[Crossing]:
+    """Yield where one curve meets the real axis (Illinois); nothing when the ends belong to different curves."""
+    (a, at_a), (b, at_b) = low, high
+    ga, gb = at_a.imag, at_b.imag
+    for _ in range(60):
+        middle = (a * gb - b * ga) / (gb - ga)
+        share = (middle - a) / (b - a)
+        at_middle = _nearest(curve(middle), at_a + share * (at_b - at_a))
+        if abs(at_middle.imag) <= 1e-7 * abs(at_middle) or b - a < 1e-13:
+            if at_middle.real > 0.0 and abs(at_middle.imag) <= 1e-4 * abs(at_middle) and 0.0 < middle < math.pi:
+                yield Crossing(middle, 1.0 / at_middle.real)
+            return
+        if (at_middle.imag > 0.0) == (at_b.imag > 0.0):
+            b, at_b, gb, ga = middle, at_middle, at_middle.imag, 0.5 * ga
+        else:
+            a, at_a, ga, gb = middle, at_middle, at_middle.imag, 0.5 * gb
+
+
+def _nearest(values: Complex, to: complex) -> complex:
+    return complex(values[int(np.argmin(np.abs(values - to)))])
+
+
+def follow(curve: Curve, crossing: Crossing) -> Crossing | None:
+    """Return the crossing of a finer discretisation near that of a coarser one; None when it has gone elsewhere."""
+    if crossing.kind != "hopf":
+        depths = _real_depths(curve(crossing.angle))
+        best = min(depths, key=lambda d: abs(1.0 / d - 1.0 / crossing.depth), default=math.inf)
+        return Crossing(crossing.angle, best) if abs(best / crossing.depth - 1.0) < 0.2 else None
+    old, value = crossing.angle, _nearest(curve(crossing.angle), 1.0 / crossing.depth + 0.0j)
+    new = old + 1e-4 if old < 0.5 * math.pi else old - 1e-4
+    for _ in range(25):
+        at_new = _nearest(curve(new), value)
+        if abs(at_new.imag) <= 1e-7 * abs(at_new):
+            near = abs(at_new.real * crossing.depth - 1.0) < 0.2 and 0.0 < new < math.pi
+            return Crossing(new, 1.0 / at_new.real) if near else None
+        if at_new.imag == value.imag:
+            return None
+        slope = (at_new.imag - value.imag) / (new - old)
+        old, value = new, at_new
+        new = old - max(-0.1, min(0.1, value.imag / slope))
+    return None
+
+
+def relative_change(old: Crossing | None, new: Crossing | None) -> float:
+    """Return the relative change of a limit; a limit that appears or vanishes changes without bound."""
+    if old is None or new is None:
+        return 0.0 if old is new else math.inf
+    return abs(new.depth / old.depth - 1.0)

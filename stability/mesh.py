@@ -1,0 +1,211 @@
+"""One period of a cut laid out in elements between the entries and exits of the teeth, with Gauss nodes in each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.cutting import chip_projection, force_projection
+from stability import _semi_kernels as kernels
+from stability.periodic import Complex, Modes, Pattern, Real
+from stability.problem import Cut
+
+Element = tuple[float, float, list[int]]
+"""From which angle [rad], how far, and with which teeth engaged."""
+
+FEWEST_NODES = 4
+"""Smallest number of nodes in an element."""
+
+ORDER = 24
+"""Largest number of nodes in an element."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """One period of a cut in n elements with p nodes each: m contacts, one for each engaged tooth at each node.
+
+    Parameters
+    ----------
+    pattern : Pattern
+        How the teeth follow each other.
+    length, gap : ndarray, shape (n,)
+        Angle over an element, and through air after it [rad].
+    node : ndarray, shape (p,)
+        Gauss nodes on 0..1.
+    offset : ndarray of int, shape (n + 1,)
+        First contact of each element.
+    angle, span : ndarray, shape (m,)
+        Angle of the tool at a contact, and the angle it stands for [rad].
+    chip : ndarray, shape (m, 3)
+        ``(s, c, 1) Q``: chip a unit of displacement [1].
+    force : ndarray, shape (3, m)
+        ``P (s, c, 1)``: force a unit of chip and of depth [N/m2].
+    source, weight, wrap : ndarray, shapes (m,), (m, p), (m,)
+        First contact of those that hold the surface left by the tooth before, their weights, and whether they are
+        those of the period before.
+    """
+
+    pattern: Pattern
+    length: Real
+    gap: Real
+    node: Real
+    offset: NDArray[np.int64]
+    angle: Real
+    span: Real
+    chip: Real
+    force: Real
+    source: NDArray[np.int64]
+    weight: Real
+    wrap: NDArray[np.bool_]
+
+    @property
+    def steps(self) -> int:
+        """Nodes over one period."""
+        return int(self.length.size * self.node.size)
+
+
+def _pieces(cut: Cut, pattern: Pattern) -> list[Element]:
+    """Return the elements between the events of one period, air left out."""
+    arc, lag, period = cut.arc, pattern.lag, pattern.period
+    events = np.sort(np.concatenate([arc.entry + lag, arc.exit + lag]) % period)
+    events = events[np.diff(events, prepend=-1.0) > 1e-9]
+    if events[-1] - events[0] > period - 1e-9:
+        events = events[:-1]
+    out = []
+    for low, high in zip(events, np.append(events[1:], events[0] + period), strict=True):
+        phi = (0.5 * (low + high) - lag) % (2.0 * math.pi)
+        teeth = [int(j) for j in np.flatnonzero((phi > arc.entry) & (phi < arc.exit))]
+        if teeth:
+            out.append((float(low), float(high - low), teeth))
+    return out
+
+
+def _elements(cut: Cut, pattern: Pattern, steps: int) -> tuple[list[Element], int]:
+    """Return the elements and the number of nodes in each: at least `steps` in all."""
+    pieces = _pieces(cut, pattern)
+    in_cut = sum(length for _, length, _ in pieces)
+    share = [steps * length / in_cut for _, length, _ in pieces]
+    # An element must not hold the surface that it cuts itself: none is longer than the shortest delay.
+    counts = [
+        max(math.ceil(s / ORDER - 1e-9), math.ceil(length / pattern.delay.min() - 1e-9))
+        for s, (_, length, _) in zip(share, pieces, strict=True)
+    ]
+    elements = [
+        (low + length * i / n, length / n, teeth)
+        for (low, length, teeth), n in zip(pieces, counts, strict=True)
+        for i in range(n)
+    ]
+    return elements, max(FEWEST_NODES, *(math.ceil(s / n - 1e-9) for s, n in zip(share, counts, strict=True)))
+
+
+def lay_mesh(cut: Cut, pattern: Pattern, steps: int) -> Mesh:
+    """Lay at least `steps` nodes over the engaged part of one period."""
+    elements, p = _elements(cut, pattern, steps)
+    start = np.array([e[0] for e in elements])
+    length = np.array([e[1] for e in elements])
+    gap = np.append(start[1:], start[0] + pattern.period) - start - length
+    node, w = _gauss(p)
+    teeth = [e[2] for e in elements]
+    offset = np.concatenate([[0], np.cumsum([p * len(t) for t in teeth])]).astype(np.int64)
+    angle = np.concatenate([np.tile(s + h * node, len(t)) for s, h, t in zip(start, length, teeth, strict=True)])
+    span = np.concatenate([np.tile(h * w, len(t)) for h, t in zip(length, teeth, strict=True)])
+    tooth = np.concatenate([np.repeat(t, p) for t in teeth])
+    phi = angle - pattern.lag[tooth]
+    basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)], axis=1)
+    chip = basis @ chip_projection(cut.tool.approach_angle)
+    force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle) @ basis.T
+    left = _surface_left(elements, offset, node, pattern, angle, tooth)
+    gap = np.where(gap > 1e-9, gap, 0.0)
+    return Mesh(pattern, length, gap, node, offset, angle, span, chip, force, *left)
+
+
+def _surface_left(
+    elements: list[Element],
+    offset: NDArray[np.int64],
+    node: Real,
+    pattern: Pattern,
+    angle: Real,
+    tooth: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], Real, NDArray[np.bool_]]:
+    """Find for each contact those that hold the surface which the tooth before has left there, and their weights."""
+    turn = 2.0 * math.pi
+    source = np.empty(angle.size, dtype=np.int64)
+    weight = np.empty((angle.size, node.size))
+    before = angle - pattern.delay[tooth]
+    wrap = before < elements[0][0] - 1e-9
+    before = np.where(wrap, before + pattern.period, before)
+    for i in range(angle.size):
+        # At that time the tooth before was at the same angle; in a repeating pattern another tooth stands for it.
+        apart = (before[i] - pattern.lag - angle[i] + pattern.lag[tooth[i]]) % turn
+        same = int(np.argmin(np.minimum(apart, turn - apart)))
+        holding = ((e, *element) for e, element in enumerate(elements) if same in element[2])
+        e, low, length, teeth = next(h for h in holding if h[1] - 1e-9 <= before[i] <= h[1] + h[2] + 1e-9)
+        source[i] = offset[e] + node.size * teeth.index(same)
+        weight[i] = _lagrange(node, np.array((before[i] - low) / length))
+    return source, weight, wrap
+
+
+def _lagrange(node: Real, x: Real) -> Real:
+    """Return the Lagrange polynomials of nodes (p,) at x, shape (..., p)."""
+    apart = node[:, None] - node + np.eye(node.size)
+    factor = np.where(np.eye(node.size, dtype=bool), 1.0, (x[..., None, None] - node) / apart)
+    return np.asarray(factor.prod(axis=-1))
+
+
+@lru_cache(maxsize=256)
+def _rule(nodes: int, points: int) -> tuple[Real, Real, Real, Real]:
+    """Return a Gauss rule on 0..1 and the Lagrange polynomials of the nodes, at node times rule and at the rule."""
+    node = _gauss(nodes)[0]
+    x, w = _gauss(points)
+    return x, w, _lagrange(node, node[:, None] * x), _lagrange(node, x)
+
+
+def _gauss(points: int) -> tuple[Real, Real]:
+    x, w = np.polynomial.legendre.leggauss(points)
+    return 0.5 * (x + 1.0), 0.5 * w
+
+
+def _responses(mesh: Mesh, rate: Complex, step: float) -> tuple[Complex, Complex]:
+    """Integrate ``exp(rate (t - s))`` times Lagrange polynomials from 0 to each node, and to the end of an element.
+
+    Shapes (N, p, p) and (N, p) [s].
+    """
+    # A fast decay is a layer at the end of the interval, where a Gauss rule is dense with the square of its points.
+    decay = math.ceil(3.0 * math.sqrt(step * np.abs(rate.real).max()) / 8.0)
+    x, w, inside, whole = _rule(mesh.node.size, mesh.node.size + 8 + 8 * decay)
+    reach = step * mesh.node
+    growth = np.exp(rate[:, None, None] * reach[:, None] * (1.0 - x)) * w * reach[:, None]
+    inner = (growth.transpose(1, 0, 2) @ inside).transpose(1, 0, 2)
+    last = (step * w * np.exp(np.outer(rate, step * (1.0 - x)))) @ whole
+    return np.asarray(inner, dtype=complex), np.asarray(last, dtype=complex)
+
+
+def cut_at_speed(mesh: Mesh, modes: Modes, spindle_speed: float) -> kernels.System:
+    """Return the cut at one spindle speed [rpm]."""
+    rotation = spindle_speed * math.pi / 30.0
+    output = mesh.chip @ modes.shape
+    force = modes.participation @ mesh.force
+    step, idle = mesh.length / rotation, mesh.gap / rotation
+    width = int(np.diff(mesh.offset).max())
+    gain = np.zeros((mesh.length.size, width, width))
+    start, end = np.empty((2, *output.shape), dtype=complex)
+    known: dict[float, tuple[Complex, Complex]] = {}
+    for e, h in enumerate(step):
+        at = slice(mesh.offset[e], mesh.offset[e + 1])
+        key = round(float(h / step[0]), 9)
+        if key not in known:
+            known[key] = _responses(mesh, modes.rate, float(h))
+        inner, last = known[key]
+        k = np.arange(at.stop - at.start) % mesh.node.size
+        gain[e, : k.size, : k.size] = np.einsum("im,mij,mj->ij", output[at], inner[:, k[:, None], k], force[:, at]).real
+        start[at] = output[at] * np.exp(np.outer(h * mesh.node[k], modes.rate))
+        end[at] = (force[:, at] * last[:, k]).T
+    turn = np.exp(modes.rate * mesh.pattern.period / rotation)
+    decay, gap = np.exp(np.outer(step, modes.rate)), np.exp(np.outer(idle, modes.rate))
+    return kernels.System(
+        mesh.offset, gain, start, end, decay, gap, turn, mesh.source, mesh.weight.astype(complex), mesh.wrap
+    )

@@ -1,0 +1,451 @@
+"""Converged limits of a modal machine: the delay equation over one period, with the shift structure used.
+
+A machine ``q' = A q + B F``, ``r = C q`` cuts with ``F = a_p sum_j P s_j s_j^T Q (r(t) - r(t - T_j))``,
+``s_j = (sin phi_j, cos phi_j, 1)``, over the engaged teeth j. What has to be remembered from pass to pass is one number
+for each engaged tooth and node, the chip ``s^T Q r``: not the state over a whole delay.
+
+- The period is cut at every entry and exit, so that all coefficients are smooth within an element; the force is a
+  polynomial through Gauss nodes there, and its response an exact exponential: the error falls faster than any power
+  of the number of steps, where the classical scheme (Insperger and Stepan 2011) is of first order at entry and exit.
+- A pass costs in proportion to the number of steps (elements of few nodes, `stability.mesh`); no monodromy matrix is
+  built. The multipliers of largest modulus come from Arnoldi's method on the map over one period.
+- With ``q(t + T) = mu q(t)`` the force is ``a_p`` times a linear operator M(mu) of the chips: for ``mu = exp(j theta)``
+  the real positive eigenvalues of M are 1/depth at *all* changes of stability (`stability.crossings`). The first one,
+  islands and all, is found without a grid over depth; the map itself then confirms it.
+
+Run-out and edge forces do not regenerate and have no influence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from process.cutting import CuttingCoefficients
+from process.engagement import Engagement
+from process.errors import InputError
+from process.labels import label
+from process.tool import Tool
+from stability import _semi_kernels as kernels
+from stability.crossings import Crossing, Curve, angle_grid, find_crossings, follow, relative_change
+from stability.mesh import FEWEST_NODES, Mesh, cut_at_speed, lay_mesh
+from stability.periodic import Complex, Machine, Modes, Pattern, Real, modes_of, pattern_of
+from stability.problem import Cut, check_spindle_speed
+
+Krylov = Callable[[int], tuple[Complex, Complex, int]]
+
+METHOD = "semi-discretisation"
+
+BAND_COLUMNS: tuple[str, ...] = ("from_mm", "to_mm", "stable", "kind", "chatter_frequency_Hz", "multiplier")
+"""Columns of `stability_bands`."""
+
+CONFIRMED = (0.3, 0.6, 0.8, 0.9, 0.97, 0.999)
+"""Shares of a limit at which the map over one period must be stable."""
+
+FULL = 48
+"""Up to this size all eigenvalues are taken; above, Arnoldi's method goes on until the large ones stand still."""
+
+LARGE = 0.2
+"""Where not all eigenvalues are taken, those above this share of the largest are; fewer left out when that fails."""
+
+MOST_STEPS = 4096
+"""Doubling stops here."""
+
+
+@dataclass(frozen=True)
+class LimitDepth:
+    """The first loss of stability with growing depth at one spindle speed.
+
+    Parameters
+    ----------
+    limit_depth_mm : float
+        Axial depth [mm]; inf when no multiplier reaches the unit circle at any depth searched.
+    limit_depth_error_mm : float
+        Change of the limit in the last doubling of the steps [mm]; the true error is far below.
+    chatter_frequency_Hz : float
+        The strongest line ``f_c + k f_T`` of the displacement at the limit [Hz]; NaN without limit.
+    kind : str
+        ``hopf``, ``flip`` (period doubling), ``fold``, or ``none``.
+    steps : int
+        Steps in the cut over one period.
+    """
+
+    limit_depth_mm: float
+    limit_depth_error_mm: float
+    chatter_frequency_Hz: float
+    kind: str
+    steps: int
+
+
+def _crossing_values(
+    system: kernels.System, angle: float, share: float, deepest: float = math.inf
+) -> tuple[Complex, Complex, Complex]:
+    """Return eigenvalues 1/depth [1/m] when ``exp(j angle)`` is a multiplier, as `_ritz` does.
+
+    All when the problem is small; else at least those above a share of the largest and those down to 1/deepest.
+    """
+    multiplier = complex(math.cos(angle), math.sin(angle)) if angle < math.pi else -1.0 + 0.0j
+
+    def wanted(modulus: Real) -> NDArray[np.bool_]:
+        least = share * modulus.max()
+        return np.asarray(modulus >= (least if math.isinf(deepest) else min(least, 0.5 / deepest)))
+
+    return _ritz(lambda size: kernels.krylov_crossing(system, multiplier, size), system.source.size, wanted)
+
+
+def _curve(system: kernels.System, share: float = LARGE, deepest: float = math.inf) -> Curve:
+    return lambda angle: _crossing_values(system, angle, share, deepest)[0]
+
+
+def _multipliers(system: kernels.System, depth: float) -> Complex:
+    """Return the Floquet multipliers of large modulus, largest first."""
+
+    def wanted(modulus: Real) -> NDArray[np.bool_]:
+        return np.asarray(modulus >= 0.95 * modulus.max())
+
+    total = system.source.size + system.turn.size
+    inverses = np.linalg.inv(np.eye(system.gain.shape[1]) - depth * system.gain)
+    values = _ritz(lambda size: kernels.krylov_period(system, inverses, depth, size), total, wanted)[0]
+    return np.asarray(values[np.argsort(-np.abs(values))])
+
+
+def _ritz(krylov: Krylov, total: int, wanted: Callable[[Real], NDArray[np.bool_]]) -> tuple[Complex, Complex, Complex]:
+    """Return eigenvalues of an operator, all when small, else those wanted, converged; with Arnoldi's basis and matrix.
+
+    A vector v of the small matrix stands for ``v @ basis``.
+    """
+    size = min(total, FULL)
+    while True:
+        basis, hessenberg, reached = krylov(size)
+        small = hessenberg[:reached, :reached]
+        if reached < size or size == total:
+            return np.asarray(np.linalg.eigvals(small), dtype=complex), basis[:reached], small
+        values, vectors = np.linalg.eig(small)
+        modulus = np.abs(values)
+        large = wanted(modulus)
+        left = abs(hessenberg[reached, reached - 1]) * np.abs(vectors[-1])
+        if np.all(left[large] <= 1e-7 * modulus.max()):
+            return values[large], basis[:reached], small
+        size = min(total, 2 * size)
+
+
+def _radius(system: kernels.System, depth: float) -> float:
+    """Return the largest modulus of a multiplier at a depth [m]."""
+    return float(np.abs(_multipliers(system, depth)[0]))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A machine and a cut at one spindle speed [rpm], to be discretised."""
+
+    cut: Cut
+    pattern: Pattern
+    modes: Modes
+    spindle_speed: float
+    kept: dict[int, Mesh] = field(default_factory=dict)
+
+    def first_steps(self) -> int:
+        """Steps that resolve the fastest mode over the engaged part of a period."""
+        in_cut = float(self.mesh(FEWEST_NODES).length.sum())
+        turns = float(np.abs(self.modes.rate.imag).max()) * in_cut / (self.spindle_speed * math.pi / 30.0)
+        return min(MOST_STEPS // 2, max(10, math.ceil(0.6 * turns + 6.0)))
+
+    def mesh(self, steps: int) -> Mesh:
+        """Lay a mesh; it is kept for the next spindle speed."""
+        if steps not in self.kept:
+            self.kept[steps] = lay_mesh(self.cut, self.pattern, steps)
+        return self.kept[steps]
+
+    def system(self, steps: int) -> kernels.System:
+        """Return the cut with so many steps."""
+        return cut_at_speed(self.mesh(steps), self.modes, self.spindle_speed)
+
+
+def _first_loss(system: kernels.System) -> Crossing | None:
+    """Return the first crossing, confirmed by the map over one period: stable at shares of its depth."""
+    for harder in range(3):
+        curve = _curve(system, LARGE / 10**harder)
+        found = find_crossings(curve, angle_grid(system.turn, 40 * 4**harder))
+        deepest = found[0].depth if found else 10.0 / float(np.abs(curve(0.5 * math.pi)).max())
+        if all(_radius(system, share * deepest) < 1.0 for share in CONFIRMED):
+            return found[0] if found else None
+    raise InputError(
+        f"the first loss of stability is not found: the cut is unstable below {deepest * 1e3:.4g} mm already, and no "
+        "multiplier was seen to cross the unit circle there. Move the spindle speed by 0.1 %"
+    )
+
+
+def _limit(problem: _Problem, tolerance: float) -> LimitDepth:
+    """Double the steps until the first loss moves by less than the tolerance."""
+    steps = problem.first_steps()
+    old = _first_loss(problem.system(steps))
+    change = math.inf
+    while change > tolerance and steps < MOST_STEPS:
+        steps *= 2
+        system = problem.system(steps)
+        new = None
+        if old is not None:
+            new = follow(_curve(system, deepest=old.depth), old)
+        if new is None or _radius(system, CONFIRMED[-1] * new.depth) >= 1.0:
+            new = _first_loss(system)
+        change = relative_change(old, new)
+        old = new
+    if old is None:
+        return LimitDepth(math.inf, 0.0 if change == 0.0 else math.inf, math.nan, "none", steps)
+    line = _strongest_line(problem, steps, system, old)
+    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, line, old.kind, problem.mesh(steps).steps)
+
+
+def _strongest_line(problem: _Problem, steps: int, system: kernels.System, crossing: Crossing) -> float:
+    """Return the frequency [Hz] of the largest displacement among ``f_c + k/T`` at a crossing."""
+    mesh, period = problem.mesh(steps), problem.pattern.duration(problem.spindle_speed)
+    _, basis, small = _crossing_values(system, crossing.angle, LARGE, crossing.depth)
+    values, vectors = np.linalg.eig(small)
+    chip = vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))] @ basis
+    change = kernels.chip_change(system, complex(np.exp(1j * crossing.angle)), chip)
+    reach = int(np.abs(problem.modes.rate.imag).max() * period / (2.0 * math.pi)) + 2
+    turns = crossing.angle / (2.0 * math.pi) + np.arange(-reach, reach + 1)
+    waves = np.exp(-2j * math.pi * np.outer(turns, mesh.angle / mesh.pattern.period))
+    lines = waves @ (mesh.force * mesh.span * change).T
+    moved = (problem.modes.matrix(turns / period) @ lines[:, :, None])[:, :, 0]
+    return float(abs(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))]) / period)
+
+
+def _problem(machine: Machine, cut: Cut, spindle_speed: float) -> _Problem:
+    """Check that the cut can move the machine, and put the two together."""
+    problem = _Problem(cut, pattern_of(cut.tool, METHOD), modes_of(machine), spindle_speed)
+    mesh, modes = problem.mesh(FEWEST_NODES), problem.modes
+    felt = np.abs(mesh.chip @ modes.shape).max() > 1e-12 * np.abs(modes.shape).max()
+    largest = np.abs(modes.participation).max() * np.abs(mesh.force).max()
+    moved = np.abs(modes.participation @ mesh.force).max() > 1e-12 * largest
+    if not (felt and moved):
+        raise InputError("the machine does not move where the cut acts; there is nothing that could chatter")
+    return problem
+
+
+def limit_depth(
+    machine: Machine,
+    tool: Tool,
+    arc: Engagement,
+    coefficients: CuttingCoefficients,
+    spindle_speed: float,
+    tolerance: float = 1e-3,
+) -> LimitDepth:
+    """Return the first loss of stability with growing depth at one spindle speed.
+
+    Parameters
+    ----------
+    machine : Machine
+        Anything with a ``state_space()``: a `process.ModalModel`, a closed loop.
+    tool, arc, coefficients
+        The cut; straight edges, any pitch.
+    spindle_speed : float
+        Spindle speed [rpm].
+    tolerance : float, optional
+        Relative change of the limit at which the doubling of the steps ends.
+
+    Raises
+    ------
+    InputError
+        For a helix, a machine that is itself unstable, or a speed that is not positive.
+    """
+    speed = float(check_spindle_speed(spindle_speed)[0])
+    return _limit(_problem(machine, Cut(tool, arc, coefficients), speed), _checked(tolerance))
+
+
+def floquet_multipliers(
+    machine: Machine,
+    tool: Tool,
+    arc: Engagement,
+    coefficients: CuttingCoefficients,
+    depth: float,
+    spindle_speed: float,
+    steps: int | None = None,
+) -> Complex:
+    """Return the Floquet multipliers of largest modulus over one period of the cut, largest first.
+
+    The period is that of the tooth passing for equal pitch, else that after which the pattern of pitches repeats. The
+    cut is stable when the first has a modulus below one.
+
+    Parameters
+    ----------
+    machine, tool, arc, coefficients
+        As `limit_depth`.
+    depth : float
+        Axial depth [m].
+    spindle_speed : float
+        Spindle speed [rpm].
+    steps : int, optional
+        Least number of steps in the cut over one period; by default twice what resolves the fastest mode.
+
+    Returns
+    -------
+    ndarray of complex
+        All multipliers of a small problem; of a large one those within 5 % of the largest modulus.
+
+    Raises
+    ------
+    InputError
+        As `limit_depth`, or for a depth or a number of steps that is not positive.
+    """
+    speed = float(check_spindle_speed(spindle_speed)[0])
+    if not (math.isfinite(depth) and depth > 0.0) or (steps is not None and steps < 1):
+        raise InputError(f"depth {depth:g} m, steps {steps}; both must be positive")
+    problem = _problem(machine, Cut(tool, arc, coefficients), speed)
+    return _multipliers(problem.system(steps or 2 * problem.first_steps()), depth)
+
+
+def stability_bands(
+    machine: Machine,
+    tool: Tool,
+    arc: Engagement,
+    coefficients: CuttingCoefficients,
+    spindle_speed: float,
+    maximum_depth: float,
+    tolerance: float = 1e-3,
+) -> pd.DataFrame:
+    """Return all stable and unstable bands of depth at one spindle speed, islands included.
+
+    Parameters
+    ----------
+    machine, tool, arc, coefficients, spindle_speed
+        As `limit_depth`.
+    maximum_depth : float
+        Axial depth [m] at which the last band ends.
+    tolerance : float, optional
+        Relative change of every border at which the doubling of the steps ends.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns `BAND_COLUMNS`, one row a band from zero up. ``kind`` and ``chatter_frequency_Hz`` belong to the lower
+        border; ``multiplier`` is the largest modulus in the middle of the band.
+
+    Raises
+    ------
+    InputError
+        As `limit_depth`, for a maximum depth that is not positive, and when the borders do not settle.
+    """
+    speed = float(check_spindle_speed(spindle_speed)[0])
+    if not (math.isfinite(maximum_depth) and maximum_depth > 0.0):
+        raise InputError(f"the maximum depth is {maximum_depth:g} m; it must be positive and finite")
+    problem = _problem(machine, Cut(tool, arc, coefficients), speed)
+    steps, tolerance = problem.first_steps(), _checked(tolerance)
+    old = _all_crossings(problem.system(steps), maximum_depth)
+    while steps < MOST_STEPS:
+        steps *= 2
+        system = problem.system(steps)
+        new = _all_crossings(system, maximum_depth)
+        if len(new) == len(old) and all(relative_change(a, b) <= tolerance for a, b in zip(old, new, strict=True)):
+            return _bands(problem, steps, system, new, maximum_depth)
+        old = new
+    raise InputError(
+        f"the bands up to {maximum_depth * 1e3:g} mm do not settle with {MOST_STEPS} steps; ask for a smaller depth or "
+        "a coarser tolerance"
+    )
+
+
+def _all_crossings(system: kernels.System, deepest: float) -> list[Crossing]:
+    return find_crossings(_curve(system, deepest=deepest), angle_grid(system.turn, 80), deepest)
+
+
+def _bands(
+    problem: _Problem, steps: int, system: kernels.System, crossings: list[Crossing], deepest: float
+) -> pd.DataFrame:
+    """Tell the intervals between crossings apart by the map over one period; join those of one kind."""
+    borders = [0.0, *(c.depth for c in crossings), deepest]
+    rows: list[list[Any]] = []
+    for i, (low, high) in enumerate(pairwise(borders)):
+        if high - low <= 1e-9 * high:
+            continue
+        radius = _radius(system, 0.5 * (low + high))
+        if rows and rows[-1][2] == (radius < 1.0):
+            rows[-1][1] = 1e3 * high
+            rows[-1][5] = max(rows[-1][5], radius)
+            continue
+        kind, line = "none", math.nan
+        if i > 0:
+            kind, line = crossings[i - 1].kind, _strongest_line(problem, steps, system, crossings[i - 1])
+        rows.append([1e3 * low, 1e3 * high, radius < 1.0, kind, line, radius])
+    return pd.DataFrame(rows, columns=list(BAND_COLUMNS))
+
+
+def semi_discretization(
+    machine: Machine,
+    tool: Tool,
+    arc: Engagement,
+    coefficients: CuttingCoefficients,
+    spindle_speed: ArrayLike,
+    tolerance: float = 1e-3,
+) -> xr.Dataset:
+    """Return the converged limit depth at given spindle speeds: the first loss of stability with growing depth.
+
+    Parameters
+    ----------
+    machine, tool, arc, coefficients, tolerance
+        As `limit_depth`.
+    spindle_speed : array_like, shape (speeds,)
+        Spindle speeds [rpm], in any order.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``limit_depth`` [mm], ``limit_depth_error`` [mm], ``chatter_frequency`` [Hz], ``kind`` and ``steps`` over
+        ``spindle_speed``, as the fields of `LimitDepth`. ``attrs["warnings"]`` lists what the user must know.
+
+    Raises
+    ------
+    InputError
+        As `limit_depth`.
+    """
+    speed = check_spindle_speed(spindle_speed)
+    problem = _problem(machine, Cut(tool, arc, coefficients), float(speed[0]))
+    tolerance = _checked(tolerance)
+    limits = [_limit(replace(problem, spindle_speed=float(n)), tolerance) for n in speed]
+    warnings = []
+    loose = sum(limit.limit_depth_error_mm > tolerance * limit.limit_depth_mm for limit in limits)
+    if loose:
+        warnings.append(
+            f"{loose} of {speed.size} limits still move by more than {tolerance:g} of themselves with {MOST_STEPS} "
+            "steps: see limit_depth_error"
+        )
+    return labelled_limits("semi_discretization", speed, limits, "steps", warnings)
+
+
+def labelled_limits(
+    method: str, speed: Real, limits: Sequence[LimitDepth], effort: str, warnings: Sequence[str]
+) -> xr.Dataset:
+    """Put names and units on limits over speed; `effort` names what `LimitDepth.steps` counts."""
+
+    def over(name: str) -> tuple[str, list[Any]]:
+        return "spindle_speed", [getattr(limit, name) for limit in limits]
+
+    data = {
+        "limit_depth": over("limit_depth_mm"),
+        "limit_depth_error": over("limit_depth_error_mm"),
+        "chatter_frequency": over("chatter_frequency_Hz"),
+        "kind": over("kind"),
+        effort: over("steps"),
+    }
+    unlimited = sum(math.isinf(limit.limit_depth_mm) for limit in limits)
+    told = list(warnings)
+    if unlimited:
+        told.append(f"{unlimited} of {speed.size} spindle speeds show no limit: stable at any depth of use")
+    attrs = {"method": method, "warnings": told}
+    out = label(xr.Dataset(data, coords={"spindle_speed": speed}, attrs=attrs))
+    out["limit_depth_error"].attrs["units"] = out["limit_depth"].attrs["units"]
+    return out
+
+
+def _checked(tolerance: float) -> float:
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"the tolerance is {tolerance:g}; a share of the limit between 0 and 1 is needed, e.g. 1e-3")
+    return tolerance
