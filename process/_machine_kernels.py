@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from process._cutting_kernels import cutting_force, make_pose, moved, pass_over, turn
-from process._friction_kernels import LUGRE, friction_force, friction_slope, friction_step, jenkins_force
+from process._friction_kernels import COULOMB, LUGRE, VISCOUS, friction_step, jenkins_force
 
 # Kinds of elements: a force for a slide's velocity (the first two), or for a displacement.
 FRICTION, MEMORY, CUBIC, FLANKS, SLIDERS = 0, 1, 2, 3, 4
@@ -70,15 +70,17 @@ class Elements(NamedTuple):
 
 
 class Servos(NamedTuple):
-    """Servos outside the linear part: input of each, rows (s, N) that give the force now, dead time in half steps.
+    """Servos outside the linear part: input of each, rows (s, N) that give the force now, on a ring every half step.
 
-    Sampled ones (every > 0 steps a sample): rows give position and velocity in turn (2 s, N); gains (s, 3): K_p, 1/T_i,
-    K_v; resolution [m]; ramp (s, 2): speed [m/s] and start [m] of the encoder; lag in samples.
+    The force at the three nodes of step i is the sum of four entries from 2 i + first (s, 3), with share (s, 3, 4); the
+    length of the ring is a power of two. Sampled ones (every > 0 steps a sample, lag + 1 on the ring): rows give x, v
+    in turn (2 s, N); gains (s, 3): K_p, 1/T_i, K_v; resolution [m]; ramp (s, 2): speed [m/s], start [m] of the encoder.
     """
 
     target: Any
     rows: Any
-    lag: Any
+    first: Any
+    share: Any
     every: int
     gains: Any
     resolution: float
@@ -177,13 +179,33 @@ def _remembering(kind, law, p, feed, felt, mean, step, state, beside):
     return force, (ahead - force) / nudge
 
 
+@njit(cache=True, nogil=True, _nrt=False)
+def _sliding(law, p, v):
+    """Force and slope of a law without memory, of finite steepness: `friction_force` and `friction_slope` in one.
+
+    Exponential, power and hyperbolic tangent are most of what a step costs; here each is taken once.
+    """
+    if law == VISCOUS:
+        return p[0] * v, p[0]
+    if law == COULOMB:
+        sign = math.tanh(p[2] * v)
+        return p[0] * sign + p[1] * v, p[0] * p[2] * (1.0 - sign * sign) + p[1]
+    i = 0 if v >= 0.0 else 6
+    power = abs(v) / p[i + 2]
+    if p[i + 5] != 1.0:
+        power = power ** p[i + 5]
+    boost, sign, kt = (p[i + 1] - p[i]) * math.exp(-power), math.tanh(p[i + 4] * v), p[i + 4]
+    fall = -boost * p[i + 5] * power / v if v != 0.0 else 0.0
+    force = (p[i] + boost) * sign + p[i + 3] * v
+    return force, (p[i] + boost) * kt * (1.0 - sign * sign) + fall * sign + p[i + 3]
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _element(el, e, felt, mean, step, states, row):
     """Force that element e takes from its input, and its slope; its states move from a row of states to the next."""
     p = el.parameters[el.start[e] : el.start[e + 1]]
     if el.kind[e] == FRICTION:
-        v = el.feed[e] + felt
-        force, slope = friction_force(el.law[e], p, v), friction_slope(el.law[e], p, v)
+        force, slope = _sliding(el.law[e], p, el.feed[e] + felt)
     else:
         low, high = el.first[e], el.first[e + 1]
         for k in range(low, high):
@@ -388,22 +410,19 @@ def _serve(servos, work, node, state, start):
         force = 0.0
         for r in range(work.z.size):
             force += servos.rows[s, r] * state[start + r]
-        work.ring[s, node % work.ring.shape[1]] = force
+        work.ring[s, node & (work.ring.shape[1] - 1)] = force
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _late(servos, work, i):
-    """Add the forces that the servos asked for a dead time ago: cubic between half steps, from a ring."""
-    size = work.ring.shape[1]
+    """Add the forces that the servos asked for a dead time ago: four half steps, from a ring, share in each."""
+    mask = work.ring.shape[1] - 1
     for s in range(servos.target.size):
         for k in range(3):
-            place = 2.0 * i + k - servos.lag[s]
-            first = min(math.floor(place) - 1, 2 * i - 3)
-            t = place - first
-            a, b = work.ring[s, first % size], work.ring[s, (first + 1) % size]
-            c, d = work.ring[s, (first + 2) % size], work.ring[s, (first + 3) % size]
-            u, v, w = t - 1.0, t - 2.0, t - 3.0
-            work.known[servos.target[s], k] += (d * t * u * v - a * u * v * w) / 6.0 + 0.5 * t * w * (b * v - c * u)
+            first, force = 2 * i + servos.first[s, k], 0.0
+            for m in range(4):
+                force += servos.share[s, k, m] * work.ring[s, (first + m) & mask]
+            work.known[servos.target[s], k] += force
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -642,28 +661,44 @@ def march(lin, el, servos, given, work, step, accuracy, cut, states, inputs):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def low_pass(channels, taps, factor, out):
-    """Fill out (c, m) with every `factor`-th sample of channels (c, n) through a symmetric filter; zero outside."""
-    half, n = taps.size // 2, channels.shape[1]
+def low_pass(channels, at, taps, factor, out):
+    """Fill out (c, m) with every `factor`-th sample of channels (c, n) through a symmetric filter; zero outside.
+
+    taps (t,) at distances at (t,) from the middle, to both sides; the first in the middle itself.
+    """
+    n, half = channels.shape[1], at[-1]
     for c in range(channels.shape[0]):
-        for k in range(out.shape[1]):
-            first = k * factor - half
-            low, high = max(0, -first), min(taps.size, n - first)
-            total = 0.0
-            for j in range(low, high):
-                total += taps[j] * channels[c, first + j]
+        for k in range(min(out.shape[1], (n + half - 1) // factor + 1)):
+            middle, total = k * factor, 0.0
+            if half <= middle < n - half:
+                total = taps[0] * channels[c, middle]
+                for j in range(1, at.size):
+                    total += taps[j] * (channels[c, middle - at[j]] + channels[c, middle + at[j]])
+            else:
+                for j in range(at.size):
+                    low, high = middle - at[j], middle + at[j]
+                    if 0 <= low < n:
+                        total += taps[j] * channels[c, low]
+                    if high < n and high > low:
+                        total += taps[j] * channels[c, high]
             out[c, k] = total
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def combine(rows, values, share, out):
-    """Add ``share (rows . values)`` to out (c, n): rows (c, m), values (n, m), share (n,).
+def combine(rows, states, inputs, share, out):
+    """Add ``share (rows . (states, inputs))`` to out (c, n): rows (c, N + u), states (n, N), inputs (n, u), share (n,).
 
-    A library's product starts threads for so long a matrix, which costs more than it gains.
+    A library's product starts threads for so long a matrix, which costs more than it gains. Most of a row is zero.
     """
-    for k in range(values.shape[0]):
-        for c in range(rows.shape[0] if share[k] != 0.0 else 0):
-            total = 0.0
-            for j in range(rows.shape[1]):
-                total += rows[c, j] * values[k, j]
-            out[c, k] += share[k] * total
+    size = states.shape[1]
+    for c in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            weight = rows[c, j]
+            if weight == 0.0:
+                continue
+            if j < size:
+                for k in range(share.size):
+                    out[c, k] += share[k] * weight * states[k, j]
+            else:
+                for k in range(share.size):
+                    out[c, k] += share[k] * weight * inputs[k, j - size]

@@ -63,7 +63,7 @@ def simulate_axis(
     sample_rate : float, optional
         Samples a second [Hz]; above it every channel is low-passed alike.
     step : float, optional
-        Largest integration step [s]; default `process.machine_simulation.default_step`.
+        Largest integration step [s]; default that of `simulate_machine`.
     axis : {"x", "y", "z"}, optional
         Name of the axis.
 

@@ -74,10 +74,10 @@ class HalfSine(Excitation):
 
     def __post_init__(self) -> None:
         """Refuse a pulse that does not last."""
-        if not (self.duration > 0.0 and self.start >= 0.0 and math.isfinite(self.impulse)):
+        if not (0.0 < self.duration < math.inf and 0.0 <= self.start < math.inf and math.isfinite(self.impulse)):
             raise InputError(
                 f"a pulse of {self.impulse:g} N s, {self.duration:g} s long, at {self.start:g} s; "
-                "the duration must be positive and the start not negative"
+                "the duration must be positive, the start not negative, and all finite"
             )
 
     @classmethod
@@ -126,8 +126,10 @@ class SteppedSine(Excitation):
 
     def __post_init__(self) -> None:
         """Refuse a sine without frequency or time."""
-        if not self.frequencies or not min(self.frequencies) > 0.0 or not 0.0 < self.dwell < math.inf:
-            raise InputError(f"frequencies {self.frequencies} Hz for {self.dwell:g} s each; all must be positive")
+        if not self.frequencies or not all(0.0 < v < math.inf for v in (*self.frequencies, self.dwell)):
+            raise InputError(
+                f"frequencies {self.frequencies} Hz for {self.dwell:g} s each; all must be positive and finite"
+            )
         _timing(self.amplitude, self.start)
 
     def force(self, time: Real) -> Real:

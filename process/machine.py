@@ -139,6 +139,8 @@ class Machine:
 
     def feeds(self, feed: float | Mapping[str, float]) -> dict[str, float]:
         """Return the feed of each axis [m/s]; a plain value moves all axes, an axis not named stands still."""
+        if not np.all(np.isfinite(list(feed.values()) if isinstance(feed, Mapping) else feed)):
+            raise InputError(f"feed {feed} m/s; give finite ones")
         if not isinstance(feed, Mapping):
             return dict.fromkeys(self.axes, float(feed))
         strangers = [a for a in feed if a not in self.axes]

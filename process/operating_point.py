@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,9 @@ from process.structure import Structure
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+_ORIGIN = 1e-6
+"""Poles below this share of the largest rest at the origin."""
 
 
 @dataclass(frozen=True)
@@ -152,13 +155,16 @@ class OperatingPoint:
     def unstable_poles(self) -> int:
         """Return the number of poles in the right half plane (argument principle with the exact dead times).
 
-        A free slide rests on the axis; then the poles themselves are counted.
+        A free slide, or a part behind a play, rests on the axis; then the poles themselves are counted, without those
+        at the origin: rounding moves a double one by 1e-8 of the largest.
         """
-        if any(s.servo is None for s in self.slides):
-            s = self.poles()
-            return int(np.sum(s.real > 1e-9 * np.abs(s).max())) if s.size else 0
         equation = self.delay_equation
-        return right_half_plane_zeros(equation.characteristic, equation.scales(), equation.longest)
+        prompt = np.abs(np.linalg.eigvals(equation.prompt()))
+        if prompt.min(initial=math.inf) > _ORIGIN * prompt.max(initial=0.0):
+            return right_half_plane_zeros(equation.characteristic, equation.scales(), equation.longest)
+        s = self.poles()
+        largest = np.abs(s).max(initial=0.0)
+        return int(np.sum((s.real > 1e-9 * largest) & (np.abs(s) > _ORIGIN * largest)))
 
     def require_stable(self) -> None:
         """Raise `InputError` when uniform motion is unstable."""
@@ -171,7 +177,8 @@ class OperatingPoint:
 
     def _advice(self) -> str:
         falling = [s.name for s in self.slides if s.friction.direct < 0.0]
-        if falling:
+        held = tuple(replace(s, friction=FrictionImpedance(max(s.friction.direct, 0.0))) for s in self.slides)
+        if falling and replace(self, slides=held).unstable_poles() == 0:
             return (
                 f"The friction of axis {', '.join(falling)} falls with speed at this feed (stick-slip): "
                 "feed faster, or raise the velocity gain"

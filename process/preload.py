@@ -86,7 +86,7 @@ class DoublePinion(Joint):
         return self.preload * total / max(self.stiffness_master, self.stiffness_slave)
 
     @property
-    def _flanks(self) -> tuple[tuple[float, float, float], ...]:
+    def flanks(self) -> tuple[tuple[float, float, float], ...]:
         """Stiffness k [N/m], side s = +-1, threshold d [m] of each flank; its force is ``k s max(0, s x - d)``."""
         k, c, p, g = self.stiffness_master, self.stiffness_slave, self.preload, self.gap
         return (k, 1.0, p / k + g), (k, -1.0, -p / k), (c, 1.0, -p / c), (c, -1.0, p / c + g)
@@ -94,7 +94,7 @@ class DoublePinion(Joint):
     def force(self, displacement: ArrayLike) -> Real:
         """Return the restoring force [N] at displacements [m] of any shape, zero at rest."""
         x = np.asarray(displacement, dtype=float)
-        return np.asarray(sum(k * side * np.maximum(side * x - d, 0.0) for k, side, d in self._flanks))
+        return np.asarray(sum(k * side * np.maximum(side * x - d, 0.0) for k, side, d in self.flanks))
 
     def equivalent_stiffness(self, amplitude: ArrayLike, bias: ArrayLike = 0.0) -> Real:
         """Return the stiffness K [N/m] that a vibration ``b + X cos(w t)`` feels.
@@ -117,7 +117,7 @@ class DoublePinion(Joint):
         x = np.asarray(amplitude, dtype=float)
         total = sum(k * side * x / np.pi * (s - q * c) for k, side, c, q, s in self._angles(amplitude, bias))
         # A flank in contact all the time: c was clipped, and its mean is that of its own line.
-        below = sum(k * side * np.maximum(-x - d + side * np.asarray(bias), 0.0) for k, side, d in self._flanks)
+        below = sum(k * side * np.maximum(-x - d + side * np.asarray(bias), 0.0) for k, side, d in self.flanks)
         return np.asarray(total + below, dtype=float)
 
     def bias_of(self, force: float, amplitude: float) -> float:
@@ -136,7 +136,7 @@ class DoublePinion(Joint):
         if not np.all(x > 0.0):
             raise InputError("an amplitude of vibration is not positive; give amplitudes > 0 in m")
         found = []
-        for k, side, d in self._flanks:
+        for k, side, d in self.flanks:
             c = np.clip((d - side * np.asarray(bias, dtype=float)) / x, -1.0, 1.0)
             found.append((k, side, c, np.arccos(c), np.sqrt(1.0 - c**2)))
         return found

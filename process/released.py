@@ -5,7 +5,7 @@ slides, r what bends. With the measured idle compliance Phi and a mass m_tip at 
 
     r = Phi (F + w^2 m_tip E s)                                    (Phi sees the inertia of its own base motion)
     (G + j w f' - w^2 M - w^4 m_tip^2 E^T Phi E) s = E^T T F,      T = I + w^2 m_tip Phi
-    x = [Phi + T E (G + j w f' - w^2 M - w^4 m_tip^2 E^T Phi E)^-1 E^T T^T] F
+    x = [Phi + T E (G + j w f' - w^2 M - w^4 m_tip^2 E^T Phi E)^-1 E^T T] F
 
 with M the mass that moves with each axis, G the servo and f' the friction slope. Exact for a tool mass on massless
 springs, of any compliance; a mode with other mass between tool and slide needs `process.structure.released_modes`.
@@ -13,6 +13,7 @@ springs, of any compliance; a mode with other mass between tool and slide needs 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -59,7 +60,8 @@ def released_compliance(
     Raises
     ------
     InputError
-        When an axis was not measured, a mass is missing or not positive, or 0 Hz is among the frequencies.
+        When an axis was not measured or is fed but not named, a mass is missing or not positive, or 0 Hz is among the
+        frequencies.
     """
     array = check_compliance(idle)["compliance"].transpose("frequency", "response", "excitation")
     names = [str(a) for a in array["response"].values]
@@ -68,6 +70,7 @@ def released_compliance(
             f"responses {', '.join(names)} and excitations differ; a full matrix on the same axes is needed"
         )
     _check_axes(names, axes, moving_mass, tip_mass)
+    feeds = _feeds(axes, feed)
     f = idle["frequency"].values
     if f[0] <= 0.0:
         raise InputError("the idle compliance holds 0 Hz, where a servo's integrator has no limit; leave it out")
@@ -76,7 +79,7 @@ def released_compliance(
     columns = [names.index(a) for a in axes]
     identity = np.eye(len(names))
     t = (identity + (w**2 * tip_mass)[:, None, None] * phi)[:, :, columns]
-    base = _base_stiffness(w, axes, moving_mass, feed, controller)
+    base = _base_stiffness(w, axes, moving_mass, feeds, controller)
     base = base - (w**4 * tip_mass**2)[:, None, None] * phi[:, columns][:, :, columns]
     # T^T with the transposed Phi: what is measured need not be reciprocal to the last digit.
     back = (identity + (w**2 * tip_mass)[:, None, None] * phi)[:, columns, :]
@@ -91,7 +94,7 @@ def _check_axes(
     for axis in axes:
         if axis not in names:
             raise InputError(f"axis {axis} moves but was not measured; the compliance has {', '.join(names)}")
-        if axis not in moving_mass or not moving_mass[axis] > tip_mass:
+        if axis not in moving_mass or not tip_mass < moving_mass[axis] < math.inf:
             raise InputError(
                 f"axis {axis} has moving mass {moving_mass.get(axis)} kg; give all that moves with it, more than the "
                 f"tip mass of {tip_mass:g} kg"
@@ -100,19 +103,27 @@ def _check_axes(
         raise InputError(f"the tip mass is {tip_mass:g} kg; it must be positive")
 
 
+def _feeds(axes: Mapping[str, FeedAxis], feed: float | Mapping[str, float]) -> dict[str, float]:
+    """Return the feed of each axis [m/s]; a plain value moves all."""
+    given = feed if isinstance(feed, Mapping) else dict.fromkeys(axes, feed)
+    strangers = [a for a in given if a not in axes]
+    if strangers or not all(math.isfinite(v) for v in given.values()):
+        raise InputError(f"feed {dict(given)} m/s; finite numbers are needed, for the axes {', '.join(axes)}")
+    return {a: float(given.get(a, 0.0)) for a in axes}
+
+
 def _base_stiffness(
     w: NDArray[np.float64],
     axes: Mapping[str, FeedAxis],
     moving_mass: Mapping[str, float],
-    feed: float | Mapping[str, float],
+    feeds: Mapping[str, float],
     controller: str | None,
 ) -> NDArray[np.complex128]:
     """``G + j w f' - w^2 M`` of each slide, shape (f, axes, axes), diagonal."""
     out = np.zeros((w.size, len(axes), len(axes)), dtype=np.complex128)
     s = 1j * w
     for i, (name, axis) in enumerate(axes.items()):
-        speed = float(feed.get(name, 0.0)) if isinstance(feed, Mapping) else float(feed)
         servo = axis.controller(controller)
-        held = linearised(axis.friction, speed)(s) - w**2 * moving_mass[name]
+        held = linearised(axis.friction, feeds[name])(s) - w**2 * moving_mass[name]
         out[:, i, i] = held if servo is None else held + servo.feedback(s)
     return out

@@ -294,8 +294,10 @@ def simulate_milling(
     Raises
     ------
     InputError
-        When the spindle stops or reverses within the record, or the step is too coarse.
+        When a time or the sample rate is not possible, the spindle stops or reverses within the record, or the step is
+        too coarse.
     """
+    _require_times(duration, lead, tail, sample_rate)
     total = lead + duration + tail
     slowest, fastest = spindle.extremes(0.0, total)
     largest = default_step(machine, cut, fastest) if step is None else step
@@ -355,6 +357,16 @@ def _smoothed(samples: NDArray[np.float64], half_width: int) -> NDArray[np.float
     """Mean over 2 half_width samples, weighted by a Hann window; the half widths at both ends are left out."""
     window = 0.5 + 0.5 * np.cos(np.pi * np.arange(-half_width, half_width + 1) / half_width)
     return np.asarray(signal.oaconvolve(samples, window[None, :] / half_width, mode="valid", axes=-1))
+
+
+def _require_times(duration: float, lead: float, tail: float, sample_rate: float) -> None:
+    if not (0.0 < duration < math.inf and 0.0 <= lead < math.inf and 0.0 <= tail < math.inf):
+        raise InputError(
+            f"{lead:g} s in air, {duration:g} s in the cut, {tail:g} s in air; the cut must last, and the others must "
+            "be zero or positive"
+        )
+    if not (sample_rate < math.inf and (lead + duration + tail) * sample_rate >= 2.0):
+        raise InputError(f"{lead + duration + tail:g} s at {sample_rate:g} Hz; at least two samples are needed")
 
 
 def _require_resolved(machine: ModalModel, cut: MillingCut, fastest: float, step: float) -> None:

@@ -37,6 +37,12 @@ METHOD = "multi-frequency method"
 MOST_HARMONICS = 64
 """Harmonics are not added beyond this."""
 
+EDGE_SIZE = 0.15
+"""Share of its peak below which a compliance should be at its last sample."""
+
+EDGE_PHASE = 0.3
+"""Share of the imaginary part below which a compliance should be at its first sample."""
+
 
 @dataclass(frozen=True)
 class _Response:
@@ -126,10 +132,27 @@ def _measured(compliance: xr.Dataset) -> _Response:
     poles = np.asarray(2.0 * math.pi * (1j * f[peaks] - width), dtype=complex)
     warnings = (
         *samples.warnings,
+        *_edge_warnings(f, samples.matrix, size),
         f"harmonics above {f[-1]:.6g} Hz find no compliance, those below {f[0]:.6g} Hz the real part at {f[0]:.6g} Hz",
     )
     top = float(f[peaks].max()) if peaks.size else float(f[-1])
     return _Response(_interpolant(samples), poles, top, warnings)
+
+
+def _edge_warnings(f: Real, matrix: Complex, size: Real) -> list[str]:
+    """Say where a compliance ends before its modes do: what lies outside is not known, and limits come out too high."""
+    out = []
+    if size[-1] > EDGE_SIZE * size.max():
+        out.append(
+            f"at {f[-1]:.6g} Hz, its last sample, the compliance still is {100.0 * size[-1] / size.max():.0f} % of its "
+            "peak: modes there and above are missing, and limits may be too high; measure further up"
+        )
+    if np.linalg.norm(matrix[0].imag) > EDGE_PHASE * size[0]:
+        out.append(
+            f"at {f[0]:.6g} Hz, its first sample, the compliance is out of phase with the force: modes there and below "
+            "are missing, and limits may be too high; measure further down"
+        )
+    return out
 
 
 def _half_width(f: Real, size: Real, peaks: NDArray[np.int64]) -> Real:

@@ -102,6 +102,11 @@ def modes_of(machine: Machine) -> Modes:
     InputError
         When the shapes do not fit, the machine is itself unstable, or its modes cannot be told apart.
     """
+    if not hasattr(machine, "state_space"):
+        raise InputError(
+            f"a {type(machine).__name__} has no state space of its own; give a modal model, or a machine at an "
+            "operating point: machine.at(feed, controller)"
+        )
     a, b, c = (np.asarray(m, dtype=float) for m in machine.state_space())
     n = a.shape[0]
     if a.shape != (n, n) or b.shape != (n, 3) or c.shape != (3, n):

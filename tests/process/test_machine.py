@@ -10,6 +10,8 @@ from process.friction import Andersson, CoulombViscous, GeneralisedMaxwellSlip, 
 from process.friction_impedance import linearised
 from process.joints import CubicSpring, Gap, Iwan
 from process.machine import FeedAxis, Machine, MountedJoint
+from process.machine_balance import quasi_compliance
+from process.operating_point import OperatingPoint
 from process.released import released_compliance
 from process.servo import Servo, tune
 from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
@@ -257,3 +259,57 @@ class TestLinearisedFriction:
         with pytest.raises(InputError, match="jumps at rest"):
             linearised(CoulombViscous(44.0, 168.0), 0.0)
         assert linearised(CoulombViscous(44.0, 168.0), 0.01).direct == pytest.approx(168.0)
+
+
+class TestWhatIsNotSaid:
+    def test_a_machine_with_free_slides_is_not_unstable(self) -> None:
+        free = Machine(two_mass_axes({"x": BENCH})).at()
+        assert free.unstable_poles() == 0
+        np.testing.assert_array_equal(free.compliance(F, ["x"], ["x"])["compliance"][:, 0, 0], free.matrix(F)[:, 0, 0])
+        assert (
+            Machine(two_mass_axes({"x": BENCH}), {"x": FeedAxis(None, TABLE_1)}).at(50.0 * MM_MIN).unstable_poles() > 0
+        )
+
+    @pytest.mark.parametrize("delay", [0.0, 1e-3])
+    def test_a_part_behind_a_play_is_not_unstable(self, delay: float) -> None:
+        axis = FeedAxis(with_delay(K1, delay), Viscous(168.0))
+        loose = two_mass_axes({"x": BENCH})
+        loose = Structure(loose.mass, loose.damping, 0.0 * loose.stiffness, loose.tool, loose.slides)
+        play = MountedJoint(Gap(BENCH.stiffness, 1e-9), [1.0, -1.0])
+        machine = Machine(loose, {"x": axis}, [play])
+        assert machine.at().unstable_poles() == 0
+        # Against 1 um of motion a play of 1 nm is none.
+        tight = Machine(two_mass_axes({"x": BENCH}), {"x": axis}).at().matrix([60.0, 80.0])[:, 0, 0]
+        found = quasi_compliance(machine, [60.0, 80.0], 10.0, excitation=["x"], response=["x"])
+        assert found.attrs["status"] == "ok"
+        np.testing.assert_allclose(found["compliance"].values[:, 0, 0], tight, rtol=2e-3)
+
+    def test_released_axes_may_be_some_and_in_any_order(self) -> None:
+        drives = {"x": BENCH, "y": Drive(40.0, 11.3, 3e6, 300.0), "z": Drive(30.0, 11.3, 2e6, 300.0)}
+        machine = Machine(two_mass_axes(drives), {a: FeedAxis(K1, Viscous(100.0)) for a in drives})
+        axes = {a: machine.axes[a] for a in ("x", "z")}
+        mass = {a: drives[a].moving_mass + 11.3 for a in ("x", "z")}
+        idle = OperatingPoint(machine.structure_at().locked(), ()).compliance(F, ["z", "x"], ["z", "x"])
+        released = released_compliance(idle, axes, mass, 11.3)["compliance"]
+        for axis in ("x", "z"):
+            exact = machine.at().matrix(F)[:, "xyz".index(axis), "xyz".index(axis)]
+            np.testing.assert_allclose(released.sel(response=axis, excitation=axis), exact, rtol=1e-10)
+
+    @pytest.mark.parametrize("feed", [{"y": 0.1}, {"x": np.nan}, np.inf])
+    def test_a_feed_of_no_axis_and_one_that_is_no_number_are_refused(self, feed: object) -> None:
+        idle = RAM.compliance(F)
+        with pytest.raises(InputError, match="finite numbers"):
+            released_compliance(idle, {"x": FeedAxis(K1)}, MASS, 600.0, feed)  # type: ignore[arg-type]
+        with pytest.raises(InputError, match="feed"):
+            Machine(two_mass_axes({"x": BENCH}), {"x": FeedAxis(K1)}).at(feed)  # type: ignore[arg-type]
+
+    def test_an_endless_mass_is_refused(self) -> None:
+        with pytest.raises(InputError, match="moving mass inf kg"):
+            released_compliance(RAM.compliance(F), {"x": FeedAxis(K1)}, {"x": np.inf}, 600.0)
+
+
+def test_an_unstable_loop_is_not_blamed_on_falling_friction() -> None:
+    structure = two_mass_axes({"x": BENCH})
+    machine = Machine(structure, {"x": FeedAxis(Servo(2e5, 1e-3, 200.0, 2e-3), TABLE_1)})
+    with pytest.raises(InputError, match="Lower Kp or Kv"):
+        machine.at(100 * MM_MIN).compliance(F)

@@ -3,13 +3,16 @@
 Numbers marked as reference come from an independent program (theory.md, sections 2.5 and 4.5).
 """
 
+import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from process import _machine_kernels as kernels
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
 from process.drive import Drive
@@ -19,7 +22,9 @@ from process.excitation import Chirp, HalfSine, SteppedSine
 from process.friction import Andersson, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
 from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
 from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_simulation import SampledControl, simulate_machine, step_error
+from process.machine_simulation import SampledControl, machine_motion, simulate_machine, step_error
+from process.machine_stability import count_unstable
+from process.preload import DoublePinion
 from process.sampled_servo import sampled_poles
 from process.servo import Servo, tune
 from process.simulate import MillingCut, Spindle, simulate_milling
@@ -116,6 +121,7 @@ JOINTS: dict[str, Joint] = {
     "gap": Gap(4e6, 20e-6),
     "Jenkins": Jenkins(3e6, 60.0),
     "Iwan": Iwan(3e6, 120.0, 20),
+    "double pinion": DoublePinion(2e6, 1e6, 15e-6, 20.0),
 }
 
 
@@ -146,6 +152,48 @@ def test_a_joint_that_is_linear_is_a_spring() -> None:
     np.testing.assert_allclose(runs[0], runs[1], atol=2e-6 * np.abs(runs[1]).max())
 
 
+def runge_kutta(joint: Joint, hit: HalfSine, step: float, steps: int) -> np.ndarray:
+    """Displacement of `one_mass` after each step, by the classical method of order 4 and nothing else."""
+
+    def rate(t: float, x: float, v: float) -> tuple[float, float]:
+        inside = hit.start < t < hit.start + hit.duration
+        push = 300.0 * math.sin(math.pi * (t - hit.start) / hit.duration) if inside else 0.0
+        return v, (push - 104.0 * v - 1.68e6 * x - float(joint.force(x))) / 11.3
+
+    x = v = 0.0
+    out = [x]
+    for i in range(steps):
+        t = i * step
+        a, b = rate(t, x, v)
+        c, d = rate(t + step / 2, x + step / 2 * a, v + step / 2 * b)
+        e, f = rate(t + step / 2, x + step / 2 * c, v + step / 2 * d)
+        g, h = rate(t + step, x + step * e, v + step * f)
+        x, v = x + step / 6 * (a + 2 * c + 2 * e + g), v + step / 6 * (b + 2 * d + 2 * f + h)
+        out.append(x)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("preload", [0.0, 20.0, 80.0])
+def test_a_double_pinion_moves_as_runge_kutta_says(preload: float) -> None:
+    # Both pinions lift off, and the free tooth of the master meets its other flank.
+    joint, hit = DoublePinion(2e6, 1e6, 15e-6, preload), HalfSine.from_peak(300.0, 5e-3, 0.0)
+    x = simulate_machine(one_mass(joint), duration=0.05, forces={"x": hit}, sample_rate=40e3)["displacement"].values[0]
+    low, high = joint.lift_off_displacements
+    assert x.min() < low
+    assert x.max() > high + 15e-6
+    reference = runge_kutta(joint, hit, 5e-6, 10000)[:: round(1.0 / 40e3 / 5e-6)]
+    assert np.abs(x - reference[: x.size]).max() < 2e-4 * np.abs(x).max()
+
+
+def test_a_double_pinion_that_does_not_lift_off_is_two_springs() -> None:
+    joint, hit = DoublePinion(2e6, 1e6, 15e-6, 100.0), HalfSine.from_peak(50.0, 5e-3)
+    stiff = Machine(Structure([[11.3]], [[104.0]], [[1.68e6 + 3e6]], [[1.0], [0.0], [0.0]]))
+    x, y = (machine_motion(m, duration=0.2, forces={"x": hit}).displacement[0] for m in (one_mass(joint), stiff))
+    assert np.abs(y).max() < min(np.abs(joint.lift_off_displacements))
+    # The hit loads the master away from its flank and the slave onto it; together they stay linear.
+    np.testing.assert_allclose(x, y, atol=1e-4 * np.abs(y).max())
+
+
 LUGRE = LuGre(1e7, 300.0, 44.2, 84.0, 387.4 * MM_MIN, 168.0)
 MAXWELL = GeneralisedMaxwellSlip((4e6, 3e6, 3e6), (0.3, 0.3, 0.4), 44.2, 84.0, 387.4 * MM_MIN, 168.0, 2000.0)
 
@@ -167,6 +215,34 @@ def test_friction_with_memory_is_that_of_its_history(law: LuGre | GeneralisedMax
     rest = 23.1 * carriage[1:] - (joint + push)[1:] + rub
     assert np.sqrt(np.mean(rest[5:-5] ** 2)) < 0.02 * np.abs(rub).max()
     assert step_error(machine, duration=0.1, feed=feed * MM_MIN, forces={"x": hit}) < 2e-3
+
+
+def orders(run: Callable[[float], xr.Dataset], step: float, halvings: int = 4) -> np.ndarray:
+    """Order of convergence of the tool's displacement from one halving of the step to the next."""
+    x = [run(step / 2**i)["displacement"].values[0, :: 2**i] for i in range(halvings + 1)]
+    n = min(part.size for part in x)
+    change = [np.abs(one[:n] - two[:n]).max() for one, two in itertools.pairwise(x)]
+    return np.log2(np.divide(change[:-1], change[1:]))
+
+
+@pytest.mark.parametrize(("law", "least"), [(LUGRE, 2.5), (MAXWELL, 2.0)], ids=["LuGre", "Maxwell slip"])
+@pytest.mark.parametrize("feed", [0.0, 50.0, 500.0])
+def test_friction_with_memory_converges(law: LuGre | GeneralisedMaxwellSlip, least: float, feed: float) -> None:
+    # With slip that begins within a step a single halving may gain nothing, three together do.
+    for peak in (25.0, 300.0):
+        hit = {"x": HalfSine.from_peak(peak)}
+        found = orders(
+            lambda h, hit=hit: simulate_machine(  # type: ignore[misc]
+                bench("K2", law),  # type: ignore[arg-type]
+                duration=0.1,
+                feed=feed * MM_MIN,
+                forces=hit,
+                sample_rate=1.0 / h,
+                step=h,
+            ),
+            200e-6,
+        )
+        assert found.mean() > least
 
 
 def cut(depth: float, feed_per_tooth: float = 2e-4) -> MillingCut:
@@ -193,6 +269,33 @@ def test_with_a_slide_that_cannot_move_the_cut_is_that_of_the_idle_modes() -> No
     )
     assert ours.attrs["lost_contact"] == theirs.attrs["lost_contact"]
     assert ours.attrs["energy_error"] < 1e-6
+
+
+@pytest.mark.parametrize("rpm", [1500.0, 1237.0])
+def test_with_a_cut_the_step_is_of_second_order(rpm: float) -> None:
+    found = orders(
+        lambda h: simulate_machine(
+            bench(),
+            duration=0.3,
+            feed=500 * MM_MIN,
+            cut=cut(1e-3),
+            spindle=spindle(rpm),
+            lead=0.01,
+            sample_rate=1.0 / h,
+            step=h,
+        ),
+        80e-6,
+    )
+    assert 1.8 < found.min() <= found.max() < 2.4
+
+
+def test_an_impulse_before_any_force_is_followed() -> None:
+    # Down milling a quarter: at entry no tooth cuts yet, and the impulse is all there is.
+    quarter = replace(cut(1e-3), arc=engagement("down", 0.0127, 0.0508))
+    arguments = {"duration": 0.2, "feed": 500 * MM_MIN, "cut": quarter, "spindle": spindle(1500), "lead": 0.01}
+    record = simulate_machine(bench(), impulse=(1e-3, 0.0, 0.0), **arguments)  # type: ignore[arg-type]
+    assert record.attrs["energy_error"] < 1e-4
+    assert step_error(bench(), impulse=(1e-3, 0.0, 0.0), **arguments) < 1e-3
 
 
 def regeneration(record: xr.Dataset, rpm: float) -> tuple[float, float]:
@@ -297,6 +400,34 @@ def test_a_coarse_encoder_shakes_the_axis_by_its_resolution() -> None:
     assert np.abs(exact["encoder_position"] - exact["reference_position"]).max() < 1e-12
 
 
+@pytest.mark.parametrize("delay", [0.2e-3, 1e-3, 2e-3, 4e-3, 8e-3])
+def test_poles_are_counted_alike_through_those_without_dead_time(delay: float) -> None:
+    # Of two servos with one or two dead times, stable and unstable: against the determinant of the whole.
+    for other in (0.0, delay, 0.7 * delay):
+        axes = {"x": FeedAxis(tune(20.0, 9000.0), Viscous(2e3)), "y": FeedAxis(tune(20.0, 6000.0), Viscous(2e3))}
+        for name, late in (("x", delay), ("y", other)):
+            axes[name] = replace(axes[name], servo=replace(axes[name].servo, delay=late))  # type: ignore[type-var]
+        point = Machine(released_modes(RAM, MASS), axes).at(0.0)
+        assert count_unstable(point, None) == point.unstable_poles()
+
+
+@pytest.mark.parametrize("law", [ANDERSSON, replace(ANDERSSON, delta=1.7), CoulombViscous(44.2, 168.0, 15000.0)])
+def test_the_loop_has_the_force_and_the_slope_of_the_law(law: Andersson | CoulombViscous) -> None:
+    v = np.concatenate([-np.geomspace(1e-8, 1.0, 50), [0.0], np.geomspace(1e-8, 1.0, 50)])
+    found = np.array([kernels._sliding(*law.packed(), speed) for speed in v])
+    np.testing.assert_allclose(found, np.stack([law.force(v), law.slope(v)], axis=1), rtol=1e-12)
+
+
+def test_plain_arrays_hold_the_numbers_of_the_record() -> None:
+    hit, feed = {"x": HalfSine.from_peak(100.0)}, {"x": 500 * MM_MIN}
+    record = simulate_machine(bench(), duration=0.3, feed=feed, forces=hit, sample_rate=1000.0)
+    motion = machine_motion(bench(), duration=0.3, feed=feed, forces=hit, sample_rate=1000.0)
+    np.testing.assert_array_equal(motion.time, record["time"])
+    for name in ("force", "displacement", "acceleration"):
+        np.testing.assert_array_equal(getattr(motion, name)[0], record[name].sel(axis="x"))
+        assert not getattr(motion, name)[1:].any()
+
+
 def moving_mode(frequency: float) -> Structure:
     return free_modes([0.0, frequency], [0.0, 0.02], [100.0, 50.0], [[1.0, 0, 0], [0.0, 1.0, 0]], {"x": [1.0, 0.0]})
 
@@ -386,3 +517,36 @@ def test_friction_that_jumps_and_double_dead_times_are_refused() -> None:
         simulate_machine(late, duration=0.1, forces=HIT, control=SampledControl(1e-3))
     with pytest.raises(InputError, match="positive period"):
         SampledControl(0.0)
+
+
+class TestPathOfAPosture:
+    """Stiffness 1e7 to 4e7 N/m and modal mass 100 to 200 kg along 100 mm."""
+
+    @staticmethod
+    def machine() -> Machine:
+        def at(stiffness: float, mass: float) -> Structure:
+            frequency = np.sqrt(stiffness / mass) / (2 * np.pi)
+            return free_modes([0.0, frequency], [0.0, 0.05], [1000.0, mass], [[0, 0, 0], [1, 0, 0]], {"x": [1, 0]})
+
+        return Machine(Posture("x", [0.0, 0.1], (at(1e7, 100.0), at(4e7, 200.0))), {"x": FeedAxis(tune(10.0, 1000.0))})
+
+    @pytest.mark.parametrize("sample_rate", [200.0, 1000.0])
+    def test_the_stiffness_belongs_to_the_place_at_every_sample_rate(self, sample_rate: float) -> None:
+        slow = Chirp(0.5, 0.5001, 100.0, 20.0, 0.0, 0.0)
+        record = simulate_machine(
+            self.machine(), duration=20.0, feed=0.005, position=0.0, forces={"x": slow}, sample_rate=sample_rate
+        )
+        share = record["time"].values / 20.0
+        force, motion = (record[n].sel(axis="x").values for n in ("force", "displacement"))
+        clear = (np.abs(force) > 50.0) & (share > 0.1) & (share < 0.9)
+        expected = 1e7 + 3e7 * share
+        np.testing.assert_allclose((force / motion)[clear], expected[clear], rtol=0.01)
+
+    def test_the_acceleration_is_that_of_the_motion_everywhere_on_the_path(self) -> None:
+        late = HalfSine(0.5, 0.02, 1.5)
+        record = simulate_machine(
+            self.machine(), duration=2.0, feed=0.05, position=0.0, forces={"x": late}, sample_rate=4000.0
+        )
+        motion, acceleration = (record[n].sel(axis="x").values for n in ("displacement", "acceleration"))
+        numeric = np.gradient(np.gradient(motion, 1 / 4000.0), 1 / 4000.0)
+        assert np.abs(numeric - acceleration)[20:-20].max() < 0.05 * np.abs(acceleration).max()

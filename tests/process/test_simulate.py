@@ -380,6 +380,23 @@ def test_a_cut_needs_depth_and_one_feed(given: dict[str, float], sentence: str) 
 
 
 @pytest.mark.parametrize(
+    ("times", "sentence"),
+    [
+        ((0.0, 1000.0), "0 s in the cut, 0 s in air; the cut must last"),
+        ((math.nan, 1000.0), "nan s in the cut"),
+        ((1.0, 1000.0, -0.1), "-0.1 s in air, 1 s in the cut"),
+        ((1.0, 1000.0, 0.0, -0.1), "-0.1 s in air; the cut must last"),
+        ((1.0, 0.0), "1 s at 0 Hz; at least two samples"),
+        ((1.0, math.inf), "1 s at inf Hz"),
+    ],
+)
+def test_a_cut_takes_time(times: tuple[float, ...], sentence: str) -> None:
+    cut = MillingCut(arc=SLOT, depth=1e-4, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=sentence):
+        simulate_milling(BENCH, cut, Spindle(100.0), *times)
+
+
+@pytest.mark.parametrize(
     ("teeth", "sentence"), [(0, "the tool has 0 teeth"), (-2, "has -2 teeth"), (2.5, "has 2.5 teeth")]
 )
 def test_a_tool_has_a_whole_number_of_teeth(teeth: int, sentence: str) -> None:

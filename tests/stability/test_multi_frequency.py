@@ -133,6 +133,17 @@ def test_a_gap_and_a_missing_axis_are_named(make_case):
     assert any("partial matrix" in w for w in multi_frequency(flat, *case.cut, [950]).attrs["warnings"])
 
 
+def test_a_compliance_that_ends_among_its_modes_is_named(make_case):
+    case = make_case["authors"]("down", 72e-3)
+    top = float(case.machine.frequency.max())
+    bottom = float(case.machine.frequency.min())
+    cut_off = case.compliance(2, top, 0.25), case.compliance(bottom, 400, 0.25)
+    for samples, told in zip(cut_off, ("measure further up", "measure further down"), strict=True):
+        assert any(told in w for w in multi_frequency(samples, *case.cut, [950]).attrs["warnings"])
+    whole = multi_frequency(case.compliance(2, 400, 0.25), *case.cut, [950])
+    assert not any("measure further" in w for w in whole.attrs["warnings"])
+
+
 def test_more_harmonics_change_less(make_case):
     case = make_case["benchmark"](1, 0.1)
     exact = semi_discretization(case.machine, *case.cut, [10000], 1e-6).limit_depth.values

@@ -1,0 +1,237 @@
+"""A machine packed for `process._machine_kernels`: friction and joints, servos, forces over time, the cut."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process import _machine_kernels as kernels
+from process._friction_kernels import friction_step
+from process.cutting import CuttingCoefficients
+from process.engagement import Engagement
+from process.errors import InputError
+from process.excitation import Excitation
+from process.friction import FrictionLaw
+from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
+from process.machine_linear import System, exact_maps, gains, reach
+from process.machine_problem import Problem, Rubbing
+from process.preload import DoublePinion
+from process.simulate import MillingCut, Spindle, flat_surfaces, pack_motion, pack_teeth
+from process.tool import Tool
+
+Real = NDArray[np.float64]
+
+HALVINGS = 8
+"""How often a step may be halved."""
+
+SUB = 8
+"""Parts of a step at which forces over time are sampled."""
+
+_LONG = 1e3
+
+
+def _joint_kind(joint: Joint) -> tuple[int, Real]:
+    """Kind and parameters of a joint for the kernel."""
+    if isinstance(joint, CubicSpring):
+        return kernels.CUBIC, np.array([joint.stiffness, joint.cubic])
+    if isinstance(joint, Gap):
+        k, g = joint.stiffness, joint.gap
+        return kernels.FLANKS, np.array([k, 1.0, g, k, -1.0, g])
+    if isinstance(joint, DoublePinion):
+        return kernels.FLANKS, np.array(joint.flanks).ravel()
+    if isinstance(joint, Iwan):
+        return kernels.SLIDERS, np.concatenate(joint.packed())
+    if isinstance(joint, Jenkins):
+        return kernels.SLIDERS, np.array([joint.stiffness, joint.slip_force])
+    raise InputError(f"a joint of type {type(joint).__name__} cannot be simulated; use one of process.joints")
+
+
+class _Element(NamedTuple):
+    """One row of `kernels.Elements`, and its states at the start."""
+
+    kind: int
+    target: int
+    law: int
+    parameters: Real
+    offset: tuple[float, float, float]
+    row: Real
+    state: Real
+
+
+def _of_slide(rub: Rubbing, target: int, row: Real, size: int) -> _Element:
+    """Friction of a slide whose row is given, in steady motion."""
+    code, parameters = rub.law.packed()
+    offset = (rub.feed, rub.steady, rub.slope)
+    felt = np.concatenate([np.zeros(row.size), row, np.zeros(size - 2 * row.size)])
+    if isinstance(rub.law, FrictionLaw):
+        return _Element(kernels.FRICTION, target, code, parameters, offset, felt, np.zeros(0))
+    state = np.zeros(rub.law.states)
+    if rub.feed != 0.0:
+        for _ in range(2):  # until it slips, then until it is steady
+            friction_step(code, parameters, state, rub.feed, _LONG)
+    return _Element(kernels.MEMORY, target, code, parameters, offset, felt, state)
+
+
+def _mounted(joint: Joint, participation: Real, target: int, size: int) -> _Element:
+    kind, parameters = _joint_kind(joint)
+    states = parameters.size // 2 if kind == kernels.SLIDERS else 0
+    felt = np.concatenate([participation, np.zeros(size - participation.size)])
+    return _Element(kind, target, 0, parameters, (0.0, 0.0, 0.0), felt, np.zeros(states))
+
+
+def pack_elements(p: Problem, system: System) -> tuple[kernels.Elements, Real]:
+    """Pack friction and joints; also return their states at the start."""
+    slides, tools = p.structures[0].slide_rows(), len(p.tools)
+    made = [_of_slide(p.friction[i], tools + i, slides[i], system.size) for i in system.rubbing]
+    for k, mounted in enumerate(p.machine.joints):
+        made.append(_mounted(mounted.joint, mounted.participation, tools + len(slides) + k, system.size))
+
+    def ends(parts: list[Real]) -> NDArray[np.int64]:
+        return np.cumsum([0, *(part.size for part in parts)], dtype=np.int64)
+
+    parameters, states = [m.parameters for m in made], [m.state for m in made]
+    offsets = np.array([m.offset for m in made], dtype=float).reshape(-1, 3).T.copy()
+    elements = kernels.Elements(
+        kind=np.array([m.kind for m in made], dtype=np.int64),
+        target=np.array([m.target for m in made], dtype=np.int64),
+        law=np.array([m.law for m in made], dtype=np.int64),
+        parameters=np.concatenate([np.zeros(0), *parameters]),
+        start=ends(parameters),
+        feed=offsets[0],
+        steady=offsets[1],
+        slope=offsets[2],
+        first=ends(states),
+        rows=np.array([m.row for m in made]).reshape(len(made), system.size),
+    )
+    return elements, np.concatenate([np.zeros(0), *states])
+
+
+def _looking_back(lag: Real) -> tuple[NDArray[np.int64], Real]:
+    """First entry (s, 3) and shares (s, 3, 4) of a cubic through half steps, a lag of so many before each node.
+
+    The last half step that is known is the start of the step.
+    """
+    place = np.arange(3.0) - lag[:, None]
+    first = np.minimum(np.floor(place) - 1.0, -3.0)
+    t = place - first
+    u, v, w = t - 1.0, t - 2.0, t - 3.0
+    share = np.stack([-u * v * w / 6.0, 0.5 * t * v * w, -0.5 * t * u * w, t * u * v / 6.0], axis=2)
+    return first.astype(np.int64), np.ascontiguousarray(share)
+
+
+def pack_servos(p: Problem, system: System, step: float) -> tuple[kernels.Servos, int]:
+    """Pack the servos outside the linear part; also return the length of their ring."""
+    tools, rows = len(p.tools), p.structures[0].slide_rows()
+    blank, none = np.zeros((0, 3)), np.zeros((0, 2))
+    if p.control is None:
+        rows_of = gains(p, system, p.structures[0])
+        lag = np.array([2.0 * p.servos[i].delay / step for i in system.late])  # type: ignore[union-attr]
+        late = np.array([-rows_of[i] for i in system.late]).reshape(len(system.late), system.size)
+        target = np.array([tools + i for i in system.late], dtype=np.int64)
+        longest = int(lag.max(initial=0.0)) + 8
+        return kernels.Servos(target, late, *_looking_back(lag), 0, blank, 0.0, none), 1 << longest.bit_length()
+    held = [(i, v) for i, v in enumerate(p.servos) if v is not None]
+    read = np.zeros((2 * len(held), system.size))
+    for k, (i, _) in enumerate(held):
+        read[2 * k, : system.n], read[2 * k + 1, system.n : 2 * system.n] = rows[i], rows[i]
+    gains_of = np.array([(v.Kp, 1.0 / v.Ti, v.Kv) for _, v in held]).reshape(-1, 3)
+    ramp = np.array([(p.feeds[i], -v.following_error(p.feeds[i])) for i, v in held]).reshape(-1, 2)
+    target = np.array([tools + i for i, _ in held], dtype=np.int64)
+    every, fine = max(1, round(p.control.period / step)), p.control.encoder_resolution
+    return kernels.Servos(target, read, *_looking_back(np.zeros(0)), every, gains_of, fine, ramp), p.control.lag + 1
+
+
+@lru_cache(maxsize=8)
+def _projection(parts: int) -> Real:
+    """Matrix (parts + 1, 3): samples within a step to the parabola with the same moments, at its three nodes."""
+    t = np.linspace(0.0, 1.0, parts + 1)
+    weight = np.full(t.size, 2.0)
+    weight[1::2], weight[[0, -1]] = 4.0, 1.0
+    weight /= 3.0 * parts
+    shapes = np.array([np.ones_like(t), 2.0 * t - 1.0, 6.0 * t**2 - 6.0 * t + 1.0])
+    nodes = np.array([[1.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [1.0, -0.5, 1.0]])
+    return np.asarray((shapes * weight).T @ (np.array([1.0, 3.0, 5.0])[:, None] * nodes))
+
+
+def _sampled(excitation: Excitation, step: float, steps: int) -> Real:
+    """Force [N] at eight parts of each step until it ends, shape (8 m + 1,), m <= steps."""
+    m = int(min(steps, max(1.0, math.ceil(excitation.end / step + 1.0))))
+    return excitation.force(np.arange(SUB * m + 1, dtype=np.float64) * (step / SUB))
+
+
+def pack_forces(p: Problem, step: float, steps: int) -> tuple[kernels.Given, dict[str, Real]]:
+    """Pack the forces over time; also return those on the tool as sampled."""
+    tools, axes = p.tools, list(p.machine.axes)
+    fine = {a: _sampled(e, step, steps) for a, e in p.forces.items()}
+    pushes = [_sampled(e, step, steps) for e in p.drive_forces.values()]
+    target = [tools.index(a) for a in fine] + [len(tools) + axes.index(a) for a in p.drive_forces]
+    both = [*fine.values(), *pushes]
+    longest = max([(f.size - 1) // SUB for f in both], default=0)
+    values = np.zeros((len(both), longest, 3))
+    for row, f in zip(values, both, strict=True):
+        windows = np.lib.stride_tricks.sliding_window_view(f, SUB + 1)[::SUB]
+        row[: windows.shape[0]] = windows @ _projection(SUB)
+    peak = max([float(np.abs(f).max()) for f in both], default=0.0)
+    return kernels.Given(np.array(target, dtype=np.int64), values, peak), fine
+
+
+def pack_linear(p: Problem, system: System, elements: kernels.Elements, step: float, steps: int) -> kernels.Linear:
+    """Discretise the linear part at every point of the path."""
+    halvings = HALVINGS if elements.kind.size else 0
+    maps = np.array([exact_maps(a, b, elements.rows, step, halvings) for a, b in system.matrices])
+    first, n, a = p.structures[0], system.n, system.matrices[0][0]
+    power = first.mass @ a[n : 2 * n]
+    power[:, :n] += first.stiffness
+    places = np.minimum(np.arange(steps) * (step / p.total), 1.0) * (len(p.structures) - 1.0)
+    tool = np.array([s.tool for s in p.structures])
+    return kernels.Linear(maps, places, power, first.mass, first.stiffness, reach(p, first), tool)
+
+
+def scratch(
+    linear: kernels.Linear, elements: kernels.Elements, servos: kernels.Servos, ring: int, state: Real
+) -> kernels.Work:
+    """Make the arrays that the loop works in, with the states of the elements at the start."""
+    count, size, inputs, held = elements.kind.size, linear.power.shape[1], linear.reach.shape[0], servos.target.size
+    return kernels.Work(
+        z=np.zeros(size),
+        base=np.zeros(linear.maps.shape[3]),
+        known=np.zeros((inputs, 3)),
+        piece=np.zeros((inputs, 3)),
+        part=np.zeros(2 * count),
+        force=np.zeros((3, count)),
+        felt=np.zeros((3, count)),
+        slope=np.zeros(2 * count),
+        system=np.zeros((2 * count, 2 * count)),
+        change=np.zeros(2 * count),
+        states=np.tile(state, (4, 1)),
+        ring=np.zeros((held, ring)),
+        integral=np.zeros((held, 2)),
+        blended=np.zeros(linear.maps.shape[1:]),
+        fresh=np.full(linear.maps.shape[1], -1, dtype=np.int64),
+        tally=np.zeros(4),
+        mode=np.array([0, -1, 1], dtype=np.int64),
+        cutting=np.zeros(8),
+    )
+
+
+@lru_cache(maxsize=1)
+def _no_cut() -> kernels.Cut:
+    """Return a cut that never begins, of the types that the kernel is compiled for."""
+    cut = MillingCut(Tool(0.01, 1), Engagement(0.0, math.pi), CuttingCoefficients(1.0, 0.0, 0.0), 1.0, 1.0)
+    teeth = pack_teeth(cut, 1e-3, 1.0, 1.0)
+    return kernels.Cut(pack_motion(Spindle(1.0), cut), teeth, flat_surfaces(teeth), 0.0, 0.0, np.zeros(1))
+
+
+def pack_cut(p: Problem, step: float) -> kernels.Cut:
+    """Pack the cut; without one there are no teeth."""
+    if p.cut is None or p.spindle is None:
+        return _no_cut()
+    slowest, fastest = p.spindle.extremes(0.0, p.total)
+    teeth = pack_teeth(p.cut, step, slowest, fastest)
+    first = p.structures[0]
+    kick = np.linalg.solve(first.mass, first.tool.T @ np.asarray(p.impulse, dtype=float))
+    return kernels.Cut(pack_motion(p.spindle, p.cut), teeth, flat_surfaces(teeth), p.entry, p.leave, kick)

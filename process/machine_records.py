@@ -1,0 +1,268 @@
+"""From the states of a march to a record: channels, low-pass, labels, and a verdict on how it ends."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import signal
+
+from process import _machine_kernels as kernels
+from process.labels import AXES, UNITS, axis_index
+from process.machine_linear import System, gains
+from process.machine_packing import SUB
+from process.machine_problem import Problem
+from process.structure import Structure
+from process.units import from_si
+
+Real = NDArray[np.float64]
+
+MARGIN = 10
+"""Samples to each side that the low-pass spans."""
+
+_WINDOW = 0.25
+_STANDSTILL = 0.1
+_DIRECTIONS = 3
+_NIL = 1e-12
+
+
+class Run(NamedTuple):
+    """Inputs and states at the start of each step, what there is of forces on the tool, and how it went."""
+
+    states: Real
+    inputs: Real
+    force: dict[str, Real]
+    step: float
+    keep: int
+    places: Real
+    energy_error: float
+    lost: float
+    thickest: float
+
+
+class Motion(NamedTuple):
+    """Motion of the tool (deviation from the ramp) as plain arrays: time [s] (n,); x, y, z (3, n).
+
+    Force [N], displacement [m], acceleration [m/s^2].
+    """
+
+    time: Real
+    force: Real
+    displacement: Real
+    acceleration: Real
+
+
+@lru_cache(maxsize=32)
+def _taps(factor: int) -> tuple[NDArray[np.int64], Real]:
+    """Low-pass for every `factor`-th sample: windowed sinc of 20 samples of the slow rate, of gain 1 at 0 Hz.
+
+    Where and how much, from the middle to one side; a sinc is zero at every `factor`-th.
+    """
+    half = MARGIN * factor
+    taps = signal.firwin(2 * half + 1, 1.0 / factor, window="hamming")[half:]
+    at = np.flatnonzero(np.abs(taps) > _NIL)
+    return at, np.ascontiguousarray(taps[at])
+
+
+def _slow(channels: Real, factor: int, samples: int) -> Real:
+    """Low-pass channels (c, n) without phase and keep every `factor`-th sample, (c, samples); zero before and after."""
+    out = np.zeros((channels.shape[0], samples))
+    if factor == 1:
+        m = min(samples, channels.shape[1])
+        out[:, :m] = channels[:, :m]
+    else:
+        kernels.low_pass(np.ascontiguousarray(channels), *_taps(factor), factor, out)
+    return out
+
+
+def moving_axes(p: Problem) -> list[int]:
+    """Numbers of the axes along which the tool can move or is pushed, or that have a slide; all in a cut."""
+    moves = np.any([np.any(s.tool != 0.0, axis=1) for s in p.structures], axis=0)
+    return [i for i, moving in enumerate(moves) if moving or AXES[i] in p.tools or AXES[i] in p.machine.axes]
+
+
+def _tool_rows(p: Problem, system: System, at: int, axes: list[int]) -> Real:
+    """Rows of displacement and acceleration of the tool along axes, for (state, inputs, elements) of a structure.
+
+    Forces that are given act on the acceleration later, as sampled; that of a cut does here.
+    """
+    n, tools, (a, b) = system.n, len(p.tools), system.matrices[at]
+    tool = p.structures[at].tool[axes]
+    targets = [tools + i for i in system.rubbing] + [tools + len(p.servos) + k for k in range(len(p.machine.joints))]
+    direct = tool @ b[n : 2 * n]
+    place = np.zeros((len(axes), system.size + direct.shape[1] + len(targets)))
+    place[:, :n] = tool
+    push = np.hstack([tool @ a[n : 2 * n], direct, direct[:, targets]])
+    if p.cut is None:
+        push[:, system.size : system.size + tools] = 0.0
+    return np.vstack([place, push])
+
+
+def _slide_rows(p: Problem, system: System, structure: Structure, axes: list[int], width: int) -> Real:
+    """Rows of position and drive force of each slide, of the velocities of the tool along axes and of each slide."""
+    n, count, slides = system.n, len(p.servos), structure.slide_rows()
+    rows = np.zeros((3 * count + len(axes), width))
+    rows[:count, :n], rows[2 * count : 3 * count, n : 2 * n] = slides, slides
+    rows[3 * count :, n : 2 * n] = structure.tool[axes]
+    held = gains(p, system, structure)
+    for i in range(count):
+        rows[count + i, system.size + len(p.tools) + i] = 1.0
+        if i in system.prompt:
+            rows[count + i, : system.size] = -held[i]
+    return rows
+
+
+def _channels(run: Run, rows: list[Real]) -> Real:
+    """Rows of each structure times states and inputs at each step, (c, steps), blended along the path."""
+    out = np.zeros((rows[0].shape[0], run.states.shape[0]))
+    for k, row in enumerate(rows):
+        kernels.combine(row, run.states, run.inputs, np.clip(1.0 - np.abs(run.places - k), 0.0, 1.0), out)
+    return out
+
+
+def _tool_force(p: Problem, run: Run, samples: int) -> Real:
+    """Force on the tool, (3, samples)."""
+    if p.cut is not None:
+        return _slow(run.inputs[:, :3].T, run.keep, samples)
+    force = np.zeros((3, samples))
+    for row, fine in zip(axis_index(list(run.force)), run.force.values(), strict=True):
+        plain = fine[None, ::SUB] if run.keep == 1 else fine[None]
+        force[row] = _slow(plain, 1 if run.keep == 1 else run.keep * SUB, samples)[0]
+    return force
+
+
+def _push_directly(p: Problem, force: Real, acceleration: Real, axes: list[int]) -> None:
+    """Add to the acceleration of the tool what forces that are given do to it."""
+    pushed, samples = axis_index(list(p.forces)), force.shape[1]
+    if p.cut is not None or not pushed:
+        return
+    place = np.arange(samples) / samples * (len(p.structures) - 1.0)
+    for k, structure in enumerate(p.structures):
+        share = np.clip(1.0 - np.abs(place - k), 0.0, 1.0)
+        if share.any():
+            prompt = structure.tool[axes] @ np.linalg.solve(structure.mass, structure.tool[pushed].T)
+            acceleration += prompt @ (share * force[pushed])
+
+
+def as_motion(p: Problem, system: System, run: Run, sample_rate: float) -> Motion:
+    """Low-pass the motion of the tool."""
+    samples, axes = round(p.total * sample_rate), moving_axes(p)
+    m, force = len(axes), _tool_force(p, run, samples)
+    slow = _slow(_channels(run, [_tool_rows(p, system, k, axes) for k in range(len(p.structures))]), run.keep, samples)
+    _push_directly(p, force, slow[m:], axes)
+    out = np.zeros((2, 3, samples))
+    out[:, axes] = slow.reshape(2, m, samples)
+    return Motion(np.arange(samples) / sample_rate, force, out[0], out[1])
+
+
+def as_record(p: Problem, system: System, run: Run, sample_rate: float, poles: int) -> xr.Dataset:
+    """Low-pass and label the channels; put the ramps and the steady friction back; add the verdict."""
+    samples, axes = round(p.total * sample_rate), moving_axes(p)
+    rows = []
+    for k, structure in enumerate(p.structures):
+        tool = _tool_rows(p, system, k, axes)
+        rows.append(np.vstack([tool, _slide_rows(p, system, structure, axes, tool.shape[1])]))
+    every, m, count = _channels(run, rows), len(axes), len(p.servos)
+    slow, force = _slow(every[: 2 * (m + count)], run.keep, samples), _tool_force(p, run, samples)
+    _push_directly(p, force, slow[m : 2 * m], axes)
+    record = _labelled(p, sample_rate, axes, force[axes], slow)
+    record.attrs.update(_attributes(p, run))
+    at_steps = every[:, : samples * run.keep]
+    swings, speeds = at_steps[:m], at_steps[2 * (m + count) :]
+    record.attrs.update(_verdict(p, swings, speeds[count:], speeds[:count], run.step, poles))
+    return record
+
+
+@lru_cache(maxsize=16)
+def _coordinates(samples: int, sample_rate: float, axes: tuple[int, ...]) -> xr.Coordinates:
+    """Return time and axes of a record. To index them costs as much as to label all channels."""
+    time = xr.Variable("time", np.arange(samples) / sample_rate, {"units": UNITS["time"]})
+    return xr.Coordinates({"time": time, "axis": [AXES[i] for i in axes]})
+
+
+def _labelled(p: Problem, sample_rate: float, axes: list[int], force: Real, slow: Real) -> xr.Dataset:
+    """Label force (m, n) and channels: displacement (m), acceleration (m), positions and drive forces of the slides.
+
+    Not by `process.labels.make_record`, whose checks of what comes from outside cost as much as a short run.
+    """
+    m, count = len(axes), len(p.servos)
+    coordinates = _coordinates(slow.shape[1], sample_rate, tuple(axes))
+    time = coordinates["time"].values
+    values = {"force": force, "displacement": slow[:m], "acceleration": slow[m : 2 * m]}
+    if count:
+        slides = np.full((3, m, time.size), np.nan)
+        for i, (name, rub, servo) in enumerate(zip(p.machine.axes, p.friction, p.servos, strict=True)):
+            lag, ramp = 0.0 if servo is None else servo.following_error(rub.feed), rub.feed * time
+            at = axes.index(AXES.index(name))
+            slides[0, at], slides[1, at] = ramp - lag + slow[2 * m + i], ramp
+            slides[2, at] = rub.steady + slow[2 * m + count + i]
+        values.update(zip(("encoder_position", "reference_position", "drive_force"), slides, strict=True))
+    data = {name: xr.Variable(("axis", "time"), rows, {"units": UNITS[name]}) for name, rows in values.items()}
+    if p.spindle is not None:
+        for name, turning in (("spindle_angle", p.spindle.angle), ("spindle_speed", p.spindle.speed)):
+            data[name] = xr.Variable("time", turning(time), {"units": UNITS[name]})
+    return xr.Dataset(data, coords=coordinates)
+
+
+def _attributes(p: Problem, run: Run) -> dict[str, float | list[float]]:
+    # In the order of the record's axes, whatever that of the slides.
+    order = np.argsort(axis_index(list(p.machine.axes)))
+    feeds = [from_si(p.feeds[i], "mm/min", "speed") for i in order]
+    out: dict[str, float | list[float]] = {
+        "feed_mm_min": feeds[0] if len(feeds) == 1 else feeds,
+        "step_s": run.step,
+        "energy_error": run.energy_error if len(p.structures) == 1 else math.nan,
+    }
+    if p.cut is not None:
+        engaged = (p.leave - p.entry) / run.step * p.cut.tool.teeth * p.cut.arc.arc / (2.0 * math.pi)
+        out.update(lost_contact=run.lost / engaged, largest_chip_thickness_m=run.thickest)
+    return out
+
+
+def _verdict(
+    p: Problem, swings: Real, speeds: Real, slides: Real, dt: float, poles: int
+) -> dict[str, float | int | str]:
+    """Say how the record ends: settled, decaying, or in a motion that nobody excites.
+
+    The third and the last quarter of the time after the excitation are compared; they should hold several periods.
+    """
+    steps = speeds.shape[1]
+    quarter = max(2, (steps - round(p.end / dt)) // 4)
+    last, before = (_scatter(speeds[:, part]) for part in (slice(-quarter, None), slice(-2 * quarter, -quarter)))
+    quiet = last <= 1e-3 * float(np.abs(speeds).max(initial=0.0))
+    motion = "settled"
+    if poles:
+        motion = (
+            f"self-excited: uniform motion is unstable at this feed (stick-slip, {poles} poles in the right half plane)"
+        )
+    elif (steps - 2 * quarter) * dt < p.end:
+        motion = "excited to the end"
+    elif not quiet and last > 0.97 * before:
+        motion = "self-excited: the motion is not at rest without excitation and does not decay"
+    elif not quiet:
+        motion = "still decaying"
+    if motion.startswith("self-excited"):
+        motion += "; a frequency response from this record is not a property of the axis alone"
+    window = slice(-min(round(_WINDOW / dt), steps), None)
+    slow = [
+        float(np.mean((feed + row[window]) * np.sign(feed) < _STANDSTILL * abs(feed)))
+        for feed, row in zip(p.feeds, slides, strict=True)
+    ]
+    return {
+        "unstable_poles": poles,
+        "residual_m": 0.5 * float(np.ptp(swings[:, window], axis=1).max(initial=0.0)),
+        "standstill_share": max(slow, default=0.0),
+        "motion": motion,
+    }
+
+
+def _scatter(speeds: Real) -> float:
+    """Standard deviation over time and three directions, of which some may be missing: they do not move."""
+    still = (_DIRECTIONS - speeds.shape[0]) * speeds.shape[1]
+    count = speeds.size + still
+    mean = float(speeds.sum()) / count
+    return math.sqrt((float(((speeds - mean) ** 2).sum()) + still * mean**2) / count)
