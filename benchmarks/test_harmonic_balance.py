@@ -86,7 +86,6 @@ def test_quasi_frf_against_stepped_sines(benchmark, feed: float, force: float) -
             f"{seconds:.0f} s (from {FEW.size} points), ratio {seconds / own_time:.0f}; they differ by at most "
             f"{error.max():.1e}"
         )
-        assert seconds > 20.0 * own_time
 
 
 @pytest.mark.benchmark(group="harmonic balance")
