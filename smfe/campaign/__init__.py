@@ -1,6 +1,7 @@
 """The campaign file: what was measured, with what, and what is asked for."""
 
 from smfe.campaign.campaign import (
+    Baseline,
     Campaign,
     Conditions,
     CuttingTest,
@@ -12,6 +13,7 @@ from smfe.campaign.campaign import (
 )
 
 __all__ = [
+    "Baseline",
     "Campaign",
     "Conditions",
     "CuttingTest",

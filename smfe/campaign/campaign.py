@@ -15,8 +15,11 @@ from pydantic import ValidationError
 
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
+from process.drive import Drive
 from process.errors import InputError
+from process.friction import FrictionLaw, MemoryLaw
 from process.labels import RECORD_SCALARS
+from process.servo import Servo
 from process.tool import Tool
 from smfe.campaign import schema
 from smfe.campaign.checks import check, merge, path
@@ -142,6 +145,28 @@ class Model:
 
 
 @dataclass(frozen=True)
+class Baseline:
+    """``[baseline]``: the simulation that a diagnosis questions, one feed axis of two masses.
+
+    Parameters
+    ----------
+    axis : str
+        Its name.
+    drive : Drive
+        Masses, stiffness, damping; no servo, no friction.
+    servos : mapping of str to Servo
+        Controller name -> servo; a single one has the empty name.
+    friction : FrictionLaw or MemoryLaw
+        What the simulation takes for friction.
+    """
+
+    axis: str
+    drive: Drive
+    servos: Mapping[str, Servo]
+    friction: FrictionLaw | MemoryLaw
+
+
+@dataclass(frozen=True)
 class LobeRequest:
     """One ``[[lobes]]``.
 
@@ -217,6 +242,8 @@ class Campaign:
         Channels of a record as the whole campaign declares them.
     measurements, models, lobes, cutting_tests : tuple
         In the order of the file.
+    baseline : Baseline or None
+        The simulation to be questioned, where the campaign gives one.
     """
 
     path: Path
@@ -229,6 +256,7 @@ class Campaign:
     models: tuple[Model, ...] = ()
     lobes: tuple[LobeRequest, ...] = ()
     cutting_tests: tuple[CuttingTest, ...] = ()
+    baseline: Baseline | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -260,6 +288,8 @@ def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
     """
     path = Path(path).absolute()
     raw = read_toml(path)
+    if "scenario" in raw and "campaign" not in raw:
+        raise InputError(f"{path.name}: this is a scenario; smfe simulate {path.name} makes a campaign of it")
     found = check(raw)
     try:
         file = schema.CampaignFile.model_validate(raw, context={"path": path, "show": show})
@@ -306,7 +336,13 @@ def _build(file_path: Path, file: schema.CampaignFile) -> Campaign:
         models=tuple(Model(table.name, table.build()) for table in file.model),
         lobes=tuple(_lobes(table) for table in file.lobes),
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
+        baseline=_baseline(file.baseline) if file.baseline else None,
     )
+
+
+def _baseline(table: schema.BaselineTable) -> Baseline:
+    drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
+    return Baseline(table.axis, drive, table.servos(), table.friction.build())
 
 
 Declared = dict[str, Mapping[str, Any]]

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import math
 from datetime import date, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictInt, StrictStr, model_validator
+from pydantic import BeforeValidator, Field, StrictInt, StrictStr, model_validator
 
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
+from process.errors import InputError
+from process.servo import Servo
 from process.tool import Tool
 from smfe.campaign import quantities as q
+from smfe.campaign.machine_tables import Delay, FrictionTable, PositiveMass, PositiveTime, ServoTable, Viscosity
+from smfe.campaign.tables import Table
 from smfe.records.channels import check_channel_name
-
-
-class Table(BaseModel):
-    """A table of the file: unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class CampaignTable(Table):
@@ -107,7 +105,7 @@ class RecordTable(ConditionsTable):
     response: q.Axis | None = None
     cut: q.CutName | None = None
     width_of_cut: q.PositiveLength | None = None
-    channels: Channels = {}
+    channels: Annotated[Channels, Field(default_factory=dict)]
 
 
 class MeasurementTable(ConditionsTable):
@@ -120,7 +118,7 @@ class MeasurementTable(ConditionsTable):
     frequency_range: q.FrequencyRange | None = None
     resolution: q.PositiveFrequency | None = None
     references: Annotated[str, q.one_of(("all", "x"), "references")] = "all"
-    channels: Channels = {}
+    channels: Annotated[Channels, Field(default_factory=dict)]
 
 
 class ModeTable(Table):
@@ -153,6 +151,52 @@ class ModelTable(Table):
         )
 
 
+class BaselineTable(Table):
+    """``[baseline]``: the simulation that a diagnosis questions, one feed axis of two masses."""
+
+    axis: q.Axis
+    moving_mass: PositiveMass
+    tip_mass: PositiveMass
+    stiffness: q.Stiffness
+    damping: Viscosity
+    Kp: Viscosity | None = None
+    Ti: PositiveTime | None = None
+    Kv: q.PositiveFrequency | None = None
+    delay: Delay = 0.0
+    controllers: dict[StrictStr, ServoTable] | None = None
+    friction: FrictionTable
+
+    @model_validator(mode="before")
+    @classmethod
+    def _an_axis(cls, table: Any) -> Any:
+        if isinstance(table, dict) and "from" in table:
+            raise InputError(
+                "a baseline from a measurement is not available; give the axis: axis, moving_mass, tip_mass, "
+                "stiffness, damping, Kp, Ti, Kv, friction"
+            )
+        return table
+
+    @model_validator(mode="after")
+    def _one_servo(self) -> BaselineTable:
+        single = [self.Kp, self.Ti, self.Kv]
+        if (None in single) == (self.controllers is None):
+            raise InputError(
+                "needs Kp, Ti and Kv of its servo, or controllers = { K2 = { Kp = ..., Ti = ..., Kv = ... } }; give one"
+            )
+        self.servos()
+        self.friction.build()
+        return self
+
+    def servos(self) -> dict[str, Servo]:
+        """Return the servo of each controller; a single one has no name."""
+        if self.controllers is not None:
+            return {name: table.build() for name, table in self.controllers.items()}
+        assert self.Kp is not None
+        assert self.Ti is not None
+        assert self.Kv is not None
+        return {"": Servo(self.Kp, self.Ti, self.Kv, self.delay)}
+
+
 class LobesTable(Table):
     """``[[lobes]]``."""
 
@@ -174,7 +218,7 @@ class CuttingTestTable(Table):
     width_of_cut: q.PositiveLength
     feed_per_tooth: q.PositiveLength
     observed: Annotated[str, q.one_of(("stable", "chatter"), "verdict")] | None = None
-    channels: Channels = {}
+    channels: Annotated[Channels, Field(default_factory=dict)]
 
 
 class CampaignFile(Table):
@@ -183,8 +227,9 @@ class CampaignFile(Table):
     campaign: CampaignTable
     tool: ToolTable | None = None
     material: MaterialTable | None = None
-    channels: Channels = {}
+    channels: Annotated[Channels, Field(default_factory=dict)]
     measurement: tuple[MeasurementTable, ...] = ()
     model: tuple[ModelTable, ...] = ()
+    baseline: BaselineTable | None = None
     lobes: tuple[LobesTable, ...] = ()
     cutting_test: tuple[CuttingTestTable, ...] = ()

@@ -19,7 +19,7 @@ def run_all(
     jobs: Sequence[J],
     workers: int | None = None,
     progress: Progress = silent,
-    what: str = "simulating",
+    label: Callable[[J], str] = str,
 ) -> list[R]:
     """Return ``[work(job) for job in jobs]``, several at a time; the first error ends it.
 
@@ -32,20 +32,20 @@ def run_all(
     workers : int, optional
         Jobs at a time; default: as many as there are cores.
     progress : callable, optional
-        Called with (what, done, of).
-    what : str, optional
-        Name of the whole for the progress.
+        Called with (label of the job that is finished, done, of).
+    label : callable, optional
+        Names a job for the progress.
     """
     if workers is not None and workers < 1:
         raise InputError(f"{workers} workers; give at least 1, or none for all cores")
     results: dict[int, R] = {}
-    progress(what, 0, len(jobs))
+    progress("simulating", 0, len(jobs))
     with ThreadPoolExecutor(max_workers=workers or os.cpu_count()) as pool:
         futures = {pool.submit(work, job): i for i, job in enumerate(jobs)}
         try:
             for done, future in enumerate(as_completed(futures), 1):
                 results[futures[future]] = future.result()
-                progress(what, done, len(jobs))
+                progress(label(jobs[futures[future]]), done, len(jobs))
         finally:
             pool.shutdown(cancel_futures=True)
     return [results[i] for i in range(len(jobs))]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,16 +11,6 @@ from process import units
 from process.compliance import ModalModel
 from process.drive import Drive
 from process.errors import InputError
-from process.friction import (
-    Andersson,
-    Coulomb,
-    CoulombViscous,
-    FrictionLaw,
-    GeneralisedMaxwellSlip,
-    LuGre,
-    MemoryLaw,
-    Viscous,
-)
 from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
 from process.machine import FeedAxis, Machine, MountedJoint
 from process.sensors import (
@@ -41,19 +30,11 @@ from process.sensors import (
     with_added_mass,
 )
 from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from smfe.campaign.machine_tables import AxisTable, made
 from smfe.campaign.schema import ModeTable
 from smfe.records.channels import CHANNELS, check_channel_name
-from smfe.records.words import listed
 from smfe.scenario import schema
 
-_LAWS: dict[str, type[FrictionLaw | MemoryLaw]] = {
-    "viscous": Viscous,
-    "coulomb": Coulomb,
-    "coulomb_viscous": CoulombViscous,
-    "andersson": Andersson,
-    "lugre": LuGre,
-    "gms": GeneralisedMaxwellSlip,
-}
 _JOINTS: dict[str, type[Joint]] = {"jenkins": Jenkins, "iwan": Iwan, "cubic": CubicSpring, "gap": Gap}
 
 
@@ -76,13 +57,16 @@ def build_machine(table: schema.MachineTable) -> Machine | ModalModel:
         if table.modes:
             raise InputError("gives modes twice: in itself and in its posture; leave one of them out")
         at = table.posture.at
-        structures = tuple(_structure(table, entry.modes) for entry in at)
+        structures = tuple(_structure(table, entry.modes, f"posture.at[{k}].") for k, entry in enumerate(at))
         structure = Posture(table.posture.axis, np.array([entry.position for entry in at]), structures)
     axes = {name: FeedAxis(**_feed_axis(axis)) for name, axis in table.axis.items()}
     return Machine(structure, axes, tuple(_joint(table, joint) for joint in table.joint))
 
 
-def _modal(modes: Sequence[ModeTable]) -> ModalModel:
+def _modal(modes: Sequence[ModeTable], where: str = "") -> ModalModel:
+    for i, mode in enumerate(modes):
+        if not any(mode.direction):
+            raise InputError(f"{where}modes[{i}].direction must not be zero; give the tool's motion in x, y and z")
     return ModalModel(
         frequency=np.array([mode.frequency for mode in modes]),
         damping=np.array([mode.damping for mode in modes]),
@@ -91,7 +75,7 @@ def _modal(modes: Sequence[ModeTable]) -> ModalModel:
     )
 
 
-def _structure(table: schema.MachineTable, modes: Sequence[ModeTable]) -> Structure:
+def _structure(table: schema.MachineTable, modes: Sequence[ModeTable], where: str = "") -> Structure:
     if modes:
         springs = [name for name, axis in table.axis.items() if axis.stiffness is not None]
         if springs:
@@ -99,14 +83,14 @@ def _structure(table: schema.MachineTable, modes: Sequence[ModeTable]) -> Struct
                 f"axis {', '.join(springs)} has a stiffness and the machine has modes; give the modes alone, or axes "
                 "of two masses without modes"
             )
-        modal = _modal(modes)
+        modal = _modal(modes, where)
         if not table.axis:
             return free_modes(modal.frequency, modal.damping, modal.mass, modal.direction, {})
         return released_modes(modal, {name: axis.moving_mass for name, axis in table.axis.items()}, table.tip_mass)
     return two_mass_axes({name: _two_masses(name, axis) for name, axis in table.axis.items()})
 
 
-def _two_masses(name: str, axis: schema.AxisTable) -> Drive:
+def _two_masses(name: str, axis: AxisTable) -> Drive:
     missing = [key for key in ("tip_mass", "stiffness", "damping") if getattr(axis, key) is None]
     if missing:
         raise InputError(
@@ -115,17 +99,16 @@ def _two_masses(name: str, axis: schema.AxisTable) -> Drive:
     return Drive(axis.moving_mass, axis.tip_mass or 0.0, axis.stiffness or 0.0, axis.damping or 0.0)
 
 
-def _feed_axis(axis: schema.AxisTable) -> dict[str, Any]:
+def _feed_axis(axis: AxisTable) -> dict[str, Any]:
     out: dict[str, Any] = {"servo": {name: servo.build() for name, servo in axis.controllers.items()} or None}
     if axis.friction is not None:
-        given = axis.friction.model_dump(exclude_unset=True, exclude={"law"})
-        out["friction"] = _made("friction law", axis.friction.law, _LAWS[axis.friction.law], given)
+        out["friction"] = axis.friction.build()
     return out
 
 
 def _joint(table: schema.MachineTable, joint: schema.JointTable) -> MountedJoint:
     given = joint.model_dump(exclude_unset=True, exclude={"law", "participation", "axis"})
-    law: Joint = _made("joint", joint.law, _JOINTS[joint.law], given)
+    law: Joint = made("joint", joint.law, _JOINTS[joint.law], given)
     if table.modes or table.posture is not None:
         count = len(table.modes) if table.posture is None else len(table.posture.at[0].modes)
         if joint.participation is None or len(joint.participation) != count:
@@ -137,18 +120,6 @@ def _joint(table: schema.MachineTable, joint: schema.JointTable) -> MountedJoint
     at = 2 * list(table.axis).index(joint.axis)
     row[at : at + 2] = 1.0, -1.0
     return MountedJoint(law, row)
-
-
-def _made(what: str, name: str, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
-    """Build a law from exactly the parameters it has."""
-    fields = getattr(make, "__dataclass_fields__", {})
-    wanted = {f.name for f in fields.values() if f.init}
-    needed = {f.name for f in fields.values() if f.init and f.default is MISSING}
-    missing, extra = sorted(needed - set(given)), sorted(set(given) - wanted)
-    if missing or extra:
-        told = [f"{listed(missing)} missing"] * bool(missing) + [f"{listed(extra)} not read"] * bool(extra)
-        raise InputError(f"{what} '{name}': {' and '.join(told)}; it has {listed(sorted(wanted))}")
-    return make(**given)
 
 
 def loaded_machine(machine: Machine | ModalModel, sensors: schema.SensorsTable) -> Machine | ModalModel:

@@ -16,7 +16,7 @@ Columns = Mapping[str, Channel]
 File = tuple[str, Columns]
 
 
-def campaign_text(scenario: Scenario, files: Sequence[Sequence[File]]) -> str:
+def campaign_text(scenario: Scenario, files: Sequence[Sequence[File]], notices: Sequence[str] = ()) -> str:
     """Return the campaign file: what was used, and one table for each entry with its files.
 
     Parameters
@@ -25,10 +25,13 @@ def campaign_text(scenario: Scenario, files: Sequence[Sequence[File]]) -> str:
         What was simulated.
     files : sequence
         For each entry of the scenario its records: file and the channels in it.
+    notices : sequence of str, optional
+        What its reader must know; written as comments.
     """
     used = [_union(columns for _, columns in one) for one in files]
     common = _common(scenario.entries, used)
-    parts = [f"# Simulated from {scenario.path.name}, seed {scenario.file.scenario.seed}.\n"]
+    head = [f"Simulated from {scenario.path.name}, seed {scenario.file.scenario.seed}.", *notices]
+    parts = ["".join(f"# {line}\n" for line in head)]
     parts.append(table("[campaign]", {"name": scenario.file.scenario.name}))
     parts += [table(f"[{name}]", scenario.raw[name]) for name in ("tool", "material") if name in scenario.raw]
     parts.append(table("[channels]", _declared(common)))

@@ -19,6 +19,7 @@ from process.excitation import Chirp
 from process.machine import Machine
 from process.machine_simulation import SampledControl
 from process.sensors import Sensors
+from process.servo import Servo
 from process.simulate import MillingCut, Spindle
 from process.structure import Posture
 from process.trials import (
@@ -143,19 +144,37 @@ def _check_machine(machine: Machine | ModalModel, trial: schema.Trial) -> None:
             what = f"its {listed(given)} need" if given else "a drive trial needs"
             raise InputError(f"{what} axes, and the machine has modes alone; add [machine.axis.x]")
         return
-    servos = {k: v for axis in machine.axes.values() if isinstance(axis.servo, Mapping) for k, v in axis.servo.items()}
-    known = set(servos)
-    for name in trial.controller or ():
-        if name not in known:
-            raise InputError(f"controller '{name}' is not known{did_you_mean(name, known)}; there are {listed(known)}")
-    if trial.control is not None and any(servo.delay > 0.0 for servo in servos.values()):
+    servos = {name: axis.servo for name, axis in machine.axes.items() if isinstance(axis.servo, Mapping)}
+    _check_controllers(servos, trial)
+    late = any(servo.delay > 0.0 for named in servos.values() for servo in named.values())
+    if trial.control is not None and late:
         raise InputError(
             "its control has a period and a lag, which make the dead time; leave the delay of the servos out"
         )
     if trial.position is not None and not isinstance(machine.structure, Posture):
         raise InputError("gives a position, and the machine is the same everywhere; add [machine.posture]")
+    if not machine.axes and any(any(feed.values()) for feed in trial.feed or ()):
+        raise InputError("gives a feed, and the machine has no axes; add [machine.axis.x]")
     if isinstance(trial, schema.DriveTable) and trial.axis not in machine.axes:
         raise InputError(f"axis {trial.axis} does not move; the machine moves {listed(machine.axes)}")
+
+
+def _check_controllers(servos: Mapping[str, Mapping[str, Servo]], trial: schema.Trial) -> None:
+    """Refuse a trial that leaves the controller of an axis open; `servos` are those of each axis by name."""
+    known = {name for named in servos.values() for name in named}
+    for name in trial.controller or ():
+        if name not in known:
+            raise InputError(f"controller '{name}' is not known{did_you_mean(name, known)}; there are {listed(known)}")
+    for axis, named in servos.items():
+        if trial.controller is None and len(named) > 1:
+            raise InputError(
+                f'must name a controller: axis {axis} has {listed(named)}; add controller = "{next(iter(named))}"'
+            )
+        lacking = [name for name in trial.controller or () if name not in named]
+        if lacking:
+            raise InputError(
+                f"axis {axis} has no controller '{lacking[0]}', it has {listed(named)}; give each axis one of that name"
+            )
 
 
 def _combinations(machine: Machine | ModalModel, trial: schema.Trial) -> Iterator[Combination]:
@@ -176,7 +195,7 @@ def _combinations(machine: Machine | ModalModel, trial: schema.Trial) -> Iterato
             control = None if trial.control is None else _control(trial.control)
             running = Running(_feed(machine, chosen["feed"]), chosen["controller"], chosen["position"], control)
         if chosen["feed"] is not None:
-            says["feed"] = {axis: show(v, "mm/min", "speed") for axis, v in chosen["feed"].items()}
+            says["feed"] = _said_feed(running.feed)
         if chosen["controller"] is not None:
             says["controller"] = chosen["controller"]
         if chosen["position"] is not None:
@@ -221,6 +240,13 @@ def _feed(machine: Machine, feed: Mapping[str, float] | None) -> dict[str, float
         return {}
     same = len(set(feed.values())) == 1
     return {axis: v for axis, v in feed.items() if axis in machine.axes or (v != 0.0 and not same)}
+
+
+def _said_feed(feed: float | Mapping[str, float]) -> Any:
+    """Return a feed as the campaign writes it: the axes that the machine has, or nought where it has none."""
+    if not isinstance(feed, Mapping) or not feed:
+        return "0 mm/min"
+    return {axis: show(v, "mm/min", "speed") for axis, v in feed.items()}
 
 
 # --- methods ------------------------------------------------------------------------------------------------
@@ -298,12 +324,14 @@ def _check_rate(frequency: float, rate: float, what: str) -> None:
         )
 
 
-def _milled(stand: Stand, trial: schema.CuttingTable, chosen: Combination, rotation: float, highest: float) -> Any:
+def _milled(
+    stand: Stand, trial: schema.SweepTable | schema.CutTable, chosen: Combination, rotation: float, highest: float
+) -> Any:
     """Return tool, material, feed rate, and the running with the axis x that feeds, where nothing else is said."""
     file = stand.file
     missing = [f"[{name}]" for name in ("tool", "material") if getattr(file, name) is None]
     if file.tool is None or file.material is None:
-        raise InputError(f"a cut needs {' and '.join(missing)}; add it")
+        raise InputError(f"a {trial.method} needs {' and '.join(missing)}; add it")
     tool = file.tool.build()
     _check_rate(tool.tooth_passing_frequency(highest), file.scenario.sample_rate, "the tooth passing frequency")
     feed_rate = trial.feed_per_tooth * tool.tooth_passing_frequency(rotation)
@@ -317,7 +345,7 @@ def _sweep(stand: Stand, trial: schema.SweepTable, chosen: Combination) -> Itera
     start, end = trial.spindle_speed
     tool, material, feed_rate, running = _milled(stand, trial, chosen, start, end)
     if running != chosen.running:
-        chosen.says["feed"] = {"x": show(feed_rate, "mm/min", "speed")}
+        chosen.says["feed"] = _said_feed(running.feed)
     chosen = replace(chosen, running=running)
     jobs = []
     for number, one in enumerate(trial.passes, 1):

@@ -19,13 +19,18 @@ from scipy import linalg
 from process.compliance import ModalModel
 from process.errors import InputError
 from process.machine import FeedAxis, Machine
+from process.machine_simulation import SampledControl
+from process.sampled_servo import SampledServo
+from process.servo import Servo
 from process.structure import Posture
 from process.trials import Running
 from smfe import __version__
+from smfe.datasets import Show
 from smfe.identification import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
 from smfe.scenario.batch import run_all
 from smfe.scenario.campaign_file import campaign_text
+from smfe.scenario.notices import left_behind, standing_axes, to_stderr
 from smfe.scenario.plan import Entry, Job
 from smfe.scenario.scenario import Scenario, load_scenario
 from smfe.store import write_groups
@@ -60,7 +65,13 @@ class Written:
     channels: Mapping[str, Channel]
 
 
-def simulate(scenario: Path | str, out: Path | str, workers: int | None = None, progress: Progress = silent) -> Path:
+def simulate(
+    scenario: Path | str,
+    out: Path | str,
+    workers: int | None = None,
+    progress: Progress = silent,
+    show: Show = to_stderr,
+) -> Path:
     """Simulate the trials of a scenario and write their records with the campaign file that reads them.
 
     Everything is made in a temporary folder and moved to `out` when it is complete. The same scenario makes the same
@@ -75,7 +86,10 @@ def simulate(scenario: Path | str, out: Path | str, workers: int | None = None, 
     workers : int, optional
         Records at a time; default: as many as there are cores.
     progress : callable, optional
-        Called with (what, done, of).
+        Called with (record that is finished, done, of).
+    show : callable, optional
+        Called with each notice: axes that stand still in a cut, records of an earlier scenario in `out`; default:
+        printed to stderr.
 
     Returns
     -------
@@ -89,17 +103,22 @@ def simulate(scenario: Path | str, out: Path | str, workers: int | None = None, 
     """
     loaded = load_scenario(scenario)
     true = truths(loaded)
+    notices = standing_axes(loaded)
+    for notice in notices:
+        show(notice)
     with _made_aside(Path(out)) as folder:
         (folder / "records").mkdir()
         jobs = [job for entry in loaded.entries for job in entry.jobs]
         seeds = np.random.SeedSequence(loaded.file.scenario.seed).spawn(len(jobs))
         tasks = [_Task(job, seed, folder / "records") for job, seed in zip(jobs, seeds, strict=True)]
-        written = iter(run_all(_record, tasks, workers, progress))
+        written = iter(run_all(_record, tasks, workers, progress, lambda task: f"record {task.job.file}"))
         records = [[next(written) for _ in entry.jobs] for entry in loaded.entries]
         write_groups(folder / "truth.nc", true)
         (folder / "scenario.toml").write_text(_with_versions(loaded), encoding="utf-8")
-        text = campaign_text(loaded, [[(w.file, w.channels) for w in one] for one in records])
+        text = campaign_text(loaded, [[(w.file, w.channels) for w in one] for one in records], notices)
         (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    for notice in left_behind(Path(out) / "records", (Path(w.file).name for one in records for w in one)):
+        show(notice)
     return Path(out) / "campaign.toml"
 
 
@@ -148,8 +167,7 @@ def _made_aside(out: Path) -> Iterator[Path]:
 def truths(scenario: Scenario) -> dict[str, xr.Dataset]:
     """Return the true compliance of the bare machine for each entry of the campaign, for small vibration.
 
-    Friction and joints are linearised; sampled servos act continuously, with the dead time of their lag and half a
-    period.
+    Friction and joints are linearised; sampled servos act continuously, equal up to the second order of their period.
 
     Raises
     ------
@@ -168,33 +186,50 @@ def truths(scenario: Scenario) -> dict[str, xr.Dataset]:
         except InputError as error:
             wrong[f"trial[{entry.trial}], {entry.name}"] = str(error)
             continue
-        out[entry.name] = known[key].assign_attrs(method="truth", **_flat(entry))
+        out[entry.name] = known[key].assign_attrs(method="truth", truth=_meaning(scenario.machine), **_flat(entry))
     if wrong:
         lines = [f"{name}: {text}" for name, text in wrong.items()]
         raise InputError("\n  ".join([f"{scenario.path.name}: the machine cannot be measured", *lines]))
     return out
 
 
+def _meaning(machine: Machine | ModalModel) -> str:
+    if isinstance(machine, ModalModel):
+        return "linear machine at rest: the same at every force"
+    return "small vibration about uniform motion or rest: friction and joints linearised"
+
+
 def _flat(entry: Entry) -> dict[str, str]:
-    return {key: str(value) for key, value in entry.says.items()}
+    """Return the conditions as texts; a small vibration has no force level."""
+    return {key: str(value) for key, value in entry.says.items() if key != "force_level"}
 
 
 def _true(machine: Machine | ModalModel, running: Running, frequency: Sequence[float]) -> xr.Dataset:
     if isinstance(machine, ModalModel):
         return machine.compliance(frequency)
     if running.control is not None:
-        machine = _with_dead_time(machine, (running.control.lag + 0.5) * running.control.period)
+        machine = _continuous(machine, running.control)
     return machine.at(running.feed, running.controller, running.position).compliance(frequency)
 
 
-def _with_dead_time(machine: Machine, delay: float) -> Machine:
-    """Return the machine whose servos act continuously, as late as sampled ones do: the lag and half a period [s]."""
+def _continuous(machine: Machine, control: SampledControl) -> Machine:
+    """Return the machine whose servos act continuously and equal sampled ones up to the second order of the period.
 
-    def late(axis: FeedAxis) -> FeedAxis:
+    An encoder with steps gives the velocity as a difference: ``Kv + s exp(-s T/2)`` is
+    ``exp(-s T/2) [(1 + Kv T/2) s + Kv]`` to that order.
+    """
+    late = 0.5 * control.period if control.encoder_resolution > 0.0 else 0.0
+
+    def equal(servo: Servo) -> Servo:
+        found = SampledServo(servo, control.period, control.lag).continuous()
+        more = 1.0 + found.Kv * late
+        return replace(found, Kp=found.Kp * more, Kv=found.Kv / more, delay=found.delay + late)
+
+    def slower(axis: FeedAxis) -> FeedAxis:
         assert isinstance(axis.servo, Mapping)
-        return replace(axis, servo={name: replace(servo, delay=delay) for name, servo in axis.servo.items()})
+        return replace(axis, servo={name: equal(servo) for name, servo in axis.servo.items()})
 
-    return replace(machine, axes={n: late(a) if a.servo is not None else a for n, a in machine.axes.items()})
+    return replace(machine, axes={n: slower(a) if a.servo is not None else a for n, a in machine.axes.items()})
 
 
 def _frequencies(machine: Machine | ModalModel) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -14,9 +15,10 @@ from process.compliance import ModalModel
 from process.errors import InputError
 from process.machine import Machine
 from smfe.campaign.campaign import read_toml, report
-from smfe.campaign.checks import Complaint
+from smfe.campaign.checks import Complaint, check
 from smfe.campaign.messages import complaint
-from smfe.records.words import did_you_mean
+from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.records.words import did_you_mean, listed
 from smfe.scenario import schema
 from smfe.scenario.build import build_machine, build_sensors, loaded_machine
 from smfe.scenario.plan import Entry, Stand, entries
@@ -59,6 +61,8 @@ def load_scenario(path: str | Path) -> Scenario:
     """
     path = Path(path).absolute()
     raw = read_toml(path, "scenario")
+    if "campaign" in raw and "scenario" not in raw:
+        raise InputError(f"{path.name}: this is a campaign; smfe run {path.name} evaluates it")
     found = list(_methods(raw))
     try:
         file = schema.ScenarioFile.model_validate(raw)
@@ -75,7 +79,7 @@ def load_scenario(path: str | Path) -> Scenario:
         stand = Stand(file, machine, loaded_machine(machine, file.sensors), sensors, i)
         planned += _collected(found, ("trial", i), partial(entries, stand)) or []
     found += _clashes(planned)
-    found += _unknown_lobes(file, planned)
+    found += [] if found else _refused(raw, machine, planned)
     if found:
         raise InputError(report(path, found))
     return Scenario(path, raw, file, machine, tuple(planned))
@@ -123,10 +127,35 @@ def _clashes(planned: list[Entry]) -> Iterator[Complaint]:
         seen.add(entry.name)
 
 
-def _unknown_lobes(file: schema.ScenarioFile, planned: list[Entry]) -> Iterator[Complaint]:
-    known = ["machine", *(entry.name for entry in planned if entry.method != "cut")]
-    for i, lobes in enumerate(file.lobes):
-        for k, name in enumerate(lobes.measurements):
-            if name not in known:
-                near = did_you_mean(name, known)
-                yield ("lobes", i, "measurements", k), f"'{name}' is no measurement{near}; there are {', '.join(known)}"
+def _refused(raw: Mapping[str, Any], machine: Machine | ModalModel, planned: list[Entry]) -> Iterator[Complaint]:
+    """Return why the campaign that would be written could not be run: too few passes of a sweep, lobes of nothing."""
+    measured = [entry for entry in planned if entry.method != "cut"]
+    draft = {key: raw[key] for key in ("tool", "material", "lobes") if key in raw}
+    draft["measurement"] = [
+        {"name": entry.name, "method": entry.method, "records": [dict(job.says) for job in entry.jobs]}
+        for entry in measured
+    ]
+    draft["model"] = [{"name": "machine"}] if isinstance(machine, ModalModel) else []
+    seen: set[tuple[str | int, ...]] = set()
+    for where, text in itertools.chain(_no_compliance(raw, machine, measured), check(draft)):
+        place = ("trial", measured[int(where[1])].trial, "passes") if where[0] == "measurement" else where
+        if place not in seen:
+            seen.add(place)
+            yield place, text
+
+
+def _no_compliance(raw: Mapping[str, Any], machine: Machine | ModalModel, measured: list[Entry]) -> Iterator[Complaint]:
+    """Lobes of what has none: a machine with axes is no list of modes, a drive or silent trial measures none."""
+    methods = {entry.name: entry.method for entry in measured}
+    usable = listed(name for name, method in methods.items() if method in COMPLIANCE_METHODS)
+    for i, lobes in enumerate(raw.get("lobes", ())):
+        for k, name in enumerate(lobes["measurements"]):
+            place = ("lobes", i, "measurements", k)
+            if name == "machine" and not isinstance(machine, ModalModel):
+                yield (
+                    place,
+                    "a machine with axes, joints or postures has no single compliance that a campaign can hold as "
+                    f"modes; name measurements: {usable}, or compute its lobes in Python from machine.at(feed, ...)",
+                )
+            elif methods.get(name, "hammer") not in COMPLIANCE_METHODS:
+                yield place, f"'{name}' is a {methods[name]} trial and gives no compliance; there are {usable}"

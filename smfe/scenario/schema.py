@@ -10,32 +10,14 @@ from pydantic import BeforeValidator, Field, StrictInt, StrictStr, model_validat
 from process import units
 from process.errors import InputError
 from process.labels import AXES
-from process.servo import Servo
 from process.trials import DEFAULT_SAMPLE_RATE
+from smfe.campaign import machine_tables
 from smfe.campaign import quantities as q
-from smfe.campaign.schema import LobesTable, MaterialTable, ModeTable, Table, ToolTable
+from smfe.campaign.machine_tables import Delay, PositiveMass, PositiveTime, many, values
+from smfe.campaign.schema import LobesTable, MaterialTable, ModeTable, ToolTable
+from smfe.campaign.tables import Table
 
 Triple = tuple[float, float, float]
-
-
-def _many(value: Any) -> Any:
-    """One value or a list of them -> list."""
-    if value == []:
-        raise InputError("is empty; at least one entry is needed")
-    return value if isinstance(value, list) else [value]
-
-
-def _values(dimension: str, above: float = -math.inf) -> BeforeValidator:
-    """One quantity or a list of them -> tuple in SI, each more than `above`."""
-
-    def parse(value: Any) -> tuple[float, ...]:
-        numbers = tuple(units.parse(item, dimension) for item in _many(value))
-        for number, item in zip(numbers, _many(value), strict=True):
-            if not number > above:
-                raise InputError(f"'{item}' is not possible; it must be positive")
-        return numbers
-
-    return BeforeValidator(parse)
 
 
 def _triple(dimension: str) -> BeforeValidator:
@@ -59,6 +41,14 @@ def _number(value: Any) -> float:
     return float(value)
 
 
+def _kilograms(value: Any) -> Any:
+    """The mass of a machine without a unit: kilograms are meant, and asked for."""
+    text = str(value).strip()
+    if not isinstance(value, bool) and text.replace(".", "", 1).isdigit():
+        raise InputError(f'{value!r} has no unit; write it as text with a unit, "{text} kg"')
+    return value
+
+
 def _range(dimension: str, steps: bool) -> BeforeValidator:
     """[from, to] or [from, to, step] -> tuple in SI, rising."""
 
@@ -75,13 +65,9 @@ def _range(dimension: str, steps: bool) -> BeforeValidator:
 
 
 Axis = q.Axis
+MachineMass = Annotated[PositiveMass, BeforeValidator(_kilograms)]
 Directions = Annotated[tuple[Axis, ...], q.NotEmpty]
-PositiveMass = Annotated[float, q.quantity("mass", above=0.0)]
-PositiveTime = Annotated[float, q.quantity("time", above=0.0)]
-Delay = Annotated[float, q.quantity("time", low=0.0)]
 PositiveForce = Annotated[float, q.quantity("force", above=0.0)]
-Viscosity = Annotated[float, q.quantity("viscosity", low=0.0)]
-Speed = Annotated[float, q.quantity("speed", above=0.0)]
 Ratios = Annotated[Triple, _triple("dimensionless")]
 Matrix = Annotated[tuple[Ratios, Ratios, Ratios], q.NotEmpty]
 
@@ -97,46 +83,11 @@ class ScenarioTable(Table):
 # --- machine ------------------------------------------------------------------------------------------------
 
 
-class ServoTable(Table):
-    """One controller of an axis."""
-
-    Kp: Annotated[float, q.quantity("viscosity", above=0.0)]
-    Ti: PositiveTime
-    Kv: q.PositiveFrequency
-    delay: Delay = 0.0
-    feed_forward: q.Ratio = 1.0
-
-    def build(self) -> Servo:
-        """Return the servo."""
-        return Servo(**dict(self))
-
-
-class FrictionTable(Table):
-    """``friction`` of an axis: the law by name and its parameters."""
-
-    law: Annotated[str, q.one_of(("viscous", "coulomb", "coulomb_viscous", "andersson", "lugre", "gms"), "law")]
-    coulomb: q.Force | None = None
-    static: q.Force | None = None
-    stribeck_speed: Speed | None = None
-    sigma: Viscosity | None = None
-    kt: Annotated[float, q.quantity("steepness", above=0.0)] | None = None
-    delta: q.Ratio | None = None
-    bristle_stiffness: q.Stiffness | None = None
-    bristle_damping: Viscosity | None = None
-    element_stiffness: Annotated[tuple[float, ...], _values("stiffness", above=0.0)] | None = None
-    share: tuple[q.Ratio, ...] | None = None
-    attraction: Annotated[float, q.quantity("force_rate", above=0.0)] | None = None
-
-
-class AxisTable(Table):
+class AxisTable(machine_tables.AxisTable):
     """``[machine.axis.x]``."""
 
-    moving_mass: PositiveMass
-    tip_mass: PositiveMass | None = None
-    stiffness: q.Stiffness | None = None
-    damping: Viscosity | None = None
-    controllers: Annotated[dict[StrictStr, ServoTable], Field(default_factory=dict)]
-    friction: FrictionTable | None = None
+    moving_mass: MachineMass
+    tip_mass: MachineMass | None = None
 
 
 class JointTable(Table):
@@ -169,7 +120,7 @@ class MachineTable(Table):
     """``[machine]``."""
 
     modes: tuple[ModeTable, ...] = ()
-    tip_mass: PositiveMass | None = None
+    tip_mass: MachineMass | None = None
     axis: Annotated[dict[Axis, AxisTable], Field(default_factory=dict)]
     joint: tuple[JointTable, ...] = ()
     posture: PostureTable | None = None
@@ -274,9 +225,9 @@ class TrialTable(Table):
     """What all trials have in common; a list makes one record of each combination."""
 
     name: q.Name | None = None
-    feed: Annotated[tuple[q.Feed, ...], BeforeValidator(_many)] | None = None
-    controller: Annotated[tuple[StrictStr, ...], BeforeValidator(_many)] | None = None
-    position: Annotated[tuple[float, ...], _values("length")] | None = None
+    feed: Annotated[tuple[q.Feed, ...], BeforeValidator(many)] | None = None
+    controller: Annotated[tuple[StrictStr, ...], BeforeValidator(many)] | None = None
+    position: Annotated[tuple[float, ...], values("length")] | None = None
     repeats: Annotated[StrictInt, Field(ge=1, le=1000)] = 1
     control: ControlTable | None = None
 
@@ -287,8 +238,8 @@ class HammerTable(TrialTable):
     method: Literal["hammer"]
     directions: Directions = AXES
     hits: Annotated[StrictInt, Field(ge=1, le=1000)] = 5
-    impulse: Annotated[tuple[float, ...], _values("impulse", above=0.0)] | None = None
-    peak_force: Annotated[tuple[float, ...], _values("force", above=0.0)] | None = None
+    impulse: Annotated[tuple[float, ...], values("impulse", above=0.0)] | None = None
+    peak_force: Annotated[tuple[float, ...], values("force", above=0.0)] | None = None
     scatter: Annotated[float, BeforeValidator(_number), Field(ge=0.0, lt=1.0)] = 0.0
     duration: PositiveTime = 4e-3
     interval: PositiveTime = 4.0
@@ -308,7 +259,7 @@ class ActuatorTable(TrialTable):
 
     method: Literal["actuator"]
     directions: Directions = AXES
-    force: Annotated[tuple[float, ...], _values("force", above=0.0)]
+    force: Annotated[tuple[float, ...], values("force", above=0.0)]
     frequencies: Annotated[tuple[float, float, float], _range("frequency", steps=True)]
     dwell: PositiveTime = 1.5
 
@@ -323,7 +274,7 @@ class PassTable(Table):
 class CuttingTable(TrialTable):
     """What sweeps and cutting tests have in common."""
 
-    depth_of_cut: Annotated[tuple[float, ...], _values("length", above=0.0)]
+    depth_of_cut: Annotated[tuple[float, ...], values("length", above=0.0)]
     feed_per_tooth: q.PositiveLength
     lead: Delay = 0.5
     tail: Delay = 2.0
@@ -343,7 +294,7 @@ class CutTable(CuttingTable):
     """``method = "cut"``: cutting tests at constant speed."""
 
     method: Literal["cut"]
-    spindle_speed: Annotated[tuple[float, ...], _values("rotation", above=0.0)]
+    spindle_speed: Annotated[tuple[float, ...], values("rotation", above=0.0)]
     cut: q.CutName
     width_of_cut: q.PositiveLength
     duration: PositiveTime
@@ -357,7 +308,7 @@ class DriveTable(TrialTable):
     method: Literal["drive"]
     axis: Axis
     duration: PositiveTime
-    force: Annotated[tuple[float, ...], _values("force", above=0.0)] | None = None
+    force: Annotated[tuple[float, ...], values("force", above=0.0)] | None = None
     frequency_range: q.FrequencyRange | None = None
 
     @model_validator(mode="after")

@@ -11,17 +11,21 @@ import pytest
 
 from process.compliance import ModalModel
 from process.errors import InputError
+from process.excitation import HalfSine
 from process.friction import Viscous
 from process.joints import Jenkins
 from process.machine import FeedAxis, Machine, MountedJoint
+from process.machine_simulation import SampledControl, simulate_machine
 from process.sensors import Resonance
-from process.servo import Servo
+from process.servo import Servo, tune
 from process.structure import Posture, Structure, released_modes
+from process.trials import Running
 from smfe import cli, pipeline, simulate
 from smfe.campaign import load_campaign
 from smfe.records import read_records
-from smfe.scenario import load_scenario
+from smfe.scenario import load_scenario, run
 from smfe.scenario.batch import run_all
+from smfe.scenario.notices import standing_axes
 from smfe.scenario.toml import inline, table
 from smfe.store import read_groups
 
@@ -222,6 +226,7 @@ def test_the_truth_is_the_bare_machine(simulated: Path) -> None:
     assert isinstance(machine, ModalModel)
     truth = read_groups(simulated / "truth.nc")["hammer"]
     np.testing.assert_allclose(truth["compliance"].values, machine.matrix(truth["frequency"].values))
+    assert truth.attrs["truth"] == "linear machine at rest: the same at every force"
 
 
 def records(folder: Path) -> dict[str, bytes]:
@@ -267,6 +272,13 @@ def test_lists_make_one_record_of_each_combination(tmp_path: Path) -> None:
     truth = read_groups(tmp_path / "out" / "truth.nc")
     assert set(truth) == {m.name for m in campaign.measurements}
     assert not np.allclose(truth[swept[0].name]["compliance"], truth[swept[2].name]["compliance"])
+    # Both force levels have one truth, that of a small vibration, and it claims no force level.
+    np.testing.assert_array_equal(truth[swept[0].name]["compliance"], truth[swept[1].name]["compliance"])
+    for name, group in truth.items():
+        assert group.attrs["truth"].startswith("small vibration about uniform motion"), name
+        assert "force_level" not in group.attrs
+    raw = tomllib.loads(campaign.path.read_text(encoding="utf-8"))
+    assert {tuple(measurement["feed"]) for measurement in raw["measurement"]} == {("x",)}
     record = read_records(driven.records[0].files[0], driven.records[0].channels)[0]
     assert "force" not in record
     assert {"encoder_position", "drive_force", "acceleration"} <= set(record.data_vars)
@@ -330,6 +342,108 @@ def test_each_position_has_its_record_and_its_truth(tmp_path: Path) -> None:
     assert float(np.abs(far["compliance"]).max()) > 1.2 * float(np.abs(near["compliance"]).max())
 
 
+TWO_AXES = (
+    AXES
+    + AXES[AXES.index("[machine.axis.x]") :].replace("axis.x", "axis.y")
+    + CUTTING
+    + """
+[[trial]]
+method = "cut"
+spindle_speed = ["1150 rpm", "1200 rpm"]
+depth_of_cut = "0.5 mm"
+cut = "down"
+width_of_cut = "40 mm"
+feed_per_tooth = "0.1 mm"
+duration = "0.2 s"
+lead = "0 s"
+tail = "0 s"
+controller = "K2"
+"""
+)
+STILL = "axis y stands still on its friction while the cut pushes it: the result depends on the force; give feed = "
+
+
+def test_an_axis_that_stands_still_in_a_cut_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    told: list[str] = []
+    campaign = simulate(write(tmp_path, TWO_AXES), tmp_path / "out", show=told.append)
+    assert told == [f'trial[0]: {STILL}{{ x = "230 mm/min", y = "230 mm/min" }} to move it, or read it as such']
+    assert f"# {told[0]}\n" in campaign.read_text(encoding="utf-8")
+    simulate(tmp_path / "scenario.toml", tmp_path / "out")
+    assert f"notice: {told[0]}\n" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "axes"),
+    [
+        (('controller = "K2"\n', 'controller = "K2"\nfeed = "500 mm/min"\n'), None),
+        (('controller = "K2"\n', 'controller = "K2"\nfeed = { x = "230 mm/min", y = "230 mm/min" }\n'), None),
+        (('controller = "K2"\n', 'controller = "K2"\nfeed = "0 mm/min"\n'), "x, y"),
+        (('controller = "K2"\n', 'controller = "K2"\nfeed = { y = "230 mm/min" }\n'), "x"),
+        ((TWO_AXES[TWO_AXES.rindex("friction =") : TWO_AXES.rindex("controllers.K1")], ""), None),
+    ],
+)
+def test_only_coulomb_like_friction_at_rest_is_told(tmp_path: Path, change: tuple[str, str], axes: str | None) -> None:
+    head, y, tail = TWO_AXES.partition("[machine.axis.y]")
+    told = standing_axes(load_scenario(write(tmp_path, head + y + tail.replace(*change))))
+    assert [text.split(" stands")[0] for text in told] == ([f"trial[0]: axis {axes}"] if axes else [])
+
+
+LOBES = """
+[[lobes]]
+measurements = ["{}"]
+method = "zero_order"
+cut = "down"
+width_of_cut = "40 mm"
+feed_per_tooth = "0.1 mm"
+spindle_speed = ["600 rpm", "1500 rpm"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (TWO_AXES + LOBES.format("machine"), r"lobes\[0\].measurements\[0\]: a machine with axes, joints or postures"),
+        (HEAD + CUTTING + OTHERS + LOBES.format("silent"), r"'silent' is a silent trial and gives no compliance"),
+        (HEAD + CUTTING + OTHERS + LOBES.format("swep"), r"'swep' is neither .* \(did you mean 'sweep'\?\)"),
+        (HEAD + HAMMER + LOBES.format("hammer"), r"lobes\[0\]: a stability limit needs the table \[tool\]"),
+        (
+            HEAD + CUTTING + OTHERS.replace('    { cut = "up", width_of_cut = "12 mm" },\n', ""),
+            r"trial\[1\].passes: 2 passes that differ",
+        ),
+    ],
+)
+def test_a_campaign_that_could_not_be_run_is_not_begun(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load_scenario(write(tmp_path, text))
+
+
+def test_lobes_of_a_wrong_trial_are_not_told_as_unknown(tmp_path: Path) -> None:
+    text = HEAD + CUTTING + HAMMER + 'duration = "1 ms"\n' + LOBES.format("hammer")
+    with pytest.raises(InputError, match=r"^scenario.toml: trial\[0\]: a pulse of 1 ms [^\n]*$"):
+        load_scenario(write(tmp_path, text))
+
+
+def test_a_scenario_is_no_campaign_and_a_campaign_no_scenario(simulated: Path) -> None:
+    with pytest.raises(InputError, match=r"^scenario.toml: this is a scenario; smfe simulate scenario.toml makes a"):
+        load_campaign(simulated / "scenario.toml")
+    with pytest.raises(InputError, match=r"^campaign.toml: this is a campaign; smfe run campaign.toml evaluates it$"):
+        load_scenario(simulated / "campaign.toml")
+
+
+def test_records_of_an_earlier_scenario_are_named(tmp_path: Path) -> None:
+    told: list[str] = []
+    simulate(write(tmp_path, SHORT), tmp_path / "out", show=told.append)
+    simulate(tmp_path / "scenario.toml", tmp_path / "out", show=told.append)
+    assert told == []
+    done: list[str] = []
+    other = SHORT.replace("hits = 2", 'hits = 2\nname = "again"\ndirections = ["x", "y"]')
+    simulate(write(tmp_path, other), tmp_path / "out", 1, lambda what, *_: done.append(what), told.append)
+    assert done == ["simulating", "record again_x", "record again_y"]
+    assert len(told) == 1
+    assert "also holds 3 file(s) of an earlier scenario" in told[0]
+    assert "'hammer_x.csv', 'hammer_y.csv', 'hammer_z.csv'" in told[0]
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
 def test_the_examples_can_be_planned(path: Path) -> None:
     assert load_scenario(path).entries
@@ -359,11 +473,13 @@ BAD = [
     (("hits = 2", 'duration = "1 ms"'), "trial[0]: a pulse of 1 ms has 2 samples at 2000 Hz; at least 4 are needed"),
     (("hits = 2", 'peak_force = "1 kN"'), "trial[0]: a hammer trial needs an impulse or a peak_force, one of them"),
     (("order = 6", "order = 60"), "sensors: an anti-alias filter of order 60"),
+    (("[1.0, 0.0, 0.01]", "[0, 0, 0]"), "machine: modes[2].direction must not be zero"),
 ]
 BAD_CUT = [
     (("teeth = 2", "teeth = 0"), "tool: the tool has 0 teeth"),
     (('depth_of_cut = "2 mm"', 'depth_of_cut = "0 mm"'), "depth_of_cut: '0 mm' is not possible; it must be positive"),
     (('width_of_cut = "40 mm"', 'width_of_cut = "90 mm"'), "trial[3]: a width of cut of 90 mm with a tool of 80 mm"),
+    ((CUTTING, ""), "trial[2]: a sweep needs [tool] and [material]; add it"),
     (("[tool]\n", "[tools]\n"), "tools: this key is not known (did you mean 'tool'?)"),
 ]
 BAD_AXIS = [
@@ -371,6 +487,12 @@ BAD_AXIS = [
     (('axis = "x"', 'axis = "y"'), "trial[1]: axis y does not move; the machine moves 'x'"),
     (("machine.axis.x", "machine.axis.u"), "machine.axis.u: axis 'u' is not known"),
     (('"4000 kg"', '"-4000 kg"'), "machine.axis.x.moving_mass: '-4000 kg' is not possible; it must be positive"),
+    (('"4000 kg"', "4000"), 'machine.axis.x.moving_mass: 4000 has no unit; write it as text with a unit, "4000 kg"'),
+    (('"300 kg"', '"300"'), "machine.axis.x.tip_mass: '300' has no unit; write it as text with a unit, \"300 kg\""),
+    (
+        ('controller = ["K1", "K2"]\n', ""),
+        "trial[0]: must name a controller: axis x has 'K1', 'K2'; add controller = \"K1\"",
+    ),
     (('Kv = "50 1/s" }', 'Kv = "50 1/s", delay = "9 ms" }'), "trial[1]: its control has a period and a lag"),
     (
         ('Ti = "15 ms", Kv = "50 1/s"', 'Ti = "1 ms", Kv = "900 1/s"'),
@@ -448,8 +570,27 @@ def test_an_error_within_a_trial_leaves_an_earlier_result_alone(
 
 def test_results_come_in_the_order_of_the_jobs_and_progress_counts_them() -> None:
     seen: list[tuple[str, int, int]] = []
-    found = run_all(lambda n: n * n, range(20), workers=4, progress=lambda *at: seen.append(at), what="squaring")
+    found = run_all(lambda n: n * n, range(20), workers=4, progress=lambda *at: seen.append(at))
     assert found == [n * n for n in range(20)]
-    assert seen == [("squaring", n, 20) for n in range(21)]
+    assert [(done, of) for _, done, of in seen] == [(n, 20) for n in range(21)]
+    assert sorted(what for what, *_ in seen) == sorted(["simulating", *map(str, range(20))])
     with pytest.raises(InputError, match="0 workers"):
         run_all(lambda n: n, [1], workers=0)
+
+
+@pytest.mark.parametrize(("resolution", "order_off"), [(0.0, 0.005), (1e-9, 0.02)])
+def test_the_truth_of_a_sampled_servo_is_what_it_does(resolution: float, order_off: float) -> None:
+    # At a period of a tenth of Ti; with the gains as they stand the truth would be off by 3 and 12 %.
+    modes = ModalModel([40.0, 63.0], [0.03, 0.04], [2e7, 3e7], [[0.8, 0.1, 0.6], [-0.5, 0.3, 0.7]])
+    servo = {"K": tune(20.0, 1500.0)}
+    axis = FeedAxis(servo, Viscous(2000.0))
+    machine = Machine(released_modes(modes, {"x": 1500.0}, tip_mass=100.0), {"x": axis})
+    control = SampledControl(2e-3, 1, resolution)
+    record = simulate_machine(
+        machine, duration=8.0, forces={"x": HalfSine(3.0)}, controller="K", control=control, sample_rate=2000.0
+    )
+    f = np.fft.rfftfreq(record.sizes["time"], 1.0 / 2000.0)
+    band = (f > 3.0) & (f < 90.0)
+    force, moved = (np.fft.rfft(record[name].sel(axis="x").values)[band] for name in ("force", "displacement"))
+    true = run._true(machine, Running(0.0, "K", None, control), f[band])["compliance"].values[:, 0, 0]
+    assert np.abs(true - moved / force).max() < order_off * np.abs(true).max()
