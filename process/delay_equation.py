@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ Complex = NDArray[np.complex128]
 
 _COLLOCATION = 24
 _NEWTON = 30
+_INDEPENDENT = 1e8
 
 
 @dataclass(frozen=True)
@@ -60,9 +62,32 @@ class DelayEquation:
             out = out - np.outer(e, k) * np.exp(-tau * s)[:, None, None]
         return np.asarray(out)
 
+    @cached_property
+    def _prompt_modes(self) -> tuple[Complex, Complex] | None:
+        """Poles without dead time and residues of the delayed paths there, (n, d, d); None where they are not apart."""
+        poles, vectors = np.linalg.eig(self.prompt())
+        size = np.abs(poles).max(initial=0.0)
+        if np.linalg.cond(vectors) > _INDEPENDENT or np.abs(poles.real).min(initial=np.inf) < 1e-9 * size:
+            return None
+        inlets, rows = (np.array(part) for part in list(zip(*self.delayed, strict=True))[1:])
+        residues = (rows @ vectors).T[:, :, None] * np.linalg.solve(vectors, inlets.T)[:, None, :]
+        return poles.astype(np.complex128), residues.astype(np.complex128)
+
     def characteristic(self, s: Complex) -> Complex:
-        """Return ``det(delta)/(s + w0)^n`` [1] with w0 the largest of `scales`."""
+        """Return ``det(delta)/(s + w0)^n`` [1] with w0 the largest of `scales`.
+
+        With ``A_0 = A + sum E K`` it is ``det(s I - A_0) det(I + (1 - exp(-s tau)) K (s I - A_0)^-1 E)``: as large a
+        determinant as there are dead times, where the poles of A_0 are apart.
+        """
         w0 = float(self.scales().max())
+        if self.delayed and self._prompt_modes is not None:
+            poles, residues = self._prompt_modes
+            away, count = s[:, None] - poles, len(self.delayed)
+            taus = np.array([tau for tau, _, _ in self.delayed])
+            loop = ((1.0 / away) @ residues.reshape(poles.size, -1)).reshape(s.size, count, count)
+            loop = loop * -np.expm1(-s[:, None] * taus)[:, :, None]
+            whole = 1.0 + loop[:, 0, 0] if count == 1 else np.linalg.det(np.eye(count) + loop)
+            return np.asarray(np.prod(away / (s + w0)[:, None], axis=1) * whole)
         sign, size = np.linalg.slogdet(self.delta(s))
         with np.errstate(divide="ignore"):
             lead = np.log(s + w0) * self.order

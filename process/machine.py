@@ -51,7 +51,7 @@ class FeedAxis:
             raise InputError("no controller is given; name at least one, or give servo=None for a free slide")
 
     def controller(self, name: str | None) -> Servo | None:
-        """Return the controller of that name; with one controller every name means it."""
+        """Return the controller of that name; a single one needs no name."""
         if not isinstance(self.servo, Mapping):
             return self.servo
         if name is None and len(self.servo) == 1:

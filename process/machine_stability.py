@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from process.argument_principle import right_half_plane_zeros
-from process.delay_equation import DelayEquation
 from process.errors import InputError
 from process.friction_impedance import FrictionImpedance
 from process.machine_problem import Problem, SampledControl
 from process.operating_point import OperatingPoint
 
 Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-_INDEPENDENT = 1e8
 
 
 def operating_point(p: Problem) -> OperatingPoint:
@@ -52,42 +46,10 @@ def count_unstable(point: OperatingPoint, control: SampledControl | None) -> int
     if control is not None:
         return int(np.sum(np.abs(np.linalg.eigvals(_sampled_transition(point, control))) > 1.0 + 1e-9))
     if any(s.servo is not None and s.servo.delay > 0.0 for s in point.slides):
-        return _count_late(point)
+        return point.unstable_poles()
     s = np.linalg.eigvals(point.delay_equation.a)
     # A free slide has its pole at the origin twice, which rounding spreads by the root of its size.
     return int(np.sum(s.real > 1e-6 * np.abs(s).max(initial=0.0)))
-
-
-def _count_late(point: OperatingPoint) -> int:
-    """Count by the argument principle; the determinant through the poles without dead time, where these allow it."""
-    equation = point.delay_equation
-    poles, vectors = np.linalg.eig(equation.prompt())
-    apart = np.linalg.cond(vectors) < _INDEPENDENT and np.abs(poles.real).min() > 1e-9 * np.abs(poles).max()
-    if not apart or any(s.servo is None for s in point.slides):
-        return point.unstable_poles()
-    scales = equation.scales()
-    return right_half_plane_zeros(_characteristic(equation, poles, vectors, scales), scales, equation.longest)
-
-
-def _characteristic(
-    equation: DelayEquation, poles: Complex, vectors: Complex, scales: Real
-) -> Callable[[Complex], Complex]:
-    """Return s -> ``det(delta(s))/(s + w0)^n`` [1]: as large a determinant as there are dead times.
-
-    With ``A_0 = A + sum E K``, ``det(delta) = det(s I - A_0) det(I + (1 - exp(-s tau)) K (s I - A_0)^-1 E)``.
-    """
-    taus, inlets, rows = (np.array(part) for part in zip(*equation.delayed, strict=True))
-    residues = (rows @ vectors).T[:, :, None] * np.linalg.solve(vectors, inlets.T)[:, None, :]
-    far, count = float(scales.max()), taus.size
-
-    def characteristic(s: Complex) -> Complex:
-        away = s[:, None] - poles
-        loop = ((1.0 / away) @ residues.reshape(poles.size, -1)).reshape(s.size, count, count)
-        loop *= -np.expm1(-s[:, None] * taus)[:, :, None]
-        whole = 1.0 + loop[:, 0, 0] if count == 1 else np.linalg.det(np.eye(count) + loop)
-        return np.asarray(np.prod(away / (s + far)[:, None], axis=1) * whole)
-
-    return characteristic
 
 
 def _sampled_transition(point: OperatingPoint, control: SampledControl) -> Real:
