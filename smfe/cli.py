@@ -15,6 +15,8 @@ from rich.table import Table
 from process.errors import InputError
 from smfe import __version__, pipeline
 from smfe.demo_campaign import DEMO_SEED
+from smfe.diagnosis import audit, verbs
+from smfe.diagnosis.finding import explain
 from smfe.progress import bar
 from smfe.scenario import simulate as simulate_scenario
 from smfe.store import unpack_warnings
@@ -153,6 +155,38 @@ def simulate(
     with bar(console) as progress:
         campaign = simulate_scenario(scenario, output, workers, progress)
     out.print(f"written: {campaign}; next: smfe run {campaign}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def check(campaign: CampaignFile) -> None:
+    """Audit the data of a campaign: units, signs, overloads, double hits, tones, clocks, reciprocity."""
+    with bar(console) as progress:
+        table = audit.check(campaign, progress, _show)
+    for row in table.itertuples():
+        out.print(
+            f"{row.level}, {row.cause}: {row.where}: {row.evidence}; {row.advice}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+    counts = ", ".join(f"{int((table['level'] == level).sum())} {level}s" for level in ("fault", "warning", "note"))
+    out.print(counts if len(table) else "nothing suspicious", highlight=False)
+
+
+@app.command()
+def diagnose(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="JSON file of the finding.")] = Path("finding.json"),
+    seed: Annotated[int, typer.Option(help="Seed of all draws.")] = 0,
+    held_out: Annotated[
+        list[str] | None, typer.Option("--held-out", help="Measurement to open once, at the very end.")
+    ] = None,
+) -> None:
+    """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains."""
+    with bar(console) as progress:
+        finding = verbs.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show)
+    out.print(explain(finding), markup=False, highlight=False, soft_wrap=True)
+    out.print(f"written: {output}", highlight=False)
 
 
 @app.command()

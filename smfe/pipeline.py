@@ -35,6 +35,7 @@ from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.compare import compare as compare_compliances
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
+from smfe.diagnosis.verbs import finding_of
 from smfe.identification import Identification, Progress, silent
 from smfe.measurements import cached_identification, check_sweeps, file_hash
 from smfe.records import Channel, read_records
@@ -152,6 +153,8 @@ def run(
         results = _all_lobes(loaded, compliances, progress)
     with notes.timed("cutting tests"):
         verdicts = _judge_all(loaded, compliances, progress)
+    with notes.timed("diagnosis"):
+        finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
     notes.warnings += _warnings(found, results, verdicts)
     provenance = _provenance(loaded, notes)
@@ -161,6 +164,10 @@ def run(
     write_csv(folder / "model_error.csv", errors)
     _write_lobes(folder, results)
     _write_verdicts(folder, verdicts)
+    if finding is None:
+        (folder / "finding.json").unlink(missing_ok=True)
+    else:
+        write_json(folder / "finding.json", finding)
     write_json(folder / "provenance.json", provenance)
     return report(folder, progress)
 

@@ -20,6 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from smfe.report.answer import outcomes
+from smfe.report.diagnosis import draw_ladder
 from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, spectrum_span
 from smfe.report.look import (
     AXIS_COLOURS,
@@ -72,6 +73,8 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         out["condition.png"] = partial(draw_quality, shown, looks)
     if results.spectra:
         out["spectra.png"] = partial(draw_spectra, list(results.spectra.values()))
+    if results.finding.get("ladder"):
+        out["diagnosis.png"] = partial(draw_ladder, results.finding)
     return out
 
 
@@ -85,7 +88,7 @@ def tests_of(chatter: pd.DataFrame | None, request: str) -> pd.DataFrame | None:
 
 def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
     """Delete pictures of ours that an earlier report wrote and this one does not."""
-    for pattern in ("lobes_*.png", "compliance.png", "condition.png", "spectra.png"):
+    for pattern in ("lobes_*.png", "compliance.png", "condition.png", "spectra.png", "diagnosis.png"):
         for path in folder.glob(pattern):
             if path.name not in kept:
                 path.unlink()

@@ -177,6 +177,8 @@ class Results:
         None when the file is absent.
     provenance : mapping
         Content of provenance.json, empty when absent.
+    finding : mapping
+        Content of finding.json, empty when absent.
     """
 
     folder: Path
@@ -188,6 +190,7 @@ class Results:
     comparison: pd.DataFrame | None
     model_error: pd.DataFrame | None
     provenance: Mapping[str, Any]
+    finding: Mapping[str, Any]
 
     @property
     def title(self) -> str:
@@ -232,7 +235,8 @@ def read_results(folder: Path) -> Results:
         _read_csv(folder / "chatter.csv", ("file", "spindle_speed_rpm", "depth_of_cut_mm", "verdict")),
         _read_csv(folder / "comparison.csv", ()),
         _read_csv(folder / "model_error.csv", ("measurement", "model", "response", "excitation", "error_percent")),
-        _read_provenance(folder / "provenance.json"),
+        _read_json(folder / "provenance.json"),
+        _read_json(folder / "finding.json"),
     )
 
 
@@ -406,7 +410,7 @@ def _is_number(column: pd.Series[Any]) -> bool:
     return bool(pd.api.types.is_numeric_dtype(column) or column.isna().all())
 
 
-def _read_provenance(path: Path) -> Mapping[str, Any]:
+def _read_json(path: Path) -> Mapping[str, Any]:
     if not path.is_file():
         return {}
     try:

@@ -1,0 +1,234 @@
+"""Audit of single channels: cut off, frozen, coarse, offset, twice the same, with a tone; and of their clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from process.labels import axis_present, sample_interval
+from smfe.diagnosis.suspect import Suspect
+from smfe.hits import flat_top, runs
+
+Real = NDArray[np.float64]
+
+VECTORS = ("force", "acceleration", "displacement", "encoder_position", "drive_force")
+"""Channels with an axis."""
+
+FROZEN_SHARE = 0.02
+"""Longest run of one value, as a share of the record, above which a channel counts as frozen."""
+
+_FEW_STEPS = 32.0  # converter steps in six standard deviations: below, quantisation is part of the noise
+_GRAVITY = 9.80665
+_SAME = 0.999999
+_TONE = 10.0  # times the local floor in amplitude: 20 dB
+_MAINS = (50.0, 60.0)
+
+
+def channels_of(record: xr.Dataset) -> Iterator[tuple[str, Real]]:
+    """Yield name and samples of every channel with an axis that was recorded."""
+    for name in VECTORS:
+        if name in record:
+            for axis in axis_present(record, name):
+                yield f"{name}_{axis}", record[name].sel(axis=axis).values
+
+
+def channel_suspects(record: xr.Dataset, where: str, pulsed: bool = False) -> list[Suspect]:
+    """Return what is suspicious in the channels of one record.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        The record.
+    where : str
+        Measurement and file.
+    pulsed : bool, optional
+        The force is a series of hits: it rests most of the time, and its hits are judged one by one elsewhere.
+    """
+    out: list[Suspect] = []
+    named = list(channels_of(record))
+    for name, samples in named:
+        place = f"{where}, {name}"
+        hits = pulsed and name.startswith("force")
+        checks = [_frozen, _coarse, _gravity] if hits else [_cut_off, _frozen, _coarse, _gravity]
+        out += [s for check in checks for s in check(samples, place)]
+    out += _twice(named, where)
+    return out
+
+
+def _cut_off(samples: Real, where: str) -> Iterator[Suspect]:
+    for sign, side in ((1.0, "top"), (-1.0, "bottom")):
+        values = sign * samples
+        top = float(values.max())
+        at_top = int(np.count_nonzero(values >= top - 1e-9 * float(np.ptp(samples) or 1.0)))
+        near = max(0, int(np.argmax(values)) - 200)
+        if at_top >= 3 and flat_top(values[near : near + 400]):
+            yield Suspect(
+                "saturation",
+                "fault",
+                where,
+                f"{at_top} samples at its {side}, {sign * top:.4g}, where the signal arrives steeply: it is cut off",
+                "measure again with a larger range; leave the parts out until then",
+            )
+
+
+def _frozen(samples: Real, where: str) -> Iterator[Suspect]:
+    starts, stops = runs(np.concatenate([np.diff(samples) == 0.0, [False]]))
+    if not starts.size or float(np.ptp(samples)) == 0.0:
+        if samples.size and float(np.ptp(samples)) == 0.0:
+            yield Suspect(
+                "saturation", "fault", where, f"all {samples.size} samples are {samples[0]:.4g}", "check the cable"
+            )
+        return
+    lengths = stops - starts
+    worst = int(np.argmax(lengths))
+    share = float(lengths[worst]) / samples.size
+    if share > FROZEN_SHARE:
+        value = float(samples[starts[worst]])
+        why = "a force window has set it to exact zeros" if value == 0.0 else "the channel stands still"
+        yield Suspect(
+            "windowed_channel" if value == 0.0 else "saturation",
+            "note" if value == 0.0 else "warning",
+            where,
+            f"one value, {value:.4g}, over {min(100.0 * share, 99.9):.3g} % of the record: {why}",
+            "its noise cannot be read there; noise estimates use the other channels"
+            if value == 0.0
+            else "check the range and the connection",
+        )
+
+
+def converter_step(samples: Real) -> float:
+    """Return the step of the converter that all samples are multiples of; 0 when there is none to be seen."""
+    scale = float(np.ptp(samples))
+    steps = np.diff(np.unique(samples))
+    steps = steps[steps > 1e-9 * scale] if scale > 0.0 else steps[:0]
+    if not steps.size:
+        return 0.0
+    smallest = float(steps.min())
+    counts = (samples - samples[0]) / smallest
+    return smallest if float(np.max(np.abs(counts - np.round(counts)))) < 0.1 else 0.0
+
+
+def _coarse(samples: Real, where: str) -> Iterator[Suspect]:
+    step, spread = converter_step(samples), float(np.std(samples))
+    if step > 0.0 and 6.0 * spread < _FEW_STEPS * step:
+        yield Suspect(
+            "quantisation",
+            "warning",
+            where,
+            f"steps of {step:.3g} in a signal of {spread:.3g} rms: the converter adds {step / np.sqrt(12.0):.2g} rms",
+            "use a smaller range; averages over few samples carry this error",
+        )
+
+
+def _gravity(samples: Real, where: str) -> Iterator[Suspect]:
+    if ", acceleration_" not in where:
+        return
+    mean, spread = float(np.mean(samples)), float(np.std(samples))
+    if abs(abs(mean) - 1.0) < 0.02 and spread < 0.3:
+        yield Suspect(
+            "unit_error",
+            "warning",
+            where,
+            f"its mean is {mean:.4g}, as gravity is in units of g, but it was declared in m/s^2",
+            'declare unit = "g", or check the offset',
+        )
+    elif abs(abs(mean) / _GRAVITY - 1.0) > 0.05 and abs(mean) > 5.0 and spread < abs(mean):
+        yield Suspect(
+            "sensor_gain",
+            "note",
+            where,
+            f"its mean is {mean:.4g} m/s^2; a sensor that sees gravity shows 9.81, one that does not shows 0",
+            "turn the sensor over once: the change must be 19.61 m/s^2",
+        )
+
+
+def _twice(named: list[tuple[str, Real]], where: str) -> Iterator[Suspect]:
+    for i, (name, samples) in enumerate(named):
+        for other, more in named[i + 1 :]:
+            if name.split("_")[0] != other.split("_")[0] or not (samples.std() and more.std()):
+                continue
+            likeness = float(np.corrcoef(samples, more)[0, 1])
+            if abs(likeness) > _SAME:
+                yield Suspect(
+                    "sensor_axis",
+                    "fault",
+                    f"{where}, {name} and {other}",
+                    f"they are the same signal (correlation {likeness:.6f})",
+                    "one column is declared twice, or one sensor is on two inputs; correct [channels]",
+                )
+
+
+def tones(samples: Real, dt: float, floor_width: int = 25) -> list[tuple[float, float, float]]:
+    """Return frequency [Hz], amplitude and height above the local floor [1] of narrow lines, strongest first.
+
+    The amplitude spectrum (Hann, whole record) against its median over `floor_width` lines to each side; a line counts
+    when it stands 20 dB above it and is a local maximum.
+    """
+    n = samples.size
+    if n < 8 * floor_width:
+        return []
+    window = np.hanning(n)
+    spectrum = 2.0 / window.sum() * np.abs(np.fft.rfft(window * (samples - samples.mean())))
+    floor = ndimage.median_filter(spectrum, 2 * floor_width + 1, mode="reflect") + 1e-300
+    height = spectrum / floor
+    k = np.arange(3, spectrum.size - 1)
+    peak = (height[k] > _TONE) & (spectrum[k] >= spectrum[k - 1]) & (spectrum[k] > spectrum[k + 1])
+    found = [(float(i / (n * dt)), float(spectrum[i]), float(height[i])) for i in k[peak]]
+    return sorted(found, key=lambda t: -t[1])
+
+
+def tone_suspects(record: xr.Dataset, where: str, most: int = 3) -> list[Suspect]:
+    """Return the tones of a record that was made without excitation."""
+    dt, out = sample_interval(record), []
+    for name, samples in channels_of(record):
+        for frequency, amplitude, height in tones(samples, dt)[:most]:
+            mains = any(abs(frequency / m - round(frequency / m)) * m < 0.3 and frequency > 0.5 * m for m in _MAINS)
+            out.append(
+                Suspect(
+                    "background_tone",
+                    "warning",
+                    f"{where}, {name}",
+                    f"a line at {frequency:.5g} Hz of {amplitude:.3g}, {20.0 * np.log10(height):.0f} dB above its "
+                    f"neighbours, without excitation{' (a multiple of the mains)' if mains else ''}",
+                    "it is in every other record as well: leave these lines out, or find the source",
+                )
+            )
+    return out
+
+
+def clock_suspects(record: xr.Dataset, where: str, teeth: int | None) -> list[Suspect]:
+    """Compare the tooth passing line of the force with the recorded spindle speed: clocks, teeth, pulses.
+
+    Only where the speed is steady within 0.2 %.
+    """
+    if teeth is None or "spindle_speed" not in record or "force" not in record:
+        return []
+    speed = record["spindle_speed"].values
+    mean = float(np.mean(speed))
+    if not mean > 0.0 or float(np.ptp(speed)) > 2e-3 * mean:
+        return []
+    dt, expected = sample_interval(record), teeth * mean / 60.0
+    axis = max(axis_present(record, "force"), key=lambda a: float(record["force"].sel(axis=a).std()))
+    lines = tones(record["force"].sel(axis=axis).values, dt)
+    resolution = 1.0 / (dt * speed.size)
+    near = [f for f, _, _ in lines[:10] if abs(f / expected - 1.0) < 0.03]
+    if not near:
+        return []
+    frequency = near[0]
+    error = frequency / expected - 1.0
+    if abs(frequency - expected) > 2.0 * resolution:
+        return [
+            Suspect(
+                "time_skew",
+                "warning",
+                f"{where}, spindle_speed",
+                f"the tooth passing line is at {frequency:.5g} Hz, {100 * error:+.2f} % from {expected:.5g} Hz of the "
+                "recorded speed",
+                "two clocks disagree, or the speed channel is a nominal value: use an encoder or a tacho",
+            )
+        ]
+    return []

@@ -1,0 +1,168 @@
+"""Filters and segments of a drive record: derivatives of an encoder, a low-pass that can shift in time, moves.
+
+One kernel does everything: the Gaussian-windowed sinc, whose response is known in closed form,
+
+``g(t) = sin(2 pi fc t)/(pi t) exp(-(pi w t)^2)``, ``G(f) = [erf((f + fc)/w) - erf((f - fc)/w)]/2``, ``w = fc/8``.
+
+It has no phase, is flat to 1.2e-5 up to 5/8 of fc and is 1/2 at fc. Its analytic derivatives differentiate a record
+within its band; evaluated at ``t + tau`` it advances a record by any fraction of a sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+
+_ROLL = 8.0
+_REACH = 1.25
+_REST = 0.02
+_LONGEST, _SHORTEST = 2.0, 0.2
+
+
+def half_width(cutoff: float) -> float:
+    """Return the time [s] beyond which the kernel of a cutoff [Hz] is less than 2e-7 of its top."""
+    return _REACH * _ROLL / cutoff
+
+
+def kernel(time: Real, cutoff: float, order: int = 0) -> Real:
+    """Return the kernel [1/s] at times [s] of any shape, or its derivative of order 1 or 2 [1/s^(1 + order)]."""
+    b, c = 2.0 * math.pi * cutoff, math.pi * cutoff / _ROLL
+    zero = np.abs(time) < 1e-6 / cutoff
+    t = np.where(zero, 1.0, time)
+    sine = np.where(zero, b / math.pi, np.sin(b * t) / (math.pi * t))
+    window = np.exp(-np.square(c * time))
+    if order == 0:
+        return np.asarray(sine * window)
+    slope = np.where(zero, 0.0, (b * np.cos(b * t) / math.pi - sine) / t)
+    if order == 1:
+        return np.asarray((slope - 2.0 * c * c * time * sine) * window)
+    bend = np.where(zero, -(b**3) / (3.0 * math.pi), -b * b * sine - 2.0 * slope / t)
+    curvature = bend - 4.0 * c * c * time * slope + (4.0 * c**4 * np.square(time) - 2.0 * c * c) * sine
+    return np.asarray(curvature * window)
+
+
+def filtered(samples: Real, step: float, cutoff: float, order: int = 0) -> Real:
+    """Return a record low-passed and differentiated `order` times; `half_width` of either end is not valid.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n,)
+        Record.
+    step : float
+        Sample interval [s].
+    cutoff : float
+        Cutoff of the kernel [Hz].
+    order : {0, 1, 2}, optional
+        Derivative.
+    """
+    reach = math.ceil(half_width(cutoff) / step)
+    times = step * np.arange(-reach, reach + 1, dtype=np.float64)
+    padded = np.pad(samples, reach, mode="edge")
+    return np.asarray(np.convolve(padded, step * kernel(times, cutoff, order), mode="valid"))
+
+
+@dataclass(frozen=True)
+class Resampler:
+    """The low-pass of both sides of a force balance, read at every `every`-th sample.
+
+    Parameters
+    ----------
+    step : float
+        Sample interval [s].
+    cutoff : float
+        Cutoff [Hz].
+    every : int
+        Samples between two values that are kept.
+    slack : int
+        Largest shift [samples].
+    """
+
+    step: float
+    cutoff: float
+    every: int
+    slack: int
+
+    @property
+    def margin(self) -> int:
+        """Samples needed before the first and after the last value."""
+        return math.ceil(half_width(self.cutoff) / self.step) + self.slack
+
+    def __call__(self, samples: Real, advance: float = 0.0) -> Real:
+        """Return ``(g * samples)(t + advance)`` [s] at every kept sample that has its margin."""
+        every, reach = self.every, self.margin
+        weights = _weights(self.cutoff, self.step, every, reach, advance)
+        count = (samples.size - 2 * reach - 1) // every + 1
+        # Products of whole rows of `every` samples, then their sums along the diagonals: each sample is read once.
+        rows = np.zeros((count + weights.shape[0]) * every)
+        used = min(samples.size, rows.size)
+        rows[:used] = samples[:used]
+        products = rows.reshape(-1, every) @ weights.T
+        down, across = products.strides
+        diagonals = as_strided(products, (count, weights.shape[0]), (down, down + across), writeable=False)
+        return np.asarray(diagonals.sum(axis=1))
+
+
+@lru_cache(maxsize=256)
+def _weights(cutoff: float, step: float, every: int, reach: int, advance: float) -> Real:
+    """Weights of the samples around a kept one, in rows of `every`; a fit asks for each delay many times."""
+    times = step * np.arange(-reach, reach + 1, dtype=np.float64)
+    found = np.zeros(math.ceil(times.size / every) * every)
+    found[: times.size] = step * kernel(advance - times, cutoff)
+    return found.reshape(-1, every)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the encoder says, sample by sample (SI), and the time; every field has shape (n,)."""
+
+    time: Real
+    position: Real
+    velocity: Real
+    acceleration: Real
+    jerk: Real
+    snap: Real
+
+    def __getitem__(self, part: slice) -> Motion:
+        """Return a part of the motion."""
+        return Motion(*(getattr(self, f.name)[part] for f in fields(self)))
+
+
+def motion(position: Real, step: float, cutoff: float) -> Motion:
+    """Differentiate an encoder record [m] within a band [Hz]; time counts from the middle of the record."""
+    acceleration = filtered(position, step, cutoff, 2)
+    return Motion(
+        step * (np.arange(position.size, dtype=np.float64) - 0.5 * (position.size - 1)),
+        filtered(position, step, cutoff),
+        filtered(position, step, cutoff, 1),
+        acceleration,
+        filtered(acceleration, step, cutoff, 1),
+        filtered(acceleration, step, cutoff, 2),
+    )
+
+
+def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[int, int]]:
+    """Yield the moves of a record as (first sample, end): from rest to rest, cut where they last over 2 s.
+
+    Rest is a speed below 2 % of the greatest. What lasts less than 0.2 s is left out.
+    """
+    speed = np.abs(velocity[first:last])
+    resting = speed < _REST * speed.max()
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], resting.astype(np.int8), [0]))))
+    middles = [first + int(a + np.argmin(speed[a:b])) for a, b in edges.reshape(-1, 2) if b - a < _SHORTEST / step] + [
+        first + int(k) for a, b in edges.reshape(-1, 2) if b - a >= _SHORTEST / step for k in (a, b)
+    ]
+    cuts = sorted({first, last, *middles})
+    for begin, end in pairwise(cuts):
+        pieces = max(math.ceil((end - begin) * step / _LONGEST), 1)
+        if (end - begin) * step >= _SHORTEST:
+            ends = np.linspace(begin, end, pieces + 1).astype(int)
+            yield from zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)

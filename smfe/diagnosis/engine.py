@@ -1,0 +1,215 @@
+"""The diagnosis: how wrong a baseline is beyond noise, why, what the repaired model gains, and what to measure next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from smfe.diagnosis.calibration import parameters_of
+from smfe.diagnosis.cross_validation import BAND, Gain, compare, opened
+from smfe.diagnosis.evidence import Bench, Step, search
+from smfe.diagnosis.finding import Estimate, Finding, FoundCause, Remainder, Rung
+from smfe.diagnosis.fit import Fit, Target, stacked
+from smfe.diagnosis.isolability import cosines, groups
+from smfe.diagnosis.misfit import Misfit
+from smfe.diagnosis.model import Model
+from smfe.diagnosis.next_experiment import Proposal, rank
+from smfe.diagnosis.power import detectable
+from smfe.diagnosis.problem import Family
+from smfe.diagnosis.signature import inside
+from smfe.diagnosis.verdict import Judgement, judge
+from smfe.identification import Progress, silent
+
+_INTERVAL = 1.959964
+
+
+def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_out: Sequence[str] = ()) -> Finding:
+    """Diagnose a baseline.
+
+    Parameters
+    ----------
+    family : Family
+        Baseline, causes, measured conditions and proposals.
+    seed : int, optional
+        Of all draws; the same seed gives the same finding.
+    progress : callable, optional
+        Told what is being done.
+    held_out : sequence of str, optional
+        Names of measured conditions that are set aside and opened once, at the very end.
+
+    Returns
+    -------
+    Finding
+        Verdict, causes, gains, power and the next experiment.
+
+    Raises
+    ------
+    InputError
+        For a family that contradicts itself, or a condition to be held out that was not measured.
+    """
+    measured = [c for c in family.conditions if c.observed is not None]
+    missing = sorted(set(held_out) - {c.name for c in measured})
+    if missing:
+        raise InputError(f"{missing[0]!r} cannot be held out: it is not one of the measured conditions")
+    model = Model(family, [*measured, *family.proposals])
+    data = {r: np.asarray(c.observed, dtype=float) for r, c in enumerate(measured)}
+    _refuse_gaps(model, data)
+    aside = {r: y for r, y in data.items() if measured[r].name in held_out}
+    target = Target({r: y for r, y in data.items() if r not in aside}, model.null())
+    values = sum(y.size for y in target.observed.values())
+    if values <= model.nuisance.size:
+        return Finding("insufficient_data", f"{values} values for {model.nuisance.size} parameters of the baseline")
+    bench = Bench(model, target, seed, progress)
+    if not bench.null().converged:
+        return Finding("insufficient_data", f"the baseline could not be fitted: {bench.null().reason}")
+    at, ladder = search(bench)
+    null = bench.tangent(bench.null())
+    limit = bench.threshold(bench.null())
+    power = detectable(model, null, limit)
+    together = groups(model, cosines(model, null))
+    judged = judge(bench, at, ladder, power)
+    proposals = range(len(measured), len(model.conditions))
+    return Finding(
+        verdict=judged.verdict,
+        reason=judged.reason,
+        causes=tuple(_found(bench, at, k, judged) for k in at.causes),
+        alternatives=_alternatives(bench, at, judged),
+        ladder=tuple(_rung(s, values) for s in ladder),
+        misfit_before_db=_decibel(bench.null(), values),
+        misfit_after_db=_decibel(at, values),
+        gain=judged.gain,
+        opened=_opened(bench, at, aside),
+        remainder=_remainder(bench, judged),
+        power=power,
+        inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
+        unconverged=tuple(sorted(bench.unconverged.items())),
+        next_experiment=_next(bench, at, judged, proposals),
+        threshold=limit if math.isfinite(limit) else None,
+    )
+
+
+def _refuse_gaps(model: Model, data: dict[int, NDArray[np.float64]]) -> None:
+    for r, y in data.items():
+        if y.ndim != 1 or y.size == 0 or not np.all(np.isfinite(y)):
+            raise InputError(
+                f"{model.conditions[r].name}: data of shape {y.shape}, or with values that are not finite; give one "
+                "row of finite whitened values"
+            )
+
+
+def _decibel(found: Fit, values: int) -> float:
+    """Misfit over what noise gives."""
+    return 10.0 * math.log10(max(found.chi2, 1e-300) / values)
+
+
+def _rung(step: Step, values: int) -> Rung:
+    gain = step.gain
+    return Rung(
+        step.change,
+        step.ratio,
+        step.threshold,
+        None if gain is None else gain.db,
+        None if gain is None else gain.sd,
+        10.0 * math.log10(max(step.chi2, 1e-300) / values),
+        step.accepted,
+        step.reason,
+    )
+
+
+def _found(bench: Bench, at: Fit, k: int, judged: Judgement) -> FoundCause:
+    """Describe a cause of a fit."""
+    cause = bench.model.causes[k]
+    smaller = bench.reduce(at, k)
+    gain = bench.gain(smaller, at)
+    return FoundCause(
+        cause.id,
+        cause.variant,
+        cause.title,
+        cause.kind,
+        estimates(bench, at, k, judged),
+        smaller.chi2 - at.chi2,
+        None if gain is None else gain.db,
+        None if gain is None else gain.sd,
+    )
+
+
+def _remainder(bench: Bench, judged: Judgement) -> Remainder | None:
+    """Describe what the best model leaves."""
+    left = judged.misfit
+    if left is None:
+        return None
+    share = None if judged.gain is None else 1.0 - judged.gain.share
+    names = tuple(bench.model.conditions[r].name for r in judged.carriers)
+    return Remainder(10.0 * math.log10(max(left.ratio, 1e-300)), left.chance, left.chance < BAND, share, names)
+
+
+def estimates(bench: Bench, at: Fit, k: int, judged: Judgement) -> tuple[Estimate, ...]:
+    """Return parameters of a cause with 95 % intervals."""
+    model = bench.model
+    sd = deviations(bench, at, judged.misfit)
+    found = []
+    for j in model.of_cause[k]:
+        place, p = int(np.flatnonzero(at.free == j)[0]), model.parameters[j]
+        value, half = p.start + p.scale * float(at.u[j]), _INTERVAL * p.scale * float(sd[place])
+        low, high = max(value - half, p.low), min(value + half, p.high)
+        found.append(Estimate(p.name, value * p.shown, low * p.shown, high * p.shown, p.unit))
+    return tuple(found)
+
+
+def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64]:
+    """Return the standard deviations of the scaled fitted parameters.
+
+    They are those of white noise. Where more than that is left, the remainder is not white and not the same in all
+    conditions: the larger counts of the noise scaled to its size and of the scatter of what each condition by itself
+    does to the estimate (sandwich with the conditions as clusters; Liang and Zeger, Biometrika 73, 1986).
+    """
+    slope, _ = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)
+    size = np.linalg.norm(slope, axis=0)
+    moving = inside(bench.model, at) & (size > 0.0)
+    inverse = np.linalg.pinv((slope / np.where(size > 0.0, size, 1.0))[:, moving], rcond=1e-9) / size[moving, None]
+    sd = np.where(size > 0.0, 0.0, np.inf)
+    sd[moving] = np.linalg.norm(inverse, axis=1)
+    if left is not None and left.chance < BAND:
+        ends = np.cumsum([r.size for r in at.residual.values()])
+        data, prior = inverse[:, : ends[-1]], inverse[:, ends[-1] :]
+        pulls = [a @ r for a, r in zip(np.split(data, ends[:-1], axis=1), at.residual.values(), strict=True)]
+        scatter = np.sum(np.square(pulls), axis=0) * len(pulls) / max(len(pulls) - 1, 1)
+        robust = np.sqrt(scatter + np.sum(np.square(prior), axis=1))
+        sd[moving] = np.maximum(sd[moving] * math.sqrt(max(left.ratio, 1.0)), robust)
+    return sd
+
+
+def _alternatives(bench: Bench, at: Fit, judged: Judgement) -> tuple[tuple[FoundCause, ...], ...]:
+    found = []
+    for k, fits in judged.sets.items():
+        others = []
+        for f in fits:
+            (other,) = set(f.causes) - set(at.causes)
+            others.append(_found(bench, f, other, judged))
+        found.append((_found(bench, at, k, judged), *others))
+    return tuple(found)
+
+
+def _opened(bench: Bench, at: Fit, aside: dict[int, NDArray[np.float64]]) -> Gain | None:
+    """Gain on the conditions that were set aside."""
+    if not aside or not at.causes:
+        return None
+    before, after = (opened(bench.model, bench.target, f, aside) for f in (bench.null(), at))
+    if not (before.squares and after.squares):
+        return None
+    return compare(before, after, bench.rng(5, parameters_of(bench.model, at.causes)))
+
+
+def _next(bench: Bench, at: Fit, judged: Judgement, rows: Sequence[int]) -> Proposal | None:
+    """Return the proposal that settles best which of the first open set is right."""
+    if not judged.sets:
+        return None
+    k, fits = next(iter(judged.sets.items()))
+    titles = [bench.model.causes[k].title]
+    titles += [bench.model.causes[j].title for f in fits for j in set(f.causes) - set(at.causes)]
+    ranked = rank(bench.model, bench.target, [at, *fits], rows, " and ".join(titles))
+    return ranked[0] if ranked and ranked[0].chance > 0.5 else None

@@ -1,0 +1,427 @@
+"""Which causes the data ask for: likelihood ratios with everything re-fitted, forward, in pairs and backward.
+
+``LR = chi2(without) - chi2(with)``, the nuisances re-fitted non-linearly under every hypothesis. The best cause above
+the calibrated threshold that also gains on held-out conditions is taken in, then all are fitted anew and those that
+have become idle are dropped; where no single cause passes, pairs of the best four are tried: effects mask each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smfe.diagnosis.calibration import PENALTY, combined_gain, pair_threshold, parameters_of, threshold
+from smfe.diagnosis.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable
+from smfe.diagnosis.fit import Fit, Target, approach, fit
+from smfe.diagnosis.model import Model
+from smfe.diagnosis.signature import Signature, Tangent, tangent
+from smfe.identification import Progress
+
+Real = NDArray[np.float64]
+
+PAIRED = 4
+"""How many of the best causes are tried in pairs."""
+
+MOST_CAUSES = 8
+"""Where the search ends."""
+
+_PROMISING = 0.3
+_LEAST_TRIED = 3
+_NONLINEAR = 0.1
+_WORTH_A_PAIR = 0.3
+_SHAPES = 2
+_CLOSE = 5.0
+_FAR = 50.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the search.
+
+    Attributes
+    ----------
+    causes : tuple of int
+        Causes in the model after it.
+    change : str
+        What was added or dropped, by key.
+    ratio, threshold : float
+        Likelihood ratio of the change, and what chance reaches.
+    gain : Gain or None
+        On held-out conditions; None where nothing could be held out.
+    chi2 : float
+        Misfit after it.
+    accepted : bool
+        Whether it was kept.
+    reason : str
+        Why not.
+    """
+
+    causes: tuple[int, ...]
+    change: str
+    ratio: float
+    threshold: float
+    gain: Gain | None
+    chi2: float
+    accepted: bool
+    reason: str = ""
+
+
+@dataclass
+class Bench:
+    """Fits, linearisations and held-out predictions of all hypotheses, each made once.
+
+    Attributes
+    ----------
+    model, target : Model, Target
+        What predicts, and the data.
+    seed : int
+        Of all draws.
+    progress : callable
+        Told what is being fitted.
+    unconverged : dict
+        Hypothesis -> why its fit is not used.
+    """
+
+    model: Model
+    target: Target
+    seed: int
+    progress: Progress
+    unconverged: dict[str, str] = field(default_factory=dict)
+    _fits: dict[tuple[int, ...], Fit] = field(default_factory=dict)
+    _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
+    _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
+    _held_out: dict[tuple[tuple[int, ...], tuple[Scheme, ...]], HeldOut] = field(default_factory=dict)
+
+    def rng(self, *purpose: int) -> np.random.Generator:
+        """Return a generator that depends on the seed and the purpose only."""
+        return np.random.default_rng([self.seed, *purpose])
+
+    def null(self) -> Fit:
+        """Fit the baseline: from its most likely nuisances and, where that does not converge, from others."""
+        if () not in self._fits:
+            found = fit(self.model, self.target, (), self.model.null())
+            rng, mine = self.rng(0), self.model.nuisance
+            width = np.minimum(1.0 / np.maximum(self.model.weight, 1.0), 1.0)
+            for _ in range(4):
+                if found.converged:
+                    break
+                start = self.model.null()
+                start[mine] += width[mine] * rng.standard_normal(mine.size)
+                again = fit(self.model, self.target, (), start)
+                found = again if again.converged or again.chi2 < found.chi2 else found
+            self._keep(found)
+        return self._fits[()]
+
+    def _keep(self, found: Fit) -> Fit:
+        """Keep the best fit of a hypothesis; what has converged goes before what has not."""
+        old = self._fits.get(found.causes)
+        if old is None or old.provisional or (found.converged, -found.chi2) > (old.converged, -old.chi2):
+            self._fits[found.causes] = found
+            self._tangents.pop(found.causes, None)
+            self._thresholds.pop(found.causes, None)
+            self._held_out = {key: value for key, value in self._held_out.items() if key[0] != found.causes}
+            name = self.title(found.causes)
+            if found.converged:
+                self.unconverged.pop(name, None)
+            else:
+                self.unconverged[name] = found.reason
+        return self._fits[found.causes]
+
+    def fitted(self, causes: tuple[int, ...]) -> Fit:
+        """Return the best fit so far of a hypothesis."""
+        return self._fits[causes]
+
+    def title(self, causes: Sequence[int]) -> str:
+        """Return the keys of a hypothesis."""
+        return " + ".join(self.model.causes[k].key for k in causes) or "baseline"
+
+    def tangent(self, at: Fit) -> Tangent:
+        """Return the linearisation of a fit."""
+        if at.causes not in self._tangents:
+            self._tangents[at.causes] = tangent(self.model, self.target, at)
+            for k in self._tangents[at.causes].silent:
+                self.unconverged.setdefault(self.model.causes[k].key, f"no prediction ({self.model.trouble})")
+        return self._tangents[at.causes]
+
+    def threshold(self, at: Fit) -> float:
+        """Return what chance makes of the best further cause."""
+        if at.causes not in self._thresholds:
+            self._thresholds[at.causes] = threshold(self.model, self.tangent(at), self.rng(1, len(at.causes)))
+        return self._thresholds[at.causes]
+
+    def extend(self, at: Fit, added: Sequence[int]) -> Fit:
+        """Fit a hypothesis that has causes more, from all its starts; the best that converged."""
+        causes = tuple(sorted({*at.causes, *added}))
+        if causes in self._fits:
+            return self._fits[causes]
+        self.progress(f"fitting {self.title(causes)}", len(self._fits), len(self._fits) + 1)
+        at_ = self.tangent(at)
+        combinations_ = _products([[s for s in at_.signatures if s.cause == k] for k in added])
+        gains = [combined_gain(self.model, at_, c) for c in combinations_]
+        order = sorted(range(len(gains)), key=lambda n: -gains[n])[:_SHAPES]
+        found: list[Fit] = []
+        for n in order:
+            near = self._near(at, causes, combinations_[n])
+            if near.converged and abs(at.chi2 - near.chi2 - gains[n]) < _NONLINEAR * gains[n] + 1.0:
+                return self._keep(min([*found, near], key=lambda f: (not f.converged, f.chi2)))
+            found.append(near)
+        best = min(found, key=lambda f: (not f.converged, f.chi2), default=None)
+        found += [fit(self.model, self.target, causes, u) for u in self._more_starts(at, added, best)]
+        return self._keep(min(found, key=lambda f: (not f.converged, f.chi2)))
+
+    def first_order(self, at: Fit, k: int) -> float:
+        """Likelihood ratio of one more cause as the linearisation has it."""
+        here = self.tangent(at)
+        return max((combined_gain(self.model, here, [s]) for s in here.signatures if s.cause == k), default=0.0)
+
+    def confirmed(self, found: Fit) -> Fit:
+        """Fit a hypothesis with its own slopes."""
+        if not found.provisional:
+            return found
+        return self._keep(fit(self.model, self.target, found.causes, found.u))
+
+    def _near(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature]) -> Fit:
+        """Fit from a linearisation: its first step is the one of the linearised score."""
+        start = at.u.copy()
+        known = dict(zip(at.free.tolist(), range(at.free.size), strict=True))
+        for s in signatures:
+            start[self.model.of_cause[s.cause]] = s.u[self.model.of_cause[s.cause]]
+        slope: dict[int, Real] = {}
+        for r in self.target.observed:
+            columns = []
+            for j in self.model.free(causes):
+                if int(j) in known:
+                    columns.append(at.slope[r][:, known[int(j)]])
+                else:
+                    s = next(x for x in signatures if j in self.model.of_cause[x.cause])
+                    columns.append(s.slope[r][:, int(j) - int(self.model.of_cause[s.cause][0])])
+            slope[r] = np.stack(columns, axis=1) if columns else np.zeros((self.target.observed[r].size, 0))
+        near = approach(self.model, self.target, causes, start, slope)
+        return fit(self.model, self.target, causes, start, slope) if near is None else near
+
+    def _more_starts(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
+        """Return starts for a cause that is far from linear: those it names, one scale either way, the other sign."""
+        found: list[Real] = []
+        for k in added:
+            mine = self.model.of_cause[k]
+            for given in self.model.causes[k].starts:
+                start = at.u.copy()
+                start[mine] = (np.array(given, dtype=float) - self.model.start[mine]) / self.model.scale[mine]
+                found.append(start)
+            for sign in (1.0, -1.0):
+                start = (at.u if best is None else best.u).copy()
+                start[mine] = np.clip(
+                    sign if best is None else -sign * best.u[mine], self.model.low[mine], self.model.high[mine]
+                )
+                found.append(start)
+        return found if best is None else [s for s in found if not np.array_equal(s, best.u)]
+
+    def reduce(self, at: Fit, dropped: int) -> Fit:
+        """Fit a hypothesis that has a cause less, from the nuisances of the larger one as well."""
+        causes = tuple(k for k in at.causes if k != dropped)
+        start = at.u.copy()
+        start[self.model.of_cause[dropped]] = 0.0
+        kept = np.isin(at.free, self.model.free(causes))
+        slope = {r: x[:, kept] for r, x in at.slope.items()}
+        return self._keep(fit(self.model, self.target, causes, start, slope))
+
+    def usable(self, at: Fit, causes: Sequence[int]) -> tuple[Scheme, ...]:
+        """Return the ways to hold conditions out that test some causes of a fit."""
+        return tuple(usable(self.model, self.target, at, causes))
+
+    def held_out(self, at: Fit, chosen: tuple[Scheme, ...]) -> HeldOut:
+        """Predict held-out conditions."""
+        key = (at.causes, chosen)
+        if key not in self._held_out:
+            self.progress(f"holding conditions out of {self.title(at.causes)}", len(self._held_out), 0)
+            self._held_out[key] = held_out(self.model, self.target, at, chosen)
+        return self._held_out[key]
+
+    def gain(self, smaller: Fit, larger: Fit) -> Gain | None:
+        """Gain of a larger hypothesis on conditions held out; None where none can be, or a fit did not converge."""
+        chosen = self.usable(larger, [k for k in larger.causes if k not in smaller.causes])
+        if not chosen:
+            return None
+        before, after = self.held_out(smaller, chosen), self.held_out(larger, chosen)
+        if not (before.trusted and after.trusted):
+            return None
+        return compare(before, after, self.rng(2, len(larger.causes)))
+
+
+def _products(options: Sequence[Sequence[Signature]]) -> list[tuple[Signature, ...]]:
+    """Return one signature of every cause, in all combinations."""
+    found: list[tuple[Signature, ...]] = [()]
+    for several in options:
+        found = [(*f, s) for f in found for s in several]
+    return found
+
+
+def search(bench: Bench) -> tuple[Fit, list[Step]]:
+    """Take causes in as long as they pass, and drop what has become idle.
+
+    Returns
+    -------
+    tuple
+        The fit that remains and the ladder that led there, refused steps included.
+    """
+    at = bench.null()
+    seen: set[tuple[int, ...]] = {()}
+    ladder: list[Step] = []
+    while len(at.causes) < MOST_CAUSES:
+        step = _best_step(bench, at, ladder)
+        if step is None:
+            return bench.fitted(at.causes), ladder
+        at = _drop_idle(bench, step, ladder)
+        if at.causes in seen:
+            break
+        seen.add(at.causes)
+    return at, ladder
+
+
+def _best_step(bench: Bench, at: Fit, ladder: list[Step]) -> Fit | None:
+    """Take the best single cause that passes, else the best pair; None where nothing does."""
+    others = [k for k in range(len(bench.model.causes)) if k not in at.causes and _fresh(bench, at, k)]
+    found = [(bench.extend(at, (k,)), (k,)) for k in _promising(bench, at, others, bench.threshold(at))]
+    at = _settled(bench, at, [f for f, _ in found if f.converged])
+    limit = bench.threshold(at)
+    for candidate, added in _ordered(bench, at, found):
+        if _passes(bench, at, candidate, added, limit, ladder):
+            return bench.fitted(candidate.causes)
+    best = [added[0] for _, added in _ordered(bench, at, found)][:PAIRED]
+    return _best_pair(bench, at, best, ladder) if len(best) > 1 else None
+
+
+def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> list[int]:
+    """Causes that come near a limit to first order, and the best few: those that are worth a fit."""
+    gains = {k: bench.first_order(at, k) - PENALTY * parameters_of(bench.model, [k]) for k in others}
+    ordered = sorted(others, key=lambda k: -gains[k])
+    return [k for n, k in enumerate(ordered) if n < _LEAST_TRIED or gains[k] > _PROMISING * limit]
+
+
+def _fresh(bench: Bench, at: Fit, k: int) -> bool:
+    """Whether a cause is not another variant of one that is in."""
+    return bench.model.causes[k].id not in {bench.model.causes[j].id for j in at.causes}
+
+
+def _settled(bench: Bench, at: Fit, found: Sequence[Fit]) -> Fit:
+    """Fit the smaller model once more from the nuisances of the best larger one: no ratio against a bad optimum."""
+    if not found:
+        return at
+    best = min(found, key=lambda f: f.chi2)
+    (added,) = set(best.causes) - set(at.causes)
+    again = bench.reduce(best, added)
+    return again if again.converged else at
+
+
+def _merit(bench: Bench, at: Fit, candidate: Fit) -> float:
+    """Likelihood ratio less the charge for its parameters."""
+    more = parameters_of(bench.model, candidate.causes) - parameters_of(bench.model, at.causes)
+    return at.chi2 - candidate.chi2 - PENALTY * more
+
+
+def _ordered(bench: Bench, at: Fit, found: Sequence[tuple[Fit, tuple[int, ...]]]) -> list[tuple[Fit, tuple[int, ...]]]:
+    """Those that may be used, the best first."""
+    used = [(f, added) for f, added in found if f.converged]
+    return sorted(used, key=lambda item: -_merit(bench, at, item[0]))
+
+
+def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit: float, ladder: list[Step]) -> bool:
+    """Hold a candidate against threshold, admissibility and held-out gain; note what comes near."""
+    if not at.converged or _merit(bench, at, candidate) <= limit - _CLOSE:
+        return False
+    candidate = bench.confirmed(candidate)
+    if not candidate.converged or _merit(bench, at, candidate) <= limit:
+        return False
+    gain = bench.gain(at, candidate)
+    bound = on_bound(bench.model, candidate, added)
+    reason = ""
+    if bound:
+        reason = f"{bound} ends on the limit of what is physical"
+    elif gain is None:
+        reason = "no condition can be held out that would test it"
+    elif not gain.proven:
+        reason = f"gain on held-out conditions {gain.db:.1f} dB, {gain.low:.1f} dB at the least"
+    passed = limit + PENALTY * parameters_of(bench.model, added)
+    ladder.append(
+        Step(
+            candidate.causes,
+            "+ " + bench.title(added),
+            at.chi2 - candidate.chi2,
+            passed,
+            gain,
+            candidate.chi2,
+            not reason,
+            reason,
+        )
+    )
+    return not reason
+
+
+def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:
+    """Return the parameter of a cause that has run into a bound other than its null; "" for none."""
+    for k in causes:
+        for j in model.of_cause[k]:
+            u = found.u[j]
+            near = min(abs(u - model.low[j]), abs(model.high[j] - u))
+            if near < 1e-6 and abs(u) > 1e-6:
+                return str(model.names[j])
+    return ""
+
+
+def _best_pair(bench: Bench, at: Fit, best: Sequence[int], ladder: list[Step]) -> Fit | None:
+    """Try pairs of the best causes, where the linearised family or the best two suggest it."""
+    pairs = [p for p in combinations(best, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
+    limit = pair_threshold(bench.model, bench.tangent(at), bench.rng(3, len(at.causes)))
+    worth = _WORTH_A_PAIR * (limit + 2.0 * PENALTY)
+    promising = [p for n, p in enumerate(pairs) if n == 0 or _pair_gain(bench, at, p) > worth]
+    found = [(bench.extend(at, p), p) for p in promising]
+    for candidate, added in _ordered(bench, at, found):
+        if _passes(bench, at, candidate, added, limit, ladder):
+            return bench.fitted(candidate.causes)
+    return None
+
+
+def _pair_gain(bench: Bench, at: Fit, pair: tuple[int, ...]) -> float:
+    """First-order likelihood ratio of a pair: the best over the shapes of both."""
+    here = bench.tangent(at)
+    both = _products([[s for s in here.signatures if s.cause == k] for k in pair])
+    return max((combined_gain(bench.model, here, b) for b in both), default=0.0)
+
+
+def _drop_idle(bench: Bench, at: Fit, ladder: list[Step]) -> Fit:
+    """Drop causes that a later one has made idle, the idlest first."""
+    while len(at.causes) > 1:
+        less = {k: f for k in at.causes if (f := bench.reduce(at, k)).converged}
+        if not less:
+            return at
+        idle = min(less, key=lambda k: _merit(bench, less[k], at))
+        smaller = less[idle]
+        limit = bench.threshold(smaller)
+        if _merit(bench, smaller, at) > limit:
+            return at
+        ladder.append(
+            Step(
+                smaller.causes,
+                "- " + bench.title((idle,)),
+                smaller.chi2 - at.chi2,
+                limit + PENALTY * parameters_of(bench.model, (idle,)),
+                None,
+                smaller.chi2,
+                True,
+            )
+        )
+        at = smaller
+    return at
+
+
+def rivals(bench: Bench, at: Fit, k: int) -> list[Fit]:
+    """Fits of the hypotheses that have another cause in place of one."""
+    smaller = bench.reduce(at, k)
+    ids = {bench.model.causes[j].id for j in at.causes}
+    others = [j for j in range(len(bench.model.causes)) if bench.model.causes[j].id not in ids]
+    found = [bench.extend(smaller, (j,)) for j in _promising(bench, smaller, others, smaller.chi2 - at.chi2)]
+    return [bench.confirmed(f) if f.chi2 < at.chi2 + _FAR else f for f in found]

@@ -1,0 +1,249 @@
+"""What a diagnosis found, as it is kept in ``finding.json`` and as it is said in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from smfe.diagnosis.cross_validation import Gain
+from smfe.diagnosis.next_experiment import Proposal
+from smfe.diagnosis.power import Detectable
+from smfe.diagnosis.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of a cause with its 95 % interval, in the unit shown."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class FoundCause:
+    """A cause in the model that explains the data best.
+
+    Attributes
+    ----------
+    id, variant, title, kind : str
+        As in the catalogue.
+    parameters : tuple of Estimate
+        Fitted.
+    ratio : float
+        Likelihood ratio: what leaving it out costs.
+    gain_db, gain_sd_db : float or None
+        What it is worth on held-out conditions; None where none could be held out.
+    """
+
+    id: str
+    variant: str
+    title: str
+    kind: str
+    parameters: tuple[Estimate, ...]
+    ratio: float
+    gain_db: float | None
+    gain_sd_db: float | None
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the best model leaves, on conditions that it was not fitted to wherever some could be held out.
+
+    Attributes
+    ----------
+    misfit_db : float
+        Squares of the residuals over those of noise [dB], the uncertainty of the prediction counted as noise.
+    chance : float
+        Probability that noise alone looks as bad.
+    beyond_noise : bool
+        Whether it is more than noise (99 %).
+    share : float or None
+        Share of the baseline's repeatable error that remains; None where nothing was held out.
+    carriers : tuple of str
+        Conditions that carry it; none where it looks like noise.
+    """
+
+    misfit_db: float
+    chance: float
+    beyond_noise: bool
+    share: float | None
+    carriers: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A step of the search: what was tried, what it gave, whether it was kept."""
+
+    change: str
+    ratio: float
+    threshold: float
+    gain_db: float | None
+    gain_sd_db: float | None
+    misfit_db: float
+    accepted: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A diagnosis.
+
+    Attributes
+    ----------
+    verdict : {"consistent", "named", "ambiguous", "unknown", "insufficient_data"}
+        The verdict.
+    reason : str
+        What it rests on.
+    causes : tuple of FoundCause
+        Causes of the best model. Each has passed the calibrated threshold and gains on held-out conditions, whatever
+        the verdict; the verdict says whether they are all ("named"), whether another could stand in for one of them
+        ("ambiguous", see `alternatives`), or whether something else is left ("unknown", see `remainder`).
+    alternatives : tuple of tuple of FoundCause
+        Sets that cannot be told apart; each begins with the cause that fits best. Causes of the best model that are in
+        none are beyond doubt.
+    ladder : tuple of Rung
+        Steps of the search.
+    misfit_before_db, misfit_after_db : float or None
+        Misfit of the baseline and of the best model, over noise; 0 dB is noise alone.
+    gain : Gain or None
+        Of all causes together, on conditions held out in turn.
+    opened : Gain or None
+        The same on the conditions that were set aside beforehand and opened at the end.
+    remainder : Remainder or None
+        What the best model leaves.
+    power : tuple of Detectable
+        Size of each cause that would have been seen in the baseline's residual with 95 %.
+    inseparable : tuple of tuple of str
+        Causes that do nearly the same in these conditions: only strong effects can be told apart.
+    unconverged : mapping
+        Hypothesis -> why its fit was not used.
+    next_experiment : Proposal or None
+        What would settle what is open.
+    threshold : float
+        Of the likelihood ratio of the first cause, less two for each of its parameters.
+    """
+
+    verdict: Verdict
+    reason: str
+    causes: tuple[FoundCause, ...] = ()
+    alternatives: tuple[tuple[FoundCause, ...], ...] = ()
+    ladder: tuple[Rung, ...] = ()
+    misfit_before_db: float | None = None
+    misfit_after_db: float | None = None
+    gain: Gain | None = None
+    opened: Gain | None = None
+    remainder: Remainder | None = None
+    power: tuple[Detectable, ...] = ()
+    inseparable: tuple[tuple[str, ...], ...] = ()
+    unconverged: tuple[tuple[str, str], ...] = ()
+    next_experiment: Proposal | None = None
+    threshold: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for ``finding.json``; numbers that are not finite become None."""
+        found = asdict(self)
+        found["misfit_db"] = {"before": found.pop("misfit_before_db"), "after": found.pop("misfit_after_db")}
+        found["unconverged"] = dict(self.unconverged)
+        plain: dict[str, Any] = _plain(found)
+        return plain
+
+
+def _plain(x: Any) -> Any:
+    if isinstance(x, dict):
+        return {key: _plain(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [_plain(value) for value in x]
+    if isinstance(x, float):
+        return x if math.isfinite(x) else None
+    return x
+
+
+def explain(finding: Finding) -> str:
+    """Say a finding in plain sentences.
+
+    Parameters
+    ----------
+    finding : Finding
+        From `smfe.diagnosis.engine.diagnose`.
+    """
+    opening = _PARTLY if finding.verdict == "unknown" and finding.causes else _OPENING[finding.verdict]
+    parts = [f"{opening}: {finding.reason}.", *_misfit(finding)]
+    parts += [_cause(c) for c in finding.causes]
+    parts += [f"The data do not tell apart: {', '.join(c.title for c in s)}." for s in finding.alternatives]
+    parts += _gains(finding)
+    parts += _remainder(finding)
+    if finding.next_experiment is not None:
+        n = finding.next_experiment
+        parts.append(f"Measure next: {n.name}; {n.expected}.")
+    elif finding.verdict == "ambiguous":
+        parts.append("None of the proposed experiments would settle it.")
+    if finding.verdict == "consistent":
+        parts += _power(finding.power)
+    parts += [f"Not used as evidence: {name}: {why}." for name, why in finding.unconverged]
+    return "\n".join(parts)
+
+
+_OPENING = {
+    "consistent": "The data are consistent with the baseline",
+    "named": "The baseline leaves something out",
+    "ambiguous": "The baseline leaves something out, and it remains open what",
+    "unknown": "The baseline is wrong for a reason that the catalogue does not hold",
+    "insufficient_data": "The data do not suffice for a verdict",
+}
+
+_PARTLY = "Part of what the baseline leaves out is found, part of it remains unknown"
+
+
+def _misfit(finding: Finding) -> list[str]:
+    if finding.misfit_before_db is None:
+        return []
+    text = f"The baseline's misfit is {finding.misfit_before_db:.2f} dB over noise"
+    if finding.causes and finding.misfit_after_db is not None:
+        text += f", the extended model's {finding.misfit_after_db:.2f} dB"
+    return [text + "."]
+
+
+def _cause(cause: FoundCause) -> str:
+    values = "; ".join(f"{e.name} {e.value:.4g} {e.unit} ({e.low:.4g} to {e.high:.4g})" for e in cause.parameters)
+    proof = f"likelihood ratio {cause.ratio:.0f}"
+    if cause.gain_db is None:
+        return f"Not proven on conditions it was not fitted to: {cause.title}: {values} ({proof})."
+    gain = f"worth {cause.gain_db:.1f} dB there"
+    return f"Accepted on conditions it was not fitted to: {cause.title}: {values}; {gain} ({proof})."
+
+
+def _remainder(finding: Finding) -> list[str]:
+    left = finding.remainder
+    if left is None or not (left.beyond_noise and left.carriers):
+        return []
+    share = "" if left.share is None else f", {100.0 * left.share:.2g} % of the repeatable error of the baseline"
+    found = [f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {', '.join(left.carriers)}."]
+    if finding.causes:
+        found.append("The intervals include its scatter; a cause that is not in the catalogue may still shift them.")
+    return found
+
+
+def _gains(finding: Finding) -> list[str]:
+    found = []
+    for gain, where in ((finding.gain, "held out in turn"), (finding.opened, "set aside beforehand")):
+        if gain is not None and finding.causes:
+            found.append(
+                f"On conditions {where} the extension explains {100.0 * gain.share:.3g} % of the repeatable error "
+                f"({gain.db:.1f} dB, sd {gain.sd:.1f} dB; the error with its noise falls by {gain.error_db:.2f} dB)."
+            )
+    return found
+
+
+def _power(power: Sequence[Detectable]) -> list[str]:
+    found = []
+    for p in power:
+        if p.admissible:
+            found.append(f"{p.title} of {p.size:.2g} {p.unit} ({p.parameter}) would have been seen with 95 %.")
+        else:
+            found.append(f"{p.title} ({p.parameter}) would not have been seen in these conditions.")
+    return found

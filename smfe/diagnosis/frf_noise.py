@@ -1,0 +1,211 @@
+"""How a compliance was measured, what its error is like, and residuals of unit variance.
+
+The error of a line is that of its noise, smooth over frequency and independent from line to line, and what the hits
+have in common over all lines: levels and states at rest that differ from hit to hit. The first is read off second
+differences over neighbouring lines, the second off what remains between the hits when their level is taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from smfe.diagnosis.problem import Condition, Real
+
+Complex = NDArray[np.complex128]
+
+MOST_LINES = 120
+"""Lines of a condition that are compared, at most."""
+
+SHARED = 2.0
+"""Factor on the variance that hits share: it comes from three or four of them only."""
+
+_SMOOTH = 15
+
+
+@dataclass(frozen=True)
+class Excited:
+    """How a compliance was measured, and where.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (f,)
+        Lines that are compared [Hz].
+    entries : tuple of (str, str)
+        (response, excitation) of each entry.
+    std : ndarray, shape (f, entries)
+        Root mean square of the complex error of each line by itself [m/N].
+    method : {"hammer", "actuator"}
+        How the force was applied.
+    level : float
+        Impulse [N s] of a hammer, amplitude [N] of an actuator.
+    duration : float, optional
+        Contact time of the hammer [s].
+    feed : mapping, optional
+        Axis -> feed [m/s].
+    controller : str, optional
+        Name of the controller.
+    shared : ndarray, shape (m, f, entries), optional
+        Errors that all lines have in common, each with a random factor of unit variance [m/N].
+    window : float, optional
+        Time after a hit that was transformed [s].
+    """
+
+    frequency: Real
+    entries: tuple[tuple[str, str], ...]
+    std: Real
+    method: str
+    level: float
+    duration: float = 4e-3
+    feed: Mapping[str, float] = field(default_factory=dict)
+    controller: str | None = None
+    shared: Complex | None = None
+    window: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Keep the directions in which the errors are shared, and how much less counts there."""
+        base = np.zeros((0, 2 * self.std.size))
+        if self.shared is not None and len(self.shared):
+            base = np.stack([_scaled(s, self.std) for s in self.shared])
+        _, size, rows = np.linalg.svd(base, full_matrices=False)
+        object.__setattr__(self, "_rows", rows)
+        object.__setattr__(self, "_less", 1.0 - 1.0 / np.sqrt(1.0 + size**2))
+
+    def whitened(self, values: Complex) -> Real:
+        """Return complex values (f, entries) as real ones of unit variance, shape (2 f entries,).
+
+        Real and imaginary parts in turn, over the standard deviation, then less where errors are shared:
+        ``(I + L L^T)^(-1/2)``.
+        """
+        flat = _scaled(values, self.std)
+        rows: Real = self._rows  # type: ignore[attr-defined]
+        less: Real = self._less  # type: ignore[attr-defined]
+        return np.asarray(flat - rows.T @ (less * (rows @ flat)))
+
+
+def _scaled(values: Complex, std: Real) -> Real:
+    scaled = (np.sqrt(2.0) * values / std).T
+    return np.stack([scaled.real, scaled.imag], axis=-1).ravel()
+
+
+def condition_of(
+    name: str,
+    compliance: xr.Dataset,
+    excited: Excited,
+    settings: Mapping[str, float | str],
+    source: str = "",
+) -> Condition:
+    """Return a condition from a measured compliance.
+
+    Parameters
+    ----------
+    name : str
+        For people.
+    compliance : xarray.Dataset
+        Measured, with its standard deviation.
+    excited : Excited
+        From `excitation_of`.
+    settings : mapping
+        What tells this condition from others.
+    source : str, optional
+        Independent experiment.
+    """
+    f = compliance["frequency"].values
+    pick = np.searchsorted(f, excited.frequency - 1e-9)
+    values = np.stack(
+        [compliance["compliance"].sel(response=r, excitation=e).values[pick] for r, e in excited.entries], axis=1
+    )
+    return Condition(name, dict(settings), excited.whitened(values), source, excited)
+
+
+def excitation_of(
+    compliance: xr.Dataset,
+    method: str,
+    level: float,
+    band: tuple[float, float],
+    floor: float = 0.002,
+    **more: object,
+) -> Excited:
+    """Return how a measured compliance was excited, with the lines that are compared.
+
+    Neighbouring lines share their error over ``error_lines``; they are thinned to independent ones, and to at most
+    `MOST_LINES`.
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset
+        With ``compliance_std``.
+    method, level
+        See `Excited`.
+    band : (float, float)
+        Compared from, to [Hz].
+    floor : float, optional
+        Least standard deviation relative to the compliance: what no model is expected to do better.
+    **more : object
+        ``duration``, ``feed``, ``controller``, ``window`` of `Excited`.
+    """
+    f = compliance["frequency"].values
+    lines = chosen_lines(f, band, float(compliance.attrs.get("error_lines", 1.0)))
+    rows = [str(a) for a in compliance["response"].values]
+    columns = [str(a) for a in compliance["excitation"].values]
+    entries, std = [], []
+    for r in rows:
+        for e in columns:
+            entry = {"response": r, "excitation": e}
+            phi = compliance["compliance"].sel(entry).values[lines]
+            error = compliance["compliance_std"].sel(entry).values[lines]
+            if np.all(np.isfinite(phi) & np.isfinite(error)):
+                entries.append((r, e))
+                std.append(np.hypot(error, floor * np.abs(phi)))
+    if not entries:
+        raise InputError(
+            f"no entry of the compliance is known with its standard deviation from {band[0]:g} to {band[1]:g} Hz; "
+            "give repeats (three hits or more) or another band"
+        )
+    return Excited(f[lines], tuple(entries), np.stack(std, axis=1), method, level, **more)  # type: ignore[arg-type]
+
+
+def chosen_lines(frequency: Real, band: tuple[float, float], apart: float = 1.0) -> NDArray[np.int64]:
+    """Return the lines of a band [Hz] that are compared: `apart` lines or more between them, at most `MOST_LINES`."""
+    inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & (frequency > 0.0))
+    return inside[:: max(1, round(apart), -(-inside.size // MOST_LINES))]
+
+
+def scatter_of(hits: Complex, impulse: Real) -> tuple[Real, Complex]:
+    """Return what the mean of some hits is worth: standard deviation of each line, and errors shared by all lines.
+
+    Parameters
+    ----------
+    hits : ndarray, shape (r, f)
+        Compliance from each hit [m/N], r >= 3.
+    impulse : ndarray, shape (r,)
+        Of each hit [N s].
+
+    Returns
+    -------
+    std : ndarray, shape (f,)
+        Root mean square of the complex error of each line, smooth over frequency [m/N].
+    shared : ndarray, shape (r, f)
+        See `Excited`.
+    """
+    count = hits.shape[0]
+    if count < 3:
+        raise InputError(f"{count} hits tell nothing about their scatter; give three or more")
+    away = hits - hits.mean(axis=0)
+    bend = away[:, :-2] - 2.0 * away[:, 1:-1] + away[:, 2:]
+    square = np.sum(np.abs(bend) ** 2, axis=0) / (6.0 * (count - 1))
+    kernel = np.ones(_SMOOTH)
+    size = np.convolve(np.ones(square.size), kernel, "same")
+    smooth = np.pad(np.convolve(square, kernel, "same") / size, 1, mode="edge")
+    freedom = count - 1
+    if count > 3:
+        level = impulse - impulse.mean()
+        away = away - np.outer(level, level @ away) / max(float(level @ level), 1e-300)
+        freedom -= 1
+    # A complex row stands for two real factors: real and imaginary parts of the error go together.
+    return np.sqrt(smooth / count), away * np.sqrt(SHARED / (freedom * count))

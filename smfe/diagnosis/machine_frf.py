@@ -1,0 +1,196 @@
+"""Diagnosis of compliances: a baseline machine under hammer and actuator, at every feed, level and controller.
+
+The prediction goes through what the measurement goes through: a hammer hit is a half sine of its impulse and duration
+that moves the machine in time, and H1 is taken from that motion; an actuator's sine is balanced at its force level.
+Sensors come last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from process.excitation import HalfSine
+from process.machine import Machine
+from process.machine_balance import quasi_compliance
+from process.machine_simulation import machine_motion
+from smfe.diagnosis.axis_baseline import Effective
+from smfe.diagnosis.frf_noise import Complex, Excited
+from smfe.diagnosis.frf_noise import condition_of as condition_of
+from smfe.diagnosis.frf_noise import excitation_of as excitation_of
+from smfe.diagnosis.problem import Cause, Condition, Parameter, Real, Values
+
+_RATE = 2000.0  # samples and steps a second of a simulated hit in motion
+_RATE_AT_REST = 4000.0  # where friction sticks: half of it makes the prediction ragged
+_KEPT = 4000
+
+
+class Baseline(Protocol):
+    """A simulation that can be questioned."""
+
+    @property
+    def axis(self) -> str:
+        """Name of the axis."""
+
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """Parameters that every hypothesis fits anew."""
+
+    def causes(self) -> tuple[Cause, ...]:
+        """What the baseline may lack."""
+
+    def effective(self, values: Values, settings: Mapping[str, float | str], feed: float) -> Effective:
+        """Return what a set of values comes to under the settings of a condition."""
+
+    def machine(self, found: Effective) -> Machine:
+        """Build the machine for what a set of values comes to."""
+
+
+SENSOR_CAUSES: tuple[Cause, ...] = (
+    Cause(
+        "sensor_gain",
+        "gain of a sensor",
+        (Parameter("gain_error", "%", 0.0, 0.02, -0.9, 9.0, shown=100.0),),
+        kind="measurement",
+    ),
+    Cause(
+        "time_skew",
+        "time skew between force and motion",
+        (Parameter("skew", "us", 0.0, 2e-5, -2e-3, 2e-3, shown=1e6),),
+        kind="measurement",
+    ),
+)
+
+
+def missing_mode(band: tuple[float, float], count: int = 6) -> Cause:
+    """Return the cause of a mode that the baseline does not have, searched for all over a band [Hz]."""
+    low, high = band
+    middle = tuple(float(v) for v in np.geomspace(low * 1.05, high * 0.95, count))
+    return Cause(
+        "missing_mode",
+        "a mode that the model does not have",
+        (
+            Parameter("mode_compliance", "um/N", 0.0, 1e-8, 0.0, 1e-4, shown=1e6),
+            Parameter("mode_frequency", "Hz", float(np.sqrt(low * high)), 0.02 * high, 0.7 * low, 1.5 * high),
+            Parameter("mode_damping", "%", 0.03, 0.01, 0.002, 0.3, shown=100.0),
+        ),
+        starts=tuple((2e-8, f, 0.03) for f in middle),
+    )
+
+
+@dataclass(frozen=True)
+class MachineFrfs:
+    """A family for `smfe.diagnosis.engine`: compliances of one machine under many conditions.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        The simulation that is questioned.
+    conditions : tuple of Condition
+        Measured compliances (`condition_of`).
+    proposals : tuple of Condition, optional
+        Experiments that could be done next.
+    without : sequence of str, optional
+        Keys of causes that are left out of the catalogue.
+    """
+
+    baseline: Baseline
+    conditions: tuple[Condition, ...]
+    proposals: tuple[Condition, ...] = ()
+    without: Sequence[str] = ()
+    _kept: dict[tuple[int, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """Parameters of the baseline."""
+        return self.baseline.nuisances()
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Every candidate but those left out."""
+        data = [c.data for c in self.conditions if isinstance(c.data, Excited)]
+        band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
+        every = (*self.baseline.causes(), *SENSOR_CAUSES, missing_mode(band))
+        return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
+
+    def predict(self, condition: Condition, values: Values) -> Real:
+        """Return the compliance that a set of values predicts, whitened like the data."""
+        excited = condition.data
+        assert isinstance(excited, Excited)
+        found = self.baseline.effective(values, condition.settings, excited.feed.get(self.baseline.axis, 0.0))
+        key = (id(excited), found)
+        phi = self._kept.get(key)
+        if phi is None:
+            phi = compliance_under(self.baseline.machine(found), excited)
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            self._kept[key] = phi
+        return excited.whitened(_through_sensors(phi, excited.frequency, excited.entries, values))
+
+
+def _through_sensors(phi: Complex, f: Real, entries: Sequence[tuple[str, str]], values: Values) -> Complex:
+    phi = phi * (1.0 + values.get("gain_error", 0.0)) * np.exp(-2j * np.pi * f * values.get("skew", 0.0))[:, None]
+    size = values.get("mode_compliance", 0.0)
+    if size > 0.0:
+        ratio = f / values["mode_frequency"]
+        mode = size / (1.0 - ratio**2 + 2j * values["mode_damping"] * ratio)
+        phi = phi + mode[:, None] * np.array([r == e for r, e in entries])
+    return phi
+
+
+def compliance_under(machine: Machine, excited: Excited) -> Complex:
+    """Return what a measurement of this kind finds on a machine [m/N], shape (f, entries).
+
+    Raises
+    ------
+    InputError
+        When the servos are unstable.
+    """
+    feed = {axis: excited.feed.get(axis, 0.0) for axis in machine.axes}
+    if excited.method == "actuator":
+        columns = tuple(dict.fromkeys(e for _, e in excited.entries))
+        found = quasi_compliance(
+            machine, excited.frequency, excited.level, feed, excited.controller, excitation=columns
+        )["compliance"]
+        return np.stack([found.sel(response=r, excitation=e).values for r, e in excited.entries], axis=1)
+    return _hit(machine, excited, feed)
+
+
+def _hit(machine: Machine, excited: Excited, feed: Mapping[str, float]) -> Complex:
+    """H1 of one simulated hit for each excitation."""
+    out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
+    rate = _RATE if any(feed.values()) else _RATE_AT_REST
+    pulse = HalfSine(excited.level, excited.duration, 0.0)
+    turn = _fourier(excited.frequency.tobytes(), round(excited.window * rate), rate)
+    fine = np.linspace(0.0, excited.duration, 201)
+    force = np.trapezoid(pulse.force(fine) * np.exp(-2j * np.pi * np.outer(excited.frequency, fine)), fine, axis=1)
+    for axis in dict.fromkeys(e for _, e in excited.entries):
+        motion = machine_motion(
+            machine,
+            duration=excited.window,
+            feed=feed,
+            controller=excited.controller,
+            forces={axis: pulse},
+            sample_rate=rate,
+            step=1.0 / rate,
+        )
+        for i, (response, excitation) in enumerate(excited.entries):
+            if excitation == axis:
+                out[:, i] = _transform(turn, motion.displacement["xyz".index(response)], excited, rate) / force
+    return out
+
+
+def _transform(turn: Complex, x: Real, excited: Excited, rate: float) -> Complex:
+    """Fourier transform of a displacement that stays where it ends, as from its acceleration."""
+    w = 2.0 * np.pi * excited.frequency
+    return np.asarray(turn @ x / rate + x[-1] * np.exp(-1j * w * x.size / rate) / (1j * w))
+
+
+@lru_cache(maxsize=16)
+def _fourier(frequency: bytes, count: int, rate: float) -> Complex:
+    """Rows ``exp(-j w t)`` for sampled time, shape (f, count)."""
+    f = np.frombuffer(frequency, dtype=float)
+    return np.exp(-2j * np.pi * np.outer(f, np.arange(count) / rate))

@@ -1,0 +1,120 @@
+"""Whether residuals are more than noise: in all, smooth along a condition, or gathered in one condition.
+
+Every test is of squares of residuals over the covariance that they have when the model is right, so that each has a
+chi-square law; the smallest of their chances counts, times the number of tests (Bonferroni). The smooth part is the
+slowest cosines of every second value, which are smooth too where real and imaginary parts alternate: white noise has
+little there, a missing effect much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Real = NDArray[np.float64]
+
+SLOW = 4
+"""Cosines of each half of a condition."""
+
+LEFT = 0.05
+"""Share of the noise that a fit must leave in a direction for it to be tested."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What residuals look like against noise.
+
+    Attributes
+    ----------
+    chance : float
+        Probability that noise alone looks as bad in any of the tests.
+    chi2, freedom : float
+        Squares of the residuals and how many noise would give.
+    by_condition : mapping
+        Chance of each condition by itself.
+    """
+
+    chance: float
+    chi2: float
+    freedom: float
+    by_condition: Mapping[int, float]
+
+    @property
+    def ratio(self) -> float:
+        """``chi2/freedom``: one for noise."""
+        return self.chi2 / max(self.freedom, 1.0)
+
+
+Group = tuple[Mapping[int, Real], Mapping[int, Real]]
+"""Whitened residuals of some conditions, (n,), and the rows of L, (n, p), that they share an error through."""
+
+
+def assess(groups: Sequence[Group], shrinks: bool) -> Misfit:
+    """Test residuals whose covariance is ``I - L L^T`` (they were fitted) or ``I + L L^T`` (they were held out).
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        Conditions that were fitted, or held out, together.
+    shrinks : bool
+        Whether they were fitted.
+    """
+    sign = -1.0 if shrinks else 1.0
+    whole = slow = np.zeros(2)
+    own: dict[int, float] = {}
+    for residual, load in groups:
+        filters = {k: _slow(residual[k].size) for k in residual}
+        parts = {k: (f @ residual[k], f @ load[k]) for k, f in filters.items()}
+        whole = whole + _square(*_joined([(residual[k], load[k]) for k in residual]), sign)
+        slow = slow + _square(*_joined(list(parts.values())), sign)
+        for k in residual:
+            both = _square(residual[k], load[k], sign), _square(*parts[k], sign)
+            own[k] = min(1.0, 2.0 * min(_chance(b) for b in both))
+    if not own:
+        return Misfit(1.0, 0.0, 0.0, {})
+    tests = (_chance(whole), _chance(slow), min(own.values()) * len(own))
+    return Misfit(min(1.0, 3.0 * min(tests)), float(whole[0]), float(whole[1]), own)
+
+
+def _joined(parts: Sequence[tuple[Real, Real]]) -> tuple[Real, Real]:
+    return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+
+def _chance(square: Real) -> float:
+    return float(stats.chi2.sf(square[0], square[1])) if square[1] > 0.0 else 1.0
+
+
+def _square(r: Real, load: Real, sign: float) -> Real:
+    """Squares over the covariance ``I +- L L^T`` and their degrees of freedom; without what a fit took."""
+    if load.shape[1] == 0:
+        return np.array([float(r @ r), float(r.size)])
+    left, singular, _ = np.linalg.svd(load, full_matrices=False)
+    inner = left.T @ r
+    variance = 1.0 + sign * singular**2
+    # Where the fit has taken nearly all the noise, what is left is how well it has converged.
+    lost = variance < LEFT
+    square = float(r @ r - inner @ inner) + float(np.sum(inner[~lost] ** 2 / variance[~lost]))
+    return np.array([max(square, 0.0), float(r.size - lost.sum())])
+
+
+def _slow(n: int) -> Real:
+    """Return the slowest cosines of the even and of the odd values, orthonormal, (2 SLOW, n)."""
+    rows = np.zeros((2, SLOW, n))
+    for first in (0, 1):
+        count = rows[first, :, first::2].shape[1]
+        order = np.arange(min(SLOW, count))[:, None]
+        cosines = np.cos(np.pi * (np.arange(count) + 0.5) * order / max(count, 1))
+        rows[first, : order.size, first::2] = cosines * np.sqrt((2.0 - (order == 0)) / max(count, 1))
+    flat = rows.reshape(2 * SLOW, n)
+    return np.asarray(flat[np.any(flat != 0.0, axis=1)])
+
+
+def carriers(found: Misfit, most: int = 5) -> Sequence[int]:
+    """Return the conditions that carry a misfit, the worst first: those that would be rare by themselves."""
+    ordered = sorted(found.by_condition, key=lambda k: found.by_condition[k])
+    rare = [k for k in ordered if found.by_condition[k] * len(ordered) < 0.05]
+    return (rare or ordered[:1])[:most]

@@ -1,0 +1,193 @@
+"""A family with all its parameters in one scaled vector, its predictions kept.
+
+``u = (value - start)/scale``: zero is the most likely baseline without any cause. Predictions and their slopes are
+asked for condition by condition, because a fit that leaves a condition out needs the others only.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from smfe.diagnosis.problem import Cause, Condition, Family, Parameter
+
+Real = NDArray[np.float64]
+Index = NDArray[np.int64]
+Blocks = Mapping[int, Real]
+"""Number of a condition -> an array with one row a value of it."""
+
+STEP = 0.02
+"""Half of the step of a central difference, in units of the scale of a parameter.
+
+Small enough for what is curved over a scale, large enough for a time simulation, whose steps change with the values.
+"""
+
+WORTH_A_THREAD = 0.002
+"""Mean time of a prediction [s] from which several are made side by side; short ones would wait for each other."""
+
+KEPT = 4_000_000
+"""Numbers of predictions that are kept."""
+
+
+class Model:
+    """Predictions of a family, as functions of one vector of scaled parameters.
+
+    Parameters
+    ----------
+    family : Family
+        What predicts.
+    conditions : sequence of Condition
+        All that may be asked for: measured, held out and proposed.
+    """
+
+    def __init__(self, family: Family, conditions: Sequence[Condition]) -> None:
+        self.family = family
+        self.conditions = tuple(conditions)
+        self.causes: tuple[Cause, ...] = tuple(family.causes)
+        parameters = [*family.nuisances, *(p for cause in self.causes for p in cause.parameters)]
+        self.parameters: tuple[Parameter, ...] = tuple(parameters)
+        self.names = tuple(p.name for p in parameters)
+        _refuse_twins("parameter", self.names)
+        _refuse_twins("cause", [c.key for c in self.causes])
+        _refuse_twins("condition", [c.name for c in self.conditions if c.observed is not None])
+        self.start = np.array([p.start for p in parameters], dtype=float)
+        self.scale = np.array([p.scale for p in parameters], dtype=float)
+        self.low = (np.array([p.low for p in parameters], dtype=float) - self.start) / self.scale
+        self.high = (np.array([p.high for p in parameters], dtype=float) - self.start) / self.scale
+        self.weight = self.scale / np.array([p.prior for p in parameters], dtype=float)
+        self.nuisance: Index = np.arange(len(family.nuisances))
+        ends = np.cumsum([len(family.nuisances), *(len(c.parameters) for c in self.causes)])
+        self.of_cause = tuple(np.arange(a, b) for a, b in pairwise(ends.tolist()))
+        self.trouble = ""
+        self._kept: OrderedDict[tuple[int, bytes], Real | None] = OrderedDict()
+        self._stored = 0
+        self._spent, self._asked = 0.0, 0
+
+    def free(self, causes: Sequence[int]) -> Index:
+        """Indices of the parameters that a hypothesis fits: the nuisances first, then its causes in their order."""
+        return np.concatenate([self.nuisance, *(self.of_cause[k] for k in sorted(causes))]).astype(np.int64)
+
+    def null(self) -> Real:
+        """Return the baseline at its most likely nuisances."""
+        return np.zeros(len(self.parameters))
+
+    def values(self, u: Real) -> dict[str, float]:
+        """Parameter name -> value (SI)."""
+        return dict(zip(self.names, (self.start + self.scale * u).tolist(), strict=True))
+
+    def predict(self, row: int, u: Real) -> Real | None:
+        """Return the prediction of a condition, shape (n,); None where the family cannot give one (see `trouble`)."""
+        key = (row, u.tobytes())
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        found = self._ask(row, u)
+        self._keep(key, found)
+        return found
+
+    def prepare(self, wanted: Sequence[tuple[int, Real]]) -> None:
+        """Predict several conditions side by side, to have them at hand, where a prediction takes long."""
+        if self._spent < WORTH_A_THREAD * self._asked:
+            return
+        new = {(row, u.tobytes()): (row, u) for row, u in wanted if (row, u.tobytes()) not in self._kept}
+        if len(new) > 1:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                for key, found in zip(new, pool.map(lambda item: self._ask(*item), new.values()), strict=True):
+                    self._keep(key, found)
+
+    def _keep(self, key: tuple[int, bytes], found: Real | None) -> None:
+        self._kept[key] = found
+        self._stored += 1 if found is None else found.size
+        while self._stored > KEPT and len(self._kept) > 1:
+            _, old = self._kept.popitem(last=False)
+            self._stored -= 1 if old is None else old.size
+
+    def _ask(self, row: int, u: Real) -> Real | None:
+        condition = self.conditions[row]
+        begin = perf_counter()
+        try:
+            given = self.family.predict(condition, self.values(u))
+        except InputError as problem:
+            self.trouble = f"{condition.name}: {problem}"
+            return None
+        self._spent, self._asked = self._spent + perf_counter() - begin, self._asked + 1
+        found = np.asarray(given, dtype=float)
+        wanted = found.shape if condition.observed is None else condition.observed.shape
+        if found.ndim != 1 or found.shape != wanted:
+            raise InputError(
+                f"{condition.name}: predicted {found.shape} values for {wanted} observed; "
+                "a family must predict a condition in the form of its data"
+            )
+        if not np.all(np.isfinite(found)):
+            self.trouble = f"{condition.name}: a predicted value is not finite"
+            return None
+        return found
+
+    def slopes(self, rows: Sequence[int], u: Real, free: Index) -> dict[int, Real] | None:
+        """Return the derivatives of each condition with the scaled parameters `free`: central differences, (n, p).
+
+        On a bound the difference is one-sided and of second order. None where the family predicts neither way.
+        """
+        self.prepare([(row, at) for j in free for at in self._beside(u, int(j)) for row in rows])
+        columns = [self._slope(rows, u, int(j)) for j in free]
+        if any(c is None for c in columns):
+            return None
+        return {
+            row: np.stack([c[row] for c in columns if c is not None], axis=1)
+            if columns
+            else np.zeros((self.size(row, u), 0))
+            for row in rows
+        }
+
+    def size(self, row: int, u: Real) -> int:
+        """Return how many values a condition has."""
+        found = self.predict(row, u)
+        return 0 if found is None else int(found.size)
+
+    def _beside(self, u: Real, j: int) -> list[Real]:
+        """Return the values at which a central difference is taken, where both are within the bounds."""
+        steps = [step for step in (-STEP, STEP) if self.low[j] <= u[j] + step <= self.high[j]]
+        unit = np.eye(u.size)[j]
+        return [u + step * unit for step in (steps if len(steps) == 2 else ())]
+
+    def _slope(self, rows: Sequence[int], u: Real, j: int) -> dict[int, Real] | None:
+        room = (self.low[j] - u[j], self.high[j] - u[j])
+        central = ((-STEP, -0.5 / STEP), (STEP, 0.5 / STEP))
+        forward, backward = (
+            tuple((s * step, s * c / STEP) for step, c in ((0.0, -1.5), (STEP, 2.0), (2.0 * STEP, -0.5)))
+            for s in (1.0, -1.0)
+        )
+        for stencil in (central, forward, backward):
+            if all(room[0] <= step <= room[1] for step, _ in stencil):
+                found = self._difference(rows, u, j, stencil)
+                if found is not None:
+                    return found
+        return None
+
+    def _difference(
+        self, rows: Sequence[int], u: Real, j: int, stencil: Sequence[tuple[float, float]]
+    ) -> dict[int, Real] | None:
+        total: dict[int, Real] = {}
+        for step, coefficient in stencil:
+            at = u.copy()
+            at[j] += step
+            for row in rows:
+                found = self.predict(row, at)
+                if found is None:
+                    return None
+                total[row] = total[row] + coefficient * found if row in total else coefficient * found
+        return total
+
+
+def _refuse_twins(what: str, names: Sequence[str]) -> None:
+    twins = sorted({n for n in names if list(names).count(n) > 1})
+    if twins:
+        raise InputError(f"two of the family have the same {what} name {twins[0]!r}; give each its own")

@@ -1,0 +1,104 @@
+"""What size of each cause would have been seen: the other half of "nothing was found".
+
+A cause of size s has the noncentrality ``s^2 g`` with g the square of its signature; seen with 95 % is the size at
+which the noncentral distribution of the likelihood ratio lies above the threshold with that probability.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from smfe.diagnosis.calibration import PENALTY, parameters_of, score
+from smfe.diagnosis.model import Model
+from smfe.diagnosis.signature import Signature, Tangent
+
+Real = NDArray[np.float64]
+
+SEEN = 0.95
+
+PROVEN = 36.0
+"""Likelihood ratio at which a gain that scatters by ``2 sqrt(LR)`` is three of its standard deviations."""
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """Smallest size of one parameter of a cause that is seen with 95 %.
+
+    Attributes
+    ----------
+    cause, title, parameter : str
+        Key and title of the cause, name of the parameter.
+    size : float
+        Change from the null, as shown; infinite where these conditions do not show it.
+    proven_size : float
+        The size that is named with 95 %: its gain on held-out conditions is three standard deviations as well.
+    unit : str
+        Of the sizes.
+    admissible : bool
+        Whether the parameter can get that large.
+    """
+
+    cause: str
+    title: str
+    parameter: str
+    size: float
+    proven_size: float
+    unit: str
+    admissible: bool
+
+
+def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...]:
+    """Return the detectable size of each parameter of each cause that is not in the fit, at a threshold.
+
+    Parameters
+    ----------
+    model : Model
+        What predicts.
+    at : Tangent
+        The fit, linearised.
+    limit : float
+        Threshold of ``LR - 2 parameters``.
+    """
+    found = []
+    for k, cause in enumerate(model.causes):
+        own = [s for s in at.signatures if s.cause == k]
+        if k in at.fit.causes:
+            continue
+        for j, parameter in zip(model.of_cause[k], cause.parameters, strict=True):
+            acting = [s for s in own if j in s.free]
+            if own and not acting:
+                continue
+            level = limit + PENALTY * parameters_of(model, [k])
+            seen, proven = (
+                min((_size(model, s, int(j), x) for s in acting), default=math.inf) for x in (level, max(level, PROVEN))
+            )
+            unit = parameter.scale * parameter.shown
+            possible = bool(seen <= max(model.high[j], -model.low[j]))
+            found.append(
+                Detectable(cause.key, cause.title, parameter.name, seen * unit, proven * unit, parameter.unit, possible)
+            )
+    return tuple(found)
+
+
+def _size(model: Model, signature: Signature, j: int, level: float) -> float:
+    """Size of a scaled parameter whose likelihood ratio exceeds a level with 95 %."""
+    place = int(np.flatnonzero(signature.free == j)[0])
+    own = score(model, [signature])
+    square = float(signature.columns[:, place] @ signature.columns[:, place])
+    if square <= 0.0:
+        return math.inf
+    one_sided = bool(own.gram.shape[0] == 1 and not (own.up[0] and own.down[0]))
+    return math.sqrt(noncentrality(max(level, 1e-6), own.gram.shape[0], one_sided) / square)
+
+
+def noncentrality(level: float, freedom: int, one_sided: bool = False) -> float:
+    """Return the noncentrality with which a chi-square statistic exceeds a level with 95 %."""
+    if one_sided:
+        return (math.sqrt(level) + float(stats.norm.ppf(SEEN))) ** 2
+    top = 4.0 * level + 100.0
+    return float(optimize.brentq(lambda x: float(stats.ncx2.sf(level, freedom, x)) - SEEN, 1e-9, top))

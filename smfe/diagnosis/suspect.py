@@ -1,0 +1,42 @@
+"""What a data audit finds: a suspicion about the measurement, with its evidence and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import pandas as pd
+
+LEVELS = ("fault", "warning", "note")
+"""A fault spoils a result unless it is excluded or corrected; a warning may; a note is worth knowing."""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One suspicion.
+
+    Parameters
+    ----------
+    cause : str
+        Cause id (``"saturation"``, ``"double_hit"``, ``"unit_error"``, ...).
+    level : {"fault", "warning", "note"}
+        How much it matters.
+    where : str
+        Measurement, file, channel, hit.
+    evidence : str
+        What was seen, with numbers.
+    advice : str
+        What to do, or what was done.
+    """
+
+    cause: str
+    level: str
+    where: str
+    evidence: str
+    advice: str
+
+
+def suspect_table(suspects: Sequence[Suspect]) -> pd.DataFrame:
+    """Return the suspicions as a table, faults first."""
+    ranked = sorted(suspects, key=lambda s: LEVELS.index(s.level))
+    return pd.DataFrame([asdict(s) for s in ranked], columns=["cause", "level", "where", "evidence", "advice"])

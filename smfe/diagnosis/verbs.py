@@ -1,0 +1,90 @@
+"""`smfe diagnose`: from a campaign with a baseline to ``finding.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from process.errors import InputError
+from smfe.campaign import Campaign, load_campaign
+from smfe.datasets import Show
+from smfe.diagnosis.audit import audit
+from smfe.diagnosis.campaign_family import machine_family
+from smfe.diagnosis.engine import diagnose as diagnose_family
+from smfe.diagnosis.finding import Finding, explain
+from smfe.diagnosis.suspect import Suspect
+from smfe.identification import Identification, Progress, silent
+from smfe.measurements import cached_identification
+from smfe.store import write_json
+
+KEPT = ".kept"
+
+
+def diagnose(
+    campaign: Path | str,
+    output: Path | str = "finding.json",
+    seed: int = 0,
+    held_out: Sequence[str] = (),
+    progress: Progress = silent,
+    licence: Show | None = None,
+) -> Finding:
+    """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains.
+
+    Parameters
+    ----------
+    campaign : path
+        Campaign file with ``[baseline]``.
+    output : path, optional
+        JSON file of the finding.
+    seed : int, optional
+        Of all draws.
+    held_out : sequence of str, optional
+        Measurements that are set aside and opened once, at the very end.
+    progress : callable, optional
+        Called with (what, done, of).
+    licence : callable, optional
+        Called with the licence of a public data set before it is fetched.
+
+    Returns
+    -------
+    Finding
+        Also written to `output`, with the suspicions of the data audit.
+
+    Raises
+    ------
+    InputError
+        When the campaign file or a record is wrong, there is no baseline, or nothing to compare it with.
+    """
+    loaded, path = load_campaign(Path(campaign), licence), Path(output)
+    if loaded.baseline is None:
+        machine_family(loaded, {})  # says what is missing, before any record is read
+    suspects = audit(loaded, progress)
+    found = _identified(loaded, path.parent / KEPT, progress)
+    finding = diagnose_family(machine_family(loaded, found), seed, progress, held_out)
+    write_json(path, as_dict(finding, suspects))
+    return finding
+
+
+def finding_of(
+    campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent
+) -> dict[str, object]:
+    """Return what ``finding.json`` holds for a campaign with a baseline whose measurements are identified already."""
+    family = machine_family(campaign, found)
+    return as_dict(diagnose_family(family, 0, progress), audit(campaign, progress))
+
+
+def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:
+    """Return what ``finding.json`` holds."""
+    audited = [{"cause": s.cause, "level": s.level, "where": s.where, "evidence": s.evidence} for s in suspects]
+    return {**finding.as_dict(), "story": explain(finding).splitlines(), "data_audit": audited}
+
+
+def _identified(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
+    wanted = [m for m in campaign.measurements if m.method in ("hammer", "actuator")]
+    if not wanted:
+        raise InputError("the campaign has no hammer or actuator measurement; the baseline has nothing to compare with")
+    out = {}
+    for done, measurement in enumerate(wanted):
+        progress(f"identifying {measurement.name}", done, len(wanted))
+        out[measurement.name] = cached_identification(campaign, measurement, kept, progress)[0]
+    return out

@@ -1,0 +1,187 @@
+"""Compliances of one axis: predictions against closed forms and the independent generator, and what is concluded."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exam.records import baseline, condition_of, conditions_of, family
+from exam.sitting import NAMES, Answer, scores
+from truth.axis import MM_MIN, Joint, Truth
+from truth.blind import draw
+from truth.campaign import Condition as Plan
+from truth.campaign import Design, measure, reduce
+from truth.chain import Chain
+
+from process.servo import Servo
+from smfe.diagnosis.axis_baseline import sampled
+from smfe.diagnosis.engine import diagnose
+from smfe.diagnosis.frf_noise import Excited, scatter_of
+from smfe.diagnosis.machine_frf import MachineFrfs, compliance_under
+from smfe.diagnosis.problem import Condition
+
+LINES = np.arange(10.0, 120.0, 2.0)
+MOVING = 500.0 * MM_MIN
+
+
+def proposal(plan, like):
+    """A condition without data, as noisy as one that was measured."""
+    excited = replace(like.data, feed={"x": plan.feed * MM_MIN}, controller=plan.controller, shared=None)
+    return Condition(plan.name, plan.settings(), None, "", excited)
+
+
+def nominal(feed=0.0, level=0.3, controller="K2", **settings):
+    std = np.full((LINES.size, 1), 1e-9)
+    excited = Excited(LINES, (("x", "x"),), std, "hammer", level, 5e-3, {"x": feed}, controller)
+    return Condition("nominal", settings, None, "", excited)
+
+
+def values_of(found):
+    return {p.name: p.start for p in found.nuisances}
+
+
+@pytest.mark.parametrize("friction", ["viscous", "coulomb", "stribeck"])
+@pytest.mark.parametrize("feed", [0.0, MOVING])
+def test_every_cause_at_its_null_leaves_the_baseline_as_it_is(friction, feed):
+    condition = nominal(feed, position=0.5, order=0.7)
+    found = MachineFrfs(baseline(friction), (condition,))
+    plain = found.predict(condition, values_of(found))
+    for cause in found.causes:
+        null = {p.name: p.start for p in cause.parameters}
+        changed = MachineFrfs(baseline(friction), (condition,)).predict(condition, values_of(found) | null)
+        assert np.abs(changed - plain).max() <= 1e-10 * np.abs(plain).max(), cause.key
+
+
+@pytest.mark.parametrize("controller", ["K1", "K2", "K3"])
+def test_without_friction_a_hit_finds_the_compliance_of_the_linear_axis(controller):
+    condition = nominal(MOVING, controller=controller)
+    found = MachineFrfs(baseline("viscous"), (condition,))
+    machine = found.baseline.machine(found.baseline.effective(values_of(found), {}, MOVING))
+    hit = compliance_under(machine, condition.data)[:, 0]
+    exact = machine.at({"x": MOVING}, controller).matrix(LINES)[:, 0, 0]
+    assert np.abs(hit - exact).max() < 2e-3 * np.abs(exact).max()
+
+
+def test_the_continuous_servo_is_the_sampled_one_to_the_second_order_of_the_period():
+    s, servo, errors = 2j * np.pi * np.linspace(5.0, 100.0, 40), Servo(10590.0, 6.5e-3, 76.9), []
+    for period in (2.5e-4, 1.25e-4):
+        back = np.exp(-s * period)
+        error = (1.0 - back) / period + servo.Kv
+        exact = servo.Kp * (1.0 + period / servo.Ti / (1.0 - back)) * error * back
+        exact *= (1.0 - back) / (s * period)
+        found = sampled(servo, period, 1).feedback(s)
+        errors.append(float(np.abs(found / exact - 1.0).max()))
+    assert errors[0] < 3e-3
+    assert errors[1] == pytest.approx(errors[0] / 4.0, rel=0.2)
+
+
+def test_whitened_errors_have_unit_variance_where_lines_share_an_error():
+    rng = np.random.default_rng(0)
+    std = rng.uniform(0.5, 2.0, (LINES.size, 1))
+    shared = 3.0 * (rng.standard_normal((2, LINES.size, 1)) + 1j * rng.standard_normal((2, LINES.size, 1)))
+    excited = Excited(LINES, (("x", "x"),), std, "hammer", 0.3, shared=shared)
+    draws = []
+    for _ in range(3000):
+        own = std * (rng.standard_normal(std.shape) + 1j * rng.standard_normal(std.shape)) / np.sqrt(2.0)
+        draws.append(
+            excited.whitened(own + np.tensordot(rng.standard_normal(2), shared, 1) / np.sqrt(2.0) * np.sqrt(2.0))
+        )
+    covariance = np.cov(np.array(draws).T)
+    assert np.diag(covariance).mean() == pytest.approx(1.0, abs=0.02)
+    assert np.linalg.eigvalsh(covariance)[-1] < 2.0  # Marchenko-Pastur: 1.4
+
+
+def test_scatter_is_smooth_noise_and_what_the_hits_share():
+    rng = np.random.default_rng(1)
+    frequency = np.linspace(8.0, 200.0, 385)
+    sigma = 1e-7 / frequency * 50.0
+    noise = sigma * (rng.standard_normal((4, 385)) + 1j * rng.standard_normal((4, 385))) / np.sqrt(2.0)
+    common = 2e-6 * np.exp(-(((frequency - 60.0) / 20.0) ** 2))
+    std, shared = scatter_of(noise + np.array([1.0, -1.0, 1.0, -1.0])[:, None] * common, np.array([1.0, 1.0, 2.0, 2.0]))
+    assert np.median(std / (sigma / 2.0)) == pytest.approx(1.0, abs=0.1)
+    spread = np.sqrt(np.sum(np.abs(shared) ** 2, axis=0))
+    assert spread.max() == pytest.approx(2e-6 * np.sqrt(4.0 * 2.0 / (2.0 * 4.0)), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("feed", "level", "controller", "most"),
+    [(0.0, 25.0, "K2", 0.01), (0.0, 100.0, "K2", 0.01), (500.0, 50.0, "K3", 0.015), (-1000.0, 200.0, "K3", 0.02)],
+)
+def test_two_simulations_of_the_same_axis_differ_by_no_more_than_the_stated_floor(feed, level, controller, most):
+    quiet = Chain(snr=100.0, bits=24, double=0.0)
+    record = measure(Truth(), Design("one", (Plan("hammer", feed, level, controller),)), 3, quiet)[0]
+    condition = condition_of(record)
+    found = MachineFrfs(baseline(), (condition,))
+    values = values_of(found) | {"viscous": 159.0}
+    ours = compliance_under(
+        found.baseline.machine(found.baseline.effective(values, {}, feed * MM_MIN)), condition.data
+    )[:, 0]
+    reduced = reduce(record)
+    theirs = reduced["compliance"][np.isin(reduced["frequency"], condition.data.frequency)]
+    away = np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)
+    assert 5e-5 < away < most
+
+
+def small(truth, plans, seed=0, **chain):
+    """Conditions of a few plans in their order."""
+    last = max(len(plans) - 1, 1)
+    line = tuple(replace(p, order=i / last) for i, p in enumerate(plans))
+    return measure(truth, Design("small", line), seed, Chain(**chain))
+
+
+def test_place_and_time_are_told_apart_only_by_a_return_to_the_first_place():
+    # Moved once from end to end, the axis cannot tell position from drift; it says so, and to return.
+    truth = Truth(joint=Joint(per_metre=0.10))
+    plans = [Plan(position=x) for x in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    records = small(truth, plans)
+    seen = conditions_of(records)
+    back = Plan(position=0.0, order=1.0)
+    first = diagnose(MachineFrfs(baseline(), seen, (proposal(back, seen[0]), proposal(plans[2], seen[0]))))
+    assert first.verdict == "ambiguous"
+    assert {"posture", "drift"} <= {c.id for s in first.alternatives for c in s}
+    assert first.next_experiment is not None
+    assert first.next_experiment.name == back.name
+    again = diagnose(MachineFrfs(baseline(), conditions_of(small(truth, [*plans, replace(back)]))))
+    assert (again.verdict, [c.id for c in again.causes]) == ("named", ["posture"])
+
+
+def test_a_viscous_baseline_is_convicted_of_missing_friction_by_idle_and_motion():
+    records = small(Truth(), [Plan(), Plan(feed=500.0)])
+    found = diagnose(family(records, "viscous"))
+    assert found.verdict in ("named", "ambiguous", "insufficient_data", "unknown")
+    assert found.misfit_before_db > 10.0
+    named = {c.id for c in found.causes} | {c.id for s in found.alternatives for c in s}
+    assert "guideway_friction" in named
+
+
+def test_who_always_says_friction_or_always_unknown_fails_the_exam():
+    effects = [(name, "effect") for name in NAMES for _ in range(4)]
+    every = [(None, "null")] * 40 + effects + [(n, "unknown") for n in NAMES]
+
+    def sit(say):
+        return scores([replace(say(n, p), hidden=n, part=p, seconds=1.0) for n, p in every])
+
+    truthful = sit(
+        lambda n, p: (
+            Answer(n, "consistent", ())
+            if n is None
+            else Answer(n, "unknown", ())
+            if p == "unknown"
+            else Answer(n, "named", (NAMES[n],))
+        )
+    )
+    assert all(s.met for s in truthful)
+    friction = sit(lambda n, p: Answer(n, "named", ("guideway_friction",)))
+    unknown = sit(lambda n, p: Answer(n, "unknown", ()))
+    assert sum(not s.met for s in friction) >= 3
+    assert sum(not s.met for s in unknown) >= 3
+
+
+@pytest.mark.slow
+def test_one_of_each_is_not_called_another():
+    for seed, name in enumerate((None, "gain", "skew", "velocity_gain")):
+        sealed = draw(90_000 + seed, effects=(name,))
+        found = diagnose(family(sealed.records))
+        text = json.dumps(found.as_dict())
+        right = found.verdict == "consistent" if name is None else [c.id for c in found.causes] == [NAMES[name]]
+        sealed.require(right, text)
