@@ -59,7 +59,7 @@ lint: $(READY)
 
 # Built afresh (-E): a page that Sphinx does not read again gives no warning again.
 docs: $(READY)
-	$(BIN)/sphinx-build -E -W --keep-going -q -b html docs docs/_build/html
+	$(RUN) $(BIN)/sphinx-build -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
 bench: $(READY)

@@ -19,7 +19,7 @@ myst_heading_anchors = 3
 # Every example runs at every build, and one that fails, fails the build.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 180
+nb_execution_timeout = 600
 nb_merge_streams = True
 
 # The public names of a package are those of its facade, in the order in which it lists them.

@@ -107,6 +107,7 @@ class AxisBaseline:
 
     def _friction_causes(self) -> tuple[Cause, ...]:
         coulomb = Parameter("coulomb", "N", 0.0, 10.0, 0.0, 1e4)
+        under = Parameter("stribeck_coulomb", "N", 0.0, 10.0, 0.0, 1e4)
         rise = Parameter("static_rise", "N", 0.0, 10.0, 0.0, 1e4)
         speed = Parameter("stribeck_speed", "mm/min", 6e-3, 2e-3, 5e-4, 0.1, shown=6e4)
         ratio = Parameter("friction_asymmetry", "%", 0.0, 0.05, -0.9, 0.9, shown=100.0)
@@ -116,7 +117,7 @@ class AxisBaseline:
             title = "Coulomb friction of the guideway"
             out.append(Cause("guideway_friction", title, (coulomb,), "coulomb", starts=((40.0,),)))
         if "static" not in self.known:
-            both = (rise, speed) if "coulomb" in self.known else (coulomb, rise, speed)
+            both = (rise, speed) if "coulomb" in self.known else (under, rise, speed)
             starts: tuple[tuple[float, ...], ...] = ((30.0, 6e-3), (30.0, 2e-2))
             if "coulomb" not in self.known:
                 starts = ((40.0, 30.0, 6e-3), (20.0, 20.0, 2e-2))
@@ -195,7 +196,8 @@ class AxisBaseline:
     def _sliding(self, values: Values, feed: float) -> tuple[float, ...]:
         """Coulomb, static force [N], Stribeck speed [m/s], viscous and bristle damping [N s/m] for one direction."""
         side = 0 if feed > 0.0 else 1 if feed < 0.0 else None
-        coulomb = values.get("coulomb", _side(self.known.get("coulomb", 0.0), side))
+        coulomb = _side(self.known.get("coulomb", 0.0), side)
+        coulomb += values.get("coulomb", 0.0) + values.get("stribeck_coulomb", 0.0)
         static = _side(self.known["static"], side) if "static" in self.known else coulomb
         static += values.get("static_rise", 0.0)
         speed = values.get("stribeck_speed", 6e-3)
