@@ -27,12 +27,13 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo test slow lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo test slow exam lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
 	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
 	@echo "make slow    the slow tests"
+	@echo "make exam    hidden effects, found or not: writes docs/exam.md (hours; ARGS=\"--nulls 30 --seeds 4\" for less)"
 	@echo "make lint    ruff, mypy, import-linter, file checks"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"
@@ -49,6 +50,9 @@ test: $(READY)
 # Exit code 5 says that no test is marked slow.
 slow: $(READY)
 	$(RUN) $(BIN)/pytest -m slow -n $(JOBS) --dist loadscope $(ARGS) || [ $$? -eq 5 ]
+
+exam: $(READY)
+	$(RUN) $(BIN)/python tests/exam/sitting.py docs/exam.md --jobs $(JOBS) $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -1,33 +1,24 @@
 """Compliances of one axis: predictions against closed forms and the independent generator, and what is concluded."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from exam.records import baseline, condition_of, conditions_of, family
+from exam.records import baseline, condition_of
 from exam.sitting import NAMES, Answer, scores
-from truth.axis import MM_MIN, Joint, Truth
-from truth.blind import draw
+from truth.axis import MM_MIN, Truth
 from truth.campaign import Condition as Plan
 from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
 
 from process.servo import Servo
 from smfe.diagnosis.axis_baseline import sampled
-from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.frf_noise import Excited, scatter_of
 from smfe.diagnosis.machine_frf import MachineFrfs, compliance_under
 from smfe.diagnosis.problem import Condition
 
 LINES = np.arange(10.0, 120.0, 2.0)
 MOVING = 500.0 * MM_MIN
-
-
-def proposal(plan, like):
-    """A condition without data, as noisy as one that was measured."""
-    excited = replace(like.data, feed={"x": plan.feed * MM_MIN}, controller=plan.controller, shared=None)
-    return Condition(plan.name, plan.settings(), None, "", excited)
 
 
 def nominal(feed=0.0, level=0.3, controller="K2", **settings):
@@ -122,38 +113,6 @@ def test_two_simulations_of_the_same_axis_differ_by_no_more_than_the_stated_floo
     assert 5e-5 < away < most
 
 
-def small(truth, plans, seed=0, **chain):
-    """Conditions of a few plans in their order."""
-    last = max(len(plans) - 1, 1)
-    line = tuple(replace(p, order=i / last) for i, p in enumerate(plans))
-    return measure(truth, Design("small", line), seed, Chain(**chain))
-
-
-def test_place_and_time_are_told_apart_only_by_a_return_to_the_first_place():
-    # Moved once from end to end, the axis cannot tell position from drift; it says so, and to return.
-    truth = Truth(joint=Joint(per_metre=0.10))
-    plans = [Plan(position=x) for x in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    records = small(truth, plans)
-    seen = conditions_of(records)
-    back = Plan(position=0.0, order=1.0)
-    first = diagnose(MachineFrfs(baseline(), seen, (proposal(back, seen[0]), proposal(plans[2], seen[0]))))
-    assert first.verdict == "ambiguous"
-    assert {"posture", "drift"} <= {c.id for s in first.alternatives for c in s}
-    assert first.next_experiment is not None
-    assert first.next_experiment.name == back.name
-    again = diagnose(MachineFrfs(baseline(), conditions_of(small(truth, [*plans, replace(back)]))))
-    assert (again.verdict, [c.id for c in again.causes]) == ("named", ["posture"])
-
-
-def test_a_viscous_baseline_is_convicted_of_missing_friction_by_idle_and_motion():
-    records = small(Truth(), [Plan(), Plan(feed=500.0)])
-    found = diagnose(family(records, "viscous"))
-    assert found.verdict in ("named", "ambiguous", "insufficient_data", "unknown")
-    assert found.misfit_before_db > 10.0
-    named = {c.id for c in found.causes} | {c.id for s in found.alternatives for c in s}
-    assert "guideway_friction" in named
-
-
 def test_who_always_says_friction_or_always_unknown_fails_the_exam():
     effects = [(name, "effect") for name in NAMES for _ in range(4)]
     every = [(None, "null")] * 40 + effects + [(n, "unknown") for n in NAMES]
@@ -175,13 +134,3 @@ def test_who_always_says_friction_or_always_unknown_fails_the_exam():
     unknown = sit(lambda n, p: Answer(n, "unknown", ()))
     assert sum(not s.met for s in friction) >= 3
     assert sum(not s.met for s in unknown) >= 3
-
-
-@pytest.mark.slow
-def test_one_of_each_is_not_called_another():
-    for seed, name in enumerate((None, "gain", "skew", "velocity_gain")):
-        sealed = draw(90_000 + seed, effects=(name,))
-        found = diagnose(family(sealed.records))
-        text = json.dumps(found.as_dict())
-        right = found.verdict == "consistent" if name is None else [c.id for c in found.causes] == [NAMES[name]]
-        sealed.require(right, text)
