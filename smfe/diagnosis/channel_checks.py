@@ -53,6 +53,8 @@ def channel_suspects(record: xr.Dataset, where: str, pulsed: bool = False) -> li
     for name, samples in named:
         place = f"{where}, {name}"
         hits = pulsed and name.startswith("force")
+        if name.startswith(("encoder", "drive")):
+            continue  # an axis at rest stands still, and counts in whole steps
         checks = [_frozen, _coarse, _gravity] if hits else [_cut_off, _frozen, _coarse, _gravity]
         out += [s for check in checks for s in check(samples, place)]
     out += _twice(named, where)

@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from smfe.diagnosis.calibration import PENALTY, combined_gain, pair_threshold, parameters_of, score, threshold
+from smfe.diagnosis.calibration import PENALTY, combined_gain, pair_threshold, parameters_of, threshold
 from smfe.diagnosis.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable
 from smfe.diagnosis.fit import Fit, Target, approach, fit
 from smfe.diagnosis.model import Model
@@ -30,9 +30,7 @@ MOST_CAUSES = 8
 """Where the search ends."""
 
 _PROMISING = 0.3
-_NOISE = 5.0
-_ALIKE = 0.7
-_LEAST_TRIED = PAIRED
+_LEAST_TRIED = 3
 _NONLINEAR = 0.1
 _WORTH_A_PAIR = 0.3
 _SHAPES = 2
@@ -287,7 +285,7 @@ def search(bench: Bench) -> tuple[Fit, list[Step]]:
 def _best_step(bench: Bench, at: Fit, ladder: list[Step]) -> Fit | None:
     """Take the best single cause that passes, else the best pair; None where nothing does."""
     others = [k for k in range(len(bench.model.causes)) if k not in at.causes and _fresh(bench, at, k)]
-    found = _tried(bench, at, _promising(bench, at, others, bench.threshold(at)))
+    found = [(bench.extend(at, (k,)), (k,)) for k in _promising(bench, at, others, bench.threshold(at))]
     at = _settled(bench, at, [f for f, _ in found if f.converged])
     limit = bench.threshold(at)
     for candidate, added in _ordered(bench, at, found):
@@ -302,35 +300,6 @@ def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> li
     gains = {k: bench.first_order(at, k) - PENALTY * parameters_of(bench.model, [k]) for k in others}
     ordered = sorted(others, key=lambda k: -gains[k])
     return [k for n, k in enumerate(ordered) if n < _LEAST_TRIED or gains[k] > _PROMISING * limit]
-
-
-def _tried(bench: Bench, at: Fit, causes: Sequence[int]) -> list[tuple[Fit, tuple[int, ...]]]:
-    """Fit causes, the best to first order first; once one turns much into noise, those that could do what it does."""
-    found: list[tuple[Fit, tuple[int, ...]]] = []
-    left = list(causes)
-    values = sum(y.size for y in bench.target.observed.values())
-    noise = values + _NOISE * np.sqrt(2.0 * values)
-    while left:
-        k = left.pop(0)
-        new = bench.extend(at, (k,))
-        found.append((new, (k,)))
-        if new.converged and new.chi2 < noise < at.chi2 - _FAR:
-            alike = _likeness(bench, at, new)
-            left = [j for j in left if alike.get(j, 0.0) > _ALIKE]
-    return found
-
-
-def _likeness(bench: Bench, smaller: Fit, larger: Fit) -> dict[int, float]:
-    """Cosine of what a larger hypothesis changes with what each further cause can do, to first order."""
-    here = bench.tangent(smaller)
-    data = np.concatenate([larger.residual[r] - smaller.residual[r] for r in bench.target.observed])
-    effect = np.concatenate([data, np.zeros(here.residual.size - data.size)])
-    effect -= here.basis @ (here.basis.T @ effect)
-    size, found = float(effect @ effect), dict[int, float]()
-    for s in here.signatures:
-        gain = float(score(bench.model, [s]).gain((s.columns.T @ effect)[None, :])[0])
-        found[s.cause] = max(found.get(s.cause, 0.0), np.sqrt(min(1.0, gain / size)) if size > 0.0 else 0.0)
-    return found
 
 
 def _fresh(bench: Bench, at: Fit, k: int) -> bool:
@@ -454,7 +423,5 @@ def rivals(bench: Bench, at: Fit, k: int) -> list[Fit]:
     smaller = bench.reduce(at, k)
     ids = {bench.model.causes[j].id for j in at.causes}
     others = [j for j in range(len(bench.model.causes)) if bench.model.causes[j].id not in ids]
-    alike = _likeness(bench, smaller, at)
-    far = smaller.chi2 - at.chi2 > 2.0 * _FAR
-    found = [bench.extend(smaller, (j,)) for j in others if not far or alike.get(j, 0.0) > _ALIKE]
+    found = [bench.extend(smaller, (j,)) for j in _promising(bench, smaller, others, smaller.chi2 - at.chi2)]
     return [bench.confirmed(f) if f.chi2 < at.chi2 + _FAR else f for f in found]

@@ -53,6 +53,15 @@ class TestChannels:
         for seed in range(20):
             assert channel_suspects(noisy_record(seed), "here") == []
 
+    def test_an_axis_at_rest_is_not_a_dead_channel(self) -> None:
+        record = noisy_record()
+        still = {axis: np.zeros(record.sizes["time"]) for axis in "xyz"}
+        moved = make_record(
+            record["time"].values,
+            {"acceleration": {a: record["acceleration"].sel(axis=a).values for a in "xyz"}, "encoder_position": still},
+        )
+        assert channel_suspects(moved, "here") == []
+
     def test_a_cut_off_channel_is_named_with_its_side(self) -> None:
         t = np.arange(16000) / RATE
         clipped = np.clip(3.0 * np.sin(2 * np.pi * 7.3 * t), -10.0, 2.0)
