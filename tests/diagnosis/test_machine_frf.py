@@ -1,11 +1,8 @@
 """Compliances of one axis: predictions against closed forms and the independent generator, and what is concluded."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from exam.records import baseline, condition_of
-from exam.sitting import NAMES, Answer, scores
 from truth.axis import MM_MIN, Truth
 from truth.campaign import Condition as Plan
 from truth.campaign import Design, measure, reduce
@@ -111,26 +108,3 @@ def test_two_simulations_of_the_same_axis_differ_by_no_more_than_the_stated_floo
     theirs = reduced["compliance"][np.isin(reduced["frequency"], condition.data.frequency)]
     away = np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)
     assert 5e-5 < away < most
-
-
-def test_who_always_says_friction_or_always_unknown_fails_the_exam():
-    effects = [(name, "effect") for name in NAMES for _ in range(4)]
-    every = [(None, "null")] * 40 + effects + [(n, "unknown") for n in NAMES]
-
-    def sit(say):
-        return scores([replace(say(n, p), hidden=n, part=p, seconds=1.0) for n, p in every])
-
-    truthful = sit(
-        lambda n, p: (
-            Answer(n, "consistent", ())
-            if n is None
-            else Answer(n, "unknown", ())
-            if p == "unknown"
-            else Answer(n, "named", (NAMES[n],))
-        )
-    )
-    assert all(s.met for s in truthful)
-    friction = sit(lambda n, p: Answer(n, "named", ("guideway_friction",)))
-    unknown = sit(lambda n, p: Answer(n, "unknown", ()))
-    assert sum(not s.met for s in friction) >= 3
-    assert sum(not s.met for s in unknown) >= 3

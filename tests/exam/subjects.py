@@ -1,0 +1,72 @@
+"""Subjects of the exam: what is measured, what can be hidden in it, and the cause that must then be named.
+
+A subject hides an effect (or nothing) in data of a generator that shares no code with the packages and hands out the
+family of models to be diagnosed. The answer is kept apart from it.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from exam.records import family as axis_family
+from truth.blind import draw
+
+AXIS = {
+    "friction_level": "guideway_friction",
+    "asymmetry": "friction_asymmetry",
+    "velocity_gain": "servo_gains",
+    "integral_time": "servo_gains",
+    "delay": "loop_delay",
+    "posture": "posture",
+    "micro_slip": "joint_micro_slip",
+    "cubic": "joint_hardening",
+    "gap": "backlash",
+    "gain": "sensor_gain",
+    "skew": "time_skew",
+    "mass_loading": "accelerometer_mass",
+    "drift": "drift",
+}
+"""Effects in the compliances of an axis. A tone is found in the silent record, not in compliances."""
+
+AXIS_DESIGN = {"mass_loading": "with laser"}
+"""Designs other than the full one: without a sensor that weighs nothing, mass of the sensor is mass of the tip."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One kind of data.
+
+    Parameters
+    ----------
+    title : str
+        For the page.
+    effects : mapping
+        Effect -> cause id that must be named.
+    hide : callable
+        ``hide(effect or None, seed, snr)`` -> family.
+    """
+
+    title: str
+    effects: Mapping[str, str]
+    hide: Callable
+
+
+class Without:
+    """A family that lacks one cause, whatever its variants."""
+
+    def __init__(self, family, cause):
+        self._family, self._cause = family, cause
+
+    def __getattr__(self, name):
+        return getattr(self._family, name)
+
+    @property
+    def causes(self):
+        """All but the one."""
+        return tuple(c for c in self._family.causes if c.id != self._cause)
+
+
+def _axis(effect, seed, snr):
+    return axis_family(draw(seed, effects=(effect,), design=AXIS_DESIGN.get(effect, "full"), snr=snr).records)
+
+
+SUBJECTS = {"axis": Subject("Compliances of a feed axis", AXIS, _axis)}
