@@ -42,6 +42,7 @@ SI_UNITS: dict[str, str] = {
     "reference_position": "m",
     "spindle_angle": "rad",
     "tacho": "1",
+    "sound": "Pa",
     "compliance": "m/N",
     "compliance_std": "m/N",
     "compliance_covariance": "m^2/N^2",
@@ -64,7 +65,7 @@ RECORD_VECTORS: tuple[str, ...] = (
 )
 """Channels of a record with one component an axis."""
 
-RECORD_SCALARS: tuple[str, ...] = ("spindle_angle", "spindle_speed", "tacho")
+RECORD_SCALARS: tuple[str, ...] = ("spindle_angle", "spindle_speed", "tacho", "sound")
 """Channels of a record without an axis."""
 
 

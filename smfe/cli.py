@@ -130,8 +130,11 @@ def lobes(
 @app.command()
 def chatter(
     record: Annotated[Path, typer.Argument(help="Record of a cut.", show_default=False)],
-    speed: Annotated[str, typer.Option(help='Spindle speed with its unit, "500 rpm".', show_default=False)],
     teeth: Annotated[int, typer.Option(help="Number of teeth.", show_default=False)],
+    speed: Annotated[
+        str | None,
+        typer.Option(help='Spindle speed with its unit, "500 rpm"; default: from the record.', show_default=False),
+    ] = None,
     campaign: Annotated[Path | None, typer.Option(help="Campaign file that declares the channels.")] = None,
 ) -> None:
     """Judge one cut by the spectral chatter criterion."""

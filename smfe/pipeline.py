@@ -50,6 +50,7 @@ DEFAULT_CHANNELS: dict[str, Channel] = {
     **{f"force_{a}": Channel(f"F{a}", "N") for a in AXES},
     **{f"acceleration_{a}": Channel(f"a{a}", "m/s^2") for a in AXES},
     "spindle_speed": Channel("n", "rpm"),
+    "sound": Channel("p", "Pa"),
 }
 """Columns that `smfe chatter` looks for in a file when no campaign declares others."""
 
@@ -231,21 +232,21 @@ def lobes(
     return results
 
 
-def chatter(record: Path | str, speed: str, teeth: int, campaign: Path | str | None = None) -> ChatterVerdict:
+def chatter(record: Path | str, speed: str | None, teeth: int, campaign: Path | str | None = None) -> ChatterVerdict:
     """Judge one record of a cut by the spectral criterion.
 
     Parameters
     ----------
     record : path
         File of the record.
-    speed : str
-        Spindle speed with its unit, "500 rpm".
+    speed : str or None
+        Spindle speed with its unit, "500 rpm"; None: what the record states or its lines give away.
     teeth : int
         Number of teeth.
     campaign : path, optional
         Campaign file whose [channels] tell the columns; default: those of `DEFAULT_CHANNELS` that the file has.
     """
-    rotation = parse(speed, "rotation")
+    rotation = None if speed is None else parse(speed, "rotation")
     if campaign is None:
         records = _read_default_channels(Path(record))
     else:

@@ -32,22 +32,28 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, check_record
-from stability.cut_interval import CutPart, judged_part, spindle_frequency
+from stability.cut_interval import CutPart, judged_part, spindle_frequency, stated_frequency
 from stability.evidence import MASK_BINS, Evidence, gather, labelled_spectrum
-from stability.line_spectrum import STANDS_OUT
+from stability.line_spectrum import STANDS_OUT, hann_spectrum
+from stability.spindle_lines import spindle_from_lines
 
 Verdict = Literal["stable", "chatter", "undecided"]
 
-QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force")
+QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force", "sound")
 
-DEFAULT_FLOOR: dict[str, float] = {"acceleration": 0.1, "displacement": 1e-6, "force": 5.0}
-"""Least amplitude that counts as the highest tooth harmonic [m/s2, m, N]."""
+DEFAULT_FLOOR: dict[str, float] = {"acceleration": 0.1, "displacement": 1e-6, "force": 5.0, "sound": 2e-3}
+"""Least amplitude that counts as the highest tooth harmonic [m/s2, m, N, Pa]."""
+
+SPEEDS_SEARCHED = (60.0, 60000.0)
+"""Spindle speeds among which an unknown one is looked for [rpm]."""
 
 FEWEST_TURNS = 6
 """Below this number of turns the masks of neighbouring orders meet."""
 
 HIGHEST_SHARE_OF_SAMPLE_RATE = 0.4
 """Default upper end of the band, in sample rates: above it anti-alias filters act."""
+
+_TURN_UNKNOWN = 0.1  # s; what is looked at for cut or air while the speed is not known
 
 GROWTH = 3.0
 """Growth of order Z/2 from the first to the last quarter of the cut that run-out cannot explain."""
@@ -78,7 +84,7 @@ class ChatterVerdict:
     quantity : str
         What has been judged, e.g. "acceleration" or "displacement from acceleration".
     axes : tuple of str
-        Axes whose amplitudes are combined (root of the sum of squares).
+        Axes whose amplitudes are combined (root of the sum of squares); ("sound",) for a microphone.
     threshold, guard_band : float
         The threshold, and the distance from it within which noise leaves the verdict open [1].
     resolution_Hz : float
@@ -117,7 +123,7 @@ class _Finding:
 
 def chatter_verdict(
     record: xr.Dataset,
-    rotation: float,
+    rotation: float | None,
     teeth: int,
     *,
     quantity: str | None = None,
@@ -135,11 +141,12 @@ def chatter_verdict(
     ----------
     record : xarray.Dataset
         Record of one cut at constant speed, air before and after it allowed.
-    rotation : float
-        Nominal spindle rotation [rad/s]; a record with a ``spindle_angle`` or a ``spindle_speed`` must agree.
+    rotation : float or None
+        Nominal spindle rotation [rad/s]; a record with a ``spindle_angle`` or a ``spindle_speed`` must agree. None:
+        what the record states, else what the spacing of its lines gives away.
     teeth : int
         Number of teeth.
-    quantity : {"acceleration", "displacement", "force"}, optional
+    quantity : {"acceleration", "displacement", "force", "sound"}, optional
         What is judged; default the first of these that has been recorded. A displacement that has not been
         recorded is had from the acceleration, ``-a/w^2``.
     axes : sequence of str, optional
@@ -166,12 +173,15 @@ def chatter_verdict(
     Raises
     ------
     InputError
-        For an unusable record or a speed, tooth count or band that makes no sense.
+        For an unusable record, a speed, tooth count or band that makes no sense, or a speed that is neither given
+        nor to be read off the record.
     """
     _check_numbers(rotation, teeth, threshold, speed_tolerance)
     check_record(record)
     chosen, recorded = _choose_quantity(record, quantity)
     names = _choose_axes(record, recorded, axes)
+    if rotation is None:
+        rotation = _rotation(record, recorded, names, teeth, interval, frequency_range)
     part = judged_part(record, recorded, names, 2.0 * math.pi / rotation, interval)
     base, exact = spindle_frequency(record, part, rotation / (2.0 * math.pi), speed_tolerance)
     band = _band(frequency_range, part, teeth * base)
@@ -212,8 +222,8 @@ def chatter_verdict(
 # --- what is asked ---------------------------------------------------------------------------------------------------
 
 
-def _check_numbers(rotation: float, teeth: int, threshold: float, speed_tolerance: float) -> None:
-    if not (math.isfinite(rotation) and rotation > 0.0):
+def _check_numbers(rotation: float | None, teeth: int, threshold: float, speed_tolerance: float) -> None:
+    if rotation is not None and not (math.isfinite(rotation) and rotation > 0.0):
         raise InputError(f"the spindle turns at {rotation:g} rad/s; a positive speed is needed")
     if teeth < 1:
         raise InputError(f"the tool has {teeth} teeth; at least one is needed")
@@ -223,9 +233,34 @@ def _check_numbers(rotation: float, teeth: int, threshold: float, speed_toleranc
         raise InputError(f"the speed tolerance is {speed_tolerance:g}; a share between 0 and 0.1 is needed")
 
 
+def _rotation(
+    record: xr.Dataset,
+    channel: str,
+    axes: list[str],
+    teeth: int,
+    interval: tuple[float, float] | None,
+    frequency_range: tuple[float, float | None],
+) -> float:
+    """Return the spindle rotation [rad/s] that a record states or that its lines give away."""
+    part = judged_part(record, channel, axes, _TURN_UNKNOWN, interval)
+    stated = stated_frequency(record, part)
+    if stated is None:
+        low, high = (s / 60.0 for s in SPEEDS_SEARCHED)
+        top = HIGHEST_SHARE_OF_SAMPLE_RATE / part.dt if frequency_range[1] is None else frequency_range[1]
+        band = max(frequency_range[0], MASK_BINS / part.duration), min(top, 0.5 / part.dt)
+        if band[0] < band[1]:
+            stated = spindle_from_lines(hann_spectrum(part.samples, part.dt, band), teeth, (low, high))
+    if stated is None:
+        raise InputError(
+            "no spindle speed is given, none is recorded, and the lines of the record do not give it away: "
+            "give the speed"
+        )
+    return 2.0 * math.pi * stated
+
+
 def _choose_quantity(record: xr.Dataset, quantity: str | None) -> tuple[str, str]:
     """Return the quantity that is judged and the channel it is had from."""
-    recorded = [name for name in QUANTITIES if axis_present(record, name)]
+    recorded = [name for name in QUANTITIES if name in record and (name == "sound" or axis_present(record, name))]
     if quantity is None:
         if not recorded:
             raise InputError(f"the record holds none of {', '.join(QUANTITIES)}; there is nothing to judge")
@@ -240,6 +275,8 @@ def _choose_quantity(record: xr.Dataset, quantity: str | None) -> tuple[str, str
 
 
 def _choose_axes(record: xr.Dataset, channel: str, axes: Sequence[str] | None) -> list[str]:
+    if "axis" not in record[channel].dims:
+        return [channel]
     present = axis_present(record, channel)
     chosen = present if axes is None else list(axes)
     missing = [a for a in chosen if a not in present]

@@ -44,7 +44,7 @@ def judged_part(
     """Return the samples to judge: the given interval, or the last half of the cut."""
     dt = sample_interval(record)
     time = record["time"].values
-    samples = record[channel].sel(axis=axes).transpose("axis", "time").values.astype(float)
+    samples = _rows(record[channel], axes)
     if interval is not None:
         first, last = np.searchsorted(time, interval)
         if last - first < 16:
@@ -56,11 +56,18 @@ def judged_part(
     else:
         # The force is nearly zero in air: it shows the cut best where it has been recorded.
         shows = "force" if axis_present(record, "force") else channel
-        every = record[shows].sel(axis=axis_present(record, shows)).transpose("axis", "time").values.astype(float)
+        every = _rows(record[shows], axis_present(record, shows) if "axis" in record[shows].dims else axes)
         first, last = _find_cut(every, max(2, round(turn / dt)), shows == "force")
         begin = (first + last) // 2
     bounds = float(time[begin]), float(time[last - 1])
     return CutPart(samples[:, begin:last], samples[:, first:last], dt, bounds)
+
+
+def _rows(channel: xr.DataArray, axes: list[str]) -> NDArray[np.float64]:
+    """Return samples, shape (axes, n); a channel without axes is one row."""
+    if "axis" not in channel.dims:
+        return np.asarray(channel.values, dtype=float)[None]
+    return np.asarray(channel.sel(axis=axes).transpose("axis", "time").values, dtype=float)
 
 
 def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[int, int]:
@@ -91,6 +98,19 @@ def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[in
     if stop == blocks:
         return start * turn, n
     return start * turn, max(stop - 1, start + 1) * turn
+
+
+def stated_frequency(record: xr.Dataset, part: CutPart) -> float | None:
+    """Return the spindle frequency [Hz] that a record states by an angle or a speed; None where it states none."""
+    inside = ((record["time"] >= part.interval[0]) & (record["time"] <= part.interval[1])).values
+    if "spindle_angle" in record:
+        angle = np.unwrap(record["spindle_angle"].values[inside])
+        time = record["time"].values[inside]
+        return abs(float(np.polyfit(time - time[0], angle, 1)[0])) / (2.0 * math.pi)
+    if "spindle_speed" in record:
+        speed = float(np.nanmedian(record["spindle_speed"].values[inside])) / 60.0
+        return speed if speed > 0.0 else None
+    return None
 
 
 def spindle_frequency(record: xr.Dataset, part: CutPart, nominal: float, tolerance: float) -> tuple[float, bool]:

@@ -28,6 +28,7 @@ RECORD_CHANNELS: dict[str, str] = {
     "spindle_angle": "angle",
     "spindle_speed": "rotation",
     "tacho": "dimensionless",
+    "sound": "pressure",
 }
 """Channel of a record -> dimension of its values (a key of `process.units.UNITS`)."""
 

@@ -184,6 +184,53 @@ def test_a_sweep_is_refused():
         judge(record)
 
 
+# --- a speed that nobody wrote down ----------------------------------------------------------------------------------
+
+
+def judge_without_speed(record, teeth=TEETH, **choices):
+    return chatter_verdict(record, None, teeth, **choices)
+
+
+@pytest.mark.parametrize("rpm", [420.0, 1500.0, 3120.0])
+@pytest.mark.parametrize("runout", [(0.5, 0.3), ()], ids=["run-out", "no run-out"])
+@pytest.mark.parametrize("chatter", [False, True], ids=["stable", "chatter"])
+def test_the_spacing_of_the_lines_gives_the_speed_away(rpm, runout, chatter):
+    # Chatter between two orders near 63 Hz, with the sideband that regeneration puts one tooth passing frequency above.
+    n = rpm / 60.0
+    line_at = (round(63.0 / n) + 0.4) * n
+    lines = ((line_at, 30.0), (line_at + TEETH * n, 8.0)) if chatter else ()
+    found = judge_without_speed(cut_record(lines, rpm=rpm, runout=runout, seed=int(rpm)))
+    assert found.spindle_speed_rpm == pytest.approx(rpm, rel=1e-3)
+    assert found.verdict == ("chatter" if chatter else "stable")
+
+
+def test_a_recorded_speed_goes_before_the_lines():
+    found = judge_without_speed(with_speed(cut_record(), RPM * 1.001))
+    assert found.spindle_speed_rpm == pytest.approx(RPM, rel=1e-4)
+
+
+def test_lines_that_may_be_orders_or_tooth_harmonics_are_not_guessed_at():
+    # Orders 1, 2, 3 as high as the tooth line: the spacing may be that of the spindle or that of the teeth.
+    record = cut_record(tooth=(10.0, 5.0), runout=(9.0, 8.0, 9.5, 0.0, 4.0))
+    with pytest.raises(InputError, match="the lines of the record do not give it away: give the speed"):
+        judge_without_speed(record)
+    with pytest.raises(InputError, match="give the speed"):
+        judge_without_speed(cut_record(tooth=(), runout=()))
+
+
+# --- sound -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("amplitude", "verdict"), [(0.03, "stable"), (0.08, "chatter")])
+def test_a_microphone_tells_chatter_as_well(amplitude, verdict):
+    record = cut_record([(63.07, 100.0 * amplitude)])
+    sound = make_record(record.time.values, {}, {"sound": 1e-2 * record.acceleration.sel(axis="x").values})
+    found = judge(sound)
+    assert (found.quantity, found.axes) == ("sound", ("sound",))
+    assert found.verdict == verdict
+    assert found.ratio == pytest.approx(amplitude / 0.1, rel=0.02)
+
+
 # --- what the rule does not foresee ----------------------------------------------------------------------------------
 
 
