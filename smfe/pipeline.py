@@ -25,22 +25,23 @@ import pandas as pd
 import xarray as xr
 
 from process.compliance import ModalModel
-from process.engagement import engagement
 from process.errors import InputError
 from process.labels import AXES, full_matrix, make_compliance
 from process.units import parse, show
 from smfe import __version__
-from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement, Model, load_campaign
+from smfe.campaign import Campaign, Measurement, Model, load_campaign
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.compare import compare as compare_compliances
+from smfe.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.verbs import finding_of
 from smfe.identification import Identification, Progress, silent
+from smfe.limits import LobeResult, all_lobes, joined, write_lobes
 from smfe.measurements import cached_identification, check_sweeps, file_hash
 from smfe.records import Channel, read_records
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
-from stability import ChatterVerdict, chatter_verdict, lobe_curves, lobe_table, write_table, zero_order
+from stability import ChatterVerdict, chatter_verdict, write_table
 
 KEPT = ".kept"
 """Folder, inside the results, of what a second run reads back."""
@@ -53,44 +54,6 @@ DEFAULT_CHANNELS: dict[str, Channel] = {
     "sound": Channel("p", "Pa"),
 }
 """Columns that `smfe chatter` looks for in a file when no campaign declares others."""
-
-
-@dataclass(frozen=True)
-class LobeResult:
-    """Lobes of one request for one source.
-
-    Parameters
-    ----------
-    request : str
-        "lobes_1", "lobes_2", ... in the order of the campaign file.
-    source : str
-        Name of the measurement or model.
-    lobes : xarray.Dataset
-        ``limit_depth(spindle_speed)`` and the single lobes as ``curve_*(point)``.
-    table : pandas.DataFrame
-        Rows of lobe_table.csv.
-    """
-
-    request: str
-    source: str
-    lobes: xr.Dataset
-    table: pd.DataFrame
-
-
-@dataclass(frozen=True)
-class Verdicts:
-    """What the cutting tests say.
-
-    Parameters
-    ----------
-    rows : list of dict
-        Rows of chatter.csv, one a cutting test.
-    spectra : mapping of str to xarray.Dataset
-        "test_1", "test_2", ... -> spectrum with the verdict in its attributes.
-    """
-
-    rows: list[dict[str, Any]]
-    spectra: Mapping[str, xr.Dataset]
 
 
 @dataclass
@@ -151,9 +114,9 @@ def run(
         comparison = _comparison({n: f.compliance for n, f in found.items()})
         errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):
-        results = _all_lobes(loaded, compliances, progress)
+        results = all_lobes(loaded, compliances, progress)
     with notes.timed("cutting tests"):
-        verdicts = _judge_all(loaded, compliances, progress)
+        verdicts = judge_all(loaded, compliances, progress)
     with notes.timed("diagnosis"):
         finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
@@ -163,8 +126,8 @@ def run(
     _write_identifications(folder, compliances, found)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "model_error.csv", errors)
-    _write_lobes(folder, results)
-    _write_verdicts(folder, verdicts)
+    write_lobes(folder, results)
+    write_verdicts(folder, verdicts)
     if finding is None:
         (folder / "finding.json").unlink(missing_ok=True)
     else:
@@ -225,10 +188,10 @@ def lobes(
         compliances = read_groups(Path(frf))
     else:
         compliances = _compliances(loaded, _identify_all(loaded, path.parent / KEPT, progress))
-    results = _all_lobes(loaded, compliances, progress)
+    results = all_lobes(loaded, compliances, progress)
     write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results})
     if table is not None:
-        write_table(_joined(results), Path(table))
+        write_table(joined(results), Path(table))
     return results
 
 
@@ -405,148 +368,6 @@ def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -
                     )
     columns = ["measurement", "model", "response", "excitation", "from_Hz", "to_Hz", "error_percent"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def _all_lobes(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progress: Progress) -> list[LobeResult]:
-    out = []
-    jobs = [(i, r, s) for i, r in enumerate(campaign.lobes, 1) for s in r.measurements]
-    for done, (number, request, source) in enumerate(jobs):
-        progress(f"lobes {number}: {source}", done, len(jobs))
-        if source not in compliances:
-            raise InputError(
-                f"lobes {number} ask for '{source}', which the compliances do not hold: {', '.join(compliances)}"
-            )
-        out.append(_lobes_of(campaign, request, f"lobes_{number}", source, compliances[source]))
-    return out
-
-
-def _lobes_of(campaign: Campaign, request: LobeRequest, name: str, source: str, compliance: xr.Dataset) -> LobeResult:
-    assert campaign.tool is not None
-    assert campaign.coefficients is not None
-    arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
-    speeds = request.spindle_speed
-    dataset = zero_order(compliance, campaign.tool, arc, campaign.coefficients, speeds)
-    table = lobe_table(dataset, source, campaign.tool, request.width_of_cut, request.feed_per_tooth)
-    curves = lobe_curves(compliance, campaign.tool, arc, campaign.coefficients, (speeds[0], speeds[-1]))
-    dataset = dataset.assign(
-        {
-            f"curve_{short}": ("point", curves[column].to_numpy())
-            for short, column in (
-                ("spindle_speed", "spindle_speed_rpm"),
-                ("limit_depth", "limit_depth_mm"),
-                ("chatter_frequency", "chatter_frequency_Hz"),
-                ("lobe", "lobe"),
-                ("branch", "branch"),
-            )
-        }
-    )
-    dataset = pack_warnings(dataset, dataset.attrs.pop("warnings", ()))
-    dataset = dataset.assign_attrs(
-        source=source,
-        cut=request.cut,
-        width_of_cut_mm=request.width_of_cut * 1e3,
-        feed_per_tooth_mm=request.feed_per_tooth * 1e3,
-        method=request.method,
-    )
-    return LobeResult(name, source, dataset, table)
-
-
-def _joined(results: Sequence[LobeResult]) -> pd.DataFrame:
-    return pd.concat([r.table for r in results], ignore_index=True)
-
-
-def _write_lobes(folder: Path, results: Sequence[LobeResult]) -> None:
-    if not results:
-        for name in ("lobes.nc", "lobe_table.csv"):
-            (folder / name).unlink(missing_ok=True)
-        return
-    write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results})
-    write_table(_joined(results), folder / "lobe_table.csv")
-
-
-def _judge_all(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progress: Progress) -> Verdicts:
-    rows, spectra = [], {}
-    for i, test in enumerate(campaign.cutting_tests):
-        progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
-        verdict = _judge(campaign, test)
-        rows.append(_chatter_row(campaign, test, verdict, compliances))
-        assert campaign.tool is not None
-        spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth)
-    return Verdicts(rows, spectra)
-
-
-def _write_verdicts(folder: Path, verdicts: Verdicts) -> None:
-    if not verdicts.rows:
-        for name in ("chatter.csv", "spectra.nc"):
-            (folder / name).unlink(missing_ok=True)
-        return
-    write_csv(folder / "chatter.csv", pd.DataFrame(verdicts.rows))
-    write_groups(folder / "spectra.nc", verdicts.spectra)
-
-
-def _judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
-    assert campaign.tool is not None
-    record = read_records(test.file, test.channels)[0]
-    try:
-        return chatter_verdict(record, test.spindle_speed * math.pi / 30.0, campaign.tool.teeth)
-    except InputError as error:
-        raise InputError(f"cutting test '{test.file.name}': {error}") from error
-
-
-def _chatter_row(
-    campaign: Campaign, test: CuttingTest, verdict: ChatterVerdict, compliances: Mapping[str, xr.Dataset]
-) -> dict[str, Any]:
-    row: dict[str, Any] = {
-        "file": test.file.name,
-        "spindle_speed_rpm": round(test.spindle_speed, 6),
-        "depth_of_cut_mm": round(test.depth_of_cut * 1e3, 9),
-        "verdict": verdict.verdict,
-        "ratio": verdict.ratio,
-        "chatter_frequency_Hz": verdict.chatter_frequency_Hz,
-        "tooth_passing_harmonic_Hz": verdict.tooth_passing_harmonic_Hz,
-        "observed": test.observed or "",
-        "lobes": _matching_request(campaign, test),
-        "reason": verdict.reason,
-    }
-    sources = list(dict.fromkeys(s for r in campaign.lobes for s in r.measurements))
-    return row | _predictions(campaign, test, {s: compliances[s] for s in sources})
-
-
-def _predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str, xr.Dataset]) -> dict[str, Any]:
-    """Return limit and prediction of each source; without lobes there is none, and no work material is needed."""
-    row: dict[str, Any] = {}
-    for source, compliance in compliances.items():
-        assert campaign.tool is not None
-        assert campaign.coefficients is not None
-        arc = engagement(test.cut, test.width_of_cut, campaign.tool.diameter)
-        limits = zero_order(compliance, campaign.tool, arc, campaign.coefficients, [test.spindle_speed])
-        limit = float(limits["limit_depth"].values[0])
-        row[f"limit_{source}_mm"] = limit
-        row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
-    return row
-
-
-def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
-    """Return the lobes on whose diagram a test belongs: same kind and width of cut."""
-    for number, request in enumerate(campaign.lobes, 1):
-        if request.cut == test.cut and math.isclose(request.width_of_cut, test.width_of_cut, rel_tol=1e-6):
-            return f"lobes_{number}"
-    return ""
-
-
-def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int) -> xr.Dataset:
-    return verdict.spectrum.assign_attrs(
-        file=test.file.name,
-        spindle_speed_rpm=round(test.spindle_speed, 6),
-        depth_of_cut_mm=round(test.depth_of_cut * 1e3, 9),
-        verdict=verdict.verdict,
-        ratio=verdict.ratio,
-        chatter_frequency_Hz=verdict.chatter_frequency_Hz,
-        tooth_passing_harmonic_Hz=verdict.tooth_passing_harmonic_Hz,
-        tooth_passing_frequency_Hz=teeth * verdict.spindle_speed_rpm / 60.0,
-        quantity=verdict.quantity,
-        reason=verdict.reason,
-    )
 
 
 def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:

@@ -1,0 +1,133 @@
+"""Cutting tests of a campaign: what the criterion says of each, beside what each source of lobes predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import xarray as xr
+
+from process.engagement import engagement
+from process.errors import InputError
+from smfe.campaign import Campaign, CuttingTest
+from smfe.identification import Progress
+from smfe.records import read_records
+from smfe.store import write_csv, write_groups
+from stability import ChatterVerdict, chatter_verdict, zero_order
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """What the cutting tests say.
+
+    Parameters
+    ----------
+    rows : list of dict
+        Rows of chatter.csv, one a cutting test.
+    spectra : mapping of str to xarray.Dataset
+        "test_1", "test_2", ... -> spectrum with the verdict in its attributes.
+    """
+
+    rows: list[dict[str, Any]]
+    spectra: Mapping[str, xr.Dataset]
+
+
+def judge_all(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progress: Progress) -> Verdicts:
+    """Judge every cutting test, with what each source of lobes predicts for it.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With its ``[[cutting_test]]``.
+    compliances : mapping of str to xarray.Dataset
+        Measurement or model -> compliance.
+    progress : callable
+        Called with (what, done, of).
+    """
+    rows, spectra = [], {}
+    for i, test in enumerate(campaign.cutting_tests):
+        progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
+        verdict = _judge(campaign, test)
+        rows.append(_chatter_row(campaign, test, verdict, compliances))
+        assert campaign.tool is not None
+        spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth)
+    return Verdicts(rows, spectra)
+
+
+def write_verdicts(folder: Path, verdicts: Verdicts) -> None:
+    """Write chatter.csv and spectra.nc, or remove those of an earlier run when nothing was judged."""
+    if not verdicts.rows:
+        for name in ("chatter.csv", "spectra.nc"):
+            (folder / name).unlink(missing_ok=True)
+        return
+    write_csv(folder / "chatter.csv", pd.DataFrame(verdicts.rows))
+    write_groups(folder / "spectra.nc", verdicts.spectra)
+
+
+def _judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
+    assert campaign.tool is not None
+    record = read_records(test.file, test.channels)[0]
+    try:
+        return chatter_verdict(record, test.spindle_speed * math.pi / 30.0, campaign.tool.teeth)
+    except InputError as error:
+        raise InputError(f"cutting test '{test.file.name}': {error}") from error
+
+
+def _chatter_row(
+    campaign: Campaign, test: CuttingTest, verdict: ChatterVerdict, compliances: Mapping[str, xr.Dataset]
+) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "file": test.file.name,
+        "spindle_speed_rpm": round(test.spindle_speed, 6),
+        "depth_of_cut_mm": round(test.depth_of_cut * 1e3, 9),
+        "verdict": verdict.verdict,
+        "ratio": verdict.ratio,
+        "chatter_frequency_Hz": verdict.chatter_frequency_Hz,
+        "tooth_passing_harmonic_Hz": verdict.tooth_passing_harmonic_Hz,
+        "observed": test.observed or "",
+        "lobes": _matching_request(campaign, test),
+        "reason": verdict.reason,
+    }
+    sources = list(dict.fromkeys(s for r in campaign.lobes for s in r.measurements))
+    return row | _predictions(campaign, test, {s: compliances[s] for s in sources})
+
+
+def _predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str, xr.Dataset]) -> dict[str, Any]:
+    """Return limit and prediction of each source; without lobes there is none, and no work material is needed."""
+    row: dict[str, Any] = {}
+    for source, compliance in compliances.items():
+        assert campaign.tool is not None
+        assert campaign.coefficients is not None
+        arc = engagement(test.cut, test.width_of_cut, campaign.tool.diameter)
+        limits = zero_order(compliance, campaign.tool, arc, campaign.coefficients, [test.spindle_speed])
+        limit = float(limits["limit_depth"].values[0])
+        row[f"limit_{source}_mm"] = limit
+        row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
+    return row
+
+
+def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
+    """Return the lobes on whose diagram a test belongs: same kind and width of cut."""
+    for number, request in enumerate(campaign.lobes, 1):
+        if request.cut == test.cut and math.isclose(request.width_of_cut, test.width_of_cut, rel_tol=1e-6):
+            return f"lobes_{number}"
+    return ""
+
+
+def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int) -> xr.Dataset:
+    return verdict.spectrum.assign_attrs(
+        file=test.file.name,
+        spindle_speed_rpm=round(test.spindle_speed, 6),
+        depth_of_cut_mm=round(test.depth_of_cut * 1e3, 9),
+        verdict=verdict.verdict,
+        ratio=verdict.ratio,
+        chatter_frequency_Hz=verdict.chatter_frequency_Hz,
+        tooth_passing_harmonic_Hz=verdict.tooth_passing_harmonic_Hz,
+        tooth_passing_frequency_Hz=teeth * verdict.spindle_speed_rpm / 60.0,
+        quantity=verdict.quantity,
+        reason=verdict.reason,
+    )
