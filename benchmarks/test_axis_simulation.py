@@ -1,7 +1,8 @@
-"""Time simulation of a feed axis: the compiled fixed step against SciPy's LSODA at equal error, in one run."""
+"""Time simulation of a feed axis: the compiled fixed step against SciPy's LSODA at equal error, in one run; one hit."""
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,12 @@ from process._friction_kernels import friction_force
 from process.axis_simulation import as_machine, simulate_axis
 from process.drive import Drive
 from process.excitation import Excitation, HalfSine, SteppedSine
-from process.friction import Andersson
+from process.friction import Andersson, LuGre, Viscous
+from process.joints import Iwan
+from process.machine import FeedAxis, Machine, MountedJoint
 from process.machine_simulation import machine_motion
 from process.servo import Servo
+from process.structure import two_mass_axes
 
 MM_MIN = 1.0 / 6e4
 FRICTION = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
@@ -121,3 +125,31 @@ def test_compiled_steps_against_lsoda_at_equal_error(benchmark, case, allowed) -
         f"compiled; as plain arrays {ratio['python', 'arrays']} and {ratio['compiled', 'arrays']} times; "
         f"{DURATION / own['record']:.0f} times real time"
     )
+
+
+LUGRE = LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0)
+LAWS: dict[str, LuGre | Viscous] = {"viscous": Viscous(168.0), "LuGre": LUGRE}
+
+
+@pytest.mark.benchmark(group="hit")
+@pytest.mark.parametrize("joint", [False, True], ids=["stiff", "micro-slip"])
+@pytest.mark.parametrize("feed", [500.0, 0.0])
+@pytest.mark.parametrize("law", LAWS)
+def test_one_hit_of_two_seconds_at_half_a_millisecond(benchmark, law, feed, joint) -> None:  # type: ignore[no-untyped-def]
+    share, k = 0.2 * joint, BENCH.stiffness
+    across = [MountedJoint(Iwan(share * k, 0.5 * share * k * 1e-4, 20), np.array([1.0, -1.0]))] if joint else []
+    structure = two_mass_axes({"x": replace(BENCH, stiffness=(1.0 - share) * k)})
+    assert BENCH.servo is not None
+    machine = Machine(structure, {"x": FeedAxis(replace(BENCH.servo, delay=1e-3), LAWS[law])}, across)
+
+    def hit(rate: float) -> np.ndarray:
+        pulse = {"x": HalfSine.from_peak(50.0)}
+        run = machine_motion(machine, duration=2.0, feed=feed * MM_MIN, forces=pulse, sample_rate=rate, step=1.0 / rate)
+        return np.asarray(run.displacement[0])
+
+    truth = hit(64e3)[::32]
+    found = benchmark(hit, 2000.0)
+    error = float(np.abs(found - truth).max() / np.abs(truth).max())
+    benchmark.extra_info.update(error=error)
+    print(f"\n{law}, {feed:g} mm/min: {1e3 * benchmark.stats.stats.min:.2f} ms, error {error:.1e}")
+    assert error < 1e-3

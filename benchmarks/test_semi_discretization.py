@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from process import CuttingCoefficients, ModalModel, Tool, engagement
 from process.cutting import chip_projection, force_projection, gram_matrix
 from process.engagement import Engagement
-from stability import semi_discretization
+from stability import floquet_multipliers, semi_discretization
 
 MATERIAL = CuttingCoefficients(6e8, 2e8, 0.0)
 TOOL = Tool(10e-3, 2)
@@ -89,6 +89,9 @@ def test_limit_curve_against_plain_numpy(benchmark, directions: int) -> None:
     known = semi_discretization(model, *cut, PLAIN_SPEED)["limit_depth"].values * 1e-3
     found = benchmark.pedantic(semi_discretization, (model, *cut, SPEED), rounds=2)
     assert np.all(found["limit_depth_error"] <= 1e-3 * found["limit_depth"])
+    start = time.process_time()
+    semi_discretization(model, *cut, SPEED)
+    spent = time.process_time() - start
     a_speed = benchmark.stats.stats.min / SPEED.size
     start = time.perf_counter()
     plain = [plain_limit(model, rpm, near) for rpm, near in zip(PLAIN_SPEED, known, strict=True)]
@@ -97,6 +100,28 @@ def test_limit_curve_against_plain_numpy(benchmark, directions: int) -> None:
     benchmark.extra_info["ms_a_speed"] = round(1e3 * a_speed, 1)
     benchmark.extra_info["times_faster_than_plain_numpy"] = round(seconds / a_speed)
     print(
-        f"\n{1e3 * a_speed:.1f} ms a speed; {seconds / a_speed:.0f} times faster than plain NumPy, "
+        f"\n{SPEED.size} speeds to 0.1 %: {spent:.2f} s CPU, {1e3 * a_speed:.1f} ms a speed; "
+        f"{seconds / a_speed:.0f} times faster than plain NumPy, "
         f"which takes {', '.join(str(steps) for _, steps in plain)} steps"
     )
+
+
+def test_growth_with_steps_and_modes() -> None:
+    """Print the cost of the largest multiplier over steps and modes: nearly in proportion to either."""
+    print("\nmodes  steps  ms CPU")
+    cost = {}
+    for modes, steps in ((2, 100), (2, 200), (2, 400), (2, 800), (8, 400), (32, 400)):
+        model = ModalModel(
+            np.geomspace(300.0, 3000.0, modes),
+            np.full(modes, 0.02),
+            np.full(modes, 5e7),
+            np.stack([np.cos(np.arange(modes)), np.sin(np.arange(modes)), np.zeros(modes)], axis=1),
+        )
+        arguments = (model, TOOL, ARC, MATERIAL, 1e-4, 6000.0, steps)
+        floquet_multipliers(*arguments)
+        start = time.process_time()
+        floquet_multipliers(*arguments)
+        cost[modes, steps] = time.process_time() - start
+        print(f"{modes:5d}  {steps:5d}  {1e3 * cost[modes, steps]:6.1f}")
+    assert cost[2, 800] < 6.0 * cost[2, 200]
+    assert cost[32, 400] < 40.0 * cost[2, 400]

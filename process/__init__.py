@@ -4,7 +4,7 @@ from process.axis_simulation import simulate_axis
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients, ProcessDamping, directional_matrix, force_harmonics
 from process.drive import Drive, fit_open_loop, open_loop_response
-from process.engagement import Engagement, engagement
+from process.engagement import AnyEngagement, Engagement, Engagements, engagement, engagement_of_strips
 from process.equivalent_friction import equivalent_damping
 from process.errors import InputError
 from process.excitation import (
@@ -53,6 +53,7 @@ from process.units import parse, show
 
 __all__ = [
     "Andersson",
+    "AnyEngagement",
     "Chirp",
     "Coulomb",
     "CoulombViscous",
@@ -61,6 +62,7 @@ __all__ = [
     "DoublePinion",
     "Drive",
     "Engagement",
+    "Engagements",
     "FeedAxis",
     "FrictionImpedance",
     "Gap",
@@ -98,6 +100,7 @@ __all__ = [
     "constant_force",
     "directional_matrix",
     "engagement",
+    "engagement_of_strips",
     "equivalent_damping",
     "fit_coulomb_curve",
     "fit_friction_curve",

@@ -110,7 +110,9 @@ def first_harmonics(law, parameters, bias, amplitude, scale, nodes, weights, out
 
 
 # Friction with memory: `state` holds the deflection or the force of the elements.
-LUGRE = 10  # stiffness, micro damping, sigma, coulomb, static, stribeck_speed, delta
+LUGRE = (
+    10  # stiffness; micro damping, sigma, coulomb, static, stribeck_speed, delta; the same six for negative velocity
+)
 MAXWELL_SLIP = 11  # coulomb, static, stribeck_speed, delta, sigma, attraction; then stiffness, share of each element
 
 
@@ -119,17 +121,59 @@ def _stribeck(coulomb, static, speed, delta, velocity):
     return coulomb + (static - coulomb) * math.exp(-((abs(velocity) / speed) ** delta))
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _lugre_rate(p, velocity):
+    """Rate ``k |v| / g(v)`` [1/s] at which bristles settle, and its slope [1/m]; where the side's parameters begin."""
+    i = 1 if velocity >= 0.0 else 7
+    power = abs(velocity) / p[i + 4]
+    if p[i + 5] != 1.0:
+        power = power ** p[i + 5]
+    boost = (p[i + 3] - p[i + 2]) * math.exp(-power)
+    weak = 1.0 / (p[i + 2] + boost)
+    steep = p[0] * weak
+    return steep * abs(velocity), math.copysign(steep * (1.0 + boost * p[i + 5] * power * weak), velocity), i
+
+
 @njit(cache=True, nogil=True)
 def _lugre_step(p, state, velocity, step):
     """``z' = v - k |v| z / g(v)``, exact for a velocity held over the step; the force at its end."""
-    g = _stribeck(p[3], p[4], p[5], p[6], velocity)
-    rate = p[0] * abs(velocity) / g
+    rate, _, i = _lugre_rate(p, velocity)
     if rate * step < 1e-12:
         state[0] += velocity * step
     else:
-        settled = math.copysign(g / p[0], velocity)
+        settled = velocity / rate
         state[0] = settled + (state[0] - settled) * math.exp(-rate * step)
-    return p[0] * state[0] + p[1] * (velocity - rate * state[0]) + p[2] * velocity
+    return p[0] * state[0] + p[i] * (velocity - rate * state[0]) + p[i + 1] * velocity
+
+
+@njit(cache=True, nogil=True, inline="always")
+def lugre_part(p, z, third, velocity, step):
+    """Bend and force of LuGre after a step under a velocity that changes: its values at a third and at the end.
+
+    Radau IIA of two stages: order 3, and exact where bristles are so fast that they are settled (L-stable); both stages
+    are linear in the bend. Also returns the slopes of the bend for the two velocities, and of the force for the two and
+    for the bend at the start.
+    """
+    one, change_one, _ = _lugre_rate(p, third)
+    two, change_two, i = _lugre_rate(p, velocity)
+    h = step / 12.0
+    a, b = h * one, h * two
+    scale = 1.0 / (1.0 + 5.0 * a + 3.0 * b + 24.0 * a * b)
+    early = (z * (1.0 + 4.0 * b) + h * (5.0 * third - velocity + 24.0 * b * third)) * scale
+    late = (z * (1.0 - 4.0 * a) + 3.0 * h * (3.0 * third + velocity * (1.0 + 8.0 * a))) * scale
+    end = 1.0 - change_two * late
+    late_third, late_end = 9.0 * h * (1.0 - change_one * early) * scale, 3.0 * h * (1.0 + 8.0 * a) * end * scale
+    bend, direct = p[0] - p[i] * two, p[i] * end + p[i + 1]
+    force = bend * late + (p[i] + p[i + 1]) * velocity
+    return (
+        late,
+        force,
+        late_third,
+        late_end,
+        bend * late_third,
+        bend * late_end + direct,
+        bend * (1.0 - 4.0 * a) * scale,
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from process._cutting_kernels import cutting_force, make_pose, moved, pass_over, turn
-from process._friction_kernels import COULOMB, LUGRE, VISCOUS, friction_step, jenkins_force
+from process._friction_kernels import COULOMB, LUGRE, MAXWELL_SLIP, VISCOUS, friction_step, lugre_part
 
 # Kinds of elements: a force for a slide's velocity (the first two), or for a displacement.
 FRICTION, MEMORY, CUBIC, FLANKS, SLIDERS = 0, 1, 2, 3, 4
@@ -25,9 +25,11 @@ FARTHEST = 1e6
 
 # Places in work.tally, work.mode and, after the three forces, in work.cutting.
 ENERGY, WORST, LARGEST, SCALE = 0, 1, 2, 3
-LEVEL, GUESSED, STALE = 0, 1, 2
+LEVEL, GUESSED, STALE, STILL = 0, 1, 2, 3
 INSIDE, ENTRY_TIME, ENTRY_ANGLE, LOST, THICKEST = 3, 4, 5, 6, 7
 
+_NIL = 1e-12
+_LOOK = 16
 _NEWTON = 12
 _SOLVED = 0.01
 
@@ -109,7 +111,8 @@ class Cut(NamedTuple):
 class Work(NamedTuple):
     """Scratch arrays; `z`, states[0], force, felt, the rings and the last three carry over from step to step.
 
-    states (4, .): of the elements now, in the middle, at the end, and for trial.
+    states (4, .): of the elements now, in the middle, at the end, and for trial. part (2 e,), slope (2 e, 2): force of
+    each element in the middle, then at the end, and its slope for what that element feels in the middle and at the end.
     """
 
     z: Any
@@ -125,6 +128,7 @@ class Work(NamedTuple):
     states: Any
     ring: Any
     integral: Any
+    largest: Any
     blended: Any
     fresh: Any
     tally: Any
@@ -133,13 +137,10 @@ class Work(NamedTuple):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _memory(law, p, state, mean, velocity, step):
-    """Advance a law with memory by its mean velocity; return the force at the velocity that it ends with."""
-    total = friction_step(law, p, state, mean, step)
-    if law == LUGRE:
-        g = p[3] + (p[4] - p[3]) * math.exp(-((abs(velocity) / p[5]) ** p[6]))
-        return p[0] * state[0] + p[1] * (velocity - p[0] * abs(velocity) / g * state[0]) + p[2] * velocity
-    return total + p[4] * (velocity - mean)
+def _maxwell_slip(law, p, state, third, velocity, step):
+    """Advance by the mean velocity, which its values at the third of the step and at its end give; the force there."""
+    mean = 0.75 * third + 0.25 * velocity
+    return friction_step(law, p, state, mean, step) + p[4] * (velocity - mean)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -155,28 +156,51 @@ def _joint(kind, p, state, x):
                 force += p[k + 1] * p[k] * depth
                 slope += p[k]
         return force, slope
-    half = p.size // 2
-    force = jenkins_force(p[:half], p[half:], state, x)
-    slope = 0.0
+    half, force, slope = p.size // 2, 0.0, 0.0
     for k in range(half):
-        if abs(p[k] * (x - state[k])) < p[half + k] * (1.0 - 1e-12):
-            slope += p[k]
+        stiffness, limit = p[k], p[half + k]
+        one = stiffness * (x - state[k])
+        if abs(one) < limit * (1.0 - 1e-12):
+            slope += stiffness
+        elif abs(one) > limit:
+            one = math.copysign(limit, one)
+            state[k] = x - one / stiffness
+        force += one
     return force, slope
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _remembering(kind, law, p, feed, felt, mean, step, state, beside):
+def _remembering(kind, law, p, feed, felt, third, step, state, beside):
     """Force and slope of an element with memory or of a joint; its state moves on, that beside it is scratch."""
     if kind != MEMORY:
         return _joint(kind, p, state, felt)
-    v, m = feed + felt, feed + mean
+    v, inner = feed + felt, feed + third
+    if law == LUGRE:
+        state[0], force, _, _, _, slope, _ = lugre_part(p, state[0], inner, v, step)
+        return force, slope
     nudge = 1e-6 * abs(v) + 1e-9
     for k in range(state.size):
         beside[k] = state[k]
     # A third of a change at the end of the (half) step is in its mean.
-    ahead = _memory(law, p, beside, m + nudge / 3.0, v + nudge, step)
-    force = _memory(law, p, state, m, v, step)
+    ahead = _maxwell_slip(law, p, beside, inner + nudge / 9.0, v + nudge, step)
+    force = _maxwell_slip(law, p, state, inner, v, step)
     return force, (ahead - force) / nudge
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _bristles(el, e, work, half):
+    """Fill slope and force of LuGre element e in the middle and at the end, as its force there depends on both."""
+    p, first, count = el.parameters[el.start[e] : el.start[e + 1]], el.first[e], el.kind.size
+    steady, linear, slope = el.steady[e], el.slope[e], work.slope
+    v0, vm, v1 = el.feed[e] + work.felt[0, e], el.feed[e] + work.felt[1, e], el.feed[e] + work.felt[2, e]
+    z, force, z3, z1, f3, f1, _ = lugre_part(p, work.states[0, first], (5.0 * v0 + 5.0 * vm - v1) / 9.0, vm, half)
+    bend_middle, bend_end = z1 + 5.0 / 9.0 * z3, -z3 / 9.0
+    slope[e, 0], slope[e, 1] = f1 + 5.0 / 9.0 * f3 - linear, -f3 / 9.0
+    work.states[1, first], work.part[e] = z, force - steady - linear * work.felt[1, e]
+    z, force, _, _, f3, f1, fz = lugre_part(p, z, (8.0 * vm + 2.0 * v1 - v0) / 9.0, v1, half)
+    slope[count + e, 0], slope[count + e, 1] = 8.0 / 9.0 * f3 + fz * bend_middle, f1 + 2.0 / 9.0 * f3 + fz * bend_end
+    slope[count + e, 1] -= linear
+    work.states[2, first], work.part[count + e] = z, force - steady - linear * work.felt[2, e]
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -201,8 +225,11 @@ def _sliding(law, p, v):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _element(el, e, felt, mean, step, states, row):
-    """Force that element e takes from its input, and its slope; its states move from a row of states to the next."""
+def _element(el, e, felt, third, step, states, row):
+    """Force that element e takes from its input, and its slope; its states move from a row of states to the next.
+
+    What it feels is that at the end of the (half) step, and at the third of it.
+    """
     p = el.parameters[el.start[e] : el.start[e + 1]]
     if el.kind[e] == FRICTION:
         force, slope = _sliding(el.law[e], p, el.feed[e] + felt)
@@ -211,7 +238,7 @@ def _element(el, e, felt, mean, step, states, row):
         for k in range(low, high):
             states[row + 1, k] = states[row, k]
         state, beside = states[row + 1, low:high], states[3, low:high]
-        force, slope = _remembering(el.kind[e], el.law[e], p, el.feed[e], felt, mean, step, state, beside)
+        force, slope = _remembering(el.kind[e], el.law[e], p, el.feed[e], felt, third, step, state, beside)
     return force - el.steady[e] - el.slope[e] * felt, slope - el.slope[e]
 
 
@@ -257,13 +284,36 @@ def _eliminate(a, x):
 @njit(cache=True, nogil=True, inline="always")
 def _evaluate(el, work, step):
     """Fill work.slope and work.part with slope and force of all elements in the middle and at the end."""
-    count = el.kind.size
-    for d in range(2 * count):
-        e, stage = d % count, d // count
+    count, half = el.kind.size, 0.5 * step
+    for e in range(count):
+        if el.law[e] == LUGRE:
+            _bristles(el, e, work, half)
+            continue
         v0, vm, v1 = work.felt[0, e], work.felt[1, e], work.felt[2, e]
-        mean = (5.0 * v0 + 8.0 * vm - v1) / 12.0 if stage == 0 else (8.0 * vm + 5.0 * v1 - v0) / 12.0
-        felt = vm if stage == 0 else v1
-        work.part[d], work.slope[d] = _element(el, e, felt, mean, 0.5 * step, work.states, stage)
+        third = (5.0 * v0 + 5.0 * vm - v1) / 9.0
+        work.part[e], work.slope[e, 0] = _element(el, e, vm, third, half, work.states, 0)
+        third = (8.0 * vm + 2.0 * v1 - v0) / 9.0
+        work.part[count + e], work.slope[count + e, 1] = _element(el, e, v1, third, half, work.states, 1)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _linearise(el, table, base, work):
+    """Fill work.system and work.change with the equations for the change of what the elements feel."""
+    count, size = el.kind.size, work.z.size
+    slope = work.slope
+    for stage in range(2):
+        for e in range(count):
+            row = stage * count + e
+            place = 2 * size + count + row
+            rest = base[place] - work.felt[1 + stage, e]
+            for d in range(count):
+                column = size + 3 * el.target[d]
+                one, two = table[column + 1, place], table[column + 2, place]
+                rest -= one * work.part[d] + two * work.part[count + d]
+                work.system[row, d] = one * slope[d, 0] + two * slope[count + d, 0]
+                work.system[row, count + d] = one * slope[d, 1] + two * slope[count + d, 1]
+            work.system[row, row] += 1.0
+            work.change[row] = rest
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -274,29 +324,30 @@ def _solve(el, table, base, work, step, allowed):
     """
     count, size = el.kind.size, work.z.size
     tail = 2 * size + count
-    for e in range(2 * count):
-        felt = base[tail + e]
-        for d in range(count):
-            column = size + 3 * el.target[d]
-            felt += table[column + 1, tail + e] * work.force[1, d] + table[column + 2, tail + e] * work.force[2, d]
-        work.felt[1 + e // count, e % count] = felt
+    for stage in range(2):
+        for e in range(count):
+            row = stage * count + e
+            felt = base[tail + row]
+            for d in range(count):
+                column = size + 3 * el.target[d]
+                felt += (
+                    table[column + 1, tail + row] * work.force[1, d] + table[column + 2, tail + row] * work.force[2, d]
+                )
+            work.felt[1 + stage, e] = felt
     for _ in range(_NEWTON):
         _evaluate(el, work, step)
-        for e in range(2 * count):
-            rest = base[tail + e] - work.felt[1 + e // count, e % count]
-            for d in range(2 * count):
-                influence = table[size + 3 * el.target[d % count] + 1 + d // count, tail + e]
-                rest -= influence * work.part[d]
-                work.system[e, d] = influence * work.slope[d]
-            work.system[e, e] += 1.0
-            work.change[e] = rest
+        _linearise(el, table, base, work)
         _eliminate(work.system, work.change)
         largest = 0.0
-        for e in range(2 * count):
-            moves = work.slope[e] * work.change[e]
-            largest = max(largest, abs(moves))
-            work.felt[1 + e // count, e % count] += work.change[e]
-            work.force[1 + e // count, e % count] = -(work.part[e] + moves)
+        for e in range(count):
+            middle, end = work.change[e], work.change[count + e]
+            work.felt[1, e] += middle
+            work.felt[2, e] += end
+            for stage in range(2):
+                row = stage * count + e
+                moves = work.slope[row, 0] * middle + work.slope[row, 1] * end
+                largest = max(largest, abs(moves))
+                work.force[1 + stage, e] = -(work.part[row] + moves)
         if largest <= allowed:
             return True
         if not largest < 1e30:
@@ -312,7 +363,7 @@ def _strays(el, table, base, work, step, allowed):
         f0, fm, f1 = work.force[0, e], work.force[1, e], work.force[2, e]
         if abs(fm - f0) + abs(f1 - fm) <= allowed:
             continue
-        if el.kind[e] == MEMORY or el.kind[e] == SLIDERS:
+        if el.kind[e] == SLIDERS or el.law[e] == MAXWELL_SLIP:  # bent where one slips, wherever that is
             miss = 0.125 * (f0 - 2.0 * fm + f1)
         else:
             felt = base[2 * size + e]
@@ -320,7 +371,8 @@ def _strays(el, table, base, work, step, allowed):
                 column = size + 3 * el.target[d]
                 felt += table[column + 1, 2 * size + e] * work.force[1, d]
                 felt += table[column + 2, 2 * size + e] * work.force[2, d]
-            force, _ = _element(el, e, felt, felt, 0.0, work.states, 0)
+            third = (5.0 * work.felt[0, e] + 5.0 * felt - work.felt[1, e]) / 9.0
+            force, _ = _element(el, e, felt, third, 0.25 * step, work.states, 0)
             miss = force + 0.375 * f0 + 0.75 * fm - 0.125 * f1
         if abs(miss) > allowed:
             return True
@@ -627,13 +679,28 @@ def _keep(el, work, i, states, inputs):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
+def _settled(work, i):
+    """Say whether all has been at rest for longer than servos look back: states and forces, next to their largest."""
+    if i % _LOOK:
+        return False
+    largest, size, moving = work.largest, work.z.size, False
+    for k in range(largest.size):
+        now = abs(work.z[k]) if k < size else abs(work.force[0, k - size])
+        largest[k] = max(largest[k], now)
+        moving = moving or now > _NIL * largest[k]
+    work.mode[STILL] = 0 if moving else work.mode[STILL] + _LOOK
+    return work.mode[STILL] > work.ring.shape[1]
+
+
+@njit(cache=True, nogil=True, _nrt=False)
 def march(lin, el, servos, given, work, step, accuracy, cut, states, inputs):
     """March the machine; return what happened and the steps done.
 
     states (steps, N) and inputs (steps, u + e) receive the state, the inputs and the forces of the elements at the
     start of each step. `accuracy` is the largest error of an element's force, over the largest force so far. work.tally
     tells the largest difference between the energy in masses and springs and the integral of the power (Simpson). With
-    a cut the first three inputs are the forces on the tool.
+    a cut the first three inputs are the forces on the tool. Once all is at rest and nothing will excite it, it stays
+    so: the rest of states and inputs, which must be zero before, is left as it is.
     """
     steps, milling = states.shape[0], cut.leave > cut.entry
     work.tally[SCALE] = given.peak
@@ -655,6 +722,8 @@ def march(lin, el, servos, given, work, step, accuracy, cut, states, inputs):
             result = _advance(lin, el, servos, work, i, step, accuracy)
             if result != DONE:
                 return result, i
+            if i >= given.values.shape[1] and servos.every == 0 and not milling and _settled(work, i):
+                break
         if milling:
             pose = _leave_surface(lin, cut, work, int(lin.places[max(i, 0)] + 0.5), t, before, pose)
     return DONE, steps

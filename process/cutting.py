@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from process.engagement import Engagement
+from process.engagement import AnyEngagement
 from process.errors import InputError
 from process.tool import Tool
 
@@ -138,18 +138,19 @@ def _antiderivative(power: int, phi: ArrayLike) -> NDArray[np.complex128]:
 _TRIG = {1: np.array([-0.5j, 0.5, 0.0]), -1: np.array([0.5j, 0.5, 0.0]), 0: np.array([0.0, 0.0, 1.0])}
 
 
-def gram_matrix(arc: Engagement, order: int = 0) -> NDArray[np.complex128]:
-    """Return ``integral (s, c, 1)(s, c, 1)^T exp(-j order phi) dphi`` over the arc, in closed form, shape (3, 3)."""
+def gram_matrix(arc: AnyEngagement, order: int = 0) -> NDArray[np.complex128]:
+    """Return ``integral (s, c, 1)(s, c, 1)^T exp(-j order phi) dphi`` over all arcs, in closed form, shape (3, 3)."""
     total = np.zeros((3, 3), dtype=complex)
     for n, a in _TRIG.items():
         for m, b in _TRIG.items():
-            span = _antiderivative(order - n - m, arc.exit) - _antiderivative(order - n - m, arc.entry)
+            power = order - n - m
+            span = sum(_antiderivative(power, part.exit) - _antiderivative(power, part.entry) for part in arc.arcs)
             total += np.outer(a, b) * span
     return total
 
 
 def directional_matrix(
-    tool: Tool, arc: Engagement, coefficients: CuttingCoefficients, order: int = 0
+    tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients, order: int = 0
 ) -> NDArray[np.complex128]:
     """Return the Fourier coefficient of the directional matrix, ``A_r = N/(2 pi) P Gram_r Q``.
 
@@ -159,8 +160,8 @@ def directional_matrix(
     ----------
     tool : Tool
         Teeth must be equally spaced.
-    arc : Engagement
-        Arc of engagement.
+    arc : Engagement or Engagements
+        One arc of engagement or several.
     coefficients : CuttingCoefficients
         Cutting coefficients; edge terms do not enter.
     order : int, optional
@@ -190,7 +191,7 @@ def directional_matrix(
 
 def force_harmonics(
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     depth: float,
     feed_per_tooth: float,

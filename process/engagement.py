@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from itertools import pairwise
+from typing import Literal, TypeAlias
 
 from process.errors import InputError
 
@@ -43,6 +45,61 @@ class Engagement:
         """Angle in the work [rad]."""
         return self.exit - self.entry
 
+    @property
+    def arcs(self) -> tuple[Engagement, ...]:
+        """Return this arc alone."""
+        return (self,)
+
+
+@dataclass(frozen=True)
+class Engagements:
+    """Several arcs of engagement: a tooth leaves the work and comes back within one turn.
+
+    Parameters
+    ----------
+    arcs : tuple of Engagement
+        In rising order, without overlap.
+
+    Raises
+    ------
+    InputError
+        When there is none, or two overlap.
+    """
+
+    arcs: tuple[Engagement, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse no arc and arcs that overlap."""
+        if not self.arcs:
+            raise InputError("the cut has no arc of engagement; give at least one")
+        for before, after in pairwise(self.arcs):
+            if after.entry < before.exit - 1e-12:
+                raise InputError(
+                    f"an arc of engagement begins at {math.degrees(after.entry):g} deg, before the one ahead of it "
+                    f"ends at {math.degrees(before.exit):g} deg; give arcs in rising order that do not overlap"
+                )
+
+    @property
+    def arc(self) -> float:
+        """Angle in the work [rad], all arcs together."""
+        return sum(part.arc for part in self.arcs)
+
+    @property
+    def entry(self) -> float:
+        """Raise `InputError`: what asks for one entry takes one arc only."""
+        raise InputError(f"the cut has {len(self.arcs)} arcs of engagement; one is needed here. {_ONE_ARC}")
+
+    @property
+    def exit(self) -> float:
+        """Raise `InputError`, as `entry`."""
+        return self.entry
+
+
+_ONE_ARC = "The three stability methods take several; a time simulation takes one arc at a time"
+
+AnyEngagement: TypeAlias = Engagement | Engagements
+"""Where the teeth cut: one arc or several."""
+
 
 def engagement(cut: str, width_of_cut: float, diameter: float) -> Engagement:
     """Return the engagement of a cut.
@@ -78,3 +135,35 @@ def engagement(cut: str, width_of_cut: float, diameter: float) -> Engagement:
         return Engagement(math.pi / 2 - half, math.pi / 2 + half)
     arc = math.acos(1.0 - 2.0 * ratio)
     return Engagement(0.0, arc) if cut == "up" else Engagement(math.pi - arc, math.pi)
+
+
+def engagement_of_strips(strips: Sequence[tuple[float, float]], diameter: float) -> AnyEngagement:
+    """Return the engagement of a tool that advances over strips of work: a tool over a slot, or between two walls.
+
+    A tooth at angle ``phi`` is at ``y = D/2 cos phi``, normal to the feed: a strip from ``y_1`` to ``y_2`` is cut from
+    ``acos(2 y_2/D)`` to ``acos(2 y_1/D)``.
+
+    Parameters
+    ----------
+    strips : sequence of (float, float)
+        Lower and upper edge of each strip of work, from the tool axis along +y [m]; what lies beyond the tool is left
+        out.
+    diameter : float
+        Tool diameter D [m].
+
+    Raises
+    ------
+    InputError
+        When no strip lies within the tool's path, or two overlap.
+    """
+    arcs = []
+    for low, high in strips:
+        if not low < high:
+            raise InputError(f"a strip of work from {low * 1e3:g} to {high * 1e3:g} mm; the lower edge comes first")
+        near, far = (math.acos(min(1.0, max(-1.0, 2.0 * y / diameter))) for y in (high, low))
+        if far > near:
+            arcs.append(Engagement(near, far))
+    if not arcs:
+        raise InputError(f"no strip of work lies within the path of the tool of {diameter * 1e3:g} mm")
+    arcs.sort(key=lambda part: part.entry)
+    return arcs[0] if len(arcs) == 1 else Engagements(tuple(arcs))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -198,10 +198,16 @@ class MemoryLaw(ABC):
     def stiffness(self) -> float:
         """Stiffness of the contact while it sticks [N/m]."""
 
+    def towards(self, velocity: float) -> MemoryLaw:
+        """Return the law that counts in the direction of a velocity [m/s], alike both ways."""
+        return self
+
     def steady_force(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the force [N] under constant velocity: ``s(v) sign(v) + sigma v`` with the Stribeck curve s."""
-        curve = Andersson(self.coulomb, self.static, self.stribeck_speed, self.sigma, math.inf, self.delta)
-        return curve.force(velocity)
+        return self._steady().force(velocity)
+
+    def _steady(self) -> Andersson:
+        return Andersson(self.coulomb, self.static, self.stribeck_speed, self.sigma, math.inf, self.delta)
 
     def history(self, velocity: ArrayLike, step: float) -> NDArray[np.float64]:
         """Return the force [N] at the end of each step [s] of a velocity history [m/s], shape (n,), from rest."""
@@ -225,6 +231,8 @@ class LuGre(MemoryLaw):
 
     ``z' = v - k |v| z / s(v)``, ``f = k z + d z' + sigma v``, ``s(v) = Fc + (Fs - Fc) exp(-(|v|/vs)^delta)``
 
+    Where the directions differ v decides whose parameters count; at v = 0, where ``z' = v``, the force does not jump.
+
     Parameters
     ----------
     bristle_stiffness : float
@@ -239,6 +247,9 @@ class LuGre(MemoryLaw):
         Viscous coefficient [N s/m].
     delta : float, optional
         Shape of the Stribeck curve.
+    negative : LuGre, optional
+        The law for negative velocity, with its own positive parameters but the same bristle stiffness, as the bristles
+        stay bent on reversal; by default the same.
     """
 
     bristle_stiffness: float
@@ -248,17 +259,41 @@ class LuGre(MemoryLaw):
     stribeck_speed: float
     sigma: float
     delta: float = 1.0
+    negative: LuGre | None = None
 
     def __post_init__(self) -> None:
         """Refuse parameters without meaning."""
         self._check()
         _positive(bristle_stiffness=self.bristle_stiffness)
         _not_negative(bristle_damping=self.bristle_damping)
+        if self.negative is None:
+            return
+        if self.negative.negative is not None:
+            raise InputError("the law for negative velocity has itself one for negative velocity; give it without")
+        if self.negative.bristle_stiffness != self.bristle_stiffness:
+            raise InputError(
+                f"bristle stiffness is {self.bristle_stiffness:g} N/m and for negative velocity "
+                f"{self.negative.bristle_stiffness:g} N/m; the bristles are the same: give both the same"
+            )
+
+    def towards(self, velocity: float) -> LuGre:
+        """Return the law that counts in the direction of a velocity [m/s], alike both ways."""
+        if velocity < 0.0 and self.negative is not None:
+            return self.negative
+        return replace(self, negative=None)
+
+    def _steady(self) -> Andersson:
+        forth = super()._steady()
+        return forth if self.negative is None else replace(forth, negative=self.negative._steady())
+
+    def _one_way(self) -> list[float]:
+        curve = [self.coulomb, self.static, self.stribeck_speed, self.delta]
+        return [self.bristle_damping, self.sigma, *curve]
 
     def packed(self) -> tuple[int, NDArray[np.float64]]:
         """Return the code of the law and its parameters."""
-        bristle = [self.bristle_stiffness, self.bristle_damping, self.sigma]
-        return kernels.LUGRE, np.array([*bristle, self.coulomb, self.static, self.stribeck_speed, self.delta])
+        backwards = self if self.negative is None else self.negative
+        return kernels.LUGRE, np.array([self.bristle_stiffness, *self._one_way(), *backwards._one_way()])
 
     @property
     def states(self) -> int:

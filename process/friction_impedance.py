@@ -44,7 +44,8 @@ def linearised(law: FrictionLaw | MemoryLaw, feed: float) -> FrictionImpedance:
 
     Without memory it is the slope f'(v0). LuGre in motion, from ``z' = v - k |v| z/s(v)``:
     ``sigma + (k + d s) b/(s + p)``, ``b = |v0| s'/s(v0)``, ``p = k |v0|/s(v0)``; at rest ``sigma + d + k/s``.
-    Generalised Maxwell slip in motion: ``sigma + (C s'/s)/(s + C/s(v0))``; at rest ``sigma + sum k/s``.
+    Generalised Maxwell slip in motion: ``sigma + (C s'/s)/(s + C/s(v0))``; at rest ``sigma + sum k/s``. At rest sigma
+    and d are the mean of both directions, which is what the fundamental of a vibration feels.
     """
     if isinstance(law, FrictionLaw):
         slope = float(law.slope(feed))
@@ -55,9 +56,10 @@ def linearised(law: FrictionLaw | MemoryLaw, feed: float) -> FrictionImpedance:
             )
         return FrictionImpedance(slope)
     if feed == 0.0:
-        bristle = law.bristle_damping if isinstance(law, LuGre) else 0.0
-        return FrictionImpedance(law.sigma + bristle, law.stiffness)
-    speed = abs(feed)
+        sides = [law.towards(v) for v in (1.0, -1.0)]
+        damping = sum(v.sigma + (v.bristle_damping if isinstance(v, LuGre) else 0.0) for v in sides)
+        return FrictionImpedance(0.5 * damping, law.stiffness)
+    law, speed = law.towards(feed), abs(feed)
     fall = math.exp(-((speed / law.stribeck_speed) ** law.delta)) * (law.static - law.coulomb)
     curve = law.coulomb + fall
     change = -fall * law.delta / speed * (speed / law.stribeck_speed) ** law.delta

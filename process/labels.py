@@ -27,6 +27,7 @@ SHOP_UNITS: dict[str, str] = {
     "feed_per_tooth": "mm",
     "limit_depth": "mm",
     "limit_depth_quantile": "mm",
+    "safe_depth": "mm",
 }
 """Labels that show shop units, so that ``.sel(feed=500)`` works."""
 

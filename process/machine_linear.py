@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,9 +78,10 @@ def reach(p: Problem, structure: Structure) -> Real:
     return np.vstack([part for part in parts if part.size] or [np.zeros((0, structure.size))])
 
 
-def _matrices(p: Problem, system: System, structure: Structure) -> tuple[Real, Real]:
+def _matrices(p: Problem, system: System, structure: Structure, closed: list[int] | None = None) -> tuple[Real, Real]:
+    """Return A and B, with the servos of the axes in closed, by default the prompt ones."""
     n, rows = system.n, structure.slide_rows()
-    damping = structure.damping + rows.T @ (np.array([r.slope for r in p.friction])[:, None] * rows)
+    damping = structure.damping + (rows.T * [r.slope for r in p.friction]) @ rows
     inputs = reach(p, structure)
     held = np.linalg.solve(structure.mass, np.hstack([structure.stiffness, damping, inputs.T, rows.T]))
     a, b = np.zeros((system.size, system.size)), np.zeros((system.size, inputs.shape[0]))
@@ -91,17 +91,17 @@ def _matrices(p: Problem, system: System, structure: Structure) -> tuple[Real, R
     for k, i in enumerate(system.driven):
         a[2 * n + k, :n] = rows[i]
     for i, gain in gains(p, system, structure).items():
-        if i in system.prompt:
+        if i in (system.prompt if closed is None else closed):
             a[n : 2 * n] -= np.outer(slides[:, i], gain)
     return a, b
 
 
 def fastest_pole(p: Problem, system: System) -> float:
     """Largest frequency [rad/s] of the linear part, without dead times."""
-    if p.control is not None or system.late:
-        servos = tuple(None if v is None else replace(v, delay=0.0) for v in p.servos)
-        system = system_of(p._replace(control=None, servos=servos, structures=p.structures[:1]))
-    return float(np.abs(np.linalg.eigvals(system.matrices[0][0])).max(initial=1e-9))
+    if p.control is not None:
+        system = system_of(p._replace(control=None, structures=p.structures[:1]))
+    a, _ = _matrices(p, system, p.structures[0], system.driven) if system.late else system.matrices[0]
+    return float(np.abs(np.linalg.eigvals(a)).max(initial=1e-9))
 
 
 def exact_maps(a: Real, b: Real, rows: Real, step: float, halvings: int) -> Real:

@@ -75,7 +75,8 @@ class Rubbing(NamedTuple):
 
 def _rubbing(law: FrictionLaw | MemoryLaw, feed: float) -> Rubbing:
     if isinstance(law, MemoryLaw):
-        return Rubbing(law, feed, float(law.steady_force(feed)), law.sigma, (law.sigma, law.sigma))
+        sides = law.towards(FAST).sigma, law.towards(-FAST).sigma
+        return Rubbing(law, feed, float(law.steady_force(feed)), min(sides), sides)
     local, rest, up, down = (float(v) for v in law.slope(np.array([feed, 0.0, FAST, -FAST])))
     if not (math.isfinite(local) and math.isfinite(rest)):
         raise InputError(

@@ -81,7 +81,7 @@ def _slow(channels: Real, factor: int, samples: int) -> Real:
 
 def moving_axes(p: Problem) -> list[int]:
     """Numbers of the axes along which the tool can move or is pushed, or that have a slide; all in a cut."""
-    moves = np.any([np.any(s.tool != 0.0, axis=1) for s in p.structures], axis=0)
+    moves = [any(s.tool[i].any() for s in p.structures) for i in range(len(AXES))]
     return [i for i, moving in enumerate(moves) if moving or AXES[i] in p.tools or AXES[i] in p.machine.axes]
 
 
@@ -119,9 +119,16 @@ def _slide_rows(p: Problem, system: System, structure: Structure, axes: list[int
 def _channels(run: Run, rows: list[Real]) -> Real:
     """Rows of each structure times states and inputs at each step, (c, steps), blended along the path."""
     out = np.zeros((rows[0].shape[0], run.states.shape[0]))
-    for k, row in enumerate(rows):
-        kernels.combine(row, run.states, run.inputs, np.clip(1.0 - np.abs(run.places - k), 0.0, 1.0), out)
+    for row, share in zip(rows, _shares(run.places, len(rows)), strict=True):
+        kernels.combine(row, run.states, run.inputs, share, out)
     return out
+
+
+def _shares(places: Real, points: int) -> list[Real]:
+    """Share of each point of the path in the structure at some places."""
+    if points == 1:
+        return [np.ones(places.size)]
+    return [np.clip(1.0 - np.abs(places - k), 0.0, 1.0) for k in range(points)]
 
 
 def _tool_force(p: Problem, run: Run, samples: int) -> Real:
@@ -140,12 +147,11 @@ def _push_directly(p: Problem, force: Real, acceleration: Real, axes: list[int])
     pushed, samples = axis_index(list(p.forces)), force.shape[1]
     if p.cut is not None or not pushed:
         return
-    place = np.arange(samples) / samples * (len(p.structures) - 1.0)
-    for k, structure in enumerate(p.structures):
-        share = np.clip(1.0 - np.abs(place - k), 0.0, 1.0)
+    place, given = np.arange(samples) / samples * (len(p.structures) - 1.0), force[pushed]
+    for share, structure in zip(_shares(place, len(p.structures)), p.structures, strict=True):
         if share.any():
             prompt = structure.tool[axes] @ np.linalg.solve(structure.mass, structure.tool[pushed].T)
-            acceleration += prompt @ (share * force[pushed])
+            acceleration += prompt @ (share * given)
 
 
 def as_motion(p: Problem, system: System, run: Run, sample_rate: float) -> Motion:

@@ -34,7 +34,6 @@ from process.machine_problem import Problem, problem
 from process.machine_problem import SampledControl as SampledControl
 from process.machine_records import MARGIN, Motion, Run, as_motion, as_record
 from process.machine_stability import count_unstable, operating_point, require_bounded
-from process.operating_point import OperatingPoint
 from process.simulate import STEPS_PER_PERIOD, STEPS_PER_TOOTH, MillingCut, Spindle
 
 STEPS_PER_EVENT = 8
@@ -63,8 +62,8 @@ def _march(p: Problem, system: System, fastest: float, sample_rate: float, keep:
     # A mode rings after an impulse with a force of its frequency times that.
     given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.impulse)))
     linear = pack_linear(p, system, elements, step, steps)
-    inputs = np.empty((steps, linear.reach.shape[0] + elements.kind.size))
-    states = np.empty((steps, system.size))
+    inputs = np.zeros((steps, linear.reach.shape[0] + elements.kind.size))
+    states = np.zeros((steps, system.size))
     work = scratch(linear, elements, servos, ring, state)
     accuracy = min(1e-2, ACCURACY * ratio**4)
     end, done = kernels.march(linear, elements, servos, given, work, step, accuracy, pack_cut(p, step), states, inputs)
@@ -120,12 +119,11 @@ def _keep(p: Problem, sample_rate: float, largest: float) -> int:
     )
 
 
-def _prepared(p: Problem, sample_rate: float, step: float | None) -> tuple[System, Run, OperatingPoint]:
-    """March a problem; also return its linear part and its operating point."""
+def _prepared(p: Problem, sample_rate: float, step: float | None) -> tuple[System, Run]:
+    """March a problem; also return its linear part."""
     if not p.total * sample_rate >= 2.0:
         raise InputError(f"{p.total:g} s at {sample_rate:g} Hz; at least two samples are needed")
-    point = operating_point(p)
-    require_bounded(p, point)
+    require_bounded(p)
     system = system_of(p)
     fastest = fastest_pole(p, system)
     usual = _default_step(p, fastest)
@@ -133,7 +131,7 @@ def _prepared(p: Problem, sample_rate: float, step: float | None) -> tuple[Syste
         _require_fine(p, fastest, step)
     half = usual if usual * sample_rate >= 4.0 else 0.5 / sample_rate
     keep = _keep(p, sample_rate, min(usual, half) if step is None else step)
-    return system, _march(p, system, fastest, sample_rate, keep, 1.0 / (sample_rate * keep * usual)), point
+    return system, _march(p, system, fastest, sample_rate, keep, 1.0 / (sample_rate * keep * usual))
 
 
 def simulate_machine(
@@ -161,10 +159,11 @@ def simulate_machine(
     with a cut also of 1/60 of that period and 1/120 of the shortest tooth period, as in `process.simulate`. Where
     friction or a joint does not follow a parabola to `ACCURACY`, a step is halved, up to 8 times.
 
-    The step is of order 4, with a cut 2. Laws with memory are slower and less regular: hits on the bench of Franco et
-    al. 2024 converge over three halvings with order 2.7 to 5.4 (LuGre) and 2.1 to 3.7 (Maxwell slip, where one halving
-    may gain nothing and the next make up for it). `step_error` measures what a step costs: on that bench at 2 kHz below
-    2e-6 for a hit of 25 N, 4 ms, below 1e-4 where up to 1000 N break it away.
+    The step is of order 4, with a cut 2. Laws with memory are less regular: hits on the bench of Franco et al. 2024
+    converge with order 1.8 to 4.9 (LuGre, two halvings from 0.5 ms, also where the bristles settle within a step) and
+    2.1 to 3.7 (Maxwell slip, three halvings, where one may gain nothing and the next make up for it). Once all is at
+    rest to 1e-12 and nothing excites it any more, it stays there. `step_error` measures what a step costs: on that
+    bench at 2 kHz below 2e-6 for a hit of 25 N, 4 ms, below 1e-4 where up to 1000 N break it away.
 
     Parameters
     ----------
@@ -232,8 +231,8 @@ def simulate_machine(
         impulse=impulse,
         control=control,
     )
-    system, run, point = _prepared(p, sample_rate, step)
-    return as_record(p, system, run, sample_rate, count_unstable(point, control))
+    system, run = _prepared(p, sample_rate, step)
+    return as_record(p, system, run, sample_rate, count_unstable(operating_point(p), control))
 
 
 def machine_motion(
@@ -249,7 +248,7 @@ def machine_motion(
         ``time`` [s], shape (n,), ``force`` [N], ``displacement`` [m], ``acceleration`` [m/s^2], shape (3, n).
     """
     p = problem(machine, **arguments)
-    system, run, _ = _prepared(p, sample_rate, step)
+    system, run = _prepared(p, sample_rate, step)
     return as_motion(p, system, run, sample_rate)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,24 +23,52 @@ def operating_point(p: Problem) -> OperatingPoint:
     return p.machine.at(dict(zip(p.machine.axes, p.feeds, strict=True)), p.controller, p.position)
 
 
-def require_bounded(p: Problem, point: OperatingPoint) -> None:
+class _Asked:
+    """What a verdict is about: two problems are alike where their keys are."""
+
+    def __init__(self, p: Problem) -> None:
+        self.problem = p._replace(forces={}, drive_forces={}, cut=None, spindle=None)
+        first = p.structures[0]
+        matrices = (first.mass, first.damping, first.stiffness, first.slide_rows())
+        joints = tuple((m.joint, m.participation.tobytes()) for m in p.machine.joints)
+        fast = tuple(r.fast for r in p.friction)
+        self.key: Hashable = (tuple(m.tobytes() for m in matrices), joints, p.servos, p.control, fast)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Asked) and self.key == other.key
+
+
+def require_bounded(p: Problem) -> None:
     """Friction limits a motion only where its force rises with speed: the servo must be stable when sliding fast."""
     if not any(v is not None for v in p.servos):
         return
+    count = _unbounded(_Asked(p))
+    if count:
+        gains = "; ".join(
+            f"axis {name} has Kp {servo.Kp:g} N s/m, Ti {servo.Ti * 1e3:g} ms, Kv {servo.Kv:g} 1/s, delay "
+            f"{servo.delay * 1e3:g} ms"
+            for name, servo in zip(p.machine.axes, p.servos, strict=True)
+            if servo is not None
+        )
+        raise InputError(
+            f"the machine is unstable with its servos even when it slides fast: {count} pole(s); {gains}. Lower Kp "
+            "or Kv, raise Ti, or shorten the dead time or the sampling period"
+        )
+
+
+@lru_cache(maxsize=256)
+def _unbounded(asked: _Asked) -> int:
+    """Count unstable poles when sliding fast, in the worse direction. Kept: the same machine is hit many times."""
+    p = asked.problem
+    point = operating_point(p)
+    counts = [0]
     for slopes in dict.fromkeys(zip(*(r.fast for r in p.friction), strict=True)):
         slides = [replace(s, friction=FrictionImpedance(v)) for s, v in zip(point.slides, slopes, strict=True)]
-        count = count_unstable(OperatingPoint(point.structure, slides), p.control)
-        if count:
-            gains = "; ".join(
-                f"axis {s.name} has Kp {s.servo.Kp:g} N s/m, Ti {s.servo.Ti * 1e3:g} ms, Kv {s.servo.Kv:g} 1/s, delay "
-                f"{s.servo.delay * 1e3:g} ms"
-                for s in slides
-                if s.servo is not None
-            )
-            raise InputError(
-                f"the machine is unstable with its servos even when it slides fast: {count} pole(s); {gains}. Lower Kp "
-                "or Kv, raise Ti, or shorten the dead time or the sampling period"
-            )
+        counts.append(count_unstable(OperatingPoint(point.structure, slides), p.control))
+    return max(counts)
 
 
 def count_unstable(point: OperatingPoint, control: SampledControl | None) -> int:

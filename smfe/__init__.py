@@ -16,7 +16,8 @@ from smfe.campaign import Campaign, load_campaign
 from smfe.hammer import identify_hammer
 from smfe.actuator import identify_actuator
 from smfe.identification import Identification
-from smfe.pipeline import LobeResult, chatter, demo, identify, lobes, run
+from smfe.limits import LobeResult
+from smfe.pipeline import chatter, demo, identify, lobes, run
 from smfe.records import read_records
 from smfe.scenario import simulate
 from smfe.sweep import identify_sweep

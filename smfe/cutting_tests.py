@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
-from process.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest
 from smfe.identification import Progress
+from smfe.limits import SEVERAL, limits_of, sources_of
 from smfe.records import read_records
 from smfe.store import write_csv, write_groups
-from stability import ChatterVerdict, chatter_verdict, zero_order
+from stability import ChatterVerdict, chatter_verdict
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def judge_all(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progres
         verdict = _judge(campaign, test)
         rows.append(_chatter_row(campaign, test, verdict, compliances))
         assert campaign.tool is not None
-        spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth)
+        spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1])
     return Verdicts(rows, spectra)
 
 
@@ -92,21 +94,32 @@ def _chatter_row(
         "lobes": _matching_request(campaign, test),
         "reason": verdict.reason,
     }
-    sources = list(dict.fromkeys(s for r in campaign.lobes for s in r.measurements))
-    return row | _predictions(campaign, test, {s: compliances[s] for s in sources})
+    return row | predictions(campaign, test, compliances)
 
 
-def _predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str, xr.Dataset]) -> dict[str, Any]:
-    """Return limit and prediction of each source; without lobes there is none, and no work material is needed."""
+def predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str, xr.Dataset]) -> dict[str, Any]:
+    """Return limit, verdict and chatter frequency that each source of lobes predicts for a test, by their own method.
+
+    Without lobes there is none, and no work material is needed.
+    """
     row: dict[str, Any] = {}
-    for source, compliance in compliances.items():
-        assert campaign.tool is not None
-        assert campaign.coefficients is not None
-        arc = engagement(test.cut, test.width_of_cut, campaign.tool.diameter)
-        limits = zero_order(compliance, campaign.tool, arc, campaign.coefficients, [test.spindle_speed])
-        limit = float(limits["limit_depth"].values[0])
-        row[f"limit_{source}_mm"] = limit
-        row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
+    for request in campaign.lobes:
+        here = replace(
+            request,
+            cut=test.cut,
+            width_of_cut=test.width_of_cut,
+            feed_per_tooth=test.feed_per_tooth,
+            spindle_speed=np.array([test.spindle_speed]),
+        )
+        for names in sources_of(request):
+            source = SEVERAL.join(names)
+            if f"limit_{source}_mm" in row:
+                continue
+            found = limits_of(campaign, here, names, compliances)
+            limit = float(found["limit_depth"].values[0])
+            row[f"limit_{source}_mm"] = limit
+            row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
+            row[f"frequency_{source}_Hz"] = float(found["chatter_frequency"].values[0])
     return row
 
 
@@ -118,7 +131,9 @@ def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
     return ""
 
 
-def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int) -> xr.Dataset:
+def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int, row: Mapping[str, Any]) -> xr.Dataset:
+    marks = [k for k, v in row.items() if k.startswith("frequency_") and math.isfinite(v)]
+    predicted = {k.removeprefix("frequency_").removesuffix("_Hz"): row[k] for k in marks}
     return verdict.spectrum.assign_attrs(
         file=test.file.name,
         spindle_speed_rpm=round(test.spindle_speed, 6),
@@ -130,4 +145,5 @@ def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int) -> xr.D
         tooth_passing_frequency_Hz=teeth * verdict.spindle_speed_rpm / 60.0,
         quantity=verdict.quantity,
         reason=verdict.reason,
+        predicted_Hz=json.dumps(predicted),
     )

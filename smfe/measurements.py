@@ -134,7 +134,7 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dataset]:
+def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dataset]:
     """Read the records of an entry; of the force channels only the one that excites, where that is known."""
     channels = {
         name: channel
@@ -149,7 +149,7 @@ def _per_axis(measurement: Measurement) -> Identification:
     records: dict[str, list[xr.Dataset]] = {}
     for entry in measurement.records:
         assert entry.excitation is not None
-        records.setdefault(entry.excitation, []).extend(_records_of(entry, entry.excitation))
+        records.setdefault(entry.excitation, []).extend(records_of(entry, entry.excitation))
     if measurement.method == "hammer":
         return identify_hammer(
             measurement.name,
@@ -165,7 +165,7 @@ def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> 
     passes = []
     for entry in measurement.records:
         name, arc = _pass_of(campaign.tool, entry)
-        for number, record in enumerate(_records_of(entry)):
+        for number, record in enumerate(records_of(entry)):
             passes.append(SweepPass(record, name + (f" ({number + 1})" if number else ""), arc))
     band = measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
     estimator: LocalPolynomial | SingleReference = LocalPolynomial(measurement.resolution or 0.25)

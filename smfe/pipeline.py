@@ -126,7 +126,7 @@ def run(
     _write_identifications(folder, compliances, found)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "model_error.csv", errors)
-    write_lobes(folder, results)
+    write_lobes(folder, results, loaded)
     write_verdicts(folder, verdicts)
     if finding is None:
         (folder / "finding.json").unlink(missing_ok=True)
@@ -256,7 +256,7 @@ def _identify_all(campaign: Campaign, kept: Path, progress: Progress) -> dict[st
 
 
 def _left_out(measurement: Measurement) -> str:
-    return f"{measurement.name}: method '{measurement.method}' gives no compliance; it is left out"
+    return f"{measurement.name}: method '{measurement.method}' gives no compliance; only a diagnosis reads it"
 
 
 def _compliances(campaign: Campaign, found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:

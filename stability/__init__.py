@@ -5,6 +5,13 @@
   directional matrix.
 - `semi_discretization`, `multi_frequency`: converged limits, with period doubling and any pitch; `limit_depth`,
   `stability_bands` and `floquet_multipliers` for one speed.
+- `operating_point`: limits whose compliance belongs to the feed and the force at which each point is cut.
+- `stationary_vibration`: the periodic vibration of a stable cut, and the surface error that it leaves.
+- `find_boundary`: the boundary of any scalar function of two named axes, with islands and every band.
+- `sampled_band`, `linearised_band`, `with_band`: quantiles of a limit and the depth that is safe; `Spread` for what
+  the compliance does not tell.
+- `best_pockets`, `presets`, `write_presets`: the speeds at which most is removed, and presets for a tool library.
+- `design_pitch`: the unequal pitch that suits a mode and a speed.
 - `chatter_verdict`: stable, chatter or undecided, from the record of a cut.
 - `lobe_table`, `write_table`, `read_table`: tables for CAM.
 
@@ -17,8 +24,14 @@ from stability._guard import check_process
 
 check_process()
 
+from stability.boundary import Axis, Boundary, find_boundary, pointwise
 from stability.criterion import ChatterVerdict, chatter_verdict
+from stability.error_model import Spread, carries_errors
 from stability.multi_frequency import multi_frequency
+from stability.operating_point import operating_point
+from stability.pitch_design import PitchDesign, design_pitch
+from stability.pockets import POCKET_COLUMNS, Spindle, best_pockets
+from stability.presets import PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets
 from stability.problem import Cut
 from stability.semi_discretization import (
     BAND_COLUMNS,
@@ -28,7 +41,9 @@ from stability.semi_discretization import (
     semi_discretization,
     stability_bands,
 )
+from stability.stationary import StationaryVibration, stationary_vibration
 from stability.tables import LOBE_COLUMNS, lobe_table, read_table, write_table
+from stability.uncertainty import linearised_band, sampled_band, with_band
 from stability.zero_order import (
     CriticalDepth,
     critical_depth,
@@ -41,21 +56,43 @@ from stability.zero_order import (
 __all__ = [
     "BAND_COLUMNS",
     "LOBE_COLUMNS",
+    "POCKET_COLUMNS",
+    "PRESET_SCHEMA",
+    "Axis",
+    "Boundary",
     "ChatterVerdict",
     "CriticalDepth",
     "Cut",
     "LimitDepth",
+    "PitchDesign",
+    "PresetContext",
+    "Spindle",
+    "Spread",
+    "StationaryVibration",
+    "best_pockets",
+    "carries_errors",
     "chatter_verdict",
     "critical_depth",
     "critical_depth_from_matrix",
+    "design_pitch",
+    "find_boundary",
     "floquet_multipliers",
     "limit_depth",
+    "linearised_band",
     "lobe_curves",
     "lobe_table",
     "multi_frequency",
+    "operating_point",
+    "pointwise",
+    "presets",
+    "read_presets",
     "read_table",
+    "sampled_band",
     "semi_discretization",
     "stability_bands",
+    "stationary_vibration",
+    "with_band",
+    "write_presets",
     "write_table",
     "zero_order",
     "zero_order_from_matrix",

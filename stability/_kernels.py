@@ -13,11 +13,85 @@ from numba import njit
 SUBDIVISIONS = 4
 """Least number of pieces into which each step of the frequency grid is cut in the search for crossings."""
 
+SMALL_TURN = 0.02
+"""A step over which mu changes by less than this share of itself is not cut."""
+
 LARGEST_TURN = 0.1
 """Largest change of arg(mu) over such a piece [rad]: a coarse grid turns far over one step of a light resonance."""
 
 ROOT_STEPS = 60
 """Largest number of bracketing steps for one crossing; about 8 are needed."""
+
+
+NEGLIGIBLE = 1e-7
+"""An eigenvalue below this share of the largest at its frequency is rounding of a deficient rank, not dynamics."""
+
+
+@njit(cache=True, nogil=True)
+def _cubic_roots(b, c, d, roots):
+    """Fill roots (3,) of ``x^3 - b x^2 + c x - d`` by Aberth's simultaneous iteration from what they hold."""
+    for _ in range(60):
+        largest = 0.0
+        for i in range(3):
+            x = roots[i]
+            value = ((x - b) * x + c) * x - d
+            if value == 0.0:
+                continue
+            slope = (3.0 * x - 2.0 * b) * x + c
+            others = 0.0j
+            for j in range(3):
+                if j != i and x != roots[j]:
+                    others += 1.0 / (x - roots[j])
+            under = slope - value * others
+            if under == 0.0:
+                under = slope + 1e-3 * abs(x) ** 2 + 1e-300
+            step = value / under
+            roots[i] = x - step
+            largest = max(largest, abs(step) - 4e-16 * abs(x))
+        if largest <= 1e-16 * max(abs(roots[0]), abs(roots[1]), abs(roots[2])):
+            return
+
+
+@njit(cache=True, nogil=True)
+def eigenvalues(matrices):
+    """Return the eigenvalues, shape (n, m), of small matrices, shape (n, m, m), m up to 3; the negligible are zero."""
+    n, m = matrices.shape[0], matrices.shape[1]
+    out = np.zeros((n, m), dtype=np.complex128)
+    roots = np.zeros(3, dtype=np.complex128)
+    for k in range(n):
+        a = matrices[k]
+        if m == 1:
+            out[k, 0] = a[0, 0]
+        elif m == 2:
+            half = 0.5 * (a[0, 0] + a[1, 1])
+            turn = cmath.sqrt(0.25 * (a[0, 0] - a[1, 1]) ** 2 + a[0, 1] * a[1, 0])
+            large = half + turn if abs(half + turn) >= abs(half - turn) else half - turn
+            out[k, 0] = large
+            out[k, 1] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) / large if large != 0.0 else 0.0
+        else:
+            low = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
+            middle = a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]
+            high = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+            determinant = (
+                a[0, 0] * low
+                - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
+                + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+            )
+            size = 0.0
+            for i in range(3):
+                for j in range(3):
+                    size = max(size, abs(a[i, j]))
+            # Three points on a circle about all roots, turned off any symmetry, when the sample before tells nothing.
+            for i in range(3):
+                if k == 0 or roots[i] == 0.0:
+                    roots[i] = size * cmath.exp(1j * (0.4 + 2.1 * i))
+            _cubic_roots(a[0, 0] + a[1, 1] + a[2, 2], low + middle + high, determinant, roots)
+            out[k] = roots
+        largest = np.abs(out[k]).max()
+        for i in range(m):
+            if abs(out[k, i]) < NEGLIGIBLE * largest:
+                out[k, i] = 0.0
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -146,6 +220,9 @@ def _pieces(low, high, step):
     """Return into how many pieces to cut a step so that the eigenvalue turns little over each."""
     turned = 0.0
     before = eigenvalue_at(low, *step)
+    middle, after = eigenvalue_at(0.5 * (low + high), *step), eigenvalue_at(high, *step)
+    if abs(middle - before) + abs(after - middle) < SMALL_TURN * abs(middle):
+        return 1
     for s in range(1, SUBDIVISIONS + 1):
         after = eigenvalue_at(low + (high - low) * s / SUBDIVISIONS, *step)
         if before != 0.0 and after != 0.0:
@@ -205,3 +282,64 @@ def refine(frequency, bridged, start, newton, inverse, pieces):
             else:
                 mu[b, j] = np.nan
     return x, mu
+
+
+@njit(cache=True, nogil=True)
+def regeneration(turns):
+    """Return the mean of ``1 - exp(-2 pi j turns)`` over the teeth, for the waves between each and the one before."""
+    total = 0.0j
+    for t in turns:
+        total += 1.0 - cmath.exp(-2j * math.pi * t)
+    return total / turns.size
+
+
+@njit(cache=True, nogil=True)
+def _regenerated_root(low, high, g_low, g_high, delay, step):
+    """Return (f, value) where the imaginary part of ``S(f) mu(f)`` vanishes on [low, high] (Illinois)."""
+    side = 0
+    x, value = low, 0.0j
+    for _ in range(ROOT_STEPS):
+        x = (low * g_high - high * g_low) / (g_high - g_low)
+        value = regeneration(x * delay) * eigenvalue_at(x, *step)
+        g = value.imag
+        if abs(g) < 1e-12 * abs(value) or high - low < 1e-14 * x:
+            break
+        if g * g_high > 0.0:
+            high, g_high = x, g
+            if side == -1:
+                g_low *= 0.5
+            side = -1
+        else:
+            low, g_low = x, g
+            if side == 1:
+                g_high *= 0.5
+            side = 1
+    return x, value
+
+
+@njit(cache=True, nogil=True)
+def first_crossing(frequency, bridged, start, newton, inverse, eigenvalue, delay):
+    """Return (depth, frequency) of the lowest crossing ``a S(f) mu(f) = 1`` for delays of the teeth [s], (teeth,)."""
+    depth, chatter = math.inf, math.nan
+    longest = delay.max()
+    for b in range(newton.shape[0]):
+        for i in range(frequency.size - 1):
+            # |S| is at most 2: where mu is small nothing can lie below what is found.
+            bound = 2.0 * max(abs(eigenvalue[b, i]), abs(eigenvalue[b, i + 1]))
+            if not bridged[i] or bound * depth < 0.5:
+                continue
+            step = (frequency, start[i], newton[b, i], inverse[b, i])
+            width = frequency[i + 1] - frequency[i]
+            waves = 2.0 * math.pi * width * longest
+            pieces = max(_pieces(frequency[i], frequency[i + 1], step), int(waves / LARGEST_TURN) + 1)
+            low = frequency[i]
+            at_low = regeneration(low * delay) * eigenvalue_at(low, *step)
+            for s in range(1, pieces + 1):
+                high = frequency[i] + width * s / pieces
+                at_high = regeneration(high * delay) * eigenvalue_at(high, *step)
+                if at_low.imag * at_high.imag <= 0.0 and max(at_low.real, at_high.real) > 0.0 and at_low != at_high:
+                    x, value = _regenerated_root(low, high, at_low.imag, at_high.imag, delay, step)
+                    if value.real > 0.0 and 1.0 / value.real < depth:
+                        depth, chatter = 1.0 / value.real, x
+                low, at_low = high, at_high
+    return depth, chatter

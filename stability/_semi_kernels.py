@@ -86,6 +86,39 @@ def apply_crossing(system, multiplier, x):
 
 
 @njit(cache=True, nogil=True)
+def crossing_parts(system):
+    """Return (G, S, H, A, B): chips ``x = G f + S z``, gain of the state ``H f`` and ``f = x - A x - B x/multiplier``.
+
+    Shapes (m, m), (m, N), (N, m), (m, m), (m, m): f in one period from rest, z at its start.
+    """
+    size, states = system.source.size, system.turn.size
+    response = np.zeros((size, size), dtype=np.complex128)
+    free = np.zeros((size, states), dtype=np.complex128)
+    gained = np.zeros((states, size), dtype=np.complex128)
+    left = np.zeros((2, size, size), dtype=np.complex128)
+    decayed = np.ones(states, dtype=np.complex128)
+    for e in range(system.decay.shape[0]):
+        low, high = system.offset[e], system.offset[e + 1]
+        for i in range(low, high):
+            for m in range(states):
+                free[i, m] = system.start[i, m] * decayed[m]
+                for j in range(low):
+                    response[i, j] += system.start[i, m] * gained[m, j]
+            for j in range(low, high):
+                response[i, j] += system.gain[e, i - low, j - low]
+            for k in range(system.weight.shape[1]):
+                left[1 if system.wrap[i] else 0, i, system.source[i] + k] += system.weight[i, k]
+        for m in range(states):
+            turn = system.gap[e, m] * system.decay[e, m]
+            decayed[m] *= turn
+            for j in range(low):
+                gained[m, j] *= turn
+            for j in range(low, high):
+                gained[m, j] = system.gap[e, m] * system.end[j, m]
+    return response, free, gained, left[0], left[1]
+
+
+@njit(cache=True, nogil=True)
 def _cut_element(system, inverse, depth, e, z, before, x, f):
     """Cut element e from state z: fill x with its chips and f with chips less surface left behind, times depth."""
     low, high = system.offset[e], system.offset[e + 1]

@@ -12,9 +12,6 @@ from process.errors import InputError
 from stability import _kernels
 from stability.problem import Samples
 
-NEGLIGIBLE = 1e-9
-"""An eigenvalue below this share of the largest at its frequency is rank deficiency, not dynamics."""
-
 
 @dataclass(frozen=True)
 class Branches:
@@ -54,6 +51,29 @@ class Branches:
         )
         return depth, chatter, lobe
 
+    def first_crossing(self, delay: NDArray[np.float64]) -> tuple[float, float]:
+        """Return lowest limit depth [m] and its frequency [Hz] for the delays of all teeth [s], shape (teeth,)."""
+        s = self.samples
+        depth, chatter = _kernels.first_crossing(
+            s.frequency, s.bridged, self.start, self.newton, self.inverse, self.eigenvalue, delay
+        )
+        return float(depth), float(chatter)
+
+    def compliance_at(self, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Return the compliance [m/N], shape (m, 3, 3), between samples: a cubic through the four about each."""
+        f, matrix = self.samples.frequency, self.samples.matrix
+        step = np.clip(np.searchsorted(f, frequency, side="right") - 1, 0, f.size - 2)
+        order = np.minimum(3, _stencils(self.samples.bridged)[1])[step]
+        index = np.minimum(self.start[step][:, None] + np.arange(4), f.size - 1)
+        used = np.arange(4) <= order[:, None]
+        weight = np.where(used, 1.0, 0.0)
+        for k in range(4):
+            for other in range(4):
+                apart = used[:, k] & used[:, other] & (k != other)
+                gap = np.where(apart, f[index[:, k]] - f[index[:, other]], 1.0)
+                weight[:, k] *= np.where(apart, (frequency - f[index[:, other]]) / gap, 1.0)
+        return np.asarray(np.einsum("mk,mkij->mij", weight, matrix[index]))
+
     def refined(self, pieces: int) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
         """Return frequency [Hz] and mu [1/m], each step cut into `pieces`; NaN in gaps."""
         s = self.samples
@@ -79,13 +99,14 @@ def eigenvalue_branches(samples: Samples, directional: NDArray[np.complex128]) -
     a0 = np.asarray(directional, dtype=complex)
     if a0.shape != (3, 3) or not np.isfinite(a0).all():
         raise InputError(f"a directional matrix of shape {a0.shape}; a finite 3x3 matrix [N/m2] is needed")
-    mu = np.ascontiguousarray(np.linalg.eigvals(a0 @ samples.matrix))
-    size = np.abs(mu)
-    largest = size.max(axis=1, keepdims=True)
-    if not largest.any():
+    left, gain, right = np.linalg.svd(a0)
+    rank = max(1, int(np.sum(gain > 1e-12 * gain[0])))
+    # What the rank of A0 leaves at zero is left out: A0 Phi has the other eigenvalues of V^H Phi U S.
+    oriented = right[:rank] @ samples.matrix @ (left[:, :rank] * gain[:rank])
+    mu = _kernels.eigenvalues(np.ascontiguousarray(oriented))
+    if not mu.any():
         raise InputError("the compliance is zero wherever the cut acts; there is nothing that could chatter")
-    mu[size < NEGLIGIBLE * largest] = 0.0
-    order = np.array(list(permutations(range(3))), dtype=np.int64)
+    order = np.array(list(permutations(range(rank))), dtype=np.int64)
     _kernels.track(samples.frequency, samples.bridged, order, mu)
     kept = np.ascontiguousarray(mu.T[np.abs(mu).max(axis=0) > 0.0])
     return _interpolated(samples, kept)

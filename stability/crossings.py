@@ -8,16 +8,16 @@ depths at which stability can change, islands included, and no grid over depth i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from stability.periodic import Complex, Real
 
-Curve = Callable[[float], Complex]
+Curve = Callable[[Real], Sequence[Complex] | Complex]
+"""Angles, shape (n,) -> for each the eigenvalues [1/m], shape (any,), in any order."""
 
 NEGLIGIBLE = 3e-3
 """Eigenvalues below this share of the largest over all angles stand for depths beyond any limit of use."""
@@ -27,6 +27,9 @@ LARGEST_STEP = 0.25
 
 TANGENT_STEP = 0.02
 """As `LARGEST_STEP` where a curve comes near the axis without crossing it: a narrow island hides there."""
+
+CLOSE_TO_END = 2e-4
+"""How near to theta = 0 and pi the curves are sampled [rad]; what is followed nearer has become a fold or a flip."""
 
 SMALLEST_INTERVAL = 1e-7
 """Intervals of theta are not halved below this [rad]."""
@@ -65,11 +68,13 @@ def angle_grid(poles: Complex, count: int) -> Real:
     count : int
         Number of even steps.
     """
-    even = math.pi * np.arange(count + 1) / count
+    even = np.linspace(0.0, math.pi, count + 1)
     offset = np.tan(np.pi * np.array([-7.2, -6.5, -5.0, -2.5, 0.0, 2.5, 5.0, 6.5, 7.2]) / 16.0)
     width = np.minimum(-np.log(np.maximum(np.abs(poles), 1e-300)), 1.0)
     near = (np.abs(np.angle(poles))[:, None] + width[:, None] * offset).ravel()
-    grid = np.unique(np.concatenate([even, near[(near > 0.0) & (near < math.pi)]]))
+    # At 0 and pi every real eigenvalue lies on the axis: a curve that crosses just before is seen just before only.
+    close = [CLOSE_TO_END, math.pi - CLOSE_TO_END]
+    grid = np.unique(np.concatenate([even, close, near[(near > close[0]) & (near < close[1])]]))
     apart = np.concatenate([[True], np.diff(grid) > 1e-4])
     apart[-2:] = True
     return np.asarray(grid[apart])
@@ -81,26 +86,38 @@ def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> 
     Parameters
     ----------
     curve : callable
-        theta -> eigenvalues [1/m], shape (any,), in any order.
+        Angles -> eigenvalues.
     angles : ndarray
         Rising angles from 0 to pi; intervals are halved where a curve turns too far between them.
     deepest : float, optional
         Depth [m] up to which all crossings are wanted. Without it only the lowest one is certain to be there:
         intervals that can only hold deeper ones than those found so far are left out.
     """
-    samples = [(float(a), curve(float(a))) for a in angles]
-    for _, values in (samples[0], samples[-1]):
-        values.imag[np.abs(values.imag) <= 1e-9 * np.abs(values)] = 0.0
-    found = [Crossing(a, depth) for a, values in (samples[0], samples[-1]) for depth in _real_depths(values)]
-    pairs = list(pairwise(samples))
-    pairs.sort(key=lambda pair: -max(float(pair[0][1].real.max()), float(pair[1][1].real.max())))
-    largest = max(float(np.abs(values).max()) for _, values in samples)
+    values = curve(angles)
+    samples = list(zip(angles.tolist(), values, strict=True))
+    for _, at_end in (samples[0], samples[-1]):
+        at_end.imag[np.abs(at_end.imag) <= 1e-9 * np.abs(at_end)] = 0.0
+    found = [Crossing(a, depth) for a, at_end in (samples[0], samples[-1]) for depth in _real_depths(at_end)]
+    if isinstance(values, np.ndarray):
+        size, real = np.abs(values).max(axis=1), values.real.max(axis=1)
+    else:
+        size, real = (np.array([part(v).max() for v in values]) for part in (np.abs, np.real))
+    largest = float(size.max())
     if largest == 0.0:
         return []
-    for low, high in pairs:
-        bound = deepest or min([c.depth for c in found] + [1.0 / (NEGLIGIBLE * largest)])
-        found.extend(_between(curve, low, high, 0.7 / bound))
+    reach = np.maximum(real[:-1], real[1:])
+    bound = deepest or min([c.depth for c in found] + [1.0 / (NEGLIGIBLE * largest)])
+    for i in np.argsort(-reach, kind="stable"):
+        least = 0.7 / bound
+        if size[i] > least and size[i + 1] > 0.5 * least:
+            new = list(_between(curve, samples[i], samples[i + 1], least))
+            found.extend(new)
+            bound = deepest or min([bound, *(c.depth for c in new)])
     return sorted((c for c in found if deepest is None or c.depth <= deepest), key=lambda c: c.depth)
+
+
+def _at(curve: Curve, angle: float) -> Complex:
+    return curve(np.array([angle]))[0]
 
 
 def _real_depths(values: Complex) -> list[float]:
@@ -118,11 +135,11 @@ def _between(curve: Curve, low: tuple[float, Complex], high: tuple[float, Comple
         steps = _matched(at_a, at_b, least)
         if b - a > SMALLEST_INTERVAL and any(_too_far(first, last) for first, last in steps):
             middle = 0.5 * (a + b)
-            at_middle = curve(middle)
+            at_middle = _at(curve, middle)
             work += [((a, at_a), (middle, at_middle)), ((middle, at_middle), (b, at_b))]
             continue
         for first, last in steps:
-            if first.imag * last.imag < 0.0 and max(first.real, last.real) > 0.0:
+            if first.imag * last.imag < 0.0 and max(first.real, last.real) > least:
                 yield from _root(curve, (a, first), (b, last))
 
 
@@ -148,19 +165,19 @@ def _matched(at_a: Complex, at_b: Complex, least: float) -> list[tuple[complex, 
 def _root(curve: Curve, low: tuple[float, complex], high: tuple[float, complex]) -> Iterator[Crossing]:
     """Yield where one curve meets the real axis (Illinois); nothing when the ends belong to different curves."""
     (a, at_a), (b, at_b) = low, high
-    ga, gb = at_a.imag, at_b.imag
+    ga, gb, side = at_a.imag, at_b.imag, 0
     for _ in range(60):
         middle = (a * gb - b * ga) / (gb - ga)
         share = (middle - a) / (b - a)
-        at_middle = _nearest(curve(middle), at_a + share * (at_b - at_a))
+        at_middle = _nearest(_at(curve, middle), at_a + share * (at_b - at_a))
         if abs(at_middle.imag) <= 1e-7 * abs(at_middle) or b - a < 1e-13:
             if at_middle.real > 0.0 and abs(at_middle.imag) <= 1e-4 * abs(at_middle) and 0.0 < middle < math.pi:
                 yield Crossing(middle, 1.0 / at_middle.real)
             return
         if (at_middle.imag > 0.0) == (at_b.imag > 0.0):
-            b, at_b, gb, ga = middle, at_middle, at_middle.imag, 0.5 * ga
+            b, at_b, gb, ga, side = middle, at_middle, at_middle.imag, ga * (0.5 if side > 0 else 1.0), 1
         else:
-            a, at_a, ga, gb = middle, at_middle, at_middle.imag, 0.5 * gb
+            a, at_a, ga, gb, side = middle, at_middle, at_middle.imag, gb * (0.5 if side < 0 else 1.0), -1
 
 
 def _nearest(values: Complex, to: complex) -> complex:
@@ -170,15 +187,15 @@ def _nearest(values: Complex, to: complex) -> complex:
 def follow(curve: Curve, crossing: Crossing) -> Crossing | None:
     """Return the crossing of a finer discretisation near that of a coarser one; None when it has gone elsewhere."""
     if crossing.kind != "hopf":
-        depths = _real_depths(curve(crossing.angle))
+        depths = _real_depths(_at(curve, crossing.angle))
         best = min(depths, key=lambda d: abs(1.0 / d - 1.0 / crossing.depth), default=math.inf)
         return Crossing(crossing.angle, best) if abs(best / crossing.depth - 1.0) < 0.2 else None
-    old, value = crossing.angle, _nearest(curve(crossing.angle), 1.0 / crossing.depth + 0.0j)
+    old, value = crossing.angle, _nearest(_at(curve, crossing.angle), 1.0 / crossing.depth + 0.0j)
     new = old + 1e-4 if old < 0.5 * math.pi else old - 1e-4
     for _ in range(25):
-        at_new = _nearest(curve(new), value)
+        at_new = _nearest(_at(curve, new), value)
         if abs(at_new.imag) <= 1e-7 * abs(at_new):
-            near = abs(at_new.real * crossing.depth - 1.0) < 0.2 and 0.0 < new < math.pi
+            near = abs(at_new.real * crossing.depth - 1.0) < 0.2 and CLOSE_TO_END < new < math.pi - CLOSE_TO_END
             return Crossing(new, 1.0 / at_new.real) if near else None
         if at_new.imag == value.imag:
             return None

@@ -23,6 +23,9 @@ FEWEST_NODES = 4
 ORDER = 24
 """Largest number of nodes in an element."""
 
+WASTE = 1.3
+"""By how much the nodes over a period may exceed the fewest for the sake of more nodes in an element."""
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -38,6 +41,8 @@ class Mesh:
         Gauss nodes on 0..1.
     offset : ndarray of int, shape (n + 1,)
         First contact of each element.
+    tooth : ndarray of int, shape (m,)
+        Tooth of a contact.
     angle, span : ndarray, shape (m,)
         Angle of the tool at a contact, and the angle it stands for [rad].
     chip : ndarray, shape (m, 3)
@@ -54,6 +59,7 @@ class Mesh:
     gap: Real
     node: Real
     offset: NDArray[np.int64]
+    tooth: NDArray[np.int64]
     angle: Real
     span: Real
     chip: Real
@@ -70,15 +76,15 @@ class Mesh:
 
 def _pieces(cut: Cut, pattern: Pattern) -> list[Element]:
     """Return the elements between the events of one period, air left out."""
-    arc, lag, period = cut.arc, pattern.lag, pattern.period
-    events = np.sort(np.concatenate([arc.entry + lag, arc.exit + lag]) % period)
+    arcs, lag, period = cut.arc.arcs, pattern.lag, pattern.period
+    events = np.sort(np.concatenate([angle + lag for arc in arcs for angle in (arc.entry, arc.exit)]) % period)
     events = events[np.diff(events, prepend=-1.0) > 1e-9]
     if events[-1] - events[0] > period - 1e-9:
         events = events[:-1]
     out = []
     for low, high in zip(events, np.append(events[1:], events[0] + period), strict=True):
         phi = (0.5 * (low + high) - lag) % (2.0 * math.pi)
-        teeth = [int(j) for j in np.flatnonzero((phi > arc.entry) & (phi < arc.exit))]
+        teeth = [j for j, at in enumerate(phi) if any(arc.entry < at < arc.exit for arc in arcs)]
         if teeth:
             out.append((float(low), float(high - low), teeth))
     return out
@@ -90,16 +96,21 @@ def _elements(cut: Cut, pattern: Pattern, steps: int) -> tuple[list[Element], in
     in_cut = sum(length for _, length, _ in pieces)
     share = [steps * length / in_cut for _, length, _ in pieces]
     # An element must not hold the surface that it cuts itself: none is longer than the shortest delay.
-    counts = [
-        max(math.ceil(s / ORDER - 1e-9), math.ceil(length / pattern.delay.min() - 1e-9))
-        for s, (_, length, _) in zip(share, pieces, strict=True)
-    ]
+    fewest = [math.ceil(length / pattern.delay.min() - 1e-9) for _, length, _ in pieces]
+    choices = []
+    for order in range(FEWEST_NODES, ORDER + 1):
+        counts = [max(n, math.ceil(s / order - 1e-9)) for s, n in zip(share, fewest, strict=True)]
+        nodes = max(FEWEST_NODES, *(math.ceil(s / n - 1e-9) for s, n in zip(share, counts, strict=True)))
+        choices.append((nodes * sum(counts), nodes, counts))
+    # Many nodes in few elements are the most accurate; but all elements have as many, and short ones need few.
+    least = min(total for total, _, _ in choices)
+    _, nodes, counts = max((c for c in choices if c[0] <= WASTE * least), key=lambda c: c[1])
     elements = [
         (low + length * i / n, length / n, teeth)
         for (low, length, teeth), n in zip(pieces, counts, strict=True)
         for i in range(n)
     ]
-    return elements, max(FEWEST_NODES, *(math.ceil(s / n - 1e-9) for s, n in zip(share, counts, strict=True)))
+    return elements, nodes
 
 
 def lay_mesh(cut: Cut, pattern: Pattern, steps: int) -> Mesh:
@@ -120,7 +131,7 @@ def lay_mesh(cut: Cut, pattern: Pattern, steps: int) -> Mesh:
     force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle) @ basis.T
     left = _surface_left(elements, offset, node, pattern, angle, tooth)
     gap = np.where(gap > 1e-9, gap, 0.0)
-    return Mesh(pattern, length, gap, node, offset, angle, span, chip, force, *left)
+    return Mesh(pattern, length, gap, node, offset, tooth, angle, span, chip, force, *left)
 
 
 def _surface_left(
@@ -145,11 +156,11 @@ def _surface_left(
         holding = ((e, *element) for e, element in enumerate(elements) if same in element[2])
         e, low, length, teeth = next(h for h in holding if h[1] - 1e-9 <= before[i] <= h[1] + h[2] + 1e-9)
         source[i] = offset[e] + node.size * teeth.index(same)
-        weight[i] = _lagrange(node, np.array((before[i] - low) / length))
+        weight[i] = lagrange(node, np.array((before[i] - low) / length))
     return source, weight, wrap
 
 
-def _lagrange(node: Real, x: Real) -> Real:
+def lagrange(node: Real, x: Real) -> Real:
     """Return the Lagrange polynomials of nodes (p,) at x, shape (..., p)."""
     apart = node[:, None] - node + np.eye(node.size)
     factor = np.where(np.eye(node.size, dtype=bool), 1.0, (x[..., None, None] - node) / apart)
@@ -161,7 +172,7 @@ def _rule(nodes: int, points: int) -> tuple[Real, Real, Real, Real]:
     """Return a Gauss rule on 0..1 and the Lagrange polynomials of the nodes, at node times rule and at the rule."""
     node = _gauss(nodes)[0]
     x, w = _gauss(points)
-    return x, w, _lagrange(node, node[:, None] * x), _lagrange(node, x)
+    return x, w, lagrange(node, node[:, None] * x), lagrange(node, x)
 
 
 def _gauss(points: int) -> tuple[Real, Real]:
@@ -169,7 +180,7 @@ def _gauss(points: int) -> tuple[Real, Real]:
     return 0.5 * (x + 1.0), 0.5 * w
 
 
-def _responses(mesh: Mesh, rate: Complex, step: float) -> tuple[Complex, Complex]:
+def node_responses(mesh: Mesh, rate: Complex, step: float) -> tuple[Complex, Complex]:
     """Integrate ``exp(rate (t - s))`` times Lagrange polynomials from 0 to each node, and to the end of an element.
 
     Shapes (N, p, p) and (N, p) [s].
@@ -198,7 +209,7 @@ def cut_at_speed(mesh: Mesh, modes: Modes, spindle_speed: float) -> kernels.Syst
         at = slice(mesh.offset[e], mesh.offset[e + 1])
         key = round(float(h / step[0]), 9)
         if key not in known:
-            known[key] = _responses(mesh, modes.rate, float(h))
+            known[key] = node_responses(mesh, modes.rate, float(h))
         inner, last = known[key]
         k = np.arange(at.stop - at.start) % mesh.node.size
         gain[e, : k.size, : k.size] = np.einsum("im,mij,mj->ij", output[at], inner[:, k[:, None], k], force[:, at]).real

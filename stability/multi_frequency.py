@@ -24,24 +24,18 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import find_peaks
 
 from process.cutting import CuttingCoefficients, chip_projection, force_projection, gram_matrix
-from process.engagement import Engagement
+from process.engagement import AnyEngagement
 from process.errors import InputError
 from process.tool import Tool
 from stability.crossings import Crossing, angle_grid, find_crossings, follow, relative_change
-from stability.periodic import Complex, Machine, Pattern, Real, modes_of, pattern_of
-from stability.problem import Cut, Samples, check_spindle_speed, complete_samples
+from stability.periodic import NO_LOBE, Complex, Machine, Pattern, Real, modes_of, pattern_of
+from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings
 from stability.semi_discretization import LimitDepth, labelled_limits
 
 METHOD = "multi-frequency method"
 
 MOST_HARMONICS = 64
 """Harmonics are not added beyond this."""
-
-EDGE_SIZE = 0.15
-"""Share of its peak below which a compliance should be at its last sample."""
-
-EDGE_PHASE = 0.3
-"""Share of the imaginary part below which a compliance should be at its first sample."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +63,7 @@ class _Response:
 def multi_frequency(
     compliance: xr.Dataset | Machine,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     spindle_speed: ArrayLike,
     tolerance: float = 2e-3,
@@ -93,21 +87,25 @@ def multi_frequency(
     -------
     xarray.Dataset
         ``limit_depth`` [mm], ``limit_depth_error`` [mm] (its last change), ``chatter_frequency`` [Hz] (the strongest
-        line of the displacement), ``kind`` (``hopf``, ``flip``, ``fold`` or ``none``) and ``harmonics`` (R: 2 R lines)
-        over ``spindle_speed``. ``attrs["warnings"]`` lists what the user must know.
+        line of the displacement), ``lobe`` (its whole waves between two teeth), ``kind`` (``hopf``, ``flip``, ``fold``
+        or ``none``) and ``harmonics`` (R: 2 R lines) over ``spindle_speed``. ``attrs["warnings"]`` lists what the user
+        must know.
 
     Raises
     ------
     InputError
-        For a helix, an unusable compliance or machine, or speeds that are not positive.
+        For a helix, an unusable compliance or machine, speeds that are not positive, or so low that the harmonics do
+        not reach the modes.
     """
     speed = check_spindle_speed(spindle_speed)
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"the tolerance is {tolerance:g}; a share of the limit between 0 and 1 is needed, e.g. 1e-3")
     response = _measured(compliance) if isinstance(compliance, xr.Dataset) else _modal(compliance)
-    lines = _Lines(Cut(tool, arc, coefficients), pattern_of(tool, METHOD))
+    cut = Cut(tool, arc, coefficients)
+    lines = _Lines(cut, pattern_of(tool, METHOD))
+    _require_reach(response, lines.pattern, float(speed.min()))
     limits = [_limit(response, lines, float(n), tolerance) for n in speed]
-    warnings = list(response.warnings)
+    warnings = [*cut.warnings, *response.warnings]
     loose = sum(limit.limit_depth_error_mm > tolerance * limit.limit_depth_mm for limit in limits)
     if loose:
         warnings.append(
@@ -115,6 +113,18 @@ def multi_frequency(
             f"{MOST_HARMONICS} harmonics: see limit_depth_error"
         )
     return labelled_limits("multi_frequency", speed, limits, "harmonics", warnings)
+
+
+def _require_reach(response: _Response, pattern: Pattern, slowest: float) -> None:
+    """Raise `InputError` when the harmonics that may be taken end below the highest mode."""
+    needed = response.highest * pattern.duration(slowest) + 1.0
+    if needed > MOST_HARMONICS:
+        possible = slowest * response.highest * pattern.duration(slowest) / (MOST_HARMONICS - 1.0)
+        raise InputError(
+            f"at {slowest:g} rpm it takes {needed:.0f} harmonics of the {1.0 / pattern.duration(slowest):.4g} Hz at "
+            f"which the cut repeats to reach the mode at {response.highest:.4g} Hz; {MOST_HARMONICS} are the most. Ask "
+            f"for {possible:.3g} rpm or more, or use the semi-discretisation"
+        )
 
 
 def _modal(machine: Machine) -> _Response:
@@ -132,27 +142,11 @@ def _measured(compliance: xr.Dataset) -> _Response:
     poles = np.asarray(2.0 * math.pi * (1j * f[peaks] - width), dtype=complex)
     warnings = (
         *samples.warnings,
-        *_edge_warnings(f, samples.matrix, size),
+        *edge_warnings(samples),
         f"harmonics above {f[-1]:.6g} Hz find no compliance, those below {f[0]:.6g} Hz the real part at {f[0]:.6g} Hz",
     )
     top = float(f[peaks].max()) if peaks.size else float(f[-1])
     return _Response(_interpolant(samples), poles, top, warnings)
-
-
-def _edge_warnings(f: Real, matrix: Complex, size: Real) -> list[str]:
-    """Say where a compliance ends before its modes do: what lies outside is not known, and limits come out too high."""
-    out = []
-    if size[-1] > EDGE_SIZE * size.max():
-        out.append(
-            f"at {f[-1]:.6g} Hz, its last sample, the compliance still is {100.0 * size[-1] / size.max():.0f} % of its "
-            "peak: modes there and above are missing, and limits may be too high; measure further up"
-        )
-    if np.linalg.norm(matrix[0].imag) > EDGE_PHASE * size[0]:
-        out.append(
-            f"at {f[0]:.6g} Hz, its first sample, the compliance is out of phase with the force: modes there and below "
-            "are missing, and limits may be too high; measure further down"
-        )
-    return out
 
 
 def _half_width(f: Real, size: Real, peaks: NDArray[np.int64]) -> Real:
@@ -201,8 +195,8 @@ class _Lines:
 
     @property
     def pulse(self) -> float:
-        """Number of harmonics up to which the pulse of one tooth in the cut is about even."""
-        return self.pattern.period / self._arc.arc
+        """Number of harmonics up to which the shortest pulse of one tooth in the cut is about even."""
+        return self.pattern.period / min(part.arc for part in self._arc.arcs)
 
     def matrix(self, order: int) -> Complex:
         """Return harmonic `order` of one tooth at lag zero [N/m2], shape (3, 3)."""
@@ -251,18 +245,18 @@ class _Truncated:
         size = int(kept.sum()) * phi.shape[0]
         return loop[:, kept][:, :, :, kept].reshape(size, size), kept, phi
 
-    def values(self, angle: float) -> Complex:
-        """Return the eigenvalues 1/depth [1/m]."""
-        return np.asarray(np.linalg.eigvals(self.moving(angle)[0]))
+    def values(self, angles: Real) -> list[Complex]:
+        """Return the eigenvalues 1/depth [1/m] at each angle."""
+        return [np.asarray(np.linalg.eigvals(self.moving(float(angle))[0])) for angle in angles]
 
-    def strongest_line(self, crossing: Crossing) -> float:
-        """Return the frequency [Hz] of the largest displacement at a crossing."""
+    def strongest_line(self, crossing: Crossing) -> tuple[float, int]:
+        """Return the frequency [Hz] of the largest displacement at a crossing, and its lobe."""
         matrix, kept, phi = self.moving(crossing.angle)
         values, vectors = np.linalg.eig(matrix)
         force = vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))].reshape(phi.shape[0], -1)
         moved = (phi[:, :, kept] @ force[:, :, None])[:, :, 0]
-        turns = self.turns(crossing.angle)
-        return float(abs(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))]) / self.duration)
+        strongest = float(abs(self.turns(crossing.angle)[int(np.argmax(np.linalg.norm(moved, axis=1)))]))
+        return strongest / self.duration, self.pattern.lobe(strongest)
 
 
 def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: float) -> LimitDepth:
@@ -291,8 +285,8 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
             settled = change <= tolerance
         old = new
     if old is None:
-        return LimitDepth(math.inf, 0.0 if settled else math.inf, math.nan, "none", count)
-    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, loop.strongest_line(old), old.kind, count)
+        return LimitDepth(math.inf, 0.0 if settled else math.inf, math.nan, NO_LOBE, "none", count)
+    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, *loop.strongest_line(old), old.kind, count)
 
 
 def _require_motion(loop: _Truncated) -> None:

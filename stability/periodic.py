@@ -16,6 +16,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+NO_LOBE = -1
+"""Value of ``lobe`` where there is no limit."""
+
+
 class Machine(Protocol):
     """Anything linear seen from the tool: a `process.ModalModel`, a closed loop."""
 
@@ -46,6 +50,10 @@ class Pattern:
         """Angle after which the cut repeats."""
         return 2.0 * math.pi / self.repeats
 
+    def lobe(self, turns: float) -> int:
+        """Return the whole waves between two teeth, on average, of a line with so many waves in a period."""
+        return math.floor(turns * self.repeats / self.lag.size + 1e-9)
+
     def duration(self, spindle_speed: float) -> float:
         """Return the time after which the cut repeats [s] at a spindle speed [rpm]."""
         return 60.0 / (spindle_speed * self.repeats)
@@ -64,6 +72,11 @@ def pattern_of(tool: Tool, method: str) -> Pattern:
             f"the tool has a helix of {math.degrees(tool.helix_angle):g} deg; the {method} needs straight edges: a "
             "helix makes the engagement depend on the depth. Leave helix_angle out to neglect it"
         )
+    return pattern_of_pitch(tool)
+
+
+def pattern_of_pitch(tool: Tool) -> Pattern:
+    """Return the pattern of the pitch angles alone."""
     lag = tool.tooth_angles()
     pitch = np.diff(np.append(lag, 2.0 * math.pi))
     shift = next(s for s in range(1, lag.size + 1) if np.allclose(pitch, np.roll(pitch, s), rtol=0.0, atol=1e-9))

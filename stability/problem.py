@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from process.cutting import CuttingCoefficients, directional_matrix
-from process.engagement import Engagement
+from process.engagement import AnyEngagement
 from process.errors import InputError
 from process.labels import AXES, check_compliance, full_matrix
 from process.tool import Tool
+
+EDGE_SIZE = 0.15
+"""Share of its peak below which a compliance should be at its last sample."""
+
+EDGE_PHASE = 0.3
+"""Share of the imaginary part below which a compliance should be at its first sample."""
+
+ACTIVE = 0.05
+"""A compliance that gives energy by more than this share of its size is not that of a passive machine."""
+
+BEYOND_NOISE = 4.0
+"""Standard deviations that noise alone may make of a passive machine."""
 
 GAP_FACTOR = 1.5
 """A step longer than this many neighbouring steps is a gap: a logarithmic grid is not, a dropped row is."""
@@ -27,32 +40,37 @@ class Cut:
     ----------
     tool : Tool
         Geometry of the tool.
-    arc : Engagement
-        Arc of engagement.
+    arc : Engagement or Engagements
+        One arc of engagement or several.
     coefficients : CuttingCoefficients
         Work material [N/m2]; edge coefficients do not regenerate and have no influence.
     """
 
     tool: Tool
-    arc: Engagement
+    arc: AnyEngagement
     coefficients: CuttingCoefficients
 
-    def directional_matrix(self, order: int = 0) -> NDArray[np.complex128]:
-        """Return harmonic `order` of the directional matrix [N/m2], shape (3, 3), per axial depth a_p."""
-        return directional_matrix(self.tool, self.arc, self.coefficients, order)
+    def directional_matrix(self) -> NDArray[np.complex128]:
+        """Return the mean directional matrix A0 [N/m2] of all teeth, shape (3, 3), per axial depth; any pitch."""
+        return directional_matrix(replace(self.tool, pitch_angles=None), self.arc, self.coefficients)
 
-    def require_equal_pitch(self, method: str) -> None:
-        """Raise `InputError` when the teeth are not equally spaced.
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is unusual about the work material."""
+        if self.coefficients.Krc >= 0.0:
+            return ()
+        return (
+            f"K_rc is {self.coefficients.Krc / 1e6:g} N/mm^2: the radial force would pull the tool into the work; "
+            "check the sign",
+        )
 
-        With unequal pitch the speed is no longer explicit in the averaged equation, and the averaged equation
-        itself is unreliable on islands (theory 2.4): refusing is better than a wrong lobe.
-        """
+    def require_equal_pitch(self, what: str) -> None:
+        """Raise `InputError` when the teeth are not equally spaced: then a lobe is no explicit curve."""
         if not self.tool.equal_pitch:
             degrees = ", ".join(f"{math.degrees(p):g}" for p in self.tool.pitch_angles or ())
             raise InputError(
-                f"the tool has unequal pitch ({degrees} deg); the {method} method supports equally "
-                "spaced teeth only. Use a time simulation, or leave "
-                "pitch_angles out to treat the teeth as equally spaced"
+                f"the tool has unequal pitch ({degrees} deg); {what} can be had for equally spaced teeth only. Ask for "
+                "the limits at the speeds of interest, or leave pitch_angles out to treat the teeth as equally spaced"
             )
 
 
@@ -123,8 +141,70 @@ def complete_samples(compliance: xr.Dataset) -> Samples:
     frequency = every[complete]
     masked_between = np.diff(np.flatnonzero(complete)) > 1
     bridged = ~(masked_between | _long_steps(frequency))
-    warnings = [*_partial_warning(compliance), *_gap_warnings(frequency, bridged)]
+    both = [i for i, a in enumerate(AXES) if a in array["response"].values and a in array["excitation"].values]
+    warnings = [
+        *_partial_warning(compliance),
+        *_gap_warnings(frequency, bridged),
+        *_active_warning(frequency, full[complete][:, both][:, :, both], _noise(compliance)[complete]),
+    ]
     return Samples(frequency, full[complete], bridged, tuple(warnings))
+
+
+def edge_warnings(samples: Samples) -> tuple[str, ...]:
+    """Say where a compliance ends before its modes do: what lies outside is not known, and limits come out too high."""
+    f, matrix = samples.frequency, samples.matrix
+    size = np.linalg.norm(matrix, axis=(1, 2))
+    out = []
+    if size[-1] > EDGE_SIZE * size.max():
+        out.append(
+            f"at {f[-1]:.6g} Hz, its last sample, the compliance still is {100.0 * size[-1] / size.max():.0f} % of its "
+            "peak: modes there and above are missing, and limits may be too high; measure further up"
+        )
+    if np.linalg.norm(matrix[0].imag) > EDGE_PHASE * size[0]:
+        out.append(
+            f"at {f[0]:.6g} Hz, its first sample, the compliance is out of phase with the force: modes there and below "
+            "are missing, and limits may be too high; measure further down"
+        )
+    return tuple(out)
+
+
+def _noise(compliance: xr.Dataset) -> NDArray[np.float64]:
+    """Return the standard deviation of the whole matrix at each frequency [m/N]; zero where it is not known."""
+    if "compliance_std" not in compliance:
+        return np.zeros(compliance.sizes["frequency"])
+    std = compliance["compliance_std"].transpose("frequency", ...).values
+    return np.asarray(np.sqrt(np.nansum(std.reshape(std.shape[0], -1) ** 2, axis=1)))
+
+
+def _active_warning(
+    frequency: NDArray[np.float64], matrix: NDArray[np.complex128], noise: NDArray[np.float64]
+) -> list[str]:
+    """Say when a compliance gives energy: ``j (Phi - Phi^H)/2`` of a passive machine has no negative eigenvalue."""
+    size = np.linalg.norm(matrix, axis=(1, 2))
+    n = matrix.shape[1]
+    allowed = ACTIVE * size + BEYOND_NOISE * noise
+    taken = 0.5j * (matrix - matrix.conj().transpose(0, 2, 1)) + allowed[:, None, None] * np.eye(n)
+    passive = np.ones(size.size, dtype=bool)
+    for axes in [c for k in range(1, n + 1) for c in combinations(range(n), k)]:
+        passive &= _determinant(taken[:, axes][:, :, axes]).real >= 0.0
+    bad = np.flatnonzero(~passive & (size > 0.1 * size.max(initial=0.0)))
+    if bad.size == 0:
+        return []
+    return [
+        f"the compliance is not that of a passive machine at {bad.size} of {size.size} frequencies "
+        f"({frequency[bad[0]]:.6g} to {frequency[bad[-1]]:.6g} Hz): it would give energy to the cut. A channel of the "
+        "wrong sign or a delay between force and motion does that; a servo may. Check before limits there are used"
+    ]
+
+
+def _determinant(m: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return determinants of small matrices, shape (n, k, k), k up to 3, without a call each."""
+    if m.shape[1] == 1:
+        return m[:, 0, 0]
+    if m.shape[1] == 2:
+        return m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0]
+    minors = [np.delete(m[:, 1:], i, axis=2) for i in range(3)]
+    return np.asarray(sum((-1) ** i * m[:, 0, i] * _determinant(minor) for i, minor in enumerate(minors)))
 
 
 def _long_steps(frequency: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -30,14 +31,15 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from process.cutting import CuttingCoefficients
-from process.engagement import Engagement
+from process.engagement import AnyEngagement
 from process.errors import InputError
 from process.labels import label
 from process.tool import Tool
 from stability import _semi_kernels as kernels
 from stability.crossings import Crossing, Curve, angle_grid, find_crossings, follow, relative_change
+from stability.dense import Dense, dense
 from stability.mesh import FEWEST_NODES, Mesh, cut_at_speed, lay_mesh
-from stability.periodic import Complex, Machine, Modes, Pattern, Real, modes_of, pattern_of
+from stability.periodic import NO_LOBE, Complex, Machine, Modes, Pattern, Real, modes_of, pattern_of
 from stability.problem import Cut, check_spindle_speed
 
 Krylov = Callable[[int], tuple[Complex, Complex, int]]
@@ -56,8 +58,11 @@ FULL = 48
 LARGE = 0.2
 """Where not all eigenvalues are taken, those above this share of the largest are; fewer left out when that fails."""
 
+FINER = 1.7
+"""By how much the steps of the next mesh exceed those of the last at least: the error falls by far more than that."""
+
 MOST_STEPS = 4096
-"""Doubling stops here."""
+"""No finer mesh is tried beyond."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +74,11 @@ class LimitDepth:
     limit_depth_mm : float
         Axial depth [mm]; inf when no multiplier reaches the unit circle at any depth searched.
     limit_depth_error_mm : float
-        Change of the limit in the last doubling of the steps [mm]; the true error is far below.
+        Change of the limit in the last refinement of the steps [mm]; the true error is far below.
     chatter_frequency_Hz : float
         The strongest line ``f_c + k f_T`` of the displacement at the limit [Hz]; NaN without limit.
+    lobe : int
+        Whole waves of that line between two teeth; -1 without limit.
     kind : str
         ``hopf``, ``flip`` (period doubling), ``fold``, or ``none``.
     steps : int
@@ -81,17 +88,61 @@ class LimitDepth:
     limit_depth_mm: float
     limit_depth_error_mm: float
     chatter_frequency_Hz: float
+    lobe: int
     kind: str
     steps: int
 
 
-def _crossing_values(
-    system: kernels.System, angle: float, share: float, deepest: float = math.inf
-) -> tuple[Complex, Complex, Complex]:
-    """Return eigenvalues 1/depth [1/m] when ``exp(j angle)`` is a multiplier, as `_ritz` does.
+@dataclass(frozen=True)
+class _Discrete:
+    """The cut at one spindle speed in so many steps."""
 
-    All when the problem is small; else at least those above a share of the largest and those down to 1/deepest.
-    """
+    mesh: Mesh
+    system: kernels.System
+
+    @cached_property
+    def dense(self) -> Dense | None:
+        """Dense matrices of a small problem."""
+        return dense(self.system) if self.system.source.size + self.system.turn.size <= FULL else None
+
+    def curve(self, share: float = LARGE, deepest: float = math.inf) -> Curve:
+        """Return the eigenvalues 1/depth [1/m] over the angle.
+
+        All when the problem is small; else at least those above a share of the largest and those down to 1/deepest.
+        """
+        if self.dense is not None:
+            return self.dense.crossing_values
+        return lambda angles: [_crossing_values(self.system, float(angle), share, deepest)[0] for angle in angles]
+
+    def multipliers(self, depths: Real) -> list[Complex]:
+        """Return the Floquet multipliers of large modulus at depths [m], largest first."""
+        if self.dense is not None:
+            values = list(self.dense.multipliers(depths))
+        else:
+            values = [_multipliers(self.system, float(depth)) for depth in depths]
+        return [v[np.argsort(-np.abs(v))] for v in values]
+
+    def radius(self, depth: float) -> float:
+        """Return the largest modulus of a multiplier at a depth [m]."""
+        return float(np.abs(self.multipliers(np.array([depth]))[0][0]))
+
+    def stable_below(self, depth: float) -> bool:
+        """Whether the map over one period is stable at the shares `CONFIRMED` of a depth [m]."""
+        return all(abs(v[0]) < 1.0 for v in self.multipliers(depth * np.array(CONFIRMED)))
+
+    def chips(self, crossing: Crossing) -> Complex:
+        """Return the chips of the vibration at a crossing, shape (m,)."""
+        if self.dense is not None:
+            return self.dense.chips(crossing.angle, crossing.depth)
+        _, basis, small = _crossing_values(self.system, crossing.angle, LARGE, crossing.depth)
+        values, vectors = np.linalg.eig(small)
+        return np.asarray(vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))] @ basis)
+
+
+def _crossing_values(
+    system: kernels.System, angle: float, share: float, deepest: float
+) -> tuple[Complex, Complex, Complex]:
+    """Return eigenvalues 1/depth [1/m] when ``exp(j angle)`` is a multiplier, as `_ritz` does."""
     multiplier = complex(math.cos(angle), math.sin(angle)) if angle < math.pi else -1.0 + 0.0j
 
     def wanted(modulus: Real) -> NDArray[np.bool_]:
@@ -101,20 +152,15 @@ def _crossing_values(
     return _ritz(lambda size: kernels.krylov_crossing(system, multiplier, size), system.source.size, wanted)
 
 
-def _curve(system: kernels.System, share: float = LARGE, deepest: float = math.inf) -> Curve:
-    return lambda angle: _crossing_values(system, angle, share, deepest)[0]
-
-
 def _multipliers(system: kernels.System, depth: float) -> Complex:
-    """Return the Floquet multipliers of large modulus, largest first."""
+    """Return the Floquet multipliers of large modulus of a large problem."""
 
     def wanted(modulus: Real) -> NDArray[np.bool_]:
         return np.asarray(modulus >= 0.95 * modulus.max())
 
     total = system.source.size + system.turn.size
     inverses = np.linalg.inv(np.eye(system.gain.shape[1]) - depth * system.gain)
-    values = _ritz(lambda size: kernels.krylov_period(system, inverses, depth, size), total, wanted)[0]
-    return np.asarray(values[np.argsort(-np.abs(values))])
+    return _ritz(lambda size: kernels.krylov_period(system, inverses, depth, size), total, wanted)[0]
 
 
 def _ritz(krylov: Krylov, total: int, wanted: Callable[[Real], NDArray[np.bool_]]) -> tuple[Complex, Complex, Complex]:
@@ -137,11 +183,6 @@ def _ritz(krylov: Krylov, total: int, wanted: Callable[[Real], NDArray[np.bool_]
         size = min(total, 2 * size)
 
 
-def _radius(system: kernels.System, depth: float) -> float:
-    """Return the largest modulus of a multiplier at a depth [m]."""
-    return float(np.abs(_multipliers(system, depth)[0]))
-
-
 @dataclass(frozen=True)
 class _Problem:
     """A machine and a cut at one spindle speed [rpm], to be discretised."""
@@ -156,7 +197,14 @@ class _Problem:
         """Steps that resolve the fastest mode over the engaged part of a period."""
         in_cut = float(self.mesh(FEWEST_NODES).length.sum())
         turns = float(np.abs(self.modes.rate.imag).max()) * in_cut / (self.spindle_speed * math.pi / 30.0)
-        return min(MOST_STEPS // 2, max(10, math.ceil(0.6 * turns + 6.0)))
+        steps = max(6, math.ceil(0.4 * turns + 3.5))
+        if 2 * steps > MOST_STEPS:
+            raise InputError(
+                f"at {self.spindle_speed:g} rpm the fastest mode turns {turns / (2.0 * math.pi):.0f} times in a period "
+                f"of the cut: {2 * steps} steps are needed, {MOST_STEPS} are the most. Ask for "
+                f"{self.spindle_speed * 2 * steps / MOST_STEPS:.3g} rpm or more, or leave out the fast modes"
+            )
+        return steps
 
     def mesh(self, steps: int) -> Mesh:
         """Lay a mesh; it is kept for the next spindle speed."""
@@ -164,59 +212,70 @@ class _Problem:
             self.kept[steps] = lay_mesh(self.cut, self.pattern, steps)
         return self.kept[steps]
 
-    def system(self, steps: int) -> kernels.System:
+    def finer(self, mesh: Mesh) -> _Discrete:
+        """Return the cut in at least `FINER` times the steps of a mesh."""
+        steps = mesh.steps
+        while self.mesh(steps).steps < FINER * mesh.steps:
+            steps = math.ceil(1.2 * steps)
+        return self.discrete(steps)
+
+    def discrete(self, steps: int) -> _Discrete:
         """Return the cut with so many steps."""
-        return cut_at_speed(self.mesh(steps), self.modes, self.spindle_speed)
+        mesh = self.mesh(steps)
+        return _Discrete(mesh, cut_at_speed(mesh, self.modes, self.spindle_speed))
 
 
-def _first_loss(system: kernels.System) -> Crossing | None:
+def _first_loss(discrete: _Discrete) -> Crossing | None:
     """Return the first crossing, confirmed by the map over one period: stable at shares of its depth."""
     for harder in range(3):
-        curve = _curve(system, LARGE / 10**harder)
-        found = find_crossings(curve, angle_grid(system.turn, 40 * 4**harder))
-        deepest = found[0].depth if found else 10.0 / float(np.abs(curve(0.5 * math.pi)).max())
-        if all(_radius(system, share * deepest) < 1.0 for share in CONFIRMED):
-            return found[0] if found else None
+        found = _lowest(discrete, harder)
+        if found is not None:
+            deepest = found.depth
+        else:
+            deepest = 10.0 / float(np.abs(discrete.curve()(np.array([0.5 * math.pi]))[0]).max())
+        if discrete.stable_below(deepest):
+            return found
     raise InputError(
         f"the first loss of stability is not found: the cut is unstable below {deepest * 1e3:.4g} mm already, and no "
         "multiplier was seen to cross the unit circle there. Move the spindle speed by 0.1 %"
     )
 
 
+def _lowest(discrete: _Discrete, harder: int = 0) -> Crossing | None:
+    """Return the first crossing that a search of some hardness sees."""
+    angles = angle_grid(discrete.system.turn, 26 * 4**harder)
+    return next(iter(find_crossings(discrete.curve(LARGE / 10**harder), angles)), None)
+
+
 def _limit(problem: _Problem, tolerance: float) -> LimitDepth:
-    """Double the steps until the first loss moves by less than the tolerance."""
-    steps = problem.first_steps()
-    old = _first_loss(problem.system(steps))
-    change = math.inf
-    while change > tolerance and steps < MOST_STEPS:
-        steps *= 2
-        system = problem.system(steps)
-        new = None
-        if old is not None:
-            new = follow(_curve(system, deepest=old.depth), old)
-        if new is None or _radius(system, CONFIRMED[-1] * new.depth) >= 1.0:
-            new = _first_loss(system)
+    """Refine until the first loss moves by less than the tolerance; each result but the coarsest is confirmed."""
+    discrete, change = problem.discrete(problem.first_steps()), math.inf
+    old = _lowest(discrete)
+    while change > tolerance and discrete.mesh.steps < MOST_STEPS:
+        discrete = problem.finer(discrete.mesh)
+        new = follow(discrete.curve(deepest=old.depth), old) if old is not None else None
+        if new is None or not discrete.stable_below(new.depth):
+            new = _first_loss(discrete)
         change = relative_change(old, new)
         old = new
     if old is None:
-        return LimitDepth(math.inf, 0.0 if change == 0.0 else math.inf, math.nan, "none", steps)
-    line = _strongest_line(problem, steps, system, old)
-    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, line, old.kind, problem.mesh(steps).steps)
+        return LimitDepth(math.inf, 0.0 if change == 0.0 else math.inf, math.nan, NO_LOBE, "none", discrete.mesh.steps)
+    line, lobe = _strongest_line(problem, discrete, old)
+    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, line, lobe, old.kind, discrete.mesh.steps)
 
 
-def _strongest_line(problem: _Problem, steps: int, system: kernels.System, crossing: Crossing) -> float:
-    """Return the frequency [Hz] of the largest displacement among ``f_c + k/T`` at a crossing."""
-    mesh, period = problem.mesh(steps), problem.pattern.duration(problem.spindle_speed)
-    _, basis, small = _crossing_values(system, crossing.angle, LARGE, crossing.depth)
-    values, vectors = np.linalg.eig(small)
-    chip = vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))] @ basis
-    change = kernels.chip_change(system, complex(np.exp(1j * crossing.angle)), chip)
+def _strongest_line(problem: _Problem, discrete: _Discrete, crossing: Crossing) -> tuple[float, int]:
+    """Return the frequency [Hz] of the largest displacement among ``f_c + k/T`` at a crossing, and its lobe."""
+    mesh, period = discrete.mesh, problem.pattern.duration(problem.spindle_speed)
+    multiplier = complex(np.exp(1j * crossing.angle))
+    change = kernels.chip_change(discrete.system, multiplier, discrete.chips(crossing).astype(complex))
     reach = int(np.abs(problem.modes.rate.imag).max() * period / (2.0 * math.pi)) + 2
     turns = crossing.angle / (2.0 * math.pi) + np.arange(-reach, reach + 1)
     waves = np.exp(-2j * math.pi * np.outer(turns, mesh.angle / mesh.pattern.period))
     lines = waves @ (mesh.force * mesh.span * change).T
     moved = (problem.modes.matrix(turns / period) @ lines[:, :, None])[:, :, 0]
-    return float(abs(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))]) / period)
+    strongest = float(abs(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))]))
+    return strongest / period, mesh.pattern.lobe(strongest)
 
 
 def _problem(machine: Machine, cut: Cut, spindle_speed: float) -> _Problem:
@@ -234,7 +293,7 @@ def _problem(machine: Machine, cut: Cut, spindle_speed: float) -> _Problem:
 def limit_depth(
     machine: Machine,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     spindle_speed: float,
     tolerance: float = 1e-3,
@@ -250,12 +309,12 @@ def limit_depth(
     spindle_speed : float
         Spindle speed [rpm].
     tolerance : float, optional
-        Relative change of the limit at which the doubling of the steps ends.
+        Relative change of the limit at which the refinement of the steps ends.
 
     Raises
     ------
     InputError
-        For a helix, a machine that is itself unstable, or a speed that is not positive.
+        For a helix, a machine that is itself unstable, or a speed that is not positive or too low for `MOST_STEPS`.
     """
     speed = float(check_spindle_speed(spindle_speed)[0])
     return _limit(_problem(machine, Cut(tool, arc, coefficients), speed), _checked(tolerance))
@@ -264,7 +323,7 @@ def limit_depth(
 def floquet_multipliers(
     machine: Machine,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     depth: float,
     spindle_speed: float,
@@ -300,13 +359,14 @@ def floquet_multipliers(
     if not (math.isfinite(depth) and depth > 0.0) or (steps is not None and steps < 1):
         raise InputError(f"depth {depth:g} m, steps {steps}; both must be positive")
     problem = _problem(machine, Cut(tool, arc, coefficients), speed)
-    return _multipliers(problem.system(steps or 2 * problem.first_steps()), depth)
+    steps = steps or 2 * problem.mesh(problem.first_steps()).steps
+    return problem.discrete(steps).multipliers(np.array([depth]))[0]
 
 
 def stability_bands(
     machine: Machine,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     spindle_speed: float,
     maximum_depth: float,
@@ -321,7 +381,7 @@ def stability_bands(
     maximum_depth : float
         Axial depth [m] at which the last band ends.
     tolerance : float, optional
-        Relative change of every border at which the doubling of the steps ends.
+        Relative change of every border at which the refinement of the steps ends.
 
     Returns
     -------
@@ -338,14 +398,13 @@ def stability_bands(
     if not (math.isfinite(maximum_depth) and maximum_depth > 0.0):
         raise InputError(f"the maximum depth is {maximum_depth:g} m; it must be positive and finite")
     problem = _problem(machine, Cut(tool, arc, coefficients), speed)
-    steps, tolerance = problem.first_steps(), _checked(tolerance)
-    old = _all_crossings(problem.system(steps), maximum_depth)
-    while steps < MOST_STEPS:
-        steps *= 2
-        system = problem.system(steps)
-        new = _all_crossings(system, maximum_depth)
+    discrete, tolerance = problem.discrete(problem.first_steps()), _checked(tolerance)
+    old = _all_crossings(discrete, maximum_depth)
+    while discrete.mesh.steps < MOST_STEPS:
+        discrete = problem.finer(discrete.mesh)
+        new = _all_crossings(discrete, maximum_depth)
         if len(new) == len(old) and all(relative_change(a, b) <= tolerance for a, b in zip(old, new, strict=True)):
-            return _bands(problem, steps, system, new, maximum_depth)
+            return _bands(problem, discrete, new, maximum_depth)
         old = new
     raise InputError(
         f"the bands up to {maximum_depth * 1e3:g} mm do not settle with {MOST_STEPS} steps; ask for a smaller depth or "
@@ -353,27 +412,25 @@ def stability_bands(
     )
 
 
-def _all_crossings(system: kernels.System, deepest: float) -> list[Crossing]:
-    return find_crossings(_curve(system, deepest=deepest), angle_grid(system.turn, 80), deepest)
+def _all_crossings(discrete: _Discrete, deepest: float) -> list[Crossing]:
+    return find_crossings(discrete.curve(deepest=deepest), angle_grid(discrete.system.turn, 80), deepest)
 
 
-def _bands(
-    problem: _Problem, steps: int, system: kernels.System, crossings: list[Crossing], deepest: float
-) -> pd.DataFrame:
+def _bands(problem: _Problem, discrete: _Discrete, crossings: list[Crossing], deepest: float) -> pd.DataFrame:
     """Tell the intervals between crossings apart by the map over one period; join those of one kind."""
     borders = [0.0, *(c.depth for c in crossings), deepest]
     rows: list[list[Any]] = []
     for i, (low, high) in enumerate(pairwise(borders)):
         if high - low <= 1e-9 * high:
             continue
-        radius = _radius(system, 0.5 * (low + high))
+        radius = discrete.radius(0.5 * (low + high))
         if rows and rows[-1][2] == (radius < 1.0):
             rows[-1][1] = 1e3 * high
             rows[-1][5] = max(rows[-1][5], radius)
             continue
         kind, line = "none", math.nan
         if i > 0:
-            kind, line = crossings[i - 1].kind, _strongest_line(problem, steps, system, crossings[i - 1])
+            kind, line = crossings[i - 1].kind, _strongest_line(problem, discrete, crossings[i - 1])[0]
         rows.append([1e3 * low, 1e3 * high, radius < 1.0, kind, line, radius])
     return pd.DataFrame(rows, columns=list(BAND_COLUMNS))
 
@@ -381,7 +438,7 @@ def _bands(
 def semi_discretization(
     machine: Machine,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     spindle_speed: ArrayLike,
     tolerance: float = 1e-3,
@@ -398,8 +455,8 @@ def semi_discretization(
     Returns
     -------
     xarray.Dataset
-        ``limit_depth`` [mm], ``limit_depth_error`` [mm], ``chatter_frequency`` [Hz], ``kind`` and ``steps`` over
-        ``spindle_speed``, as the fields of `LimitDepth`. ``attrs["warnings"]`` lists what the user must know.
+        ``limit_depth`` [mm], ``limit_depth_error`` [mm], ``chatter_frequency`` [Hz], ``lobe``, ``kind`` and ``steps``
+        over ``spindle_speed``, as the fields of `LimitDepth`. ``attrs["warnings"]`` lists what the user must know.
 
     Raises
     ------
@@ -409,8 +466,9 @@ def semi_discretization(
     speed = check_spindle_speed(spindle_speed)
     problem = _problem(machine, Cut(tool, arc, coefficients), float(speed[0]))
     tolerance = _checked(tolerance)
+    replace(problem, spindle_speed=float(speed.min())).first_steps()
     limits = [_limit(replace(problem, spindle_speed=float(n)), tolerance) for n in speed]
-    warnings = []
+    warnings = list(problem.cut.warnings)
     loose = sum(limit.limit_depth_error_mm > tolerance * limit.limit_depth_mm for limit in limits)
     if loose:
         warnings.append(
@@ -432,6 +490,7 @@ def labelled_limits(
         "limit_depth": over("limit_depth_mm"),
         "limit_depth_error": over("limit_depth_error_mm"),
         "chatter_frequency": over("chatter_frequency_Hz"),
+        "lobe": over("lobe"),
         "kind": over("kind"),
         effort: over("steps"),
     }
@@ -441,6 +500,7 @@ def labelled_limits(
         told.append(f"{unlimited} of {speed.size} spindle speeds show no limit: stable at any depth of use")
     attrs = {"method": method, "warnings": told}
     out = label(xr.Dataset(data, coords={"spindle_speed": speed}, attrs=attrs))
+    out["lobe"].attrs["none"] = NO_LOBE
     out["limit_depth_error"].attrs["units"] = out["limit_depth"].attrs["units"]
     return out
 

@@ -39,15 +39,15 @@ SAFE_QUANTILE = 0.05
 def lobe_table(lobes: xr.Dataset, source: str, tool: Tool, width_of_cut: float, feed_per_tooth: float) -> pd.DataFrame:
     """Return lobes as a table with the columns `LOBE_COLUMNS`.
 
-    ``feed = f_z N n``; ``removal rate = a_p a_e feed`` at the limit depth. The safe depth is the 5 % quantile
-    of the limit depth, where the lobes carry ``limit_depth_quantile``; without one it stays NaN, because a
-    margin that nobody has measured would be invented.
+    ``feed = f_z N n``; ``removal rate = a_p a_e feed`` at the limit depth. The safe depth is that of the lobes
+    (``safe_depth``, for the probability they name), else the 5 % quantile of the limit depth; without either it
+    stays NaN, because a margin that nobody has measured would be invented.
 
     Parameters
     ----------
     lobes : xarray.Dataset
         ``limit_depth(spindle_speed)`` [mm], ``chatter_frequency`` [Hz], ``lobe``; may hold
-        ``limit_depth_quantile(quantile, spindle_speed)`` [mm].
+        ``limit_depth_quantile(quantile, spindle_speed)`` [mm] and ``safe_depth(spindle_speed)`` [mm].
     source : str
         Name of the measurement or model behind the lobes.
     tool : Tool
@@ -74,6 +74,7 @@ def lobe_table(lobes: xr.Dataset, source: str, tool: Tool, width_of_cut: float, 
     speed = lobes["spindle_speed"].values.astype(float)
     feed = feed_per_tooth * 1e3 * tool.teeth * speed
     low, high = _quantile(lobes, SAFE_QUANTILE), _quantile(lobes, 1.0 - SAFE_QUANTILE)
+    safe = lobes["safe_depth"].values.astype(float) if "safe_depth" in lobes else low.copy()
     lobe = lobes["lobe"].values
     columns = (
         [source] * speed.size,
@@ -81,7 +82,7 @@ def lobe_table(lobes: xr.Dataset, source: str, tool: Tool, width_of_cut: float, 
         depth,
         low,
         high,
-        low.copy(),
+        safe,
         np.full(speed.size, width_of_cut * 1e3),
         np.full(speed.size, feed_per_tooth * 1e3),
         feed,
@@ -110,9 +111,27 @@ def write_table(frame: pd.DataFrame, path: str | Path) -> Path:
     Path
         The file written.
     """
+    text = frame.replace([np.inf, -np.inf], np.nan).to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return write_whole(text, path)
+
+
+def write_whole(text: str, path: str | Path) -> Path:
+    """Write a text file, whole or not at all; its folder is made when missing.
+
+    Parameters
+    ----------
+    text : str
+        All of it.
+    path : str or Path
+        File to write. A file that is there is replaced in one step.
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    text = frame.replace([np.inf, -np.inf], np.nan).to_csv(index=False, float_format="%.9g", lineterminator="\n")
     handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:

@@ -10,6 +10,10 @@ an eigenvalue ``mu`` of ``A0 Phi(f)`` and ``sigma = 1/mu``::
 All three eigenvalues and all cross terms count. Depth is the axial depth a_p, not the edge length b. Source:
 Altintas and Budak 1995; Altintas 2001 (three dimensions); theory 2.3.
 
+With unequal pitch the factor ``1 - exp(-j w T)`` becomes its mean S(w) over the delays T_j of the teeth, ``1 = a_p S(w)
+mu(w)``, and the speed is no longer explicit: at each speed the frequency is scanned for real positive ``S mu`` (Budak
+2003; theory 2.4). The averaged equation is unreliable beyond the first crossing: islands there may not exist.
+
 The mean directional matrix misses period doubling and parametric resonance: with few teeth in the cut, or
 with half the tooth passing frequency near a mode, the true limit can lie below (theory 2.5 d: by up to 32 %).
 """
@@ -18,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -26,15 +30,20 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from process.cutting import CuttingCoefficients
-from process.engagement import Engagement
+from process.engagement import AnyEngagement
 from process.errors import InputError
-from process.labels import label
+from process.labels import AXES, label
 from process.tool import Tool
 from stability.branches import Branches, eigenvalue_branches
-from stability.problem import Cut, check_spindle_speed, complete_samples
+from stability.periodic import NO_LOBE, Machine, Modes, modes_of, pattern_of_pitch
+from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings
+from stability.vibration import NO_MODE, dominant_modes, modal_samples, vibration
 
-NO_LOBE = -1
-"""Value of ``lobe`` where no crossing exists."""
+Crossings: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+"""Depth [m], chatter frequency [Hz] and lobe at each speed."""
+
+EQUAL_PITCH = 1e-9
+"""Pitch angles that differ by less are equal [rad]."""
 
 CURVE_COLUMNS: tuple[str, ...] = (
     "branch",
@@ -67,9 +76,9 @@ class CriticalDepth:
 
 
 def zero_order(
-    compliance: xr.Dataset,
+    compliance: xr.Dataset | Machine,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     spindle_speed: ArrayLike,
 ) -> xr.Dataset:
@@ -81,29 +90,37 @@ def zero_order(
 
     Parameters
     ----------
-    compliance : xarray.Dataset
-        One labelled compliance [m/N] on its own grid; masked (NaN) frequencies are skipped, not bridged.
+    compliance : xarray.Dataset or Machine
+        One labelled compliance [m/N] on its own grid; masked (NaN) frequencies are skipped, not bridged. Or anything
+        with a ``state_space()``, e.g. a `process.ModalModel`: then the grid is ours.
     tool, arc, coefficients
-        The cut; equally spaced teeth.
+        The cut; one arc of engagement or several, any pitch. A helix has no influence on the mean.
     spindle_speed : array_like, shape (speeds,)
         Spindle speeds [rpm], in any order.
 
     Returns
     -------
     xarray.Dataset
-        ``limit_depth`` [mm], ``chatter_frequency`` [Hz] and ``lobe`` (integer, -1 for none) over
-        ``spindle_speed``. The limit is inf, the frequency NaN, where nothing crosses within the data:
-        unconditionally stable *as far as the data reach* (``attrs["frequency_low_Hz"]`` to
-        ``attrs["frequency_high_Hz"]``). ``attrs["warnings"]`` lists what the user must know.
+        ``limit_depth`` [mm], ``chatter_frequency`` [Hz] and ``lobe`` (whole waves between two teeth, -1 for none) over
+        ``spindle_speed``, and the mode of vibration: ``vibration(spindle_speed, axis)``, the complex displacement of
+        the tool, of length one, its largest component real; for a machine also ``mode``, the number of the mode that
+        moves the tool most, from 1 in the order of frequency (0 for none). The limit is inf, the frequency NaN, where
+        nothing crosses within the data: unconditionally stable *as far as the data reach*
+        (``attrs["frequency_low_Hz"]`` to ``attrs["frequency_high_Hz"]``). ``attrs["warnings"]`` lists what the user
+        must know.
 
     Raises
     ------
     InputError
-        For unequal pitch, an unusable compliance, or speeds that are not positive.
+        For an unusable compliance or machine, or speeds that are not positive.
     """
+    speed = check_spindle_speed(spindle_speed)
     cut = Cut(tool, arc, coefficients)
-    cut.require_equal_pitch("zero-order")
-    return zero_order_from_matrix(compliance, cut.directional_matrix(), tool.teeth, spindle_speed)
+    modes = None if isinstance(compliance, xr.Dataset) else modes_of(compliance)
+    samples = (
+        complete_samples(compliance) if isinstance(compliance, xr.Dataset) else modal_samples(modes_of(compliance))
+    )
+    return _limits(samples, cut.directional_matrix(), pattern_of_pitch(tool).delay, speed, modes, cut.warnings)
 
 
 def zero_order_from_matrix(
@@ -134,23 +151,59 @@ def zero_order_from_matrix(
     """
     speed = check_spindle_speed(spindle_speed)
     _check_teeth(teeth)
-    branches = _branches(compliance, directional)
-    period = 60.0 / (teeth * speed)
+    return _limits(complete_samples(compliance), directional, np.full(teeth, 2.0 * np.pi / teeth), speed)
+
+
+def _limits(
+    samples: Samples,
+    directional: NDArray[np.complex128],
+    pitch: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    modes: Modes | None = None,
+    told: Sequence[str] = (),
+) -> xr.Dataset:
+    """Return the labelled limits for pitch angles [rad], shape (teeth,)."""
+    branches = eigenvalue_branches(samples, directional)
+    depth, chatter, lobe = first_limits(branches, pitch, speed)
+    warnings = [*told, *samples.warnings, *_unlimited_warning(branches, depth)]
+    if np.ptp(pitch) >= EQUAL_PITCH:
+        warnings.append(
+            "with unequal pitch the zero-order equation can show losses of stability that are none, at low speeds "
+            "above all; compare with the semi-discretisation"
+        )
+    if modes is None:
+        warnings += [*edge_warnings(samples), *_cut_off_warning(branches, pitch.size, speed, depth)]
+    force, moved = vibration(branches, directional, chatter, depth, pitch, speed)
+    mode = None if modes is None else dominant_modes(modes, force, chatter)
+    return labelled(speed, (depth, chatter, lobe, moved, mode), branches, warnings)
+
+
+def first_limits(branches: Branches, pitch: NDArray[np.float64], speed: NDArray[np.float64]) -> Crossings:
+    """Return depth [m], chatter frequency [Hz] and lobe of the first limit at speeds [rpm], for pitch angles [rad]."""
+    return (_equal if np.ptp(pitch) < EQUAL_PITCH else _unequal)(branches, pitch, speed)
+
+
+def _equal(branches: Branches, pitch: NDArray[np.float64], speed: NDArray[np.float64]) -> Crossings:
+    """Take each lobe explicitly; shape (speeds,) each."""
+    period = 60.0 / (pitch.size * speed)
     rising = np.argsort(period, kind="stable")
-    depth, chatter, lobe = (np.empty_like(speed) for _ in range(3))
+    depth, chatter, lobe = np.empty_like(speed), np.empty_like(speed), np.empty(speed.size, dtype=np.int64)
     depth[rising], chatter[rising], lobe[rising] = branches.envelope(period[rising])
-    warnings = [
-        *branches.samples.warnings,
-        *_unlimited_warning(branches, depth),
-        *_cut_off_warning(branches, teeth, speed, depth),
-    ]
-    return _labelled(speed, depth, chatter, lobe, branches, warnings)
+    return depth, chatter, lobe
+
+
+def _unequal(branches: Branches, pitch: NDArray[np.float64], speed: NDArray[np.float64]) -> Crossings:
+    """Scan the frequency at each speed; shape (speeds,) each."""
+    turn = 60.0 / speed
+    found = np.array([branches.first_crossing(pitch / (2.0 * np.pi) * t) for t in turn])
+    waves = np.floor(found[:, 1] * turn / pitch.size)
+    return found[:, 0], found[:, 1], np.where(np.isfinite(waves), waves, NO_LOBE).astype(np.int64)
 
 
 def lobe_curves(
     compliance: xr.Dataset,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     spindle_speed: Sequence[float],
     pieces: int = 4,
@@ -180,14 +233,14 @@ def lobe_curves(
     """
     low, high = _speed_range(spindle_speed)
     cut = Cut(tool, arc, coefficients)
-    cut.require_equal_pitch("zero-order")
+    cut.require_equal_pitch("single lobes")
     frequency, mu = _branches(compliance, cut.directional_matrix()).refined(pieces)
     frames = [_branch_curves(number, frequency, branch, tool.teeth, (low, high)) for number, branch in enumerate(mu)]
     return pd.concat(frames, ignore_index=True)
 
 
 def critical_depth(
-    compliance: xr.Dataset, tool: Tool, arc: Engagement, coefficients: CuttingCoefficients
+    compliance: xr.Dataset, tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients
 ) -> CriticalDepth:
     """Return the smallest limit over all spindle speeds, ``min over f of 1/(2 Re mu)``.
 
@@ -202,7 +255,7 @@ def critical_depth(
         As `zero_order`.
     """
     cut = Cut(tool, arc, coefficients)
-    cut.require_equal_pitch("zero-order")
+    cut.require_equal_pitch("the smallest limit of all speeds")
     return critical_depth_from_matrix(compliance, cut.directional_matrix())
 
 
@@ -282,63 +335,64 @@ def _cut_off_warning(
 ) -> list[str]:
     """Say when a lobe within the speed range ends at an edge of the data while it is the lowest one."""
     s = branches.samples
-    after_gap = np.concatenate([[True], ~s.bridged])
-    before_gap = np.concatenate([~s.bridged, [True]])
-    edges = [
-        float(s.frequency[i])
-        for i in np.flatnonzero(after_gap | before_gap)
-        if _edge_is_lowest(branches.eigenvalue[:, i], float(s.frequency[i]), teeth, speed, depth)
-    ]
-    if not edges:
+    below = np.concatenate([[True], ~s.bridged])
+    above = np.concatenate([~s.bridged, [True]])
+    told = []
+    for i in np.flatnonzero(below | above):
+        f = float(s.frequency[i])
+        ends = _lowest_ends(branches.eigenvalue[:, i], f, teeth, speed, depth)
+        if ends.size:
+            # On a lobe the frequency rises with the speed.
+            side = "above" if above[i] else "below"
+            rpm = ", ".join(f"{n:.4g}" for n in ends[:3]) + (", ..." if ends.size > 3 else "")
+            told.append(f"lobes {side} {rpm} rpm need data {side} {f:.6g} Hz")
+    if not told:
         return []
-    where = ", ".join(f"{f:.6g}" for f in edges[:5]) + (" Hz, ..." if len(edges) > 5 else " Hz")
     return [
-        f"the frequency range of the compliance cuts off lobes within the speed range: at {where} a lobe "
-        "that limits the depth ends because the data end. Measure beyond, or do not use the limits near these lobes"
+        "the frequency range of the compliance cuts off lobes within the speed range, where they still limit the "
+        f"depth: {'; '.join(told[:5])}{' and more' if len(told) > 5 else ''}. Measure beyond, or do not use the limits "
+        "near these lobes"
     ]
 
 
-def _edge_is_lowest(
+def _lowest_ends(
     mu: NDArray[np.complex128],
     frequency: float,
     teeth: int,
     speed: NDArray[np.float64],
     depth: NDArray[np.float64],
-) -> bool:
-    """Whether a lobe that ends at `frequency` is, within 2 %, the envelope at the nearest speed asked."""
+) -> NDArray[np.float64]:
+    """Return speeds at which a lobe ends at `frequency` and is, within 2 %, the envelope at the nearest speed asked."""
+    out = []
     for value in mu[mu.real > 0.0]:
         turns = 0.5 + np.angle(value) / np.pi
         lobes = np.arange(int(frequency * 60.0 / (teeth * speed.min()) - turns) + 1)
         ends = 60.0 * frequency / (teeth * (turns + lobes))
         ends = ends[(ends >= speed.min()) & (ends <= speed.max())]
         nearest = np.abs(speed[None, :] - ends[:, None]).argmin(axis=1)
-        if np.any(0.5 / value.real <= 1.02 * depth[nearest]):
-            return True
-    return False
+        out.append(ends[0.5 / value.real <= 1.02 * depth[nearest]])
+    return np.sort(np.concatenate(out))[::-1] if out else np.empty(0)
 
 
-def _labelled(
-    speed: NDArray[np.float64],
-    depth: NDArray[np.float64],
-    chatter: NDArray[np.float64],
-    lobe: NDArray[np.float64],
-    branches: Branches,
-    warnings: list[str],
-) -> xr.Dataset:
+def labelled(speed: NDArray[np.float64], found: tuple[Any, ...], branches: Branches, warnings: list[str]) -> xr.Dataset:
     """Put names and units on a result; depth comes in metres."""
+    depth, chatter, lobe, moved, mode = found
     f = branches.samples.frequency
     data: dict[str, Any] = {
         "limit_depth": ("spindle_speed", depth * 1e3),
         "chatter_frequency": ("spindle_speed", chatter),
-        "lobe": ("spindle_speed", lobe.astype(np.int64)),
+        "lobe": ("spindle_speed", lobe),
+        "vibration": (("spindle_speed", "axis"), moved, {"units": "1"}),
     }
+    if mode is not None:
+        data["mode"] = ("spindle_speed", mode, {"units": "1", "none": NO_MODE})
     attrs = {
         "method": "zero_order",
         "frequency_low_Hz": float(f[0]),
         "frequency_high_Hz": float(f[-1]),
         "warnings": warnings,
     }
-    out = label(xr.Dataset(data, coords={"spindle_speed": speed}, attrs=attrs))
+    out = label(xr.Dataset(data, coords={"spindle_speed": speed, "axis": list(AXES)}, attrs=attrs))
     out["limit_depth"].attrs["infinity"] = "no crossing within the frequency range of the data"
     out["lobe"].attrs["none"] = NO_LOBE
     return out

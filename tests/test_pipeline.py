@@ -40,6 +40,8 @@ def test_every_promised_file_is_written(demo: Path) -> None:
         "lobes.nc",
         "comparison.csv",
         "lobe_table.csv",
+        "pockets.csv",
+        "presets.json",
         "chatter.csv",
         "report.html",
         "provenance.json",
@@ -374,12 +376,15 @@ spindle_speed = ["900 rpm", "1000 rpm", "10 rpm"]
 """
 
 
+LOBES = {"lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json"}
+
+
 @pytest.mark.parametrize(
     ("text", "written"),
     [
-        (HEAD + MODEL, {"lobes.nc", "lobe_table.csv"}),
+        (HEAD + MODEL, LOBES),
         (WITHOUT_MATERIAL + CUTTING_TEST, {"chatter.csv", "spectra.nc"}),
-        (HEAD + MODEL + CUTTING_TEST, {"lobes.nc", "lobe_table.csv", "chatter.csv", "spectra.nc"}),
+        (HEAD + MODEL + CUTTING_TEST, LOBES | {"chatter.csv", "spectra.nc"}),
     ],
     ids=["model and lobes", "cutting test without material", "model, lobes, cutting test"],
 )

@@ -1,25 +1,33 @@
 """The campaign file: what was measured, with what, and what is asked for."""
 
 from smfe.campaign.campaign import (
+    AxisModel,
     Baseline,
     Campaign,
     Conditions,
     CuttingTest,
     LobeRequest,
     Measurement,
+    MechanisticForces,
     Model,
+    ModesOf,
     RecordEntry,
+    RigidDrive,
     load_campaign,
 )
 
 __all__ = [
+    "AxisModel",
     "Baseline",
     "Campaign",
     "Conditions",
     "CuttingTest",
     "LobeRequest",
     "Measurement",
+    "MechanisticForces",
     "Model",
+    "ModesOf",
     "RecordEntry",
+    "RigidDrive",
     "load_campaign",
 ]

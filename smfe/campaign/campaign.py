@@ -26,6 +26,7 @@ from smfe.campaign.checks import check, merge, path
 from smfe.campaign.messages import complaints
 from smfe.datasets import Show
 from smfe.records.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
+from stability import Spindle, Spread
 
 LOBE_POINTS = 200
 """Spindle speeds of a lobe diagram where the campaign gives no step."""
@@ -104,7 +105,7 @@ class Measurement(Conditions):
     name : str
         Unique among measurements and models.
     method : str
-        "hammer", "actuator", "sweep" or "frf".
+        "hammer", "actuator", "sweep", "frf", "drive" or "silent".
     records : tuple of RecordEntry
         At least one.
     channels : mapping of str to Channel
@@ -117,6 +118,8 @@ class Measurement(Conditions):
         [Hz].
     references : str
         "all", or "x" for the estimator with a single reference (sweep).
+    held_out : bool
+        Set aside by a diagnosis, and opened once at its very end.
     """
 
     name: str
@@ -127,6 +130,7 @@ class Measurement(Conditions):
     frequency_range: tuple[float, float] | None = None
     resolution: float | None = None
     references: str = "all"
+    held_out: bool = False
 
     def settings(self) -> dict[str, Any]:
         """Return method, conditions and processing as plain values for a protocol, without what is not given."""
@@ -142,11 +146,12 @@ class Model:
 
     name: str
     modal: ModalModel
+    spread: Spread = field(default_factory=Spread)
 
 
 @dataclass(frozen=True)
-class Baseline:
-    """``[baseline]``: the simulation that a diagnosis questions, one feed axis of two masses.
+class AxisModel:
+    """``[baseline]`` that predicts compliances: one feed axis of two masses.
 
     Parameters
     ----------
@@ -167,6 +172,51 @@ class Baseline:
 
 
 @dataclass(frozen=True)
+class RigidDrive:
+    """``[baseline]`` that predicts the drive force of a moving axis: rigid, with viscous friction.
+
+    Parameters
+    ----------
+    axis : str
+        Its name.
+    moving_mass : float, optional
+        [kg]; None: found from the records alone.
+    Kp, Kv : float, optional
+        Velocity gain [N s/m] and position gain [1/s]; None: the control law is not questioned.
+    delay : float
+        Known delay from the logged to the acting force [s].
+    """
+
+    axis: str
+    moving_mass: float | None = None
+    Kp: float | None = None
+    Kv: float | None = None
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class MechanisticForces:
+    """``[baseline]`` that predicts the forces of the cutting tests from ``[tool]`` and ``[material]``."""
+
+
+@dataclass(frozen=True)
+class ModesOf:
+    """``[baseline]`` that predicts compliances from those of one measurement or model.
+
+    Parameters
+    ----------
+    source : str
+        Name of the measurement or model.
+    """
+
+    source: str
+
+
+Baseline = AxisModel | RigidDrive | MechanisticForces | ModesOf
+"""The simulation that a diagnosis questions."""
+
+
+@dataclass(frozen=True)
 class LobeRequest:
     """One ``[[lobes]]``.
 
@@ -175,13 +225,15 @@ class LobeRequest:
     measurements : tuple of str
         Names of measurements or models.
     method : str
-        "zero_order".
+        "zero_order", "multi_frequency", "semi_discretization" or "operating_point".
     cut : str
         "down", "up" or "central".
     width_of_cut, feed_per_tooth : float
         [m].
     spindle_speed : ndarray
         Spindle speeds [rpm].
+    maximum_depth : float or None
+        Greatest depth that can be cut [m].
     """
 
     measurements: tuple[str, ...]
@@ -190,6 +242,7 @@ class LobeRequest:
     width_of_cut: float
     feed_per_tooth: float
     spindle_speed: NDArray[np.float64] = field(repr=False)
+    maximum_depth: float | None = None
 
 
 @dataclass(frozen=True)
@@ -210,6 +263,8 @@ class CuttingTest:
         "down", "up" or "central".
     observed : str, optional
         "stable" or "chatter": the engineer's own verdict.
+    held_out : bool
+        Set aside by a diagnosis, and opened once at its very end.
     """
 
     file: Path
@@ -220,6 +275,7 @@ class CuttingTest:
     width_of_cut: float
     feed_per_tooth: float
     observed: str | None = None
+    held_out: bool = False
 
 
 @dataclass(frozen=True)
@@ -238,6 +294,10 @@ class Campaign:
         None only where nothing needs them.
     material : str or None
         Name of the work material.
+    coefficient_spread : float
+        Relative standard deviation of each cutting coefficient.
+    spindle : Spindle
+        What it can be set to.
     channels : mapping of str to Channel
         Channels of a record as the whole campaign declares them.
     measurements, models, lobes, cutting_tests : tuple
@@ -257,6 +317,8 @@ class Campaign:
     lobes: tuple[LobeRequest, ...] = ()
     cutting_tests: tuple[CuttingTest, ...] = ()
     baseline: Baseline | None = None
+    coefficient_spread: float = 0.0
+    spindle: Spindle = field(default_factory=Spindle)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -290,11 +352,11 @@ def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
     raw = read_toml(path)
     if "scenario" in raw and "campaign" not in raw:
         raise InputError(f"{path.name}: this is a scenario; smfe simulate {path.name} makes a campaign of it")
-    found = check(raw)
+    found, table = check(raw), schema.file_table(raw)
     try:
-        file = schema.CampaignFile.model_validate(raw, context={"path": path, "show": show})
+        file = table.model_validate(raw, context={"path": path, "show": show})
     except ValidationError as error:
-        found = complaints(error) + found
+        found = complaints(error, table) + found
     if found:
         raise InputError(report(path, found))
     return _build(path, file)
@@ -323,7 +385,7 @@ def report(file: Path, found: list[tuple[tuple[str | int, ...], str]]) -> str:
 # --- from the tables of the file to the objects -------------------------------------------------------------
 
 
-def _build(file_path: Path, file: schema.CampaignFile) -> Campaign:
+def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
     base = _declared(file.channels)
     return Campaign(
         path=file_path,
@@ -333,16 +395,22 @@ def _build(file_path: Path, file: schema.CampaignFile) -> Campaign:
         material=file.material.name if file.material else None,
         channels=_channels("cutting", base),
         measurements=tuple(_measurement(table, base) for table in file.measurement),
-        models=tuple(Model(table.name, table.build()) for table in file.model),
+        models=tuple(Model(table.name, table.build(), Spread(**dict(table.uncertainty))) for table in file.model),
         lobes=tuple(_lobes(table) for table in file.lobes),
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
         baseline=_baseline(file.baseline) if file.baseline else None,
+        coefficient_spread=file.material.uncertainty if file.material else 0.0,
+        spindle=file.spindle.build() if file.spindle else Spindle(),
     )
 
 
-def _baseline(table: schema.BaselineTable) -> Baseline:
-    drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
-    return Baseline(table.axis, drive, table.servos(), table.friction.build())
+def _baseline(table: Any) -> Baseline:
+    if isinstance(table, schema.AxisTable):
+        drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
+        return AxisModel(table.axis, drive, table.servos(), table.friction.build())
+    if isinstance(table, schema.DriveTable):
+        return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay)
+    return ModesOf(table.source) if isinstance(table, schema.ModesTable) else MechanisticForces()
 
 
 Declared = dict[str, Mapping[str, Any]]
@@ -357,7 +425,7 @@ def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
     own = _declared(table.channels)
     inherited = merge(_for_method(table.method, base), own)
     common: dict[str, Any] = {name: getattr(table, name) for name in schema.ConditionsTable.model_fields}
-    rest = ("name", "method", "frequency_range", "resolution", "references")
+    rest = ("name", "method", "frequency_range", "resolution", "references", "held_out")
     return Measurement(
         **common,
         **{name: getattr(table, name) for name in rest},
@@ -380,9 +448,13 @@ def _record(table: schema.RecordTable, method: str, inherited: Declared, common:
 
 
 def _for_method(method: str, base: Declared) -> Declared:
-    """Leave out what a whole campaign declares for its cuts: other records have no spindle channels."""
+    """Leave out what a whole campaign declares for its cuts and hits.
+
+    Other records have no spindle channels, and none of the records that nothing excites has a force.
+    """
     spindle = RECORD_SCALARS if method in ("hammer", "actuator", "drive", "silent") else ()
-    return {name: entry for name, entry in base.items() if name not in spindle}
+    quiet = method in ("drive", "silent")
+    return {n: entry for n, entry in base.items() if n not in spindle and not (quiet and n.startswith("force_"))}
 
 
 def _channels(method: str, declared: Declared) -> dict[str, Channel]:
@@ -395,7 +467,13 @@ def _lobes(table: schema.LobesTable) -> LobeRequest:
     count = LOBE_POINTS if not step else int((high - low) / step[0] * (1.0 + 1e-9)) + 1
     speeds = np.linspace(low, high, count) if not step else low + step[0] * np.arange(count)
     return LobeRequest(
-        table.measurements, table.method, table.cut, table.width_of_cut, table.feed_per_tooth, np.asarray(speeds)
+        table.measurements,
+        table.method,
+        table.cut,
+        table.width_of_cut,
+        table.feed_per_tooth,
+        np.asarray(speeds),
+        table.maximum_depth,
     )
 
 
@@ -409,4 +487,5 @@ def _cutting_test(table: schema.CuttingTestTable, base: Declared) -> CuttingTest
         width_of_cut=table.width_of_cut,
         feed_per_tooth=table.feed_per_tooth,
         observed=table.observed,
+        held_out=table.held_out,
     )

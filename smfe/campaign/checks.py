@@ -5,7 +5,7 @@ Works on the raw file, so that these errors are found together with those of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from process import units
@@ -46,6 +46,8 @@ def check(raw: Raw) -> list[Complaint]:
         _sweeps,
         _lobes,
         _cutting_tests,
+        _baseline,
+        _held_out,
         _channels,
     )
     return [complaint for rule in rules for complaint in rule(raw)]
@@ -156,19 +158,13 @@ def _fits(diameter: float | None, where: Loc, width: float | None, table: Raw) -
 
 
 def _lobes(raw: Raw) -> Iterator[Complaint]:
-    known = [name for _, name in _names_of(raw)]
     diameter = _quantity(raw.get("tool"), "diameter", "length")
     for where, table in _tables(raw, "lobes"):
         yield from _needs(raw, where, ("tool", "material"), "a stability limit")
         yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
         names = table.get("measurements")
         for i, name in enumerate(names if isinstance(names, list) else []):
-            if name not in known:
-                near = did_you_mean(str(name), known)
-                yield (
-                    (*where, "measurements", i),
-                    f"'{name}' is neither a measurement nor a model{near}; there are {listed(known)}",
-                )
+            yield from _named(raw, (*where, "measurements", i), name)
 
 
 def _cutting_tests(raw: Raw) -> Iterator[Complaint]:
@@ -176,6 +172,44 @@ def _cutting_tests(raw: Raw) -> Iterator[Complaint]:
     for where, table in _tables(raw, "cutting_test"):
         yield from _needs(raw, where, ("tool",), "a cutting test")
         yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
+
+
+def _baseline(raw: Raw) -> Iterator[Complaint]:
+    """What a baseline of each kind is compared with, and what it is made of."""
+    table = raw.get("baseline")
+    if not isinstance(table, dict):
+        return
+    kinds = [key for key in ("from", "drive", "forces") if key in table]
+    if len(kinds) > 1:
+        yield ("baseline",), f"gives {' and '.join(kinds)}; one simulation is questioned at a time, give one of them"
+    elif "drive" in table:
+        yield from _compared(raw, "measurement", "a measurement with method = 'drive'", ("drive",))
+    elif "forces" in table:
+        yield from _needs(raw, ("baseline",), ("tool", "material"), "a mechanistic force")
+        yield from _compared(raw, "cutting_test", "a [[cutting_test]] with the forces of a cut")
+    elif "from" in table:
+        yield from _named(raw, ("baseline", "from"), table["from"])
+
+
+def _compared(raw: Raw, key: str, what: str, methods: Sequence[str] = ()) -> Iterator[Complaint]:
+    tables = [t for _, t in _tables(raw, key) if not methods or t.get("method") in methods]
+    if not any(t.get("held_out") is not True for t in tables):
+        held = "; all of them are held out" if tables else ""
+        yield ("baseline",), f"has nothing to be compared with{held}; add {what}"
+
+
+def _held_out(raw: Raw) -> Iterator[Complaint]:
+    for key in ("measurement", "cutting_test"):
+        for where, table in _tables(raw, key):
+            if "held_out" in table and "baseline" not in raw:
+                yield (*where, "held_out"), "only a diagnosis reads it, and there is no [baseline]; take it out"
+
+
+def _named(raw: Raw, where: Loc, name: Any) -> Iterator[Complaint]:
+    known = [known for _, known in _names_of(raw)]
+    if name not in known:
+        near = did_you_mean(str(name), known)
+        yield where, f"'{name}' is neither a measurement nor a model{near}; there are {listed(known)}"
 
 
 def _channels(raw: Raw) -> Iterator[Complaint]:

@@ -24,10 +24,8 @@ COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
 METHODS = (*COMPLIANCE_METHODS, "drive", "silent")
 """How a measurement was made; "drive" is an axis that moves, "silent" a machine that nothing excites."""
 
-LOBE_METHODS = ("zero_order",)
+LOBE_METHODS = ("zero_order", "multi_frequency", "semi_discretization", "operating_point")
 """Methods for stability lobes that can be asked for."""
-
-_LATER = ("multi_frequency", "semi_discretization", "operating_point")
 
 
 def quantity(dimension: str, low: float = -math.inf, above: float = -math.inf) -> BeforeValidator:
@@ -57,10 +55,9 @@ def one_of(names: Sequence[str], what: str) -> BeforeValidator:
     def check(value: Any) -> str:
         if isinstance(value, str) and value in names:
             return value
-        later = " is not available yet" if value in _LATER else ""
-        near = did_you_mean(value, names) if isinstance(value, str) and not later else ""
+        near = did_you_mean(value, names) if isinstance(value, str) else ""
         near = _SYNONYMS.get(value, near) if what == "cut" and isinstance(value, str) else near
-        raise InputError(f"{what} {value!r}{later or ' is not known'}{near}; available: {', '.join(names)}")
+        raise InputError(f"{what} {value!r} is not known{near}; available: {', '.join(names)}")
 
     return BeforeValidator(check)
 
@@ -92,6 +89,16 @@ def _ratio(value: Any) -> float:
 
 
 Ratio = Annotated[float, BeforeValidator(_ratio)]
+
+
+def _share(value: Any) -> float:
+    share = _ratio(value)
+    if not 0.0 <= share < 1.0:
+        raise InputError(f"{value!r} is no share of a value; write a number from 0 to below 1, e.g. 0.05 or '5 %'")
+    return share
+
+
+Share = Annotated[float, BeforeValidator(_share)]
 
 
 def _feed(value: Any) -> dict[str, float]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from datetime import date, datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, TypeVar
 
 import numpy as np
-from pydantic import BeforeValidator, Field, StrictInt, StrictStr, model_validator
+from pydantic import BeforeValidator, Field, StrictBool, StrictInt, StrictStr, model_validator
 
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
@@ -18,6 +19,7 @@ from smfe.campaign import quantities as q
 from smfe.campaign.machine_tables import Delay, FrictionTable, PositiveMass, PositiveTime, ServoTable, Viscosity
 from smfe.campaign.tables import Table
 from smfe.records.channels import check_channel_name
+from stability import Spindle
 
 
 class CampaignTable(Table):
@@ -56,6 +58,7 @@ class MaterialTable(Table):
     Kte: q.LineForce = 0.0
     Kre: q.LineForce = 0.0
     Kae: q.LineForce = 0.0
+    uncertainty: q.Share = 0.0
 
     @model_validator(mode="after")
     def _possible(self) -> MaterialTable:
@@ -118,6 +121,7 @@ class MeasurementTable(ConditionsTable):
     frequency_range: q.FrequencyRange | None = None
     resolution: q.PositiveFrequency | None = None
     references: Annotated[str, q.one_of(("all", "x"), "references")] = "all"
+    held_out: StrictBool = False
     channels: Annotated[Channels, Field(default_factory=dict)]
 
 
@@ -130,11 +134,20 @@ class ModeTable(Table):
     direction: tuple[float, float, float]
 
 
+class UncertaintyTable(Table):
+    """``uncertainty`` of a model: relative standard deviations that hold for all its modes."""
+
+    frequency: q.Share = 0.0
+    damping: q.Share = 0.0
+    stiffness: q.Share = 0.0
+
+
 class ModelTable(Table):
     """``[[model]]``."""
 
     name: q.Name
     modes: Annotated[tuple[ModeTable, ...], q.NotEmpty]
+    uncertainty: Annotated[UncertaintyTable, Field(default_factory=UncertaintyTable)]
 
     @model_validator(mode="after")
     def _possible(self) -> ModelTable:
@@ -151,8 +164,8 @@ class ModelTable(Table):
         )
 
 
-class BaselineTable(Table):
-    """``[baseline]``: the simulation that a diagnosis questions, one feed axis of two masses."""
+class AxisTable(Table):
+    """``[baseline]`` that predicts compliances: one feed axis of two masses."""
 
     axis: q.Axis
     moving_mass: PositiveMass
@@ -166,18 +179,8 @@ class BaselineTable(Table):
     controllers: dict[StrictStr, ServoTable] | None = None
     friction: FrictionTable
 
-    @model_validator(mode="before")
-    @classmethod
-    def _an_axis(cls, table: Any) -> Any:
-        if isinstance(table, dict) and "from" in table:
-            raise InputError(
-                "a baseline from a measurement is not available; give the axis: axis, moving_mass, tip_mass, "
-                "stiffness, damping, Kp, Ti, Kv, friction"
-            )
-        return table
-
     @model_validator(mode="after")
-    def _one_servo(self) -> BaselineTable:
+    def _one_servo(self) -> AxisTable:
         single = [self.Kp, self.Ti, self.Kv]
         if (None in single) == (self.controllers is None):
             raise InputError(
@@ -197,6 +200,35 @@ class BaselineTable(Table):
         return {"": Servo(self.Kp, self.Ti, self.Kv, self.delay)}
 
 
+class DriveTable(Table):
+    """``[baseline]`` that predicts the drive force of a moving axis: rigid, with viscous friction."""
+
+    drive: Annotated[str, q.one_of(("rigid",), "drive")]
+    axis: q.Axis
+    moving_mass: PositiveMass | None = None
+    Kp: Annotated[float, q.quantity("viscosity", above=0.0)] | None = None
+    Kv: q.PositiveFrequency | None = None
+    delay: Delay = 0.0
+
+    @model_validator(mode="after")
+    def _both_gains(self) -> DriveTable:
+        if (self.Kp is None) != (self.Kv is None):
+            raise InputError("needs Kp and Kv for the control law, or neither; give both")
+        return self
+
+
+class ForcesTable(Table):
+    """``[baseline]`` that predicts the forces of the cutting tests: ``[tool]`` and ``[material]``, nothing else."""
+
+    forces: Annotated[str, q.one_of(("mechanistic",), "forces")]
+
+
+class ModesTable(Table):
+    """``[baseline]`` that predicts compliances from those of one measurement or model."""
+
+    source: StrictStr = Field(alias="from")
+
+
 class LobesTable(Table):
     """``[[lobes]]``."""
 
@@ -206,6 +238,28 @@ class LobesTable(Table):
     width_of_cut: q.PositiveLength
     feed_per_tooth: q.PositiveLength
     spindle_speed: q.SpeedRange
+    maximum_depth: q.PositiveLength | None = None
+
+
+class SpindleTable(Table):
+    """``[spindle]``: what it can be set to."""
+
+    minimum: q.Rotation | None = None
+    maximum: q.Rotation | None = None
+    step: q.Rotation | None = None
+    accuracy: q.Share = 0.01
+
+    @model_validator(mode="after")
+    def _possible(self) -> SpindleTable:
+        self.build()
+        return self
+
+    def build(self) -> Spindle:
+        """Return the spindle."""
+        low, high, step = (
+            None if w is None else round(w * 30.0 / math.pi, 6) for w in (self.minimum, self.maximum, self.step)
+        )
+        return Spindle(low or 0.0, math.inf if high is None else high, step, self.accuracy)
 
 
 class CuttingTestTable(Table):
@@ -218,11 +272,15 @@ class CuttingTestTable(Table):
     width_of_cut: q.PositiveLength
     feed_per_tooth: q.PositiveLength
     observed: Annotated[str, q.one_of(("stable", "chatter"), "verdict")] | None = None
+    held_out: StrictBool = False
     channels: Annotated[Channels, Field(default_factory=dict)]
 
 
-class CampaignFile(Table):
-    """The whole file."""
+B = TypeVar("B", bound=Table)
+
+
+class CampaignFile(Table, Generic[B]):
+    """The whole file, with one kind of baseline."""
 
     campaign: CampaignTable
     tool: ToolTable | None = None
@@ -230,6 +288,17 @@ class CampaignFile(Table):
     channels: Annotated[Channels, Field(default_factory=dict)]
     measurement: tuple[MeasurementTable, ...] = ()
     model: tuple[ModelTable, ...] = ()
-    baseline: BaselineTable | None = None
+    baseline: B | None = None
+    spindle: SpindleTable | None = None
     lobes: tuple[LobesTable, ...] = ()
     cutting_test: tuple[CuttingTestTable, ...] = ()
+
+
+def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:
+    """Return the table of a whole file: the keys of its baseline tell of which kind that is."""
+    keys = raw["baseline"] if isinstance(raw.get("baseline"), dict) else {}
+    if "drive" in keys:
+        return CampaignFile[DriveTable]
+    if "forces" in keys:
+        return CampaignFile[ForcesTable]
+    return CampaignFile[ModesTable] if "from" in keys else CampaignFile[AxisTable]

@@ -6,21 +6,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import xarray as xr
+from scipy.ndimage import convolve1d
 
 from process import units
 from process.errors import InputError
 from process.friction import Andersson, Coulomb, CoulombViscous, FrictionLaw, MemoryLaw, Viscous
-from smfe.campaign import Baseline, Campaign, Measurement
+from process.labels import AXES
+from smfe.campaign import AxisModel, Campaign, Measurement, MechanisticForces, ModesOf, RigidDrive
 from smfe.diagnosis.axis_baseline import AxisBaseline
+from smfe.diagnosis.campaign_case import Case
+from smfe.diagnosis.campaign_cuts import cutting_case
+from smfe.diagnosis.campaign_drive import drive_case
+from smfe.diagnosis.campaign_menu import menu
 from smfe.diagnosis.machine_frf import MachineFrfs, condition_of, excitation_of
+from smfe.diagnosis.modal_frf import ModalFrfs
+from smfe.diagnosis.modal_proposals import modal_proposals
 from smfe.diagnosis.problem import Condition
 from smfe.identification import Identification
 
 _LOWEST = 5.0
+_LINES = 15  # over which the error of hits is averaged
 _REACH = 3.0  # times the locked frequency: beyond, two masses say nothing
 
 
-def axis_baseline(baseline: Baseline) -> AxisBaseline:
+def axis_baseline(baseline: AxisModel) -> AxisBaseline:
     """Return the baseline of a campaign as one that can be questioned.
 
     Raises
@@ -47,8 +57,45 @@ def _friction(law: FrictionLaw | MemoryLaw) -> tuple[float, dict[str, float]]:
     )
 
 
+def case_of(campaign: Campaign, found: Mapping[str, Identification]) -> Case:
+    """Return what a campaign puts to the question, whatever its baseline predicts.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With ``[baseline]``.
+    found : mapping
+        Measurement name -> identification, where the baseline predicts compliances.
+
+    Raises
+    ------
+    InputError
+        Without a baseline, or when nothing can be compared with it.
+    """
+    baseline = campaign.baseline
+    if baseline is None:
+        raise InputError(
+            'the campaign gives no [baseline]: say which simulation is to be questioned: axis = "x", moving_mass, '
+            'tip_mass, stiffness, damping, Kp, Ti, Kv, friction; or drive = "rigid"; or forces = "mechanistic"; '
+            'or from = "NAME"'
+        )
+    if isinstance(baseline, RigidDrive):
+        return drive_case(campaign, baseline)
+    if isinstance(baseline, MechanisticForces):
+        return cutting_case(campaign)
+    family = modal_family(campaign, baseline, found) if isinstance(baseline, ModesOf) else _with_menu(campaign, found)
+    names = [c.name for c in family.conditions]
+    held_out = tuple(m.name for m in campaign.measurements if m.held_out and m.name in names)
+    return Case(family, {n: (n,) for n in names}, held_out)
+
+
+def _with_menu(campaign: Campaign, found: Mapping[str, Identification]) -> MachineFrfs:
+    family = machine_family(campaign, found)
+    return replace(family, proposals=menu(family))
+
+
 def machine_family(campaign: Campaign, found: Mapping[str, Identification]) -> MachineFrfs:
-    """Return the family of a campaign with a baseline: every hammer and actuator measurement along its axis.
+    """Return the family of a campaign with the model of an axis: every hammer and actuator measurement along it.
 
     Parameters
     ----------
@@ -60,25 +107,58 @@ def machine_family(campaign: Campaign, found: Mapping[str, Identification]) -> M
     Raises
     ------
     InputError
-        Without a baseline, or when no measurement shows its axis with an uncertainty.
+        When no measurement shows its axis with an uncertainty.
     """
-    if campaign.baseline is None:
-        raise InputError(
-            'the campaign gives no [baseline]: say which simulation is to be questioned, e.g. axis = "x", moving_mass, '
-            "tip_mass, stiffness, damping, Kp, Ti, Kv, friction"
-        )
+    if not isinstance(campaign.baseline, AxisModel):
+        raise InputError("the baseline is not the model of an axis; give axis, moving_mass, tip_mass, stiffness ...")
     baseline = axis_baseline(campaign.baseline)
+    axis, band = baseline.axis, (_LOWEST, _REACH * baseline.drive.locked_frequency)
     conditions = [
-        _condition(m, found[m.name], baseline, order)
-        for m, order in zip(campaign.measurements, _orders(campaign.measurements), strict=True)
-        if m.method in ("hammer", "actuator") and _shows(found.get(m.name), baseline.axis)
+        _condition(m, found[m.name], (axis,), band, order, _controller(m, baseline))
+        for m, order in _ordered(campaign)
+        if _shows(found.get(m.name), axis)
     ]
     if not conditions:
         raise InputError(
-            f"no hammer or actuator measurement shows {baseline.axis} under a force along {baseline.axis} with its "
+            f"no hammer or actuator measurement shows {axis} under a force along {axis} with its "
             "uncertainty (three hits or more); the baseline has nothing to be compared with"
         )
     return MachineFrfs(baseline, tuple(conditions))
+
+
+def modal_family(campaign: Campaign, baseline: ModesOf, found: Mapping[str, Identification]) -> ModalFrfs:
+    """Return the family of a campaign whose baseline is a modal model: every hammer and actuator measurement.
+
+    Raises
+    ------
+    InputError
+        When its modes are not declared, or no measurement has an uncertainty.
+    """
+    models = {m.name: m.modal for m in campaign.models}
+    if baseline.source not in models:
+        raise InputError(
+            f"baseline.from: '{baseline.source}' is a measurement; a simulation is made of modes: declare those found "
+            "in it as a [[model]] and name that"
+        )
+    model = models[baseline.source]
+    band = (0.5 * float(model.frequency.min()), 2.0 * float(model.frequency.max()))
+    conditions = []
+    for m, order in _ordered(campaign):
+        axes = tuple(a for a in AXES if _shows(found.get(m.name), a))
+        if axes:
+            conditions.append(_condition(m, found[m.name], axes, band, order, m.controller))
+    if not conditions:
+        raise InputError(
+            "no hammer or actuator measurement has an uncertainty (three hits or more); the baseline has nothing to be "
+            "compared with"
+        )
+    return ModalFrfs(model, tuple(conditions), modal_proposals(conditions))
+
+
+def _ordered(campaign: Campaign) -> list[tuple[Measurement, float]]:
+    """Return the hammer and actuator measurements with their places in the session."""
+    pairs = zip(campaign.measurements, _orders(campaign.measurements), strict=True)
+    return [(m, order) for m, order in pairs if m.method in ("hammer", "actuator")]
 
 
 def _shows(found: Identification | None, axis: str) -> bool:
@@ -91,27 +171,52 @@ def _shows(found: Identification | None, axis: str) -> bool:
     return bool(np.isfinite(std).any())
 
 
-def _condition(measurement: Measurement, found: Identification, baseline: AxisBaseline, order: float) -> Condition:
-    axis = baseline.axis
-    compliance = found.compliance.sel(response=[axis], excitation=[axis])
-    level, duration = _level(measurement, found, axis)
-    feed = {a: float(v) for a, v in (measurement.feed or {}).items() if a == axis}
-    controller = _controller(measurement, baseline)
+def _condition(
+    measurement: Measurement,
+    found: Identification,
+    axes: Sequence[str],
+    band: tuple[float, float],
+    order: float,
+    controller: str | None,
+) -> Condition:
+    compliance = found.compliance.sel(response=list(axes), excitation=list(axes))
+    if measurement.method == "hammer":
+        compliance = steadied(compliance)
+    levels, durations = zip(*(_level(measurement, found, a) for a in axes), strict=True)
+    feed = {a: float(v) for a, v in (measurement.feed or {}).items() if a in axes}
     settings: dict[str, float | str] = {
         "method": measurement.method,
-        "feed": feed.get(axis, 0.0),
-        "level": level,
+        "feed": feed.get(axes[0], 0.0),
+        "level": float(np.mean(levels)),
         "order": order,
         "controller": controller or "",
         "added_mass": measurement.added_mass or 0.0,
+        **_position(measurement.position),
     }
-    if measurement.position is not None:
-        settings["position"] = _position(measurement.position)
-    band = (_LOWEST, _REACH * baseline.drive.locked_frequency)
     excited = excitation_of(
-        compliance, measurement.method, level, band, duration=duration, feed=feed, controller=controller
+        compliance,
+        measurement.method,
+        float(np.mean(levels)),
+        band,
+        duration=float(np.mean(durations)),
+        feed=feed,
+        controller=controller,
     )
     return condition_of(measurement.name, compliance, excited, settings, measurement.name)
+
+
+def steadied(compliance: xr.Dataset) -> xr.Dataset:
+    """Return a compliance whose standard deviation is the root mean square over neighbouring lines.
+
+    That of a line by itself comes from a few hits: over it, residuals of noise alone have a mean square of
+    (n - 1)/(n - 2) for n hits, 1.5 for four, and tails that no threshold allows for. Noise is smooth over frequency.
+    """
+    std = compliance["compliance_std"].transpose("frequency", ...)
+    known = np.isfinite(std.values)
+    squares = np.where(known, std.values**2, 0.0)
+    square, count = (convolve1d(x, np.ones(_LINES), axis=0, mode="constant") for x in (squares, 1.0 * known))
+    smooth = np.where(known, np.sqrt(square / np.maximum(count, 1.0)), np.nan)
+    return compliance.assign(compliance_std=(std.dims, smooth, std.attrs))
 
 
 def _controller(measurement: Measurement, baseline: AxisBaseline) -> str | None:
@@ -126,12 +231,14 @@ def _controller(measurement: Measurement, baseline: AxisBaseline) -> str | None:
     return name
 
 
-def _position(text: str) -> float:
+def _position(text: str | None) -> dict[str, float | str]:
     """A position that is a length counts; a name of a place says only which are the same."""
+    if text is None:
+        return {}
     try:
-        return units.parse(text, "length")
+        return {"position": units.parse(text, "length")}
     except InputError:
-        return 0.0
+        return {"place": text}
 
 
 def _level(measurement: Measurement, found: Identification, axis: str) -> tuple[float, float]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from smfe.diagnosis.by_condition import ConditionMisfit
 from smfe.diagnosis.cross_validation import Gain
 from smfe.diagnosis.next_experiment import Proposal
 from smfe.diagnosis.power import Detectable
@@ -90,6 +91,36 @@ class Rung:
 
 
 @dataclass(frozen=True)
+class StableDepth:
+    """Limit depth of a cut with the machine as the campaign gives it and as the finding repairs it.
+
+    Attributes
+    ----------
+    where : str
+        Lobes or cutting test that ask for it.
+    spindle_speed_rpm, feed_mm_min : float
+        The cut.
+    before_mm, after_mm : float
+        Infinite: no limit. Zero: at this feed the axis vibrates without any cut.
+    """
+
+    where: str
+    spindle_speed_rpm: float
+    feed_mm_min: float
+    before_mm: float
+    after_mm: float
+
+
+@dataclass(frozen=True)
+class ForceError:
+    """Error of the drive force over the moves that were fitted, or set aside: rms over rms of the force [1]."""
+
+    held_out: bool
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
 class Finding:
     """A diagnosis.
 
@@ -126,6 +157,14 @@ class Finding:
         What would settle what is open.
     threshold : float
         Of the likelihood ratio of the first cause, less two for each of its parameters.
+    conditions : tuple of ConditionMisfit
+        Misfit of each condition before and after.
+    values, values_before : mapping
+        Parameters of the best model, and of the baseline fitted to the same data (SI).
+    stable_depth : tuple of StableDepth
+        Where the finding repairs the machine of a campaign that asks for stable depths.
+    force_error : tuple of ForceError
+        Where it repairs the model of a drive.
     """
 
     verdict: Verdict
@@ -143,6 +182,11 @@ class Finding:
     unconverged: tuple[tuple[str, str], ...] = ()
     next_experiment: Proposal | None = None
     threshold: float | None = None
+    conditions: tuple[ConditionMisfit, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    values_before: Mapping[str, float] = field(default_factory=dict)
+    stable_depth: tuple[StableDepth, ...] = ()
+    force_error: tuple[ForceError, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for ``finding.json``; numbers that are not finite become None."""
@@ -176,10 +220,12 @@ def explain(finding: Finding) -> str:
     parts += [_cause(c) for c in finding.causes]
     parts += [f"The data do not tell apart: {', '.join(c.title for c in s)}." for s in finding.alternatives]
     parts += _gains(finding)
+    parts += [_force_error(e) for e in finding.force_error]
+    for where in dict.fromkeys(row.where for row in finding.stable_depth):
+        parts += _stable_depth([row for row in finding.stable_depth if row.where == where])
     parts += _remainder(finding)
     if finding.next_experiment is not None:
-        n = finding.next_experiment
-        parts.append(f"Measure next: {n.name}; {n.expected}.")
+        parts.append(_next(finding.next_experiment))
     elif finding.verdict == "ambiguous":
         parts.append("None of the proposed experiments would settle it.")
     if finding.verdict == "consistent":
@@ -209,12 +255,46 @@ def _misfit(finding: Finding) -> list[str]:
 
 
 def _cause(cause: FoundCause) -> str:
-    values = "; ".join(f"{e.name} {e.value:.4g} {e.unit} ({e.low:.4g} to {e.high:.4g})" for e in cause.parameters)
+    values = "; ".join(
+        f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({e.low:.4g} to {e.high:.4g})" for e in cause.parameters
+    )
     proof = f"likelihood ratio {cause.ratio:.0f}"
     if cause.gain_db is None:
         return f"Not proven on conditions it was not fitted to: {cause.title}: {values} ({proof})."
     gain = f"worth {cause.gain_db:.1f} dB there"
     return f"Accepted on conditions it was not fitted to: {cause.title}: {values}; {gain} ({proof})."
+
+
+def unit_of(unit: str) -> str:
+    """Return a unit as it stands behind a number; a pure number has none."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def _next(n: Proposal) -> str:
+    price = "" if n.minutes is None else f" (about {n.minutes:.0f} min)"
+    return f"Measure next: {n.name}{price}; {n.expected}."
+
+
+def _force_error(error: ForceError) -> str:
+    where = "moves set aside beforehand" if error.held_out else "the moves that were fitted"
+    return f"Force error over {where}: {100.0 * error.before:.1f} % before, {100.0 * error.after:.1f} % after."
+
+
+def _stable_depth(rows: Sequence[StableDepth]) -> list[str]:
+    where, out = f"Stable depth ({rows[0].where})", []
+    known = [r for r in rows if 0.0 < r.before_mm < math.inf and 0.0 < r.after_mm < math.inf]
+    if known:
+        worst = max(known, key=lambda r: abs(math.log(r.after_mm / r.before_mm)))
+        most = "" if len(known) == 1 else "the largest change is "
+        out.append(
+            f"{where}: {most}at {worst.spindle_speed_rpm:g} rpm, {worst.after_mm:.3g} mm with the extended model, "
+            f"{worst.before_mm:.3g} mm with the baseline."
+        )
+    silent = [r.spindle_speed_rpm for r in rows if r.after_mm == 0.0]
+    if silent:
+        speeds = f"{min(silent):g} rpm" if len(silent) == 1 else f"{min(silent):g} to {max(silent):g} rpm"
+        out.append(f"{where}: at the feed of {speeds} the axis of the extended model vibrates without any cut.")
+    return out
 
 
 def _remainder(finding: Finding) -> list[str]:
@@ -240,10 +320,10 @@ def _gains(finding: Finding) -> list[str]:
 
 
 def _power(power: Sequence[Detectable]) -> list[str]:
-    found = []
-    for p in power:
-        if p.admissible:
-            found.append(f"{p.title} of {p.size:.2g} {p.unit} ({p.parameter}) would have been seen with 95 %.")
-        else:
-            found.append(f"{p.title} ({p.parameter}) would not have been seen in these conditions.")
-    return found
+    found = [
+        f"{p.title} above {p.size:.2g}{unit_of(p.unit)} ({p.parameter}) would have been seen with 95 %."
+        for p in power
+        if p.admissible
+    ]
+    hidden = dict.fromkeys(f"{p.title} ({p.parameter})" for p in power if not p.admissible)
+    return [*found, *([f"Would not have been seen in these conditions: {'; '.join(hidden)}."] if hidden else [])]

@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from process.errors import InputError
-from smfe.campaign import Campaign, load_campaign
+from smfe.campaign import AxisModel, Campaign, ModesOf, load_campaign
 from smfe.datasets import Show
 from smfe.diagnosis.audit import audit
-from smfe.diagnosis.campaign_family import machine_family
+from smfe.diagnosis.campaign_case import Case
+from smfe.diagnosis.campaign_family import case_of
+from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.engine import diagnose as diagnose_family
 from smfe.diagnosis.finding import Finding, explain
 from smfe.diagnosis.suspect import Suspect
@@ -39,7 +41,8 @@ def diagnose(
     seed : int, optional
         Of all draws.
     held_out : sequence of str, optional
-        Measurements that are set aside and opened once, at the very end.
+        Measurements, or files of cutting tests, that are set aside and opened once, at the very end, besides those
+        that the campaign marks so.
     progress : callable, optional
         Called with (what, done, of).
     licence : callable, optional
@@ -57,11 +60,11 @@ def diagnose(
     """
     loaded, path = load_campaign(Path(campaign), licence), Path(output)
     if loaded.baseline is None:
-        machine_family(loaded, {})  # says what is missing, before any record is read
+        case_of(loaded, {})  # says what is missing, before any record is read
     suspects = audit(loaded, progress)
-    found = _identified(loaded, path.parent / KEPT, progress)
-    finding = diagnose_family(machine_family(loaded, found), seed, progress, held_out)
-    write_json(path, as_dict(finding, suspects))
+    case = case_of(loaded, _identified(loaded, path.parent / KEPT, progress))
+    finding, content = _questioned(loaded, case, suspects, seed, progress, held_out)
+    write_json(path, content)
     return finding
 
 
@@ -69,8 +72,16 @@ def finding_of(
     campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent
 ) -> dict[str, object]:
     """Return what ``finding.json`` holds for a campaign with a baseline whose measurements are identified already."""
-    family = machine_family(campaign, found)
-    return as_dict(diagnose_family(family, 0, progress), audit(campaign, progress))
+    return _questioned(campaign, case_of(campaign, found), audit(campaign, progress), 0, progress, ())[1]
+
+
+def _questioned(
+    campaign: Campaign, case: Case, suspects: Sequence[Suspect], seed: int, progress: Progress, held_out: Sequence[str]
+) -> tuple[Finding, dict[str, object]]:
+    aside = case.set_aside(held_out)
+    finding = diagnose_family(case.family, seed, progress, aside)
+    finding = with_consequences(campaign, case.family, finding, aside)
+    return finding, as_dict(finding, [*suspects, *case.suspects])
 
 
 def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:
@@ -80,6 +91,8 @@ def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:
 
 
 def _identified(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
+    if not isinstance(campaign.baseline, AxisModel | ModesOf):
+        return {}
     wanted = [m for m in campaign.measurements if m.method in ("hammer", "actuator")]
     if not wanted:
         raise InputError("the campaign has no hammer or actuator measurement; the baseline has nothing to compare with")

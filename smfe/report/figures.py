@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from smfe.report import diagnosis
 from smfe.report.answer import outcomes
-from smfe.report.diagnosis import draw_ladder
-from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, spectrum_span
+from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, predicted_lines, spectrum_span
 from smfe.report.look import (
     AXIS_COLOURS,
     CHATTER,
@@ -30,6 +30,7 @@ from smfe.report.look import (
     axes_of,
     depth_range,
     frequency_range,
+    literal,
     magnitude_band,
     magnitude_range,
     number,
@@ -73,8 +74,8 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         out["condition.png"] = partial(draw_quality, shown, looks)
     if results.spectra:
         out["spectra.png"] = partial(draw_spectra, list(results.spectra.values()))
-    if results.finding.get("ladder"):
-        out["diagnosis.png"] = partial(draw_ladder, results.finding)
+    if diagnosis.pictured(results.finding):
+        out["diagnosis.png"] = partial(diagnosis.draw, results.finding)
     return out
 
 
@@ -101,11 +102,6 @@ def save(figure: Figure, path: Path) -> Path:
         # Names are the user's; a letter that the font lacks becomes a box and is no fault of the report.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         return write_atomically(path, lambda p: figure.savefig(p, format="png", pil_kwargs={"compress_level": 3}))
-
-
-def literal(text: str) -> str:
-    """Return text that matplotlib shows letter by letter: a dollar sign would begin a formula."""
-    return text.replace("\\", "\\\\").replace("$", r"\$") if "$" in text else text
 
 
 def _new(width: float, height: float) -> Figure:
@@ -343,6 +339,8 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
     if any(harmonic_bands(s) for s in shown):
         entries.append((Patch(facecolor="#777777", alpha=0.3), "removed harmonics"))
     entries.append((Line2D([], [], color=CHATTER, linestyle=":"), "chatter line"))
+    if any(predicted_lines(s, np.inf) for s in shown):
+        entries.append((Line2D([], [], color=CHATTER, linestyle="", marker="v"), "predicted by lobes"))
     if any(np.isfinite(float(s.attrs.get("threshold_amplitude", np.nan))) for s in shown):
         entries.append((Line2D([], [], color=CHATTER, linestyle="--"), "threshold"))
     width, height = (2.6 * columns + 0.6 if columns > 1 else 5.5), 2.2 * rows + 0.9
@@ -380,6 +378,8 @@ def _draw_spectrum(axes: Axes, dataset: xr.Dataset, end: float) -> None:
         axes.axvline(line, color=CHATTER, linestyle=":", linewidth=1.2)
     if np.isfinite(threshold):
         axes.axhline(threshold, color=CHATTER, linestyle="--", linewidth=1.0)
+    marks = list(predicted_lines(dataset, end).values())
+    axes.plot(marks, [0.97] * len(marks), "v", color=CHATTER, markersize=4.5, transform=axes.get_xaxis_transform())
     axes.set(yscale="log", xlim=(0.0, end), ylim=(floor, top))
     attrs = dataset.attrs
     cut = f"{number(attrs.get('spindle_speed_rpm'))} rpm, {number(attrs.get('depth_of_cut_mm'))} mm"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -279,6 +280,20 @@ def spectrum_figure(dataset: xr.Dataset, end: float) -> Figure:
                 "hovertemplate": "%{x:.5~g} Hz: %{y:.3~g}",
             }
         )
+    predicted = predicted_lines(dataset, end)
+    if predicted:
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "x": list(predicted.values()),
+                "y": [top / 1.1] * len(predicted),
+                "text": [plain(name) for name in predicted],
+                "name": "predicted",
+                "marker": {"symbol": "triangle-down", "size": 10, "color": CHATTER},
+                "hovertemplate": "%{text}: %{x:.5~g} Hz predicted",
+            }
+        )
     layout = base_layout(
         330,
         margin={"l": 70, "r": 15, "t": 34, "b": 46},
@@ -288,6 +303,12 @@ def spectrum_figure(dataset: xr.Dataset, end: float) -> Figure:
         annotations=_spectrum_notes(dataset, end),
     )
     return {"data": data, "layout": layout}
+
+
+def predicted_lines(dataset: xr.Dataset, end: float) -> dict[str, float]:
+    """Return the chatter frequency that each source of lobes predicts [Hz], as far as the figure reaches."""
+    found = json.loads(str(dataset.attrs.get("predicted_Hz", "{}")))
+    return {str(name): float(f) for name, f in found.items() if float(f) <= end}
 
 
 def _removed(pairs: Sequence[tuple[float, float]], low: float, high: float) -> Figure:

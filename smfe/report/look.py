@@ -58,6 +58,11 @@ def translucent(colour: str, opacity: float) -> str:
     return f"rgba({red},{green},{blue},{opacity:g})"
 
 
+def literal(text: str) -> str:
+    """Return text that matplotlib shows letter by letter: a dollar sign would begin a formula."""
+    return text.replace("\\", "\\\\").replace("$", r"\$") if "$" in text else text
+
+
 def number(value: object, digits: int = 4) -> str:
     """Return a number with so many significant digits and without an exponent where that reads better."""
     if isinstance(value, bool | np.bool_):

@@ -79,7 +79,7 @@ def render(results: Results, looks: dict[str, Line]) -> str:
         "spectra": _spectra(results, plots),
         "compliance": _compliance(results, looks, plots),
         "comparison": _comparison(results),
-        "diagnosis": diagnosis.section(results.finding),
+        "diagnosis": diagnosis.section(results.finding, plots),
         "details": [tables.hits(f, f"{m}: {t}") for (m, t), f in results.tables.items()],
         "provenance": _provenance(results),
     }

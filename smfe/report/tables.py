@@ -128,7 +128,9 @@ def cutting_tests(frame: pd.DataFrame) -> list[Table]:
     """Return what the criterion found in the cutting tests, and what each source of lobes had predicted."""
     happened = outcomes(frame)
     sources = [str(c).removeprefix("predicted_") for c in frame.columns if str(c).startswith("predicted_")]
-    columns = [f"{kind}_{s}{end}" for s in sources for kind, end in (("predicted", ""), ("limit", "_mm"))]
+    columns = [
+        f"{kind}_{s}{end}" for s in sources for kind, end in (("predicted", ""), ("limit", "_mm"), ("frequency", "_Hz"))
+    ]
     found = frame.drop(columns=columns, errors="ignore").dropna(axis="columns", how="all")
     out = [table(found, f"{len(frame)} cutting tests", lambda row: str(row["verdict"]))]
     if sources:

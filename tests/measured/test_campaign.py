@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from process.errors import InputError
 from process.units import UNITS, parse
-from smfe.campaign import Campaign, load_campaign
+from smfe.campaign import Campaign, RigidDrive, load_campaign
 from smfe.records import Channel, read_records
 
 EXAMPLE = """
@@ -300,7 +300,22 @@ ONE_FAULT = [
     (
         "[campaign]",
         "[baseline]\nfrom = 'x'\n[campaign]",
-        "baseline: a baseline from a measurement is not available; give the axis: axis, moving_mass, tip_mass",
+        "baseline.from: 'x' is neither a measurement nor a model; there are 'hammer_idle_K2', 'sweep_2mm_K2'",
+    ),
+    (
+        "[campaign]",
+        "[baseline]\nfrom = 'hammer_idle_K2'\nforces = 'mechanistic'\n[campaign]",
+        "baseline: gives from and forces; one simulation is questioned at a time, give one of them",
+    ),
+    (
+        "[campaign]",
+        "[baseline]\ndrive = 'rigid'\naxis = 'x'\n[campaign]",
+        "baseline: has nothing to be compared with; add a measurement with method = 'drive'",
+    ),
+    (
+        'method = "hammer"',
+        'method = "hammer"\nheld_out = true',
+        "measurement[0].held_out: only a diagnosis reads it, and there is no [baseline]; take it out",
     ),
     ("[tool]", "[tol]", "tol: this key is not known (did you mean 'tool'?)"),
     # units
@@ -382,8 +397,9 @@ ONE_FAULT = [
     ),
     (
         '"zero_order"',
-        '"multi_frequency"',
-        "lobes[0].method: method 'multi_frequency' is not available yet; available: zero_order",
+        '"multifrequency"',
+        "lobes[0].method: method 'multifrequency' is not known (did you mean 'multi_frequency'?); available: "
+        "zero_order, multi_frequency, semi_discretization, operating_point",
     ),
     ('"100 mm"', '"130 mm"', "lobes[0].width_of_cut: '130 mm' is wider than the tool of 125 mm"),
     ('"cut_500_3.csv"', '"cut*_3.csv"', None),
@@ -569,6 +585,34 @@ class TestBaseline:
     def test_a_servo_that_is_none(self, tmp_path: Path, text: str, said: str) -> None:
         with pytest.raises(InputError, match=re.escape(said)):
             self.load(tmp_path, self.AXIS + text)
+
+    DRIVE = "[baseline]\ndrive = 'rigid'\naxis = 'x'\n"
+    MOVED = "[[measurement]]\nname = 'moved'\nmethod = 'drive'\nrecords = [{ file = 'hit.csv' }]\n"
+
+    def test_a_rigid_drive_in_si(self, tmp_path: Path) -> None:
+        gains = "Kp = '8557 N s/m'\nKv = '160 1/s'\nmoving_mass = '95 kg'\n"
+        assert self.load(tmp_path, self.MOVED + self.DRIVE + gains).baseline == RigidDrive("x", 95.0, 8557.0, 160.0)
+
+    def test_what_is_held_out_is_marked(self, tmp_path: Path) -> None:
+        again = self.MOVED.replace("'moved'", "'again'") + "held_out = true\n"
+        found = self.load(tmp_path, self.MOVED + again + self.DRIVE).measurements
+        assert [m.held_out for m in found] == [False, False, True]
+
+    @pytest.mark.parametrize(
+        ("text", "said"),
+        [
+            (DRIVE.replace("rigid", "flexible") + MOVED, "baseline.drive: drive 'flexible' is not known"),
+            (DRIVE + "Kp = '8557 N s/m'\n" + MOVED, "baseline: needs Kp and Kv for the control law, or neither"),
+            (DRIVE + "Ti = '10 ms'\n" + MOVED, "baseline.Ti: this key is not known"),
+            (DRIVE + MOVED + "held_out = true\n", "nothing to be compared with; all of them are held out"),
+            (DRIVE + MOVED + "held_out = 'yes'\n", "measurement[1].held_out: 'yes': must be a valid boolean"),
+            ("[baseline]\nforces = 'mechanistic'\n", "a mechanistic force needs the table [material]; add it"),
+            ("[baseline]\nforces = 'mechanistic'\n", "nothing to be compared with; add a [[cutting_test]]"),
+        ],
+    )
+    def test_a_baseline_that_cannot_be_questioned(self, tmp_path: Path, text: str, said: str) -> None:
+        with pytest.raises(InputError, match=re.escape(said)):
+            self.load(tmp_path, text)
 
     def test_friction_without_its_parameters(self, tmp_path: Path) -> None:
         text = self.AXIS.replace("law = 'viscous', sigma = '168 N s/m'", "law = 'andersson', coulomb = '40 N'")

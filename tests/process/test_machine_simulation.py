@@ -245,6 +245,38 @@ def test_friction_with_memory_converges(law: LuGre | GeneralisedMaxwellSlip, lea
         assert found.mean() > least
 
 
+@pytest.mark.parametrize("friction", [Viscous(168.0), ANDERSSON, LUGRE], ids=["viscous", "Andersson", "LuGre"])
+@pytest.mark.parametrize("delay", [0.0, 1e-3])
+def test_what_has_come_to_rest_stays_there(friction: Viscous | Andersson | LuGre, delay: float) -> None:
+    # A force too small to be felt that does not end keeps the simulation going.
+    machine = Machine(two_mass_axes({"x": BENCH}), {"x": FeedAxis(replace(SERVOS["K2"], delay=delay), friction)})
+    arguments = {"duration": 2.0, "feed": 500.0 * MM_MIN, "forces": {"x": HalfSine.from_peak(50.0)}}
+    on = {"x": SteppedSine((1.0,), 1e-300, 2.0, 0.0)}
+    whole, short = (machine_motion(machine, drive_forces=d, **arguments).displacement[0] for d in (on, None))  # type: ignore[arg-type]
+    assert np.all(short[-100:] == 0.0)
+    assert np.any(whole[-100:] != 0.0)
+    np.testing.assert_allclose(short, whole, rtol=0.0, atol=1e-10 * np.abs(whole).max())
+
+
+def test_a_verdict_that_is_kept_is_that_of_its_own_machine() -> None:
+    def run(servo: Servo, sigma: float, stiffness: float = 1.68e6, joint: float = 0.0) -> None:
+        drive = replace(BENCH, stiffness=stiffness)
+        mounted = [MountedJoint(CubicSpring(joint, 0.0), np.array([1.0, -1.0]))] if joint else []
+        axes = {"x": FeedAxis(servo, Viscous(sigma))}
+        simulate_machine(Machine(two_mass_axes({"x": drive}), axes, mounted), duration=0.01, forces=HIT)
+
+    shaky = replace(SERVOS["K2"], delay=3.2e-3)
+    for _ in range(2):
+        run(SERVOS["K2"], 168.0)
+        with pytest.raises(InputError, match="unstable with its servos"):
+            run(shaky, 168.0)
+        # Damped, or with a tip that hardly loads the drive, it holds; a joint in place of the stiffness does not.
+        run(shaky, 5e4)
+        run(shaky, 168.0, 1.0)
+        with pytest.raises(InputError, match="unstable with its servos"):
+            run(shaky, 168.0, 1.0, 1.68e6)
+
+
 def cut(depth: float, feed_per_tooth: float = 2e-4) -> MillingCut:
     return MillingCut(CUTTER, SLOT, ALUMINIUM, depth, feed_per_tooth=feed_per_tooth)
 

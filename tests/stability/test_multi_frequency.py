@@ -157,7 +157,14 @@ def test_labels_and_what_is_refused(lab_slot):
     found = multi_frequency(lab_slot.machine, *lab_slot.cut, [1500, 1000])
     assert found.spindle_speed.values.tolist() == [1500, 1000]
     assert found.limit_depth.attrs["units"] == found.limit_depth_error.attrs["units"] == "mm"
-    assert set(found.data_vars) == {"limit_depth", "limit_depth_error", "chatter_frequency", "kind", "harmonics"}
+    assert set(found.data_vars) == {
+        "limit_depth",
+        "limit_depth_error",
+        "chatter_frequency",
+        "lobe",
+        "kind",
+        "harmonics",
+    }
     with pytest.raises(InputError, match="helix of 30 deg"):
         multi_frequency(lab_slot.machine, replace(tool, helix_angle=math.radians(30)), arc, coefficients, 1000)
     with pytest.raises(InputError, match="nothing that could chatter"):

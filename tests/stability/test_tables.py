@@ -51,6 +51,12 @@ def test_the_safe_depth_is_the_five_percent_quantile(lobes):
     np.testing.assert_allclose(table["limit_depth_p95_mm"], 1.3 * depth)
 
 
+def test_a_safe_depth_of_another_probability_goes_into_the_table_as_it_is(lobes):
+    lobes["safe_depth"] = 0.7 * lobes["limit_depth"]
+    table = lobe_table(lobes, "a", Tool(50.8e-3, 4), 50.8e-3, 0.2e-3)
+    np.testing.assert_allclose(table["safe_depth_mm"], 0.7 * table["limit_depth_mm"])
+
+
 def test_no_limit_is_an_empty_field_and_comes_back_as_infinity(table, tmp_path):
     path = write_table(table, tmp_path / "lobe_table.csv")
     last = path.read_text().splitlines()[3]

@@ -1,0 +1,102 @@
+"""What a finding means in the workshop: stable depths and force errors, with the baseline and with what repairs it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from process.engagement import engagement
+from smfe.campaign import Campaign
+from smfe.diagnosis.axis_baseline import AxisBaseline
+from smfe.diagnosis.drive_record import DriveRecordFamily
+from smfe.diagnosis.finding import Finding, ForceError, StableDepth
+from smfe.diagnosis.machine_frf import MachineFrfs
+from smfe.diagnosis.problem import Condition, Family, Values
+from stability import zero_order
+
+SPEEDS = 41
+"""Spindle speeds of a request at which the depth is computed, at most."""
+
+_STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
+
+
+def with_consequences(campaign: Campaign, family: Family, finding: Finding, aside: Sequence[str]) -> Finding:
+    """Return a finding with the stable depths of a repaired machine, or the force errors of a repaired drive."""
+    if not finding.causes:
+        return finding
+    if isinstance(family, DriveRecordFamily):
+        return replace(finding, force_error=tuple(_force_errors(family, finding, aside)))
+    if isinstance(family, MachineFrfs) and isinstance(family.baseline, AxisBaseline):
+        return replace(finding, stable_depth=stable_depths(campaign, family.baseline, finding.values))
+    return finding
+
+
+def _force_errors(family: DriveRecordFamily, finding: Finding, aside: Sequence[str]) -> Iterator[ForceError]:
+    for held_out in (False, True):
+        part: list[Condition] = [c for c in family.conditions if (c.name in aside) == held_out]
+        if part:
+            errors = (family.force_error(v, part) for v in (finding.values_before, finding.values))
+            yield ForceError(held_out, *errors)
+
+
+def stable_depths(campaign: Campaign, baseline: AxisBaseline, values: Values) -> tuple[StableDepth, ...]:
+    """Return the limit depths at the speeds of the lobes and cutting tests that a campaign asks for.
+
+    The machine is linearised for small vibration about the feed of the cut, ``feed_per_tooth teeth n``; directions
+    other than the axis are rigid. Zero-order method.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With tool and work material; without them, or without lobes and cutting tests, nothing is returned.
+    baseline : AxisBaseline
+        The axis as the campaign gives it.
+    values : mapping
+        Parameters of the extended model (SI).
+    """
+    given: Mapping[str, float] = {
+        p.name: p.start for p in (*baseline.nuisances(), *(p for c in baseline.causes() for p in c.parameters))
+    }
+    if campaign.tool is None or campaign.coefficients is None:
+        return ()
+    out = []
+    for where, cut, width, feed_per_tooth, speeds in _asked(campaign):
+        for rpm in speeds:
+            feed = feed_per_tooth * campaign.tool.teeth * rpm / 60.0
+            depths = [_limit(campaign, baseline, v, cut, width, feed, rpm) for v in (given, values)]
+            out.append(StableDepth(where, rpm, feed * 6e4, *depths))
+    return tuple(out)
+
+
+def _asked(campaign: Campaign) -> Iterator[tuple[str, str, float, float, Sequence[float]]]:
+    """Yield what it is for, kind and width of cut, feed per tooth, and speeds [rpm]."""
+    for number, request in enumerate(campaign.lobes, 1):
+        pick = np.unique(np.linspace(0, request.spindle_speed.size - 1, SPEEDS).round().astype(int))
+        speeds = request.spindle_speed[pick].tolist()
+        yield f"lobes_{number}", request.cut, request.width_of_cut, request.feed_per_tooth, speeds
+    for test in campaign.cutting_tests:
+        yield test.file.name, test.cut, test.width_of_cut, test.feed_per_tooth, [test.spindle_speed]
+
+
+def _limit(
+    campaign: Campaign, baseline: AxisBaseline, values: Values, cut: str, width: float, feed: float, rpm: float
+) -> float:
+    """Limit depth [mm]; infinite without a limit, zero where the axis vibrates without any cut."""
+    assert campaign.tool is not None
+    assert campaign.coefficients is not None
+    axis, high = baseline.axis, _REACH * baseline.drive.locked_frequency
+    machine = baseline.machine(baseline.effective(values, {}, feed))
+    point = machine.at({axis: feed}, _controller(campaign, baseline))
+    if point.unstable_poles() > 0:
+        return 0.0
+    phi = point.compliance(np.arange(_LOWEST, high, _STEP), [axis], [axis])
+    arc = engagement(cut, width, campaign.tool.diameter)
+    return float(zero_order(phi, campaign.tool, arc, campaign.coefficients, [rpm])["limit_depth"].values[0])
+
+
+def _controller(campaign: Campaign, baseline: AxisBaseline) -> str:
+    """Return the controller of the first measurement that has one of the baseline's."""
+    named = [m.controller for m in campaign.measurements if m.controller in baseline.servos]
+    return named[0] if named and named[0] is not None else next(iter(baseline.servos))

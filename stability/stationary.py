@@ -1,0 +1,235 @@
+"""The periodic vibration of a stable cut: what the tool does under the cutting force itself, and the wall it leaves.
+
+The static chip ``h_j = f_j sin phi_j`` of tooth j, f_j being the feed over its pitch, and the edge force drive the tool
+at the period of the cut. With equal pitch the vibration repeats from tooth to tooth, leaves no wave, and is that of the
+machine alone; with unequal pitch the chips x of the vibration satisfy ``x = x_0 + a M(1) x`` with the operator M of
+`stability.semi_discretization` at the multiplier one. On a mesh aligned with entries and exits both are exact to the
+order of its polynomials. The wall that a peripheral cut leaves is off by the displacement at the moment a tooth
+passes it: the surface location error (Insperger, Gradisek, Kalveram, Stepan, Weinert and Govekar 2006).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from process.cutting import CuttingCoefficients, force_projection
+from process.engagement import AnyEngagement
+from process.errors import InputError
+from process.tool import Tool
+from stability.dense import dense
+from stability.mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
+from stability.periodic import Complex, Machine, Modes, Real, modes_of, pattern_of
+from stability.problem import Cut, check_spindle_speed
+
+METHOD = "stationary vibration"
+
+FIRST_STEPS = 16
+"""Steps of the coarsest mesh, beyond those that resolve the fastest mode."""
+
+MOST_STEPS = 2048
+"""Doubling stops here."""
+
+
+@dataclass(frozen=True)
+class StationaryVibration:
+    """The periodic vibration of a cut at one depth and speed.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (p,)
+        Angle of tooth 0 [rad] at the samples, over one period of the cut while teeth are engaged.
+    displacement : ndarray, shape (3, p)
+        Displacement of the tool [m] there, its mean included.
+    amplitude_um : dict of str to float
+        Half of the peak-to-peak displacement of x, y and z [um].
+    surface_location_error_um : dict of str to ndarray, shape (teeth,)
+        For the walls that the cut leaves (``up``: at tooth angle 0, ``down``: at 180 deg) how far each tooth cuts
+        beyond the nominal wall [um]; negative where it leaves material.
+    multiplier : float
+        Largest modulus of a Floquet multiplier: at one or above the cut chatters and never gets there.
+    error : float
+        Relative change of the displacement in the last doubling of the steps.
+    steps : int
+        Steps in the cut over one period.
+    """
+
+    angle: Real
+    displacement: Real
+    amplitude_um: dict[str, float]
+    surface_location_error_um: dict[str, Real]
+    multiplier: float
+    error: float
+    steps: int
+
+
+def stationary_vibration(
+    machine: Machine,
+    tool: Tool,
+    arc: AnyEngagement,
+    coefficients: CuttingCoefficients,
+    depth: float,
+    feed_per_tooth: float,
+    spindle_speed: float,
+    tolerance: float = 1e-4,
+) -> StationaryVibration:
+    """Return the periodic vibration of a cut, teeth never leaving the work by vibration.
+
+    Parameters
+    ----------
+    machine : Machine
+        Anything with a ``state_space()``.
+    tool, arc, coefficients
+        The cut; straight edges, any pitch, no run-out.
+    depth, feed_per_tooth : float
+        a_p and the mean f_z [m].
+    spindle_speed : float
+        Spindle speed [rpm].
+    tolerance : float, optional
+        Relative change of the displacement at which the doubling of the steps ends.
+
+    Raises
+    ------
+    InputError
+        For a helix, run-out, a machine that is itself unstable, a depth, feed or speed that is not positive, and when
+        the displacement does not settle.
+    """
+    speed = float(check_spindle_speed(spindle_speed)[0])
+    for name, value in (("depth", depth), ("feed per tooth", feed_per_tooth)):
+        if not 0.0 < value < math.inf:
+            raise InputError(f"the {name} is {value * 1e3:g} mm; it must be positive and finite")
+    if not tool.equal_radius:
+        raise InputError(f"the tool has a run-out; the {METHOD} holds for teeth on one circle. Leave runout out")
+    cut, pattern, modes = Cut(tool, arc, coefficients), pattern_of(tool, METHOD), modes_of(machine)
+    turns = float(np.abs(modes.rate.imag).max()) * pattern.duration(speed)
+    steps = FIRST_STEPS + math.ceil(0.4 * turns)
+    old = None
+    while steps <= MOST_STEPS:
+        mesh = lay_mesh(cut, pattern, steps)
+        new = _Periodic(cut, mesh, modes, depth, feed_per_tooth, speed)
+        lines = new.lines()
+        if old is not None:
+            change = float(np.abs(lines - old).max() / np.abs(lines).max())
+            if change <= tolerance:
+                return new.result(change)
+        old, steps = lines, 2 * mesh.steps
+    raise InputError(
+        f"the vibration at {speed:g} rpm does not settle with {MOST_STEPS} steps in a period of the cut; ask for a "
+        "higher speed or a coarser tolerance"
+    )
+
+
+class _Periodic:
+    """The periodic solution on one mesh."""
+
+    def __init__(
+        self, cut: Cut, mesh: Mesh, modes: Modes, depth: float, feed_per_tooth: float, spindle_speed: float
+    ) -> None:
+        self.mesh, self.modes, self._cut = mesh, modes, cut
+        self._rotation = spindle_speed * math.pi / 30.0
+        self._dense = dense(cut_at_speed(mesh, modes, spindle_speed))
+        self._depth = depth
+        feed = feed_per_tooth * cut.tool.teeth * mesh.pattern.delay[mesh.tooth] / (2.0 * math.pi)
+        phi = mesh.angle - mesh.pattern.lag[mesh.tooth]
+        edge = force_projection(cut.coefficients.edge, cut.tool.approach_angle) / math.sin(cut.tool.approach_angle)
+        basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)])
+        static = depth * (mesh.force * (feed * np.sin(phi)) + edge @ basis)
+        self.force = static
+        self._starts, free = self._response(static)
+        size = self._dense.response.shape[0]
+        x_0 = np.einsum("mi,im->m", mesh.chip, free)
+        x = np.linalg.solve(np.eye(size) - depth * self._dense.crossing(np.zeros(1))[0].real, x_0)
+        self.force = static + depth * mesh.force * ((self._dense.kept - self._dense.wrapped) @ x)
+        self._starts, self.displacement = self._response(self.force)
+
+    def _response(self, force: Real) -> tuple[Complex, Real]:
+        """Return the modal state at the start of each element and the displacement at the contacts under a force."""
+        mesh, modes = self.mesh, self.modes
+        step, idle = mesh.length / self._rotation, mesh.gap / self._rotation
+        drive = [modes.participation @ self._summed(force, e) for e in range(step.size)]
+        known = {key: node_responses(mesh, modes.rate, key) for key in np.unique(step.round(15)).tolist()}
+        inner, last = zip(*(known[key] for key in step.round(15).tolist()), strict=True)
+        z = np.zeros((step.size + 1, modes.rate.size), dtype=complex)
+        for _ in range(2):
+            for e, h in enumerate(step):
+                z[e + 1] = np.exp(modes.rate * idle[e]) * (
+                    np.exp(modes.rate * h) * z[e] + (drive[e] * last[e]).sum(axis=1)
+                )
+            # From rest the end is H f; in the periodic motion start and end are z = H f/(1 - turn).
+            if not z[0].any():
+                z[0] = z[-1] / (1.0 - self._dense.turn)
+        out = np.empty((3, mesh.angle.size))
+        for e, h in enumerate(step):
+            state = np.exp(np.outer(modes.rate, h * mesh.node)) * z[e][:, None]
+            state = state + np.einsum("mij,mj->mi", inner[e], drive[e])
+            r = (modes.shape @ state).real
+            for low in range(mesh.offset[e], mesh.offset[e + 1], mesh.node.size):
+                out[:, low : low + mesh.node.size] = r
+        return z, out
+
+    def _summed(self, force: Real, e: int) -> Real:
+        """Return the force of all engaged teeth at the nodes of an element, shape (3, p)."""
+        low, high = self.mesh.offset[e], self.mesh.offset[e + 1]
+        return np.asarray(force[:, low:high].reshape(3, -1, self.mesh.node.size).sum(axis=1))
+
+    def lines(self) -> Complex:
+        """Return the lowest harmonics of the displacement, shape (3, lines): comparable between meshes."""
+        mesh = self.mesh
+        period = mesh.pattern.period / self._rotation
+        reach = int(np.abs(self.modes.rate.imag).max() * period / (2.0 * math.pi)) + 8
+        order = np.arange(reach + 1)
+        waves = np.exp(-2j * math.pi * np.outer(order, mesh.angle) / mesh.pattern.period)
+        force = waves @ (self.force * mesh.span).T / mesh.pattern.period
+        return np.asarray((self.modes.matrix(order / period) @ force[:, :, None])[:, :, 0].T)
+
+    def result(self, change: float) -> StationaryVibration:
+        """Return what is asked for."""
+        first = np.concatenate([np.arange(self.mesh.node.size) + low for low in self.mesh.offset[:-1]])
+        moved = self.displacement[:, first]
+        peak = np.ptp(self._over_period(), axis=1)
+        values = self._dense.multipliers(np.array([self._depth]))
+        return StationaryVibration(
+            self.mesh.angle[first],
+            moved,
+            {axis: float(0.5e6 * p) for axis, p in zip("xyz", peak, strict=True)},
+            {side: 1e6 * error for side, error in self._walls().items()},
+            float(np.abs(values).max()),
+            change,
+            self.mesh.steps,
+        )
+
+    def _over_period(self, points: int = 64) -> Real:
+        """Return the displacement [m] densely over the whole period, air included, shape (3, any)."""
+        mesh, out = self.mesh, []
+        fine = lagrange(mesh.node, np.linspace(0.0, 1.0, points))
+        for e in range(mesh.length.size):
+            out.append(self.displacement[:, mesh.offset[e] : mesh.offset[e] + mesh.node.size] @ fine.T)
+            # Backwards from the start of the next element: there the motion is free.
+            back = mesh.gap[e] / self._rotation * np.linspace(0.0, 1.0, points)
+            state = np.exp(-np.outer(self.modes.rate, back)) * self._starts[e + 1][:, None]
+            out.append((self.modes.shape @ state).real)
+        return np.concatenate(out, axis=1)
+
+    def _walls(self) -> dict[str, Real]:
+        """Return for each wall how far each tooth cuts beyond it [m]."""
+        arcs, pattern = self._cut.arc.arcs, self.mesh.pattern
+        out = {}
+        if abs(arcs[0].entry) < 1e-9:
+            out["up"] = np.array([self._at(lag)[1] for lag in pattern.lag])
+        if abs(arcs[-1].exit - math.pi) < 1e-9:
+            out["down"] = -np.array([self._at(lag + math.pi)[1] for lag in pattern.lag])
+        return out
+
+    def _at(self, angle: float) -> Real:
+        """Return the displacement at an angle of the tool where an element begins or ends [m], shape (3,)."""
+        mesh, period = self.mesh, self.mesh.pattern.period
+        begins = mesh.angle[mesh.offset[:-1]] - mesh.node[0] * mesh.length
+        for e in range(mesh.length.size):
+            if abs((angle - begins[e] + 0.5 * period) % period - 0.5 * period) < 1e-6:
+                return np.asarray((self.modes.shape @ self._starts[e]).real)
+            if abs((angle - begins[e] - mesh.length[e] + 0.5 * period) % period - 0.5 * period) < 1e-6:
+                back = np.exp(-self.modes.rate * mesh.gap[e] / self._rotation)
+                return np.asarray((self.modes.shape @ (back * self._starts[e + 1])).real)
+        raise AssertionError("an entry or exit lies within an element")

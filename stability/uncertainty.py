@@ -1,0 +1,436 @@
+"""Bands on the limit depth: from the errors of compliance and coefficients to quantiles and to a depth that is safe.
+
+Two ways. `sampled_band` draws errors with a seed and solves the zero-order limit anew for each: no linearisation, lobes
+may change places. `linearised_band` takes first derivatives of the eigenvalue at every crossing that could become the
+lowest::
+
+    d mu = w^H (dA0 Phi + A0 dPhi) u / (w^H u)         A0 Phi u = mu u,  w^H A0 Phi = mu w^H
+    d(1/(2 a)) = Re[(1 - j k/mu) d mu],                k = Re(mu') / (pi T - Im(mu'/mu))
+
+(the second term is the shift of the chatter frequency along the phase condition), and takes the minimum over these
+crossings, whose errors are correlated. Source: first-order perturbation of eigenvalues; theory 2.3.
+
+A limit is the lowest of many crossings, so that noise makes it too low on the average: the estimate once, its samples
+twice. Quantiles of the samples are therefore corrected for their median (Efron 1987, bias-corrected percentiles).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr, ndtri
+
+from process.compliance import ModalModel
+from process.cutting import CuttingCoefficients
+from process.engagement import AnyEngagement
+from process.errors import InputError
+from process.labels import label
+from process.tool import Tool
+from stability.branches import Branches, eigenvalue_branches
+from stability.error_model import (
+    Complex,
+    ErrorModel,
+    ModalError,
+    Real,
+    Spread,
+    changed_coefficients,
+    measured_error,
+)
+from stability.periodic import modes_of, pattern_of_pitch
+from stability.problem import Cut, Samples, check_spindle_speed, complete_samples
+from stability.vibration import modal_samples
+
+QUANTILES: tuple[float, ...] = (0.05, 0.5, 0.95)
+"""Quantiles of a lobe table."""
+
+SAFE_PROBABILITY = 0.95
+"""Probability with which the safe depth is stable."""
+
+CROSSINGS = 8
+"""Crossings a speed that may become the lowest, in the linearised way."""
+
+MOST_BIAS = 0.5
+"""Largest correction for the median, in standard deviations; an estimate of infinity is not corrected at all."""
+
+LINEAR_DRAWS = 2000
+"""Draws of the linearised errors; they cost next to nothing."""
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A cut, the best compliance, and the errors of both."""
+
+    cut: Cut
+    samples: Samples
+    error: ErrorModel
+    spread: Spread
+    speed: Real
+
+    @property
+    def delay(self) -> Real:
+        """Angle of each tooth behind the one before [rad]."""
+        return pattern_of_pitch(self.cut.tool).delay
+
+    def depths(self, matrix: Complex, coefficients: CuttingCoefficients) -> Real:
+        """Return the zero-order limit [m] at all speeds for one compliance and one work material."""
+        directional = replace(self.cut, coefficients=coefficients).directional_matrix()
+        branches = eigenvalue_branches(replace(self.samples, matrix=matrix), directional)
+        turn = 60.0 / self.speed
+        if not self.cut.tool.equal_pitch:
+            return np.array([branches.first_crossing(self.delay / (2.0 * math.pi) * t)[0] for t in turn])
+        rising = np.argsort(turn, kind="stable")
+        depth = np.empty_like(turn)
+        depth[rising] = branches.envelope(turn[rising] / self.cut.tool.teeth)[0]
+        return depth
+
+
+def sampled_band(
+    compliance: xr.Dataset | ModalModel,
+    tool: Tool,
+    arc: AnyEngagement,
+    coefficients: CuttingCoefficients,
+    spindle_speed: ArrayLike,
+    spread: Spread | None = None,
+    *,
+    quantiles: Sequence[float] = QUANTILES,
+    safe_probability: float = SAFE_PROBABILITY,
+    count: int = 200,
+    seed: int = 0,
+) -> xr.Dataset:
+    """Return the zero-order limit with its quantiles and a safe depth, by sampling.
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset or ModalModel
+        Measured, with ``compliance_std`` and, where known, ``compliance_covariance``, ``half_width``,
+        ``attrs["error_lines"]``; or a machine as modes, whose errors `spread` tells.
+    tool, arc, coefficients
+        The cut; any pitch.
+    spindle_speed : array_like, shape (speeds,)
+        Spindle speeds [rpm].
+    spread : Spread, optional
+        Relative standard deviations of coefficients and modes. Default: none.
+    quantiles : sequence of float, optional
+        Quantiles of the limit depth, each between 0 and 1.
+    safe_probability : float, optional
+        Probability with which the true limit lies at or above ``safe_depth``.
+    count : int, optional
+        Samples.
+    seed : int, optional
+        Of the random numbers: the same seed gives the same band.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``limit_depth`` [mm], ``limit_depth_quantile(quantile, spindle_speed)`` [mm] and ``safe_depth`` [mm] over
+        ``spindle_speed``; ``attrs``: "method", "safe_probability", "samples", "seed". The safe depth is the quantile
+        ``1 - safe_probability``, but never above the limit itself nor above its 5 % quantile. Quantiles are inf where
+        so many samples show no limit within the data.
+
+    Raises
+    ------
+    InputError
+        As `stability.zero_order`; when nothing is uncertain, or the compliance carries no errors.
+    """
+    if count < 20:
+        raise InputError(f"{count} samples tell no quantile; give at least 20, better 200")
+    levels = _levels(quantiles, safe_probability)
+    problem = _problem(compliance, Cut(tool, arc, coefficients), spindle_speed, spread or Spread())
+    nominal = problem.depths(problem.samples.matrix, coefficients)
+    generator = np.random.default_rng(seed)
+    drawn = np.empty((count, problem.speed.size))
+    for i, steps in enumerate(_stratified(generator, count)):
+        work = changed_coefficients(coefficients, problem.spread, steps)
+        drawn[i] = problem.depths(problem.samples.matrix + problem.error.draw(generator), work)
+    found = corrected_quantiles(drawn, nominal, levels)
+    out = _labelled("sampled", problem, nominal, levels, found, safe_probability, {"samples": count, "seed": seed})
+    out.attrs["warnings"] += _bias_warning(drawn, nominal)
+    return out
+
+
+def linearised_band(
+    compliance: xr.Dataset | ModalModel,
+    tool: Tool,
+    arc: AnyEngagement,
+    coefficients: CuttingCoefficients,
+    spindle_speed: ArrayLike,
+    spread: Spread | None = None,
+    *,
+    quantiles: Sequence[float] = QUANTILES,
+    safe_probability: float = SAFE_PROBABILITY,
+    seed: int = 0,
+) -> xr.Dataset:
+    """Return what `sampled_band` does, from first derivatives: for small errors, fast, equal pitch.
+
+    Parameters
+    ----------
+    compliance, tool, arc, coefficients, spindle_speed, spread, quantiles, safe_probability, seed
+        As `sampled_band`; equally spaced teeth.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `sampled_band`.
+
+    Raises
+    ------
+    InputError
+        As `sampled_band`, and for unequal pitch.
+    """
+    levels = _levels(quantiles, safe_probability)
+    problem = _problem(compliance, Cut(tool, arc, coefficients), spindle_speed, spread or Spread())
+    problem.cut.require_equal_pitch("the linearised band")
+    nominal = problem.depths(problem.samples.matrix, coefficients)
+    branches = eigenvalue_branches(problem.samples, problem.cut.directional_matrix())
+    crossings = _lowest_crossings(branches, 60.0 / (tool.teeth * problem.speed))
+    value, shared, covariance = _linear_errors(problem, branches, crossings)
+    generator = np.random.default_rng(seed)
+    size, vectors = np.linalg.eigh(covariance)
+    factor = vectors * np.sqrt(np.maximum(size, 0.0))[..., None, :]
+    found = np.empty((len(levels), problem.speed.size))
+    common = generator.standard_normal((LINEAR_DRAWS, shared.shape[-1]))
+    for s in range(problem.speed.size):
+        own = generator.standard_normal((LINEAR_DRAWS, value.shape[1]))
+        half_inverse = (value[s] + own @ factor[s].T + common @ shared[s].T).max(axis=1)
+        found[:, s] = _depth_quantiles(half_inverse, levels)
+    return _labelled("linearised", problem, nominal, levels, found, safe_probability, {"seed": seed})
+
+
+def with_band(lobes: xr.Dataset, band: xr.Dataset) -> xr.Dataset:
+    """Return limits of any method with the quantiles and the safe depth of a zero-order band, in proportion.
+
+    The errors move the limit of a converged method by the same share as that of the zero-order one, as far as both
+    are about the same lobe: exactly for coefficients and stiffnesses that change together.
+
+    Parameters
+    ----------
+    lobes : xarray.Dataset
+        ``limit_depth(spindle_speed)`` [mm] of any method.
+    band : xarray.Dataset
+        From `sampled_band` or `linearised_band`, at the same speeds.
+
+    Returns
+    -------
+    xarray.Dataset
+        `lobes` with ``limit_depth_quantile`` and ``safe_depth`` [mm], NaN where one of the two has a limit and the
+        other has none, and the attribute "safe_probability".
+
+    Raises
+    ------
+    InputError
+        When the speeds differ.
+    """
+    if not np.array_equal(lobes["spindle_speed"].values, band["spindle_speed"].values):
+        raise InputError("the limits and their band are for other spindle speeds; ask for both at the same speeds")
+    limit, zero = lobes["limit_depth"].values, band["limit_depth"].values
+    finite = np.isfinite(limit) & np.isfinite(zero)
+    share = np.where(np.isinf(limit) & np.isinf(zero), 1.0, np.nan)
+    share[finite] = limit[finite] / zero[finite]
+    names = ("limit_depth_quantile", "safe_depth")
+    scaled = {name: band[name].copy(data=band[name].values * share) for name in names}
+    return lobes.assign(scaled).assign_attrs(safe_probability=band.attrs["safe_probability"])
+
+
+def _stratified(generator: np.random.Generator, count: int) -> Real:
+    """Return normal steps of K_tc, K_rc, K_ac, one from each of so many equally likely strata; shape (count, 3)."""
+    strata = np.stack([generator.permutation(count) for _ in range(3)], axis=1)
+    return np.asarray(ndtri((strata + generator.random((count, 3))) / count))
+
+
+def corrected_quantiles(drawn: Real, nominal: Real, levels: Sequence[float]) -> Real:
+    """Return bias-corrected percentiles ``Phi(2 z0 + z)`` of samples, shape (levels, speeds).
+
+    Parameters
+    ----------
+    drawn : ndarray, shape (samples, speeds)
+        Samples; inf is a value like any other.
+    nominal : ndarray, shape (speeds,)
+        The estimate about which they were drawn. The median z0 of the samples below it is cut to `MOST_BIAS`.
+    levels : sequence of float
+        Levels between 0 and 1.
+    """
+    count = drawn.shape[0]
+    z0 = np.where(np.isinf(nominal), 0.0, np.clip(_bias(drawn, nominal), -MOST_BIAS, MOST_BIAS))
+    rank = ndtr(2.0 * z0 + ndtri(np.asarray(levels))[:, None]) * count
+    ordered = np.sort(drawn, axis=0)
+    index = np.clip(np.ceil(rank - 0.5).astype(np.int64), 1, count) - 1
+    return np.asarray(np.take_along_axis(ordered, index, axis=0))
+
+
+def _bias(drawn: Real, nominal: Real) -> Real:
+    """Return how far samples lie below the estimate on the average, in standard deviations."""
+    below = (drawn < nominal).sum(axis=0) + 0.5 * (drawn == nominal).sum(axis=0)
+    return np.asarray(ndtri(below / drawn.shape[0]))
+
+
+def _bias_warning(drawn: Real, nominal: Real) -> list[str]:
+    """Say where errors of the compliance make limits too low as a rule: every wrong crossing counts, none raises it."""
+    low = int((_bias(drawn, nominal) > MOST_BIAS).sum())
+    if low == 0:
+        return []
+    return [
+        f"at {low} of {nominal.size} spindle speeds errors of the compliance lower the limit as a rule, so that the "
+        "limit and its upper quantiles are too low there (the safe depth stays safe); average more, or measure longer"
+    ]
+
+
+def _depth_quantiles(half_inverse: Real, levels: Sequence[float]) -> Real:
+    """Return quantiles of ``1/(2 x)`` [m]; where x is not positive there is no limit."""
+    x = np.quantile(half_inverse, 1.0 - np.asarray(levels))
+    return np.asarray(np.where(x > 0.0, 0.5 / np.where(x > 0.0, x, 1.0), np.inf))
+
+
+def _problem(compliance: xr.Dataset | ModalModel, cut: Cut, spindle_speed: ArrayLike, spread: Spread) -> _Problem:
+    """Put compliance, errors and cut together."""
+    speed = check_spindle_speed(spindle_speed)
+    error: ErrorModel
+    if isinstance(compliance, xr.Dataset):
+        if spread.modal.any():
+            raise InputError(
+                "a measured compliance carries the errors of its frequencies, damping and stiffness itself; give a "
+                "Spread of the coefficients only, or the machine as modes"
+            )
+        samples = complete_samples(compliance)
+        error = measured_error(compliance, samples.frequency)
+    else:
+        if not (spread.modal.any() or any(spread.coefficients)):
+            raise InputError(
+                "neither modes nor coefficients are uncertain, so that there is no band; give a Spread, e.g. "
+                "Spread(coefficients=(0.1, 0.1, 0.1), damping=0.2)"
+            )
+        samples = modal_samples(modes_of(compliance))
+        error = ModalError(compliance, spread, samples.frequency)
+    return _Problem(cut, samples, error, spread, speed)
+
+
+def _levels(quantiles: Sequence[float], safe_probability: float) -> tuple[float, ...]:
+    """Return the quantiles asked for, then that of the safe depth, then the least that the safe depth may claim."""
+    for value in (*quantiles, safe_probability):
+        if not 0.0 < value < 1.0:
+            raise InputError(f"a quantile or probability of {value:g}; it must lie between 0 and 1")
+    return (*quantiles, 1.0 - safe_probability, QUANTILES[0])
+
+
+def _labelled(
+    way: str,
+    problem: _Problem,
+    nominal: Real,
+    levels: tuple[float, ...],
+    found: Real,
+    safe_probability: float,
+    attrs: dict[str, int],
+) -> xr.Dataset:
+    """Put names and units on a band; depths come in metres."""
+    over = ("quantile", "spindle_speed")
+    out = label(
+        xr.Dataset(
+            {
+                "limit_depth": (over[1], nominal * 1e3),
+                "limit_depth_quantile": (over, found[:-2] * 1e3),
+                "safe_depth": (over[1], np.minimum(nominal, found[-2:].min(axis=0)) * 1e3),
+            },
+            coords={"spindle_speed": problem.speed, "quantile": list(levels[:-2])},
+            attrs={"method": f"zero_order, {way} errors", "safe_probability": safe_probability, **attrs},
+        )
+    )
+    out["safe_depth"].attrs["units"] = out["limit_depth"].attrs["units"]
+    out.attrs["warnings"] = list(problem.samples.warnings)
+    return out
+
+
+# --- the linearised way ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Crossings:
+    """The crossings of each speed that limit the depth most; shapes (speeds, CROSSINGS), unused ones at mu = 0."""
+
+    frequency: Real
+    mu: Complex
+    slope: Complex
+    period: Real
+
+
+def _lowest_crossings(branches: Branches, period: Real) -> _Crossings:
+    """Return the crossings of largest Re(mu), i.e. lowest depth, at each tooth period [s]."""
+    pieces = 1 + 4 * (branches.samples.frequency.size < 4000)
+    f, every = branches.refined(pieces)
+    shape = (period.size, CROSSINGS)
+    out = np.zeros((3, *shape), dtype=complex)
+    out[0] = branches.samples.frequency[0]
+    found = [_crossings(f, mu, period) for mu in every]
+    speed, frequency, mu, slope = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    order = np.lexsort((-mu.real, speed))
+    rank = np.arange(order.size) - np.searchsorted(speed[order], speed[order])
+    kept = order[rank < CROSSINGS]
+    at = speed[kept], rank[rank < CROSSINGS]
+    for field, values in zip(out, (frequency, mu, slope), strict=True):
+        field[at] = values[kept]
+    return _Crossings(out[0].real, out[1], out[2], np.broadcast_to(period[:, None], shape))
+
+
+def _crossings(f: Real, mu: Complex, period: Real) -> tuple[NDArray[np.int64], Real, Complex, Complex]:
+    """Return (number of the speed, frequency, mu, d mu/df) at all crossings of one branch with positive Re(mu)."""
+    steps = np.diff(mu) / np.diff(f)
+    usable = np.isfinite(steps) & (np.maximum(mu.real[1:], mu.real[:-1]) > 0.0) & (mu[1:] != 0.0) & (mu[:-1] != 0.0)
+    at = np.flatnonzero(usable)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turned = np.angle(mu[at + 1] / mu[at])
+    low = f[at] * period[:, None] - 0.5 - np.angle(mu[at]) / np.pi
+    high = f[at + 1] * period[:, None] - 0.5 - (np.angle(mu[at]) + turned) / np.pi
+    lobe = np.floor(np.maximum(low, high))
+    speed, k = np.nonzero(lobe >= np.minimum(low, high))
+    share = ((lobe - low) / np.where(high == low, 1.0, high - low))[speed, k]
+    place = at[k]
+    value = mu[place] + share * (mu[place + 1] - mu[place])
+    positive = value.real > 0.0
+    frequency = f[place] + share * (f[place + 1] - f[place])
+    return speed[positive], frequency[positive], value[positive], steps[place][positive]
+
+
+def _linear_errors(problem: _Problem, branches: Branches, at: _Crossings) -> tuple[Real, Real, Real]:
+    """Return Re(mu) = 1/(2 a), its change with shared factors, and the covariance of the rest, for each crossing.
+
+    Shapes (speeds, CROSSINGS), (speeds, CROSSINGS, factors), (speeds, CROSSINGS, CROSSINGS).
+    """
+    shape, f = at.mu.shape, at.frequency.ravel()
+    used = at.mu.ravel() != 0.0
+    phi = branches.compliance_at(f)
+    directional = problem.cut.directional_matrix()
+    left, right = _eigenvectors(directional @ phi, at.mu.ravel())
+    mu = np.where(used, at.mu.ravel(), 1.0)
+    slope = at.slope.ravel()
+    k = slope.real / (np.pi * at.period.ravel() - (slope / mu).imag)
+    weight = np.where(used, 1.0 - 1j * k / mu, 0.0)[:, None] * left
+    changes = [phi_change for phi_change in problem.error.shared(f)]
+    force = weight[:, None, :] @ directional
+    shared = [(force @ change @ right[:, :, None])[:, 0, 0].real for change in changes]
+    for axis, spread in enumerate(problem.spread.coefficients):
+        step = changed_coefficients(problem.cut.coefficients, problem.spread, np.eye(3)[axis] * 1e-3)
+        change = (replace(problem.cut, coefficients=step).directional_matrix() - directional) / 1e-3
+        if spread > 0.0:
+            shared.append((weight[:, None, :] @ change @ phi @ right[:, :, None])[:, 0, 0].real)
+    # Row r of an error acts as force_r (error_r . right); circular noise: half its power is real.
+    own = force[:, 0, :, None] * np.einsum("me,mrek->mrk", right, problem.error.line_factors(f))
+    own = own.reshape(*shape, 3, -1)
+    alike = problem.error.correlation(at.frequency)
+    covariance = 0.5 * np.einsum("sark,sbrk,sabr->sab", own, own.conj(), alike).real
+    value = np.where(at.mu != 0.0, at.mu.real, -np.inf)
+    return value, np.array(shared).reshape(len(shared), *shape).transpose(1, 2, 0), covariance
+
+
+def _eigenvectors(matrix: Complex, mu: Complex) -> tuple[Complex, Complex]:
+    """Return left (conjugated) and right eigenvectors of the eigenvalues nearest to mu, ``left @ right = 1``."""
+    values, right = np.linalg.eig(matrix)
+    nearest = np.abs(values - mu[:, None]).argmin(axis=1)
+    u = np.take_along_axis(right, nearest[:, None, None], axis=2)[:, :, 0]
+    values, left = np.linalg.eig(matrix.transpose(0, 2, 1))
+    nearest = np.abs(values - mu[:, None]).argmin(axis=1)
+    w = np.take_along_axis(left, nearest[:, None, None], axis=2)[:, :, 0]
+    product = np.einsum("mi,mi->m", w, u)
+    return np.asarray(w / np.where(product == 0.0, 1.0, product)[:, None]), np.asarray(u)

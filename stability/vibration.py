@@ -1,0 +1,92 @@
+"""The mode of vibration at a limit: how the tool moves, and which mode of the machine moves it most."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stability.branches import Branches
+from stability.periodic import Modes
+from stability.problem import Samples
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+NO_MODE = 0
+"""Number of the mode where nothing crosses."""
+
+REACH = 30.0
+"""A machine is sampled from this share below its lowest pole to this multiple of its highest."""
+
+DENSITY = 16.0
+"""Samples a doubling of the distance from a pole, in half-power widths."""
+
+
+def modal_samples(modes: Modes) -> Samples:
+    """Return the compliance of a machine on a grid that is as fine about each pole as the pole is sharp."""
+    pole = modes.rate[modes.rate.imag > 0.0] / (2.0 * math.pi)
+    if pole.size == 0:
+        pole = modes.rate / (2.0 * math.pi)
+    centre, width = np.abs(pole), np.maximum(-pole.real, 1e-6 * np.abs(pole))
+    low, high = float(centre.min()) / REACH, float(centre.max()) * REACH
+    spread = np.sinh(np.linspace(-20.0, 20.0, 2001))
+    every = (centre[:, None] + width[:, None] * spread).ravel()
+    every = np.unique(np.concatenate([[low, high], np.geomspace(low, high, 500), every]))
+    every = every[(every >= low) & (every <= high)]
+    count = np.arcsinh((every[:, None] - centre) / width).sum(axis=1) + np.log(every)
+    even = np.linspace(count[0], count[-1], math.ceil(DENSITY * (count[-1] - count[0]) / math.log(2.0)) + 1)
+    frequency = np.unique(np.interp(even, count, every))
+    return Samples(frequency, modes.matrix(frequency), np.ones(frequency.size - 1, dtype=bool), ())
+
+
+def vibration(
+    branches: Branches, directional: Complex, chatter: Real, depth: Real, pitch: Real, speed: Real
+) -> tuple[Complex, Complex]:
+    """Return force and displacement at each limit, shapes (speeds, 3); NaN without a limit.
+
+    The force is the eigenvector of ``A0 Phi`` to ``mu = 1/(a S)``, the displacement is ``Phi`` times it, of length one,
+    its largest component real and positive; S is the mean of ``1 - exp(-j w T)`` over the teeth.
+
+    Parameters
+    ----------
+    branches : Branches
+        Eigenvalues and compliance.
+    directional : ndarray of complex, shape (3, 3)
+        A0 [N/m2].
+    chatter, depth, speed : ndarray, shape (speeds,)
+        Chatter frequency [Hz], limit [m], spindle speed [rpm].
+    pitch : ndarray, shape (teeth,)
+        Angles between teeth [rad].
+    """
+    force, moved = np.full((2, speed.size, 3), np.nan, dtype=complex)
+    at = np.flatnonzero(np.isfinite(depth))
+    if at.size == 0:
+        return force, moved
+    phi = branches.compliance_at(chatter[at])
+    waves = (chatter[at] * 60.0 / speed[at])[:, None] * pitch / (2.0 * math.pi)
+    mu = 1.0 / (depth[at] * (1.0 - np.exp(-2j * math.pi * waves)).mean(axis=1))
+    force[at] = _null_vector(directional @ phi - mu[:, None, None] * np.eye(3))
+    r = (phi @ force[at][:, :, None])[:, :, 0]
+    largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)
+    r = r * np.exp(-1j * np.angle(largest))
+    moved[at] = r / np.linalg.norm(r, axis=1)[:, None]
+    return force, moved
+
+
+def _null_vector(m: Complex) -> Complex:
+    """Return the vector that singular matrices (n, 3, 3) send to zero: normal to two rows, the longest of three."""
+    normal = np.stack([np.cross(m[:, i], m[:, j]) for i, j in ((0, 1), (1, 2), (2, 0))], axis=1)
+    longest = np.linalg.norm(normal, axis=2).argmax(axis=1)
+    return np.asarray(normal[np.arange(m.shape[0]), longest])
+
+
+def dominant_modes(modes: Modes, force: Complex, chatter: Real) -> NDArray[np.int64]:
+    """Return the number of the mode that moves the tool most, from 1 in the order of frequency; `NO_MODE` for none."""
+    upper = np.flatnonzero(modes.rate.imag >= 0.0)
+    upper = upper[np.argsort(np.abs(modes.rate[upper]))]
+    known = np.where(np.isfinite(force), force, 0.0)
+    pole = 2j * math.pi * np.nan_to_num(chatter)[:, None] - modes.rate[upper]
+    share = np.abs(known @ modes.participation[upper].T / pole) * np.linalg.norm(modes.shape[:, upper], axis=0)
+    return np.where(np.isfinite(chatter), share.argmax(axis=1) + 1, NO_MODE).astype(np.int64)

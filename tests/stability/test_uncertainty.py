@@ -1,0 +1,274 @@
+"""Bands on the limit: closed forms, two ways against each other, statistics of the errors, coverage of campaigns."""
+
+import math
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+
+from process.errors import InputError
+from process.labels import make_compliance
+from stability import semi_discretization, zero_order
+from stability.error_model import ModalError, Spread, measured_error
+from stability.uncertainty import corrected_quantiles, linearised_band, sampled_band, with_band
+
+SPEEDS = [1000.0, 1200.0, 1500.0, 2000.0]
+THREE = ("frequency", "response", "excitation")
+WAYS = pytest.mark.parametrize("band", [partial(sampled_band, count=300), linearised_band], ids=["sampled", "linear"])
+
+
+def with_errors(frequency, values, std, lines=1.0, **more):
+    """A compliance with the same standard deviation everywhere, or one given."""
+    extra = {"compliance_std": (THREE, np.broadcast_to(std, values.shape)), **more}
+    return make_compliance(frequency, values, extra=extra, attrs={"error_lines": lines})
+
+
+def test_a_radial_coefficient_spreads_the_lab_limit_in_closed_form(lab_slot):
+    """Four teeth in a slot push along x with K_rc alone: the limit is proportional to 1/K_rc at every speed."""
+    spread = Spread(coefficients=(0.3, 0.05, 0.3))
+    for band, tolerance in ((sampled_band, 0.02), (linearised_band, 0.008)):
+        found = band(lab_slot.machine, *lab_slot.cut, SPEEDS, spread)
+        expected = np.exp(0.05 * np.array([-1.645, 0.0, 1.645]))[:, None] * found["limit_depth"].values
+        np.testing.assert_allclose(found["limit_depth_quantile"], expected, rtol=tolerance)
+
+
+@WAYS
+def test_a_stiffness_spreads_the_limit_in_proportion(band, lab_slot):
+    found = band(lab_slot.machine, *lab_slot.cut, SPEEDS, Spread(stiffness=0.03))
+    expected = np.exp(0.03 * np.array([-1.645, 0.0, 1.645]))[:, None] * found["limit_depth"].values
+    np.testing.assert_allclose(found["limit_depth_quantile"], expected, rtol=0.012)
+
+
+@WAYS
+def test_the_smallest_limit_follows_the_damping_ratio(band, lab_slot):
+    """a_min = zeta (1 + zeta) 2 k/K_rc is flat in speed there: damping alone moves it, a frequency does not."""
+    speed = [1181.5]
+    damped = band(lab_slot.machine, *lab_slot.cut, speed, Spread(damping=0.1))
+    relative = damped["limit_depth_quantile"].values[:, 0] / damped["limit_depth"].values
+    np.testing.assert_allclose(relative[[0, 2]], np.exp([-0.1645, 0.1645]), rtol=0.035)
+    shifted = band(lab_slot.machine, *lab_slot.cut, speed, Spread(frequency=0.001))
+    assert np.ptp(shifted["limit_depth_quantile"].values) < 0.1 * np.ptp(damped["limit_depth_quantile"].values)
+
+
+def test_the_linearised_band_agrees_with_sampling_over_all_lobes(authors):
+    """Errors of 1 % of the peak that eight lines share, and coefficients known to 5 %; cusps included."""
+    frequency = np.arange(15.0, 100.0, 0.5)
+    phi = authors.machine.matrix(frequency)
+    compliance = with_errors(frequency, phi, 0.005 * np.abs(phi).max(), 8.0)
+    speed, spread = np.linspace(400.0, 1400.0, 60), Spread(coefficients=(0.05, 0.05, 0.05))
+    sampled = sampled_band(compliance, *authors.cut, speed, spread, count=400, seed=3)
+    linear = linearised_band(compliance, *authors.cut, speed, spread)
+    np.testing.assert_allclose(linear["limit_depth"], sampled["limit_depth"])
+    q, p = sampled["limit_depth_quantile"].values, linear["limit_depth_quantile"].values
+    ratio = (p[2] - p[0]) / (q[2] - q[0])
+    print(f"\nwidth of the linearised band over the sampled: {np.percentile(ratio, [5, 50, 95]).round(3)}")
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
+    assert np.percentile(np.abs(ratio - 1.0), 90) < 0.2
+    np.testing.assert_allclose(p / q, 1.0, atol=0.05)
+
+
+def test_drawn_errors_have_the_covariance_and_the_width_they_were_told():
+    generator = np.random.default_rng(0)
+    frequency = np.arange(10.0, 110.0, 0.5)
+    mix = generator.standard_normal((3, 3, 3)) + 1j * generator.standard_normal((3, 3, 3))
+    covariance = np.broadcast_to(mix @ mix.conj().transpose(0, 2, 1), (frequency.size, 3, 3, 3))
+    std = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3).real)
+    extra = {"compliance_covariance": ((*THREE, "other_excitation"), covariance)}
+    half = {"half_width": (THREE[:2], np.broadcast_to([0.5, 1.0, 1.5], (frequency.size, 3)))}
+    error = measured_error(with_errors(frequency, 0.0j * std, std, 6.0, **extra, **half), frequency)
+    drawn = np.stack([error.draw(generator) for _ in range(400)])
+    found = np.einsum("dfrj,dfrk->rjk", drawn, drawn.conj()) / (400 * frequency.size)
+    np.testing.assert_allclose(found, covariance[0], atol=0.05 * np.abs(covariance[0]).max())
+    assert np.abs(np.mean(drawn**2)) < 0.02 * np.mean(np.abs(drawn) ** 2)  # circular
+    # Lines share their error over 3, 6 and 9 lines: the integral of the correlation.
+    for row, lines in enumerate((3.0, 6.0, 9.0)):
+        e = drawn[:, :, row, 0]
+        lags = [np.mean(e[:, 40:-40] * np.roll(e, k, axis=1)[:, 40:-40].conj()).real for k in range(-30, 31)]
+        assert np.sum(lags) / lags[30] == pytest.approx(lines, rel=0.15)
+
+
+def test_the_level_of_the_errors_is_averaged_over_lines_and_gaps_are_bridged():
+    """Two repeats tell the variance of one line with a scatter of 100 %; noise is smooth over frequency."""
+    frequency = np.arange(10.0, 60.0, 0.1)
+    generator = np.random.default_rng(1)
+    std = np.sqrt(generator.chisquare(2, (frequency.size, 3, 3)) / 2.0)
+    std[17] = np.nan
+    error = measured_error(with_errors(frequency, np.zeros((frequency.size, 3, 3), complex), std, 2.0), frequency)
+    level = np.sum(np.abs(error.factor) ** 2, axis=-1)
+    assert np.std(level) < 0.35
+    assert np.mean(level) == pytest.approx(1.0, abs=0.05)
+
+
+def test_one_seed_gives_one_band_and_the_safe_depth_is_never_above_the_lower_quantile(authors):
+    frequency = np.arange(15.0, 100.0, 0.5)
+    phi = authors.machine.matrix(frequency)
+    compliance = with_errors(frequency, phi, 0.02 * np.abs(phi).max(), 4.0)
+    speed = np.linspace(400.0, 1400.0, 12)
+    one, again = (sampled_band(compliance, *authors.cut, speed, count=60, seed=4) for _ in range(2))
+    assert one.identical(again)
+    assert not one.equals(sampled_band(compliance, *authors.cut, speed, count=60, seed=5))
+    depth = [
+        sampled_band(compliance, *authors.cut, speed, count=60, seed=4, safe_probability=p)["safe_depth"].values
+        for p in (0.8, 0.95, 0.98)
+    ]
+    lower = one["limit_depth_quantile"].sel(quantile=0.05).values
+    np.testing.assert_array_equal(depth[0], np.minimum(lower, one["limit_depth"]))
+    np.testing.assert_array_equal(depth[1], depth[0])
+    assert np.all(depth[2] <= depth[1])
+    assert np.any(depth[2] < depth[1])
+    assert one["safe_depth"].attrs["units"] == one["limit_depth_quantile"].attrs["units"] == "mm"
+
+
+def test_unequal_pitch_has_a_band_by_sampling_only(lab_slot):
+    tool = type(lab_slot.tool)(50.8e-3, 4, pitch_angles=tuple(np.radians([80.0, 100.0, 80.0, 100.0])))
+    cut = (tool, lab_slot.arc, lab_slot.coefficients)
+    found = sampled_band(lab_slot.machine, *cut, [1000.0], Spread(stiffness=0.03))
+    relative = found["limit_depth_quantile"].values[:, 0] / found["limit_depth"].values
+    np.testing.assert_allclose(relative, np.exp(0.03 * np.array([-1.645, 0.0, 1.645])), rtol=0.012)
+    with pytest.raises(InputError, match="unequal pitch"):
+        linearised_band(lab_slot.machine, *cut, [1000.0], Spread(stiffness=0.03))
+
+
+def test_the_zero_order_band_carried_to_converged_limits_is_that_of_converged_limits(authors):
+    """Damping known to 10 %: sampling of the converged limit against its zero-order band in proportion."""
+    speed, spread = [700.0], Spread(damping=0.1)
+    band = sampled_band(authors.machine, *authors.cut, speed, spread, count=400)
+    carried = with_band(semi_discretization(authors.machine, *authors.cut, speed), band)
+    generator, error = np.random.default_rng(3), ModalError(authors.machine, spread, np.array([1.0]))
+    limits = [
+        semi_discretization(error.changed(generator.standard_normal((3, 3))), *authors.cut, speed, 5e-3)["limit_depth"]
+        for _ in range(30)
+    ]
+    limit = carried["limit_depth"].values
+    std = np.diff(carried["limit_depth_quantile"].values[[0, 2]], axis=0)[0] / (2 * 1.645) / limit
+    # Thirty samples tell a standard deviation to 13 %.
+    np.testing.assert_allclose(np.std(limits, axis=0) / limit, std, rtol=0.3)
+    assert np.all(carried["safe_depth"] < limit)
+    with pytest.raises(InputError, match="other spindle speeds"):
+        with_band(carried, band.assign_coords(spindle_speed=[710.0]))
+
+
+def test_bias_corrected_quantiles_of_a_shifted_normal_are_those_of_the_estimate():
+    """Samples that come out too low by half a deviation, as the estimate itself did: the band moves up by one."""
+    generator = np.random.default_rng(2)
+    drawn = 10.0 - 0.5 + generator.standard_normal((200_000, 1))
+    low, high = corrected_quantiles(drawn, np.array([10.0]), (0.05, 0.95))[:, 0]
+    assert low == pytest.approx(10.5 - 1.645, abs=0.05)
+    assert high == pytest.approx(10.5 + 1.645, abs=0.05)
+    drawn[:150_000] = np.inf
+    low, middle = corrected_quantiles(drawn, np.array([np.inf]), (0.05, 0.5))[:, 0]
+    assert middle == np.inf
+    assert np.isfinite(low)
+
+
+def test_infinite_limits_are_values_like_any_other(lab_slot):
+    """800 rpm has a limit within 20 to 64 Hz, 1800 rpm has none, unless errors across the mode bring one."""
+    frequency = lab_slot.compliance(20, 64, 0.25)["frequency"].values
+    phi = lab_slot.machine.matrix(frequency)
+    std = 1e-3 * np.abs(phi).max()
+    along = with_errors(frequency, phi, std * np.diag([1.0, 0.0, 0.0]), 4.0)
+    found = sampled_band(along, *lab_slot.cut, [1000.0, 1800.0], count=40)
+    assert np.isfinite(found["limit_depth_quantile"].values[:, 0]).all()
+    assert np.isinf(found["limit_depth_quantile"].values[:, 1]).all()
+    across = sampled_band(with_errors(frequency, phi, std, 4.0), *lab_slot.cut, [1800.0], count=40)
+    assert np.isinf(across["limit_depth"].values[0])
+    assert across["safe_depth"].values[0] < 16.0
+
+
+def test_noise_that_lowers_the_limit_as_a_rule_is_told(authors):
+    """Coarse noise makes crossings of its own, all of which lower the limit."""
+    frequency = np.arange(15.0, 100.0, 0.5)
+    phi = authors.machine.matrix(frequency)
+    speed = np.linspace(400.0, 1400.0, 21)
+    for share, told in ((0.002, False), (0.05, True)):
+        compliance = with_errors(frequency, phi, share * np.abs(phi).max())
+        warnings = sampled_band(compliance, *authors.cut, speed, count=40).attrs["warnings"]
+        assert any("lower the limit as a rule" in w for w in warnings) is told
+
+
+def test_what_tells_no_band_is_refused(lab_slot):
+    f = np.arange(40.0, 90.0, 0.5)
+    phi = lab_slot.machine.matrix(f)
+    cut = lab_slot.cut
+    with pytest.raises(InputError, match="no compliance_std"):
+        sampled_band(make_compliance(f, phi), *cut, SPEEDS)
+    with pytest.raises(InputError, match="missing at 100 % of its frequencies"):
+        linearised_band(with_errors(f, phi, np.nan), *cut, SPEEDS)
+    with pytest.raises(InputError, match="neither modes nor coefficients are uncertain"):
+        sampled_band(lab_slot.machine, *cut, SPEEDS)
+    with pytest.raises(InputError, match="carries the errors of its frequencies, damping"):
+        sampled_band(with_errors(f, phi, 1e-9), *cut, SPEEDS, Spread(damping=0.1))
+    with pytest.raises(InputError, match="10 samples tell no quantile"):
+        sampled_band(with_errors(f, phi, 1e-9), *cut, SPEEDS, count=10)
+    with pytest.raises(InputError, match="probability of 1"):
+        sampled_band(with_errors(f, phi, 1e-9), *cut, SPEEDS, safe_probability=1.0)
+    with pytest.raises(InputError, match="relative standard deviation of -"):
+        Spread(damping=-0.1)
+
+
+# --- coverage: campaigns whose noise comes from here -----------------------------------------------------------------
+
+HITS, PADDED = 4, 2
+GRID = 0.5 * np.arange(30, 180)
+
+
+def campaign(generator, phi, level):
+    """H1 from a few hits on each axis; blocks padded with zeros to twice their length share errors between lines."""
+    lines = 2 * (int(GRID[-1] / 0.5) + 2)
+    noise = generator.standard_normal((HITS, 3, 3, lines))
+    noise[..., lines // PADDED :] = 0.0
+    noise = np.fft.rfft(noise)[..., 30:180] * level / math.sqrt(lines / PADDED)
+    force = (1.0 + 0.3 * generator.standard_normal((HITS, 1, 3)))[..., None] * np.ones(GRID.size)
+    moved = phi.transpose(1, 2, 0) * force + noise
+    power = (force**2).sum(axis=0)
+    h = (moved * force).sum(axis=0) / power
+    rest = (np.abs(moved - h * force) ** 2).sum(axis=0) / (HITS - 1)
+    return h.transpose(2, 0, 1), np.sqrt(rest / power).transpose(2, 0, 1)
+
+
+def coverage(case, band, campaigns, **more):
+    """Share of limits within the 90 % band, and of limits not below the safe depth, over campaigns and speeds."""
+    phi = case.machine.matrix(GRID)
+    speed = np.linspace(400.0, 1400.0, 11)
+    truth = zero_order(case.machine.compliance(GRID), *case.cut, speed)["limit_depth"].values
+    generator = np.random.default_rng(11)
+    inside, safe, limit = [], [], []
+    for k in range(campaigns):
+        h, std = campaign(generator, phi, 0.02 * np.abs(phi).max())
+        found = band(with_errors(GRID, h, std, PADDED), *case.cut, speed, seed=k, **more)
+        low, _, high = found["limit_depth_quantile"].values
+        inside.append((low <= truth) & (truth <= high))
+        safe.append(found["safe_depth"].values <= truth)
+        limit.append(found["limit_depth"].values / truth)
+    print(
+        f"\n{band.__name__}: {campaigns} campaigns, standard deviation of the limit {100 * np.std(limit):.1f} %, "
+        f"90 % band covers {100 * np.mean(inside):.1f} %, safe depth is safe in {100 * np.mean(safe):.1f} %"
+    )
+    return np.mean(inside), np.mean(safe)
+
+
+def test_the_linearised_band_covers_two_hundred_campaigns(authors):
+    inside, safe = coverage(authors, linearised_band, 200)
+    assert 0.86 < inside < 0.94
+    assert safe > 0.93
+
+
+@pytest.mark.slow
+def test_the_sampled_band_covers_two_hundred_campaigns(authors):
+    inside, safe = coverage(authors, sampled_band, 200, count=200)
+    assert 0.86 < inside < 0.94
+    assert safe > 0.93
+
+
+@pytest.mark.slow
+def test_two_hundred_samples_of_two_hundred_speeds_take_a_few_seconds(authors):
+    frequency = np.arange(10.0, 150.0, 0.25)
+    phi = authors.machine.matrix(frequency)
+    compliance = with_errors(frequency, phi, 0.005 * np.abs(phi).max(), 4.0)
+    sampled_band(compliance, *authors.cut, [500.0], count=20)
+    start = time.process_time()
+    sampled_band(compliance, *authors.cut, np.linspace(300.0, 1500.0, 200))
+    seconds = time.process_time() - start
+    print(f"\n{seconds:.2f} s CPU")
+    assert seconds < 10.0
