@@ -9,14 +9,16 @@ import pandas as pd
 import xarray as xr
 
 from process.errors import InputError
-from smfe.campaign import Campaign, Measurement, load_campaign
+from smfe.campaign import Campaign, Measurement, RigidDrive, load_campaign
 from smfe.datasets import Show
+from smfe.diagnosis.campaign_drive import unlogged_suspects
 from smfe.diagnosis.channel_checks import channel_suspects, clock_suspects, tone_suspects
 from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspects, skew_suspects
 from smfe.diagnosis.hammer_checks import hit_suspects
+from smfe.diagnosis.silence import silence_suspects
 from smfe.diagnosis.suspect import Suspect, suspect_table
 from smfe.identification import Progress, silent
-from smfe.measurements import identify_measurement, sign_warnings
+from smfe.measurements import identify_measurement, records_of, sign_warnings
 from smfe.records import read_records
 
 
@@ -62,6 +64,9 @@ def audit(campaign: Campaign, progress: Progress = silent) -> list[Suspect]:
             out += channel_suspects(record, where)
             out += clock_suspects(record, where, campaign.tool.teeth if campaign.tool else None)
     progress("checking", total, total)
+    out += silence_suspects(campaign)
+    if isinstance(campaign.baseline, RigidDrive):
+        out += unlogged_suspects(campaign, campaign.baseline)
     return out + factor_suspects(compliances)
 
 
@@ -71,15 +76,14 @@ def _records_suspects(campaign: Campaign, measurement: Measurement) -> list[Susp
     out: list[Suspect] = []
     by_axis: dict[str, list[xr.Dataset]] = {}
     for entry in measurement.records:
-        for file in entry.files:
-            where = f"{measurement.name}, {file.name}"
-            for record in read_records(file, entry.channels):
-                out += channel_suspects(record, where, pulsed=measurement.method == "hammer")
-                if measurement.method == "silent":
-                    out += tone_suspects(record, where)
-                if entry.cut is not None:
-                    out += clock_suspects(record, where, campaign.tool.teeth if campaign.tool else None)
-                by_axis.setdefault(entry.excitation or "", []).append(record)
+        for record in records_of(entry, entry.excitation):
+            where = f"{measurement.name}, {record.attrs['source']}"
+            out += channel_suspects(record, where, pulsed=measurement.method == "hammer")
+            if measurement.method == "silent":
+                out += tone_suspects(record, where)
+            if entry.cut is not None:
+                out += clock_suspects(record, where, campaign.tool.teeth if campaign.tool else None)
+            by_axis.setdefault(entry.excitation or "", []).append(record)
     if measurement.method == "hammer":
         out += _hammer(measurement, by_axis)
     return out

@@ -1,9 +1,9 @@
 """The simulation that is questioned, for one feed axis: two masses, servo, friction; and all that it may lack.
 
 `AxisBaseline.machine` builds the machine that belongs to a set of values. With every cause at its null value it is the
-baseline itself. A guideway that sticks gives way a little: friction is a LuGre bristle, each direction with the
-parameters of its side, at rest with their mean. A smooth sign instead, however steep, puts the idle compliance off by
-10 % at its peak, because it has no stiffness to stick with.
+baseline itself. A guideway that sticks gives way a little: friction is a LuGre bristle with a side for each direction.
+A smooth sign instead, however steep, puts the idle compliance off by 10 % at its peak, because it has no stiffness to
+stick with.
 """
 
 from __future__ import annotations
@@ -26,9 +26,6 @@ from smfe.diagnosis.problem import Cause, Parameter, Values
 BRISTLE = (5e8, 6e4)
 """Stiffness [N/m] and damping [N s/m] of a guideway that sticks, where nothing better is known."""
 
-SLIDING = 0.1
-"""Share of the damping of the bristles that is kept in motion: there it does nothing but ask for shorter steps."""
-
 ELEMENTS = 20
 """Jenkins elements of a joint with micro-slip."""
 
@@ -42,13 +39,25 @@ Sides = tuple[float, float]
 """A parameter of friction: forth, back."""
 
 
+class Side(NamedTuple):
+    """Friction of one direction: forces [N], Stribeck speed [m/s], viscous coefficient [N s/m]."""
+
+    coulomb: float
+    static: float
+    speed: float
+    viscous: float
+
+
 class Effective(NamedTuple):
-    """What a set of values comes to under the settings of a condition (SI); alike for values that change nothing."""
+    """What a set of values comes to under the settings of a condition (SI); alike for values that change nothing.
+
+    Without dry friction both sides of it are the one that rubs, or at rest their mean.
+    """
 
     masses: tuple[float, float]
     stiffness: float
     damping: float
-    friction: tuple[float, ...]
+    friction: tuple[Side, Side]
     servos: tuple[tuple[float, float, float, float], ...]
     micro_slip: tuple[float, float]
     gap: tuple[float, float]
@@ -148,7 +157,7 @@ class AxisBaseline:
         delay = Parameter("extra_delay", "ms", 0.0, 1e-4, -shortest, 5e-3, shown=1e3)
         return (
             Cause("servo_gains", "servo gains other than recorded", gains),
-            Cause("loop_delay", "a dead time in the control loop", (delay,), starts=((5e-4,),)),
+            Cause("loop_delay", "a dead time in the control loop", (delay,)),
         )
 
     def _other_causes(self) -> tuple[Cause, ...]:
@@ -193,24 +202,29 @@ class AxisBaseline:
             values.get("cubic_stiffness", 0.0),
         )
 
-    def _sliding(self, values: Values, feed: float) -> tuple[float, ...]:
-        """Coulomb, static force [N], Stribeck speed [m/s], viscous and bristle damping [N s/m] for one direction."""
-        side = 0 if feed > 0.0 else 1 if feed < 0.0 else None
-        coulomb = _side(self.known.get("coulomb", 0.0), side)
+    def _sliding(self, values: Values, feed: float) -> tuple[Side, Side]:
+        forth, back = (self._side(values, n) for n in (0, 1))
+        if forth.static > 0.0 or back.static > 0.0:
+            return forth, back
+        if feed != 0.0:
+            return (forth, forth) if feed > 0.0 else (back, back)
+        mean = forth._replace(viscous=0.5 * (forth.viscous + back.viscous))
+        return mean, mean
+
+    def _side(self, values: Values, n: int) -> Side:
+        """Friction forth (0) or back (1)."""
+        coulomb = _of_side(self.known.get("coulomb", 0.0), n)
         coulomb += values.get("coulomb", 0.0) + values.get("stribeck_coulomb", 0.0)
-        static = _side(self.known["static"], side) if "static" in self.known else coulomb
+        static = _of_side(self.known["static"], n) if "static" in self.known else coulomb
         static += values.get("static_rise", 0.0)
         speed = values.get("stribeck_speed", 6e-3)
         if "stribeck_speed" in self.known:
-            speed = _side(self.known["stribeck_speed"], side)
+            speed = _of_side(self.known["stribeck_speed"], n)
         ratio = self.known.get("viscous", 1.0)
-        viscous = values["viscous"] * _side(ratio, side) / _side(ratio, None)
-        factor = 1.0 + float(np.sign(feed)) * values.get("friction_asymmetry", 0.0)
+        viscous = values["viscous"] * _of_side(ratio, n) / (0.5 * (_of_side(ratio, 0) + _of_side(ratio, 1)))
+        factor = 1.0 + (1.0, -1.0)[n] * values.get("friction_asymmetry", 0.0)
         level = factor * (1.0 + values.get("friction_level", 0.0))
-        if static <= 0.0:
-            return 0.0, 0.0, 0.0, factor * viscous, 0.0
-        damping = self.bristle[1] * (1.0 if side is None else SLIDING)
-        return level * coulomb, level * static, speed if static != coulomb else 0.0, factor * viscous, damping
+        return Side(level * coulomb, level * static, speed if static != coulomb else 0.0, factor * viscous)
 
     def machine(self, found: Effective) -> Machine:
         """Return the machine for what a set of values comes to."""
@@ -222,21 +236,21 @@ class AxisBaseline:
         }
         return Machine(structure, {self.axis: FeedAxis(servos or None, self._law(found.friction))}, joints)
 
-    def _law(self, sliding: tuple[float, ...]) -> FrictionLaw | LuGre:
-        coulomb, static, speed, viscous, damping = sliding
-        if static <= 0.0:
-            return Viscous(viscous)
-        return LuGre(self.bristle[0], damping, max(coulomb, _LEAST), max(static, _LEAST), speed or 1.0, viscous)
+    def _law(self, sides: tuple[Side, Side]) -> FrictionLaw | LuGre:
+        if max(side.static for side in sides) <= 0.0:
+            return Viscous(sides[0].viscous)
+        forth, back = (
+            LuGre(*self.bristle, max(s.coulomb, _LEAST), max(s.static, _LEAST), s.speed or 1.0, s.viscous)
+            for s in sides
+        )
+        return replace(forth, negative=back)
 
 
 _LEAST = 1e-6
 
 
-def _side(value: float | Sides, side: int | None) -> float:
-    """Value of a side, 0 forth or 1 back; the mean for none."""
-    if not isinstance(value, tuple):
-        return float(value)
-    return 0.5 * (value[0] + value[1]) if side is None else value[side]
+def _of_side(value: float | Sides, n: int) -> float:
+    return value[n] if isinstance(value, tuple) else float(value)
 
 
 def _gains(servo: Servo, values: Values) -> tuple[float, float, float, float]:

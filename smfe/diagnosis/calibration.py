@@ -115,9 +115,11 @@ def _products(at: Tangent, rng: np.random.Generator, draws: int) -> list[Real]:
     if not columns:
         return []
     every = np.concatenate(columns, axis=1)
-    values, vectors = np.linalg.eigh(every.T @ every)
+    size = np.linalg.norm(every, axis=0)  # an exchange of axes is a million times as large as others
+    unit = every / np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(unit.T @ unit)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    noise = rng.standard_normal((draws, every.shape[1])) @ root.T
+    noise = rng.standard_normal((draws, every.shape[1])) @ root.T * size
     return np.split(noise, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 

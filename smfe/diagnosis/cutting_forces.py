@@ -1,4 +1,4 @@
-"""Diagnosis of cutting forces: a mechanistic baseline without run-out and edge forces, against spindle orders.
+"""Diagnosis of cutting forces: a mechanistic baseline without run-out, mostly without edge forces, against orders.
 
 The angle at which a record starts is not known: a prediction is turned to the angle that fits best.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -70,6 +70,8 @@ class CuttingForces:
         Prior standard deviation of the coefficients over the largest of them.
     suspects : tuple of Suspect, optional
         Measurement faults that were seen and set aside beforehand.
+    edge : tuple of float, optional
+        Kte, Kre, Kae [N/m] that the baseline has.
     """
 
     tool: Tool
@@ -78,6 +80,7 @@ class CuttingForces:
     proposals: tuple[Condition, ...] = ()
     spread: float = LOT_SCATTER
     suspects: tuple[Suspect, ...] = ()
+    edge: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
@@ -93,7 +96,8 @@ class CuttingForces:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """What a mechanistic model without run-out and edge forces lacks."""
-        return (*_process_causes(self.tool, max(abs(c) for c in self.coefficients)), *_sensor_causes(self._highest()))
+        largest = max(abs(c) for c in self.coefficients)
+        return (*_process_causes(self.tool, largest, self.edge), *_sensor_causes(self._highest()))
 
     def _cuts(self) -> list[CuttingOrders]:
         return [c.data for c in self.conditions if isinstance(c.data, CuttingOrders)]
@@ -124,6 +128,7 @@ def cutting_family(
     known_forces: Mapping[str, tuple[Sequence[float], KnownForce]] | None = None,
     floor: float = MODEL_FLOOR,
     crosstalk: float = CROSSTALK,
+    edge: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> CuttingForces:
     """Build the family of a campaign of steady cuts.
 
@@ -141,6 +146,8 @@ def cutting_family(
         Name -> reading along x, y, z [N] and the force that caused it.
     floor, crosstalk : float, optional
         What a model is not expected to reach; see `smfe.diagnosis.cutting_orders`.
+    edge : tuple of float, optional
+        Kte, Kre, Kae [N/m] that the baseline has.
 
     Raises
     ------
@@ -155,14 +162,14 @@ def cutting_family(
     for name, (reading, known) in (known_forces or {}).items():
         observed = np.asarray(reading, dtype=float) / known.std
         conditions.append(Condition(name, {"experiment": "known force"}, observed, "", known))
-    first = CuttingForces(tool, coefficients, tuple(conditions))
+    first = CuttingForces(tool, coefficients, tuple(conditions), suspects=suspects, edge=edge)
     proposed = []
     for name, p in (proposals or {}).items():
         if isinstance(p, KnownForce):
             proposed.append(Condition(name, {"experiment": "known force"}, None, "", p))
         else:
             proposed.append(_condition(name, _expected(first, p, floor, crosstalk), measured=False))
-    return CuttingForces(tool, coefficients, tuple(conditions), tuple(proposed), suspects=suspects)
+    return replace(first, proposals=tuple(proposed))
 
 
 def _condition(name: str, found: CuttingOrders, measured: bool) -> Condition:
@@ -180,16 +187,19 @@ def _expected(family: CuttingForces, cut: SteadyCut, floor: float, crosstalk: fl
     """Orders of a cut that has not been made, from the handbook, with the noise of those that have."""
     noise = np.median([c.std for c in family._cuts()], axis=(0, 1)) if cut.depth == 0.0 else np.zeros(3)
     count = family._cuts()[0].value.shape[0]
-    value = rigid_orders(family.tool, cut, count, {p.name: p.start for p in family.nuisances})
+    known = dict(zip(("Kte", "Kre", "Kae"), family.edge, strict=True))
+    value = rigid_orders(family.tool, cut, count, {**{p.name: p.start for p in family.nuisances}, **known})
     power = 0.5 * np.sum(np.abs(value[1:]) ** 2, axis=0)
     std = np.sqrt(noise**2 + floor**2 * power + crosstalk**2 * power.sum() + 1e-12)
     return CuttingOrders(cut, value, np.tile(std, (count, 1)), {})
 
 
-def _process_causes(tool: Tool, largest: float) -> list[Cause]:
+def _process_causes(tool: Tool, largest: float, known: tuple[float, float, float]) -> list[Cause]:
     """Causes in tool and work."""
-    lows = zip("tra", (0.0, 0.0, -2e5), strict=True)
-    edge = tuple(Parameter(f"K{n}e", "N/mm", 0.0, 5e3, low, 2e5, shown=1e-3) for n, low in lows)
+    bounds = zip("tra", known, (0.0, 0.0, -2e5), strict=True)
+    edge = tuple(
+        Parameter(f"K{n}e", "N/mm", start, 5e3, min(low, start), 2e5 + start, shown=1e-3) for n, start, low in bounds
+    )
     size = tuple(Parameter(f"size_effect_{n}", "1", 0.0, 0.1, -0.9, 0.9) for n in "tra")
     other = tuple(
         Parameter(f"other_K{n}c", "N/mm^2", 0.0, 0.1 * largest, -10.0 * largest, 10.0 * largest, shown=1e-6)
@@ -201,7 +211,7 @@ def _process_causes(tool: Tool, largest: float) -> list[Cause]:
         runout.append(Parameter("runout_angle", "deg", 0.5, 0.3, -2.0 * math.pi, 2.0 * math.pi, shown=180.0 / math.pi))
         starts = [(2e-5, a) for a in np.linspace(-math.pi, math.pi, 8, endpoint=False)]
     causes = [
-        Cause("edge_forces", "edge forces", edge, starts=((2e4, 2e4, 0.0),)),
+        Cause("edge_forces", "other edge forces" if any(known) else "edge forces", edge, starts=((2e4, 2e4, 0.0),)),
         Cause("force_coefficients", "coefficients that depend on the chip thickness", size, "size_effect"),
         Cause("force_coefficients", "a material that cuts unlike the handbook's", other, "material"),
         Cause("runout", "run-out of the tool", tuple(runout), starts=tuple(starts)),

@@ -21,6 +21,8 @@ import xarray as xr
 from process.errors import InputError
 from smfe.diagnosis import drive_noise as noise
 from smfe.diagnosis import drive_terms as terms
+from smfe.diagnosis.calibration import FALSE_ALARM
+from smfe.diagnosis.drive_channels import Channels
 from smfe.diagnosis.drive_control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
 from smfe.diagnosis.drive_noise import Whitener
 from smfe.diagnosis.drive_signals import Motion, Real, Resampler, half_width, motion, moves
@@ -37,14 +39,21 @@ _FEWEST_MOVES = 4
 _WIDEST = 0.1
 """Widest band, in units of the sample rate."""
 
+_CUT_OFF = 0.5
+"""Least share of the force beyond a limit that must be lost."""
+
+_LOWEST_TONE = 3.0
+"""Lowest frequency of a tone that is looked for [Hz]; the moves are slower."""
+
 
 @dataclass(frozen=True)
-class _ForceData:
-    """A move: the motion with all margins, the low-passed drive force with the values before it, and its noise."""
+class ForceData:
+    """A move: motion and drive force with all margins, the force low-passed with the values before it, its noise."""
 
     motion: Motion = field(repr=False)
     force: Real = field(repr=False)
     noise: float
+    drive: Real = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -76,6 +85,10 @@ class DriveModel:
         Known delay from the logged to the acting force [s].
     mass_known : bool
         Whether the mass has a prior, without which a gain of the force channel cannot be told from the mass.
+    peak : float
+        Largest drive force [N].
+    limit : float, optional
+        Drive force beyond which the axis seems to get less than was asked for [N].
     law : ControlLaw, optional
         Control law with its velocity filter.
     """
@@ -87,6 +100,8 @@ class DriveModel:
     terms: tuple[Term, ...]
     delay: float
     mass_known: bool
+    peak: float
+    limit: float | None = None
     law: ControlLaw | None = None
 
 
@@ -123,6 +138,7 @@ class DriveRecordFamily:
         mass: tuple[float, float] | None = None,
         gains: Gains | None = None,
         delay: float = 0.0,
+        lead: float | None = None,
         cutoff: float | None = None,
         like: DriveRecordFamily | None = None,
         name: str = "",
@@ -141,8 +157,11 @@ class DriveRecordFamily:
             Gains of the controller.
         delay : float, optional
             Known delay from the logged to the acting force [s], such as the half sample for which a command is held.
+        lead : float, optional
+            Known wavelength of the ripple of screw, rack or magnets [m]. Default: the one that stands out, if one does
+            beyond what noise alone would show at some wavelength; a ripple is in the catalogue in these cases only.
         cutoff : float, optional
-            Band of the comparison [Hz]. Default: as far as the force stands 13 dB above what no model explains, at
+            Band of the comparison [Hz]. Default: as far as the force stands 20 dB above what no model explains, at
             most a tenth of the sample rate.
         like : DriveRecordFamily, optional
             Take filter, noise, starts and catalogue from another record of the same axis (a held-out record).
@@ -151,9 +170,11 @@ class DriveRecordFamily:
         """
         if not 0.0 <= delay <= LONGEST_DELAY:
             raise InputError(f"known delay {delay:g} s; give one from 0 to {LONGEST_DELAY:g} s")
-        raw = _Raw.read(record, axis)
+        if lead is not None and not 0.0 < lead < math.inf:
+            raise InputError(f"lead {lead:g} m; give a positive one, or none")
+        raw = Channels.read(record, axis)
         if like is None:
-            shared = _learn(raw, mass, gains, delay, cutoff)
+            shared = _learn(raw, mass, gains, delay, lead, cutoff)
         elif like.model.resampler.step != raw.step:
             raise InputError(f"sample interval {raw.step:g} s, {like.model.resampler.step:g} s of the other record")
         else:
@@ -175,6 +196,8 @@ class DriveRecordFamily:
     def causes(self) -> tuple[Cause, ...]:
         """Everything that a rigid, viscous axis with a perfect loop leaves out."""
         found = [t.cause for t in self.model.terms] + [_DELAY]
+        if self.model.limit is not None:
+            found.append(_saturation(self.model.peak, self.model.limit))
         if self.model.mass_known:
             found.append(_SENSOR_GAIN)
         if self.model.law is not None:
@@ -200,8 +223,8 @@ class DriveRecordFamily:
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the whitened drive force of a move, or its whitened command after the control law."""
-        if isinstance(condition.data, _ForceData):
-            return self.model.whitener(self._force(condition.data.motion, values)) / condition.data.noise
+        if isinstance(condition.data, ForceData):
+            return self.model.whitener(self.force(condition.data, values)) / condition.data.noise
         if isinstance(condition.data, _LawData) and self.model.law is not None:
             return _law_force(condition.data, values) / self.model.law.noise
         raise InputError(f"condition {condition.name} is not one of this family")
@@ -210,21 +233,27 @@ class DriveRecordFamily:
         """Return rms(measured - predicted force)/rms(measured force) [1], in the band, over moves (default: all)."""
         wrong, whole = 0.0, 0.0
         for c in self.conditions if conditions is None else conditions:
-            if isinstance(c.data, _ForceData):
+            if isinstance(c.data, ForceData):
                 order = self.model.whitener.order
                 measured = c.data.force[order:]
-                wrong += float(np.sum(np.square(measured - self._force(c.data.motion, values)[order:])))
+                wrong += float(np.sum(np.square(measured - self.force(c.data, values)[order:])))
                 whole += float(np.sum(np.square(measured)))
         return math.sqrt(wrong / whole)
 
-    def _force(self, m: Motion, values: Values) -> Real:
+    def force(self, data: ForceData, values: Values) -> Real:
+        """Return the low-passed drive force of a move [N]."""
+        m = data.motion
         total = values["mass"] * m.acceleration + values["viscous"] * m.velocity + values["offset"]
         for term in self.model.terms:
             if any(values[p.name] != p.start for p in term.cause.parameters):
                 total = total + term.force(m, values)
         if self.model.mass_known:
             total = total * (1.0 + values["force_gain.error"])
-        return self.model.resampler(total, self.model.delay + values["loop_delay.delay"])
+        needed = self.model.resampler(total, self.model.delay + values["loop_delay.delay"])
+        cut = values.get("saturation.cut", 0.0)
+        if self.model.limit is None or cut == 0.0:
+            return needed
+        return needed + self.model.resampler(excess(data.drive, self.model.peak - cut))
 
 
 _DELAY = Cause(
@@ -232,6 +261,19 @@ _DELAY = Cause(
     "delay between command and force",
     (Parameter("loop_delay.delay", "ms", 0.0, 1e-4, 0.0, LONGEST_DELAY, shown=1e3),),
 )
+
+
+def excess(drive: Real, limit: float) -> Real:
+    """Return what a drive force [N] has beyond a limit."""
+    return drive - np.clip(drive, -limit, limit)
+
+
+def _saturation(peak: float, limit: float) -> Cause:
+    """Return the cause that drive force beyond a limit never acts: what the limit is below the largest force [N]."""
+    cut = Parameter("saturation.cut", "N", 0.0, peak - limit, low=0.0, high=0.95 * peak)
+    return Cause("drive_saturation", "drive force that is cut off", (cut,), starts=((peak - limit,),))
+
+
 _SENSOR_GAIN = Cause(
     "sensor_gain",
     "gain of the force channel",
@@ -252,33 +294,6 @@ _HIDDEN_COMMAND = Cause(
 
 
 @dataclass(frozen=True)
-class _Raw:
-    """Channels of one axis."""
-
-    step: float
-    position: Real
-    force: Real
-    reference: Real | None
-
-    @classmethod
-    def read(cls, record: xr.Dataset, axis: str) -> _Raw:
-        channels: dict[str, Real] = {}
-        for channel in ("encoder_position", "drive_force", "reference_position"):
-            if channel in record and axis in record[channel]["axis"].values:
-                values = np.asarray(record[channel].sel(axis=axis).values, dtype=float)
-                if np.all(np.isfinite(values)):
-                    channels[channel] = values
-        for needed in ("encoder_position", "drive_force"):
-            if needed not in channels:
-                raise InputError(f"the record has no {needed}_{axis}; a drive record needs it, with all its samples")
-        time = np.asarray(record["time"].values, dtype=float)
-        step = float(np.mean(np.diff(time)))
-        if np.max(np.abs(np.diff(time) - step)) > 0.01 * step:
-            raise InputError("the samples of the record are not evenly spaced in time; resample them first")
-        return cls(step, channels["encoder_position"], channels["drive_force"], channels.get("reference_position"))
-
-
-@dataclass(frozen=True)
 class _Balance:
     """Both sides of the force balance in a band, over all moves, with what the reference leaves."""
 
@@ -288,14 +303,21 @@ class _Balance:
     part: slice
     force: Real
     left: Real
-    columns: int
+    regressors: Real
+
+    @property
+    def interval(self) -> float:
+        """Time between two values that are kept [s]."""
+        return self.filter.step * self.filter.every
 
     def seen(self, samples: Real) -> Real:
         """Pass a signal of the motion, full rate, through the filter."""
         return self.filter(samples[self.part])
 
 
-def _balance(raw: _Raw, cutoff: float, lead: float | None) -> _Balance:
+def _balance(
+    raw: Channels, cutoff: float, limit: float | None, lead: float | None = None, line: float | None = None
+) -> _Balance:
     every = int(0.5 / (cutoff * raw.step) * (1.0 + 1e-9))
     if every < 2:
         raise InputError(
@@ -307,51 +329,112 @@ def _balance(raw: _Raw, cutoff: float, lead: float | None) -> _Balance:
     spans = _spans(moving, filter_)
     part = slice(spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin)
     columns = list(noise.reference(moving[part]).T)
-    if lead is not None:
-        angle = 2.0 * math.pi * moving.position[part] / lead
-        columns += [np.cos(angle), np.sin(angle)]
+    if limit is not None:
+        columns.append(excess(raw.force[part], limit))
+    for phase, period in ((moving.position[part], lead), (moving.time[part], line and 1.0 / line)):
+        if period:
+            columns += [np.cos(2.0 * math.pi * phase / period), np.sin(2.0 * math.pi * phase / period)]
     force = filter_(raw.force[part])
-    left = noise.residual(np.stack([filter_(c) for c in columns], axis=1), force)
-    return _Balance(filter_, moving, spans, part, force, left, len(columns))
+    regressors = np.stack([filter_(c) for c in columns], axis=1)
+    return _Balance(filter_, moving, spans, part, force, noise.residual(regressors, force), regressors)
 
 
 def _learn(
-    raw: _Raw, mass: tuple[float, float] | None, gains: Gains | None, delay: float, cutoff: float | None
+    raw: Channels,
+    mass: tuple[float, float] | None,
+    gains: Gains | None,
+    delay: float,
+    lead: float | None,
+    cutoff: float | None,
 ) -> DriveModel:
     """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
     if cutoff is None:
         wide = _balance(raw, _WIDEST / raw.step, None)
-        step = raw.step * wide.filter.every
-        cutoff = noise.usable_band(wide.force, wide.left, step, wide.filter.cutoff)
-    plain = _balance(raw, cutoff, None)
-    place, velocity = plain.seen(plain.motion.position), plain.seen(plain.motion.velocity)
-    slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
-    quick = np.abs(velocity) > 0.5 * slowest
-    lead = noise.wavelength(place[quick], plain.left[quick], slowest / cutoff)
-    full = _balance(raw, cutoff, lead)
-    first, every = full.spans[0][0], full.filter.every
-    whitener = noise.fit_whitener(np.split(full.left, [(a - first) // every for a, _ in full.spans[1:]]))
-    each = _noise(full, whitener)
-    pulse = noise.strongest_pulse(whitener(full.left), every * raw.step)
-    origin = float(full.motion.time[first]) + whitener.order * every * raw.step
+        cut = _limit(raw, wide)
+        wide = wide if cut is None else _balance(raw, _WIDEST / raw.step, cut)
+        cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff)
+    limit = _limit(raw, _balance(raw, cutoff, None))
+    plain = _balance(raw, cutoff, limit)
+    known, (lead, line) = lead is not None, _periodic(raw, plain, limit, lead)
+    full = _balance(raw, cutoff, limit, lead, line)
+    whitener = _whitener(full)
     law = None
     if gains is not None and raw.reference is not None:
         law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
     nuisances = _nuisances(full, mass)
-    centre = float(np.mean(place))
+    place = plain.seen(plain.motion.position)
+    centre, stroke = float(np.mean(place)), float(np.ptp(place))
     catalogue = [
         terms.coulomb(),
         terms.stribeck(),
         terms.shear(),
         terms.asymmetry(),
         terms.position_slope(centre),
-        terms.ripple(lead, centre),
+        terms.position_bend(centre, stroke),
         terms.drift(),
+        terms.offset_drift(),
         terms.missing_mode(nuisances[0].start),
     ]
-    if pulse is not None:
-        catalogue.append(terms.hidden_force(origin + pulse[0], origin + pulse[1]))
-    return DriveModel(full.filter, whitener, each, nuisances, tuple(catalogue), delay, mass is not None, law)
+    if lead is not None:
+        catalogue.append(terms.ripple(lead, centre, known))
+    if line is not None:
+        catalogue.append(terms.tone(line, raw.step * raw.force.size))
+    boxes = noise.boxes(full.left, whitener, full.interval)
+    if boxes:
+        first = float(full.motion.time[full.spans[0][0]])
+        catalogue.append(terms.hidden_force([(first + a, first + b, sign) for a, b, sign in boxes]))
+    each, peak = _noise(full, whitener), float(np.max(np.abs(raw.force)))
+    return DriveModel(
+        full.filter, whitener, each, nuisances, tuple(catalogue), delay, mass is not None, peak, limit, law
+    )
+
+
+def _limit(raw: Channels, balance: _Balance) -> float | None:
+    """Return the limit beyond which drive force that is lost explains most; None where noise explains as much.
+
+    Limits from 95 to 10 % of the largest drive force are tried, which is paid for. Where less than half is lost nothing
+    is cut off: some other force bends with the load.
+    """
+    whitener = noise.fit_whitener([balance.left])
+    white = whitener(balance.left)
+    limits = np.arange(0.95, 0.095, -0.01) * float(np.max(np.abs(raw.force)))
+    columns = np.stack([balance.seen(excess(raw.force, limit)) for limit in limits], axis=1)
+    columns -= balance.regressors @ np.linalg.lstsq(balance.regressors, columns, rcond=1e-10)[0]
+    shapes = np.stack([whitener(c) for c in columns.T], axis=1)
+    product, square = white @ shapes, np.sum(np.square(shapes), axis=0)
+    spread = 1.4826 * float(np.median(np.abs(white)))
+    share = product / np.maximum(square, 1e-300)
+    gain = np.where(share > _CUT_OFF, share * product / spread**2, 0.0)
+    best = int(np.argmax(gain))
+    return float(limits[best]) if gain[best] > 2.0 * math.log(limits.size / FALSE_ALARM) else None
+
+
+def _periodic(
+    raw: Channels, plain: _Balance, limit: float | None, lead: float | None
+) -> tuple[float | None, float | None]:
+    """Return the wavelength of a ripple [m] and the frequency of a tone [Hz] in what the reference leaves, if any.
+
+    The ripple first: a screw that turns at few speeds makes lines in time as well.
+    """
+    cutoff = plain.filter.cutoff
+    if lead is None:
+        place = plain.seen(plain.motion.position)
+        slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
+        stroke = float(np.ptp(place))
+        wave = noise.strongest_wave(place, plain.left, _whitener(plain), 5.0 / stroke, cutoff / slowest)
+        if wave is not None and wave[1] < FALSE_ALARM:
+            lead = 1.0 / wave[0]
+            plain = _balance(raw, cutoff, limit, lead)
+    time = plain.seen(plain.motion.time)
+    wave = noise.strongest_wave(time, plain.left, _whitener(plain), _LOWEST_TONE, cutoff)
+    return lead, wave[0] if wave is not None and wave[1] < FALSE_ALARM else None
+
+
+def _whitener(balance: _Balance) -> Whitener:
+    first, every = balance.spans[0][0], balance.filter.every
+    return noise.fit_whitener(
+        np.split(balance.left, [(a - first) // every for a, _ in balance.spans[1:]]), balance.regressors
+    )
 
 
 def _noise(balance: _Balance, whitener: Whitener) -> dict[_Kind, float]:
@@ -361,13 +444,14 @@ def _noise(balance: _Balance, whitener: Whitener) -> dict[_Kind, float]:
     for (begin, end), left in zip(
         balance.spans, np.split(balance.left, [(a - first) // every for a, _ in balance.spans[1:]]), strict=True
     ):
-        for kind in (_kind(_settings(balance.motion, begin, end)), _ANY):
+        for kind in (kind_of(_settings(balance.motion, begin, end)), _ANY):
             squares.setdefault(kind, []).extend(np.square(whitener(left)))
-    fitted = balance.columns / balance.left.size
+    fitted = balance.regressors.shape[1] / balance.left.size
     return {kind: math.sqrt(float(np.mean(values)) / (1.0 - fitted)) for kind, values in squares.items()}
 
 
-def _kind(settings: Mapping[str, float | str]) -> _Kind:
+def kind_of(settings: Mapping[str, float | str]) -> _Kind:
+    """Return the kind of a move: direction and speed."""
     return settings["direction"], settings["speed"]
 
 
@@ -429,20 +513,20 @@ def _named(moving: Motion, shared: DriveModel, name: str) -> list[tuple[str, Map
     return found
 
 
-def _force_conditions(raw: _Raw, moving: Motion, shared: DriveModel, name: str) -> Sequence[Condition]:
+def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: str) -> Sequence[Condition]:
     filter_ = shared.resampler
     before = filter_.margin + shared.whitener.order * filter_.every
     found = []
     for text, settings, half, begin, end in _named(moving, shared, name):
         part = slice(begin - before, end + filter_.margin)
         force = filter_(raw.force[part])
-        data = _ForceData(moving[part], force, shared.noise.get(_kind(settings), shared.noise[_ANY]))
+        data = ForceData(moving[part], force, shared.noise.get(kind_of(settings), shared.noise[_ANY]), raw.force[part])
         found.append(Condition(text, settings, shared.whitener(force) / data.noise, half, data))
     return found
 
 
 def _law_conditions(
-    raw: _Raw, moving: Motion, shared: DriveModel, law: ControlLaw, name: str
+    raw: Channels, moving: Motion, shared: DriveModel, law: ControlLaw, name: str
 ) -> tuple[list[Condition], tuple[Pulse, ...]]:
     assert raw.reference is not None
     position, velocity = law.force(raw.reference, raw.position, raw.step)

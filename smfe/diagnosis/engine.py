@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from smfe.diagnosis.by_condition import by_condition
 from smfe.diagnosis.calibration import parameters_of
 from smfe.diagnosis.cross_validation import BAND, Gain, compare, opened
 from smfe.diagnosis.evidence import Bench, Step, search
@@ -19,7 +20,7 @@ from smfe.diagnosis.misfit import Misfit
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.next_experiment import Proposal, rank
 from smfe.diagnosis.power import detectable
-from smfe.diagnosis.problem import Family
+from smfe.diagnosis.problem import Condition, Family, Values
 from smfe.diagnosis.signature import inside
 from smfe.diagnosis.verdict import Judgement, judge
 from smfe.identification import Progress, silent
@@ -29,6 +30,9 @@ _INTERVAL = 1.959964
 
 def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_out: Sequence[str] = ()) -> Finding:
     """Diagnose a baseline.
+
+    Where the data of a family rest on a simulation (its method ``as_found``: values to conditions) and a cause was
+    found, they are prepared once more, with that cause, and diagnosed again.
 
     Parameters
     ----------
@@ -51,7 +55,17 @@ def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_ou
     InputError
         For a family that contradicts itself, or a condition to be held out that was not measured.
     """
-    measured = [c for c in family.conditions if c.observed is not None]
+    first = _diagnosed(family, family.conditions, seed, progress, held_out)
+    again: Callable[[Values], Sequence[Condition]] | None = getattr(family, "as_found", None)
+    if again is None or not first.causes:
+        return first
+    return _diagnosed(family, again(first.values), seed, progress, held_out)
+
+
+def _diagnosed(
+    family: Family, conditions: Sequence[Condition], seed: int, progress: Progress, held_out: Sequence[str]
+) -> Finding:
+    measured = [c for c in conditions if c.observed is not None]
     missing = sorted(set(held_out) - {c.name for c in measured})
     if missing:
         raise InputError(f"{missing[0]!r} cannot be held out: it is not one of the measured conditions")
@@ -89,6 +103,9 @@ def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_ou
         unconverged=tuple(sorted(bench.unconverged.items())),
         next_experiment=_next(bench, at, judged, proposals),
         threshold=limit if math.isfinite(limit) else None,
+        conditions=by_condition(model, bench.null(), at, aside),
+        values=model.values(at.u),
+        values_before=model.values(bench.null().u),
     )
 
 

@@ -2,21 +2,23 @@
 
 ``LR = chi2(without) - chi2(with)``, the nuisances re-fitted non-linearly under every hypothesis. The best cause above
 the calibrated threshold that also gains on held-out conditions is taken in, then all are fitted anew and those that
-have become idle are dropped; where no single cause passes, pairs of the best four are tried: effects mask each other.
+have become idle are dropped. Where no single cause passes, the pairs that do most to first order are tried: effects
+mask each other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smfe.diagnosis.calibration import PENALTY, combined_gain, pair_threshold, parameters_of, threshold
-from smfe.diagnosis.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable
-from smfe.diagnosis.fit import Fit, Target, approach, fit
+from smfe.diagnosis.cross_validation import BAND, Gain, HeldOut, Scheme, compare, held_out, usable, within
+from smfe.diagnosis.fit import Fit, Target, approach, fit, roughly
+from smfe.diagnosis.misfit import Misfit, assess
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.signature import Signature, Tangent, tangent
 from smfe.identification import Progress
@@ -24,7 +26,7 @@ from smfe.identification import Progress
 Real = NDArray[np.float64]
 
 PAIRED = 4
-"""How many of the best causes are tried in pairs."""
+"""How many pairs are tried."""
 
 MOST_CAUSES = 8
 """Where the search ends."""
@@ -32,10 +34,11 @@ MOST_CAUSES = 8
 _PROMISING = 0.3
 _LEAST_TRIED = 3
 _NONLINEAR = 0.1
-_WORTH_A_PAIR = 0.3
+_WORTH_A_PAIR = 0.6
 _SHAPES = 2
 _CLOSE = 5.0
 _FAR = 50.0
+_OPTIMISM = 3.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ class Bench:
     def null(self) -> Fit:
         """Fit the baseline: from its most likely nuisances and, where that does not converge, from others."""
         if () not in self._fits:
-            found = fit(self.model, self.target, (), self.model.null())
+            found = fit(self.model, self.target, (), roughly(self.model, self.target))
             rng, mine = self.rng(0), self.model.nuisance
             width = np.minimum(1.0 / np.maximum(self.model.weight, 1.0), 1.0)
             for _ in range(4):
@@ -153,8 +156,11 @@ class Bench:
             self._thresholds[at.causes] = threshold(self.model, self.tangent(at), self.rng(1, len(at.causes)))
         return self._thresholds[at.causes]
 
-    def extend(self, at: Fit, added: Sequence[int]) -> Fit:
-        """Fit a hypothesis that has causes more, from all its starts; the best that converged."""
+    def extend(self, at: Fit, added: Sequence[int], most: float = np.inf) -> Fit:
+        """Fit a hypothesis that has causes more, from all its starts; the best that converged.
+
+        One that will not come below `most`, the largest misfit that would matter, is not followed to its optimum.
+        """
         causes = tuple(sorted({*at.causes, *added}))
         if causes in self._fits:
             return self._fits[causes]
@@ -165,13 +171,27 @@ class Bench:
         order = sorted(range(len(gains)), key=lambda n: -gains[n])[:_SHAPES]
         found: list[Fit] = []
         for n in order:
-            near = self._near(at, causes, combinations_[n])
+            near = self._near(at, causes, combinations_[n], most)
             if near.converged and abs(at.chi2 - near.chi2 - gains[n]) < _NONLINEAR * gains[n] + 1.0:
                 return self._keep(min([*found, near], key=lambda f: (not f.converged, f.chi2)))
             found.append(near)
-        best = min(found, key=lambda f: (not f.converged, f.chi2), default=None)
-        found += [fit(self.model, self.target, causes, u) for u in self._more_starts(at, added, best)]
-        return self._keep(min(found, key=lambda f: (not f.converged, f.chi2)))
+        first = min(found, key=lambda f: (not f.converged, f.chi2), default=None)
+        if first is not None and first.converged and not self.far(added):
+            return self._keep(first)
+        known = {} if first is None else first.slope
+        trials: list[Fit] = []
+        for start in self._more_starts(at, added, first):
+            trial = approach(self.model, self.target, causes, start, known) if known else None
+            trials.append(fit(self.model, self.target, causes, start) if trial is None else trial)
+        # Slopes from elsewhere lead a far start only so far: the most hopeful one is followed with its own.
+        best = min(trials, key=lambda f: f.chi2, default=None)
+        if best is not None and not best.converged and best.chi2 < at.chi2:
+            trials.append(fit(self.model, self.target, causes, best.u))
+        return self._keep(min([*found, *trials], key=lambda f: (not f.converged, f.chi2)))
+
+    def far(self, added: Sequence[int]) -> bool:
+        """Whether some causes may act far from their null only."""
+        return any(self.model.causes[k].starts for k in added)
 
     def first_order(self, at: Fit, k: int) -> float:
         """Likelihood ratio of one more cause as the linearisation has it."""
@@ -184,7 +204,7 @@ class Bench:
             return found
         return self._keep(fit(self.model, self.target, found.causes, found.u))
 
-    def _near(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature]) -> Fit:
+    def _near(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature], most: float) -> Fit:
         """Fit from a linearisation: its first step is the one of the linearised score."""
         start = at.u.copy()
         known = dict(zip(at.free.tolist(), range(at.free.size), strict=True))
@@ -201,7 +221,13 @@ class Bench:
                     columns.append(s.slope[r][:, int(j) - int(self.model.of_cause[s.cause][0])])
             slope[r] = np.stack(columns, axis=1) if columns else np.zeros((self.target.observed[r].size, 0))
         near = approach(self.model, self.target, causes, start, slope)
-        return fit(self.model, self.target, causes, start, slope) if near is None else near
+        if near is None:
+            return fit(self.model, self.target, causes, start)
+        if near.converged:
+            return near
+        if _hopeless(near, most):
+            return replace(near, converged=True, reason="")
+        return fit(self.model, self.target, causes, near.u, near.slope)
 
     def _more_starts(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
         """Return starts for a cause that is far from linear: those it names, one scale either way, the other sign."""
@@ -242,14 +268,29 @@ class Bench:
         return self._held_out[key]
 
     def gain(self, smaller: Fit, larger: Fit) -> Gain | None:
-        """Gain of a larger hypothesis on conditions held out; None where none can be, or a fit did not converge."""
+        """Gain of a larger hypothesis on conditions held out; None where none can be, or it did not converge."""
         chosen = self.usable(larger, [k for k in larger.causes if k not in smaller.causes])
-        if not chosen:
+        before, after = self._apart(smaller, chosen), self._apart(larger, chosen)
+        if before is None or after is None or not after.trusted:
             return None
-        before, after = self.held_out(smaller, chosen), self.held_out(larger, chosen)
-        if not (before.trusted and after.trusted):
-            return None
-        return compare(before, after, self.rng(2, len(larger.causes)))
+        found = compare(before, after, self.rng(2, len(larger.causes)))
+        return found if chosen else replace(found, held_out="blocks of values")
+
+    def _apart(self, at: Fit, chosen: tuple[Scheme, ...]) -> HeldOut | None:
+        """Predict held-out conditions, or blocks of values where there are none."""
+        return self.held_out(at, chosen) if chosen else within(self.model, self.target, at)
+
+
+def _hopeless(found: Fit, most: float) -> bool:
+    """Whether a fit that has not converged will not come below a misfit."""
+    return found.chi2 - _OPTIMISM * found.promised > most
+
+
+def fitted_misfit(bench: Bench, at: Fit) -> Misfit:
+    """Test the residuals of a fit on the data it was fitted to."""
+    basis, ends = bench.tangent(at).basis, np.cumsum([r.size for r in at.residual.values()])
+    parts = np.split(basis[: ends[-1]], ends[:-1])
+    return assess([(at.residual, dict(zip(at.residual, parts, strict=True)))], shrinks=True)
 
 
 def _products(options: Sequence[Sequence[Signature]]) -> list[tuple[Signature, ...]]:
@@ -285,21 +326,28 @@ def search(bench: Bench) -> tuple[Fit, list[Step]]:
 def _best_step(bench: Bench, at: Fit, ladder: list[Step]) -> Fit | None:
     """Take the best single cause that passes, else the best pair; None where nothing does."""
     others = [k for k in range(len(bench.model.causes)) if k not in at.causes and _fresh(bench, at, k)]
-    found = [(bench.extend(at, (k,)), (k,)) for k in _promising(bench, at, others, bench.threshold(at))]
+    found: list[tuple[Fit, tuple[int, ...]]] = []
+    for k in _promising(bench, at, others, bench.threshold(at)):
+        most = min((f.chi2 + _FAR for f, _ in found if f.converged), default=np.inf)
+        found.append((bench.extend(at, (k,), min(most, _passing(bench, at, (k,), bench.threshold(at)))), (k,)))
     at = _settled(bench, at, [f for f, _ in found if f.converged])
     limit = bench.threshold(at)
     for candidate, added in _ordered(bench, at, found):
         if _passes(bench, at, candidate, added, limit, ladder):
             return bench.fitted(candidate.causes)
-    best = [added[0] for _, added in _ordered(bench, at, found)][:PAIRED]
-    return _best_pair(bench, at, best, ladder) if len(best) > 1 else None
+    return _best_pair(bench, at, others, [added[0] for _, added in _ordered(bench, at, found)][:2], ladder)
 
 
 def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> list[int]:
     """Causes that come near a limit to first order, and the best few: those that are worth a fit."""
     gains = {k: bench.first_order(at, k) - PENALTY * parameters_of(bench.model, [k]) for k in others}
-    ordered = sorted(others, key=lambda k: -gains[k])
+    ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k])), key=lambda k: -gains[k])
     return [k for n, k in enumerate(ordered) if n < _LEAST_TRIED or gains[k] > _PROMISING * limit]
+
+
+def _passing(bench: Bench, at: Fit, added: Sequence[int], limit: float) -> float:
+    """Misfit that more causes must come below to be looked at."""
+    return at.chi2 - limit + _CLOSE - PENALTY * parameters_of(bench.model, added)
 
 
 def _fresh(bench: Bench, at: Fit, k: int) -> bool:
@@ -372,13 +420,19 @@ def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:
     return ""
 
 
-def _best_pair(bench: Bench, at: Fit, best: Sequence[int], ladder: list[Step]) -> Fit | None:
-    """Try pairs of the best causes, where the linearised family or the best two suggest it."""
-    pairs = [p for p in combinations(best, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
+def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int], ladder: list[Step]) -> Fit | None:
+    """Try the pairs that the linearised family suggests, and the best two causes where they may act far from it."""
+    pairs = [p for p in combinations(others, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
+    if not pairs:
+        return None
     limit = pair_threshold(bench.model, bench.tangent(at), bench.rng(3, len(at.causes)))
     worth = _WORTH_A_PAIR * (limit + 2.0 * PENALTY)
-    promising = [p for n, p in enumerate(pairs) if n == 0 or _pair_gain(bench, at, p) > worth]
-    found = [(bench.extend(at, p), p) for p in promising]
+    gains = {p: _pair_gain(bench, at, p) for p in pairs}
+    promising = sorted((p for p in pairs if gains[p] > worth), key=lambda p: -gains[p])[:PAIRED]
+    best = (min(first), max(first)) if len(first) == 2 else ()
+    if best in gains and best not in promising and bench.far(best) and fitted_misfit(bench, at).chance < BAND:
+        promising.append((best[0], best[1]))
+    found = [(bench.extend(at, p, _passing(bench, at, p, limit)), p) for p in promising]
     for candidate, added in _ordered(bench, at, found):
         if _passes(bench, at, candidate, added, limit, ladder):
             return bench.fitted(candidate.causes)
@@ -423,5 +477,6 @@ def rivals(bench: Bench, at: Fit, k: int) -> list[Fit]:
     smaller = bench.reduce(at, k)
     ids = {bench.model.causes[j].id for j in at.causes}
     others = [j for j in range(len(bench.model.causes)) if bench.model.causes[j].id not in ids]
-    found = [bench.extend(smaller, (j,)) for j in _promising(bench, smaller, others, smaller.chi2 - at.chi2)]
+    near = _promising(bench, smaller, others, smaller.chi2 - at.chi2)
+    found = [bench.extend(smaller, (j,), at.chi2 + _FAR) for j in near]
     return [bench.confirmed(f) if f.chi2 < at.chi2 + _FAR else f for f in found]

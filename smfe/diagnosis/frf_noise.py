@@ -2,7 +2,8 @@
 
 The error of a line is that of its noise, smooth over frequency and independent from line to line, and what the hits
 have in common over all lines: levels and states at rest that differ from hit to hit. The first is read off second
-differences over neighbouring lines, the second off what remains between the hits when their level is taken off.
+differences over neighbouring lines, the second off what remains between the hits when their level is taken off. Beyond
+noise two simulations of one machine differ a little, smoothly over frequency: that is an error all lines share as well.
 """
 
 from __future__ import annotations
@@ -25,7 +26,35 @@ MOST_LINES = 120
 SHARED = 2.0
 """Factor on the variance that hits share: it comes from three or four of them only."""
 
+SMOOTH_SHAPES = 4
+"""Cosines over the logarithm of frequency that the difference between model and machine is made of."""
+
 _SMOOTH = 15
+_CORRELATED = 1.88  # how much less second differences tell than independent ones: 1 + 2 (4/9 14/15 + 1/36 13/15)
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The hits that a mean compliance was taken from.
+
+    Attributes
+    ----------
+    force : ndarray, shape (r, n)
+        Force from the first contact on [N].
+    rate : float
+        Its samples a second [Hz].
+    compliance : ndarray, shape (r, f, entries)
+        From each hit [m/N].
+    """
+
+    force: Real
+    rate: float
+    compliance: Complex
+
+    @property
+    def impulse(self) -> Real:
+        """Of each hit [N s], shape (r,)."""
+        return np.asarray(self.force.sum(axis=1) / self.rate)
 
 
 @dataclass(frozen=True)
@@ -54,6 +83,8 @@ class Excited:
         Errors that all lines have in common, each with a random factor of unit variance [m/N].
     window : float, optional
         Time after a hit that was transformed [s].
+    hits : Hits, optional
+        The hits one by one, where they are known.
     """
 
     frequency: Real
@@ -66,6 +97,7 @@ class Excited:
     controller: str | None = None
     shared: Complex | None = None
     window: float = 2.0
+    hits: Hits | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Keep the directions in which the errors are shared, and how much less counts there."""
@@ -75,6 +107,12 @@ class Excited:
         _, size, rows = np.linalg.svd(base, full_matrices=False)
         object.__setattr__(self, "_rows", rows)
         object.__setattr__(self, "_less", 1.0 - 1.0 / np.sqrt(1.0 + size**2))
+
+    @property
+    def way(self) -> tuple[object, ...]:
+        """All that a prediction depends on, without the noise."""
+        how = (self.method, self.level, self.duration, self.controller, self.window, self.entries)
+        return (*how, tuple(self.feed.items()), self.frequency.tobytes())
 
     def whitened(self, values: Complex) -> Real:
         """Return complex values (f, entries) as real ones of unit variance, shape (2 f entries,).
@@ -207,5 +245,26 @@ def scatter_of(hits: Complex, impulse: Real) -> tuple[Real, Complex]:
         level = impulse - impulse.mean()
         away = away - np.outer(level, level @ away) / max(float(level @ level), 1e-300)
         freedom -= 1
-    # A complex row stands for two real factors: real and imaginary parts of the error go together.
-    return np.sqrt(smooth / count), away * np.sqrt(SHARED / (freedom * count))
+    # A complex row stands for two real factors: real and imaginary parts of the error go together. The scatter is known
+    # from a few lines only: a mean square of n complex values divides by n/(n - 1) of itself on average.
+    known = (count - 1) * _SMOOTH / _CORRELATED
+    return np.sqrt(smooth / count * known / (known - 1.0)), away * np.sqrt(SHARED / (freedom * count))
+
+
+def smooth_errors(frequency: Real, compliance: Complex, share: float) -> Complex:
+    """Return smooth relative errors of a compliance, shape (2 `SMOOTH_SHAPES`, f, entries); for `Excited.shared`.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (f,)
+        [Hz].
+    compliance : ndarray, shape (f, entries)
+        [m/N].
+    share : float
+        Root mean square of the complex relative error of a line, all shapes together.
+    """
+    u = np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0])
+    order = np.arange(SMOOTH_SHAPES)
+    shapes = np.cos(np.pi * order[:, None] * u) * np.where(order == 0, 1.0, np.sqrt(2.0))[:, None]
+    each = share / np.sqrt(2.0 * SMOOTH_SHAPES) * shapes[:, :, None] * compliance
+    return np.concatenate([each, 1j * each])

@@ -2,31 +2,37 @@
 
 The prediction goes through what the measurement goes through: a hammer hit is a half sine of its impulse and duration
 that moves the machine in time, and H1 is taken from that motion; an actuator's sine is balanced at its force level.
-Sensors come last.
+Sensors come last. Where a machine is not linear, some hits together do not find what their mean finds: `as_hit` takes
+the difference off the data, and what the differences between the hits explain off their scatter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from process.excitation import HalfSine
+from process.excitation import Excitation, HalfSine
 from process.machine import Machine
 from process.machine_balance import quasi_compliance
 from process.machine_simulation import machine_motion
 from smfe.diagnosis.axis_baseline import Effective
-from smfe.diagnosis.frf_noise import Complex, Excited
+from smfe.diagnosis.fit import Target, roughly
+from smfe.diagnosis.frf_noise import Complex, Excited, scatter_of, smooth_errors
 from smfe.diagnosis.frf_noise import condition_of as condition_of
 from smfe.diagnosis.frf_noise import excitation_of as excitation_of
+from smfe.diagnosis.model import Model
 from smfe.diagnosis.problem import Cause, Condition, Parameter, Real, Values
 
-_RATE = 2000.0  # samples and steps a second of a simulated hit in motion
-_RATE_AT_REST = 4000.0  # where friction sticks: half of it makes the prediction ragged
-_KEPT = 4000
+_RATE = 2000.0  # samples and steps a second of a simulated hit
+_KEPT = 20000
+
+UNSURE = 0.5
+"""Share of what the mean of the hits finds more than the mean hit, that is uncertain because the baseline is."""
 
 
 class Baseline(Protocol):
@@ -95,13 +101,19 @@ class MachineFrfs:
         Experiments that could be done next.
     without : sequence of str, optional
         Keys of causes that are left out of the catalogue.
+    measured : tuple of Condition, optional
+        What `conditions` were before `as_hit`.
+    discrepancy : float, optional
+        See `as_hit`.
     """
 
     baseline: Baseline
     conditions: tuple[Condition, ...]
     proposals: tuple[Condition, ...] = ()
     without: Sequence[str] = ()
-    _kept: dict[tuple[int, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
+    measured: tuple[Condition, ...] = ()
+    discrepancy: float = 0.0
+    _kept: dict[tuple[object, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
@@ -116,12 +128,18 @@ class MachineFrfs:
         every = (*self.baseline.causes(), *SENSOR_CAUSES, missing_mode(band))
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
+    def as_found(self, values: Values) -> tuple[Condition, ...]:
+        """Return the conditions as the mean hits on a machine of these values would have found them."""
+        if not self.measured:
+            return self.conditions
+        return as_hit(replace(self, conditions=self.measured), self.discrepancy, values).conditions
+
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the compliance that a set of values predicts, whitened like the data."""
         excited = condition.data
         assert isinstance(excited, Excited)
         found = self.baseline.effective(values, condition.settings, excited.feed.get(self.baseline.axis, 0.0))
-        key = (id(excited), found)
+        key = (excited.way, found)
         phi = self._kept.get(key)
         if phi is None:
             phi = compliance_under(self.baseline.machine(found), excited)
@@ -160,13 +178,18 @@ def compliance_under(machine: Machine, excited: Excited) -> Complex:
 
 
 def _hit(machine: Machine, excited: Excited, feed: Mapping[str, float]) -> Complex:
-    """H1 of one simulated hit for each excitation."""
-    out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
-    rate = _RATE if any(feed.values()) else _RATE_AT_REST
+    """H1 of the mean hit."""
     pulse = HalfSine(excited.level, excited.duration, 0.0)
+    return _struck(machine, excited, feed, pulse, _spectrum(pulse, excited.frequency.tobytes()))
+
+
+def _struck(
+    machine: Machine, excited: Excited, feed: Mapping[str, float], pulse: Excitation, force: Complex
+) -> Complex:
+    """H1 of a hit with a pulse and its spectrum [N s], once for each excitation."""
+    out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
+    rate = _RATE
     turn = _fourier(excited.frequency.tobytes(), round(excited.window * rate), rate)
-    fine = np.linspace(0.0, excited.duration, 201)
-    force = np.trapezoid(pulse.force(fine) * np.exp(-2j * np.pi * np.outer(excited.frequency, fine)), fine, axis=1)
     for axis in dict.fromkeys(e for _, e in excited.entries):
         motion = machine_motion(
             machine,
@@ -181,6 +204,91 @@ def _hit(machine: Machine, excited: Excited, feed: Mapping[str, float]) -> Compl
             if excitation == axis:
                 out[:, i] = _transform(turn, motion.displacement["xyz".index(response)], excited, rate) / force
     return out
+
+
+@lru_cache(maxsize=256)
+def _spectrum(pulse: Excitation, frequency: bytes) -> Complex:
+    return _spectrum_of(pulse, np.frombuffer(frequency, dtype=float))
+
+
+def _spectrum_of(pulse: Excitation, frequency: Real) -> Complex:
+    """Fourier transform of a pulse [N s]."""
+    fine = np.linspace(0.0, pulse.end, 401)
+    return np.asarray(np.trapezoid(pulse.force(fine) * np.exp(-2j * np.pi * np.outer(frequency, fine)), fine, axis=1))
+
+
+@dataclass(frozen=True)
+class Recorded(Excitation):
+    """A hit as its force was recorded: samples [N] from the first contact on, `rate` a second."""
+
+    samples: tuple[float, ...]
+    rate: float
+
+    def force(self, time: Real) -> Real:
+        """Return the force [N] at times [s], by a cubic spline."""
+        values = np.array([0.0, *self.samples, 0.0])
+        inside = (time >= 0.0) & (time <= self.end)
+        return np.where(inside, CubicSpline(np.arange(values.size) / self.rate, values)(time), 0.0)
+
+    @property
+    def shortest(self) -> float:
+        """Mean width of the pulse [s]: its impulse over its peak."""
+        return float(sum(self.samples) / max(self.samples) / self.rate)
+
+    @property
+    def end(self) -> float:
+        """End of the pulse [s]."""
+        return (len(self.samples) + 1) / self.rate
+
+
+def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None) -> MachineFrfs:
+    """Return a family whose data are what the mean hit of each condition would have found.
+
+    Every hit is simulated with the force that was recorded, and the mean hit.
+
+    Parameters
+    ----------
+    family : MachineFrfs
+        Conditions whose `Excited` has its hits.
+    discrepancy : float
+        Root mean square of the smooth relative error that two simulations of one machine may differ by.
+    values : mapping, optional
+        Of the machine that is simulated; default the baseline, roughly fitted.
+    """
+    if values is None:
+        values = _rough_baseline(family)
+    told = [_told(family, c, values, discrepancy) for c in family.conditions]
+    return replace(family, conditions=tuple(told), measured=family.conditions, discrepancy=discrepancy)
+
+
+def _rough_baseline(family: MachineFrfs) -> Values:
+    model = Model(family, family.conditions)
+    data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
+    return model.values(roughly(model, Target(data, model.null())))
+
+
+def _told(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
+    excited = condition.data
+    assert isinstance(excited, Excited)
+    hits = excited.hits
+    if hits is None:
+        return condition
+    axis = family.baseline.axis
+    machine = family.baseline.machine(
+        family.baseline.effective(values, condition.settings, excited.feed.get(axis, 0.0))
+    )
+    feed = {a: excited.feed.get(a, 0.0) for a in machine.axes}
+    pulses = [Recorded(tuple(f.tolist()), hits.rate) for f in hits.force]
+    spectra = [_spectrum_of(p, excited.frequency) for p in pulses]
+    each = np.stack([_struck(machine, excited, feed, p, f) for p, f in zip(pulses, spectra, strict=True)])
+    weight = np.abs(np.array(spectra)) ** 2
+    weight = (weight / weight.sum(axis=0))[:, :, None]
+    more = (weight * each).sum(axis=0) - _hit(machine, excited, feed)
+    mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each
+    own = np.stack([scatter_of(x, hits.impulse)[1] for x in np.moveaxis(unexplained, 2, 0)], axis=2)
+    shared = np.concatenate([own, smooth_errors(excited.frequency, mean, discrepancy), UNSURE * more[None]])
+    told = replace(excited, shared=shared)
+    return replace(condition, data=told, observed=told.whitened(mean - more))
 
 
 def _transform(turn: Complex, x: Real, excited: Excited, rate: float) -> Complex:

@@ -19,9 +19,9 @@ from scipy import stats
 
 from smfe.diagnosis.calibration import DRAWS, FALSE_ALARM, PENALTY, parameters_of
 from smfe.diagnosis.cross_validation import BAND, Gain
-from smfe.diagnosis.evidence import Bench, Step, on_bound, rivals
+from smfe.diagnosis.evidence import Bench, Step, fitted_misfit, on_bound, rivals
 from smfe.diagnosis.fit import Fit, Target, stacked
-from smfe.diagnosis.misfit import Misfit, assess, carriers
+from smfe.diagnosis.misfit import Misfit, carriers
 from smfe.diagnosis.next_experiment import MARGIN, discrimination
 from smfe.diagnosis.power import Detectable
 from smfe.diagnosis.signature import orthonormal
@@ -82,6 +82,7 @@ def judge(
     gain = bench.gain(bench.null(), at)
     chosen = bench.usable(at, at.causes)
     left = bench.held_out(at, chosen).misfit if chosen else fitted_misfit(bench, at)
+    how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
     best = bench.title(at.causes)
     sets = {k: found for k in at.causes if (found := _open(bench, at, k, left))}
     if left.chance < BAND:
@@ -92,8 +93,8 @@ def judge(
         reason = f"parameters of {' and '.join(differing)} differ between independent sources"
         return Judgement("unknown", reason, sets, left, (), gain)
     if sets:
-        return Judgement("ambiguous", "the data fit more than one cause", sets, left, (), gain)
-    return Judgement("named", f"{best} and nothing else of the catalogue", {}, left, (), gain)
+        return Judgement("ambiguous", f"the data fit more than one cause{how}", sets, left, (), gain)
+    return Judgement("named", f"{best} and nothing else of the catalogue{how}", {}, left, (), gain)
 
 
 def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequence[Detectable]) -> Judgement:
@@ -116,13 +117,6 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
     if not any(p.admissible for p in power):
         return Judgement("insufficient_data", "no cause of the catalogue would be seen in these conditions", {}, left)
     return Judgement("consistent", "the baseline leaves nothing but noise", {}, left)
-
-
-def fitted_misfit(bench: Bench, at: Fit) -> Misfit:
-    """Test the residuals of a fit on the data it was fitted to."""
-    basis, ends = bench.tangent(at).basis, np.cumsum([r.size for r in at.residual.values()])
-    parts = np.split(basis[: ends[-1]], ends[:-1])
-    return assess([(at.residual, dict(zip(at.residual, parts, strict=True)))], shrinks=True)
 
 
 def agrees(bench: Bench, at: Fit, k: int) -> bool:

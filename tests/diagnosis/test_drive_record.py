@@ -1,140 +1,30 @@
-"""Drive records of an axis that is simulated here by its own means: bristle friction, a sampled controller, an encoder.
+"""Drive records of the independent generator: bristle friction, a sampled controller, an encoder."""
 
-The simulation uses nothing of the packages: Runge-Kutta of fourth order with ten steps a sample, a controller that sees
-a quantised, noisy encoder, a force that is held for a sample and comes late by any fraction of one.
-"""
+from dataclasses import replace
 
-from dataclasses import dataclass
-
-import numba
 import numpy as np
 import pytest
+from exam.drive import EXPECTED, axis_of, record_of
+from exam.drive import family as hidden
+from truth.drive import STEP, Axis, simulate
 
 from process.errors import InputError
 from process.labels import make_record
 from smfe.diagnosis.drive_control_law import Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive_ladder import force_ladder
+from smfe.diagnosis.drive_noise import Whitener, strongest_wave
 from smfe.diagnosis.drive_record import DriveRecordFamily
 from smfe.diagnosis.drive_signals import Motion, Resampler, filtered, kernel, motion
 from smfe.diagnosis.drive_terms import presliding
 from smfe.diagnosis.engine import diagnose
+from smfe.diagnosis.problem import Condition, Values
 
-STEP = 1e-3
 POSITION_GAIN, VELOCITY_GAIN = 160.0, 8500.0
-MASS, VISCOUS, OFFSET = 95.0, 240.0, -3.0
-QUANTUM = 5e-8
+MASS = 95.0
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What is planted (SI)."""
-
-    coulomb: float = 0.0
-    static: float = 0.0
-    stribeck_speed: float = 0.02
-    asymmetry: float = 0.0
-    delay: float = 0.0
-    ripple: float = 0.0
-    lead: float = 2.5e-3
-    pulses: float = 0.0
-
-
-def reference(seconds: float) -> np.ndarray:
-    """Strokes of four moves at 40, 80, 120 and 40 mm/s, forth and back, each from rest to rest at 1.2 m/s2."""
-    velocity: list[np.ndarray] = []
-    way, total = 1.0, 0
-    while total < seconds / STEP:
-        for speed, time in ((0.04, 0.45), (0.08, 0.7), (0.12, 0.9), (0.04, 0.45)):
-            t = np.arange(round(time / STEP)) * STEP
-            velocity.append(way * np.clip(1.2 * np.minimum(t, time - t), 0.0, speed))
-            total += t.size
-        way = -way
-    smooth = np.convolve(np.concatenate(velocity), np.ones(12) / 12.0, mode="same")
-    return np.cumsum(smooth)[: round(seconds / STEP)] * STEP
-
-
-def pulse_train(samples: int) -> np.ndarray:
-    """Ones for 50 ms every 0.9 s."""
-    k = np.arange(samples)
-    return np.where((k % 900 >= 300) & (k % 900 < 350), 1.0, 0.0)
-
-
-@numba.njit
-def _slope(x, v, z, force, p):
-    speed = abs(v)
-    level = p[0] + (p[1] - p[0]) * np.exp(-speed / p[2])
-    if level > 0.0:
-        rate = v - 4e6 * speed * z / level
-        bristle = 4e6 * z + 600.0 * rate
-    else:
-        rate, bristle = 0.0, 0.0
-    friction = bristle + p[6] * v + p[3] * speed + p[7]
-    wave = p[4] * np.sin(2.0 * np.pi * x / p[5])
-    return v, (force - friction - wave) / p[8], rate
-
-
-@numba.njit
-def _run(target, added, noise, disturbance, delay, p):
-    n, fine = target.size, 10
-    h = 1e-3 / fine
-    q, u = np.zeros(n), np.zeros(n)
-    x, v, z = target[0], 0.0, 0.0
-    for k in range(n):
-        q[k] = np.round((x + noise[k]) / 5e-8) * 5e-8
-        before = q[k - 1] if k > 0 else q[k]
-        u[k] = 8500.0 * (160.0 * (target[k] - q[k]) - (q[k] - before) / 1e-3) + added[k]
-        for j in range(fine):
-            at = k + (j + 0.5) / fine - delay / 1e-3
-            i = int(np.floor(at))
-            force = (u[i] if i >= 0 else 0.0) + disturbance[k]
-            a1, b1, c1 = _slope(x, v, z, force, p)
-            a2, b2, c2 = _slope(x + 0.5 * h * a1, v + 0.5 * h * b1, z + 0.5 * h * c1, force, p)
-            a3, b3, c3 = _slope(x + 0.5 * h * a2, v + 0.5 * h * b2, z + 0.5 * h * c2, force, p)
-            a4, b4, c4 = _slope(x + h * a3, v + h * b3, z + h * c3, force, p)
-            x += h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
-            v += h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0
-            z += h * (c1 + 2.0 * c2 + 2.0 * c3 + c4) / 6.0
-    return q, u
-
-
-def simulate(truth: Truth, seed: int, seconds: float = 24.0) -> dict[str, np.ndarray]:
-    """Return time, encoder position, drive force (command, without the lag of the hold) and reference."""
-    rng = np.random.default_rng(seed)
-    target = reference(seconds)
-    n = target.size
-    white = rng.standard_normal(n)
-    slow = np.zeros(n)
-    for k in range(1, n):
-        slow[k] = 0.8 * slow[k - 1] + white[k]
-    p = np.array(
-        [
-            truth.coulomb,
-            max(truth.static, truth.coulomb),
-            truth.stribeck_speed,
-            truth.asymmetry,
-            truth.ripple,
-            truth.lead,
-            VISCOUS,
-            OFFSET,
-            MASS,
-        ]
-    )
-    added = truth.pulses * pulse_train(n)
-    q, u = _run(target, added, 2e-8 * rng.standard_normal(n), 0.5 * slow, truth.delay, p)
-    return {"time": np.arange(n) * STEP, "encoder": q, "force": u, "reference": target, "pulses": added}
-
-
-def family(truth: Truth, seed: int = 1, seconds: float = 24.0, **options: object) -> DriveRecordFamily:
-    s = simulate(truth, seed, seconds)
-    record = make_record(
-        s["time"],
-        {
-            "encoder_position": {"x": s["encoder"]},
-            "drive_force": {"x": s["force"]},
-            "reference_position": {"x": s["reference"]},
-        },
-    )
-    return DriveRecordFamily.from_record(record, **options)
+def family(truth: Axis, seed: int = 1, seconds: float = 24.0, **options: object) -> DriveRecordFamily:
+    return DriveRecordFamily.from_record(record_of(replace(truth, seconds=seconds), seed), **options)
 
 
 def null_values(family: DriveRecordFamily) -> dict[str, float]:
@@ -145,7 +35,7 @@ def null_values(family: DriveRecordFamily) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def full() -> DriveRecordFamily:
     """A record with friction, a direction, a delay, a ripple; with mass and gains known."""
-    truth = Truth(coulomb=20.0, asymmetry=-37.0, delay=0.25e-3, ripple=1.0)
+    truth = Axis(coulomb=20.0, asymmetry=-37.0, delay=0.25e-3, ripple=1.0)
     return family(truth, mass=(MASS, 1.0), gains=Gains(POSITION_GAIN, VELOCITY_GAIN))
 
 
@@ -192,7 +82,8 @@ def test_every_cause_nests_the_baseline(full: DriveRecordFamily) -> None:
     for condition in (full.conditions[3], full.conditions[-3]):
         baseline = full.predict(condition, null)
         for cause in full.causes:
-            for start in cause.starts or (tuple(p.start for p in cause.parameters),):
+            null_start = tuple(p.start for p in cause.parameters)
+            for start in (null_start, *(s for s in cause.starts if s[0] == 0.0)):
                 values = {**null, **{p.name: s for p, s in zip(cause.parameters, start, strict=True)}}
                 assert np.max(np.abs(full.predict(condition, values) - baseline)) < 1e-10
     for cause in full.causes:
@@ -234,7 +125,7 @@ def test_planted_values_are_found(full: DriveRecordFamily) -> None:
 
 def test_the_control_law_tells_a_command_that_was_not_logged() -> None:
     """Pulses of 150 N in the drive force: height within 2 %, correlation 0.999, velocity half a sample late."""
-    s = simulate(Truth(coulomb=20.0, delay=0.25e-3, pulses=150.0), 2, 12.0)
+    s = simulate(Axis(coulomb=20.0, delay=0.25e-3, command=150.0, seconds=12.0), 2)
     gains = Gains(POSITION_GAIN, VELOCITY_GAIN)
     law = fit_control_law(s["reference"], s["encoder"], s["force"], STEP, gains)
     left, pulses = unlogged_command(law, s["reference"], s["encoder"], s["force"], STEP)
@@ -251,7 +142,7 @@ def test_a_silent_control_law_has_no_pulses(full: DriveRecordFamily) -> None:
 
 def test_other_gains_are_found_from_the_control_law() -> None:
     """Gains documented 10 % too low and 5 % too high."""
-    wrong = family(Truth(coulomb=20.0), seconds=12.0, gains=Gains(POSITION_GAIN / 1.1, VELOCITY_GAIN / 0.95))
+    wrong = family(Axis(coulomb=20.0), seconds=12.0, gains=Gains(POSITION_GAIN / 1.1, VELOCITY_GAIN / 0.95))
     found = force_ladder(wrong, ["servo_gains"])[-1].values
     assert found["servo_gains.position"] == pytest.approx(0.1, abs=1e-3)
     assert found["servo_gains.velocity"] == pytest.approx(-0.05, abs=1e-3)
@@ -268,9 +159,9 @@ def test_what_a_record_needs_is_said() -> None:
     with pytest.raises(InputError, match="check the sign"):
         DriveRecordFamily.from_record(backwards)
     with pytest.raises(InputError, match="four times the band"):
-        family(Truth(), seconds=12.0, cutoff=300.0)
+        family(Axis(), seconds=12.0, cutoff=300.0)
     with pytest.raises(InputError, match="known delay"):
-        family(Truth(), seconds=12.0, delay=-1.0)
+        family(Axis(), seconds=12.0, delay=-1.0)
 
 
 def test_motion_is_that_of_the_axis() -> None:
@@ -282,17 +173,111 @@ def test_motion_is_that_of_the_axis() -> None:
     assert np.abs(m.jerk).max() < 1e-2
 
 
+@pytest.mark.parametrize("seed", [2, 8])
+def test_a_healthy_axis_is_consistent(seed: int) -> None:
+    """Rigid axes, with and without a guideway that rubs; the half sample of the hold is known."""
+    assert diagnose(hidden(None, seed)[0]).verdict == "consistent"
+
+
 @pytest.mark.slow
-def test_nothing_is_named_where_nothing_is_missing() -> None:
-    """Rigid, viscous axes; the half sample of the hold is known. Feedback makes no flexibility of the noise."""
-    found = [diagnose(family(Truth(), seed, delay=0.5 * STEP)) for seed in (1, 3, 6)]
-    assert all(f.causes == () and f.verdict != "unknown" for f in found)
-    assert found[0].verdict == "consistent"
+def test_healthy_axes_are_consistent() -> None:
+    """At least 29 of 30, masses, gains, screws, noise and moves drawn."""
+    said = [diagnose(hidden(None, seed)[0]).verdict for seed in range(1000, 1030)]
+    assert said.count("consistent") >= 29
+    assert "named" not in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", sorted(set(EXPECTED) - {"saturation"}))
+def test_effects_of_the_least_size_are_named(effect: str) -> None:
+    """Four of five, and never another cause alone. A limit that cuts deep is not always found: it stays unknown."""
+    right = 0
+    for seed in range(2000, 2005):
+        made, expected = hidden(effect, seed)
+        finding = diagnose(made)
+        ids = tuple(c.id for c in finding.causes)
+        right += finding.verdict == "named" and ids == (expected,)
+        assert finding.verdict != "named" or ids == (expected,)
+    assert right >= 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["friction", "asymmetry", "delay", "ripple", "slope", "saturation", "hum"])
+def test_without_its_cause_an_effect_has_no_name(effect: str) -> None:
+    made, expected = hidden(effect, 3001)
+    without = [t for t in made.model.terms if t.cause.id != expected]
+    assert diagnose(_Without(replace(made, model=replace(made.model, terms=tuple(without))), expected)).verdict in (
+        "unknown",
+        "insufficient_data",
+        "ambiguous",
+    )
+
+
+class _Without:
+    """A family that lacks a cause."""
+
+    def __init__(self, family: DriveRecordFamily, lacks: str) -> None:
+        self.nuisances, self.conditions, self.proposals = family.nuisances, family.conditions, family.proposals
+        self.causes = tuple(c for c in family.causes if c.id != lacks)
+        self._family, self._rest = family, {p.name: p.start for c in family.causes for p in c.parameters}
+
+    def predict(self, condition: Condition, values: Values) -> np.ndarray:
+        return self._family.predict(condition, {**self._rest, **values})
+
+
+def test_a_hidden_command_is_named_from_the_control_law() -> None:
+    """Pulses of 20 N that the drive force holds and no channel tells: their height within 2 %."""
+    made, expected = hidden("command", 4)
+    finding = diagnose(made)
+    assert finding.verdict == "named"
+    assert [c.id for c in finding.causes] == [expected]
+    (height,) = finding.causes[0].parameters
+    assert abs(height.value) == pytest.approx(20.0, rel=0.02)
+
+
+def test_a_drive_that_is_cut_off_is_named_with_its_limit() -> None:
+    """The command is logged, the force ends at nine tenths of what the moves ask for."""
+    made, _ = hidden("saturation", 2)
+    finding = diagnose(made)
+    assert [c.id for c in finding.causes] == ["drive_saturation"]
+    assert made.model.peak - finding.causes[0].parameters[0].value == pytest.approx(
+        axis_of(("saturation",), 2).limit, rel=0.02
+    )
+
+
+def test_a_tone_is_named_with_its_frequency() -> None:
+    made, _ = hidden("hum", 2)
+    finding = diagnose(made)
+    assert [c.id for c in finding.causes] == ["background_tone"]
+    line = finding.causes[0].parameters[2]
+    assert line.value == pytest.approx(axis_of(("hum",), 2).hum_frequency, abs=0.02)
+
+
+@pytest.mark.slow
+def test_drift_is_told_from_direction_by_the_order_of_the_moves() -> None:
+    """To and fro, both are found at once, each with its own size."""
+    axis = Axis(asymmetry=-24.0, drift=0.06)
+    finding = diagnose(family(axis, delay=0.5 * STEP))
+    assert finding.verdict == "named"
+    assert {c.id for c in finding.causes} == {"friction_asymmetry", "drift"}
+    found = {c.id: c.parameters[0] for c in finding.causes}
+    assert found["friction_asymmetry"].value == pytest.approx(-24.0, rel=0.1)
+    assert found["drift"].value == pytest.approx(0.06 * axis.viscous / axis.seconds, rel=0.3)
+
+
+def test_noise_alone_shows_a_wave_as_rarely_as_it_is_said_to() -> None:
+    """Of 100 white residuals about ten have a wave somewhere that comes once in ten; none has one in a thousand."""
+    rng = np.random.default_rng(0)
+    x = np.cumsum(rng.standard_normal(800))
+    whitener = Whitener(np.zeros(1), 1.0)
+    chances = [strongest_wave(x[1:], rng.standard_normal(799), whitener, 0.05, 2.0)[1] for _ in range(100)]
+    assert sum(c < 0.1 for c in chances) <= 18
+    assert min(chances) > 1e-4
 
 
 def test_each_kind_of_move_has_its_own_noise() -> None:
     """The noise that is added backwards only is three times as loud there, and the whitened residuals are not."""
-    s = simulate(Truth(), 1)
+    s = simulate(Axis(), 1)
     back = np.diff(s["reference"], append=s["reference"][-1]) < 0.0
     louder = s["force"] + np.where(back, 6.0, 0.5) * np.random.default_rng(0).standard_normal(back.size)
     channels = {"encoder_position": {"x": s["encoder"]}, "drive_force": {"x": louder}}
@@ -309,7 +294,7 @@ def test_each_kind_of_move_has_its_own_noise() -> None:
 @pytest.mark.slow
 def test_friction_and_delay_are_named() -> None:
     """Both and no other: lubricant friction looks nearly like Coulomb's, and fits worse by thousands."""
-    finding = diagnose(family(Truth(coulomb=20.0)))
+    finding = diagnose(family(Axis(coulomb=20.0)))
     assert finding.verdict == "named"
     assert [c.id for c in finding.causes] == ["guideway_friction", "loop_delay"]
     force, delay = finding.causes[0].parameters[0], finding.causes[1].parameters[0]
@@ -319,6 +304,6 @@ def test_friction_and_delay_are_named() -> None:
 
 @pytest.mark.slow
 def test_the_direction_is_named() -> None:
-    finding = diagnose(family(Truth(asymmetry=-37.0), delay=0.5 * STEP))
+    finding = diagnose(family(Axis(asymmetry=-37.0), delay=0.5 * STEP))
     assert finding.verdict == "named"
     assert [c.id for c in finding.causes] == ["friction_asymmetry"]

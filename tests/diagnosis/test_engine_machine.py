@@ -238,7 +238,8 @@ def test_a_baseline_that_cannot_be_fitted_gives_no_verdict():
     @dataclass(frozen=True)
     class Rough(Oscillator):
         def predict(self, condition, values):
-            return super().predict(condition, values) + 5.0 * np.sin(1e5 * values["frequency"])
+            smooth, at = super().predict(condition, values), sum(values[p.name] for p in NUISANCES)
+            return smooth + 2.0 * np.sin(1e5 * at * np.arange(1, smooth.size + 1))
 
     family = measured(Oscillator(design(7, 12)), {"gain.size": 0.1}, 7)
     found = diagnose(Rough(family.conditions))

@@ -7,6 +7,7 @@ family of models to be diagnosed. The answer is kept apart from it.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from exam import drive, limits, modal
 from exam.records import family as axis_family
 from truth.blind import draw
 
@@ -69,4 +70,14 @@ def _axis(effect, seed, snr):
     return axis_family(draw(seed, effects=(effect,), design=AXIS_DESIGN.get(effect, "full"), snr=snr).records)
 
 
-SUBJECTS = {"axis": Subject("Compliances of a feed axis", AXIS, _axis)}
+def _of(family):
+    """A subject whose generator has one level of noise."""
+    return lambda effect, seed, snr: family(effect, seed)[0]
+
+
+SUBJECTS = {
+    "axis": Subject("Compliances of a feed axis", AXIS, _axis),
+    "drive": Subject("Records of a moving axis", drive.EXPECTED, _of(drive.family)),
+    "modal": Subject("Compliances against a modal model", modal.NAMES, _of(modal.family)),
+    "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _of(limits.family)),
+}

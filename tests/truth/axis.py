@@ -183,10 +183,18 @@ class Setting:
     phase: float = 0.5
 
 
-def simulate(truth: Truth, setting: Setting, pulses: np.ndarray, tones: np.ndarray, duration: float) -> np.ndarray:
+def simulate(
+    truth: Truth,
+    setting: Setting,
+    pulses: np.ndarray,
+    tones: np.ndarray,
+    duration: float,
+    waves: np.ndarray | None = None,
+) -> np.ndarray:
     """Return the raw signals (kernels.CHANNELS, n) at `RATE`; the axis is in steady motion at time 0.
 
-    pulses: rows (start [s], peak [N], rise time [s], exponent); tones: rows (start, stop [s], N, Hz, rad).
+    pulses: rows (start [s], peak [N], rise time [s], exponent); tones: rows (start, stop [s], N, Hz, rad), one after
+    the other; waves: rows (N, Hz, rad) of cosines, all at once.
     """
     servo, control, feed = truth.servos[setting.controller], truth.control, setting.feed
     steady = truth.friction.steady(feed)
@@ -211,6 +219,7 @@ def simulate(truth: Truth, setting: Setting, pulses: np.ndarray, tones: np.ndarr
     excitation = kernels.Push(
         np.ascontiguousarray(pulses, dtype=float).reshape(-1, 4),
         np.ascontiguousarray(tones, dtype=float).reshape(-1, 5),
+        np.ascontiguousarray(np.zeros((0, 3)) if waves is None else waves, dtype=float).reshape(-1, 3),
     )
     plant, jenkins = _plant(truth, setting)
     kernels.march(

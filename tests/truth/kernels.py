@@ -76,11 +76,12 @@ class Loop(NamedTuple):
 class Push(NamedTuple):
     """Force on the tip: rows of pulses (start, peak, rise time, exponent) and of tones (start, stop, N, Hz, rad).
 
-    The tones follow each other and last equally long.
+    The tones follow each other and last equally long. Rows of waves (N, Hz, rad) sound all at once, all the time.
     """
 
     pulses: Any
     tones: Any
+    waves: Any
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -97,6 +98,8 @@ def push(excitation, t):
         if i < excitation.tones.shape[0]:
             phase = 2.0 * math.pi * excitation.tones[i, 3] * (t - excitation.tones[i, 0]) + excitation.tones[i, 4]
             f += excitation.tones[i, 2] * math.sin(phase)
+    for i in range(excitation.waves.shape[0]):
+        f += excitation.waves[i, 0] * math.cos(2.0 * math.pi * excitation.waves[i, 1] * t + excitation.waves[i, 2])
     return f
 
 

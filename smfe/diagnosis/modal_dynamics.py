@@ -1,0 +1,228 @@
+"""Compliance of a modal machine that has been changed: springs, gyroscopic coupling, a mass at the tool, loose joints.
+
+In modal coordinates that are scaled to unit stiffness the machine is
+
+``Phi = V^T D^-1 V,  D = diag(1 - (f/f_r)^2 + 2 j zeta_r f/f_r) + S + j f G - w^2 m V V^T``
+
+with ``V_r = u_r/sqrt(k_r)``: a spring that changes adds a symmetric S, a rotor a skew G, a point mass at the tool the
+last term. Modes outside the model answer to none of them. A joint that slips or hardens is a spring somewhere in the
+machine, ``g(a) v v^T``, whose stiffness depends on the amplitude a of its own motion ``v^T q`` (describing function); a
+slipping one follows Rayleigh's law, whose loops have the loss factor ``4/(3 pi)`` times the loss of stiffness
+(Rayleigh, Phil. Mag. 23, 1887).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.compliance import ModalModel
+from process.errors import InputError
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+RAYLEIGH_LOSS = 4.0 / (3.0 * np.pi)
+"""Loss factor over loss of stiffness of a joint whose stiffness falls in proportion to the amplitude."""
+
+DECAYING = (2.0 / 3.0, 0.5)
+"""Mean amplitude and mean square amplitude of a decaying vibration over those at its start, weighted by energy."""
+
+_STEPS = 40
+_ACCURATE = 1e-9
+
+
+class Changed(NamedTuple):
+    """A modal machine with all that has been changed; alike for values that change nothing.
+
+    Attributes
+    ----------
+    frequency, damping, stiffness : tuple of float, of length M
+        [Hz], [1], [N/m].
+    direction : tuple of float, of length 3 M
+        Mode vectors, one after the other.
+    springs : tuple of float, of length M^2, or empty
+        S.
+    gyroscopic : tuple of float, of length M^2, or empty
+        G [1/Hz].
+    mass : float
+        At the tool [kg].
+    slip, hardening : tuple of float, of length 1 + M, or empty
+        Joint: share of the stiffness of a mode that is lost, or gained, at the amplitude of reference if the mode moves
+        nothing else; its unit vector v.
+    mode : tuple of float, of length 6, or empty
+        A further mode: its compliance along x, y, z as ``sqrt(m/N)``, its frequency and damping, 0.
+    residual : tuple of float, of length 6, or empty
+        Compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N].
+    """
+
+    frequency: tuple[float, ...]
+    damping: tuple[float, ...]
+    stiffness: tuple[float, ...]
+    direction: tuple[float, ...]
+    springs: tuple[float, ...] = ()
+    gyroscopic: tuple[float, ...] = ()
+    mass: float = 0.0
+    slip: tuple[float, ...] = ()
+    hardening: tuple[float, ...] = ()
+    mode: tuple[float, ...] = ()
+    residual: tuple[float, ...] = ()
+
+
+class Shaken(NamedTuple):
+    """How hard a machine is shaken.
+
+    Attributes
+    ----------
+    method : {"hammer", "actuator"}
+        Blow or sine.
+    level : float
+        Impulse [N s] or amplitude [N].
+    reference : float
+        Amplitude of reference in scaled coordinates [sqrt(J)].
+    """
+
+    method: str
+    level: float
+    reference: float
+
+
+def unchanged(model: ModalModel) -> Changed:
+    """Return a modal model as it is."""
+    f, damping, k, u = (
+        tuple(x.ravel().tolist()) for x in (model.frequency, model.damping, model.stiffness, model.direction)
+    )
+    return Changed(f, damping, k, u)
+
+
+def full_compliance(machine: Changed, frequency: Real, shaken: Shaken) -> Complex:
+    """Return the compliance matrix [m/N], shape (f, 3, 3).
+
+    Parameters
+    ----------
+    machine : Changed
+        The machine.
+    frequency : ndarray, shape (f,)
+        [Hz].
+    shaken : Shaken
+        How hard; counts where a joint is not linear.
+
+    Raises
+    ------
+    InputError
+        When a stiffness is negative, or a vibration has no single amplitude.
+    """
+    count = len(machine.frequency)
+    ratio = frequency[:, None] / np.array(machine.frequency)
+    own = 1.0 - ratio**2 + 2j * np.array(machine.damping) * ratio
+    shape = np.array(machine.direction).reshape(count, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
+    coupling = _coupling(machine, frequency, shape)
+    phi = shape.T @ _answers(own, coupling, shape)
+    for joint, law in ((machine.slip, _slipping), (machine.hardening, _hardening)):
+        if joint:
+            phi = phi - _through_joint(machine, own, coupling, shape, shaken, joint, law)
+    return np.asarray(phi + _beyond(machine, frequency))
+
+
+def _answers(own: Complex, coupling: Complex | None, force: Real) -> Complex:
+    """Amplitudes of the modes under forces on them (M, c), shape (f, M, c)."""
+    if coupling is None:
+        return np.asarray(force / own[:, :, None])
+    whole = coupling + own[:, :, None] * np.eye(own.shape[1])
+    return np.asarray(np.linalg.solve(whole, np.broadcast_to(force.astype(complex), (len(own), *force.shape))))
+
+
+def _coupling(machine: Changed, frequency: Real, shape: Real) -> Complex | None:
+    """All that is added to the modes, (f, M, M); None for nothing."""
+    count, found = shape.shape[0], None
+    if machine.springs:
+        springs = np.array(machine.springs).reshape(count, count)
+        if np.linalg.eigvalsh(springs + np.eye(count))[0] <= 0.0:
+            raise InputError("a machine whose stiffness is negative in some direction does not stand; change less")
+        found = springs[None].astype(complex)
+    if machine.gyroscopic:
+        turning = 1j * frequency[:, None, None] * np.array(machine.gyroscopic).reshape(count, count)
+        found = turning if found is None else found + turning
+    if machine.mass:
+        square = (2.0 * np.pi * frequency[:, None, None]) ** 2 * machine.mass * (shape @ shape.T)
+        found = -square.astype(complex) if found is None else found - square
+    return found
+
+
+def _beyond(machine: Changed, frequency: Real) -> Complex:
+    """Compliance of what the modes leave out, shape (f or 1, 3, 3)."""
+    found = np.zeros((1, 3, 3), dtype=complex)
+    if machine.residual:
+        xx, yy, zz, xy, yz, zx = machine.residual
+        found = found + np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+    if machine.mode:
+        vector, (f, damping) = np.array(machine.mode[:3]), machine.mode[3:5]
+        ratio = frequency / f
+        found = found + np.outer(vector, vector) / (1.0 - ratio**2 + 2j * damping * ratio)[:, None, None]
+    return found
+
+
+def amplitude(machine: Changed, method: str, level: float) -> float:
+    """Largest amplitude of any mode in scaled coordinates under a blow or a sine along x, y or z [sqrt(J)]."""
+    shape = np.array(machine.direction).reshape(-1, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
+    force = level * np.abs(shape).max(axis=1)
+    if method == "hammer":
+        return float(np.max(force * 2.0 * np.pi * np.array(machine.frequency)))
+    return float(np.max(force / (2.0 * np.array(machine.damping))))
+
+
+def _slipping(size: float, amplitude: Real, _: Real) -> Complex:
+    """Stiffness lost at an amplitude relative to the reference."""
+    lost = size * amplitude
+    return np.asarray(-(1.0 - 1j * RAYLEIGH_LOSS) * lost / (1.0 + lost))
+
+
+def _hardening(size: float, _: Real, square: Real) -> Complex:
+    """Stiffness gained at the square of an amplitude relative to the reference."""
+    return np.asarray(size * square + 0j)
+
+
+def _through_joint(
+    machine: Changed,
+    own: Complex,
+    coupling: Complex | None,
+    shape: Real,
+    shaken: Shaken,
+    joint: tuple[float, ...],
+    law: Callable[[float, Real, Real], Complex],
+) -> Complex:
+    """Compliance that a joint takes away (Sherman and Morrison), shape (f, 3, 3)."""
+    size, vector = joint[0], np.array(joint[1:])
+    both = _answers(own, coupling, np.concatenate([shape, vector[:, None]], axis=1))
+    moved, into = vector @ both[:, :, :3], both[:, :, 3]
+    direct = (into @ vector)[:, None]
+    if shaken.method == "hammer":
+        start = shaken.level / shaken.reference * np.abs(vector[:, None] * shape)
+        start = np.sqrt(np.sum((start * 2.0 * np.pi * np.array(machine.frequency)[:, None]) ** 2, axis=0))
+        stiffness = law(size, DECAYING[0] * start, DECAYING[1] * start**2)[None]
+    else:
+        free = np.abs(moved) * shaken.level / shaken.reference
+        stiffness = _steady(lambda a: law(size, a, a**2), direct, free)
+    return np.asarray((into @ shape)[:, :, None] * (stiffness * moved / (1.0 + stiffness * direct))[:, None, :])
+
+
+def _steady(law: Callable[[Real], Complex], direct: Complex, free: Real) -> Complex:
+    """Solve ``a |1 + g(a) direct| = free`` for the amplitude a by secant steps; return the stiffness g, (f, 3)."""
+    before = free
+    error = before * np.abs(1.0 + law(before) * direct) - free
+    now = free / np.abs(1.0 + law(free) * direct)
+    for _ in range(_STEPS):
+        stiffness = law(now)
+        factor = np.abs(1.0 + stiffness * direct)
+        fresh = now * factor - free
+        if np.all(np.abs(fresh) <= _ACCURATE * free + 1e-300):
+            return stiffness
+        apart = now - before
+        slope = (fresh - error) / np.where(apart == 0.0, 1.0, apart)
+        safe = (slope > 0.05) & (apart != 0.0)
+        step = np.where(safe, now - fresh / np.where(safe, slope, 1.0), free / factor)
+        before, error, now = now, fresh, np.maximum(step, 0.0)
+    raise InputError("a joint that is not linear jumps between two amplitudes there; take a lower level")

@@ -1,0 +1,246 @@
+"""Stability limits: lobes against a second method and against marching in time; what is hidden is named."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exam.limits import RATIO, SLOT, SPEEDS, family, known, worn
+from truth.milling_limits import Found, Mill, limit
+
+from process.compliance import ModalModel
+from process.cutting import CuttingCoefficients, ProcessDamping
+from process.engagement import Engagement, engagement
+from process.errors import InputError
+from process.tool import Tool
+from smfe.diagnosis.cutting_limits import CuttingLimits, Limit, Trial, bracketed, limit_family
+from smfe.diagnosis.engine import diagnose
+from smfe.diagnosis.limit_crossings import crossings, loop_of
+from stability.semi_discretization import limit_depth
+from stability.zero_order import zero_order
+
+SHARP = ProcessDamping(0.0)
+RAM = ModalModel(
+    [62.0, 85.0, 140.0], [0.03, 0.04, 0.03], [2e7, 3e7, 6e7], [[1.0, 0.2, 0.1], [-0.3, 1.0, 0.0], [0.1, 0.1, 1.0]]
+)
+STEEL = CuttingCoefficients(1.8e9, 0.7e9, 0.25e9)
+
+
+def start(found: CuttingLimits) -> dict[str, float]:
+    return {p.name: p.start for p in (*found.nuisances, *(p for c in found.causes for p in c.parameters))}
+
+
+def as_machine(mill: Mill) -> ModalModel:
+    m = mill.modes
+    return ModalModel(m.frequency, m.damping, m.stiffness, [(*d, 0.0) for d in m.direction])
+
+
+# --- the prediction ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("approach", [math.pi / 2.0, math.pi / 4.0])
+@pytest.mark.parametrize("teeth", [2, 4, 8])
+def test_without_damping_the_scan_finds_the_zero_order_limit(approach: float, teeth: int) -> None:
+    # A second method: lobes explicit in the phase there, a scan of the frequency here.
+    tool, arc = Tool(0.05, teeth, approach_angle=approach), engagement("down", 0.025, 0.05)
+    speeds = [300.0, 500.0, 700.0, 1100.0, 1700.0, 2600.0]
+    lobes = zero_order(RAM, tool, arc, STEEL, speeds)
+    for n, depth, frequency in zip(speeds, lobes["limit_depth"].values, lobes["chatter_frequency"].values, strict=True):
+        found = crossings(RAM, loop_of(tool, arc, STEEL, n, SHARP))
+        assert found[0][0] * 1e3 == pytest.approx(depth, rel=2e-6)
+        assert found[1][0] == pytest.approx(frequency, rel=2e-6)
+        assert np.all(np.diff(found[0]) >= 0.0)
+
+
+def test_one_mode_with_a_flank_in_closed_form() -> None:
+    # Slot of four teeth, one mode along x: 1/(a Phi) = -K_rc (1 - exp(-j w T)) - j w C/v.
+    machine, tool, arc = ModalModel([60.0], [0.03], [2e7], [[1.0, 0.0, 0.0]]), Tool(0.05, 4), Engagement(0.0, math.pi)
+    speed, flank = 400.0, ProcessDamping(4e5, 0.0)
+    depth, frequency = (v[0] for v in crossings(machine, loop_of(tool, arc, STEEL, speed, flank)))
+    w, cutting = 2.0 * math.pi * frequency, math.pi * 0.05 * speed / 60.0
+    ratio = frequency / 60.0
+    dynamic = 2e7 * (1.0 - ratio**2 + 0.06j * ratio)
+    force = -STEEL.Krc * (1.0 - np.exp(-1j * w * 60.0 / (4.0 * speed))) - 1j * w * flank.coefficient / cutting
+    assert abs(depth * force / dynamic - 1.0) < 1e-6
+
+
+def test_the_flank_raises_the_limit_by_one_over_the_speed() -> None:
+    machine, tool, arc = ModalModel([60.0], [0.03], [2e7], [[1.0, 0.0, 0.0]]), Tool(0.05, 4), Engagement(0.0, math.pi)
+    sharp, frequency = (v[0] for v in crossings(machine, loop_of(tool, arc, STEEL, 1236.0, SHARP)))
+    gains, periods = [], []
+    for waves in (0, 2, 5):
+        # The valley of a lobe; whole waves more between two teeth: the same limit at another cutting speed.
+        period = 60.0 / (4.0 * 1236.0) + waves / frequency
+        speed = 60.0 / (4.0 * period)
+        assert crossings(machine, loop_of(tool, arc, STEEL, speed, SHARP))[0][0] == pytest.approx(sharp, rel=1e-6)
+        dull = crossings(machine, loop_of(tool, arc, STEEL, speed, ProcessDamping(2e3)))[0][0]
+        gains.append(dull / sharp - 1.0)
+        periods.append(period)
+    assert min(gains) > 0.0
+    np.testing.assert_allclose(np.array(gains) / gains[0], np.array(periods) / periods[0], rtol=0.02)
+
+
+# --- the independent generator ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [220.0, 330.0, 600.0, 850.0])
+@pytest.mark.parametrize("mill", [SLOT, Mill(), Mill(entry=0.3 * math.pi)], ids=["slot", "half", "most"])
+def test_marching_in_time_finds_the_converged_limit(mill: Mill, speed: float) -> None:
+    tool, arc = Tool(mill.diameter, mill.teeth), Engagement(mill.entry, mill.leave)
+    found = limit_depth(as_machine(mill), tool, arc, CuttingCoefficients(mill.kt, mill.kr, 0.0), speed)
+    depth, frequency = limit(mill, speed)
+    assert depth * 1e3 == pytest.approx(found.limit_depth_mm, rel=0.02)
+    assert frequency == pytest.approx(found.chatter_frequency_Hz, rel=0.005)
+
+
+def test_marching_in_time_with_a_worn_flank() -> None:
+    # A slot of four teeth has constant coefficients: zero order is exact, damping and all.
+    machine, tool, arc = as_machine(SLOT), Tool(SLOT.diameter, 4), Engagement(0.0, math.pi)
+    material = CuttingCoefficients(SLOT.kt, SLOT.kr, 0.0)
+    for n in (150.0, 330.0):
+        exact = crossings(machine, loop_of(tool, arc, material, n, ProcessDamping(worn())))[0][0]
+        assert limit(replace(SLOT, flank=worn()), n)[0] == pytest.approx(exact, rel=0.01)
+    sharp, dull = limit(SLOT, 150.0)[0], limit(replace(SLOT, flank=worn()), 150.0)[0]
+    assert dull / sharp == pytest.approx(1.2, abs=0.01)
+
+
+# --- the family -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plain() -> CuttingLimits:
+    """Limits that the baseline itself predicts, with one arc that needs a correction."""
+    found = [Found(n, 1e-4, 1e-3, 1.04e-3, 66.0) for n in SPEEDS[:3]]
+    return known(Mill(entry=0.3 * math.pi), found)
+
+
+def test_every_cause_at_its_null_value_leaves_the_baseline(plain: CuttingLimits) -> None:
+    nuisances = {p.name: p.start for p in plain.nuisances}
+    for condition in (*plain.conditions, *plain.proposals):
+        expected = plain.predict(condition, nuisances)
+        for cause in plain.causes:
+            null = {p.name: p.start for p in cause.parameters}
+            np.testing.assert_allclose(plain.predict(condition, nuisances | null), expected, rtol=1e-10)
+
+
+def test_every_cause_changes_something_a_little_when_its_size_is_small(plain: CuttingLimits) -> None:
+    values = start(plain)
+    before = np.concatenate([plain.predict(c, values) for c in plain.conditions])
+    for cause in plain.causes:
+        for share in (1e-3, 1.0):
+            p = cause.parameters[0]
+            changed = values | {p.name: p.start + share * p.scale}
+            after = np.concatenate([plain.predict(c, changed) for c in plain.conditions])
+            change = float(np.abs(after - before).max())
+            assert 1e-6 < change < 60.0 if share == 1.0 else change < 0.1, cause.key
+
+
+def test_the_baseline_is_the_converged_limit(plain: CuttingLimits) -> None:
+    mill = Mill(entry=0.3 * math.pi)
+    tool, arc = Tool(mill.diameter, mill.teeth), Engagement(mill.entry, mill.leave)
+    for condition in plain.conditions:
+        found = limit_depth(
+            plain.machine, tool, arc, plain.coefficients, float(condition.settings["spindle_speed"])
+        ).limit_depth_mm
+        ratio = plain.predict(condition, start(plain))[0] / condition.observed[0]
+        assert ratio * math.log(math.sqrt(1.04) * 1e-3) == pytest.approx(math.log(found * 1e-3), rel=1e-9)
+
+
+def test_depth_goes_with_one_over_the_coefficients_and_nothing_else(plain: CuttingLimits) -> None:
+    values = start(plain)
+    for condition in plain.conditions:
+        one = plain.limits_at(condition.data.limit, values)
+        other = plain.limits_at(condition.data.limit, values | {"coefficients": 0.25})
+        np.testing.assert_allclose(other[0] * 1.25, one[0], rtol=1e-9)
+        np.testing.assert_allclose(other[1], one[1], rtol=1e-9)
+
+
+def test_what_is_not_physics_is_refused(plain: CuttingLimits) -> None:
+    bounds = {p.name: (p.low, p.high) for c in plain.causes for p in c.parameters}
+    assert bounds["process_damping"][0] == 0.0
+    assert bounds["mode_compliance"][0] == 0.0
+    assert bounds["mode_damping"][0] > 0.0
+    assert bounds["micro_slip_1"] == (0.0, 0.8)
+    assert all(p.low > -1.0 for p in plain.nuisances)
+
+
+def test_brackets_become_limits_and_the_rest_is_said() -> None:
+    trials = [
+        Trial(300.0, 1.0e-3, False),
+        Trial(300.0, 1.1e-3, True, 66.0),
+        Trial(300.0, 1.3e-3, True, 67.0),
+        Trial(400.0, 2.0e-3, False),
+        Trial(500.0, 1.0e-3, True, 80.0),
+        Trial(600.0, 2.0e-3, False),
+        Trial(600.0, 1.0e-3, True),
+    ]
+    limits, notes = bracketed(trials)
+    assert [v.spindle_speed for v in limits] == [300.0]
+    assert limits[0].depth == pytest.approx(math.sqrt(1.1) * 1e-3)
+    assert limits[0].depth_std == pytest.approx(math.log(1.1) / math.sqrt(12.0))
+    assert limits[0].frequency == 66.0
+    assert "400 rpm every cut was stable" in notes[0]
+    assert "500 rpm every cut chattered" in notes[1]
+    assert "no limit there" in notes[2]
+    with pytest.raises(InputError, match="not positive"):
+        bracketed([Trial(300.0, 0.0, True)])
+
+
+def test_bad_limits_are_one_sentence() -> None:
+    tool, arc = Tool(0.05, 4), Engagement(0.0, math.pi)
+    with pytest.raises(InputError, match="no limit to diagnose"):
+        limit_family([], RAM, tool, arc, STEEL)
+    with pytest.raises(InputError, match="known and positive"):
+        limit_family([Limit(300.0)], RAM, tool, arc, STEEL)
+    along_z = ModalModel([60.0], [0.03], [2e7], [[0.0, 0.0, 1.0]])
+    stiff = limit_family([Limit(300.0, 1e-3)], along_z, tool, arc, STEEL)
+    with pytest.raises(InputError, match="does not chatter"):
+        stiff.predict(stiff.conditions[0], start(stiff))
+
+
+# --- blind ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_nothing_hidden_nothing_named() -> None:
+    found = diagnose(family(None, 0)[0])
+    assert found.verdict == "consistent"
+
+
+@pytest.mark.slow
+def test_a_worn_flank_is_named_against_the_coefficients() -> None:
+    # 20 % of the depth at the lowest speed.
+    problem, expected = family("process_damping", 0)
+    found = diagnose(problem)
+    assert (found.verdict, [c.id for c in found.causes]) == ("named", [expected])
+    estimate = found.causes[0].parameters[0]
+    assert estimate.low < 1e-3 * worn() < estimate.high
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["coefficients", "bearings", "micro_slip"])
+def test_what_is_hidden_is_named_or_among_what_remains_open(effect: str) -> None:
+    problem, expected = family(effect, 0)
+    found = diagnose(problem)
+    assert found.verdict != "consistent"
+    named = [c.id for c in found.causes]
+    assert named == [expected] or any(expected in [c.id for c in s] for s in found.alternatives)
+
+
+@pytest.mark.slow
+def test_one_speed_leaves_a_set_and_other_speeds_settle_it() -> None:
+    # Deeper than predicted at one low speed, nobody listened: a worn flank or a softer material. A higher speed tells.
+    mill = replace(SLOT, flank=worn(0.8))
+    depth = limit(mill, 150.0)[0]
+    found = [at_depth(150.0, depth, feed) for feed in np.linspace(0.5e-4, 2e-4, 8)]
+    few = diagnose(known(SLOT, found, [Limit(600.0), Limit(850.0)]))
+    assert few.verdict == "ambiguous"
+    remaining = {c.id for s in few.alternatives for c in s}
+    assert {"process_damping", "force_coefficients"} <= remaining
+    assert few.next_experiment is not None
+    more = diagnose(known(SLOT, [*found, *(at_depth(n, limit(mill, n)[0]) for n in (330.0, 600.0, 850.0))], []))
+    assert [c.id for c in more.causes] == ["process_damping"]
+
+
+def at_depth(speed: float, depth: float, feed: float = 1e-4) -> Found:
+    return Found(speed, feed, depth / math.sqrt(RATIO), depth * math.sqrt(RATIO), None)

@@ -1,0 +1,107 @@
+"""Claims: the report shows what a finding says, marks what was set aside, and survives what is not there."""
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smfe.diagnosis.finding import Finding, ForceError, StableDepth, explain
+from smfe.report import write_report
+from smfe.report.diagnosis import MOST, draw, pictured, section
+
+
+def finding(count: int = 4, **more: Any) -> dict[str, Any]:
+    step = {"change": "+ runout", "ratio": 900.0, "threshold": 12.0, "gain_db": 3.0, "gain_sd_db": 0.2, "reason": ""}
+    return {
+        "verdict": "named",
+        "story": ["It is the run-out."],
+        "misfit_db": {"before": 12.5, "after": 0.5},
+        "ladder": [{**step, "misfit_db": 0.5, "accepted": True}, {**step, "misfit_db": 0.4, "accepted": False}],
+        "causes": [{"title": "run-out", "parameters": []}],
+        "conditions": [
+            {"name": f"cut {k}", "before_db": float(k), "after_db": 0.1 * k, "held_out": k == 1} for k in range(count)
+        ],
+        **more,
+    }
+
+
+def shown(content: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    plots: dict[str, Any] = {}
+    return section(content, plots), plots
+
+
+def test_the_ladder_goes_from_the_baseline_to_the_best_model() -> None:
+    (bars,) = shown(finding())[1]["plot-ladder"]["data"]
+    assert bars["y"] == ["baseline", "+ runout"]
+    assert bars["x"] == [12.5, 0.5]
+
+
+def test_what_no_fit_has_seen_is_marked_and_every_condition_is_there_twice() -> None:
+    traces = shown(finding())[1]["plot-conditions"]["data"]
+    assert sum(len(t["x"]) for t in traces) == 8
+    for trace in traces:
+        assert ("cut 1" in trace["y"]) == ("set aside" in trace["name"]) == (trace["marker"]["symbol"] == "circle-open")
+
+
+def test_of_many_conditions_the_worst_are_shown_in_their_order() -> None:
+    layout = shown(finding(MOST + 10))[1]["plot-conditions"]["layout"]
+    assert layout["yaxis"]["categoryarray"] == [f"cut {k}" for k in range(10, MOST + 10)]
+    assert f"the {MOST} worst of {MOST + 10}" in layout["xaxis"]["title"]["text"]
+
+
+def test_no_limit_is_a_gap_in_the_stable_depth() -> None:
+    rows = [
+        {"where": "lobes_1", "spindle_speed_rpm": n, "feed_mm_min": n, "before_mm": 3.0, "after_mm": d}
+        for n, d in ((300.0, 2.0), (400.0, None), (500.0, 0.0))
+    ]
+    before, after = shown(finding(stable_depth=rows))[1]["plot-stable-depth"]["data"]
+    depths = np.frombuffer(base64.b64decode(after["y"]["bdata"]), dtype="<f4")
+    np.testing.assert_array_equal(depths, np.array([2.0, np.nan, 0.0], dtype="f4"))
+    assert before["name"] == "baseline, lobes_1"
+
+
+def test_part_of_the_truth_is_not_called_unknown() -> None:
+    assert shown(finding(verdict="unknown"))[0]["verdict"] == "partly found"
+    assert shown(finding(verdict="unknown", causes=[]))[0]["verdict"] == "unknown"
+
+
+@pytest.mark.parametrize("content", [{}, {"verdict": "consistent", "misfit_db": {"before": 0.1, "after": 0.1}}])
+def test_where_nothing_was_found_nothing_is_drawn(content: dict[str, Any]) -> None:
+    assert not pictured(content)
+    assert shown(content)[1] == {}
+
+
+def test_a_folder_with_a_finding_alone_has_a_report_and_its_picture(tmp_path: Path) -> None:
+    rows = [
+        {"where": "lobes_1", "spindle_speed_rpm": n, "feed_mm_min": n, "before_mm": 3.0, "after_mm": None}
+        for n in (300.0, 400.0)
+    ]
+    content = finding(stable_depth=rows)
+    content["conditions"][0]["name"] = "<script>alert(1)</script> $x_$"
+    (tmp_path / "finding.json").write_text(json.dumps(content), encoding="utf-8")
+    page = write_report(tmp_path).read_text(encoding="utf-8")
+    assert "<script>alert(1)" not in page
+    for name in ("plot-ladder", "plot-conditions", "plot-stable-depth"):
+        assert f'id="{name}"' in page
+    assert (tmp_path / "figures" / "diagnosis.png").stat().st_size > 10_000
+    assert len(draw(content).axes) == 3
+
+
+def test_the_words_say_what_it_means_in_the_workshop() -> None:
+    depths = (StableDepth("lobes_1", 300.0, 480.0, 3.0, 2.9), StableDepth("lobes_1", 400.0, 640.0, 3.0, 1.5))
+    resting = (StableDepth("a.csv", 500.0, 800.0, 3.0, 0.0),)
+    errors = (ForceError(False, 0.188, 0.016), ForceError(True, 0.188, 0.027))
+    text = explain(Finding("named", "it is", stable_depth=(*depths, *resting), force_error=errors))
+    assert "Stable depth (lobes_1): the largest change is at 400 rpm, 1.5 mm with the extended model, 3 mm with" in text
+    assert (
+        "Stable depth (a.csv): at the feed of 500 rpm the axis of the extended model vibrates without any cut." in text
+    )
+    assert "Force error over moves set aside beforehand: 18.8 % before, 2.7 % after." in text
+
+
+def test_a_depth_without_limit_is_none_in_the_file() -> None:
+    found = Finding("named", "it is", stable_depth=(StableDepth("a", 300.0, 480.0, 3.0, np.inf),)).as_dict()
+    assert found["stable_depth"][0]["after_mm"] is None
