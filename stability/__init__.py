@@ -30,7 +30,7 @@ from stability.error_model import Spread, carries_errors
 from stability.multi_frequency import multi_frequency
 from stability.operating_point import operating_point
 from stability.pitch_design import PitchDesign, design_pitch
-from stability.pockets import POCKET_COLUMNS, Spindle, best_pockets
+from stability.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
 from stability.presets import PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets
 from stability.problem import Cut
 from stability.semi_discretization import (
@@ -66,7 +66,7 @@ __all__ = [
     "LimitDepth",
     "PitchDesign",
     "PresetContext",
-    "Spindle",
+    "SpindleRange",
     "Spread",
     "StationaryVibration",
     "best_pockets",

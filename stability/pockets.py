@@ -37,7 +37,7 @@ PROMINENCE = 0.1
 
 
 @dataclass(frozen=True)
-class Spindle:
+class SpindleRange:
     """What a spindle can do.
 
     Parameters
@@ -79,7 +79,7 @@ class Spindle:
 
 
 def best_pockets(
-    table: pd.DataFrame, count: int = 3, spindle: Spindle | None = None, maximum_depth: float | None = None
+    table: pd.DataFrame, count: int = 3, spindle: SpindleRange | None = None, maximum_depth: float | None = None
 ) -> pd.DataFrame:
     """Return the best pockets of every source and cut in a lobe table.
 
@@ -93,7 +93,7 @@ def best_pockets(
         From `stability.lobe_table`; several may be joined.
     count : int, optional
         Most pockets a source and cut.
-    spindle : Spindle, optional
+    spindle : SpindleRange, optional
         Limits, step and accuracy of its speed. Default: any speed of the table, held within 1 %.
     maximum_depth : float, optional
         Greatest depth that can be cut [m]: the length of the edges, the allowance. Needed where there is no limit.
@@ -113,12 +113,12 @@ def best_pockets(
     if count < 1 or (maximum_depth is not None and not maximum_depth > 0.0):
         raise InputError(f"{count} pockets up to a depth of {maximum_depth} m; both must be positive")
     cuts = table.groupby(["source", "width_of_cut_mm", "feed_per_tooth_mm"], sort=False)
-    frames = [_pockets(cut, count, spindle or Spindle(), maximum_depth) for _, cut in cuts]
+    frames = [_pockets(cut, count, spindle or SpindleRange(), maximum_depth) for _, cut in cuts]
     frames = [frame for frame in frames if len(frame)]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=list(POCKET_COLUMNS))
 
 
-def _pockets(cut: pd.DataFrame, count: int, spindle: Spindle, maximum_depth: float | None) -> pd.DataFrame:
+def _pockets(cut: pd.DataFrame, count: int, spindle: SpindleRange, maximum_depth: float | None) -> pd.DataFrame:
     """Return the pockets of one source and cut."""
     cut = cut.sort_values("spindle_speed_rpm", ignore_index=True)
     speed = cut["spindle_speed_rpm"].to_numpy(float)

@@ -26,7 +26,7 @@ from smfe.campaign.checks import check, merge, path
 from smfe.campaign.messages import complaints
 from smfe.datasets import Show
 from smfe.records.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
-from stability import Spindle, Spread
+from stability import SpindleRange, Spread
 
 LOBE_POINTS = 200
 """Spindle speeds of a lobe diagram where the campaign gives no step."""
@@ -296,7 +296,7 @@ class Campaign:
         Name of the work material.
     coefficient_spread : float
         Relative standard deviation of each cutting coefficient.
-    spindle : Spindle
+    spindle : SpindleRange
         What it can be set to.
     channels : mapping of str to Channel
         Channels of a record as the whole campaign declares them.
@@ -318,7 +318,7 @@ class Campaign:
     cutting_tests: tuple[CuttingTest, ...] = ()
     baseline: Baseline | None = None
     coefficient_spread: float = 0.0
-    spindle: Spindle = field(default_factory=Spindle)
+    spindle: SpindleRange = field(default_factory=SpindleRange)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -400,7 +400,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
         baseline=_baseline(file.baseline) if file.baseline else None,
         coefficient_spread=file.material.uncertainty if file.material else 0.0,
-        spindle=file.spindle.build() if file.spindle else Spindle(),
+        spindle=file.spindle.build() if file.spindle else SpindleRange(),
     )
 
 

@@ -19,7 +19,7 @@ from smfe.campaign import quantities as q
 from smfe.campaign.machine_tables import Delay, FrictionTable, PositiveMass, PositiveTime, ServoTable, Viscosity
 from smfe.campaign.tables import Table
 from smfe.records.channels import check_channel_name
-from stability import Spindle
+from stability import SpindleRange
 
 
 class CampaignTable(Table):
@@ -254,12 +254,12 @@ class SpindleTable(Table):
         self.build()
         return self
 
-    def build(self) -> Spindle:
+    def build(self) -> SpindleRange:
         """Return the spindle."""
         low, high, step = (
             None if w is None else round(w * 30.0 / math.pi, 6) for w in (self.minimum, self.maximum, self.step)
         )
-        return Spindle(low or 0.0, math.inf if high is None else high, step, self.accuracy)
+        return SpindleRange(low or 0.0, math.inf if high is None else high, step, self.accuracy)
 
 
 class CuttingTestTable(Table):

@@ -9,7 +9,7 @@ import pytest
 from process.errors import InputError
 from process.tool import Tool
 from stability import lobe_table, zero_order
-from stability.pockets import POCKET_COLUMNS, Spindle, best_pockets
+from stability.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
 from stability.presets import PRESET_SCHEMA, PresetContext, check_presets, presets, read_presets, write_presets
 
 TOOL = Tool(80e-3, 2, math.pi / 4)
@@ -24,7 +24,7 @@ def table(authors):
 
 
 def test_the_best_pocket_is_where_the_most_is_removed(table):
-    found = best_pockets(table, spindle=Spindle(accuracy=0.0))
+    found = best_pockets(table, spindle=SpindleRange(accuracy=0.0))
     assert tuple(found.columns) == POCKET_COLUMNS
     rate = table["safe_depth_mm"] * table["width_of_cut_mm"] * table["feed_mm_min"] / 1e3
     best = found.iloc[0]
@@ -37,7 +37,7 @@ def test_the_best_pocket_is_where_the_most_is_removed(table):
 
 def test_a_pocket_is_safe_at_every_speed_that_the_spindle_may_turn(table):
     for accuracy in (0.0, 0.01, 0.05):
-        for row in best_pockets(table, spindle=Spindle(accuracy=accuracy)).itertuples():
+        for row in best_pockets(table, spindle=SpindleRange(accuracy=accuracy)).itertuples():
             near = (table["spindle_speed_rpm"] / row.spindle_speed_rpm - 1.0).abs() <= accuracy
             assert row.safe_depth_mm <= table["safe_depth_mm"][near].min()
             held = table["spindle_speed_rpm"].between(row.from_rpm, row.to_rpm)
@@ -46,28 +46,28 @@ def test_a_pocket_is_safe_at_every_speed_that_the_spindle_may_turn(table):
 
 
 def test_limits_and_steps_of_the_spindle_are_honoured(table):
-    found = best_pockets(table, 5, Spindle(500.0, 1100.0, 30.0))
+    found = best_pockets(table, 5, SpindleRange(500.0, 1100.0, 30.0))
     assert found["spindle_speed_rpm"].between(500.0, 1100.0).all()
     np.testing.assert_allclose(found["spindle_speed_rpm"] % 30.0, 0.0, atol=1e-9)
     # Between two rows of the table the lower depth counts.
-    odd = best_pockets(table, 5, Spindle(step=7.0, accuracy=0.0))
+    odd = best_pockets(table, 5, SpindleRange(step=7.0, accuracy=0.0))
     for row in odd.itertuples():
         beside = (table["spindle_speed_rpm"] - row.spindle_speed_rpm).abs() < 5.0
         assert row.safe_depth_mm == table["safe_depth_mm"][beside].min()
-    assert best_pockets(table, 5, Spindle(5000.0, 6000.0)).empty
+    assert best_pockets(table, 5, SpindleRange(5000.0, 6000.0)).empty
 
 
 def test_ripple_makes_no_pocket(table):
     """A ripple of 2 % on the depth leaves the pockets what they are."""
     rough = table.copy()
     rough["safe_depth_mm"] *= 1.0 + 0.02 * (-1.0) ** np.arange(len(table))
-    one, other = (best_pockets(t, 9, Spindle(accuracy=0.0)) for t in (table, rough))
+    one, other = (best_pockets(t, 9, SpindleRange(accuracy=0.0)) for t in (table, rough))
     assert len(one) == len(other)
     np.testing.assert_allclose(one["spindle_speed_rpm"], other["spindle_speed_rpm"], atol=10.0)
 
 
 def test_without_a_safe_depth_the_limit_is_used_and_named(table):
-    found = best_pockets(table.assign(safe_depth_mm=np.nan), 1, Spindle(accuracy=0.0))
+    found = best_pockets(table.assign(safe_depth_mm=np.nan), 1, SpindleRange(accuracy=0.0))
     assert found["basis"].tolist() == ["limit_depth"]
     assert found["safe_depth_mm"][0] == found["limit_depth_mm"][0]
 
@@ -139,7 +139,7 @@ def test_what_makes_no_pocket_or_preset_is_refused(table, tmp_path):
         best_pockets(table, 0)
     for bad in ({"minimum": 5.0, "maximum": 4.0}, {"step": 0.0}, {"accuracy": 1.0}):
         with pytest.raises(InputError, match="spindle"):
-            Spindle(**bad)
+            SpindleRange(**bad)
     with pytest.raises(InputError, match="with which probability is not said"):
         presets(best_pockets(table), PresetContext(TOOL, "mill", "C45", "down"))
     with pytest.raises(InputError, match="the material has no name"):
