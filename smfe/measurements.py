@@ -160,14 +160,25 @@ def _per_axis(measurement: Measurement) -> Identification:
     return identify_actuator(measurement.name, records, frequency_range=measurement.frequency_range)
 
 
-def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
+def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[SweepPass], tuple[float, float]]:
+    """Return the passes of a sweep measurement with their arcs, and the band [Hz] that is identified.
+
+    Raises
+    ------
+    InputError
+        When a record cannot be read, or nothing says which band the sweeps cover.
+    """
     assert campaign.tool is not None
     passes = []
     for entry in measurement.records:
         name, arc = _pass_of(campaign.tool, entry)
         for number, record in enumerate(records_of(entry)):
             passes.append(SweepPass(record, name + (f" ({number + 1})" if number else ""), arc))
-    band = measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
+    return passes, measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
+
+
+def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
+    passes, band = passes_and_band(campaign, measurement)
     estimator: LocalPolynomial | SingleReference = LocalPolynomial(measurement.resolution or 0.25)
     if measurement.references != "all":
         estimator = SingleReference(measurement.references, measurement.resolution or 0.25)

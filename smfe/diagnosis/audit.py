@@ -17,8 +17,9 @@ from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspec
 from smfe.diagnosis.hammer_checks import hit_suspects
 from smfe.diagnosis.silence import silence_suspects
 from smfe.diagnosis.suspect import Suspect, suspect_table
+from smfe.diagnosis.sweep_checks import sweep_suspects
 from smfe.identification import Progress, silent
-from smfe.measurements import identify_measurement, records_of, sign_warnings
+from smfe.measurements import identify_measurement, passes_and_band, records_of, sign_warnings
 from smfe.records import read_records
 
 
@@ -117,4 +118,11 @@ def _compliance_suspects(
         for text in sign_warnings(found.compliance)
     ]
     skew = [] if signs else skew_suspects(measurement.name, found.compliance)
-    return [*signs, *skew, *reciprocity_suspects(measurement.name, found.compliance)]
+    return [*signs, *skew, *reciprocity_suspects(measurement.name, found.compliance), *_sweep(campaign, measurement)]
+
+
+def _sweep(campaign: Campaign, measurement: Measurement) -> list[Suspect]:
+    if measurement.method != "sweep" or campaign.tool is None or measurement.references != "all":
+        return []
+    passes, band = passes_and_band(campaign, measurement)
+    return sweep_suspects(measurement.name, passes, campaign.tool.teeth, band)
