@@ -58,6 +58,10 @@ class Judgement:
     gain: Gain | None = None
 
 
+AGREED = 0.99
+"""Joint region within which sources agree: one of 95 % would take the name from one right cause in twenty."""
+
+
 def judge(
     bench: Bench,
     at: Fit,
@@ -120,7 +124,7 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
 
 
 def agrees(bench: Bench, at: Fit, k: int) -> bool:
-    """Whether a cause has the same parameters in all sources, within their joint 95 % region.
+    """Whether a cause has the same parameters in all sources, within their joint 99 % region.
 
     One step of each source by itself from the joint optimum, its own nuisances free, gives its estimate and
     information; the weighted squares of the differences have a chi-square law.
@@ -145,7 +149,7 @@ def agrees(bench: Bench, at: Fit, k: int) -> bool:
         away = vector - information @ pooled
         square += float(away @ np.linalg.pinv(information, rcond=1e-8, hermitian=True) @ away)
         freedom += int(np.linalg.matrix_rank(information, rtol=1e-8, hermitian=True))
-    return freedom < 1 or square <= float(stats.chi2.ppf(0.95, freedom))
+    return freedom < 1 or square <= float(stats.chi2.ppf(AGREED, freedom))
 
 
 def _open(bench: Bench, at: Fit, k: int, left: Misfit) -> list[Fit]:
