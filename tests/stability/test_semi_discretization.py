@@ -158,6 +158,15 @@ def test_unequal_pitch_against_time_simulation(lab_slot, pitch, simulated):
     assert np.all((ratio > 0.998) & (ratio < 1.05)), ratio
 
 
+@pytest.mark.parametrize("rpm", [320.1, 321.0])
+def test_the_limit_of_unequal_pitch_lies_where_a_multiplier_leaves_the_unit_circle(lab_slot, rpm):
+    tool = replace(lab_slot.tool, pitch_angles=tuple(math.radians(p) for p in (98, 82, 98, 82)))
+    cut = lab_slot.machine, tool, lab_slot.arc, lab_slot.coefficients
+    limit = limit_depth(*cut, rpm).limit_depth_mm * 1e-3
+    below, above = (float(np.abs(floquet_multipliers(*cut, f * limit, rpm)[0])) for f in (0.99, 1.01))
+    assert below < 1.0 < above
+
+
 def test_the_averaged_island_of_unequal_pitch_is_not_there(lab_slot):
     # theory 2.4: averaged, unstable from 0.57 to 1.36 mm; in time simulation lost between 2.5 and 4 mm
     tool = replace(lab_slot.tool, pitch_angles=tuple(math.radians(p) for p in (70, 85, 95, 110)))
