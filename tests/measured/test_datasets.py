@@ -226,7 +226,7 @@ class TestRegistry:
 
     def test_ours_is_complete_and_its_campaigns_name_its_files(self, monkeypatch: pytest.MonkeyPatch) -> None:
         ours = datasets.read_registry(REPOSITORY / "datasets" / "registry.toml")
-        assert sorted(ours) == ["pyfrf_hammer", "toolpoint_hammer_ubc"]
+        assert sorted(ours) == ["emps", "milling_forces_ubc", "pyfrf_hammer", "toolpoint_hammer_ubc"]
         for name, entry in ours.items():
             assert all(len(file.sha256) == 64 for file in entry.files.values())
             text = (REPOSITORY / "datasets" / f"{name}.toml").read_text(encoding="utf-8")
