@@ -1,7 +1,8 @@
 """The exam: hidden effects, what was said about them, and the table of targets beside what was measured.
 
 ``python tests/exam/sitting.py docs/exam.md`` writes the table; `make exam` calls it. Answers are kept in
-``.cache/exam`` as they come, so that an exam that was interrupted goes on; ``--afresh`` forgets them.
+``.cache/exam`` as they come, so that an exam that was interrupted goes on and can be sat subject by subject; the table
+has all of them. ``--afresh`` forgets them: after every change of the diagnosis.
 """
 
 import argparse
@@ -232,12 +233,10 @@ def cases(subject, nulls, seeds):
 
 
 def sit(every, kept, jobs):
-    """Answer every case that has no answer yet, keeping each as it comes."""
+    """Answer every case that has no answer yet, keeping each as it comes; return these and all that were kept."""
     kept.parent.mkdir(parents=True, exist_ok=True)
     answers = [_read(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     done = {a.case for a in answers}
-    wanted = set(every)
-    answers = [a for a in answers if a.case in wanted]
     with ProcessPoolExecutor(jobs) as pool, kept.open("a") as out:
         running = [pool.submit(examine, case) for case in every if case not in done]
         for future in as_completed(running):
@@ -245,7 +244,7 @@ def sit(every, kept, jobs):
             answers.append(answer)
             print(json.dumps(asdict(answer)), file=out, flush=True)
             c = answer.case
-            print(f"{len(answers)}/{len(every)} {c.subject}: {c.hidden or 'nothing'}: {answer.said}", file=sys.stderr)
+            print(f"{len(answers)} {c.subject}: {c.hidden or 'nothing'}: {answer.said}", file=sys.stderr)
     return answers
 
 
