@@ -240,6 +240,8 @@ def sit(every, kept, jobs):
     with ProcessPoolExecutor(jobs) as pool, kept.open("a") as out:
         running = [pool.submit(examine, case) for case in every if case not in done]
         for future in as_completed(running):
+            if future.exception():
+                pool.shutdown(cancel_futures=True)
             answer = future.result()
             answers.append(answer)
             print(json.dumps(asdict(answer)), file=out, flush=True)

@@ -52,18 +52,24 @@ class Subject:
 
 
 class Without:
-    """A family that lacks one cause, whatever its variants."""
+    """A family that lacks one cause, whatever its variants; it predicts with the null of that."""
 
     def __init__(self, family, cause):
         self._family, self._cause = family, cause
+        self._null = {p.name: p.start for c in family.causes if c.id == cause for p in c.parameters}
 
     def __getattr__(self, name):
-        return getattr(self._family, name)
+        found = getattr(self._family, name)
+        return (lambda values: found(self._null | dict(values))) if name == "as_found" else found
 
     @property
     def causes(self):
         """All but the one."""
         return tuple(c for c in self._family.causes if c.id != self._cause)
+
+    def predict(self, condition, values):
+        """As the family predicts."""
+        return self._family.predict(condition, self._null | dict(values))
 
 
 def _axis(effect, seed, snr):
