@@ -159,7 +159,7 @@ def _effects(effects):
     false = sum(a.verdict == "unknown" for a in effects) / len(effects)
     wrong = sum(a.verdict == "named" and not a.right for a in effects) / len(effects)
     found = [
-        _share("Detected at size X, 40 dB", effects, lambda a: a.detected, 0.95),
+        _share("Detected at size X", effects, lambda a: a.detected, 0.95),
         _share("Named right, given detection", seen, lambda a: a.right, 0.95),
         _share("Truth named or in the set", seen, lambda a: a.covered, 0.95),
         Score("A wrong cause named", "<= 5 %", f"{100 * wrong:.1f} % of {len(effects)}", wrong <= 0.05),
@@ -223,11 +223,14 @@ def _section(title, answers):
 
 def cases(subject, nulls, seeds):
     """Every case of a subject; nulls and effects mixed, so that an exam that is cut short has some of each."""
-    levels = (40.0, 30.0, 20.0)
+    levels = (40.0, 30.0, 20.0) if SUBJECTS[subject].noisy else (LOUD,) * 3
     found = [(i / max(nulls, 1), Case(subject, None, "null", SEEDS["null"] + i, levels[i % 3])) for i in range(nulls)]
     fewer = -(-seeds // 4)
+    parts = [("effect", seeds, LOUD), ("unknown", fewer, LOUD)]
+    if SUBJECTS[subject].noisy:
+        parts.append(("noisy", fewer, NOISY))
     for k, name in enumerate(SUBJECTS[subject].effects):
-        for part, count, snr in (("effect", seeds, LOUD), ("unknown", fewer, LOUD), ("noisy", fewer, NOISY)):
+        for part, count, snr in parts:
             found += [(i / count, Case(subject, name, part, SEEDS[part] + 100 * k + i, snr)) for i in range(count)]
     return [case for _, case in sorted(found, key=lambda x: x[0])]
 

@@ -44,11 +44,14 @@ class Subject:
         Effect -> cause id that must be named.
     hide : callable
         ``hide(effect or None, seed, snr)`` -> family.
+    noisy : bool, optional
+        Whether its generator can be asked for a signal over noise; else the noise is that of its instruments.
     """
 
     title: str
     effects: Mapping[str, str]
     hide: Callable
+    noisy: bool = True
 
 
 class Without:
@@ -83,7 +86,7 @@ def _of(family):
 
 SUBJECTS = {
     "axis": Subject("Compliances of a feed axis", AXIS, _axis),
-    "drive": Subject("Records of a moving axis", drive.EXPECTED, _of(drive.family)),
-    "modal": Subject("Compliances against a modal model", modal.NAMES, _of(modal.family)),
-    "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _of(limits.family)),
+    "drive": Subject("Records of a moving axis", drive.EXPECTED, _of(drive.family), False),
+    "modal": Subject("Compliances against a modal model", modal.NAMES, lambda *case: modal.family(*case)[0]),
+    "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _of(limits.family), False),
 }
