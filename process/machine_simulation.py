@@ -51,8 +51,8 @@ It goes with the fourth power of the step: 1.25e-4 at half of it.
 _COARSEST = 20
 
 
-def _march(p: Problem, system: System, fastest: float, sample_rate: float, keep: int, ratio: float) -> Run:
-    """March with `keep` steps a sample; fastest pole [rad/s]; ratio: this step over the default one."""
+def _march(p: Problem, system: System, fastest: float, sample_rate: float, keep: int, accuracy: float) -> Run:
+    """March with `keep` steps a sample; fastest pole [rad/s]; accuracy: see `ACCURACY`."""
     step = 1.0 / (sample_rate * keep)
     # The low-pass looks ahead: march beyond the end of the record.
     steps = (round(p.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
@@ -65,7 +65,6 @@ def _march(p: Problem, system: System, fastest: float, sample_rate: float, keep:
     inputs = np.zeros((steps, linear.reach.shape[0] + elements.kind.size))
     states = np.zeros((steps, system.size))
     work = scratch(linear, elements, servos, ring, state)
-    accuracy = min(1e-2, ACCURACY * ratio**4)
     end, done = kernels.march(linear, elements, servos, given, work, step, accuracy, pack_cut(p, step), states, inputs)
     if end == kernels.NOT_SOLVED:
         raise InputError(
@@ -119,7 +118,7 @@ def _keep(p: Problem, sample_rate: float, largest: float) -> int:
     )
 
 
-def _prepared(p: Problem, sample_rate: float, step: float | None) -> tuple[System, Run]:
+def _prepared(p: Problem, sample_rate: float, step: float | None, accuracy: float | None = None) -> tuple[System, Run]:
     """March a problem; also return its linear part."""
     if not p.total * sample_rate >= 2.0:
         raise InputError(f"{p.total:g} s at {sample_rate:g} Hz; at least two samples are needed")
@@ -131,7 +130,9 @@ def _prepared(p: Problem, sample_rate: float, step: float | None) -> tuple[Syste
         _require_fine(p, fastest, step)
     half = usual if usual * sample_rate >= 4.0 else 0.5 / sample_rate
     keep = _keep(p, sample_rate, min(usual, half) if step is None else step)
-    return system, _march(p, system, fastest, sample_rate, keep, 1.0 / (sample_rate * keep * usual))
+    if accuracy is None:
+        accuracy = min(1e-2, ACCURACY / (sample_rate * keep * usual) ** 4)
+    return system, _march(p, system, fastest, sample_rate, keep, accuracy)
 
 
 def simulate_machine(
@@ -236,11 +237,18 @@ def simulate_machine(
 
 
 def machine_motion(
-    machine: Machine, *, sample_rate: float = 2000.0, step: float | None = None, **arguments: Any
+    machine: Machine,
+    *,
+    sample_rate: float = 2000.0,
+    step: float | None = None,
+    accuracy: float | None = None,
+    **arguments: Any,
 ) -> Motion:
     """Return the motion of the tool of `simulate_machine` as plain arrays, for those who ask for it many times.
 
     The same numbers, without labels, slides and verdict; parameters and errors are those of `simulate_machine`.
+    accuracy: largest error of a friction or joint force in a step, over the largest force so far; default `ACCURACY`
+    times the fourth power of the step over the default one.
 
     Returns
     -------
@@ -248,7 +256,7 @@ def machine_motion(
         ``time`` [s], shape (n,), ``force`` [N], ``displacement`` [m], ``acceleration`` [m/s^2], shape (3, n).
     """
     p = problem(machine, **arguments)
-    system, run = _prepared(p, sample_rate, step)
+    system, run = _prepared(p, sample_rate, step, accuracy)
     return as_motion(p, system, run, sample_rate)
 
 

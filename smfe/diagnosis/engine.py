@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from process.errors import InputError
 from smfe.diagnosis.by_condition import by_condition
 from smfe.diagnosis.calibration import parameters_of
 from smfe.diagnosis.cross_validation import BAND, Gain, compare, opened
-from smfe.diagnosis.evidence import Bench, Step, search
+from smfe.diagnosis.evidence import MOST_CAUSES, Bench, Step, search
 from smfe.diagnosis.finding import Estimate, Finding, FoundCause, Remainder, Rung
 from smfe.diagnosis.fit import Fit, Target, stacked
 from smfe.diagnosis.isolability import cosines, groups
@@ -32,7 +33,8 @@ def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_ou
     """Diagnose a baseline.
 
     Where the data of a family rest on a simulation (its method ``as_found``: values to conditions) and a cause was
-    found, they are prepared once more, with that cause, and diagnosed again.
+    found, they are prepared once more, with that cause, and searched again, from the fits that are known by then; and
+    a third time if that finds others.
 
     Parameters
     ----------
@@ -55,16 +57,35 @@ def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_ou
     InputError
         For a family that contradicts itself, or a condition to be held out that was not measured.
     """
-    first = _diagnosed(family, family.conditions, seed, progress, held_out)
     again: Callable[[Values], Sequence[Condition]] | None = getattr(family, "as_found", None)
-    if again is None or not first.causes:
-        return first
-    return _diagnosed(family, again(first.values), seed, progress, held_out)
+    conditions: Sequence[Condition] = family.conditions
+    known, prepared = dict[tuple[int, ...], Fit](), tuple[int, ...]()
+    for last in (again is None, False, True):
+        laid = _laid_out(family, conditions, seed, progress, held_out)
+        laid.bench.known = known
+        refused = _refused(laid.bench)
+        if refused is not None:
+            return refused
+        # As long as the data are prepared without a cause, one is enough to prepare them better.
+        at, ladder = search(laid.bench, MOST_CAUSES if last or prepared else 1)
+        if again is None or last or at.causes == prepared:
+            break
+        prepared, known, conditions = at.causes, dict(laid.bench.fits), again(laid.bench.model.values(at.u))
+    return _finding(laid, at, ladder)
 
 
-def _diagnosed(
+@dataclass(frozen=True)
+class _Laid:
+    """Conditions laid out for a search: those to fit, those that are set aside, those that could be measured."""
+
+    bench: Bench
+    aside: dict[int, NDArray[np.float64]]
+    proposals: range
+
+
+def _laid_out(
     family: Family, conditions: Sequence[Condition], seed: int, progress: Progress, held_out: Sequence[str]
-) -> Finding:
+) -> _Laid:
     measured = [c for c in conditions if c.observed is not None]
     missing = sorted(set(held_out) - {c.name for c in measured})
     if missing:
@@ -74,19 +95,30 @@ def _diagnosed(
     _refuse_gaps(model, data)
     aside = {r: y for r, y in data.items() if measured[r].name in held_out}
     target = Target({r: y for r, y in data.items() if r not in aside}, model.null())
-    values = sum(y.size for y in target.observed.values())
-    if values <= model.nuisance.size:
-        return Finding("insufficient_data", f"{values} values for {model.nuisance.size} parameters of the baseline")
-    bench = Bench(model, target, seed, progress)
+    return _Laid(Bench(model, target, seed, progress), aside, range(len(measured), len(model.conditions)))
+
+
+def _values(bench: Bench) -> int:
+    return sum(y.size for y in bench.target.observed.values())
+
+
+def _refused(bench: Bench) -> Finding | None:
+    """Say why there is nothing to be found out, if so."""
+    values, nuisances = _values(bench), bench.model.nuisance.size
+    if values <= nuisances:
+        return Finding("insufficient_data", f"{values} values for {nuisances} parameters of the baseline")
     if not bench.null().converged:
         return Finding("insufficient_data", f"the baseline could not be fitted: {bench.null().reason}")
-    at, ladder = search(bench)
+    return None
+
+
+def _finding(laid: _Laid, at: Fit, ladder: Sequence[Step]) -> Finding:
+    bench, model, values = laid.bench, laid.bench.model, _values(laid.bench)
     null = bench.tangent(bench.null())
     limit = bench.threshold(bench.null())
     power = detectable(model, null, limit)
     together = groups(model, cosines(model, null))
     judged = judge(bench, at, ladder, power)
-    proposals = range(len(measured), len(model.conditions))
     return Finding(
         verdict=judged.verdict,
         reason=judged.reason,
@@ -96,14 +128,14 @@ def _diagnosed(
         misfit_before_db=_decibel(bench.null(), values),
         misfit_after_db=_decibel(at, values),
         gain=judged.gain,
-        opened=_opened(bench, at, aside),
+        opened=_opened(bench, at, laid.aside),
         remainder=_remainder(bench, judged),
         power=power,
         inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
         unconverged=tuple(sorted(bench.unconverged.items())),
-        next_experiment=_next(bench, at, judged, proposals),
+        next_experiment=_next(bench, at, judged, laid.proposals),
         threshold=limit if math.isfinite(limit) else None,
-        conditions=by_condition(model, bench.null(), at, aside),
+        conditions=by_condition(model, bench.null(), at, laid.aside),
         values=model.values(at.u),
         values_before=model.values(bench.null().u),
     )

@@ -8,7 +8,7 @@ mask each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from smfe.diagnosis.calibration import PENALTY, combined_gain, pair_threshold, parameters_of, threshold
 from smfe.diagnosis.cross_validation import BAND, Gain, HeldOut, Scheme, compare, held_out, usable, within
-from smfe.diagnosis.fit import Fit, Target, approach, fit, roughly
+from smfe.diagnosis.fit import OPTIMISM, Fit, Target, approach, fit, misfit, residuals, roughly, tolerance
 from smfe.diagnosis.misfit import Misfit, assess
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.signature import Signature, Tangent, tangent
@@ -38,7 +38,10 @@ _WORTH_A_PAIR = 0.6
 _SHAPES = 2
 _CLOSE = 5.0
 _FAR = 50.0
-_OPTIMISM = 3.0
+_PART = 0.1
+_ASTRAY = 3.0
+_NAMED = 2
+_LITTLE = 0.005
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,8 @@ class Bench:
         Told what is being fitted.
     unconverged : dict
         Hypothesis -> why its fit is not used.
+    known : mapping
+        Hypothesis -> its fit to nearly the same data, to start from.
     """
 
     model: Model
@@ -94,6 +99,7 @@ class Bench:
     seed: int
     progress: Progress
     unconverged: dict[str, str] = field(default_factory=dict)
+    known: Mapping[tuple[int, ...], Fit] = field(default_factory=dict)
     _fits: dict[tuple[int, ...], Fit] = field(default_factory=dict)
     _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
     _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
@@ -106,7 +112,9 @@ class Bench:
     def null(self) -> Fit:
         """Fit the baseline: from its most likely nuisances and, where that does not converge, from others."""
         if () not in self._fits:
-            found = fit(self.model, self.target, (), roughly(self.model, self.target))
+            near = self.known.get(())
+            start, slope = (roughly(self.model, self.target), None) if near is None else (near.u, near.slope)
+            found = fit(self.model, self.target, (), start, slope)
             rng, mine = self.rng(0), self.model.nuisance
             width = np.minimum(1.0 / np.maximum(self.model.weight, 1.0), 1.0)
             for _ in range(4):
@@ -122,7 +130,7 @@ class Bench:
     def _keep(self, found: Fit) -> Fit:
         """Keep the best fit of a hypothesis; what has converged goes before what has not."""
         old = self._fits.get(found.causes)
-        if old is None or old.provisional or (found.converged, -found.chi2) > (old.converged, -old.chi2):
+        if old is None or old.provisional or _better(self.target, found, old):
             self._fits[found.causes] = found
             self._tangents.pop(found.causes, None)
             self._thresholds.pop(found.causes, None)
@@ -133,6 +141,11 @@ class Bench:
             else:
                 self.unconverged[name] = found.reason
         return self._fits[found.causes]
+
+    @property
+    def fits(self) -> Mapping[tuple[int, ...], Fit]:
+        """Every hypothesis fitted so far, and its best fit."""
+        return self._fits
 
     def fitted(self, causes: tuple[int, ...]) -> Fit:
         """Return the best fit so far of a hypothesis."""
@@ -165,33 +178,63 @@ class Bench:
         if causes in self._fits:
             return self._fits[causes]
         self.progress(f"fitting {self.title(causes)}", len(self._fits), len(self._fits) + 1)
+        if causes in self.known:
+            again = self._follow(causes, self.known[causes].u, self.known[causes].slope, most)
+            if again.converged:
+                return self._keep(again)
         at_ = self.tangent(at)
         combinations_ = _products([[s for s in at_.signatures if s.cause == k] for k in added])
         gains = [combined_gain(self.model, at_, c) for c in combinations_]
         order = sorted(range(len(gains)), key=lambda n: -gains[n])[:_SHAPES]
+        thorough = self.far(added) and self.bad(at) and most > self.explained(at)
         found: list[Fit] = []
         for n in order:
             near = self._near(at, causes, combinations_[n], most)
-            if near.converged and abs(at.chi2 - near.chi2 - gains[n]) < _NONLINEAR * gains[n] + 1.0:
+            linear = near.converged and abs(at.chi2 - near.chi2 - gains[n]) < _NONLINEAR * gains[n] + 1.0
+            if linear and not thorough:
                 return self._keep(min([*found, near], key=lambda f: (not f.converged, f.chi2)))
             found.append(near)
+            if self._explains(at, near):
+                break
         first = min(found, key=lambda f: (not f.converged, f.chi2), default=None)
         if first is not None and first.converged and not self.far(added):
             return self._keep(first)
         known = {} if first is None else first.slope
-        trials: list[Fit] = []
-        for start in self._more_starts(at, added, first):
-            trial = approach(self.model, self.target, causes, start, known) if known else None
-            trials.append(fit(self.model, self.target, causes, start) if trial is None else trial)
-        # Slopes from elsewhere lead a far start only so far: the most hopeful one is followed with its own.
+        if first is not None and self._explains(at, first):
+            # It has explained what there was: others must do better still.
+            thorough, most = False, min(most, first.chi2)
+        # Slopes from elsewhere lead a far start astray: an exchange of axes is worse than none before all else is
+        # fitted anew. What a cause names is followed with its own slopes where something is wrong, the most hopeful
+        # of the others where it may matter.
+        trials = [self._tried(causes, u, {} if thorough else known) for u in self._starts(at, added, thorough)]
+        trials += [self._tried(causes, u, known) for u in self._either_way(at, added, first)]
         best = min(trials, key=lambda f: f.chi2, default=None)
-        if best is not None and not best.converged and best.chi2 < at.chi2:
+        if best is not None and best.provisional and self._worth_following(at, best, most):
             trials.append(fit(self.model, self.target, causes, best.u))
         return self._keep(min([*found, *trials], key=lambda f: (not f.converged, f.chi2)))
+
+    def _worth_following(self, at: Fit, found: Fit, most: float) -> bool:
+        """Whether a fit that has not come below `most` has gone a part of the way, or may get there."""
+        gained, needed = at.chi2 - found.chi2, at.chi2 - most
+        hopeful = not found.converged and gained + OPTIMISM * found.promised > needed
+        return gained > 0.0 and (hopeful or (most > self.explained(at) and _PART * needed < gained < needed))
+
+    def _explains(self, at: Fit, found: Fit) -> bool:
+        """Whether a fit explains what another leaves."""
+        return found.converged and found.chi2 <= self.explained(at) < at.chi2
 
     def far(self, added: Sequence[int]) -> bool:
         """Whether some causes may act far from their null only."""
         return any(self.model.causes[k].starts for k in added)
+
+    def bad(self, at: Fit) -> bool:
+        """Whether a fit leaves more than noise: then a cause is looked for far from its null too."""
+        return fitted_misfit(self, at).chance < BAND
+
+    def explained(self, at: Fit) -> float:
+        """Misfit from which on what a fit leaves counts as explained: what noise hardly exceeds, and a little of it."""
+        values = float(sum(y.size for y in self.target.observed.values()))
+        return values + 4.0 * float(np.sqrt(2.0 * values)) + _LITTLE * max(at.chi2 - values, 0.0)
 
     def first_order(self, at: Fit, k: int) -> float:
         """Likelihood ratio of one more cause as the linearisation has it."""
@@ -220,31 +263,52 @@ class Bench:
                     s = next(x for x in signatures if j in self.model.of_cause[x.cause])
                     columns.append(s.slope[r][:, int(j) - int(self.model.of_cause[s.cause][0])])
             slope[r] = np.stack(columns, axis=1) if columns else np.zeros((self.target.observed[r].size, 0))
-        near = approach(self.model, self.target, causes, start, slope)
+        return self._follow(causes, start, slope, most)
+
+    def _follow(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real], most: float) -> Fit:
+        """Fit with given slopes, and with its own where these do not lead to the end and it may come below `most`."""
+        near = approach(self.model, self.target, causes, start, slope, most)
         if near is None:
             return fit(self.model, self.target, causes, start)
-        if near.converged:
-            return near
-        if _hopeless(near, most):
-            return replace(near, converged=True, reason="")
-        return fit(self.model, self.target, causes, near.u, near.slope)
+        return near if near.converged else fit(self.model, self.target, causes, near.u, near.slope)
 
-    def _more_starts(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
-        """Return starts for a cause that is far from linear: those it names, one scale either way, the other sign."""
+    def _tried(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real]) -> Fit:
+        """Fit from a start with slopes from elsewhere, where there are any."""
+        found = approach(self.model, self.target, causes, start, slope) if slope else None
+        return fit(self.model, self.target, causes, start) if found is None else found
+
+    def _starts(self, at: Fit, added: Sequence[int], thorough: bool) -> list[Real]:
+        """Return the starts that causes name because they act far from their null: the best, or those not astray."""
         found: list[Real] = []
         for k in added:
             mine = self.model.of_cause[k]
             for given in self.model.causes[k].starts:
-                start = at.u.copy()
-                start[mine] = (np.array(given, dtype=float) - self.model.start[mine]) / self.model.scale[mine]
-                found.append(start)
+                # Where the baseline is far off its nuisances have gone astray with it.
+                both = [at.u.copy(), np.where(np.isin(np.arange(at.u.size), self.model.nuisance), 0.0, at.u)]
+                for start in both:
+                    start[mine] = (np.array(given, dtype=float) - self.model.start[mine]) / self.model.scale[mine]
+                found.append(min(both, key=self._misfit))
+        if thorough:
+            return sorted(found, key=self._misfit)[:_NAMED]
+        return [u for u in found if self._misfit(u) < _ASTRAY * at.chi2]
+
+    def _either_way(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
+        """Return starts one scale either way, or on the other side."""
+        found: list[Real] = []
+        for k in added:
+            mine = self.model.of_cause[k]
             for sign in (1.0, -1.0):
                 start = (at.u if best is None else best.u).copy()
                 start[mine] = np.clip(
                     sign if best is None else -sign * best.u[mine], self.model.low[mine], self.model.high[mine]
                 )
                 found.append(start)
-        return found if best is None else [s for s in found if not np.array_equal(s, best.u)]
+        near = [u for u in found if self._misfit(u) < _ASTRAY * at.chi2]
+        return near if best is None else [u for u in near if not np.array_equal(u, best.u)]
+
+    def _misfit(self, u: Real) -> float:
+        """Misfit of some values."""
+        return misfit(self.model, self.target, self.model.nuisance, u, residuals(self.model, self.target, u))
 
     def reduce(self, at: Fit, dropped: int) -> Fit:
         """Fit a hypothesis that has a cause less, from the nuisances of the larger one as well."""
@@ -281,9 +345,11 @@ class Bench:
         return self.held_out(at, chosen) if chosen else within(self.model, self.target, at)
 
 
-def _hopeless(found: Fit, most: float) -> bool:
-    """Whether a fit that has not converged will not come below a misfit."""
-    return found.chi2 - _OPTIMISM * found.promised > most
+def _better(target: Target, found: Fit, old: Fit) -> bool:
+    """Whether a fit is better than another by more than either is known."""
+    if found.converged != old.converged:
+        return found.converged
+    return found.chi2 < old.chi2 - (tolerance(target, old.chi2) if found.converged else 0.0)
 
 
 def fitted_misfit(bench: Bench, at: Fit) -> Misfit:
@@ -301,8 +367,15 @@ def _products(options: Sequence[Sequence[Signature]]) -> list[tuple[Signature, .
     return found
 
 
-def search(bench: Bench) -> tuple[Fit, list[Step]]:
+def search(bench: Bench, most: int = MOST_CAUSES) -> tuple[Fit, list[Step]]:
     """Take causes in as long as they pass, and drop what has become idle.
+
+    Parameters
+    ----------
+    bench : Bench
+        Fits and data.
+    most : int, optional
+        Causes at which the search ends.
 
     Returns
     -------
@@ -312,7 +385,7 @@ def search(bench: Bench) -> tuple[Fit, list[Step]]:
     at = bench.null()
     seen: set[tuple[int, ...]] = {()}
     ladder: list[Step] = []
-    while len(at.causes) < MOST_CAUSES:
+    while len(at.causes) < most:
         step = _best_step(bench, at, ladder)
         if step is None:
             return bench.fitted(at.causes), ladder
@@ -342,7 +415,12 @@ def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> li
     """Causes that come near a limit to first order, and the best few: those that are worth a fit."""
     gains = {k: bench.first_order(at, k) - PENALTY * parameters_of(bench.model, [k]) for k in others}
     ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k])), key=lambda k: -gains[k])
-    return [k for n, k in enumerate(ordered) if n < _LEAST_TRIED or gains[k] > _PROMISING * limit]
+    bad = bench.bad(at)
+    return [
+        k
+        for n, k in enumerate(ordered)
+        if n < _LEAST_TRIED or gains[k] > _PROMISING * limit or (bad and bench.far([k]))
+    ]
 
 
 def _passing(bench: Bench, at: Fit, added: Sequence[int], limit: float) -> float:

@@ -36,6 +36,9 @@ SEVERAL = 8
 ROUGH = 3.0
 """Decrease [chi-square] that may be promised where no part of the step brings any: a kink of the prediction there."""
 
+OPTIMISM = 3.0
+"""How many times what a linear step promises a fit may still come down: more than that from a goal it is hopeless."""
+
 _CYCLES = 8
 _STEPS = 12
 _FRACTIONS = (1.0, 0.5, 0.2, 0.05)
@@ -152,6 +155,12 @@ def _least(r: Real, aim: Real) -> Real:
     return np.asarray(np.linalg.lstsq(r, aim, rcond=1e-9)[0])
 
 
+def tolerance(target: Target, chi2: float) -> float:
+    """Return by how much a misfit need not be known better."""
+    values = sum(y.size for y in target.observed.values())
+    return max(TOLERANCE, RELATIVE_TOLERANCE * chi2, BAD_TOLERANCE * (chi2 - 2.0 * values))
+
+
 @dataclass
 class _State:
     """Where a fit stands."""
@@ -170,8 +179,7 @@ class _State:
 
     @property
     def tolerance(self) -> float:
-        values = sum(y.size for y in self.target.observed.values())
-        return max(TOLERANCE, RELATIVE_TOLERANCE * self.chi2, BAD_TOLERANCE * (self.chi2 - 2.0 * values))
+        return tolerance(self.target, self.chi2)
 
     def step(self, slope: Mapping[int, Real]) -> tuple[Real, float]:
         assert self.residual is not None
@@ -193,12 +201,15 @@ class _State:
                 return gained
         return 0.0
 
-    def descend(self, slope: Mapping[int, Real]) -> tuple[Mapping[int, Real], float]:
-        """Take steps while they serve; return the slopes as corrected on the way and the decrement left."""
+    def descend(self, slope: Mapping[int, Real], most: float = np.inf) -> tuple[Mapping[int, Real], float]:
+        """Take steps while they serve and, after the first, while a misfit of `most` is in reach.
+
+        Return the slopes as corrected on the way and the decrement left.
+        """
         promised = 0.0
-        for _ in range(_STEPS):
+        for n in range(_STEPS):
             step, promised = self.step(slope)
-            if promised < 0.1 * self.tolerance:
+            if promised < 0.1 * self.tolerance or (n and self.chi2 - OPTIMISM * promised > most):
                 break
             u, residual = self.u, self.residual
             came_true = self.advance(step) / promised
@@ -274,13 +285,22 @@ def fit(
     return state.done(chosen, fresh, f"not converged: a linear step still promises {decrement:.3g} of chi-square")
 
 
-def approach(model: Model, target: Target, causes: Sequence[int], start: Real, slope: Mapping[int, Real]) -> Fit | None:
+def approach(
+    model: Model,
+    target: Target,
+    causes: Sequence[int],
+    start: Real,
+    slope: Mapping[int, Real],
+    most: float = np.inf,
+) -> Fit | None:
     """Fit with given slopes only, corrected on the way; None where nothing is predicted.
 
     Parameters
     ----------
     model, target, causes, start, slope
         As in `fit`.
+    most : float, optional
+        Largest misfit that would matter: what will not come below it has lost, and is followed no further.
     """
     chosen = tuple(sorted(causes))
     free = model.free(chosen)
@@ -289,8 +309,9 @@ def approach(model: Model, target: Target, causes: Sequence[int], start: Real, s
     state = _State.at(model, target, free, u)
     if state.residual is None:
         return None
-    slope, promised = state.descend(slope)
-    left = "" if promised <= max(state.tolerance, ROUGH) else f"a linear step still promises {promised:.3g}"
+    slope, promised = state.descend(slope, most)
+    done = promised <= max(state.tolerance, ROUGH) or state.chi2 - OPTIMISM * promised > most
+    left = "" if done else f"a linear step still promises {promised:.3g}"
     return replace(state.done(chosen, slope, left), provisional=True, promised=promised)
 
 

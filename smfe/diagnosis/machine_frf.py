@@ -29,6 +29,7 @@ from smfe.diagnosis.model import Model
 from smfe.diagnosis.problem import Cause, Condition, Parameter, Real, Values
 
 _RATE = 2000.0  # samples and steps a second of a simulated hit
+_ACCURACY = 1e-4  # of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters
 _KEPT = 20000
 
 UNSURE = 0.5
@@ -199,6 +200,7 @@ def _struck(
             forces={axis: pulse},
             sample_rate=rate,
             step=1.0 / rate,
+            accuracy=_ACCURACY,
         )
         for i, (response, excitation) in enumerate(excited.entries):
             if excitation == axis:

@@ -125,6 +125,19 @@ def test_hits_that_break_away_are_not_worth_their_mean_and_as_hit_makes_up_for_i
     assert corrected < 0.7 * plain
 
 
+@pytest.mark.parametrize("level", [1.3, 1.5])
+def test_a_hit_that_breaks_the_guideway_away_changes_smoothly_with_the_machine(level):
+    found = MachineFrfs(baseline(), (nominal(level=level),))
+    values, excited = values_of(found), found.conditions[0].data
+    machines = (
+        found.baseline.machine(found.baseline.effective(values | {"stiffness": k * values["stiffness"]}, {}, 0.0))
+        for k in np.linspace(1.0, 1.02, 41)
+    )
+    every = np.array([compliance_under(m, excited)[:, 0] for m in machines])
+    bend = np.linalg.norm(np.diff(every, 2, axis=0), axis=1) / np.linalg.norm(every[0])
+    assert bend.max() < 2.5 * np.median(bend)
+
+
 def test_smooth_errors_have_the_stated_size_and_are_smooth():
     frequency, size = np.geomspace(10.0, 100.0, 200), 1e-6 * (1.0 + np.arange(200.0))[:, None]
     rows = smooth_errors(frequency, size, 0.01)
