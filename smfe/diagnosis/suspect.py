@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import pandas as pd
 
@@ -37,6 +37,13 @@ class Suspect:
 
 
 def suspect_table(suspects: Sequence[Suspect]) -> pd.DataFrame:
-    """Return the suspicions as a table, faults first."""
-    ranked = sorted(suspects, key=lambda s: LEVELS.index(s.level))
-    return pd.DataFrame([asdict(s) for s in ranked], columns=["cause", "level", "where", "evidence", "advice"])
+    """Return the suspicions as a table, faults first; channels of which the same is said share a row."""
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for s in sorted(suspects, key=lambda s: LEVELS.index(s.level)):
+        record, _, channel = s.where.rpartition(", ")
+        rows.setdefault((s.cause, s.level, record, s.evidence, s.advice), []).append(channel)
+    table = [
+        (cause, level, ", ".join([record, *channels] if record else channels), evidence, advice)
+        for (cause, level, record, evidence, advice), channels in rows.items()
+    ]
+    return pd.DataFrame(table, columns=["cause", "level", "where", "evidence", "advice"])

@@ -14,6 +14,7 @@ from smfe.diagnosis.audit import check
 from smfe.diagnosis.channel_checks import channel_suspects, clock_suspects, converter_step, tone_suspects, tones
 from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspects, skew_suspects
 from smfe.diagnosis.hammer_checks import hit_suspects
+from smfe.diagnosis.suspect import suspect_table
 
 DATASETS = Path(__file__).parents[2] / "datasets"
 RATE = 2000.0
@@ -169,6 +170,16 @@ class TestHits:
         assert "joint_micro_slip" in causes(hit_suspects("hammer", {"x": [record]}))
         even = hammer_trial(MACHINE, "x", (1.0, 1.1, 0.9), sensors, np.random.default_rng(5))
         assert hit_suspects("hammer", {"x": [even]}) == []
+
+
+def test_what_is_said_of_several_channels_takes_one_row():
+    zeros = np.random.default_rng(1).standard_normal(16000)
+    zeros[4000:8000] = 0.0
+    found = channel_suspects(noisy_record(force_x=zeros, force_y=zeros, acceleration_z=zeros + 3.0), "a, b.csv")
+    assert len(found) == 3
+    table = suspect_table(found)
+    assert table["level"].tolist() == ["warning", "note"]
+    assert table["where"].tolist() == ["a, b.csv, acceleration_z", "a, b.csv, force_x, force_y"]
 
 
 @pytest.mark.skipif("SMFE_DATA" not in os.environ, reason="needs the public data sets (SMFE_DATA)")

@@ -29,6 +29,9 @@ from smfe.diagnosis.engine import diagnose
 SEEDS = {"null": 150_000, "effect": 160_000, "unknown": 170_000, "noisy": 180_000}
 """First seed of each part; none of them was used while the diagnosis was tuned."""
 
+NULLS, EACH = 300, 40
+"""A full exam: how often nothing is hidden, and seeds of each effect."""
+
 LOUD, NOISY = 40.0, 20.0
 """Signal over noise [dB]."""
 
@@ -212,7 +215,12 @@ def page(answers):
 
 
 def _section(title, answers):
-    lines = [f"## {title}", "", "| item | target | measured | met |", "| --- | --- | --- | --- |"]
+    nulls = sum(a.case.part == "null" for a in answers)
+    seeds = max(Counter(a.case.hidden for a in answers if a.case.part == "effect").values(), default=0)
+    lines = [f"## {title}", ""]
+    if nulls < NULLS or seeds < EACH:
+        lines += [f"Sat so far: {nulls} of {NULLS} nulls, {seeds} of {EACH} seeds of an effect.", ""]
+    lines += ["| item | target | measured | met |", "| --- | --- | --- | --- |"]
     lines += [f"| {s.item} | {s.target} | {s.measured} | {'yes' if s.met else 'no'} |" for s in scores(answers)]
     lines += ["", "| hidden | cause | said |", "| --- | --- | --- |"]
     lines += [f"| {hidden} | {cause} | {said} |" for hidden, cause, said in confusion(answers)]
@@ -267,8 +275,8 @@ def main():
     """Sit the exam and write its page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--nulls", type=int, default=300)
-    parser.add_argument("--seeds", type=int, default=40)
+    parser.add_argument("--nulls", type=int, default=NULLS)
+    parser.add_argument("--seeds", type=int, default=EACH)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--subjects", default=",".join(SUBJECTS))
     parser.add_argument("--afresh", action="store_true")
