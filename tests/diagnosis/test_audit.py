@@ -173,9 +173,9 @@ class TestHits:
 
 
 def test_what_is_said_of_several_channels_takes_one_row():
-    zeros = np.random.default_rng(1).standard_normal(16000)
-    zeros[4000:8000] = 0.0
-    found = channel_suspects(noisy_record(force_x=zeros, force_y=zeros, acceleration_z=zeros + 3.0), "a, b.csv")
+    held = np.random.default_rng(1).standard_normal((3, 16000))
+    held[:2, 4000:8000], held[2, 4000:8000] = 0.0, 3.0
+    found = channel_suspects(noisy_record(force_x=held[0], force_y=held[1], acceleration_z=held[2]), "a, b.csv")
     assert len(found) == 3
     table = suspect_table(found)
     assert table["level"].tolist() == ["warning", "note"]
