@@ -40,6 +40,7 @@ _CLOSE = 5.0
 _FAR = 50.0
 _PART = 0.1
 _ASTRAY = 3.0
+_HALFWAY = 0.5
 _NAMED = 2
 _LITTLE = 0.005
 
@@ -204,9 +205,9 @@ class Bench:
             # It has explained what there was: others must do better still.
             thorough, most = False, min(most, first.chi2)
         # Slopes from elsewhere lead a far start astray: an exchange of axes is worse than none before all else is
-        # fitted anew. What a cause names is followed with its own slopes where something is wrong, the most hopeful
-        # of the others where it may matter.
-        trials = [self._tried(causes, u, {} if thorough else known) for u in self._starts(at, added, thorough)]
+        # fitted anew. What a cause names is followed with its own slopes where something is wrong or it explains much
+        # as it stands, the most hopeful of the others where it may matter.
+        trials = self._from_starts(at, causes, added, known, thorough)
         trials += [self._tried(causes, u, known) for u in self._either_way(at, added, first)]
         best = min(trials, key=lambda f: f.chi2, default=None)
         if best is not None and best.provisional and self._worth_following(at, best, most):
@@ -271,6 +272,16 @@ class Bench:
         if near is None:
             return fit(self.model, self.target, causes, start)
         return near if near.converged else fit(self.model, self.target, causes, near.u, near.slope)
+
+    def _from_starts(
+        self, at: Fit, causes: tuple[int, ...], added: Sequence[int], known: Mapping[int, Real], thorough: bool
+    ) -> list[Fit]:
+        """Fit from the starts that causes name."""
+        found = []
+        for u in self._starts(at, added, thorough):
+            own = thorough or self._misfit(u) < _HALFWAY * at.chi2
+            found.append(self._tried(causes, u, {} if own else known))
+        return found
 
     def _tried(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real]) -> Fit:
         """Fit from a start with slopes from elsewhere, where there are any."""

@@ -149,6 +149,10 @@ def _signature(
     return Signature(k, free, at, columns, raw, slope)
 
 
+_JOINTLY = 2
+"""Shape parameters that are varied together; of more, most are silent because the sensors do not see them."""
+
+
 def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
     """Values of the shape parameters to take the signature at."""
     own = fit.u[silent]
@@ -157,8 +161,10 @@ def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
     position = silent - model.of_cause[k][0]
     given = [np.array(s, dtype=float)[position] for s in model.causes[k].starts]
     found = [own, *((g - model.start[silent]) / model.scale[silent] for g in given)]
-    if not given:
+    if not given and silent.size <= _JOINTLY:
         found += [own + np.array(step) for step in product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=silent.size)]
+    elif not given:
+        found += [own + step * unit for unit in np.eye(silent.size) for step in (-2.0, -1.0, 1.0, 2.0)]
     inside_bounds = [np.clip(f, model.low[silent], model.high[silent]) for f in found]
     return list({f.tobytes(): f for f in inside_bounds}.values())
 

