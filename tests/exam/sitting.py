@@ -151,6 +151,7 @@ def _nulls(nulls):
     for item, count in (("Not consistent where nothing is wrong", alarms), ("A cause blamed there", named)):
         bound = upper(count, len(nulls))
         text = f"{count} of {len(nulls)}, upper bound {100 * bound:.1f} %"
+        text += " (too few to show 2 %)" if allowed > 0.02 else ""
         found.append(Score(item, "upper bound <= 2 %", text, bound <= allowed))
     return found
 
