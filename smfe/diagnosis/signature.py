@@ -150,7 +150,7 @@ def _signature(
 
 
 _JOINTLY = 2
-"""Shape parameters that are varied together; of more, most are silent because the sensors do not see them."""
+"""Shape parameters that are varied; of more, most are silent because the sensors do not see them."""
 
 
 def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
@@ -163,8 +163,6 @@ def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
     found = [own, *((g - model.start[silent]) / model.scale[silent] for g in given)]
     if not given and silent.size <= _JOINTLY:
         found += [own + np.array(step) for step in product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=silent.size)]
-    elif not given:
-        found += [own + step * unit for unit in np.eye(silent.size) for step in (-2.0, -1.0, 1.0, 2.0)]
     inside_bounds = [np.clip(f, model.low[silent], model.high[silent]) for f in found]
     return list({f.tobytes(): f for f in inside_bounds}.values())
 
