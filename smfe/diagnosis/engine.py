@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from smfe.diagnosis.blind_spots import revealing
 from smfe.diagnosis.by_condition import by_condition
 from smfe.diagnosis.calibration import parameters_of
 from smfe.diagnosis.cross_validation import BAND, Gain, compare, opened
@@ -133,7 +134,7 @@ def _finding(laid: _Laid, at: Fit, ladder: Sequence[Step]) -> Finding:
         power=power,
         inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
         unconverged=tuple(sorted(bench.unconverged.items())),
-        next_experiment=_next(bench, at, judged, laid.proposals),
+        next_experiment=_next(bench, at, judged, laid.proposals, limit),
         threshold=limit if math.isfinite(limit) else None,
         conditions=by_condition(model, bench.null(), at, laid.aside),
         values=model.values(at.u),
@@ -253,8 +254,10 @@ def _opened(bench: Bench, at: Fit, aside: dict[int, NDArray[np.float64]]) -> Gai
     return compare(before, after, bench.rng(5, parameters_of(bench.model, at.causes)))
 
 
-def _next(bench: Bench, at: Fit, judged: Judgement, rows: Sequence[int]) -> Proposal | None:
-    """Return the proposal that settles best which of the first open set is right."""
+def _next(bench: Bench, at: Fit, judged: Judgement, rows: Sequence[int], limit: float) -> Proposal | None:
+    """Return the proposal that settles best which of the first open set is right, or shows what could be hidden."""
+    if judged.verdict == "consistent":
+        return revealing(bench.model, bench.target, at, limit, rows)
     if not judged.sets:
         return None
     k, fits = next(iter(judged.sets.items()))

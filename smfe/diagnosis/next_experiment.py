@@ -29,7 +29,8 @@ TRIED = 5
 """Proposals that are examined with the rivals fitted anew."""
 
 _NOTHING = 0.1  # of chi-square
-_MINUTES = 5.0  # where a proposal does not say
+MINUTES = 5.0
+"""What a proposal takes that does not say."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,10 @@ class Proposal:
     name : str
         Of the condition.
     discrimination : float
-        D of the pair that it separates worst [chi-square], what was measured included.
+        D of the pair that it separates worst [chi-square], what was measured included; NaN where nothing has to be
+        told apart and it is to show what could be hidden.
     chance : float
-        Probability that it settles that pair.
+        Probability that it settles that pair, or shows what it is said to show.
     expected : str
         What to look for.
     minutes : float or None
@@ -103,7 +105,7 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
             f"least; it settles the question with {100.0 * chance:.0f} %"
         )
         found.append(Proposal(model.conditions[row].name, worst.chi2, chance, words, _minutes(model, row)))
-    return sorted(found, key=lambda p: ((p.minutes or _MINUTES) / max(p.chance, 1e-9), -p.discrimination))
+    return sorted(found, key=lambda p: ((p.minutes or MINUTES) / max(p.chance, 1e-9), -p.discrimination))
 
 
 def _imitates(rival: Fit, truth: Fit) -> bool:
@@ -119,7 +121,7 @@ def _promising(model: Model, open_: Sequence[Fit], rows: Sequence[int]) -> list[
         known = [y for y in predicted if y is not None]
         if len(known) == len(predicted):
             apart = min((float(np.sum((a - b) ** 2)) for a, b in combinations(known, 2)), default=0.0)
-            worth[row] = apart / (_minutes(model, row) or _MINUTES)
+            worth[row] = apart / (_minutes(model, row) or MINUTES)
     return sorted(worth, key=lambda row: -worth[row])[:TRIED]
 
 

@@ -1,7 +1,8 @@
 """What size of each cause would have been seen: the other half of "nothing was found".
 
 A cause of size s has the noncentrality ``s^2 g`` with g the square of its signature; seen with 95 % is the size at
-which the noncentral distribution of the likelihood ratio lies above the threshold with that probability.
+which the noncentral distribution of the likelihood ratio lies above the threshold with that probability. Where the
+effect has a shape (the speed of a Stribeck effect, the frequency of a mode), the one that shows least counts.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...
                 continue
             level = limit + PENALTY * parameters_of(model, [k])
             seen, proven = (
-                min((_size(model, s, int(j), x) for s in acting), default=math.inf) for x in (level, max(level, PROVEN))
+                max((_size(model, s, int(j), x) for s in acting), default=math.inf) for x in (level, max(level, PROVEN))
             )
             unit = parameter.scale * parameter.shown
             possible = bool(seen <= max(model.high[j], -model.low[j]))

@@ -7,7 +7,7 @@ taken at several of its values, and the best of them counts (Davies, Biometrika 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -97,13 +97,13 @@ def inside(model: Model, fit: Fit) -> NDArray[np.bool_]:
     return np.asarray((u > low + 1e-9) & (u < high - 1e-9) | np.isin(fit.free, model.nuisance))
 
 
-def tangent(model: Model, target: Target, fit: Fit) -> Tangent:
-    """Linearise a fit and take the signatures of all other causes there."""
+def tangent(model: Model, target: Target, fit: Fit, causes: Sequence[int] | None = None) -> Tangent:
+    """Linearise a fit and take the signatures of all other causes there, or of some of them."""
     slope, residual = stacked(model, target, fit.free, fit.u, fit.residual, fit.slope)
     basis = orthonormal(slope[:, inside(model, fit)])
     found: list[Signature] = []
     silent: list[int] = []
-    for k in range(len(model.causes)):
+    for k in range(len(model.causes)) if causes is None else causes:
         if k not in fit.causes:
             own = _signatures(model, target, fit, k, basis)
             found += own

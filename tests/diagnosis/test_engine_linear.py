@@ -302,6 +302,23 @@ def test_no_experiment_is_advised_that_would_not_settle_it():
     assert found.next_experiment is None
 
 
+def test_where_nothing_is_wrong_the_next_experiment_is_the_one_that_shows_what_is_hidden():
+    fast = replace(FAMILY, conditions=grid((6.0, 7.0)), causes=(FRICTION, GAIN))
+    slow, faster = (Condition(f"feed {f:g}", {"feed": f, "direction": 1.0, "order": 9.0}) for f in (0.5, 8.0))
+    found = diagnose(measured(replace(fast, proposals=(faster, slow)), {}, 0))
+    assert found.verdict == "consistent"
+    assert found.next_experiment.name == "feed 0.5"
+    # One-sided; the nuisances are known from the other conditions and take next to nothing away.
+    level = found.threshold + PENALTY
+    g = (2 * np.exp(-12.0) + 2 * np.exp(-14.0) + np.exp(-1.0)) * float(BASIS[2] @ BASIS[2])
+    size = 1e3 * sqrt(noncentrality(level, 1, True) / g)
+    assert found.next_experiment.expected.endswith(f"Friction (friction.0) of {size:.2g} m")
+    assert diagnose(measured(replace(fast, proposals=(faster,)), {}, 0)).next_experiment is None
+    shown = diagnose(measured(replace(FAMILY, causes=(GAIN,), proposals=(faster, slow)), {}, 0))
+    assert shown.verdict == "consistent"
+    assert shown.next_experiment is None
+
+
 def test_the_chance_to_settle_is_what_a_simulation_finds():
     rng = np.random.default_rng(2)
     for d in (5.0, 12.0, 30.0):

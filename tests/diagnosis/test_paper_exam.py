@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from exam.records import family
 from truth.axis import MM_MIN, Joint, Servo, Truth
@@ -12,9 +11,6 @@ from truth.chain import Chain
 from truth.effects import SHARE_PER_DROP
 
 from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.fit import Target, fit
-from smfe.diagnosis.model import Model
-from smfe.diagnosis.next_experiment import rank
 
 pytestmark = pytest.mark.slow
 
@@ -58,25 +54,23 @@ def test_coulomb_friction_is_convicted_of_missing_stribeck_where_transition_feed
     assert values["stribeck_speed"] == pytest.approx(387.4, rel=0.05)
 
 
-def test_at_rest_and_at_fast_feeds_nothing_is_missed_and_a_transition_feed_would_tell():
+def test_at_rest_and_at_fast_feeds_nothing_is_missed_and_the_next_experiment_is_a_transition_feed():
     plain = family(measured(Truth(), *forth(*FAST)), "coulomb")
-    assert diagnose(plain).verdict == "consistent"
-    like, feeds = plain.conditions[-1], (25.0, 100.0, 250.0, 1000.0, 2000.0)
-    proposals = [
+    like, feeds = plain.conditions[-1], (2000.0, 1000.0, 250.0, 100.0, 25.0)
+    proposals = tuple(
         replace(like, name=f"{f:g}", observed=None, data=replace(like.data, feed={"x": f * MM_MIN})) for f in feeds
-    ]
-    model = Model(plain, [*plain.conditions, *proposals])
-    target = Target({r: c.observed for r, c in enumerate(plain.conditions)}, model.null())
-    (k,) = (k for k, c in enumerate(model.causes) if c.variant == "stribeck")
-    mine, start = model.of_cause[k], model.null()
-    start[mine] = (np.array([42.0, 400.0 * MM_MIN]) - model.start[mine]) / model.scale[mine]
-    coulomb, stribeck = fit(model, target, (), model.null()), fit(model, target, (k,), start)
-    assert coulomb.chi2 - stribeck.chi2 < 12.0
-    u = np.where(np.isin(np.arange(start.size), mine), start, coulomb.u)
-    ranked = rank(model, target, [coulomb, replace(stribeck, u=u)], range(len(plain.conditions), len(model.conditions)))
-    told = {p.name: p.discrimination for p in ranked}
-    assert {p.name for p in ranked[:3]} == {"25", "100", "250"}
-    assert min(told[f] for f in ("25", "100", "250")) > 2.0 * told["1000"]
+    )
+    found = diagnose(replace(plain, proposals=proposals))
+    assert found.verdict == "consistent"
+    assert float(found.next_experiment.name) <= 250.0
+    assert "Stribeck friction of the guideway (static_rise)" in found.next_experiment.expected
+    (fast,) = (p.size for p in found.power if p.parameter == "static_rise")
+    assert 25.0 < fast < 60.0  # N: what Table 1 has is not seen for sure at these feeds
+    # With that feed measured, on a machine with Coulomb friction alone, a third of the effect of Table 1 would be seen.
+    rubs = replace(Truth().friction, static=Truth().friction.coulomb)
+    slow = diagnose(family(measured(replace(Truth(), friction=rubs), *forth(100.0, *FAST)), "coulomb"))
+    assert slow.verdict == "consistent"
+    assert next(p.size for p in slow.power if p.parameter == "static_rise") < 13.0
 
 
 def test_a_low_velocity_gain_with_an_integral_time_of_10_ms_is_named_as_servo_gains():

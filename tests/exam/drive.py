@@ -28,8 +28,8 @@ SLIDING = ("stribeck", "thinning")
 """Effects that need a guideway that rubs; friction itself needs one that does not. The others get either."""
 
 
-def axis_of(effects, seed):
-    """The axis of a seed with effects hidden at the size that must be found; half of the axes rub."""
+def axis_of(effects, seed, size=1.0):
+    """The axis of a seed with effects hidden, `size` times as large as must be found; half of the axes rub."""
     rng = np.random.default_rng([seed, 7])
     axis = Axis().with_nuisances(rng)
     rubs = bool(rng.integers(2))
@@ -39,7 +39,7 @@ def axis_of(effects, seed):
         axis = replace(axis, coulomb=float(rng.uniform(0.75, 1.25) * FRICTION))
     for (name, effect), sign in zip(every.items(), signs, strict=True):
         if name in effects:
-            axis = effect.plant(axis, effect.size * (sign if effect.signed else 1.0))
+            axis = effect.plant(axis, size * effect.size * (sign if effect.signed else 1.0))
     return axis
 
 

@@ -7,6 +7,7 @@ has all of them. ``--afresh`` forgets them: after every change of the diagnosis.
 
 import argparse
 import json
+import math
 import os
 import statistics
 import sys
@@ -21,12 +22,13 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1] / "diagnosis"))
     import conftest  # noqa: F401
 
+import numpy as np
 from exam.subjects import SUBJECTS, Without
-from scipy import stats
+from scipy import optimize, stats
 
 from smfe.diagnosis.engine import diagnose
 
-SEEDS = {"null": 150_000, "effect": 160_000, "unknown": 170_000, "noisy": 180_000}
+SEEDS = {"null": 150_000, "effect": 160_000, "unknown": 170_000, "noisy": 180_000, "two": 190_000, "ladder": 200_000}
 """First seed of each part; none of them was used while the diagnosis was tuned."""
 
 NULLS, EACH = 300, 40
@@ -35,24 +37,37 @@ NULLS, EACH = 300, 40
 LOUD, NOISY = 40.0, 20.0
 """Signal over noise [dB]."""
 
+SIZES = (0.25, 0.5, 0.75, 1.5, 2.0)
+"""Rungs of the ladder beside 1, the size that must be found."""
+
 
 @dataclass(frozen=True)
 class Case:
-    """One sitting: subject, hidden effect (None: nothing), part of the exam, seed, signal over noise [dB]."""
+    """One sitting: subject, hidden effects, part, seed, signal over noise [dB], size over that which must be found."""
 
     subject: str
-    hidden: str | None
+    hidden: tuple[str, ...]
     part: str
     seed: int
     snr: float
+    size: float = 1.0
+
+    @property
+    def expected(self):
+        """Cause ids that should be named."""
+        return SUBJECTS[self.subject].causes(self.hidden)
+
+    @property
+    def words(self):
+        """What is hidden."""
+        return " + ".join(self.hidden) or "nothing"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What was hidden, what should be said, and what was said."""
+    """What was hidden and what was said."""
 
     case: Case
-    expected: str | None
     verdict: str
     causes: tuple[str, ...] = ()
     sets: tuple[tuple[str, ...], ...] = ()
@@ -66,13 +81,13 @@ class Answer:
 
     @property
     def right(self):
-        """Whether the true cause, and no other, is named."""
-        return self.verdict == "named" and self.causes == (self.expected,)
+        """Whether what was hidden, and nothing else, is named."""
+        return self.verdict == "named" and tuple(sorted(self.causes)) == self.case.expected
 
     @property
     def covered(self):
         """Whether the truth is named or among what remains open."""
-        return self.right or any(self.expected in s for s in self.sets)
+        return self.right or any(set(self.case.expected) <= set(s) for s in self.sets)
 
     @property
     def said(self):
@@ -85,17 +100,14 @@ class Answer:
 
 
 def examine(case):
-    """Hide an effect, diagnose, compare."""
-    subject = SUBJECTS[case.subject]
-    expected = subject.effects.get(case.hidden)
-    family = subject.hide(case.hidden, case.seed, case.snr)
+    """Hide effects, diagnose, compare."""
+    family = SUBJECTS[case.subject].hide(case.hidden, case.seed, case.snr, case.size)
     if case.part == "unknown":
-        family = Without(family, expected)
+        family = Without(family, *case.expected)
     start = time.process_time()
     found = diagnose(family)
     return Answer(
         case,
-        expected,
         found.verdict,
         tuple(c.id for c in found.causes),
         tuple(tuple(c.id for c in s) for s in found.alternatives),
@@ -106,12 +118,7 @@ def examine(case):
 
 def always(word):
     """A cheat: the same answer whatever the data."""
-
-    def answer(case):
-        expected = SUBJECTS[case.subject].effects.get(case.hidden)
-        return Answer(case, expected, *(("unknown",) if word == "unknown" else ("named", (word,))))
-
-    return answer
+    return lambda case: Answer(case, *(("unknown",) if word == "unknown" else ("named", (word,))))
 
 
 def upper(count, of):
@@ -138,6 +145,8 @@ def scores(answers):
     if by["unknown"]:
         text = "Unknown when the true cause is left out"
         found.append(_share(text, by["unknown"], lambda a: a.verdict in ("unknown", "insufficient_data"), 0.90))
+    if by["two"]:
+        found.append(_share("Both of two effects named", by["two"], lambda a: a.right, 0.80))
     return found
 
 
@@ -193,8 +202,46 @@ def confusion(answers):
     for hidden in dict.fromkeys(a.case.hidden for a in asked):
         mine = [a for a in asked if a.case.hidden == hidden]
         said = ", ".join(f"{word} {n}" for word, n in Counter(a.said for a in mine).most_common())
-        rows.append((hidden or "nothing", mine[0].expected or "nothing", said))
+        rows.append((mine[0].case.words, " + ".join(mine[0].case.expected) or "nothing", said))
     return rows
+
+
+def ladder(answers):
+    """Rows of the ladder: effect, and the sizes at which 50 % and 95 % are detected, and named right."""
+    rows = []
+    for hidden in dict.fromkeys(a.case.hidden for a in answers if a.case.part == "ladder"):
+        mine = [a for a in answers if a.case.hidden == hidden and a.case.part in ("ladder", "effect")]
+        sizes = np.array([a.case.size for a in mine])
+        rows.append((*hidden, len(mine), *(_sizes(sizes, [ok(a) for a in mine]) for ok in (_detected, _right))))
+    return rows
+
+
+def _detected(answer):
+    return answer.detected
+
+
+def _right(answer):
+    return answer.right
+
+
+def _sizes(size, seen):
+    """Sizes of 50 % and of 95 % by maximum likelihood of a logistic curve over the logarithm of the size, in words."""
+    seen = np.array(seen)
+    if seen.all():
+        return f"below {size.min():g}"
+    if not seen.any():
+        return f"above {size.max():g}"
+
+    def surprise(p):
+        rate = 1.0 / (1.0 + np.exp(-math.exp(p[1]) * (np.log(size) - p[0])))
+        return -float(np.sum(np.log(np.clip(np.where(seen, rate, 1.0 - rate), 1e-12, None))))
+
+    # Slopes within which a curve can be told apart at these rungs.
+    starts = [(m, k) for m in np.log((0.25, 0.5, 1.0, 2.0)) for k in np.log((2.0, 8.0))]
+    bounds = [(math.log(0.05), math.log(20.0)), (0.0, math.log(30.0))]
+    best = min((optimize.minimize(surprise, x, bounds=bounds) for x in starts), key=lambda r: r.fun)
+    middle, steep = best.x[0], math.exp(best.x[1])
+    return f"{math.exp(middle):.2f}, {math.exp(middle + math.log(19.0) / steep):.2f}"
 
 
 def page(answers):
@@ -225,22 +272,38 @@ def _section(title, answers):
     lines += [f"| {s.item} | {s.target} | {s.measured} | {'yes' if s.met else 'no'} |" for s in scores(answers)]
     lines += ["", "| hidden | cause | said |", "| --- | --- | --- |"]
     lines += [f"| {hidden} | {cause} | {said} |" for hidden, cause, said in confusion(answers)]
-    wrong = [a for a in answers if (a.case.part == "effect" and not a.right) or (a.case.part == "null" and a.detected)]
-    shown = "; ".join(f"{a.case.hidden or 'nothing'} {a.case.seed}: {a.said}" for a in wrong[:40])
+    rungs = ladder(answers)
+    if rungs:
+        lines += [
+            "",
+            "Sizes at which 50 % and 95 % are detected, and named right, over the size that must be found:",
+            "",
+        ]
+        lines += ["| hidden | answers | detected | named right |", "| --- | --- | --- | --- |"]
+        lines += [f"| {hidden} | {count} | {seen} | {right} |" for hidden, count, seen, right in rungs]
+    parts = ("effect", "two")
+    wrong = [a for a in answers if (a.case.part in parts and not a.right) or (a.case.part == "null" and a.detected)]
+    shown = "; ".join(f"{a.case.words} {a.case.seed}: {a.said}" for a in wrong[:40])
     return [*lines, "", "Not right (hidden, seed: said): " + (shown or "none") + ".", ""]
 
 
-def cases(subject, nulls, seeds):
-    """Every case of a subject; nulls and effects mixed, so that an exam that is cut short has some of each."""
-    levels = (40.0, 30.0, 20.0) if SUBJECTS[subject].noisy else (LOUD,) * 3
-    found = [(i / max(nulls, 1), Case(subject, None, "null", SEEDS["null"] + i, levels[i % 3])) for i in range(nulls)]
+def cases(name, nulls, seeds, rungs=0):
+    """Every case of a subject; all parts mixed, so that an exam that is cut short has some of each."""
+    subject = SUBJECTS[name]
+    levels = (40.0, 30.0, 20.0) if subject.noisy else (LOUD,) * 3
+    found = [(i / max(nulls, 1), Case(name, (), "null", SEEDS["null"] + i, levels[i % 3])) for i in range(nulls)]
     fewer = -(-seeds // 4)
-    parts = [("effect", seeds, LOUD), ("unknown", fewer, LOUD)]
-    if SUBJECTS[subject].noisy:
-        parts.append(("noisy", fewer, NOISY))
-    for k, name in enumerate(SUBJECTS[subject].effects):
-        for part, count, snr in parts:
-            found += [(i / count, Case(subject, name, part, SEEDS[part] + 100 * k + i, snr)) for i in range(count)]
+    parts = [("effect", seeds, LOUD, 1.0), ("unknown", fewer, LOUD, 1.0)]
+    parts += [("noisy", fewer, NOISY, 1.0)] if subject.noisy else []
+    parts += [("ladder", rungs, LOUD, size) for size in SIZES] if subject.sized else []
+    for k, effect in enumerate(subject.effects):
+        for part, count, snr, size in parts:
+            first = SEEDS[part] + 100 * k
+            found += [(i / count, Case(name, (effect,), part, first + i, snr, size)) for i in range(count)]
+    rng = np.random.default_rng(SEEDS["two"])
+    for i in range(seeds if subject.pairs else 0):
+        pair = subject.pairs[rng.integers(len(subject.pairs))]
+        found.append((i / seeds, Case(name, pair, "two", SEEDS["two"] + i, LOUD)))
     return [case for _, case in sorted(found, key=lambda x: x[0])]
 
 
@@ -257,15 +320,15 @@ def sit(every, kept, jobs):
             answer = future.result()
             answers.append(answer)
             print(json.dumps(asdict(answer)), file=out, flush=True)
-            c = answer.case
-            print(f"{len(answers)} {c.subject}: {c.hidden or 'nothing'}: {answer.said}", file=sys.stderr)
+            print(f"{len(answers)} {answer.case.subject}: {answer.case.words}: {answer.said}", file=sys.stderr)
     return answers
 
 
 def _read(line):
     found = json.loads(line)
+    case = found.pop("case")
     return Answer(
-        Case(**found.pop("case")),
+        Case(**case | {"hidden": tuple(case["hidden"])}),
         causes=tuple(found.pop("causes")),
         sets=tuple(tuple(s) for s in found.pop("sets")),
         **found,
@@ -278,6 +341,7 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("--nulls", type=int, default=NULLS)
     parser.add_argument("--seeds", type=int, default=EACH)
+    parser.add_argument("--rungs", type=int, default=EACH, help="seeds of each rung of the ladder of sizes")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--subjects", default=",".join(SUBJECTS))
     parser.add_argument("--afresh", action="store_true")
@@ -285,7 +349,9 @@ def main():
     kept = Path(".cache/exam/answers.jsonl")
     if arguments.afresh:
         kept.unlink(missing_ok=True)
-    every = [c for s in arguments.subjects.split(",") for c in cases(s, arguments.nulls, arguments.seeds)]
+    every = [
+        c for s in arguments.subjects.split(",") for c in cases(s, arguments.nulls, arguments.seeds, arguments.rungs)
+    ]
     arguments.out.write_text(page(sit(every, kept, arguments.jobs)))
 
 

@@ -6,6 +6,7 @@ family of models to be diagnosed. The answer is kept apart from it.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 from exam import drive, limits, modal
 from exam.records import family as axis_family
@@ -43,15 +44,40 @@ class Subject:
     effects : mapping
         Effect -> cause id that must be named.
     hide : callable
-        ``hide(effect or None, seed, snr)`` -> family.
+        ``hide(effects, seed, snr, size)`` -> family; `effects` a tuple of names, `size` over that which must be found.
     noisy : bool, optional
         Whether its generator can be asked for a signal over noise; else the noise is that of its instruments.
+    sized : bool, optional
+        Whether it can hide effects of other sizes.
+    apart : tuple of set of str, optional
+        Effects of which no two can be hidden together; a set of one: it is never hidden with another.
+    several : bool, optional
+        Whether it can hide two at once.
     """
 
     title: str
     effects: Mapping[str, str]
     hide: Callable
     noisy: bool = True
+    sized: bool = True
+    several: bool = True
+    apart: tuple[frozenset[str], ...] = ()
+
+    def causes(self, effects):
+        """Cause ids that must be named."""
+        return tuple(sorted(self.effects[e] for e in effects))
+
+    @property
+    def pairs(self):
+        """Effects that can be hidden together and have different causes."""
+        if not self.several:
+            return []
+        return [
+            pair
+            for pair in combinations(self.effects, 2)
+            if len(set(self.causes(pair))) == 2
+            and not any(set(pair) <= group or (len(group) == 1 and group & set(pair)) for group in self.apart)
+        ]
 
 
 class Without:
@@ -75,18 +101,30 @@ class Without:
         return self._family.predict(condition, self._null | dict(values))
 
 
-def _axis(effect, seed, snr):
-    return axis_family(draw(seed, effects=(effect,), design=AXIS_DESIGN.get(effect, "full"), snr=snr).records)
+def _axis(effects, seed, snr, size):
+    design = next((AXIS_DESIGN[e] for e in effects if e in AXIS_DESIGN), "full")
+    hidden, count = (effects, len(effects)) if effects else ((None,), 1)
+    return axis_family(draw(seed, effects=hidden, count=count, scale=(size, size), design=design, snr=snr).records)
 
 
-def _of(family):
-    """A subject whose generator has one level of noise."""
-    return lambda effect, seed, snr: family(effect, seed)[0]
+def _drive(effects, seed, snr, size):
+    return drive.family_of(drive.axis_of(effects, seed, size), seed)
 
+
+def _modal(effects, seed, snr, size):
+    return modal.draw(effects or None, seed, snr=snr, size=size)[0]
+
+
+def _limits(effects, seed, snr, size):
+    return limits.family(effects[0] if effects else None, seed)[0]
+
+
+RUBBING = tuple(frozenset({"friction", other}) for other in drive.SLIDING)
+"""Friction cannot be hidden in an axis that is known to rub."""
 
 SUBJECTS = {
-    "axis": Subject("Compliances of a feed axis", AXIS, _axis),
-    "drive": Subject("Records of a moving axis", drive.EXPECTED, _of(drive.family), False),
-    "modal": Subject("Compliances against a modal model", modal.NAMES, lambda *case: modal.family(*case)[0]),
-    "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _of(limits.family), False),
+    "axis": Subject("Compliances of a feed axis", AXIS, _axis, apart=(frozenset(AXIS_DESIGN),)),
+    "drive": Subject("Records of a moving axis", drive.EXPECTED, _drive, noisy=False, apart=RUBBING),
+    "modal": Subject("Compliances against a modal model", modal.NAMES, _modal),
+    "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _limits, False, False, False),
 }
