@@ -33,7 +33,7 @@ help:
 	@echo "make demo    run the demonstration and write its report to demo/"
 	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
 	@echo "make slow    the slow tests"
-	@echo "make exam    hidden effects, found or not: writes docs/exam.md (hours; ARGS=\"--nulls 30 --seeds 4\" for less)"
+	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
 	@echo "make lint    ruff, mypy, import-linter, file checks"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"

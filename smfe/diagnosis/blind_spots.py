@@ -25,6 +25,9 @@ _BLIND = 100.0
 _TOLD = 1.5
 """Ratio of a hidden size before and after from which a proposal is worth its time, and a cause is told of."""
 
+_MOST = 6
+"""Causes that are told of."""
+
 
 def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Sequence[int]) -> Proposal | None:
     """Return the proposal that shows most of what the measured conditions hide; None where none does.
@@ -84,7 +87,7 @@ def _proposal(
     after: Mapping[tuple[str, str], float],
 ) -> Proposal:
     gains = {key: size / max(after.get(key, size), 1.0) for key, size in before.items()}
-    told = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > _TOLD][:3]
+    told = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > _TOLD][:_MOST]
     words = "; ".join(_words(model, key, before[key], after[key]) for key in told)
     minutes = model.conditions[row].settings.get("minutes")
     return Proposal(
