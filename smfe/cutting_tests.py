@@ -53,7 +53,7 @@ def judge_all(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progres
     rows, spectra = [], {}
     for i, test in enumerate(campaign.cutting_tests):
         progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
-        verdict = _judge(campaign, test)
+        verdict = judge(campaign, test)
         rows.append(_chatter_row(campaign, test, verdict, compliances))
         assert campaign.tool is not None
         spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1])
@@ -70,7 +70,14 @@ def write_verdicts(folder: Path, verdicts: Verdicts) -> None:
     write_groups(folder / "spectra.nc", verdicts.spectra)
 
 
-def _judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
+def judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
+    """Return what the spectral criterion says of the record of a cutting test.
+
+    Raises
+    ------
+    InputError
+        When the record cannot be read or judged.
+    """
     assert campaign.tool is not None
     record = read_records(test.file, test.channels)[0]
     try:

@@ -398,13 +398,19 @@ def _hidden(e: Evidence) -> _Finding | None:
         return None
     order = max(1, round(frequency / e.base))
     apart = max(abs(frequency - order * e.base), 0.25 * e.spectrum.resolution)
+    # The mask is MASK_BINS/T wide on either side, and wider by the error of the speed.
+    clear = apart - e.speed_error * order * e.base
+    advice = "a record of the spindle angle or a better known speed would separate them"
+    if clear > 0.0:
+        judged = 1.0 / e.spectrum.resolution
+        advice = f"{MASK_BINS / clear:.2g} s of steady cut would separate them, {judged:.2g} s were judged"
     return _Finding(
         "undecided",
         ratio,
         frequency,
         f"{ratio:.3g} of {_denominator(e)} does not repeat with the spindle, but lies at {frequency:.5g} Hz, "
-        f"within the mask of spindle order {order}: chatter close to a harmonic, or a speed that varies. "
-        f"About {MASK_BINS / apart:.2g} s of cut would separate them",
+        f"within the mask of spindle order {order}: chatter close to a harmonic, or a speed that varies; "
+        f"{advice}",
     )
 
 

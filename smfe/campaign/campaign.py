@@ -212,7 +212,20 @@ class ModesOf:
     source: str
 
 
-Baseline = AxisModel | RigidDrive | MechanisticForces | ModesOf
+@dataclass(frozen=True)
+class LimitsOf:
+    """``[baseline]`` that predicts the limits which cutting tests found, from the modes of one model.
+
+    Parameters
+    ----------
+    source : str
+        Name of the model.
+    """
+
+    source: str
+
+
+Baseline = AxisModel | RigidDrive | MechanisticForces | ModesOf | LimitsOf
 """The simulation that a diagnosis questions."""
 
 
@@ -410,6 +423,8 @@ def _baseline(table: Any) -> Baseline:
         return AxisModel(table.axis, drive, table.servos(), table.friction.build())
     if isinstance(table, schema.DriveTable):
         return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay)
+    if isinstance(table, schema.LimitsTable):
+        return LimitsOf(table.limits)
     return ModesOf(table.source) if isinstance(table, schema.ModesTable) else MechanisticForces()
 
 

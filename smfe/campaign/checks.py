@@ -179,7 +179,7 @@ def _baseline(raw: Raw) -> Iterator[Complaint]:
     table = raw.get("baseline")
     if not isinstance(table, dict):
         return
-    kinds = [key for key in ("from", "drive", "forces") if key in table]
+    kinds = [key for key in ("from", "drive", "forces", "limits") if key in table]
     if len(kinds) > 1:
         yield ("baseline",), f"gives {' and '.join(kinds)}; one simulation is questioned at a time, give one of them"
     elif "drive" in table:
@@ -187,6 +187,10 @@ def _baseline(raw: Raw) -> Iterator[Complaint]:
     elif "forces" in table:
         yield from _needs(raw, ("baseline",), ("tool", "material"), "a mechanistic force")
         yield from _compared(raw, "cutting_test", "a [[cutting_test]] with the forces of a cut")
+    elif "limits" in table:
+        yield from _needs(raw, ("baseline",), ("tool", "material"), "a limit depth")
+        yield from _compared(raw, "cutting_test", "[[cutting_test]]s that bracket the limit")
+        yield from _named(raw, ("baseline", "limits"), table["limits"])
     elif "from" in table:
         yield from _named(raw, ("baseline", "from"), table["from"])
 

@@ -229,6 +229,12 @@ class ModesTable(Table):
     source: StrictStr = Field(alias="from")
 
 
+class LimitsTable(Table):
+    """``[baseline]`` that predicts the limits that cutting tests found: a model, ``[tool]`` and ``[material]``."""
+
+    limits: StrictStr
+
+
 class LobesTable(Table):
     """``[[lobes]]``."""
 
@@ -301,4 +307,6 @@ def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:
         return CampaignFile[DriveTable]
     if "forces" in keys:
         return CampaignFile[ForcesTable]
+    if "limits" in keys:
+        return CampaignFile[LimitsTable]
     return CampaignFile[ModesTable] if "from" in keys else CampaignFile[AxisTable]

@@ -13,17 +13,18 @@ from process import units
 from process.errors import InputError
 from process.friction import Andersson, Coulomb, CoulombViscous, FrictionLaw, MemoryLaw, Viscous
 from process.labels import AXES
-from smfe.campaign import AxisModel, Campaign, Measurement, MechanisticForces, ModesOf, RigidDrive
+from smfe.campaign import AxisModel, Campaign, LimitsOf, Measurement, MechanisticForces, ModesOf, RigidDrive
 from smfe.diagnosis.axis_baseline import AxisBaseline
 from smfe.diagnosis.campaign_case import Case
 from smfe.diagnosis.campaign_cuts import cutting_case
 from smfe.diagnosis.campaign_drive import drive_case
+from smfe.diagnosis.campaign_limits import limit_case
 from smfe.diagnosis.campaign_menu import menu
 from smfe.diagnosis.machine_frf import MachineFrfs, condition_of, excitation_of
 from smfe.diagnosis.modal_frf import ModalFrfs
 from smfe.diagnosis.modal_proposals import modal_proposals
 from smfe.diagnosis.problem import Condition
-from smfe.identification import Identification
+from smfe.identification import Identification, Progress, silent
 
 _LOWEST = 5.0
 _LINES = 15  # over which the error of hits is averaged
@@ -57,7 +58,7 @@ def _friction(law: FrictionLaw | MemoryLaw) -> tuple[float, dict[str, float]]:
     )
 
 
-def case_of(campaign: Campaign, found: Mapping[str, Identification]) -> Case:
+def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent) -> Case:
     """Return what a campaign puts to the question, whatever its baseline predicts.
 
     Parameters
@@ -66,6 +67,8 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification]) -> Case:
         With ``[baseline]``.
     found : mapping
         Measurement name -> identification, where the baseline predicts compliances.
+    progress : callable, optional
+        Called with (what, done, of).
 
     Raises
     ------
@@ -77,12 +80,14 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification]) -> Case:
         raise InputError(
             'the campaign gives no [baseline]: say which simulation is to be questioned: axis = "x", moving_mass, '
             'tip_mass, stiffness, damping, Kp, Ti, Kv, friction; or drive = "rigid"; or forces = "mechanistic"; '
-            'or from = "NAME"'
+            'or from = "NAME"; or limits = "NAME"'
         )
     if isinstance(baseline, RigidDrive):
         return drive_case(campaign, baseline)
     if isinstance(baseline, MechanisticForces):
         return cutting_case(campaign)
+    if isinstance(baseline, LimitsOf):
+        return limit_case(campaign, baseline, progress)
     family = modal_family(campaign, baseline, found) if isinstance(baseline, ModesOf) else _with_menu(campaign, found)
     names = [c.name for c in family.conditions]
     held_out = tuple(m.name for m in campaign.measurements if m.held_out and m.name in names)

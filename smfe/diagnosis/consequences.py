@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import numpy as np
 from process.engagement import engagement
 from smfe.campaign import Campaign
 from smfe.diagnosis.axis_baseline import AxisBaseline
+from smfe.diagnosis.cutting_limits import CuttingLimits, Limit
 from smfe.diagnosis.drive_record import DriveRecordFamily
 from smfe.diagnosis.finding import Finding, ForceError, StableDepth
 from smfe.diagnosis.machine_frf import MachineFrfs
@@ -30,7 +32,21 @@ def with_consequences(campaign: Campaign, family: Family, finding: Finding, asid
         return replace(finding, force_error=tuple(_force_errors(family, finding, aside)))
     if isinstance(family, MachineFrfs) and isinstance(family.baseline, AxisBaseline):
         return replace(finding, stable_depth=stable_depths(campaign, family.baseline, finding.values))
+    if isinstance(family, CuttingLimits):
+        return replace(finding, stable_depth=tuple(_limits(campaign, family, finding)))
     return finding
+
+
+def _limits(campaign: Campaign, family: CuttingLimits, finding: Finding) -> Iterator[StableDepth]:
+    """Limit depths of what a campaign asks for, by the zero-order method, before and after."""
+    assert campaign.tool is not None
+    for where, cut, width, feed_per_tooth, speeds in _asked(campaign):
+        arc = engagement(cut, width, campaign.tool.diameter)
+        for rpm in speeds:
+            limit = Limit(rpm, feed_per_tooth=feed_per_tooth, arc=arc)
+            depths = (family.limits_at(limit, v)[0] for v in ({}, finding.values))
+            before, after = (1e3 * float(d[0]) if d.size else math.inf for d in depths)
+            yield StableDepth(where, rpm, feed_per_tooth * campaign.tool.teeth * rpm * 1e3, before, after)
 
 
 def _force_errors(family: DriveRecordFamily, finding: Finding, aside: Sequence[str]) -> Iterator[ForceError]:

@@ -62,7 +62,7 @@ def diagnose(
     if loaded.baseline is None:
         case_of(loaded, {})  # says what is missing, before any record is read
     suspects = audit(loaded, progress)
-    case = case_of(loaded, _identified(loaded, path.parent / KEPT, progress))
+    case = case_of(loaded, _identified(loaded, path.parent / KEPT, progress), progress)
     finding, content = _questioned(loaded, case, suspects, seed, progress, held_out)
     write_json(path, content)
     return finding
@@ -72,7 +72,7 @@ def finding_of(
     campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent
 ) -> dict[str, object]:
     """Return what ``finding.json`` holds for a campaign with a baseline whose measurements are identified already."""
-    return _questioned(campaign, case_of(campaign, found), audit(campaign, progress), 0, progress, ())[1]
+    return _questioned(campaign, case_of(campaign, found, progress), audit(campaign, progress), 0, progress, ())[1]
 
 
 def _questioned(

@@ -1,0 +1,91 @@
+"""From a campaign to the diagnosis of stability limits: its cutting tests as brackets of the limit depth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from process.engagement import engagement
+from process.errors import InputError
+from smfe.campaign import Campaign, CuttingTest, LimitsOf, Model
+from smfe.cutting_tests import judge
+from smfe.diagnosis.campaign_case import Case
+from smfe.diagnosis.cutting_limits import Limit, Spread, Trial, bracketed, limit_family
+from smfe.diagnosis.suspect import Suspect
+from smfe.identification import Progress, silent
+
+Cut = tuple[str, float, float]
+"""Kind of cut, width [m], feed per tooth [m]: what the tests of one limit have in common besides the speed."""
+
+
+def limit_case(campaign: Campaign, baseline: LimitsOf, progress: Progress = silent) -> Case:
+    """Return the case of the limits that cutting tests bracket, against those of a modal model.
+
+    A test is stable or not as the campaign says (``observed``), else as the spectral criterion judges its record; the
+    chatter frequency is that of the record. One that stays undecided bounds nothing.
+
+    Raises
+    ------
+    InputError
+        When the source is not a model, a record cannot be judged, or no limit is bracketed.
+    """
+    model, tool, material = _model(campaign, baseline), campaign.tool, campaign.coefficients
+    if tool is None or material is None:
+        raise InputError("a limit depth needs the tables [tool] and [material]; add them")
+    trials = _trials(campaign, progress)
+    limits: list[Limit] = []
+    groups: dict[str, tuple[str, ...]] = {}
+    suspects: list[Suspect] = []
+    for (cut, width, feed), tests in trials.items():
+        found, notes = bracketed([trial for _, trial in tests], feed)
+        arc = engagement(cut, width, tool.diameter)
+        where = f"{cut}, {width * 1e3:.4g} mm wide, {feed * 1e3:.4g} mm per tooth"
+        named = [replace(x, arc=arc, name=f"limit at {x.spindle_speed:.6g} rpm, {where}") for x in found]
+        limits += named
+        suspects += [
+            Suspect("unusable", "note", f"cutting tests {where}", note, "add a cut on the other side") for note in notes
+        ]
+        for test, trial in tests:
+            used = tuple(x.name for x in named if x.spindle_speed == trial.spindle_speed)
+            if used:
+                groups[test.file.name] = (*groups.get(test.file.name, ()), *used)
+    if not limits:
+        told = "; ".join(s.evidence for s in suspects) or "every cutting test stays undecided"
+        raise InputError(f"no limit is bracketed between a stable and a chattering cut: {told}")
+    arcs = [x.arc for x in limits if x.arc is not None]
+    family = limit_family(limits, model.modal, tool, arcs[0], material, spread=_spread(model))
+    held_out = tuple(dict.fromkeys(t.file.name for t in campaign.cutting_tests if t.held_out and t.file.name in groups))
+    return Case(family, groups, held_out, tuple(suspects))
+
+
+def _model(campaign: Campaign, baseline: LimitsOf) -> Model:
+    for model in campaign.models:
+        if model.name == baseline.source:
+            return model
+    raise InputError(
+        f"baseline.limits: '{baseline.source}' is a measurement; limits are predicted from modes: declare those found "
+        "in it as a [[model]] and name that"
+    )
+
+
+def _spread(model: Model) -> Spread:
+    """How well the modes are known: as the campaign says, else the default."""
+    usual, given = Spread(), model.spread
+    return Spread(
+        given.frequency or usual.frequency, given.damping or usual.damping, given.stiffness or usual.stiffness
+    )
+
+
+def _trials(campaign: Campaign, progress: Progress) -> Mapping[Cut, Sequence[tuple[CuttingTest, Trial]]]:
+    found: dict[Cut, list[tuple[CuttingTest, Trial]]] = {}
+    for done, test in enumerate(campaign.cutting_tests):
+        progress(f"judging {test.file.name}", done, len(campaign.cutting_tests))
+        judged = judge(campaign, test)
+        verdict = test.observed or judged.verdict
+        if verdict in ("stable", "chatter"):
+            heard = judged.chatter_frequency_Hz if verdict == judged.verdict == "chatter" else math.nan
+            frequency = heard if math.isfinite(heard) else None
+            trial = Trial(test.spindle_speed, test.depth_of_cut, verdict == "chatter", frequency)
+            found.setdefault((test.cut, test.width_of_cut, test.feed_per_tooth), []).append((test, trial))
+    return found

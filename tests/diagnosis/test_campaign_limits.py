@@ -1,0 +1,99 @@
+"""Claims: cutting tests of a campaign file bracket limits and put their model to the question."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exam.limits import SLOT, campaign
+from truth.milling_limits import Found
+
+from process.errors import InputError
+from smfe.campaign import load_campaign
+from smfe.diagnosis.campaign_family import case_of
+from smfe.diagnosis.verbs import diagnose
+
+RATE = 500.0
+
+
+def cut(file: Path, speed: float, chatter: float | None, seed: int) -> None:
+    """Vibration of a cut: teeth, run-out, noise, and a chatter frequency where it chatters."""
+    t = np.arange(0.0, 12.0, 1.0 / RATE)
+    turn = speed / 60.0
+    a = 0.4 * np.sin(2 * np.pi * turn * t) + sum(np.cos(2 * np.pi * k * SLOT.teeth * turn * t) / k for k in (1, 2, 3))
+    if chatter is not None:
+        a = a + 8.0 * np.sin(2 * np.pi * chatter * t)
+    a = a + 0.02 * np.random.default_rng(seed).standard_normal(t.size)
+    np.savetxt(file, np.column_stack([t, a]), delimiter=",", header="t,a", comments="", fmt="%.6g")
+
+
+def written(folder: Path, found: list[Found], baseline: str = 'limits = "bench"', observed: bool = False) -> Path:
+    """A campaign file: the mill as identified, and two cutting tests a limit."""
+    m = SLOT.modes
+    modes = ", ".join(
+        f'{{ frequency = "{f} Hz", damping = {z}, stiffness = "{k} N/m", direction = [{x}, {y}, 0] }}'
+        for f, z, k, (x, y) in zip(m.frequency, m.damping, m.stiffness, m.direction, strict=True)
+    )
+    lines = [
+        '[campaign]\nname = "cuts"',
+        f'[tool]\ndiameter = "{SLOT.diameter * 1e3} mm"\nteeth = {SLOT.teeth}\napproach_angle = "90 deg"',
+        f'[material]\nname = "C45"\nKtc = "{SLOT.kt * 1e-6} N/mm^2"\nKrc = "{SLOT.kr * 1e-6} N/mm^2"\nKac = "0 N/mm^2"',
+        '[channels]\ntime = { column = "t", unit = "s" }\nacceleration_x = { column = "a", unit = "m/s^2" }',
+        f'[[model]]\nname = "bench"\nmodes = [ {modes} ]',
+        f"[baseline]\n{baseline}",
+    ]
+    for number, f in enumerate(found):
+        for verdict, depth, heard in (("stable", f.stable, None), ("chatter", f.chatter, f.frequency)):
+            name = f"{number}_{verdict}.csv"
+            cut(folder / name, f.speed, heard, number)
+            lines.append(
+                f'[[cutting_test]]\nfile = "{name}"\nspindle_speed = "{f.speed} rpm"\n'
+                f'depth_of_cut = "{depth * 1e3} mm"\ncut = "central"\nwidth_of_cut = "{SLOT.diameter * 1e3} mm"\nfeed_per_tooth = "{f.feed * 1e3} mm"'
+                + (f'\nobserved = "{verdict}"' if observed else "")
+            )
+    path = folder / "campaign.toml"
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.slow
+def test_a_softer_or_harder_material_is_named_from_the_cutting_tests_of_a_campaign(tmp_path: Path) -> None:
+    found = diagnose(written(tmp_path, list(campaign("coefficients", 41)), observed=True), tmp_path / "finding.json")
+    assert found.verdict == "named"
+    assert [(c.id, c.variant) for c in found.causes] == [("force_coefficients", "size")]
+    (size,) = found.causes[0].parameters
+    assert abs(size.value) == pytest.approx(15.0, abs=3.0)
+    told = json.loads((tmp_path / "finding.json").read_text())
+    depths = told["stable_depth"]
+    assert len(depths) == 22
+    ratio = [row["after_mm"] / row["before_mm"] for row in depths]
+    assert ratio == pytest.approx([1.0 / (1.0 + size.value / 100.0)] * 22, rel=0.1)
+
+
+def test_limits_and_chatter_frequencies_are_those_of_the_cutting_tests(tmp_path: Path) -> None:
+    tests = [Found(300.0, 1e-4, 1.9e-3, 2.1e-3, 72.6), Found(500.0, 1e-4, 2.9e-3, 3.1e-3, 70.8)]
+    case = case_of(load_campaign(written(tmp_path, tests)), {})
+    assert [c.name for c in case.family.conditions] == [
+        f"limit at {n} rpm, central, {SLOT.diameter * 1e3:g} mm wide, 0.1 mm per tooth" for n in (300, 500)
+    ]
+    for condition, test in zip(case.family.conditions, tests, strict=True):
+        limit = condition.data.limit
+        assert limit.depth == pytest.approx(math.sqrt(test.stable * test.chatter))
+        assert limit.depth_std == pytest.approx(math.log(test.chatter / test.stable) / math.sqrt(12.0))
+        assert limit.frequency == pytest.approx(test.frequency, abs=0.02)
+        assert case.groups[f"{tests.index(test)}_stable.csv"] == (condition.name,)
+
+
+def test_what_cannot_be_questioned_is_said(tmp_path: Path) -> None:
+    one = [Found(300.0, 1e-4, 1.9e-3, 2.1e-3, 71.3)]
+    loud = written(tmp_path, one, observed=True)
+    loud.write_text(loud.read_text().replace('observed = "stable"', 'observed = "chatter"'))
+    with pytest.raises(InputError, match=r"no limit is bracketed .* at 300 rpm every cut chattered.* other side"):
+        case_of(load_campaign(loud), {})
+    with pytest.raises(InputError, match=r"baseline.limits: 'bnch' is neither a measurement nor a model"):
+        load_campaign(written(tmp_path, one, 'limits = "bnch"'))
+    with pytest.raises(InputError, match="one simulation is questioned at a time"):
+        load_campaign(written(tmp_path, one, 'limits = "bench"\nforces = "mechanistic"'))
+    with pytest.raises(InputError, match=r"add \[\[cutting_test\]\]s that bracket the limit"):
+        load_campaign(written(tmp_path, []))
