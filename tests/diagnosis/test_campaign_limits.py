@@ -49,7 +49,8 @@ def written(folder: Path, found: list[Found], baseline: str = 'limits = "bench"'
             cut(folder / name, f.speed, heard, number)
             lines.append(
                 f'[[cutting_test]]\nfile = "{name}"\nspindle_speed = "{f.speed} rpm"\n'
-                f'depth_of_cut = "{depth * 1e3} mm"\ncut = "central"\nwidth_of_cut = "{SLOT.diameter * 1e3} mm"\nfeed_per_tooth = "{f.feed * 1e3} mm"'
+                f'depth_of_cut = "{depth * 1e3} mm"\n'
+                f'cut = "central"\nwidth_of_cut = "{SLOT.diameter * 1e3} mm"\nfeed_per_tooth = "{f.feed * 1e3} mm"'
                 + (f'\nobserved = "{verdict}"' if observed else "")
             )
     path = folder / "campaign.toml"
