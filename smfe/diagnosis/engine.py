@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from smfe.diagnosis.blind_spots import revealing
 from smfe.diagnosis.by_condition import by_condition
-from smfe.diagnosis.calibration import parameters_of
+from smfe.diagnosis.calibration import PENALTY, parameters_of
 from smfe.diagnosis.cross_validation import BAND, Gain, compare, opened
 from smfe.diagnosis.evidence import MOST_CAUSES, Bench, Step, search
 from smfe.diagnosis.finding import Estimate, Finding, FoundCause, Remainder, Rung
@@ -134,7 +134,7 @@ def _finding(laid: _Laid, at: Fit, ladder: Sequence[Step]) -> Finding:
         power=power,
         inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
         unconverged=tuple(sorted(bench.unconverged.items())),
-        next_experiment=_next(bench, at, judged, laid.proposals, limit),
+        next_experiment=_next(bench, at, ladder, judged, laid.proposals),
         threshold=limit if math.isfinite(limit) else None,
         conditions=by_condition(model, bench.null(), at, laid.aside),
         values=model.values(at.u),
@@ -254,10 +254,27 @@ def _opened(bench: Bench, at: Fit, aside: dict[int, NDArray[np.float64]]) -> Gai
     return compare(before, after, bench.rng(5, parameters_of(bench.model, at.causes)))
 
 
-def _next(bench: Bench, at: Fit, judged: Judgement, rows: Sequence[int], limit: float) -> Proposal | None:
+_CONTENDERS = 3
+
+
+def _unproven(bench: Bench, ladder: Sequence[Step]) -> list[Fit]:
+    """Return the best hypotheses that were refused for want of a condition that tests them; one alone with the null."""
+    steps = {s.causes: bench.fitted(s.causes) for s in ladder if not s.accepted}
+    kept: list[Fit] = []
+    for f in sorted(steps.values(), key=lambda f: f.chi2 + PENALTY * parameters_of(bench.model, f.causes)):
+        # More of the same is not another hypothesis.
+        if f.converged and not any(set(g.causes) & set(f.causes) for g in kept):
+            kept.append(f)
+    return kept[:_CONTENDERS] if len(kept) > 1 else [*kept, bench.null()]
+
+
+def _next(bench: Bench, at: Fit, ladder: Sequence[Step], judged: Judgement, rows: Sequence[int]) -> Proposal | None:
     """Return the proposal that settles best which of the first open set is right, or shows what could be hidden."""
     if judged.verdict == "consistent":
-        return revealing(bench.model, bench.target, at, limit, rows)
+        return revealing(bench.model, bench.target, at, bench.threshold(bench.null()), rows)
+    if judged.verdict == "insufficient_data":
+        ranked = rank(bench.model, bench.target, _unproven(bench, ladder), rows, "what was refused") if ladder else []
+        return ranked[0] if ranked else None
     if not judged.sets:
         return None
     k, fits = next(iter(judged.sets.items()))
