@@ -105,11 +105,14 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
     if not at.converged:
         return Judgement("insufficient_data", f"the baseline could not be fitted: {at.reason}")
     left = fitted_misfit(bench, at)
-    if ladder:
-        refused = max(ladder, key=lambda s: s.ratio - s.threshold)
+    # Among all pairs, with their shapes, noise finds more than the linearised threshold allows for: one that held-out
+    # conditions refuse convicts only where the misfit itself is more than noise.
+    telling = [s for s in ladder if len(s.causes) == 1 or left.chance < BAND]
+    if telling:
+        refused = max(telling, key=lambda s: s.ratio - s.threshold)
         reason = f"the baseline is wrong, but the best explanation, {refused.change[2:]}, is refused: {refused.reason}"
         # Enough is explained, but not proven on conditions that the fit did not see: more data, not another cause.
-        weak = all(s.gain is None for s in ladder) or (
+        weak = all(s.gain is None for s in telling) or (
             fitted_misfit(bench, bench.fitted(refused.causes)).chance >= BAND
             and refused.gain is not None
             and refused.gain.db >= 1.0
