@@ -73,6 +73,7 @@ class Answer:
     sets: tuple[tuple[str, ...], ...] = ()
     gain_db: float | None = None
     seconds: float = 0.0
+    estimates: tuple[tuple[str, float, float, float], ...] = ()
 
     @property
     def detected(self):
@@ -113,6 +114,7 @@ def examine(case):
         tuple(tuple(c.id for c in s) for s in found.alternatives),
         None if found.gain is None else found.gain.db,
         time.process_time() - start,
+        tuple((e.name, e.value, e.low, e.high) for c in found.causes for e in c.parameters),
     )
 
 
@@ -331,6 +333,7 @@ def _read(line):
         Case(**case | {"hidden": tuple(case["hidden"])}),
         causes=tuple(found.pop("causes")),
         sets=tuple(tuple(s) for s in found.pop("sets")),
+        estimates=tuple(tuple(e) for e in found.pop("estimates")),
         **found,
     )
 
