@@ -24,6 +24,7 @@ if __name__ == "__main__":
 
 import numpy as np
 from exam.subjects import SUBJECTS, Without
+from exam.truths import true_values
 from scipy import optimize, stats
 
 from smfe.diagnosis.engine import diagnose
@@ -184,11 +185,33 @@ def _effects(effects):
     if gains:
         middle = statistics.median(gains)
         found.append(Score("Held-out gain, median", ">= 6 dB", f"{middle:.1f} dB", middle >= 6.0))
+    found += _estimates(effects)
     times = [a.seconds for a in effects]
     if max(times) > 0.0:
         text = f"median {statistics.median(times):.1f} s, longest {max(times):.1f} s"
         found.append(Score("CPU time of a diagnosis", "<= 60 s", text, max(times) <= 60.0))
     return found
+
+
+def _estimates(effects):
+    """Errors of the parameters that are one number, where the cause is named right, and what their intervals hold."""
+    errors, held = [], []
+    for answer in (a for a in effects if a.right):
+        estimated = {name: rest for name, *rest in answer.estimates}
+        for name, true in true_values(answer.case).items():
+            if name in estimated:
+                value, low, high = estimated[name]
+                errors.append(abs(value / true - 1.0))
+                held.append(low <= true <= high)
+    if not errors:
+        return []
+    middle, most = (100 * float(np.quantile(errors, q)) for q in (0.5, 0.9))
+    inside = 100 * float(np.mean(held))
+    text = f"{middle:.1f} %, {most:.1f} % of {len(errors)}"
+    return [
+        Score("Parameter error, median and 90 %", "<= 10 %, 25 %", text, middle <= 10.0 and most <= 25.0),
+        Score("95 % interval holds the truth", "92 to 98 %", f"{inside:.1f} % of {len(held)}", 92.0 <= inside <= 98.0),
+    ]
 
 
 def _share(item, answers, ok, least):

@@ -71,6 +71,19 @@ class Sealed:
         return f"Sealed(seed={self.seed}, design={self.design!r}, commitment={self.commitment[:12]})"
 
 
+def chosen(
+    rng: np.random.Generator, effects: Sequence[str | None], count: int, scale: tuple[float, float]
+) -> dict[str, float]:
+    """Choose effects and their sizes, signs included."""
+    names = [effects[i] for i in rng.permutation(len(effects))[:count]]
+    sizes = {}
+    for name in sorted(n for n in names if n is not None):
+        effect = (EFFECTS | OUTSIDE)[name]
+        size = effect.size * float(np.exp(rng.uniform(*np.log(scale))))
+        sizes[name] = size * float(rng.choice([-1.0, 1.0])) if effect.signed else size
+    return sizes
+
+
 def draw(
     seed: str | int,
     *,
@@ -102,12 +115,7 @@ def draw(
     """
     number = seed_of(seed)
     rng = np.random.default_rng([number, 1])
-    chosen = [effects[i] for i in rng.permutation(len(effects))[:count]]
-    sizes = {}
-    for name in sorted(n for n in chosen if n is not None):
-        effect = (EFFECTS | OUTSIDE)[name]
-        size = effect.size * float(np.exp(rng.uniform(*np.log(scale))))
-        sizes[name] = size * float(rng.choice([-1.0, 1.0])) if effect.signed else size
+    sizes = chosen(rng, effects, count, scale)
     machine = (truth or Truth()).with_nuisances(rng)
     true, chain = apply(sizes, machine, replace(Chain(), snr=snr))
     records = measure(true, DESIGNS[design](int(rng.integers(2**31))), int(rng.integers(2**31)), chain)

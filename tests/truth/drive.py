@@ -140,9 +140,12 @@ def _run(target, added, noise, disturbance, delay, drift, limit, gains, quantum,
         u[k] = gains[1] * (gains[0] * (target[k] - q[k]) - (q[k] - before) / 1e-3) + added[k]
         warm = drift * (k / n - 0.5)
         for j in range(fine):
-            at = k + (j + 0.5) / fine - delay / 1e-3
-            i = int(np.floor(at))
-            force = u[i] if i >= 0 else 0.0
+            at = k + j / fine - delay / 1e-3
+            i = int(np.floor(at + 1e-9))
+            # The next command may arrive within this step: then the mean force of the step counts.
+            share = min(1.0, (i + 1.0 - at) * fine)
+            old, new = u[i] if i >= 0 else 0.0, u[min(i + 1, k)] if i >= -1 else 0.0
+            force = share * old + (1.0 - share) * new
             force = min(max(force, -limit), limit) + disturbance[k]
             a1, b1, c1 = _slope(x, v, z, force, warm, p)
             a2, b2, c2 = _slope(x + 0.5 * h * a1, v + 0.5 * h * b1, z + 0.5 * h * c1, force, warm, p)
