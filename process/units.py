@@ -26,6 +26,8 @@ UNITS: dict[str, dict[str, float]] = {
     "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
     "impulse": {"N s": 1.0, "Ns": 1.0},
     "force_rate": {"N/s": 1.0},
+    "power": {"W": 1.0, "kW": 1e3},
+    "torque": {"N m": 1.0, "Nm": 1.0},
     "mass": {"kg": 1.0, "g": 1e-3},
     "stiffness": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6},
     "compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6, "µm/N": 1e-6},

@@ -14,9 +14,12 @@ from rich.table import Table
 
 from process.errors import InputError
 from smfe import __version__, pipeline
+from smfe import plan as planner
 from smfe.demo_campaign import DEMO_SEED
 from smfe.diagnosis import audit, verbs
 from smfe.diagnosis.finding import explain
+from smfe.plan_verify import explain as explain_verification
+from smfe.plan_verify import verify as verify_plan
 from smfe.progress import bar
 from smfe.scenario import simulate as simulate_scenario
 from smfe.store import unpack_warnings
@@ -158,6 +161,26 @@ def simulate(
     with bar(console) as progress:
         campaign = simulate_scenario(scenario, output, workers, progress)
     out.print(f"written: {campaign}; next: smfe run {campaign}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def plan(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the plan.")] = Path("planned"),
+    verified: Annotated[bool, typer.Option("--verify", help="Simulate and identify the plan as well.")] = False,
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of noise to verify with.")] = 3,
+) -> None:
+    """Say before cutting which sweep will work: passes, speeds, depth, expected error of each compliance."""
+    with bar(console) as progress:
+        found = planner.plan(campaign, output, progress, _show)
+    for warning in found.warnings:
+        console.print(f"note: {warning}", markup=False, highlight=False, soft_wrap=True)
+    out.print(planner.summary(found), markup=False, highlight=False, soft_wrap=True)
+    if verified:
+        with bar(console) as progress:
+            result = verify_plan(found, output, tuple(range(1, seeds + 1)), progress)
+        out.print(explain_verification(result), markup=False, highlight=False, soft_wrap=True)
+    out.print(f"written: {output / 'plan.html'}; next: cut {output / 'plan.csv'}", highlight=False, soft_wrap=True)
 
 
 @app.command()

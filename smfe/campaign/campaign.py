@@ -24,6 +24,7 @@ from process.tool import Tool
 from smfe.campaign import schema
 from smfe.campaign.checks import check, merge, path
 from smfe.campaign.messages import complaints
+from smfe.campaign.plan_table import PlanTable
 from smfe.datasets import Show
 from smfe.records.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from stability import SpindleRange, Spread
@@ -317,6 +318,8 @@ class Campaign:
         In the order of the file.
     baseline : Baseline or None
         The simulation to be questioned, where the campaign gives one.
+    plan : PlanTable or None
+        What a sweep may use, for `smfe plan`.
     """
 
     path: Path
@@ -332,6 +335,7 @@ class Campaign:
     baseline: Baseline | None = None
     coefficient_spread: float = 0.0
     spindle: SpindleRange = field(default_factory=SpindleRange)
+    plan: PlanTable | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -414,6 +418,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         baseline=_baseline(file.baseline) if file.baseline else None,
         coefficient_spread=file.material.uncertainty if file.material else 0.0,
         spindle=file.spindle.build() if file.spindle else SpindleRange(),
+        plan=file.plan,
     )
 
 

@@ -48,6 +48,7 @@ def check(raw: Raw) -> list[Complaint]:
         _cutting_tests,
         _baseline,
         _held_out,
+        _plan,
         _channels,
     )
     return [complaint for rule in rules for complaint in rule(raw)]
@@ -75,7 +76,7 @@ def _names_of(raw: Raw) -> list[tuple[Loc, str]]:
 
 
 def _something_to_do(raw: Raw) -> Iterator[Complaint]:
-    if not any(key in raw for key in ("measurement", "model", "cutting_test")):
+    if not any(key in raw for key in ("measurement", "model", "cutting_test", "plan")):
         yield (), "nothing to work with; add a [[measurement]], a [[model]] or a [[cutting_test]]"
 
 
@@ -207,6 +208,20 @@ def _held_out(raw: Raw) -> Iterator[Complaint]:
         for where, table in _tables(raw, key):
             if "held_out" in table and "baseline" not in raw:
                 yield (*where, "held_out"), "only a diagnosis reads it, and there is no [baseline]; take it out"
+
+
+def _plan(raw: Raw) -> Iterator[Complaint]:
+    table = raw.get("plan")
+    if not isinstance(table, dict):
+        return
+    yield from _needs(raw, ("plan",), ("tool", "material"), "a plan")
+    if "machine" in table:
+        yield from _named(raw, ("plan", "machine"), table["machine"])
+    elif "scenario" not in table and not _names_of(raw):
+        yield ("plan",), "has no machine; add a [[model]], a [[measurement]], or scenario = the name of a scenario file"
+    diameter = _quantity(raw.get("tool"), "diameter", "length")
+    for place, entry in _tables(table, "passes"):
+        yield from _fits(diameter, ("plan", *place), _quantity(entry, "width_of_cut", "length"), entry)
 
 
 def _named(raw: Raw, where: Loc, name: Any) -> Iterator[Complaint]:

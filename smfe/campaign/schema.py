@@ -17,6 +17,7 @@ from process.servo import Servo
 from process.tool import Tool
 from smfe.campaign import quantities as q
 from smfe.campaign.machine_tables import Delay, FrictionTable, PositiveMass, PositiveTime, ServoTable, Viscosity
+from smfe.campaign.plan_table import PlanTable
 from smfe.campaign.tables import Table
 from smfe.records.channels import check_channel_name
 from stability import SpindleRange
@@ -298,6 +299,7 @@ class CampaignFile(Table, Generic[B]):
     spindle: SpindleTable | None = None
     lobes: tuple[LobesTable, ...] = ()
     cutting_test: tuple[CuttingTestTable, ...] = ()
+    plan: PlanTable | None = None
 
 
 def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:

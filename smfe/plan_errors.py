@@ -1,0 +1,209 @@
+"""How wrong each compliance will be: the estimator of `smfe.sweep`, worked through on the forces of a plan.
+
+Over a band of half width w the estimator fits ``Phi(f + w u) = C_0 + C_1 u + C_2 u^2`` to the lines of all records. With
+the energy ``G(f) = sum over records of F F^H`` the normal matrix of that fit is ``M_ab = integral u^(a+b) G ds``, and
+
+- noise: ``Var Phi_ij = s_i^2 (M^-1)_jj`` of the block a = b = 0, with ``s_i^2 = dt (sigma_a^2/w^4 + sum_j |Phi_ij|^2
+  sigma_F^2)`` for white noise of rms sigma sampled every dt; the length of the record cancels;
+- bend: what a polynomial of second order misses, ``[integral u^a Phi G ds]_a M^-1 - Phi``;
+- loss: noise of the forces in the regressors, ``-Phi N (sum F F^H)^-1`` with N over all lines, the air included.
+
+The estimator takes, row by row, the widest band that agrees with all narrower ones. Two bands differ by their
+difference in bend plus noise of variance ``V_narrow - V_wide``, so that it passes with the probability of a non-central
+chi-square; the mean square errors of the bands are added with the probabilities that they are taken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage, stats
+
+from process.cutting import CuttingCoefficients
+from process.errors import InputError
+from process.labels import AXES, make_compliance
+from smfe.plan_forces import SweepPlan, plan_energy
+from smfe.plan_task import Estimate
+from smfe.sweep import REFUSE_CONDITION
+from smfe.sweep_estimators import LocalPolynomial
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+POINTS = 16
+"""Points at which a band is sampled."""
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """What is recorded with.
+
+    Parameters
+    ----------
+    acceleration_noise, force_noise : (float, float, float)
+        Root mean square of the white noise of x, y, z in the record [m/s2], [N].
+    sample_rate : float
+        [Hz].
+    """
+
+    acceleration_noise: tuple[float, float, float] = (0.012, 0.012, 0.012)
+    force_noise: tuple[float, float, float] = (1.5, 1.5, 1.5)
+    sample_rate: float = 5000.0
+
+    def response_noise(self, frequency: Real, compliance: Complex) -> Real:
+        """Return ``s_i^2`` [m2 s], shape (frequencies, 3): noise that each row of the fit sees, a second of record."""
+        omega = 2.0 * math.pi * frequency[:, None]
+        sensors = np.square(self.acceleration_noise) / omega**4
+        forces = np.abs(compliance) ** 2 @ np.square(self.force_noise)
+        return np.asarray((sensors + forces) / self.sample_rate)
+
+
+@dataclass(frozen=True)
+class _Band:
+    """One half width: variance, systematic error and condition, shapes (f, 3, 3), (f, 3, 3), (f,)."""
+
+    variance: Real
+    bias: Complex
+    condition: Real
+
+
+def expected(
+    plan: SweepPlan,
+    coefficients: CuttingCoefficients,
+    estimate: Estimate,
+    instruments: Instruments,
+    frequency: Real,
+    estimator: LocalPolynomial | None = None,
+) -> xr.Dataset:
+    """Return the compliance that a sweep will find and how wrong each entry will be.
+
+    Parameters
+    ----------
+    plan : SweepPlan
+        The sweep.
+    coefficients : CuttingCoefficients
+        Work material.
+    estimate : Estimate
+        The machine.
+    instruments : Instruments
+        Noise and sample rate.
+    frequency : ndarray, shape (f,)
+        Frequencies of the evaluation [Hz].
+    estimator : LocalPolynomial, optional
+        Default: that of `smfe.sweep.identify_sweep`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``compliance`` of the estimate, ``compliance_std`` (root mean square of the error to be expected, noise and
+        systematic), ``noise_std`` (noise alone), ``force_condition``, ``half_width`` (mean of what will be taken [Hz]).
+
+    Raises
+    ------
+    InputError
+        When the records are too short for the estimator, or the estimate does not reach beyond the band.
+    """
+    chosen = LocalPolynomial() if estimator is None else estimator
+    truth = estimate.matrix(frequency)
+    noise = instruments.response_noise(frequency, truth)
+    widths = _usable(chosen, plan)
+    bands = [_band(plan, coefficients, estimate, instruments, frequency, truth, noise, w, chosen.order) for w in widths]
+    taken = _taken(bands, chosen.agreement)
+    variance = np.einsum("kfi,kfij->fij", taken, np.array([b.variance for b in bands]))
+    systematic = np.einsum("kfi,kfij->fij", taken, np.array([np.abs(b.bias) ** 2 for b in bands]))
+    likely = taken.argmax(axis=0)
+    condition = np.array([b.condition for b in bands])[likely, np.arange(frequency.size)[:, None]].max(axis=1)
+    three = ("frequency", "response", "excitation")
+    extra = {
+        "compliance_std": (three, np.sqrt(variance + systematic)),
+        "noise_std": (three, np.sqrt(variance)),
+        "force_condition": (three[:1], condition),
+        "half_width": (three[:2], np.einsum("kfi,k->fi", taken, np.asarray(widths))),
+    }
+    found = make_compliance(frequency, truth, AXES, extra=extra, attrs={"method": "plan", "estimator": repr(chosen)})
+    found["noise_std"].attrs["units"] = "m/N"
+    found["half_width"].attrs["units"] = "Hz"
+    return found
+
+
+def relative_error(found: xr.Dataset, scale: Real) -> Real:
+    """Return the rms over frequency of ``compliance_std`` as a fraction of `scale`, shape (3, 3)."""
+    std = found["compliance_std"].transpose("frequency", "response", "excitation").values
+    return np.asarray(np.sqrt(np.mean(std**2, axis=0)) / scale)
+
+
+def _usable(estimator: LocalPolynomial, plan: SweepPlan) -> list[float]:
+    """Return the half widths that the records can fill: twice as many lines as unknowns (`smfe.sweep`)."""
+    seconds = plan.records * plan.record
+    needed = 2.0 * estimator.unknowns([False] * plan.records)
+    usable = [w for w in sorted(estimator.half_widths) if 2.0 * w * seconds >= needed]
+    if not usable:
+        raise InputError(
+            f"the records of the plan last {seconds:.3g} s together; the estimator needs "
+            f"{needed / (2.0 * max(estimator.half_widths)):.3g} s: sweep more slowly or repeat the passes"
+        )
+    return usable
+
+
+def _band(
+    plan: SweepPlan,
+    coefficients: CuttingCoefficients,
+    estimate: Estimate,
+    instruments: Instruments,
+    frequency: Real,
+    truth: Complex,
+    noise: Real,
+    width: float,
+    order: int,
+) -> _Band:
+    shift = (np.arange(POINTS) + 0.5) * 2.0 / POINTS - 1.0
+    at = frequency[:, None] + width * shift
+    gram = plan.repeats * np.sum(plan_energy(plan, coefficients, at), axis=0) * (2.0 * width / POINTS)
+    powers = shift ** np.arange(order + 1)[:, None]
+    f, size = frequency.size, 3 * (order + 1)
+    normal = np.einsum("as,bs,fsij->faibj", powers, powers, gram, optimize=True).reshape(f, size, size)
+    right = np.einsum("bs,fsik,fskj->fibj", powers, estimate.matrix(at), gram, optimize=True).reshape(f, 3, size)
+    plain = normal[:, :3, :3]
+    values = np.linalg.eigvalsh(plain)
+    condition = np.sqrt(values[:, -1] / np.maximum(values[:, 0], 1e-30 * values[:, -1]))
+    solved = condition <= 10.0 * REFUSE_CONDITION
+    # What cannot be solved is wrong by ten times the largest compliance.
+    variance = np.full((f, 3, 3), 100.0 * float(np.abs(truth).max()) ** 2)
+    bias = np.zeros((f, 3, 3), dtype=complex)
+    inverse = np.linalg.inv(normal[solved])
+    spread = np.diagonal(inverse, axis1=1, axis2=2).real[:, :3]
+    variance[solved] = noise[solved][:, :, None] * spread[:, None, :]
+    bend = (right[solved] @ inverse)[:, :, :3] - truth[solved]
+    # Noise of the forces is in every line of every record; the energy of a chirp does not grow with the record.
+    lines = 2.0 * width * plan.record * plan.records
+    power = np.square(instruments.force_noise) / instruments.sample_rate * lines
+    bias[solved] = bend - (truth[solved] * power) @ np.linalg.inv(plain[solved])
+    return _Band(variance, bias, condition)
+
+
+def _taken(bands: list[_Band], agreement: float) -> Real:
+    """Return the probability that each band is taken, shape (bands, f, 3)."""
+    f = bands[0].variance.shape[0]
+    at_least = [np.ones((f, 3))]
+    for k in range(1, len(bands)):
+        passes = at_least[-1]
+        for j in range(k):
+            chance = _agrees(bands[k], bands[j], agreement)
+            # The estimator smooths its verdicts over five lines.
+            passes = np.minimum(passes, ndimage.median_filter(chance, size=(5, 1), mode="nearest"))
+        at_least.append(passes)
+    at_least.append(np.zeros((f, 3)))
+    return np.asarray([at_least[k] - at_least[k + 1] for k in range(len(bands))])
+
+
+def _agrees(wide: _Band, narrow: _Band, agreement: float) -> Real:
+    """Return the probability that two bands differ by at most `agreement` standard deviations of the narrower one."""
+    scale = np.where(narrow.variance > 0.0, narrow.variance, 1e-300)
+    left = np.clip(1.0 - wide.variance / scale, 0.05, 1.0)
+    distance = np.minimum(np.abs(wide.bias - narrow.bias) ** 2 / scale, 1e4)
+    chance = stats.ncx2.cdf(2.0 * agreement**2 / left, 2, 2.0 * distance / left)
+    return np.asarray(chance.min(axis=2))

@@ -1,0 +1,263 @@
+"""What force a sweep puts where: spectra, means, peaks, torque and power, before anything is cut.
+
+Harmonic h of the tooth passing frequency is a linear chirp of rate ``h g`` and slowly varying amplitude ``F_h``
+(`process.cutting.force_harmonics`). By stationary phase its transform at the frequencies that it passes is
+``|F(f)| = |F_h|/(2 sqrt(h g))``; at both ends of the sweep the factor ``(Z(u_1) - Z(u_0))/(1 + j)`` with the Fresnel
+integral Z is exact for a constant amplitude (Klauder et al., Bell Syst. Tech. J. 1960). Harmonics that pass the same
+frequency do so at different times: over the band of an estimate their products average out, their energies add up.
+
+The static force is enough: at the harmonics of the tooth passing frequency a stable cut does not regenerate, because
+``1 - exp(-j w T) = 0``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
+
+from process.cutting import CuttingCoefficients, force_harmonics, force_projection
+from process.engagement import Engagement, engagement
+from process.tool import Tool
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+ANGLES = 360
+"""Angles within a tooth period at which the force is looked at for its peak."""
+
+
+@dataclass(frozen=True)
+class Pass:
+    """Kind and radial width of one pass [m]."""
+
+    cut: str
+    width: float
+
+    def arc(self, diameter: float) -> Engagement:
+        """Return its arc of engagement."""
+        return engagement(self.cut, self.width, diameter)
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """One set of passes, each a sweep of the spindle at constant feed rate.
+
+    Parameters
+    ----------
+    tool : Tool
+        With the inserts that are mounted.
+    passes : tuple of Pass
+        Each is cut `repeats` times.
+    depth : float
+        Axial depth of cut [m].
+    feed_per_tooth : float
+        At the start of the sweep [m].
+    start, end : float
+        Spindle rotation [rad/s].
+    duration : float
+        Time in the cut [s].
+    repeats : int
+        How often all passes are cut.
+    lead, tail : float
+        Time in air before and after [s].
+    """
+
+    tool: Tool
+    passes: tuple[Pass, ...]
+    depth: float
+    feed_per_tooth: float
+    start: float
+    end: float
+    duration: float
+    repeats: int = 1
+    lead: float = 0.5
+    tail: float = 2.0
+
+    @property
+    def acceleration(self) -> float:
+        """Spindle acceleration [rad/s2]."""
+        return (self.end - self.start) / self.duration
+
+    @property
+    def tooth_passing(self) -> tuple[float, float]:
+        """First and last tooth passing frequency [Hz]."""
+        return self.tool.tooth_passing_frequency(self.start), self.tool.tooth_passing_frequency(self.end)
+
+    @property
+    def feed_rate(self) -> float:
+        """Feed [m/s], held while the speed rises."""
+        return self.feed_per_tooth * self.tooth_passing[0]
+
+    @property
+    def record(self) -> float:
+        """Length of a record [s]: air, cut, air."""
+        return self.lead + self.duration + self.tail
+
+    @property
+    def length_of_cut(self) -> float:
+        """Length of one pass in the work [m]."""
+        return self.feed_rate * self.duration
+
+    @property
+    def travel(self) -> float:
+        """Travel of the axis in one pass with the air before and after [m]."""
+        return self.feed_rate * self.record
+
+    @property
+    def records(self) -> int:
+        """Number of records."""
+        return self.repeats * len(self.passes)
+
+
+def orders_within(tooth_passing: tuple[float, float], highest: float) -> NDArray[np.int64]:
+    """Return the harmonics of a sweep that reach no higher than `highest` [Hz] where they begin."""
+    return np.arange(1, max(1, math.floor(highest / tooth_passing[0])) + 1)
+
+
+def edge_factor(frequency: ArrayLike, first: float, last: float, duration: float) -> Real:
+    """Return the energy of a finite linear chirp at frequencies [Hz] over that of one without ends.
+
+    ``|Z(u_1) - Z(u_0)|^2/2`` with ``u = sqrt(2 T/(f_2 - f_1)) (f_1 or f_2 - f)``.
+
+    Parameters
+    ----------
+    frequency : array_like
+        Where it is asked [Hz].
+    first, last : float
+        Frequencies that the chirp runs between [Hz].
+    duration : float
+        How long it lasts [s].
+    """
+    f = np.asarray(frequency, dtype=float)
+    stretch = math.sqrt(2.0 * duration / (last - first))
+    (s0, c0), (s1, c1) = (special.fresnel(stretch * (end - f)) for end in (first, last))
+    return np.asarray(((s1 - s0) ** 2 + (c1 - c0) ** 2) / 2.0)
+
+
+def unit_harmonics(
+    tool: Tool, arc: Engagement, coefficients: CuttingCoefficients, depth: float, orders: ArrayLike
+) -> tuple[Complex, Complex]:
+    """Return the force harmonics per feed per tooth [N/m] and those of the edges [N], each of shape (orders, 3)."""
+    edge = force_harmonics(tool, arc, coefficients, depth, 0.0, orders)
+    return force_harmonics(tool, arc, coefficients, depth, 1.0, orders) - edge, edge
+
+
+def energy(
+    frequency: ArrayLike,
+    harmonics: tuple[Complex, Complex],
+    orders: NDArray[np.int64],
+    tooth_passing: tuple[float, float],
+    duration: float,
+    feed_rate: float,
+) -> Complex:
+    """Return ``F F^H`` of the transform of one pass [N2 s2], shape (..., 3, 3), harmonics added as energies.
+
+    ``sum_h F_h F_h^H/(4 h g)`` times the edge factor of each, with the feed per tooth ``v/f_t`` at the moment when
+    harmonic h passes the frequency.
+
+    Parameters
+    ----------
+    frequency : array_like
+        Where it is asked [Hz].
+    harmonics : pair of ndarray
+        From `unit_harmonics`.
+    orders : ndarray of int
+        Which harmonics they are.
+    tooth_passing : (float, float)
+        Range of the tooth passing frequency [Hz].
+    duration : float
+        Time in the cut [s].
+    feed_rate : float
+        [m/s].
+    """
+    f = np.asarray(frequency, dtype=float)
+    first, last = tooth_passing
+    rate = (last - first) / duration
+    total = np.zeros((*f.shape, 3, 3), dtype=complex)
+    for h, chip, edge in zip(orders, *harmonics, strict=True):
+        feed_per_tooth = feed_rate / np.clip(f / h, first, last)
+        force = feed_per_tooth[..., None] * chip + edge
+        share = edge_factor(f, h * first, h * last, duration) / (4.0 * h * rate)
+        total += share[..., None, None] * force[..., :, None] * force[..., None, :].conj()
+    return total
+
+
+def plan_energy(plan: SweepPlan, coefficients: CuttingCoefficients, frequency: ArrayLike) -> list[Complex]:
+    """Return `energy` of each pass of a plan, one record each."""
+    highest = float(np.max(frequency)) + 2.0
+    orders = orders_within(plan.tooth_passing, highest)
+    out = []
+    for one in plan.passes:
+        parts = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), coefficients, plan.depth, orders)
+        out.append(energy(frequency, parts, orders, plan.tooth_passing, plan.duration, plan.feed_rate))
+    return out
+
+
+@dataclass(frozen=True)
+class Level:
+    """Forces of one pass at one spindle speed, all teeth together.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (3,)
+        Mean force on the tool [N].
+    peak : float
+        Largest resultant [N].
+    torque, peak_torque : float
+        On the spindle, mean and largest [N m].
+    """
+
+    mean: Real
+    peak: float
+    torque: float
+    peak_torque: float
+
+
+def force_level(
+    tool: Tool, arc: Engagement, coefficients: CuttingCoefficients, depth: float, feed_per_tooth: float
+) -> Level:
+    """Return the level of the static cutting force over one tooth period; straight edges are taken.
+
+    ``f(phi) = a_p (f_z P (s^2, s c, s) + P_e (s, c, 1)/sin k)`` for each engaged tooth; the torque is D/2 times the
+    sum of ``F_t = a_p (K_tc f_z s + K_te/sin k)``. All are proportional to the depth.
+
+    Parameters
+    ----------
+    tool, arc, coefficients
+        The cut.
+    depth, feed_per_tooth : float
+        [m].
+    """
+    first = np.arange(ANGLES) * (2.0 * math.pi / tool.teeth / ANGLES)
+    phi = (first[:, None] + 2.0 * math.pi / tool.teeth * np.arange(tool.teeth)) % (2.0 * math.pi)
+    inside = (phi >= arc.entry) & (phi <= arc.exit)
+    s, c, one = np.sin(phi) * inside, np.cos(phi) * inside, inside.astype(float)
+    sine = math.sin(tool.approach_angle)
+    chip = force_projection(coefficients.cutting, tool.approach_angle)
+    edge = force_projection(coefficients.edge, tool.approach_angle) / sine
+    both = (
+        np.stack([np.sin(phi) * s, np.sin(phi) * c, s], axis=-1).sum(axis=1),
+        np.stack([s, c, one], axis=-1).sum(axis=1),
+    )
+    force = depth * (feed_per_tooth * both[0] @ chip.T + both[1] @ edge.T)
+    tangential = depth * (coefficients.Ktc * feed_per_tooth * s + coefficients.Kte / sine * one).sum(axis=1)
+    torque = 0.5 * tool.diameter * tangential
+    return Level(
+        force.mean(axis=0), float(np.linalg.norm(force, axis=1).max()), float(torque.mean()), float(torque.max())
+    )
+
+
+def with_inserts(tool: Tool, count: int) -> Tool:
+    """Return the tool with only `count` of its pockets filled, equally spaced."""
+    return replace(tool, teeth=count, pitch_angles=None, runout=None)
+
+
+def possible_inserts(tool: Tool, asked: Sequence[int] = ()) -> list[int]:
+    """Return the numbers of inserts that can be mounted equally spaced, most first."""
+    fitting = [n for n in range(tool.teeth, 0, -1) if tool.teeth % n == 0]
+    return [n for n in fitting if not asked or n in asked]

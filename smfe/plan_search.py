@@ -1,0 +1,358 @@
+"""The search: every sweep of a grid under the limits of the machine, ranked by its largest expected error.
+
+The grid runs over inserts, speed ranges, feed per tooth and the widths of the three passes. Two quantities need no
+grid, because the error falls with both: the sweep lasts as long as stroke, stock and time allow, and the depth is the
+greatest that chatter margin, force, torque and power allow (all are proportional to it). Alternatives are ranked by the
+noise alone, in one band; the best of each group are then worked through as the estimator will (`smfe.plan_errors`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from process.engagement import CUTS
+from process.errors import InputError
+from process.tool import Tool
+from smfe.identification import Progress, silent
+from smfe.plan_errors import Instruments
+from smfe.plan_forces import (
+    Pass,
+    SweepPlan,
+    energy,
+    force_level,
+    orders_within,
+    possible_inserts,
+    unit_harmonics,
+    with_inserts,
+)
+from smfe.plan_limits import KEYS, SHORTEST_PASS, allowed
+from smfe.plan_task import Task
+from smfe.sweep import REFUSE_CONDITION
+from stability import zero_order
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+WIDTHS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)
+"""Widths of cut that are tried, as shares of the diameter."""
+
+FEEDS = 4
+"""Feeds per tooth that are tried."""
+
+LINES = 21
+"""Frequencies at which alternatives are ranked."""
+
+RANKING_BAND = 0.5
+"""Half width of the band in which alternatives are ranked [Hz]."""
+
+BEYOND = 1.0
+"""How far a sweep goes beyond the band at either end [Hz]: the widest half width of the estimator."""
+
+DEPTH_STEP = 0.1e-3
+"""Depths are rounded down to this [m]."""
+
+CHATTER_SPEEDS = 25
+"""Spindle speeds of a sweep at which the limit depth is asked."""
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """One choice of inserts, speeds and feed per tooth."""
+
+    tool: Tool
+    start: float
+    end: float
+    feed_per_tooth: float
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """What each choice of one pass gives with one tool, for unit depth of 1 m where a force is meant.
+
+    Parameters
+    ----------
+    choices : tuple of Pass
+        Kinds and widths.
+    limit : ndarray, shape (choices, speeds)
+        Limit depth [m].
+    speed : ndarray
+        Spindle speeds of the limits [rpm].
+    """
+
+    choices: tuple[Pass, ...]
+    limit: Real
+    speed: Real
+
+
+class Search:
+    """All alternatives for a task.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        limits = task.limits
+        fitting = possible_inserts(task.tool, limits.inserts)
+        lost = sorted(set(limits.inserts) - set(fitting))
+        if lost or not fitting:
+            raise InputError(
+                f"{task.path.name}: plan.inserts: {lost[0] if lost else 0} inserts cannot be spaced equally on a tool "
+                f"of {task.tool.teeth} teeth; possible are {', '.join(map(str, possible_inserts(task.tool)))}"
+            )
+        self.tools = [with_inserts(task.tool, n) for n in fitting]
+        self.instruments = Instruments(limits.acceleration_noise, limits.force_noise, limits.sample_rate)
+        low, high = limits.frequency_range
+        self.frequency = np.linspace(low, high, LINES)
+        self.scale = task.estimate.scale(task.frequency)
+
+    @cached_property
+    def _noise(self) -> Real:
+        return self.instruments.response_noise(self.frequency, self.task.estimate.matrix(self.frequency))
+
+    def choices(self) -> list[tuple[Pass, ...]]:
+        """Return the sets of passes that are tried: those of the plan, else all widths of down, up and central."""
+        given = self.task.limits.passes
+        if given:
+            return [tuple(Pass(p.cut, p.width_of_cut) for p in given)]
+        widths = [round(share * self.task.tool.diameter, 4) for share in WIDTHS]
+        return [
+            tuple(Pass(cut, w) for cut, w in zip(CUTS, chosen, strict=True))
+            for chosen in itertools.product(widths, repeat=3)
+        ]
+
+    def ramps(self, tool: Tool) -> Iterator[Ramp]:
+        """Yield the speed ranges whose first harmonics cover the band without a gap, with each feed per tooth."""
+        low, high = self.task.limits.feed_per_tooth
+        feeds = [low] if math.isclose(low, high) else list(np.geomspace(low, high, FEEDS))
+        for start, end in self._speed_ranges(tool):
+            for feed in feeds:
+                yield Ramp(tool, start, end, float(feed))
+
+    def _speed_ranges(self, tool: Tool) -> list[tuple[float, float]]:
+        first, last = self.task.limits.frequency_range
+        first, last = first - BEYOND, last + BEYOND
+        turn = 2.0 * math.pi / tool.teeth
+        spindle = self.task.spindle
+        slow, fast = (n * tool.teeth / 60.0 for n in (spindle.minimum, spindle.maximum))
+        starts = {first / m for m in (1, 2, 3)}
+        ends = {last / m for m in (1, 2, 3)}
+        # A spindle that is too slow for one choice may do with its own limits.
+        starts |= {slow} if first / 3.0 < slow <= first else set()
+        ends |= {fast} if last / 3.0 < fast <= last else set()
+        out = []
+        for a, b in itertools.product(sorted(starts), sorted(ends)):
+            if covers((a, b), (first, last)):
+                out.append((self._set(a * turn, down=True), self._set(b * turn, down=False)))
+        return sorted(set(out))
+
+    def _set(self, rotation: float, down: bool) -> float:
+        """Return the next speed that can be set, as rotation [rad/s]."""
+        step = self.task.spindle.step or 1.0
+        rpm = rotation * 30.0 / math.pi
+        whole = (math.floor if down else math.ceil)(round(rpm / step, 6)) * step
+        # Rounding does not lead out of the spindle's range.
+        if down and rpm >= self.task.spindle.minimum > whole:
+            whole += step
+        if not down and rpm <= self.task.spindle.maximum < whole:
+            whole -= step
+        return float(max(whole, step) * math.pi / 30.0)
+
+    def table(self, progress: Progress = silent) -> pd.DataFrame:
+        """Return all alternatives: what they are, their expected error by noise alone, and what they need.
+
+        Columns: inserts, start, end [rad/s], feed_per_tooth [m], duration [s], depth [m], passes (number in `choices`),
+        worst, median (expected error), condition, and needed over available for each of `KEYS`.
+        """
+        choices = self.choices()
+        frames = []
+        for k, tool in enumerate(self.tools):
+            progress("looking at alternatives", k, len(self.tools))
+            ramps = list(self.ramps(tool))
+            if not ramps:
+                continue
+            cuts = self._cuts(tool, choices, ramps)
+            frames += [self._alternatives(ramp, choices, cuts) for ramp in ramps]
+        if not frames:
+            low, high = self.task.limits.frequency_range
+            raise InputError(
+                f"{self.task.path.name}: no spindle speed brings the first three harmonics of the tooth passing "
+                f"frequency over {low:g} to {high:g} Hz without a gap; ask for another frequency_range"
+            )
+        progress("looking at alternatives", len(self.tools), len(self.tools))
+        return pd.concat(frames, ignore_index=True)
+
+    def _cuts(self, tool: Tool, choices: Sequence[tuple[Pass, ...]], ramps: Sequence[Ramp]) -> Cuts:
+        """Return the limit depths of every pass that occurs, over all speeds of all ramps."""
+        used = tuple(dict.fromkeys(p for chosen in choices for p in chosen))
+        speed = np.unique(np.concatenate([_speeds(r.start, r.end) for r in ramps]))
+        limits = []
+        for one in used:
+            arc = one.arc(tool.diameter)
+            found = zero_order(self.task.estimate.source, tool, arc, self.task.coefficients, speed)
+            limits.append(1e-3 * found["limit_depth"].values)
+        return Cuts(used, np.array(limits), speed)
+
+    def _alternatives(self, ramp: Ramp, choices: Sequence[tuple[Pass, ...]], cuts: Cuts) -> pd.DataFrame:
+        index = {p: i for i, p in enumerate(cuts.choices)}
+        rows = np.array([[index[p] for p in chosen] for chosen in choices])
+        limits = self.task.limits
+        base = SweepPlan(
+            ramp.tool, (), 1.0, ramp.feed_per_tooth, ramp.start, ramp.end, 1.0, 1, limits.lead, limits.tail
+        )
+        duration, needs = self._duration(base, len(choices[0]))
+        plan = replace(base, duration=duration)
+        peaks = {k: v[rows].max(axis=1) for k, v in self._loads(plan, cuts).items()}
+        slow, fast = (w * 30.0 / math.pi for w in (ramp.start, ramp.end))
+        inside = (cuts.speed >= slow * (1 - 1e-9)) & (cuts.speed <= fast * (1 + 1e-9))
+        safe = limits.chatter_margin * cuts.limit[:, inside].min(axis=1)[rows].min(axis=1)
+        least, greatest = limits.depth_of_cut
+        # Loads are proportional to the depth, for straight edges exactly.
+        bounds = [np.full(rows.shape[0], greatest), safe]
+        bounds += [allowed(self.task, k) / v for k, v in peaks.items() if allowed(self.task, k) is not None]
+        depth = np.floor(np.min(bounds, axis=0) / DEPTH_STEP * (1.0 + 1e-9)) * DEPTH_STEP
+        depth = np.clip(np.where(depth < least, least, depth), least, greatest)
+        worst, median, condition = self._errors(plan, cuts, rows, depth)
+        columns: dict[str, Any] = {
+            "inserts": ramp.tool.teeth,
+            "start": ramp.start,
+            "end": ramp.end,
+            "feed_per_tooth": ramp.feed_per_tooth,
+            "duration": duration,
+            "depth": depth,
+            "passes": np.arange(rows.shape[0]),
+            "worst": worst,
+            "median": median,
+            "force_condition": condition,
+        }
+        needed = dict.fromkeys(KEYS, 0.0) | needs
+        columns |= {key: np.full(rows.shape[0], needed[key]) for key in KEYS}
+        columns["condition"] = condition / REFUSE_CONDITION
+        columns["chatter"] = least / np.maximum(safe, 1e-12)
+        for k, v in peaks.items():
+            given = allowed(self.task, k)
+            columns[k] = np.zeros(rows.shape[0]) if given is None else least * v / given
+        columns["error"] = worst / math.sqrt(self.most_repeats(plan, len(choices[0]))) / limits.largest_error
+        return pd.DataFrame(columns)
+
+    def _duration(self, plan: SweepPlan, passes: int) -> tuple[float, dict[str, float]]:
+        """Return the longest time in the cut [s], and needed over available of what limits it."""
+        limits = self.task.limits
+        feed, air = plan.feed_rate, plan.lead + plan.tail
+        rise = plan.end - plan.start
+        shortest = SHORTEST_PASS
+        longest = limits.longest_pass
+        needs: dict[str, float] = {}
+        if limits.spindle_acceleration is not None:
+            needs["acceleration"] = rise / longest / limits.spindle_acceleration
+            shortest = max(shortest, rise / limits.spindle_acceleration)
+        ends = [longest]
+        for key, given, used, extra in (
+            ("stroke", limits.stroke, feed, feed * air),
+            ("stock", limits.stock_length, feed, 0.0),
+            ("time", limits.time, float(passes), passes * air),
+        ):
+            if given is not None:
+                needs[key] = (used * shortest + extra) / given
+                ends.append((given - extra) / used)
+        slow, fast = (w * 30.0 / math.pi for w in (plan.start, plan.end))
+        needs["speed_high"] = fast / self.task.spindle.maximum
+        needs["speed_low"] = self.task.spindle.minimum / slow
+        if limits.feed is not None:
+            needs["feed_low"], needs["feed_high"] = limits.feed[0] / feed, feed / limits.feed[1]
+        duration = max(min(ends), min(shortest, longest), 1.0)
+        return math.floor(duration * 10.0 + 1e-9) / 10.0, needs
+
+    def most_repeats(self, plan: SweepPlan, passes: int) -> int:
+        """Return how often the passes can be cut in the time that there is, at most as often as the plan allows."""
+        limits = self.task.limits
+        if limits.time is None:
+            return limits.repeats
+        return min(limits.repeats, max(1, math.floor(limits.time / (passes * plan.record) + 1e-9)))
+
+    def _loads(self, plan: SweepPlan, cuts: Cuts) -> dict[str, Real]:
+        """Return the largest force [N/m], torque [N] and power [W/m] of each pass of unit depth over the sweep."""
+        last = plan.feed_rate / plan.tooth_passing[1]
+        loads: dict[str, list[float]] = {"force": [], "torque": [], "power": []}
+        for one in cuts.choices:
+            arc = one.arc(plan.tool.diameter)
+            begin, end = (
+                force_level(plan.tool, arc, self.task.coefficients, 1.0, f) for f in (plan.feed_per_tooth, last)
+            )
+            loads["force"].append(max(begin.peak, end.peak))
+            loads["torque"].append(max(begin.peak_torque, end.peak_torque))
+            loads["power"].append(max(begin.torque * plan.start, end.torque * plan.end))
+        return {key: np.array(values) for key, values in loads.items()}
+
+    def _errors(self, plan: SweepPlan, cuts: Cuts, rows: NDArray[np.int64], depth: Real) -> tuple[Real, Real, Real]:
+        """Return worst and median expected error, and the largest condition number, of each set of passes."""
+        deep = float(np.median(depth))
+        orders = orders_within(plan.tooth_passing, self.frequency[-1] + 2.0)
+        grams = []
+        for one in cuts.choices:
+            # A helix makes the harmonics not quite proportional to the depth; the median depth stands for all.
+            parts = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), self.task.coefficients, deep, orders)
+            grams.append(energy(self.frequency, parts, orders, plan.tooth_passing, plan.duration, plan.feed_rate))
+        gram = np.array(grams)[rows].sum(axis=1)
+        spread, condition = inverse_diagonal(gram)
+        density = 9.0 / 4.0 / (2.0 * RANKING_BAND)
+        square = density * np.einsum("fi,pfj->pij", self._noise, spread) / self.frequency.size
+        error = np.sqrt(square) / self.scale * (deep / depth)[:, None, None]
+        flat = error.reshape(rows.shape[0], 9)
+        return flat.max(axis=1), np.median(flat, axis=1), condition
+
+
+def covers(tooth_passing: tuple[float, float], band: tuple[float, float]) -> bool:
+    """Whether the harmonics of a sweep cover a band without a gap."""
+    first, last = tooth_passing
+    if not 0.0 < first < last:
+        return False
+    reached = band[0]
+    for h in range(1, math.ceil(band[1] / first) + 1):
+        if h * first > reached * (1.0 + 1e-9):
+            return False
+        reached = max(reached, h * last)
+        if reached >= band[1] * (1.0 - 1e-9):
+            return True
+    return False
+
+
+def inverse_diagonal(gram: Complex) -> tuple[Real, Real]:
+    """Return the diagonal of the inverse of Hermitian 3x3 matrices, and the largest root of their condition over lines.
+
+    Parameters
+    ----------
+    gram : ndarray of complex, shape (p, f, 3, 3)
+        ``F F^H``.
+
+    Returns
+    -------
+    tuple of ndarray
+        Shapes (p, f, 3) and (p,): by cofactors; the condition number of F from every third line.
+    """
+    values = np.linalg.eigvalsh(gram[:, ::3])
+    condition = np.sqrt(values[..., 2] / np.maximum(values[..., 0], 1e-14 * values[..., 2])).max(axis=1)
+    cofactors = []
+    for j in range(3):
+        k, m = (j + 1) % 3, (j + 2) % 3
+        cofactors.append(gram[..., k, k].real * gram[..., m, m].real - np.abs(gram[..., k, m]) ** 2)
+    trace = np.trace(gram, axis1=2, axis2=3).real
+    determinant = np.linalg.det(gram).real
+    floor = 1e-14 * trace**3
+    return np.maximum(np.stack(cofactors, axis=-1), 0.0) / np.maximum(determinant, floor)[..., None], condition
+
+
+def _speeds(start: float, end: float) -> Real:
+    return np.linspace(start, end, CHATTER_SPEEDS) * 30.0 / math.pi

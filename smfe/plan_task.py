@@ -1,0 +1,222 @@
+"""What a sweep is planned for: tool, material, limits, and an estimate of the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from process.compliance import ModalModel
+from process.cutting import CuttingCoefficients
+from process.errors import InputError
+from process.labels import AXES, full_matrix
+from process.tool import Tool
+from smfe.campaign import Campaign, load_campaign
+from smfe.campaign.campaign import read_toml
+from smfe.campaign.plan_table import PlanTable
+from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.datasets import Show
+from smfe.identification import Progress, silent
+from smfe.measurements import identify_measurement
+from smfe.scenario import load_scenario
+from smfe.sweep_estimators import LocalPolynomial
+from stability import SpindleRange
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+RIGID = 0.1
+"""An axis is compared with at least this share of the softest one: errors of a rigid axis matter little."""
+
+_GRID_STEP = 0.1
+"""Step of the frequency axis on which a machine with axes is taken [Hz]."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is believed of the machine before the sweep.
+
+    Parameters
+    ----------
+    name : str
+        Where it comes from.
+    source : ModalModel or xarray.Dataset
+        Modes, or a labelled compliance.
+    machine : mapping or None
+        The table ``[machine]`` of a scenario that simulates it; None where that cannot be done.
+    warnings : tuple of str
+        What the user must know of it.
+    """
+
+    name: str
+    source: ModalModel | xr.Dataset
+    machine: Mapping[str, Any] | None = None
+    warnings: tuple[str, ...] = ()
+
+    def matrix(self, frequency: ArrayLike) -> Complex:
+        """Return the compliance [m/N] at frequencies [Hz], shape (..., 3, 3); a measured one is interpolated.
+
+        Raises
+        ------
+        InputError
+            When a measured compliance does not reach that far.
+        """
+        f = np.asarray(frequency, dtype=float)
+        if isinstance(self.source, ModalModel):
+            return self.source.matrix(f.ravel()).reshape(*f.shape, 3, 3)
+        full = full_matrix(self.source)
+        known = np.isfinite(full).all(axis=(1, 2))
+        at = self.source["frequency"].values[known]
+        if at.size < 2 or f.min() < at[0] - 1e-9 or f.max() > at[-1] + 1e-9:
+            reach = f"{at[0]:g} to {at[-1]:g} Hz" if at.size else "nothing"
+            raise InputError(
+                f"the estimate '{self.name}' holds {reach}; {f.min():g} to {f.max():g} Hz are needed, the band of the "
+                "plan and 1 Hz beyond: measure a wider band, narrow frequency_range, or give a [[model]]"
+            )
+        flat = full[known].reshape(at.size, 9)
+        columns = [
+            np.interp(f.ravel(), at, flat[:, k].real) + 1j * np.interp(f.ravel(), at, flat[:, k].imag) for k in range(9)
+        ]
+        return np.stack(columns, axis=1).reshape(*f.shape, 3, 3)
+
+    def scale(self, frequency: Real) -> Real:
+        """Return what an error is a fraction of [m/N], shape (3, 3): ``sqrt(rms Phi_ii rms Phi_jj)`` over frequencies.
+
+        It does not vanish where a cross compliance does. An axis counts with at least `RIGID` of the softest.
+        """
+        direct = np.sqrt(np.mean(np.abs(np.diagonal(self.matrix(frequency), axis1=1, axis2=2)) ** 2, axis=0))
+        if not direct.max() > 0.0:
+            raise InputError(f"the estimate '{self.name}' does not move in the band; name one that does")
+        direct = np.maximum(direct, RIGID * direct.max())
+        return np.sqrt(np.outer(direct, direct))
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a sweep is planned for.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        Title.
+    tool : Tool
+        With all pockets filled.
+    coefficients : CuttingCoefficients
+        Work material.
+    estimate : Estimate
+        The machine.
+    spindle : SpindleRange
+        What it can be set to [rpm].
+    limits : PlanTable
+        ``[plan]``, in SI.
+    raw : mapping
+        The file as it was written.
+    """
+
+    path: Path
+    name: str
+    tool: Tool
+    coefficients: CuttingCoefficients
+    estimate: Estimate
+    spindle: SpindleRange
+    limits: PlanTable
+    raw: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def frequency(self) -> Real:
+        """Frequencies at which the sweep will be evaluated [Hz]."""
+        return LocalPolynomial().axis(self.limits.frequency_range, ())
+
+
+def load_task(path: Path | str, progress: Progress = silent, show: Show | None = None) -> Task:
+    """Read a plan or campaign file; identify the measurement that the plan starts from.
+
+    Parameters
+    ----------
+    path : path
+        Campaign file, usually with a table ``[plan]``.
+    progress : callable, optional
+        Called with (what, done, of).
+    show : callable, optional
+        Called with the licence of a public data set before it is fetched.
+
+    Raises
+    ------
+    InputError
+        When the file is wrong, names no machine, or its tool cannot be planned for.
+    """
+    campaign = load_campaign(path, show)
+    limits = campaign.plan or PlanTable()
+    missing = [
+        f"[{name}]" for name, value in (("tool", campaign.tool), ("material", campaign.coefficients)) if not value
+    ]
+    if campaign.tool is None or campaign.coefficients is None:
+        raise InputError(f"{campaign.path.name}: a plan needs {' and '.join(missing)}; add it")
+    _check_tool(campaign.path, campaign.tool)
+    raw = read_toml(campaign.path)
+    return Task(
+        campaign.path,
+        campaign.name,
+        campaign.tool,
+        campaign.coefficients,
+        _estimate(campaign, limits, raw, progress),
+        campaign.spindle,
+        limits,
+        raw,
+    )
+
+
+def _check_tool(path: Path, tool: Tool) -> None:
+    unequal = [] if tool.equal_pitch else ["unequal pitch"]
+    unequal += [] if tool.equal_radius else ["run-out"]
+    if unequal:
+        raise InputError(
+            f"{path.name}: the tool has {' and '.join(unequal)}; a plan is made for equally spaced teeth on one "
+            "circle: leave pitch_angles and runout out"
+        )
+
+
+def _estimate(campaign: Campaign, limits: PlanTable, raw: Mapping[str, Any], progress: Progress) -> Estimate:
+    if limits.scenario is not None:
+        return _of_scenario(campaign.path, limits)
+    models = {m.name: m.modal for m in campaign.models}
+    measured = {m.name: m for m in campaign.measurements if m.method in COMPLIANCE_METHODS}
+    name = limits.machine or next(iter([*models, *measured]), None)
+    if name in models:
+        table = next(t for t in raw["model"] if t["name"] == name)
+        return Estimate(name, models[name], {"modes": table["modes"]})
+    if name is None or name not in measured:
+        wanted = "no machine" if name is None else f"'{name}', which gives no compliance"
+        raise InputError(
+            f"{campaign.path.name}: the plan has {wanted}; name a [[model]], or a measurement by hammer, actuator, "
+            "sweep or frf"
+        )
+    found = identify_measurement(campaign, measured[name], progress).compliance
+    array = found["compliance"]
+    lacking = [a for a in AXES if a not in array["response"].values or a not in array["excitation"].values]
+    told = (f"'{name}' has no {', '.join(lacking)}; what was not measured is taken as rigid",) if lacking else ()
+    return Estimate(name, found, None, told)
+
+
+def _of_scenario(path: Path, limits: PlanTable) -> Estimate:
+    assert limits.scenario is not None
+    scenario = load_scenario(path.parent / limits.scenario)
+    table = scenario.raw["machine"]
+    if isinstance(scenario.machine, ModalModel):
+        return Estimate(limits.scenario, scenario.machine, table)
+    low, high = limits.feed or (0.0, 0.0)
+    feed = {"x": 0.5 * (low + high)} if "x" in scenario.machine.axes else {}
+    point = scenario.machine.at(feed, limits.controller)
+    grid = np.arange(1.0, 3.0 * limits.frequency_range[1], _GRID_STEP)
+    told = (
+        f"the machine is taken for small vibration at a feed of {6e4 * feed.get('x', 0.0):g} mm/min in x; friction "
+        "makes its compliance depend on feed and force",
+    )
+    return Estimate(limits.scenario, point.compliance(grid), table, told)

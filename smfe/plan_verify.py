@@ -1,0 +1,145 @@
+"""Is the prediction right? Simulate the planned sweep, identify it, compare the errors entry by entry.
+
+The time simulation (`process.simulate`) takes the chip from the surface that earlier teeth left and shares no code with
+the prediction; noise is drawn anew for each seed.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from process.labels import AXES
+from smfe.identification import Progress, silent
+from smfe.pipeline import identify
+from smfe.plan import Plan
+from smfe.plan_files import scenario_text
+from smfe.scenario import simulate
+from smfe.store import read_groups, write_csv
+
+Real = NDArray[np.float64]
+
+ENTRY_RATIO = (0.5, 2.0)
+"""Measured over predicted error within which each entry must lie, mean of all seeds."""
+
+MEDIAN_RATIO = (0.8, 1.25)
+"""The same for the median of the entries."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Measured errors beside predicted ones.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        entry, predicted_percent, measured_percent (root mean square over seeds), ratio, and one column a seed.
+    condition_ratio : float
+        Median over frequency of the condition number found over the one predicted, first seed.
+    seeds : tuple of int
+        Seeds of the sensor noise.
+    """
+
+    table: pd.DataFrame
+    condition_ratio: float
+    seeds: tuple[int, ...]
+
+    @property
+    def median_ratio(self) -> float:
+        """Median over the entries of measured over predicted error."""
+        return float(self.table["ratio"].median())
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether each entry and their median lie where they must."""
+        ratio = self.table["ratio"]
+        entries = bool(ratio.between(*ENTRY_RATIO).all())
+        return entries and MEDIAN_RATIO[0] <= self.median_ratio <= MEDIAN_RATIO[1]
+
+
+def verify(
+    found: Plan, out: Path | str | None = None, seeds: tuple[int, ...] = (1, 2, 3), progress: Progress = silent
+) -> Verification:
+    """Simulate and identify the recommended sweep; compare the errors with those predicted.
+
+    Parameters
+    ----------
+    found : Plan
+        The plan.
+    out : path, optional
+        Folder for ``verification.csv``. The records are not kept: ``scenario.toml`` makes them again.
+    seeds : tuple of int, optional
+        Seeds of the sensor noise.
+    progress : callable, optional
+        Called with (what, done, of).
+
+    Raises
+    ------
+    InputError
+        When the machine cannot be simulated, or there is no seed.
+    """
+    if not seeds:
+        raise InputError("no seed to verify with; give at least one")
+    scale, predicted = _scale(found), found.prediction["relative_error"].values
+    errors, condition = [], np.nan
+    for done, seed in enumerate(seeds):
+        progress("simulating and identifying the plan", done, len(seeds))
+        compliance, truth = _identified(found, seed)
+        if done == 0:
+            condition = float(np.median(compliance["force_condition"] / found.prediction["force_condition"]))
+        difference = compliance["compliance"].transpose("frequency", "response", "excitation").values - truth
+        errors.append(np.sqrt(np.nanmean(np.abs(difference) ** 2, axis=0)) / scale)
+    measured = np.sqrt(np.mean(np.square(errors), axis=0))
+    table = pd.DataFrame(
+        {
+            "entry": [r + e for r in AXES for e in AXES],
+            "predicted_percent": 100.0 * predicted.ravel(),
+            "measured_percent": 100.0 * measured.ravel(),
+            "ratio": (measured / predicted).ravel(),
+            **{f"seed_{s}_percent": 100.0 * e.ravel() for s, e in zip(seeds, errors, strict=True)},
+        }
+    )
+    if out is not None:
+        write_csv(Path(out) / "verification.csv", table)
+    return Verification(table, condition, tuple(seeds))
+
+
+def explain(result: Verification) -> str:
+    """Return the verification in words, a line each."""
+    lines = [
+        f"{row.entry}: expected {row.predicted_percent:.2g} %, found {row.measured_percent:.2g} % ({row.ratio:.2f})"
+        for row in result.table.itertuples()
+    ]
+    verdict = "the prediction is confirmed" if result.confirmed else "the prediction is NOT confirmed"
+    seeds = ", ".join(map(str, result.seeds))
+    tail = (
+        f"{verdict}: median ratio {result.median_ratio:.2f}, condition number found over expected "
+        f"{result.condition_ratio:.2f}, seeds {seeds}"
+    )
+    return "\n".join([*lines, tail])
+
+
+def _scale(found: Plan) -> Real:
+    return found.task.estimate.scale(found.task.frequency)
+
+
+def _identified(found: Plan, seed: int) -> tuple[xr.Dataset, NDArray[np.complex128]]:
+    """Return what the identification finds from simulated records, and the truth on its frequencies."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "scenario.toml").write_text(scenario_text(found.task, found.sweep, seed), encoding="utf-8")
+        campaign = simulate(folder / "scenario.toml", folder / "out", workers=1, show=lambda text: None)
+        compliance = identify(campaign, folder / "frf.nc")["sweep"].compliance
+        truth = read_groups(folder / "out" / "truth.nc")["sweep"]["compliance"]
+        at = compliance["frequency"].values
+        exact = found.task.estimate.matrix(at)
+        if found.task.estimate.machine is not None and "axis" in found.task.estimate.machine:
+            exact = truth.interp(frequency=at).transpose("frequency", "response", "excitation").values
+        return compliance, exact

@@ -1,0 +1,200 @@
+"""The page of a plan: which passes to cut, what is expected of them, and why the others were rejected."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from smfe.plan import Plan
+from smfe.report.figures import DPI, save
+from smfe.report.look import AXIS_COLOURS, CHATTER
+from smfe.store import write_atomically
+from smfe.sweep import REFUSE_CONDITION, WARN_CONDITION
+
+_HERE = Path(__file__).parent
+
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
+_DASHES = ("-", "--", ":", "-.")
+
+CAPTIONS = {
+    "plan_error.png": "Compliance of the estimate, and the error to be expected of what the sweep will find (noise and "
+    "what resonances bend).",
+    "plan_forces.png": "Transform of the force of each pass: what the sweep puts at each frequency.",
+    "plan_condition.png": "Condition number of the forces; above 30 badly conditioned, above 200 not solved.",
+    "plan_chatter.png": "Limit depth of each pass at all speeds of the sweep (zero order), and the planned depth.",
+}
+"""Picture -> what it shows, in the order of the page."""
+
+
+def write_page(found: Plan, passes: pd.DataFrame, folder: Path) -> Path:
+    """Write ``plan.html`` and ``figures/plan_*.png``.
+
+    Parameters
+    ----------
+    found : Plan
+        The plan.
+    passes : pandas.DataFrame
+        `smfe.plan_files.passes_table`.
+    folder : Path
+        Where to.
+
+    Returns
+    -------
+    Path
+        The page: one file that needs nothing else.
+    """
+    drawn = dict(
+        zip(CAPTIONS, (draw_error(found), draw_forces(found), draw_condition(found), draw_chatter(found)), strict=True)
+    )
+    images = []
+    for name, figure in drawn.items():
+        path = save(figure, folder / "figures" / name)
+        images.append({"data": base64.b64encode(path.read_bytes()).decode("ascii"), "caption": CAPTIONS[name]})
+    environment = Environment(loader=FileSystemLoader(_HERE / "templates"), autoescape=True, undefined=StrictUndefined)
+    text = environment.get_template("plan.html.j2").render(**_context(found, passes), images=images)
+    return write_atomically(folder / "plan.html", lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def _context(found: Plan, passes: pd.DataFrame) -> dict[str, Any]:
+    error = 100.0 * found.prediction["relative_error"].values
+    low, high = found.task.limits.frequency_range
+    return {
+        "name": found.task.name,
+        "band": f"{low:g} to {high:g} Hz",
+        "worst": f"{100.0 * found.worst:.2g}",
+        "median": f"{100.0 * found.median:.2g}",
+        "estimate": found.task.estimate.name,
+        "examined": found.examined,
+        "warnings": found.warnings,
+        "errors": [[f"{v:.2g}" for v in row] for row in error],
+        "passes": _table(passes),
+        "alternatives": _table(found.alternatives),
+        "rejected": _table(found.rejected),
+    }
+
+
+def _table(frame: pd.DataFrame) -> dict[str, Any]:
+    rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False)]
+    return {"head": [str(c).replace("_", " ") for c in frame.columns], "rows": rows}
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return "" if np.isnan(value) else f"{value:.4g}"
+    return str(value)
+
+
+# --- figures --------------------------------------------------------------------------------------------------------
+
+
+def _plain(axes: Axes) -> None:
+    axes.grid(True, color="#dddddd", linewidth=0.5)
+    axes.tick_params(labelsize=8, direction="in", which="both")
+
+
+def _new(width: float, height: float) -> Figure:
+    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def draw_error(found: Plan) -> Figure:
+    """Draw the nine compliances with their expected error."""
+    p = found.prediction
+    frequency = p["frequency"].values
+    size = 1e6 * np.abs(p["compliance"].values)
+    std = 1e6 * p["compliance_std"].values
+    figure = _new(9.0, 7.0)
+    panels = figure.subplots(3, 3, sharex=True, sharey=True)
+    share = 100.0 * p["relative_error"].values
+    top = size.max()
+    for i, r in enumerate("xyz"):
+        for j, e in enumerate("xyz"):
+            axes = panels[i, j]
+            axes.semilogy(frequency, np.maximum(size[:, i, j], 1e-9 * top), color="black", linewidth=1.3)
+            axes.semilogy(frequency, std[:, i, j], color=_COLOURS[0], linestyle="--", linewidth=1.3)
+            axes.set_title(f"{r}{e}: error {share[i, j]:.2g} %", fontsize=9)
+            _plain(axes)
+    panels[0, 0].set_ylim(0.3 * std.min(), 2.0 * top)
+    for axes in panels[2]:
+        axes.set_xlabel("frequency [Hz]", fontsize=9)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("[um/N]", fontsize=9)
+    lines = panels[0, 0].get_lines()
+    figure.legend(
+        lines,
+        ["compliance (estimate)", "expected error"],
+        loc="outside upper center",
+        ncols=2,
+        frameon=False,
+        fontsize=9,
+    )
+    return figure
+
+
+def draw_forces(found: Plan) -> Figure:
+    """Draw the transforms of the forces of each pass."""
+    spectrum = found.prediction["force_spectrum"]
+    frequency = found.prediction["frequency"].values
+    labels = [str(v) for v in spectrum["pass"].values]
+    figure = _new(9.0, 3.2)
+    panels = figure.subplots(1, len(labels), sharey=True, squeeze=False)[0]
+    for k, axes in enumerate(panels):
+        for a, name in enumerate("xyz"):
+            axes.semilogy(frequency, spectrum.values[k, a], color=AXIS_COLOURS[name], linestyle=_DASHES[a], label=name)
+        axes.set_title(labels[k], fontsize=9)
+        axes.set_xlabel("frequency [Hz]", fontsize=9)
+        _plain(axes)
+    panels[0].set_ylabel("|F(f)| [N s]", fontsize=9)
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(
+        handles, [f"force {n}" for n in names], loc="outside upper center", ncols=3, frameon=False, fontsize=9
+    )
+    return figure
+
+
+def draw_condition(found: Plan) -> Figure:
+    """Draw the condition number of the forces."""
+    p = found.prediction
+    figure = _new(6.5, 3.0)
+    axes = figure.subplots()
+    axes.semilogy(p["frequency"].values, p["force_condition"].values, color="black", linewidth=1.3)
+    for level, text in ((WARN_CONDITION, "badly conditioned"), (REFUSE_CONDITION, "not solved")):
+        axes.axhline(level, color=CHATTER, linewidth=0.9, linestyle="--")
+        axes.annotate(
+            f"above: {text}", (1.0, level), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8
+        )
+    axes.set_ylim(1.0, max(1.6 * REFUSE_CONDITION, 1.2 * float(p["force_condition"].max())))
+    axes.set_xlabel("frequency [Hz]", fontsize=9)
+    axes.set_ylabel("condition number", fontsize=9)
+    _plain(axes)
+    return figure
+
+
+def draw_chatter(found: Plan) -> Figure:
+    """Draw the limit depth of each pass over the speeds of the sweep."""
+    limits = found.prediction["limit_depth"]
+    speed = limits["spindle_speed"].values
+    depth = 1e3 * found.sweep.depth
+    safe = depth / found.task.limits.chatter_margin
+    figure = _new(6.5, 3.4)
+    axes = figure.subplots()
+    finite = limits.values[np.isfinite(limits.values)]
+    top = min(4.0 * safe, 1.1 * float(finite.max())) if finite.size else 2.0 * safe
+    top = max(top, 1.3 * safe)
+    for k, name in enumerate(limits["pass"].values):
+        values = np.minimum(limits.values[k], 10.0 * top)
+        axes.plot(speed, values, color=_COLOURS[k % 5], linestyle=_DASHES[k % 4], linewidth=1.4, label=str(name))
+    axes.axhline(depth, color="black", linewidth=1.6, label="planned depth")
+    axes.axhline(safe, color=CHATTER, linewidth=1.0, linestyle="--", label="least limit asked for")
+    axes.set_ylim(0.0, top)
+    axes.set_xlabel("spindle speed [rpm]", fontsize=9)
+    axes.set_ylabel("limit depth [mm]", fontsize=9)
+    _plain(axes)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False, fontsize=8)
+    return figure

@@ -1,0 +1,232 @@
+"""Planning a sweep: forces against the time domain, errors against symmetries and simulated identifications."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from process.compliance import ModalModel
+from process.cutting import CuttingCoefficients, force_projection
+from process.engagement import engagement
+from process.errors import InputError
+from process.simulate import MillingCut, Spindle, simulate_milling
+from process.tool import Tool
+from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
+from smfe.least_squares import condition_number
+from smfe.plan_errors import Instruments, expected, relative_error
+from smfe.plan_forces import Pass, SweepPlan, edge_factor, energy, force_level, orders_within, unit_harmonics
+from smfe.plan_search import covers, inverse_diagonal
+from smfe.plan_task import Estimate
+from smfe.spectra import BlockSpectra
+from smfe.sweep import identify_sweep
+from smfe.sweep_estimators import SweepPass, whole_record
+
+FREQUENCY = np.arange(20.0, 80.25, 0.25)
+STIFF = ModalModel([400.0], [0.5], [1e13], [[1.0, 1.0, 1.0]])
+ESTIMATE = Estimate("known", MACHINE)
+NOISE = Instruments(SENSORS.acceleration_noise, (0.0, 0.0, 0.0), 2000.0)
+
+
+def published(width: float = 0.012, duration: float = 65.0, **changes: float) -> SweepPlan:
+    """The published sweep: 80 mm, two inserts, 600 rpm at 1.5 rad/s2 for 65 s, a_p 2 mm, f_z 0.1 mm.
+
+    Its spindle accelerates from the start of the record, half a second before the cut.
+    """
+    passes = tuple(Pass(cut, width) for cut in ("down", "up", "central"))
+    start = SWEEP_START + 0.5 * SWEEP_RATE
+    plan = SweepPlan(TOOL, passes, 0.002, 1e-4 * SWEEP_START / start, start, start + SWEEP_RATE * 65.0, duration)
+    return replace(plan, **changes)
+
+
+def spectrum(plan: SweepPlan, one: Pass, machine: ModalModel = STIFF) -> BlockSpectra:
+    """Transform of the force of one pass, from the time simulation of the cut."""
+    cut = MillingCut(plan.tool, one.arc(plan.tool.diameter), MATERIAL, plan.depth, feed_rate=plan.feed_rate)
+    spindle = Spindle(plan.start - plan.lead * plan.acceleration, plan.acceleration)
+    record = simulate_milling(machine, cut, spindle, plan.duration, 2000.0, plan.lead, plan.tail)
+    return whole_record(record, (5.0, 100.0), ["x", "y", "z"])
+
+
+def predicted(plan: SweepPlan, one: Pass, frequency: np.ndarray) -> np.ndarray:
+    orders = orders_within(plan.tooth_passing, float(frequency.max()))
+    parts = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), MATERIAL, plan.depth, orders)
+    return energy(frequency, parts, orders, plan.tooth_passing, plan.duration, plan.feed_rate)
+
+
+# --- forces ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("one", [Pass("down", 0.012), Pass("up", 0.05), Pass("central", 0.065)])
+def test_the_energy_of_a_sweep_is_that_of_the_simulated_force(one: Pass) -> None:
+    plan = published(duration=30.0)
+    found = spectrum(plan, one)
+    for low, high in ((20.0, 24.0), (24.0, 36.0), (36.0, 45.0), (45.0, 60.0), (60.0, 80.0)):
+        inside = (found.frequency >= low) & (found.frequency <= high)
+        force = found.force[inside, :, 0]
+        measured = np.einsum("fi,fj->ij", force, force.conj()) / inside.sum()
+        wanted = predicted(plan, one, found.frequency[inside]).mean(axis=0)
+        assert np.abs(wanted - measured).max() < 0.03 * np.abs(measured).max()
+
+
+def test_the_edge_of_a_chirp_is_that_of_its_fresnel_integral() -> None:
+    first, last, duration = 20.0, 40.0, 30.0
+    rate = (last - first) / duration
+    for f in (19.5, 20.0, 20.7, 30.0, 40.1):
+        parts = [
+            quad(lambda t, g=g, f=f: g(2 * math.pi * (first * t + rate * t**2 / 2 - f * t)), 0, duration, limit=2000)[0]
+            for g in (math.cos, math.sin)
+        ]
+        assert float(edge_factor(f, first, last, duration)) == pytest.approx(rate * (parts[0] ** 2 + parts[1] ** 2), abs=1e-4)
+    # Half the amplitude at either end, as Fresnel's integral has it.
+    assert float(edge_factor(first, first, last, 1e6)) == pytest.approx(0.25, rel=1e-2)
+
+
+def test_force_level_is_that_of_the_simulated_cut() -> None:
+    tool, arc = Tool(0.08, 4, math.radians(45.0)), engagement("down", 0.03, 0.08)
+    level = force_level(tool, arc, MATERIAL, 0.002, 1e-4)
+    cut = MillingCut(tool, arc, MATERIAL, 0.002, feed_per_tooth=1e-4)
+    record = simulate_milling(STIFF, cut, Spindle(60.0), 2.0, 25000.0)
+    force = record["force"].values[:, 25000:]
+    np.testing.assert_allclose(level.mean, force.mean(axis=1), rtol=5e-3, atol=1.0)
+    assert level.peak == pytest.approx(np.linalg.norm(force, axis=0).max(), rel=0.01)
+
+
+def test_torque_is_the_work_of_the_chips() -> None:
+    """``M = N/(2 pi) D/2 a_p (K_tc f_z (cos phi_st - cos phi_ex) + K_te/sin k (phi_ex - phi_st))``."""
+    tool, arc = Tool(0.08, 4, math.radians(45.0)), engagement("up", 0.03, 0.08)
+    level = force_level(tool, arc, MATERIAL, 0.002, 1e-4)
+    chip = MATERIAL.Ktc * 1e-4 * (math.cos(arc.entry) - math.cos(arc.exit))
+    edge = MATERIAL.Kte / math.sin(tool.approach_angle) * arc.arc
+    assert level.torque == pytest.approx(4 / (2 * math.pi) * 0.04 * 0.002 * (chip + edge), rel=5e-3)
+
+
+def test_forces_are_proportional_to_the_depth_and_mirror_between_up_and_down() -> None:
+    tool, arc = Tool(0.08, 4, math.radians(45.0)), engagement("up", 0.03, 0.08)
+    one, two = (force_level(tool, arc, MATERIAL, a, 1e-4) for a in (0.001, 0.002))
+    np.testing.assert_allclose(two.mean, 2.0 * one.mean)
+    # The arc phi -> pi - phi turns the signs of the tangential part in x and of the radial part in y.
+    radial = CuttingCoefficients(1e-3, 806.1e6, 291.0e6)
+    up, down = (force_level(tool, engagement(c, 0.03, 0.08), radial, 0.001, 1e-4) for c in ("up", "down"))
+    np.testing.assert_allclose(down.mean, up.mean * [1.0, -1.0, 1.0], atol=1e-6 * np.abs(up.mean).max() + 0.5)
+    assert force_projection(radial.cutting, tool.approach_angle)[2, 2] != 0.0
+
+
+def test_a_band_is_covered_when_each_harmonic_begins_before_the_one_below_it_ends() -> None:
+    assert covers((20.0, 80.0), (20.0, 80.0))
+    assert covers((20.0, 40.0), (20.0, 80.0))
+    assert not covers((20.0, 39.0), (20.0, 80.0))
+    assert covers((10.0, 27.0), (20.0, 80.0))
+    assert not covers((21.0, 80.0), (20.0, 80.0))
+
+
+# --- errors ---------------------------------------------------------------------------------------------------------
+
+
+def test_inverse_and_condition_are_those_of_linear_algebra() -> None:
+    rng = np.random.default_rng(5)
+    force = rng.standard_normal((4, 7, 3, 5)) + 1j * rng.standard_normal((4, 7, 3, 5))
+    gram = force @ force.conj().swapaxes(-1, -2)
+    spread, condition = inverse_diagonal(gram)
+    np.testing.assert_allclose(spread, np.diagonal(np.linalg.inv(gram), axis1=2, axis2=3).real, rtol=1e-9)
+    for p in range(4):
+        assert condition[p] == pytest.approx(max(condition_number(force[p, f]) for f in (0, 3, 6)), rel=1e-6)
+
+
+def test_half_immersion_up_and_down_with_a_slot_have_no_finite_condition() -> None:
+    plan = replace(published(), passes=(Pass("down", 0.04), Pass("up", 0.04), Pass("central", 0.08)))
+    found = expected(plan, MATERIAL, ESTIMATE, NOISE, FREQUENCY)
+    # Where the first two harmonics meet, above 41 Hz, there is a third direction; not below.
+    assert float(found["force_condition"].sel(frequency=slice(20.0, 36.0)).min()) > 200.0
+    good = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY)
+    assert float(good["force_condition"].max()) < 30.0
+    below = [e["noise_std"].sel(frequency=slice(22.0, 36.0)).mean() for e in (found, good)]
+    assert below[0] > 10.0 * below[1]
+
+
+def test_noise_falls_with_the_root_of_the_duration_and_with_the_depth() -> None:
+    """``G ~ 1/rate ~ T``; the depth is linear in the force."""
+    slow, fast = published(duration=120.0), published(duration=30.0)
+    narrow = replace_widths()
+    noise = [
+        expected(p, MATERIAL, ESTIMATE, NOISE, FREQUENCY[20:-20], narrow)["noise_std"].values
+        for p in (slow, fast, replace(fast, depth=0.004), replace(fast, repeats=4))
+    ]
+    assert np.median(noise[1] / noise[0]) == pytest.approx(2.0, rel=0.03)
+    np.testing.assert_allclose(noise[1] / noise[2], 2.0, rtol=1e-6)
+    np.testing.assert_allclose(noise[1] / noise[3], 2.0, rtol=1e-6)
+
+
+def replace_widths():
+    from smfe.sweep_estimators import LocalPolynomial
+
+    return LocalPolynomial(half_widths=(0.5,))
+
+
+def test_exchanging_axes_of_machine_and_sensors_exchanges_rows() -> None:
+    """A machine turned about its axes answers alike: the rows of the error follow the response axis."""
+    order = [1, 2, 0]
+    turned = ModalModel(MACHINE.frequency, MACHINE.damping, MACHINE.stiffness, MACHINE.direction[:, order])
+    noise = tuple(np.asarray(NOISE.acceleration_noise)[order])
+    plan, narrow = published(), replace_widths()
+    a = expected(plan, MATERIAL, ESTIMATE, NOISE, FREQUENCY, narrow)["noise_std"].values
+    b = expected(plan, MATERIAL, Estimate("t", turned), Instruments(noise, NOISE.force_noise, 2000.0), FREQUENCY, narrow)
+    np.testing.assert_allclose(b["noise_std"].values, a[:, order], rtol=1e-9)
+
+
+def test_noise_of_sensors_is_white_and_its_units_are_those_of_a_compliance() -> None:
+    """Twice the rate of the same rms halves the density; an rms k times as large gives k times the error."""
+    plan, narrow = published(), replace_widths()
+    base = expected(plan, MATERIAL, ESTIMATE, NOISE, FREQUENCY, narrow)["noise_std"]
+    double = Instruments(tuple(2.0 * n for n in NOISE.acceleration_noise), NOISE.force_noise, 8000.0)
+    same = expected(plan, MATERIAL, ESTIMATE, double, FREQUENCY, narrow)["noise_std"]
+    np.testing.assert_allclose(same, base, rtol=1e-9)
+    assert base.attrs["units"] == "m/N"
+
+
+@pytest.fixture(scope="module")
+def identified() -> tuple[list, object]:
+    """The published sweep, simulated with its noise and identified, seed 1."""
+    records = sweep_passes(seed=1)
+    passes = [SweepPass(r, cut, engagement(cut, 0.012, TOOL.diameter)) for cut, r in records.items()]
+    return passes, identify_sweep("s", passes, (20.0, 80.0)).compliance
+
+
+def test_the_condition_number_is_the_one_that_the_identification_finds(identified) -> None:
+    found = identified[1]["force_condition"].values
+    wanted = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY)["force_condition"].values
+    assert np.median(found / wanted) == pytest.approx(1.0, abs=0.03)
+    inner = slice(6, -6)
+    assert np.quantile(np.abs(found / wanted - 1.0)[inner], 0.9) < 0.10
+
+
+def test_the_expected_error_is_the_one_that_the_identification_makes(identified) -> None:
+    found = identified[1]["compliance"].values
+    prediction = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY)
+    scale = ESTIMATE.scale(FREQUENCY)
+    error = np.sqrt(np.mean(np.abs(found - MACHINE.matrix(FREQUENCY)) ** 2, axis=0)) / scale
+    ratio = error / relative_error(prediction, scale)
+    assert ratio.min() > 0.5
+    assert ratio.max() < 2.0
+    assert 0.8 < np.median(ratio) < 1.25
+
+
+def test_records_too_short_for_the_estimator_are_refused() -> None:
+    with pytest.raises(InputError, match="sweep more slowly or repeat"):
+        expected(published(duration=0.1, lead=0.0, tail=0.0), MATERIAL, ESTIMATE, NOISE, FREQUENCY)
+
+
+def test_an_estimate_that_ends_within_the_band_is_refused() -> None:
+    short = Estimate("hammer", MACHINE.compliance(np.arange(20.0, 80.5, 0.5)))
+    with pytest.raises(InputError, match="hold[s]? 20 to 80 Hz; .* are needed"):
+        expected(published(), MATERIAL, short, NOISE, FREQUENCY)
+
+
+def test_a_measured_estimate_predicts_what_its_modes_predict() -> None:
+    fine = Estimate("hammer", MACHINE.compliance(np.arange(15.0, 90.0, 0.1)))
+    narrow = replace_widths()
+    a = expected(published(), MATERIAL, fine, NOISE, FREQUENCY, narrow)
+    b = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY, narrow)
+    np.testing.assert_allclose(a["noise_std"], b["noise_std"], rtol=1e-3)
+    assert Path  # the path of a plan is tested in test_plan_file.py

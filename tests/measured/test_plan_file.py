@@ -1,0 +1,232 @@
+"""`smfe plan`: what it writes, what it refuses, which limit it names, and whether its prediction comes true."""
+
+import math
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from process.errors import InputError
+from smfe import cli
+from smfe.plan import Plan, plan, recommend
+from smfe.plan_limits import KEYS
+from smfe.plan_search import Search
+from smfe.plan_task import load_task
+from smfe.plan_verify import ENTRY_RATIO, MEDIAN_RATIO, verify
+from smfe.scenario import load_scenario
+from smfe.store import read_groups
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "datasets" / "plans" / "milling_machine.toml"
+
+QUICK = """
+frequency_range = ["25 Hz", "65 Hz"]
+inserts = [2]
+feed_per_tooth = "0.1 mm"
+depth_of_cut = ["0.5 mm", "2 mm"]
+longest_pass = "20 s"
+largest_error = "60 %"
+passes = [
+    { cut = "down", width_of_cut = "12 mm" },
+    { cut = "up", width_of_cut = "12 mm" },
+    { cut = "central", width_of_cut = "12 mm" },
+]
+"""
+
+
+def written(folder: Path, settings: str = QUICK, change: tuple[str, str] = ("", "")) -> Path:
+    head = EXAMPLE.read_text(encoding="utf-8").split("[plan]")[0].replace(*change) if change[0] else ""
+    head = head or EXAMPLE.read_text(encoding="utf-8").split("[plan]")[0]
+    path = folder / "task.toml"
+    path.write_text(f"{head}\n[plan]\n{settings}", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
+    folder = tmp_path_factory.mktemp("plan")
+    return plan(written(folder), folder / "out"), folder / "out"
+
+
+# --- what is written ------------------------------------------------------------------------------------------------
+
+
+def test_the_folder_holds_campaign_passes_prediction_scenario_and_page(found: tuple[Plan, Path]) -> None:
+    result, out = found
+    names = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()}
+    figures = {f"figures/plan_{n}.png" for n in ("error", "forces", "condition", "chatter")}
+    assert names == {"plan.toml", "plan.csv", "prediction.nc", "scenario.toml", "plan.html"} | figures
+    prediction = read_groups(out / "prediction.nc")["sweep"]
+    assert prediction["compliance_std"].dims == ("frequency", "response", "excitation")
+    assert prediction["compliance_std"].attrs["units"] == "m/N"
+    assert prediction["relative_error"].max() == pytest.approx(result.worst)
+    assert "data:image/png" in (out / "plan.html").read_text(encoding="utf-8")
+
+
+def test_the_passes_are_in_field_units_and_agree_with_each_other(found: tuple[Plan, Path]) -> None:
+    result, out = found
+    table, sweep = pd.read_csv(out / "plan.csv"), result.sweep
+    assert list(table["cut"]) == ["down", "up", "central"]
+    rpm = table["spindle_from_rpm"] + table["spindle_acceleration_rpm_s"] * table["duration_s"]
+    np.testing.assert_allclose(rpm, table["spindle_to_rpm"], rtol=1e-6)
+    feed = table["feed_per_tooth_from_mm"] * table["inserts"] * table["spindle_from_rpm"]
+    np.testing.assert_allclose(feed, table["feed_mm_min"], rtol=1e-6)
+    np.testing.assert_allclose(table["feed_mm_min"] / 60.0 * table["duration_s"], table["length_of_cut_mm"], rtol=1e-6)
+    assert (table["depth_of_cut_mm"] <= 0.5 * table["smallest_limit_depth_mm"]).all()
+    assert table["depth_of_cut_mm"][0] == pytest.approx(1e3 * sweep.depth)
+
+
+def test_campaign_and_scenario_say_the_same_sweep(found: tuple[Plan, Path]) -> None:
+    result, out = found
+    campaign = tomllib.loads((out / "plan.toml").read_text(encoding="utf-8"))
+    records = campaign["measurement"][0]["records"]
+    assert [r["file"] for r in records] == list(pd.read_csv(out / "plan.csv")["file"])
+    assert campaign["tool"]["teeth"] == result.sweep.tool.teeth
+    scenario = load_scenario(out / "scenario.toml")
+    trial = scenario.file.trial[0]
+    in_the_cut = [w + trial.lead * trial.rate for w in trial.spindle_speed]
+    assert in_the_cut == pytest.approx([result.sweep.start, result.sweep.end])
+    assert trial.feed_per_tooth * trial.spindle_speed[0] == pytest.approx(result.sweep.feed_per_tooth * in_the_cut[0])
+    assert (trial.spindle_speed[1] - trial.spindle_speed[0]) / trial.rate == pytest.approx(result.sweep.duration)
+    assert [(p.cut, p.width_of_cut) for p in trial.passes] == [(p.cut, p.width) for p in result.sweep.passes]
+
+
+# --- the search -----------------------------------------------------------------------------------------------------
+
+
+def test_the_recommended_sweep_keeps_every_limit_and_the_rejected_break_one(tmp_path: Path) -> None:
+    task = load_task(EXAMPLE)
+    search = Search(task)
+    search.frequency = search.frequency[::4]
+    table = search.table()
+    ratio = table[list(KEYS)].to_numpy()
+    good = (ratio <= 1.0 + 1e-9).all(axis=1)
+    assert 0 < good.sum() < good.size
+    rows = table[good]
+    assert (rows["feed_per_tooth"] * rows["start"] * rows["inserts"] / (2 * math.pi) * (rows["duration"] + 2.5) <= 0.4001).all()
+    assert ((rows["end"] - rows["start"]) / rows["duration"] <= 15.0 * math.pi / 30.0 * 1.01).all()
+    assert rows["depth"].between(0.5e-3 - 1e-9, 3e-3 + 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    ("limit", "needs"),
+    [
+        ('stroke = "10 mm"', r"a longer stroke: \d+(\.\d+)? mm instead of 10 mm \(plan.stroke\)"),
+        ('power = "10 W"', r"more power: .* kW instead of 0.01 kW"),
+        ('largest_force = "20 N"', r"a larger force: .* N instead of 20 N"),
+        ('spindle_acceleration = "1 rpm/s"', r"a faster spindle acceleration: .* instead of 1 rpm/s"),
+        ('time = "20 s"', r"more time: .* s instead of 20 s"),
+        ('feed = ["10 mm/min", "20 mm/min"]', r"a higher feed: .* mm/min instead of 20 mm/min"),
+        ('chatter_margin = "1 %"', r"a more stable cut: at most .* mm are safe, 0.5 mm are asked"),
+    ],
+)
+def test_where_no_sweep_works_the_limit_to_lift_is_named(limit: str, needs: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none of \d+ sweeps looked at identifies 25 to 65 Hz") as refused:
+        recommend(load_task(written(tmp_path, f"{QUICK}\n{limit}")))
+    assert re.search(needs, str(refused.value))
+
+
+def test_lifting_the_named_limit_as_far_as_it_says_makes_a_plan(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        recommend(load_task(written(tmp_path, f'{QUICK}\nstroke = "10 mm"')))
+    wanted = float(re.search(r"stroke: ([\d.]+) mm", str(refused.value))[1])  # type: ignore[index]
+    found = recommend(load_task(written(tmp_path, f'{QUICK}\nstroke = "{1.01 * wanted:.4g} mm"')))
+    assert found.sweep.travel <= 1.01e-3 * wanted
+
+
+def test_a_slow_spindle_is_named(tmp_path: Path) -> None:
+    path = written(tmp_path, QUICK, ('maximum = "3000 rpm"', 'maximum = "300 rpm"'))
+    with pytest.raises(InputError, match=r"a higher spindle speed: .* rpm instead of 300 rpm \(spindle.maximum\)"):
+        recommend(load_task(path))
+
+
+def test_half_immersion_up_and_down_with_a_slot_is_refused(tmp_path: Path) -> None:
+    dependent = QUICK.replace('"down", width_of_cut = "12 mm"', '"down", width_of_cut = "40 mm"')
+    dependent = dependent.replace('"up", width_of_cut = "12 mm"', '"up", width_of_cut = "40 mm"')
+    dependent = dependent.replace('"central", width_of_cut = "12 mm"', '"central", width_of_cut = "80 mm"')
+    with pytest.raises(InputError, match="plan.passes: .*add up to the slot"):
+        recommend(load_task(written(tmp_path, dependent)))
+
+
+def test_repeats_are_cut_where_one_is_not_enough(tmp_path: Path) -> None:
+    once = recommend(load_task(written(tmp_path)))
+    strict = QUICK.replace('"60 %"', f'"{70.0 * once.worst:.3g} %"')
+    with pytest.raises(InputError, match="a larger error"):
+        recommend(load_task(written(tmp_path, strict)))
+    again = recommend(load_task(written(tmp_path, f"{strict}\nrepeats = 4")))
+    assert again.sweep.repeats > 1
+    assert again.worst <= 0.7 * once.worst
+
+
+# --- what is refused ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ("strok = '1 m'", r"plan.strok: this key is not known \(did you mean 'stroke'\?\)"),
+        ("stroke = 400", "plan.stroke: 400 has no unit"),
+        ("stroke = '400 N'", "plan.stroke: unit 'N' is not a unit of length"),
+        ("feed_per_tooth = ['0.2 mm', '0.1 mm']", "plan.feed_per_tooth: .* is no range"),
+        ("inserts = [3]", "plan.inserts: 3 inserts cannot be spaced equally .* possible are 4, 2, 1"),
+        ("passes = [{ cut = 'down', width_of_cut = '12 mm' }]", "1 passes; nine compliances need three"),
+        ("passes = [{ cut = 'down', width_of_cut = '120 mm' }]", "wider than the tool"),
+        ("machine = 'nobody'", "plan.machine: 'nobody' is neither a measurement nor a model"),
+        ("machine = 'earlier_test'\nscenario = 'a.toml'", "one estimate of the machine is needed"),
+        ("acceleration_noise = '-1 m/s^2'", "noise is zero or more"),
+        ("sample_rate = '100 Hz'", "sample at 400 Hz or more"),
+        ("frequency_range = ['2 Hz', '80 Hz']", "begin higher"),
+        ("chatter_margin = 0.0", "must be above zero"),
+        ("scenario = 'none.toml'", "cannot be read"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(settings: str, says: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=says):
+        recommend(load_task(written(tmp_path, settings)))
+
+
+def test_a_wrong_plan_writes_nothing_and_a_right_one_does_not_overwrite_its_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path, f'{QUICK}\npower = "1 W"')
+    monkeypatch.setattr("sys.argv", ["smfe", "plan", str(path), "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as ended:
+        cli.app_entry()
+    assert ended.value.code == 1
+    assert "more power" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    mine = tmp_path / "plan.toml"
+    mine.write_bytes(path.read_bytes())
+    with pytest.raises(InputError, match="overwrite its own input"):
+        plan(mine, tmp_path)
+
+
+def test_run_out_is_not_planned_for(tmp_path: Path) -> None:
+    path = written(tmp_path, QUICK, ("teeth = 4", 'teeth = 2\nrunout = ["10 um", "-10 um"]'))
+    with pytest.raises(InputError, match="the tool has run-out; .* leave pitch_angles and runout out"):
+        load_task(path)
+
+
+def test_a_measured_estimate_cannot_be_verified_and_says_so(found: tuple[Plan, Path]) -> None:
+    from dataclasses import replace
+
+    result, _ = found
+    measured = replace(result.task.estimate, machine=None)
+    with pytest.raises(InputError, match="cannot be simulated"):
+        verify(replace(result, task=replace(result.task, estimate=measured)))
+
+
+# --- does it come true ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_prediction_comes_true(tmp_path: Path) -> None:
+    result = recommend(load_task(EXAMPLE))
+    checked = verify(result, tmp_path, (1, 2))
+    assert checked.table["ratio"].between(*ENTRY_RATIO).all()
+    assert MEDIAN_RATIO[0] <= checked.median_ratio <= MEDIAN_RATIO[1]
+    assert checked.condition_ratio == pytest.approx(1.0, abs=0.1)
+    assert checked.confirmed
+    assert (tmp_path / "verification.csv").is_file()
