@@ -117,6 +117,8 @@ class Search:
         low, high = limits.frequency_range
         self.frequency = np.linspace(low, high, LINES)
         self.scale = task.estimate.scale(task.frequency)
+        self._deep = 0.5 * sum(limits.depth_of_cut)
+        self._known: dict[tuple[int, Pass], tuple[Complex, Complex]] = {}
 
     @cached_property
     def _noise(self) -> Real:
@@ -296,20 +298,27 @@ class Search:
             loads["power"].append(max(begin.torque * plan.start, end.torque * plan.end))
         return {key: np.array(values) for key, values in loads.items()}
 
+    def _harmonics(self, tool: Tool, one: Pass, count: int) -> tuple[Complex, Complex]:
+        """Return `unit_harmonics` at the depth in the middle of what is asked; a helix makes others not quite alike."""
+        chip, edge = self._known.get((tool.teeth, one), (np.empty((0, 3)), np.empty((0, 3))))
+        if chip.shape[0] < count:
+            arc, orders = one.arc(tool.diameter), np.arange(1, count + 1)
+            chip, edge = unit_harmonics(tool, arc, self.task.coefficients, self._deep, orders)
+            self._known[tool.teeth, one] = chip, edge
+        return chip[:count], edge[:count]
+
     def _errors(self, plan: SweepPlan, cuts: Cuts, rows: NDArray[np.int64], depth: Real) -> tuple[Real, Real, Real]:
         """Return worst and median expected error, and the largest condition number, of each set of passes."""
-        deep = float(np.median(depth))
         orders = orders_within(plan.tooth_passing, self.frequency[-1] + 2.0)
         grams = []
         for one in cuts.choices:
-            # A helix makes the harmonics not quite proportional to the depth; the median depth stands for all.
-            parts = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), self.task.coefficients, deep, orders)
+            parts = self._harmonics(plan.tool, one, orders.size)
             grams.append(energy(self.frequency, parts, orders, plan.tooth_passing, plan.duration, plan.feed_rate))
         gram = np.array(grams)[rows].sum(axis=1)
         spread, condition = inverse_diagonal(gram)
         density = 9.0 / 4.0 / (2.0 * RANKING_BAND)
         square = density * np.einsum("fi,pfj->pij", self._noise, spread) / self.frequency.size
-        error = np.sqrt(square) / self.scale * (deep / depth)[:, None, None]
+        error = np.sqrt(square) / self.scale * (self._deep / depth)[:, None, None]
         flat = error.reshape(rows.shape[0], 9)
         return flat.max(axis=1), np.median(flat, axis=1), condition
 

@@ -78,7 +78,9 @@ def test_the_edge_of_a_chirp_is_that_of_its_fresnel_integral() -> None:
             quad(lambda t, g=g, f=f: g(2 * math.pi * (first * t + rate * t**2 / 2 - f * t)), 0, duration, limit=2000)[0]
             for g in (math.cos, math.sin)
         ]
-        assert float(edge_factor(f, first, last, duration)) == pytest.approx(rate * (parts[0] ** 2 + parts[1] ** 2), abs=1e-4)
+        assert float(edge_factor(f, first, last, duration)) == pytest.approx(
+            rate * (parts[0] ** 2 + parts[1] ** 2), abs=1e-4
+        )
     # Half the amplitude at either end, as Fresnel's integral has it.
     assert float(edge_factor(first, first, last, 1e6)) == pytest.approx(0.25, rel=1e-2)
 
@@ -171,7 +173,9 @@ def test_exchanging_axes_of_machine_and_sensors_exchanges_rows() -> None:
     noise = tuple(np.asarray(NOISE.acceleration_noise)[order])
     plan, narrow = published(), replace_widths()
     a = expected(plan, MATERIAL, ESTIMATE, NOISE, FREQUENCY, narrow)["noise_std"].values
-    b = expected(plan, MATERIAL, Estimate("t", turned), Instruments(noise, NOISE.force_noise, 2000.0), FREQUENCY, narrow)
+    b = expected(
+        plan, MATERIAL, Estimate("t", turned), Instruments(noise, NOISE.force_noise, 2000.0), FREQUENCY, narrow
+    )
     np.testing.assert_allclose(b["noise_std"].values, a[:, order], rtol=1e-9)
 
 
