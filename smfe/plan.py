@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,7 +24,7 @@ from process.errors import InputError
 from smfe.datasets import Show
 from smfe.identification import Progress, silent
 from smfe.plan_errors import expected, relative_error
-from smfe.plan_forces import Pass, SweepPlan, plan_energy
+from smfe.plan_forces import Pass, SweepPlan, force_level, plan_energy
 from smfe.plan_limits import KEYS, no_plan, rejections
 from smfe.plan_search import DEPTH_STEP, Search
 from smfe.plan_task import Task, load_task
@@ -35,6 +36,9 @@ REFINED = 10
 
 CONFIRMED_SPEEDS = 5
 """Spindle speeds at which the limit depth of the recommended sweep is confirmed by semi-discretisation."""
+
+DRAWN_DEPTHS = 9
+"""Depths of cut at which the prediction holds the force level."""
 
 DRAWN_SPEEDS = 101
 """Spindle speeds of the limit depths in the prediction."""
@@ -52,7 +56,8 @@ class Plan:
         What to cut.
     prediction : xarray.Dataset
         `smfe.plan_errors.expected`, with ``relative_error(response, excitation)``, ``force_spectrum(pass, axis,
-        frequency)`` [N s] and ``limit_depth(pass, spindle_speed)`` [mm].
+        frequency)`` [N s], ``limit_depth(pass, spindle_speed)`` [mm], and ``peak_force`` and ``mean_force`` [N] over
+        the depth of cut.
     alternatives : pandas.DataFrame
         The best of each kind, ranked, the recommended one first; ``note`` says why one that ranked better failed.
     rejected : pandas.DataFrame
@@ -162,7 +167,7 @@ def recommend(task: Task, progress: Progress = silent) -> Plan:
     fails = (table[list(KEYS)].to_numpy() > 1.0 + 1e-9).any(axis=1)
     if fails.all():
         raise InputError(no_plan(task, table))
-    rows = _shortlist(table[~fails])
+    rows = _shortlist(table.iloc[np.flatnonzero(~fails)])
     refined = []
     for done, row in enumerate(rows.index):
         progress("working through the best alternatives", done, len(rows))
@@ -202,7 +207,8 @@ def _shortlist(possible: pd.DataFrame) -> pd.DataFrame:
 
 
 def _refined(search: Search, table: pd.DataFrame, choices: list[tuple[Pass, ...]], row: int) -> _Refined:
-    task, one = search.task, table.loc[row]
+    task = search.task
+    one: dict[str, Any] = {str(k): v for k, v in table.loc[[row]].to_dict("records")[0].items()}
     tool = next(t for t in search.tools if t.teeth == int(one["inserts"]))
     sweep = SweepPlan(
         tool,
@@ -335,10 +341,36 @@ def _completed(task: Task, one: _Refined) -> xr.Dataset:
         {"units": "mm"},
     )
     out["spindle_speed"].attrs["units"] = "rpm"
+    out = xr.merge([out, _levels(task, sweep, labels)], combine_attrs="override")
     return out.assign_attrs(
         estimate=task.estimate.name,
         depth_of_cut_mm=1e3 * sweep.depth,
         duration_s=sweep.duration,
         repeats=sweep.repeats,
         inserts=sweep.tool.teeth,
+    )
+
+
+def _levels(task: Task, sweep: SweepPlan, labels: list[str]) -> xr.Dataset:
+    """Return the force level of each pass over the depths that are asked for, at the start of the sweep."""
+    depths = np.unique([*np.linspace(*task.limits.depth_of_cut, DRAWN_DEPTHS), sweep.depth])
+    rows = [
+        [
+            force_level(sweep.tool, p.arc(sweep.tool.diameter), task.coefficients, float(a), sweep.feed_per_tooth)
+            for a in depths
+        ]
+        for p in sweep.passes
+    ]
+    peak = np.array([[level.peak for level in row] for row in rows])
+    mean = np.array([[level.mean for level in row] for row in rows]).transpose(0, 2, 1)
+    return xr.Dataset(
+        {
+            "peak_force": (("pass", "depth_of_cut"), peak, {"units": "N"}),
+            "mean_force": (("pass", "axis", "depth_of_cut"), mean, {"units": "N"}),
+        },
+        coords={
+            "pass": labels,
+            "axis": list("xyz"),
+            "depth_of_cut": ("depth_of_cut", 1e3 * depths, {"units": "mm"}),
+        },
     )

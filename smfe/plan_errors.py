@@ -1,12 +1,13 @@
 """How wrong each compliance will be: the estimator of `smfe.sweep`, worked through on the forces of a plan.
 
-Over a band of half width w the estimator fits ``Phi(f + w u) = C_0 + C_1 u + C_2 u^2`` to the lines of all records. With
-the energy ``G(f) = sum over records of F F^H`` the normal matrix of that fit is ``M_ab = integral u^(a+b) G ds``, and
+Over a band of half width w the estimator fits ``Phi(f + w u) = C_0 + C_1 u + C_2 u^2`` to the lines of all records.
+With the energy ``G(f) = sum over records of F F^H`` the normal matrix of that fit is ``M_ab = integral u^(a+b) G ds``:
 
 - noise: ``Var Phi_ij = s_i^2 (M^-1)_jj`` of the block a = b = 0, with ``s_i^2 = dt (sigma_a^2/w^4 + sum_j |Phi_ij|^2
   sigma_F^2)`` for white noise of rms sigma sampled every dt; the length of the record cancels;
-- bend: what a polynomial of second order misses, ``[integral u^a Phi G ds]_a M^-1 - Phi``;
-- loss: noise of the forces in the regressors, ``-Phi N (sum F F^H)^-1`` with N over all lines, the air included.
+- bend: what a polynomial of second order misses, ``[integral u^b Phi G ds]_b M^-1 - Phi``;
+- loss: noise of the forces is in the regressors too, so that M becomes M + N, N over all lines, the air included, and
+  the compliance comes out too small.
 
 The estimator takes, row by row, the widest band that agrees with all narrower ones. Two bands differ by their
 difference in bend plus noise of variance ``V_narrow - V_wide``, so that it passes with the probability of a non-central
@@ -163,9 +164,12 @@ def _band(
     shift = (np.arange(POINTS) + 0.5) * 2.0 / POINTS - 1.0
     at = frequency[:, None] + width * shift
     gram = plan.repeats * np.sum(plan_energy(plan, coefficients, at), axis=0) * (2.0 * width / POINTS)
+    # Noise is in every line of every record; the energy of a chirp does not grow with the record.
+    lines = 2.0 * width / POINTS * plan.record * plan.records
+    found = gram + np.diag(np.square(instruments.force_noise) / instruments.sample_rate * lines)
     powers = shift ** np.arange(order + 1)[:, None]
     f, size = frequency.size, 3 * (order + 1)
-    normal = np.einsum("as,bs,fsij->faibj", powers, powers, gram, optimize=True).reshape(f, size, size)
+    normal = np.einsum("as,bs,fsij->faibj", powers, powers, found, optimize=True).reshape(f, size, size)
     right = np.einsum("bs,fsik,fskj->fibj", powers, estimate.matrix(at), gram, optimize=True).reshape(f, 3, size)
     plain = normal[:, :3, :3]
     values = np.linalg.eigvalsh(plain)
@@ -177,11 +181,7 @@ def _band(
     inverse = np.linalg.inv(normal[solved])
     spread = np.diagonal(inverse, axis1=1, axis2=2).real[:, :3]
     variance[solved] = noise[solved][:, :, None] * spread[:, None, :]
-    bend = (right[solved] @ inverse)[:, :, :3] - truth[solved]
-    # Noise of the forces is in every line of every record; the energy of a chirp does not grow with the record.
-    lines = 2.0 * width * plan.record * plan.records
-    power = np.square(instruments.force_noise) / instruments.sample_rate * lines
-    bias[solved] = bend - (truth[solved] * power) @ np.linalg.inv(plain[solved])
+    bias[solved] = (right[solved] @ inverse)[:, :, :3] - truth[solved]
     return _Band(variance, bias, condition)
 
 
@@ -206,4 +206,4 @@ def _agrees(wide: _Band, narrow: _Band, agreement: float) -> Real:
     left = np.clip(1.0 - wide.variance / scale, 0.05, 1.0)
     distance = np.minimum(np.abs(wide.bias - narrow.bias) ** 2 / scale, 1e4)
     chance = stats.ncx2.cdf(2.0 * agreement**2 / left, 2, 2.0 * distance / left)
-    return np.asarray(chance.min(axis=2))
+    return np.asarray(np.min(chance, axis=2))

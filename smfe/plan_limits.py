@@ -166,7 +166,7 @@ def no_plan(task: Task, table: pd.DataFrame) -> str:
     fewest = fails.sum(axis=1).min()
     candidates = np.flatnonzero(fails.sum(axis=1) == fewest)
     if fewest == 1:
-        options = {}
+        options: dict[int, float] = {}
         for row in candidates:
             k = int(np.flatnonzero(fails[row])[0])
             if k not in options or ratio[row, k] < options[k]:

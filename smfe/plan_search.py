@@ -300,7 +300,8 @@ class Search:
 
     def _harmonics(self, tool: Tool, one: Pass, count: int) -> tuple[Complex, Complex]:
         """Return `unit_harmonics` at the depth in the middle of what is asked; a helix makes others not quite alike."""
-        chip, edge = self._known.get((tool.teeth, one), (np.empty((0, 3)), np.empty((0, 3))))
+        nothing: Complex = np.empty((0, 3), dtype=complex)
+        chip, edge = self._known.get((tool.teeth, one), (nothing, nothing))
         if chip.shape[0] < count:
             arc, orders = one.arc(tool.diameter), np.arange(1, count + 1)
             chip, edge = unit_harmonics(tool, arc, self.task.coefficients, self._deep, orders)

@@ -93,7 +93,7 @@ class Estimate:
         if not direct.max() > 0.0:
             raise InputError(f"the estimate '{self.name}' does not move in the band; name one that does")
         direct = np.maximum(direct, RIGID * direct.max())
-        return np.sqrt(np.outer(direct, direct))
+        return np.asarray(np.sqrt(np.outer(direct, direct)))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from smfe.plan import Plan
+from smfe.plan_forces import orders_within
 from smfe.report.figures import DPI, save
 from smfe.report.look import AXIS_COLOURS, CHATTER
 from smfe.store import write_atomically
@@ -24,10 +25,12 @@ _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
 _DASHES = ("-", "--", ":", "-.")
 
 CAPTIONS = {
+    "plan_band.png": "What covers the band: harmonics of the tooth passing frequency at the speeds of the sweep.",
     "plan_error.png": "Compliance of the estimate, and the error to be expected of what the sweep will find (noise and "
     "what resonances bend).",
     "plan_forces.png": "Transform of the force of each pass: what the sweep puts at each frequency.",
     "plan_condition.png": "Condition number of the forces; above 30 badly conditioned, above 200 not solved.",
+    "plan_level.png": "Force level over the depth of cut at the start of the sweep: largest resultant and mean.",
     "plan_chatter.png": "Limit depth of each pass at all speeds of the sweep (zero order), and the planned depth.",
 }
 """Picture -> what it shows, in the order of the page."""
@@ -50,9 +53,8 @@ def write_page(found: Plan, passes: pd.DataFrame, folder: Path) -> Path:
     Path
         The page: one file that needs nothing else.
     """
-    drawn = dict(
-        zip(CAPTIONS, (draw_error(found), draw_forces(found), draw_condition(found), draw_chatter(found)), strict=True)
-    )
+    draws = (draw_band, draw_error, draw_forces, draw_condition, draw_level, draw_chatter)
+    drawn = dict(zip(CAPTIONS, (draw(found) for draw in draws), strict=True))
     images = []
     for name, figure in drawn.items():
         path = save(figure, folder / "figures" / name)
@@ -101,6 +103,55 @@ def _plain(axes: Axes) -> None:
 
 def _new(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def draw_band(found: Plan) -> Figure:
+    """Draw the harmonics of the tooth passing frequency over the spindle speed."""
+    low, high = found.task.limits.frequency_range
+    ends = np.array([found.sweep.start, found.sweep.end]) * 30.0 / np.pi
+    figure = _new(6.5, 3.2)
+    axes = figure.subplots()
+    axes.axhspan(low, high, color="#e8eef4", label="band asked for")
+    for h in orders_within(found.sweep.tooth_passing, high):
+        axes.plot(ends, h * np.array(found.sweep.tooth_passing), color="black", linewidth=1.4 if h < 3 else 0.8)
+        axes.annotate(
+            str(h),
+            (ends[1], h * found.sweep.tooth_passing[1]),
+            xytext=(3, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+            annotation_clip=True,
+        )
+    axes.set_ylim(0.0, 1.25 * high)
+    axes.set_xlabel("spindle speed [rpm]", fontsize=9)
+    axes.set_ylabel("frequency [Hz]", fontsize=9)
+    _plain(axes)
+    figure.legend(loc="outside upper center", frameon=False, fontsize=8)
+    return figure
+
+
+def draw_level(found: Plan) -> Figure:
+    """Draw peak and mean force over the depth of cut."""
+    p = found.prediction
+    depth = p["depth_of_cut"].values
+    figure = _new(6.5, 3.4)
+    axes = figure.subplots()
+    for k, name in enumerate(p["pass"].values):
+        mean = np.linalg.norm(p["mean_force"].values[k], axis=0)
+        axes.plot(depth, p["peak_force"].values[k], color=_COLOURS[k % 5], linewidth=1.4, label=f"{name}, peak")
+        axes.plot(depth, mean, color=_COLOURS[k % 5], linewidth=1.4, linestyle="--", label=f"{name}, mean")
+    axes.axvline(1e3 * found.sweep.depth, color="black", linewidth=1.6, label="planned depth")
+    if found.task.limits.largest_force is not None:
+        axes.axhline(
+            found.task.limits.largest_force, color=CHATTER, linestyle=":", linewidth=1.2, label="largest force"
+        )
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("depth of cut [mm]", fontsize=9)
+    axes.set_ylabel("force [N]", fontsize=9)
+    _plain(axes)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False, fontsize=8)
+    return figure
 
 
 def draw_error(found: Plan) -> Figure:
