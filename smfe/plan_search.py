@@ -42,13 +42,13 @@ from stability import zero_order
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-WIDTHS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)
+WIDTHS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)
 """Widths of cut that are tried, as shares of the diameter."""
 
 FEEDS = 4
 """Feeds per tooth that are tried."""
 
-LINES = 21
+LINES = 15
 """Frequencies at which alternatives are ranked."""
 
 RANKING_BAND = 0.5
@@ -129,7 +129,10 @@ class Search:
         given = self.task.limits.passes
         if given:
             return [tuple(Pass(p.cut, p.width_of_cut) for p in given)]
-        widths = [round(share * self.task.tool.diameter, 4) for share in WIDTHS]
+        diameter = self.task.tool.diameter
+        low, high = self.task.limits.width_of_cut or (WIDTHS[0] * diameter, WIDTHS[-1] * diameter)
+        every = {round(min(max(share * diameter, low), high, diameter), 4) for share in WIDTHS}
+        widths = sorted(w for w in every if w > 0.0)
         return [
             tuple(Pass(cut, w) for cut, w in zip(CUTS, chosen, strict=True))
             for chosen in itertools.product(widths, repeat=3)

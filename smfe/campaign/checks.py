@@ -219,6 +219,8 @@ def _plan(raw: Raw) -> Iterator[Complaint]:
         yield from _named(raw, ("plan", "machine"), table["machine"])
     elif "scenario" not in table and not _names_of(raw):
         yield ("plan",), "has no machine; add a [[model]], a [[measurement]], or scenario = the name of a scenario file"
+    if "passes" in table and "width_of_cut" in table:
+        yield ("plan", "width_of_cut"), "the passes have their widths; leave it out, or leave passes out"
     diameter = _quantity(raw.get("tool"), "diameter", "length")
     for place, entry in _tables(table, "passes"):
         yield from _fits(diameter, ("plan", *place), _quantity(entry, "width_of_cut", "length"), entry)

@@ -65,6 +65,7 @@ class PlanTable(Table):
     controller: StrictStr | None = None
     frequency_range: q.FrequencyRange = (20.0, 80.0)
     passes: tuple[PassTable, ...] = ()
+    width_of_cut: Lengths | None = None
     inserts: tuple[Annotated[StrictInt, Field(ge=1)], ...] = ()
     feed_per_tooth: Lengths = (0.05e-3, 0.2e-3)
     depth_of_cut: Lengths = (0.5e-3, 4e-3)

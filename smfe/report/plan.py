@@ -22,6 +22,14 @@ from smfe.sweep import REFUSE_CONDITION, WARN_CONDITION
 _HERE = Path(__file__).parent
 
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
+_UNITS = {
+    "_mm_min": "mm/min",
+    "_rpm_s": "rpm/s",
+    "_percent": "%",
+    **{f"_{u}": u for u in ("mm", "rpm", "s", "N", "Nm", "kW")},
+}
+"""Ending of a column -> its unit, the longer endings first."""
+
 _DASHES = ("-", "--", ":", "-.")
 
 CAPTIONS = {
@@ -76,7 +84,8 @@ def _context(found: Plan, passes: pd.DataFrame) -> dict[str, Any]:
         "examined": found.examined,
         "warnings": found.warnings,
         "errors": [[f"{v:.2g}" for v in row] for row in error],
-        "passes": _table(passes),
+        "repeats": found.sweep.repeats,
+        "passes": _turned(passes[passes["repeat"] == 1].drop(columns=["repeat", "file"])),
         "alternatives": _table(found.alternatives),
         "rejected": _table(found.rejected),
     }
@@ -84,7 +93,21 @@ def _context(found: Plan, passes: pd.DataFrame) -> dict[str, Any]:
 
 def _table(frame: pd.DataFrame) -> dict[str, Any]:
     rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False)]
-    return {"head": [str(c).replace("_", " ") for c in frame.columns], "rows": rows}
+    return {"head": [_head(str(c)) for c in frame.columns], "rows": rows}
+
+
+def _turned(frame: pd.DataFrame) -> dict[str, Any]:
+    """Return the table with a column a pass: there are more quantities than passes."""
+    rows = [[_head(str(c)), *(_cell(v) for v in frame[c])] for c in frame.columns]
+    return {"head": rows[0], "rows": rows[1:]}
+
+
+def _head(column: str) -> str:
+    """Return a column name with its unit in brackets."""
+    for ending, unit in _UNITS.items():
+        if column.endswith(ending):
+            return f"{column.removesuffix(ending).replace('_', ' ')} [{unit}]"
+    return column.replace("_", " ")
 
 
 def _cell(value: object) -> str:
@@ -116,9 +139,10 @@ def draw_band(found: Plan) -> Figure:
         axes.plot(ends, h * np.array(found.sweep.tooth_passing), color="black", linewidth=1.4 if h < 3 else 0.8)
         axes.annotate(
             str(h),
-            (ends[1], h * found.sweep.tooth_passing[1]),
-            xytext=(3, 0),
+            (ends[0], h * found.sweep.tooth_passing[0]),
+            xytext=(-3, 0),
             textcoords="offset points",
+            ha="right",
             va="center",
             fontsize=8,
             annotation_clip=True,
