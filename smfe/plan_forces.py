@@ -206,6 +206,8 @@ class Level:
     ----------
     mean : ndarray, shape (3,)
         Mean force on the tool [N].
+    rms : ndarray, shape (3,)
+        Root mean square of the force [N].
     peak : float
         Largest resultant [N].
     torque, peak_torque : float
@@ -213,6 +215,7 @@ class Level:
     """
 
     mean: Real
+    rms: Real
     peak: float
     torque: float
     peak_torque: float
@@ -248,7 +251,11 @@ def force_level(
     tangential = depth * (coefficients.Ktc * feed_per_tooth * s + coefficients.Kte / sine * one).sum(axis=1)
     torque = 0.5 * tool.diameter * tangential
     return Level(
-        force.mean(axis=0), float(np.linalg.norm(force, axis=1).max()), float(torque.mean()), float(torque.max())
+        force.mean(axis=0),
+        np.sqrt(np.mean(force**2, axis=0)),
+        float(np.linalg.norm(force, axis=1).max()),
+        float(torque.mean()),
+        float(torque.max()),
     )
 
 

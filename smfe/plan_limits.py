@@ -45,6 +45,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("stock", "a longer stock", "plan.stock_length"),
     Limit("time", "more time", "plan.time"),
     Limit("condition", "forces that are less alike", "plan.passes or tool.approach_angle"),
+    Limit("noise", "a quieter force sensor or a deeper cut", "plan.force_noise"),
     Limit("chatter", "a more stable cut", "plan.chatter_margin or plan.depth_of_cut"),
     Limit("force", "a larger force", "plan.largest_force"),
     Limit("torque", "more torque", "plan.torque"),
@@ -70,6 +71,7 @@ def allowed(task: Task, key: str) -> float | None:
         "stock": limits.stock_length,
         "time": limits.time,
         "condition": REFUSE_CONDITION,
+        "noise": max(limits.force_noise),
         "chatter": limits.depth_of_cut[0],
         "force": limits.largest_force,
         "torque": limits.torque,
@@ -87,6 +89,7 @@ _UNITS: dict[str, tuple[str, str]] = {
     "stock": ("mm", "length"),
     "time": ("s", "time"),
     "chatter": ("mm", "length"),
+    "noise": ("N", "force"),
     "force": ("N", "force"),
     "torque": ("N m", "torque"),
     "power": ("kW", "power"),
@@ -115,7 +118,7 @@ def need(task: Task, key: str, ratio: float) -> str:
         depth = quantity(key, given / ratio)
         return f"{limit.what}: at most {depth} are safe, {quantity(key, given)} are asked ({limit.setting})"
     # Lower limits must come down, all others go up.
-    wanted = given / ratio if key in ("speed_low", "feed_low") else given * ratio
+    wanted = given / ratio if key in ("speed_low", "feed_low", "noise") else given * ratio
     return f"{limit.what}: {quantity(key, wanted)} instead of {quantity(key, given)} ({limit.setting})"
 
 

@@ -60,6 +60,9 @@ BEYOND = 1.0
 DEPTH_STEP = 0.1e-3
 """Depths are rounded down to this [m]."""
 
+QUIET_AIR = 0.3
+"""Share of the force in the cut below which the estimator takes a record to begin and end in air."""
+
 CHATTER_SPEEDS = 25
 """Spindle speeds of a sweep at which the limit depth is asked."""
 
@@ -219,7 +222,8 @@ class Search:
         )
         duration, needs = self._duration(base, len(choices[0]))
         plan = replace(base, duration=duration)
-        peaks = {k: v[rows].max(axis=1) for k, v in self._loads(plan, cuts).items()}
+        loads, rms = self._loads(plan, cuts)
+        peaks = {k: v[rows].max(axis=1) for k, v in loads.items()}
         slow, fast = (w * 30.0 / math.pi for w in (ramp.start, ramp.end))
         inside = (cuts.speed >= slow * (1 - 1e-9)) & (cuts.speed <= fast * (1 + 1e-9))
         safe = limits.chatter_margin * cuts.limit[:, inside].min(axis=1)[rows].min(axis=1)
@@ -245,6 +249,7 @@ class Search:
         needed = dict.fromkeys(KEYS, 0.0) | needs
         columns |= {key: np.full(rows.shape[0], needed[key]) for key in KEYS}
         columns["condition"] = condition / REFUSE_CONDITION
+        columns["noise"] = self._drowned(rms[rows] * depth[:, None, None])
         columns["chatter"] = least / np.maximum(safe, 1e-12)
         for k, v in peaks.items():
             given = allowed(self.task, k)
@@ -287,19 +292,37 @@ class Search:
             return limits.repeats
         return min(limits.repeats, max(1, math.floor(limits.time / (passes * plan.record) + 1e-9)))
 
-    def _loads(self, plan: SweepPlan, cuts: Cuts) -> dict[str, Real]:
-        """Return the largest force [N/m], torque [N] and power [W/m] of each pass of unit depth over the sweep."""
+    def _drowned(self, rms: Real) -> Real:
+        """Return the noise of the force sensor over the greatest that lets the estimator tell the air from the cut.
+
+        Parameters
+        ----------
+        rms : ndarray, shape (alternatives, passes, 3)
+            Root mean square of the cutting force [N].
+        """
+        noise = np.asarray(self.instruments.force_noise)
+        ratio = noise / (QUIET_AIR * np.sqrt(rms**2 + noise**2 + 1e-30))
+        return np.asarray(ratio.max(axis=(1, 2)))
+
+    def _loads(self, plan: SweepPlan, cuts: Cuts) -> tuple[dict[str, Real], Real]:
+        """Return the loads of each pass of unit depth.
+
+        The largest force [N/m], torque [N] and power [W/m] over the sweep, and the rms of the force at its start [N/m],
+        shape (choices, 3).
+        """
         last = plan.feed_rate / plan.tooth_passing[1]
         loads: dict[str, list[float]] = {"force": [], "torque": [], "power": []}
+        rms = []
         for one in cuts.choices:
             arc = one.arc(plan.tool.diameter)
             begin, end = (
                 force_level(plan.tool, arc, self.task.coefficients, 1.0, f) for f in (plan.feed_per_tooth, last)
             )
+            rms.append(begin.rms)
             loads["force"].append(max(begin.peak, end.peak))
             loads["torque"].append(max(begin.peak_torque, end.peak_torque))
             loads["power"].append(max(begin.torque * plan.start, end.torque * plan.end))
-        return {key: np.array(values) for key, values in loads.items()}
+        return {key: np.array(values) for key, values in loads.items()}, np.array(rms)
 
     def _harmonics(self, tool: Tool, one: Pass, count: int) -> tuple[Complex, Complex]:
         """Return `unit_harmonics` at the depth in the middle of what is asked; a helix makes others not quite alike."""

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from process.errors import InputError
-from smfe import cli
+from smfe import cli, simulate
 from smfe.plan import Plan, plan, recommend
 from smfe.plan_limits import KEYS
 from smfe.plan_search import Search
@@ -119,6 +119,10 @@ def test_the_recommended_sweep_keeps_every_limit_and_the_rejected_break_one(tmp_
         ('spindle_acceleration = "1 rpm/s"', r"a faster spindle acceleration: .* instead of 1 rpm/s"),
         ('time = "20 s"', r"more time: .* s instead of 20 s"),
         ('feed = ["10 mm/min", "20 mm/min"]', r"a higher feed: .* mm/min instead of 20 mm/min"),
+        (
+            'force_noise = "200 N"',
+            r"a quieter force sensor or a deeper cut: .* N instead of 200 N \(plan.force_noise\)",
+        ),
         ('chatter_margin = "1 %"', r"a more stable cut: at most .* mm are safe, 0.5 mm are asked"),
     ],
 )
@@ -216,6 +220,37 @@ def test_a_measured_estimate_cannot_be_verified_and_says_so(found: tuple[Plan, P
     measured = replace(result.task.estimate, machine=None)
     with pytest.raises(InputError, match="cannot be simulated"):
         verify(replace(result, task=replace(result.task, estimate=measured)))
+
+
+# --- what it starts from --------------------------------------------------------------------------------------------
+
+HAMMER = """
+[[trial]]
+method = "hammer"
+hits = 2
+impulse = "5 N s"
+interval = "3 s"
+frequency_range = ["15 Hz", "90 Hz"]
+"""
+
+
+def test_hammer_modes_and_scenario_lead_to_the_same_sweep(tmp_path: Path) -> None:
+    whole = (EXAMPLE.parents[1] / "scenarios" / "milling_machine.toml").read_text(encoding="utf-8")
+    machine = whole.split("[sensors]")[0]
+    (tmp_path / "machine.toml").write_text(machine + HAMMER, encoding="utf-8")
+    campaign = simulate(tmp_path / "machine.toml", tmp_path / "hammered", show=lambda text: None)
+    measured = campaign.read_text(encoding="utf-8").split("[[model]]")
+    hammer = measured[0] + "[[measurement]]" + measured[1].split("[[measurement]]")[1]
+    text = f"{hammer}\n[plan]\n{QUICK}"
+    (campaign.parent / "hammer.toml").write_text(text, encoding="utf-8")
+    by_hammer = recommend(load_task(campaign.parent / "hammer.toml"))
+    by_modes = recommend(load_task(written(tmp_path)))
+    by_scenario = recommend(load_task(written(tmp_path, f'scenario = "machine.toml"\n{QUICK}')))
+    assert by_scenario.worst == pytest.approx(by_modes.worst, rel=1e-6)
+    assert by_hammer.sweep.start == by_modes.sweep.start
+    assert by_hammer.sweep.depth == pytest.approx(by_modes.sweep.depth, abs=0.11e-3)
+    # What a hammer test of two hits tells of the machine is enough to tell what the sweep will be worth.
+    assert by_hammer.worst == pytest.approx(by_modes.worst, rel=0.25)
 
 
 # --- does it come true ----------------------------------------------------------------------------------------------
