@@ -251,7 +251,8 @@ def _confirmed(search: Search, one: _Refined) -> tuple[_Refined | None, str]:
     try:
         smallest = min(_converged(task, one.sweep))
     except InputError as error:
-        return one, f"the limit depths are not confirmed by semi-discretisation: {error}"
+        reason = str(error).split(";")[0].split(". ")[0]
+        return one, f"the limit depths are those of the zero-order method; semi-discretisation cannot be had: {reason}"
     safe = task.limits.chatter_margin * smallest
     if one.sweep.depth <= safe * (1.0 + 1e-9):
         return one, ""
@@ -316,10 +317,10 @@ def _condition_warning(one: _Refined) -> list[str]:
     condition = one.prediction["force_condition"].values
     if condition.max() <= WARN_CONDITION:
         return []
-    share = 100.0 * float(np.mean(condition > WARN_CONDITION))
+    share = f"{100.0 * float(np.mean(condition > WARN_CONDITION)):.0f}"
     lost = int(np.sum(condition > REFUSE_CONDITION))
     more = f", and exceeds {REFUSE_CONDITION:g} at {lost} frequencies, which will stay empty" if lost else ""
-    return [f"the condition number of the forces exceeds {WARN_CONDITION:g} in {share:.2g} % of the band{more}"]
+    return [f"the condition number of the forces exceeds {WARN_CONDITION:g} in {share} % of the band{more}"]
 
 
 def _completed(task: Task, one: _Refined) -> xr.Dataset:

@@ -300,9 +300,9 @@ class Search:
         rms : ndarray, shape (alternatives, passes, 3)
             Root mean square of the cutting force [N].
         """
-        noise = np.asarray(self.instruments.force_noise)
-        ratio = noise / (QUIET_AIR * np.sqrt(rms**2 + noise**2 + 1e-30))
-        return np.asarray(ratio.max(axis=(1, 2)))
+        # Noise n is in the cut too: n <= q sqrt(rms^2 + n^2).
+        greatest = QUIET_AIR / math.sqrt(1.0 - QUIET_AIR**2) * np.maximum(rms, 1e-12)
+        return np.asarray((np.asarray(self.instruments.force_noise) / greatest).max(axis=(1, 2)))
 
     def _loads(self, plan: SweepPlan, cuts: Cuts) -> tuple[dict[str, Real], Real]:
         """Return the loads of each pass of unit depth.

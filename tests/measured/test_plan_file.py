@@ -256,6 +256,37 @@ def test_hammer_modes_and_scenario_lead_to_the_same_sweep(tmp_path: Path) -> Non
 # --- does it come true ----------------------------------------------------------------------------------------------
 
 
+FIXED = """
+frequency_range = ["20 Hz", "80 Hz"]
+inserts = [2]
+feed_per_tooth = "0.1 mm"
+largest_error = "60 %"
+passes = [
+    { cut = "down", width_of_cut = "12 mm" },
+    { cut = "up", width_of_cut = "12 mm" },
+    { cut = "central", width_of_cut = "12 mm" },
+]
+"""
+NOISY = 'longest_pass = "30 s"\ndepth_of_cut = "2 mm"\nacceleration_noise = "0.3 m/s^2"\nforce_noise = "20 N"'
+SHORT = 'longest_pass = "12 s"\ndepth_of_cut = "1 mm"'
+CASES = {
+    "much noise": (NOISY, ("", "")),
+    "noise of the forces alone": (NOISY.replace("0.3 m/s^2", "0.001 m/s^2"), ("", "")),
+    "a short sweep": (SHORT, ("", "")),
+    "a helix and hardly any axial force": (SHORT, ('"45 deg"', '"90 deg"\nhelix_angle = "30 deg"')),
+    "little damping": (f'{SHORT}\nchatter_margin = "90 %"', ("damping = 0.0287", "damping = 0.01")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_the_prediction_comes_true_for_other_sweeps(case: str, tmp_path: Path) -> None:
+    settings, change = CASES[case]
+    checked = verify(recommend(load_task(written(tmp_path, f"{FIXED}\n{settings}", change))), None, (1,))
+    assert checked.confirmed, checked.table.to_string()
+    assert checked.condition_ratio == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.slow
 def test_the_prediction_comes_true(tmp_path: Path) -> None:
     result = recommend(load_task(EXAMPLE))
