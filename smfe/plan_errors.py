@@ -9,9 +9,10 @@ With the energy ``G(f) = sum over records of F F^H`` the normal matrix of that f
 - loss: noise of the forces is in the regressors too, so that M becomes M + N, N over all lines, the air included, and
   the compliance comes out too small.
 
-The estimator takes, row by row, the widest band that agrees with all narrower ones. Two bands differ by their
-difference in bend plus noise of variance ``V_narrow - V_wide``, so that it passes with the probability of a non-central
-chi-square; the mean square errors of the bands are added with the probabilities that they are taken.
+The estimator takes, row by row, the widest band that agrees with all narrower ones, in units of the standard deviation
+that it states: that of its residual, where the bend counts as noise. Two bands differ by their difference in bend plus
+noise of variance ``V_narrow - V_wide``, so that they agree with the probability of a non-central chi-square; the mean
+square errors of the bands are added with the probabilities that they are taken.
 """
 
 from __future__ import annotations
@@ -65,9 +66,10 @@ class Instruments:
 
 @dataclass(frozen=True)
 class _Band:
-    """One half width: variance, systematic error and condition, shapes (f, 3, 3), (f, 3, 3), (f,)."""
+    """One half width: variance, the one that it will state, systematic error, condition; (f, 3, 3) thrice, (f,)."""
 
     variance: Real
+    stated: Real
     bias: Complex
     condition: Real
 
@@ -169,20 +171,30 @@ def _band(
     found = gram + np.diag(np.square(instruments.force_noise) / instruments.sample_rate * lines)
     powers = shift ** np.arange(order + 1)[:, None]
     f, size = frequency.size, 3 * (order + 1)
-    normal = np.einsum("as,bs,fsij->faibj", powers, powers, found, optimize=True).reshape(f, size, size)
-    right = np.einsum("bs,fsik,fskj->fibj", powers, estimate.matrix(at), gram, optimize=True).reshape(f, 3, size)
+    normal, exact = (
+        np.einsum("as,bs,fsij->faibj", powers, powers, g, optimize=True).reshape(f, size, size) for g in (found, gram)
+    )
+    compliance = estimate.matrix(at)
+    right = np.einsum("bs,fsik,fskj->fibj", powers, compliance, gram, optimize=True).reshape(f, 3, size)
     plain = normal[:, :3, :3]
     values = np.linalg.eigvalsh(plain)
     condition = np.sqrt(values[:, -1] / np.maximum(values[:, 0], 1e-30 * values[:, -1]))
     solved = condition <= 10.0 * REFUSE_CONDITION
     # What cannot be solved is wrong by ten times the largest compliance.
     variance = np.full((f, 3, 3), 100.0 * float(np.abs(truth).max()) ** 2)
-    bias = np.zeros((f, 3, 3), dtype=complex)
+    bias, stated = np.zeros((f, 3, 3), dtype=complex), variance.copy()
     inverse = np.linalg.inv(normal[solved])
     spread = np.diagonal(inverse, axis1=1, axis2=2).real[:, :3]
     variance[solved] = noise[solved][:, :, None] * spread[:, None, :]
     bias[solved] = (right[solved] @ inverse)[:, :, :3] - truth[solved]
-    return _Band(variance, bias, condition)
+    # What the polynomial misses is in the residual, and the estimator takes that for noise.
+    whole = np.einsum("fsik,fskj,fsij->fi", compliance, gram, compliance.conj(), optimize=True).real
+    best = right[solved] @ np.linalg.pinv(exact[solved], hermitian=True)
+    kept = np.einsum("fib,fib->fi", best, right[solved].conj()).real
+    freedom = max(2.0 * width * plan.record * plan.records - size, 1.0)
+    apparent = noise[solved] + np.maximum(whole[solved] - kept, 0.0) / freedom
+    stated[solved] = apparent[:, :, None] * spread[:, None, :]
+    return _Band(variance, stated, bias, condition)
 
 
 def _taken(bands: list[_Band], agreement: float) -> Real:
@@ -201,9 +213,13 @@ def _taken(bands: list[_Band], agreement: float) -> Real:
 
 
 def _agrees(wide: _Band, narrow: _Band, agreement: float) -> Real:
-    """Return the probability that two bands differ by at most `agreement` standard deviations of the narrower one."""
+    """Return the probability that two bands differ by at most `agreement` standard deviations, as the narrower states.
+
+    Shape (f, 3): the entry of each row that agrees least decides.
+    """
     scale = np.where(narrow.variance > 0.0, narrow.variance, 1e-300)
     left = np.clip(1.0 - wide.variance / scale, 0.05, 1.0)
     distance = np.minimum(np.abs(wide.bias - narrow.bias) ** 2 / scale, 1e4)
-    chance = stats.ncx2.cdf(2.0 * agreement**2 / left, 2, 2.0 * distance / left)
+    allowed = np.minimum(agreement**2 * narrow.stated / scale, 1e6)
+    chance = stats.ncx2.cdf(2.0 * allowed / left, 2, 2.0 * distance / left)
     return np.asarray(np.min(chance, axis=2))
