@@ -6,6 +6,8 @@ With the energy ``G(f) = sum over records of F F^H`` the normal matrix of that f
 - noise: ``Var Phi_ij = s_i^2 (M^-1)_jj`` of the block a = b = 0, with ``s_i^2 = dt (sigma_a^2/w^4 + sum_j |Phi_ij|^2
   sigma_F^2)`` for white noise of rms sigma sampled every dt; the length of the record cancels;
 - bend: what a polynomial of second order misses, ``[integral u^b Phi G ds]_b M^-1 - Phi``;
+- beats: harmonics that pass a frequency at different times beat over the band; as far as they do, what the polynomial
+  misses of one entry is noise to the others of its row;
 - loss: noise of the forces is in the regressors too, so that M becomes M + N, N over all lines, the air included, and
   the compliance comes out too small.
 
@@ -28,7 +30,7 @@ from scipy import ndimage, stats
 from process.cutting import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
-from smfe.plan_forces import SweepPlan, plan_energy
+from smfe.plan_forces import SweepPlan, beat_share, plan_energy
 from smfe.plan_task import Estimate
 from smfe.sweep import REFUSE_CONDITION
 from smfe.sweep_estimators import LocalPolynomial
@@ -66,8 +68,9 @@ class Instruments:
 
 @dataclass(frozen=True)
 class _Band:
-    """One half width: variance, the one that it will state, systematic error, condition; (f, 3, 3) thrice, (f,)."""
+    """One half width: noise, all that varies, what it will state, systematic error, condition; (f, 3, 3), last (f,)."""
 
+    noise: Real
     variance: Real
     stated: Real
     bias: Complex
@@ -123,7 +126,7 @@ def expected(
     three = ("frequency", "response", "excitation")
     extra = {
         "compliance_std": (three, np.sqrt(variance + systematic)),
-        "noise_std": (three, np.sqrt(variance)),
+        "noise_std": (three, np.sqrt(np.einsum("kfi,kfij->fij", taken, np.array([b.noise for b in bands])))),
         "force_condition": (three[:1], condition),
         "half_width": (three[:2], np.einsum("kfi,k->fi", taken, np.asarray(widths))),
     }
@@ -194,7 +197,8 @@ def _band(
     freedom = max(2.0 * width * plan.record * plan.records - size, 1.0)
     apparent = noise[solved] + np.maximum(whole[solved] - kept, 0.0) / freedom
     stated[solved] = apparent[:, :, None] * spread[:, None, :]
-    return _Band(variance, stated, bias, condition)
+    beats = beat_share(plan, coefficients, frequency)[:, None, None]
+    return _Band(variance, variance + beats * (stated - variance), stated, bias, condition)
 
 
 def _taken(bands: list[_Band], agreement: float) -> Real:

@@ -198,6 +198,37 @@ def plan_energy(plan: SweepPlan, coefficients: CuttingCoefficients, frequency: A
     return out
 
 
+def beat_share(plan: SweepPlan, coefficients: CuttingCoefficients, frequency: Real) -> Real:
+    """Return the share of the energy that beats, shape (frequencies,): 0 for one harmonic, 1/2 for two alike.
+
+    Harmonics that pass the same frequency at times that lie Delta t apart give products that rotate with 1/(Delta t) over
+    the frequency. ``1 - sum_h g_h^2/(sum_h g_h)^2`` of the energies g_h, mean over the passes.
+    """
+    orders = orders_within(plan.tooth_passing, float(np.max(frequency)) + 2.0)
+    shares = []
+    for one in plan.passes:
+        chip, edge = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), coefficients, plan.depth, orders)
+        each = np.array(
+            [
+                np.trace(
+                    energy(
+                        frequency,
+                        (chip[k : k + 1], edge[k : k + 1]),
+                        orders[k : k + 1],
+                        plan.tooth_passing,
+                        plan.duration,
+                        plan.feed_rate,
+                    ),
+                    axis1=-2,
+                    axis2=-1,
+                ).real
+                for k in range(orders.size)
+            ]
+        )
+        shares.append(1.0 - np.sum(each**2, axis=0) / np.maximum(np.sum(each, axis=0) ** 2, 1e-300))
+    return np.asarray(np.mean(shares, axis=0))
+
+
 @dataclass(frozen=True)
 class Level:
     """Forces of one pass at one spindle speed, all teeth together.

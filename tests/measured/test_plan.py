@@ -17,7 +17,16 @@ from process.tool import Tool
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.least_squares import condition_number
 from smfe.plan_errors import Instruments, expected, relative_error
-from smfe.plan_forces import Pass, SweepPlan, edge_factor, energy, force_level, orders_within, unit_harmonics
+from smfe.plan_forces import (
+    Pass,
+    SweepPlan,
+    beat_share,
+    edge_factor,
+    energy,
+    force_level,
+    orders_within,
+    unit_harmonics,
+)
 from smfe.plan_search import covers, inverse_diagonal
 from smfe.plan_task import Estimate
 from smfe.spectra import BlockSpectra
@@ -214,6 +223,14 @@ def test_the_expected_error_is_the_one_that_the_identification_makes(identified:
 def test_records_too_short_for_the_estimator_are_refused() -> None:
     with pytest.raises(InputError, match="sweep more slowly or repeat"):
         expected(published(duration=0.1, lead=0.0, tail=0.0), MATERIAL, ESTIMATE, NOISE, FREQUENCY)
+
+
+def test_harmonics_beat_where_several_pass_and_only_there() -> None:
+    """Harmonic 1 runs from 20 to 51 Hz, harmonic 2 from 41 to 102 Hz, harmonic 3 from 61 Hz."""
+    share = beat_share(published(), MATERIAL, FREQUENCY)
+    assert share[(FREQUENCY > 22.0) & (FREQUENCY < 38.0)].max() < 0.03
+    assert share[(FREQUENCY > 43.0) & (FREQUENCY < 49.0)].min() > 0.2
+    assert share.max() < 1.0
 
 
 def test_an_estimate_that_ends_within_the_band_is_refused() -> None:
