@@ -24,7 +24,7 @@ from process.errors import InputError
 from smfe.datasets import Show
 from smfe.identification import Progress, silent
 from smfe.plan_errors import expected, relative_error
-from smfe.plan_forces import Pass, SweepPlan, force_level, plan_energy
+from smfe.plan_forces import Forces, Pass, SweepPlan, force_level
 from smfe.plan_limits import KEYS, no_plan, rejections
 from smfe.plan_search import DEPTH_STEP, Search
 from smfe.plan_task import Task, load_task
@@ -327,7 +327,7 @@ def _completed(task: Task, one: _Refined) -> xr.Dataset:
     """Add force spectra and limit depths to the prediction."""
     sweep, out = one.sweep, one.prediction.copy()
     labels = [f"{p.cut} {1e3 * p.width:g} mm" for p in sweep.passes]
-    energy = np.array(plan_energy(sweep, task.coefficients, task.frequency))
+    energy = np.array(Forces(sweep, task.coefficients, task.frequency[-1] + 1.0).energy(task.frequency))
     spectrum = np.sqrt(np.diagonal(energy, axis1=2, axis2=3).real).transpose(0, 2, 1)
     speeds = np.linspace(sweep.start, sweep.end, DRAWN_SPEEDS) * 30.0 / math.pi
     limits = [

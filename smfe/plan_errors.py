@@ -30,7 +30,7 @@ from scipy import ndimage, stats
 from process.cutting import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
-from smfe.plan_forces import SweepPlan, beat_share, plan_energy
+from smfe.plan_forces import Forces, SweepPlan
 from smfe.plan_task import Estimate
 from smfe.sweep import REFUSE_CONDITION
 from smfe.sweep_estimators import LocalPolynomial
@@ -77,6 +77,20 @@ class _Band:
     condition: Real
 
 
+@dataclass(frozen=True)
+class _Ground:
+    """What all half widths share: truth (f, 3, 3), noise (f, 3) and share of beats (f,) at the frequencies (f,)."""
+
+    forces: Forces
+    estimate: Estimate
+    instruments: Instruments
+    frequency: Real
+    truth: Complex
+    noise: Real
+    beats: Real
+    order: int
+
+
 def expected(
     plan: SweepPlan,
     coefficients: CuttingCoefficients,
@@ -116,8 +130,11 @@ def expected(
     chosen = LocalPolynomial() if estimator is None else estimator
     truth = estimate.matrix(frequency)
     noise = instruments.response_noise(frequency, truth)
+    forces = Forces(plan, coefficients, float(frequency[-1]) + max(chosen.half_widths))
+    beats = forces.beat_share(frequency)
     widths = _usable(chosen, plan)
-    bands = [_band(plan, coefficients, estimate, instruments, frequency, truth, noise, w, chosen.order) for w in widths]
+    ground = _Ground(forces, estimate, instruments, frequency, truth, noise, beats, chosen.order)
+    bands = [_band(ground, w) for w in widths]
     taken = _taken(bands, chosen.agreement)
     variance = np.einsum("kfi,kfij->fij", taken, np.array([b.variance for b in bands]))
     systematic = np.einsum("kfi,kfij->fij", taken, np.array([np.abs(b.bias) ** 2 for b in bands]))
@@ -155,50 +172,49 @@ def _usable(estimator: LocalPolynomial, plan: SweepPlan) -> list[float]:
     return usable
 
 
-def _band(
-    plan: SweepPlan,
-    coefficients: CuttingCoefficients,
-    estimate: Estimate,
-    instruments: Instruments,
-    frequency: Real,
-    truth: Complex,
-    noise: Real,
-    width: float,
-    order: int,
-) -> _Band:
+def _band(ground: _Ground, width: float) -> _Band:
+    """Work through one half width [Hz]."""
+    plan, frequency = ground.forces.plan, ground.frequency
     shift = (np.arange(POINTS) + 0.5) * 2.0 / POINTS - 1.0
     at = frequency[:, None] + width * shift
-    gram = plan.repeats * np.sum(plan_energy(plan, coefficients, at), axis=0) * (2.0 * width / POINTS)
+    energy = plan.repeats * np.sum(ground.forces.energy(at), axis=0) * (2.0 * width / POINTS)
+    compliance = ground.estimate.matrix(at)
+    powers = shift ** np.arange(ground.order + 1)[:, None]
+    f, size = frequency.size, 3 * (ground.order + 1)
+    exact = np.einsum("as,bs,fsij->faibj", powers, powers, energy, optimize=True).reshape(f, size, size)
+    right = np.einsum("bs,fsik,fskj->fibj", powers, compliance, energy, optimize=True).reshape(f, 3, size)
+    lines = 2.0 * width * plan.record * plan.records
     # Noise is in every line of every record; the energy of a chirp does not grow with the record.
-    lines = 2.0 * width / POINTS * plan.record * plan.records
-    found = gram + np.diag(np.square(instruments.force_noise) / instruments.sample_rate * lines)
-    powers = shift ** np.arange(order + 1)[:, None]
-    f, size = frequency.size, 3 * (order + 1)
-    normal, exact = (
-        np.einsum("as,bs,fsij->faibj", powers, powers, g, optimize=True).reshape(f, size, size) for g in (found, gram)
-    )
-    compliance = estimate.matrix(at)
-    right = np.einsum("bs,fsik,fskj->fibj", powers, compliance, gram, optimize=True).reshape(f, 3, size)
-    plain = normal[:, :3, :3]
-    values = np.linalg.eigvalsh(plain)
-    condition = np.sqrt(values[:, -1] / np.maximum(values[:, 0], 1e-30 * values[:, -1]))
+    loss = np.square(ground.instruments.force_noise) / ground.instruments.sample_rate * lines / POINTS
+    normal = exact + np.kron(powers @ powers.T, np.diag(loss))
+    condition = _condition(normal[:, :3, :3])
     solved = condition <= 10.0 * REFUSE_CONDITION
     # What cannot be solved is wrong by ten times the largest compliance.
-    variance = np.full((f, 3, 3), 100.0 * float(np.abs(truth).max()) ** 2)
-    bias, stated = np.zeros((f, 3, 3), dtype=complex), variance.copy()
+    noise = np.full((f, 3, 3), 100.0 * float(np.abs(ground.truth).max()) ** 2)
+    stated, bias = noise.copy(), np.zeros((f, 3, 3), dtype=complex)
     inverse = np.linalg.inv(normal[solved])
-    spread = np.diagonal(inverse, axis1=1, axis2=2).real[:, :3]
-    variance[solved] = noise[solved][:, :, None] * spread[:, None, :]
-    bias[solved] = (right[solved] @ inverse)[:, :, :3] - truth[solved]
+    spread = np.diagonal(inverse, axis1=1, axis2=2).real[:, None, :3]
+    noise[solved] = ground.noise[solved][:, :, None] * spread
+    bias[solved] = (right[solved] @ inverse)[:, :, :3] - ground.truth[solved]
     # What the polynomial misses is in the residual, and the estimator takes that for noise.
-    whole = np.einsum("fsik,fskj,fsij->fi", compliance, gram, compliance.conj(), optimize=True).real
-    best = right[solved] @ np.linalg.pinv(exact[solved], hermitian=True)
-    kept = np.einsum("fib,fib->fi", best, right[solved].conj()).real
-    freedom = max(2.0 * width * plan.record * plan.records - size, 1.0)
-    apparent = noise[solved] + np.maximum(whole[solved] - kept, 0.0) / freedom
-    stated[solved] = apparent[:, :, None] * spread[:, None, :]
-    beats = beat_share(plan, coefficients, frequency)[:, None, None]
-    return _Band(variance, variance + beats * (stated - variance), stated, bias, condition)
+    whole = np.einsum("fsik,fskj,fsij->fi", compliance, energy, compliance.conj(), optimize=True).real[solved]
+    missed = _missed(whole, right[solved], exact[solved]) / max(lines - size, 1.0)
+    stated[solved] = (ground.noise[solved] + missed)[:, :, None] * spread
+    varies = noise + ground.beats[:, None, None] * (stated - noise)
+    return _Band(noise, varies, stated, bias, condition)
+
+
+def _condition(energy: Complex) -> Real:
+    """Return the condition number of forces whose ``F F^H`` is given, shape (f, 3, 3)."""
+    values = np.linalg.eigvalsh(energy)
+    return np.asarray(np.sqrt(values[:, -1] / np.maximum(values[:, 0], 1e-30 * values[:, -1])))
+
+
+def _missed(whole: Real, right: Complex, normal: Complex) -> Real:
+    """Return the energy of the response that the best polynomial leaves, shape (f, 3)."""
+    best = right @ np.linalg.pinv(normal, hermitian=True)
+    kept = np.einsum("fib,fib->fi", best, right.conj()).real
+    return np.asarray(np.maximum(whole - kept, 0.0))
 
 
 def _taken(bands: list[_Band], agreement: float) -> Real:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -187,46 +188,63 @@ def energy(
     return total
 
 
-def plan_energy(plan: SweepPlan, coefficients: CuttingCoefficients, frequency: ArrayLike) -> list[Complex]:
-    """Return `energy` of each pass of a plan, one record each."""
-    highest = float(np.max(frequency)) + 2.0
-    orders = orders_within(plan.tooth_passing, highest)
-    out = []
-    for one in plan.passes:
-        parts = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), coefficients, plan.depth, orders)
-        out.append(energy(frequency, parts, orders, plan.tooth_passing, plan.duration, plan.feed_rate))
-    return out
+@dataclass(frozen=True)
+class Forces:
+    """The force harmonics of all passes of a plan, up to a frequency.
 
-
-def beat_share(plan: SweepPlan, coefficients: CuttingCoefficients, frequency: Real) -> Real:
-    """Return the share of the energy that beats, shape (frequencies,): 0 for one harmonic, 1/2 for two alike.
-
-    Harmonics that pass the same frequency at times that lie Delta t apart give products that rotate with 1/(Delta t) over
-    the frequency. ``1 - sum_h g_h^2/(sum_h g_h)^2`` of the energies g_h, mean over the passes.
+    Parameters
+    ----------
+    plan : SweepPlan
+        The plan.
+    coefficients : CuttingCoefficients
+        Work material.
+    highest : float
+        Frequency up to which harmonics count [Hz].
     """
-    orders = orders_within(plan.tooth_passing, float(np.max(frequency)) + 2.0)
-    shares = []
-    for one in plan.passes:
-        chip, edge = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), coefficients, plan.depth, orders)
-        each = np.array(
-            [
-                np.trace(
-                    energy(
-                        frequency,
-                        (chip[k : k + 1], edge[k : k + 1]),
-                        orders[k : k + 1],
-                        plan.tooth_passing,
-                        plan.duration,
-                        plan.feed_rate,
-                    ),
-                    axis1=-2,
-                    axis2=-1,
-                ).real
-                for k in range(orders.size)
-            ]
+
+    plan: SweepPlan
+    coefficients: CuttingCoefficients
+    highest: float
+
+    @cached_property
+    def _orders(self) -> NDArray[np.int64]:
+        return orders_within(self.plan.tooth_passing, self.highest)
+
+    @cached_property
+    def _harmonics(self) -> list[tuple[Complex, Complex]]:
+        tool, depth = self.plan.tool, self.plan.depth
+        return [
+            unit_harmonics(tool, one.arc(tool.diameter), self.coefficients, depth, self._orders)
+            for one in self.plan.passes
+        ]
+
+    def energy(self, frequency: ArrayLike) -> list[Complex]:
+        """Return `energy` of each pass, one record each."""
+        return [self._of(frequency, slice(None), parts) for parts in self._harmonics]
+
+    def beat_share(self, frequency: Real) -> Real:
+        """Return the share of the energy that beats, shape (frequencies,): 0 for one harmonic, 1/2 for two alike.
+
+        Products of harmonics that pass a frequency at times Delta t apart rotate with 1/(Delta t) over the frequency.
+        ``1 - sum_h g_h^2/(sum_h g_h)^2`` of their energies g_h, mean over the passes.
+        """
+        shares = []
+        for parts in self._harmonics:
+            single = [self._of(frequency, slice(k, k + 1), parts) for k in range(self._orders.size)]
+            each = np.trace(np.array(single), axis1=-2, axis2=-1).real
+            shares.append(1.0 - np.sum(each**2, axis=0) / np.maximum(np.sum(each, axis=0) ** 2, 1e-300))
+        return np.asarray(np.mean(shares, axis=0))
+
+    def _of(self, frequency: ArrayLike, which: slice, parts: tuple[Complex, Complex]) -> Complex:
+        plan, (chip, edge) = self.plan, parts
+        return energy(
+            frequency,
+            (chip[which], edge[which]),
+            self._orders[which],
+            plan.tooth_passing,
+            plan.duration,
+            plan.feed_rate,
         )
-        shares.append(1.0 - np.sum(each**2, axis=0) / np.maximum(np.sum(each, axis=0) ** 2, 1e-300))
-    return np.asarray(np.mean(shares, axis=0))
 
 
 @dataclass(frozen=True)

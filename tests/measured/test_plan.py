@@ -18,9 +18,9 @@ from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_STA
 from smfe.least_squares import condition_number
 from smfe.plan_errors import Instruments, expected, relative_error
 from smfe.plan_forces import (
+    Forces,
     Pass,
     SweepPlan,
-    beat_share,
     edge_factor,
     energy,
     force_level,
@@ -227,7 +227,7 @@ def test_records_too_short_for_the_estimator_are_refused() -> None:
 
 def test_harmonics_beat_where_several_pass_and_only_there() -> None:
     """Harmonic 1 runs from 20 to 51 Hz, harmonic 2 from 41 to 102 Hz, harmonic 3 from 61 Hz."""
-    share = beat_share(published(), MATERIAL, FREQUENCY)
+    share = Forces(published(), MATERIAL, 80.0).beat_share(FREQUENCY)
     assert share[(FREQUENCY > 22.0) & (FREQUENCY < 38.0)].max() < 0.03
     assert share[(FREQUENCY > 43.0) & (FREQUENCY < 49.0)].min() > 0.2
     assert share.max() < 1.0
