@@ -64,6 +64,9 @@ def write_plan(found: Plan, out: Path) -> None:
     for name, text in texts.items():
         write_atomically(out / name, lambda path, text=text: path.write_text(text, encoding="utf-8"))  # type: ignore[misc]
     write_page(found, passes, out)
+    # What an earlier plan left and this one does not write would be taken for its own.
+    for name in {"scenario.toml", "verification.csv"} - set(texts):
+        (out / name).unlink(missing_ok=True)
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------

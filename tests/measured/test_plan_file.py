@@ -256,6 +256,26 @@ def test_hammer_modes_and_scenario_lead_to_the_same_sweep(tmp_path: Path) -> Non
 # --- does it come true ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
+def test_the_command_plans_and_verifies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(
+        "sys.argv", ["smfe", "plan", str(written(tmp_path)), "-o", str(out), "--verify", "--seeds", "1"]
+    )
+    with pytest.raises(SystemExit) as ended:
+        cli.app_entry()
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert "cut down 12 mm, up 12 mm, central 12 mm, once each: 2 inserts" in printed
+    assert "the prediction is confirmed" in printed
+    assert (out / "verification.csv").is_file()
+    # A new plan is not verified by an old verification.
+    plan(tmp_path / "task.toml", out)
+    assert not (out / "verification.csv").exists()
+
+
 FIXED = """
 frequency_range = ["20 Hz", "80 Hz"]
 inserts = [2]
