@@ -96,16 +96,16 @@ _UNITS: dict[str, tuple[str, str]] = {
 }
 
 
-def quantity(key: str, value: float) -> str:
+def quantity(key: str, value: float, digits: int = 3) -> str:
     """Return a value of a limit as text."""
     if key in ("speed_high", "speed_low"):
-        return f"{value:.4g} rpm"
+        return f"{value:.{digits + 1}g} rpm"
     if key == "condition":
-        return f"{value:.3g}"
+        return f"{value:.{digits}g}"
     if key == "error":
-        return f"{100.0 * value:.3g} %"
+        return f"{100.0 * value:.{digits}g} %"
     unit, dimension = _UNITS[key]
-    return show(value, unit, dimension, digits=3)
+    return show(value, unit, dimension, digits=digits)
 
 
 def need(task: Task, key: str, ratio: float) -> str:
@@ -119,7 +119,9 @@ def need(task: Task, key: str, ratio: float) -> str:
         return f"{limit.what}: at most {depth} are safe, {quantity(key, given)} are asked ({limit.setting})"
     # Lower limits must come down, all others go up.
     wanted = given / ratio if key in ("speed_low", "feed_low", "noise") else given * ratio
-    return f"{limit.what}: {quantity(key, wanted)} instead of {quantity(key, given)} ({limit.setting})"
+    # As many digits as tell the two apart.
+    digits = next((d for d in range(3, 9) if quantity(key, wanted, d) != quantity(key, given, d)), 9)
+    return f"{limit.what}: {quantity(key, wanted, digits)} instead of {quantity(key, given, digits)} ({limit.setting})"
 
 
 def rejections(task: Task, table: pd.DataFrame) -> pd.DataFrame:

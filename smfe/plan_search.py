@@ -144,7 +144,9 @@ class Search:
     def ramps(self, tool: Tool) -> Iterator[Ramp]:
         """Yield the speed ranges whose first harmonics cover the band without a gap, with each feed per tooth."""
         low, high = self.task.limits.feed_per_tooth
-        feeds = [low] if math.isclose(low, high) else list(np.geomspace(low, high, FEEDS))
+        # Two digits are what an operator sets.
+        every = {min(max(float(f"{f:.2g}"), low), high) for f in np.geomspace(low, high, FEEDS)}
+        feeds = [low] if math.isclose(low, high) else sorted(every)
         for start, end in self._speed_ranges(tool):
             for feed in feeds:
                 yield Ramp(tool, start, end, float(feed))
