@@ -140,7 +140,9 @@ def summary(found: Plan) -> str:
 
 
 def recommend(task: Task, progress: Progress = silent) -> Plan:
-    """Return the sweep with the smallest largest expected error that keeps all limits.
+    """Return the sweep that keeps all limits with the fewest repeats, and of these the one that errs least.
+
+    What counts is the largest expected error of the nine entries.
 
     Parameters
     ----------
@@ -172,7 +174,8 @@ def recommend(task: Task, progress: Progress = silent) -> Plan:
     for done, row in enumerate(rows.index):
         progress("working through the best alternatives", done, len(rows))
         refined.append(_refined(search, table, choices, row))
-    ranked = sorted(refined, key=lambda r: r.worst)
+    # Of those that are good enough, the ones that are cut least often; of these, the best.
+    ranked = sorted(refined, key=lambda r: (r.worst > task.limits.largest_error, r.sweep.repeats, r.worst))
     notes: dict[int, str] = {}
     for one in ranked:
         progress("confirming the chatter margin", 0, 1)
