@@ -41,8 +41,8 @@ def test_the_tool_point_has_the_modes_that_its_author_picked() -> None:
     f = fit.curves.frequency
     measured, model = fit.curves.values[0], fit.free.curve_values(f)[0]
     assert np.linalg.norm(model - measured) < 0.1 * np.linalg.norm(measured)
-    # The highest peak: -0.6433 um/N of its imaginary part.
-    assert model.imag.min() == pytest.approx(-0.6433e-6, rel=0.05)
+    # The highest peak: -0.6433 um/N of its imaginary part, to the 10 % that are asked for where no noise is known.
+    assert model.imag.min() == pytest.approx(-0.6433e-6, rel=0.1)
 
 
 @pytest.mark.slow
