@@ -24,6 +24,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
+from process.errors import InputError
 from smfe.peaks import Peak, PeakRules, entries, entry_peaks
 
 Real = NDArray[np.float64]
@@ -110,8 +111,20 @@ class Design:
 
 
 def conditions_of(compliance: xr.Dataset) -> dict[str, str]:
-    """Return factor -> category of a measurement, as ``attrs`` of its compliance say."""
-    told = {str(k): str(v) for k, v in json.loads(compliance.attrs.get("conditions", "{}")).items()}
+    """Return factor -> category of a measurement, as ``attrs`` of its compliance say.
+
+    Raises
+    ------
+    InputError
+        When ``attrs["conditions"]`` is no JSON object.
+    """
+    text = compliance.attrs.get("conditions", "{}")
+    try:
+        told = {str(k): str(v) for k, v in json.loads(text).items()}
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"the conditions of a compliance are {text!r}, which is no JSON object; write it again with `smfe identify`"
+        ) from error
     told["method"] = str(compliance.attrs.get("method", "not stated"))
     level = told.get("force_level", told.get("depth_of_cut"))
     if level is not None:

@@ -40,6 +40,9 @@ ACTIVE = 0.05
 COARSE = 3.0
 """A misfit above this is worth a warning."""
 
+NO_SHAPE = 0.3
+"""Real shapes further from the free fit than this share of its size are not used."""
+
 LOPSIDED = 2.0
 """Mirrored entries that differ by more than this many times their noise are called not reciprocal."""
 
@@ -206,7 +209,27 @@ def fit_modes(
         shapes = fit_shapes(free, is_mode)
     except InputError as error:  # poles are known all the same
         reason = str(error)
+    if shapes is not None and (reason := _why_not(free, shapes)):
+        shapes = None
     return ModalFit(matrix, stable, free, is_mode, shapes, reason)
+
+
+def _why_not(free: PoleFit, shapes: ShapeFit) -> str:
+    """Return why mode shapes are worth nothing; empty where they are worth something."""
+    f = free.curves.frequency
+    own, other = free.curve_values(f), shapes.curve_values(f)
+    away = float(np.linalg.norm(own - other) / np.linalg.norm(own))
+    if not _modes_of_band(shapes).any():
+        return (
+            "no mode has a stiffness that is known: the residues are not those of real shapes at places that move "
+            "with the force; check delays and signs of the channels, or measure the driving points"
+        )
+    if away > NO_SHAPE:
+        return (
+            f"real mode shapes are {100.0 * away:.0f} % away from the free fit: the phase between force and motion is "
+            "not that of a machine at one place; check delays and signs of the channels"
+        )
+    return ""
 
 
 def model_error(fit: ModalFit) -> str:

@@ -106,12 +106,12 @@ class ShapeFit:
     @property
     def stiffness(self) -> Real:
         """Modal stiffness [N/m] of the unit direction."""
-        return np.asarray(1.0 / np.sum(self.shape**2, axis=1))
+        return np.asarray(1.0 / np.maximum(np.sum(self.shape**2, axis=1), 1e-300))
 
     @property
     def direction(self) -> Real:
         """Unit vectors, the largest component positive, shape (p, places)."""
-        unit = self.shape / np.linalg.norm(self.shape, axis=1, keepdims=True)
+        unit = self.shape / np.maximum(np.linalg.norm(self.shape, axis=1, keepdims=True), 1e-150)
         largest = np.take_along_axis(unit, np.argmax(np.abs(unit), axis=1)[:, None], axis=1)
         return np.asarray(unit * np.where(largest < 0.0, -1.0, 1.0))
 
@@ -217,7 +217,9 @@ def fit_shapes(free: PoleFit, keep: NDArray[np.bool_] | None = None) -> ShapeFit
     matrices = [_static(free, k) for k in range(len(free.poles))]
     shape = np.stack([_leading(m, parts) for m in matrices])
     _require_positive(free, shape, np.ones(len(shape), bool) if keep is None else keep)
-    fit = _resolved(_refined(_start(free, free.poles, shape), white), white)
+    # A residue without any positive part has no real shape to start from.
+    there = np.flatnonzero(np.sum(shape**2, axis=1) > 0.0)
+    fit = _resolved(_refined(_start(free, there, shape[there]), white), white)
     for _ in range(MOST_TWINS):
         twin = _with_twin(free, fit, parts, white)
         if twin is None or twin.information >= fit.information:
@@ -242,11 +244,11 @@ def _resolved(fit: ShapeFit, white: Complex | Real) -> ShapeFit:
     return fit
 
 
-def _start(free: PoleFit, poles: Real, shape: Real) -> ShapeFit:
+def _start(free: PoleFit, numbers: NDArray[np.int64], shape: Real) -> ShapeFit:
     rows = [free.remainder(name) for name in ("lower", "upper") if getattr(free.remainders, name)]
     coefficient = np.array(rows).reshape(len(rows), len(free.coefficient)).T
-    origin = tuple(range(len(poles)))
-    return ShapeFit(free.curves, poles.copy(), shape, free.remainders, coefficient, origin, free.correlated_lines)
+    origin, poles = tuple(int(k) for k in numbers), free.poles[numbers]
+    return ShapeFit(free.curves, poles, shape, free.remainders, coefficient, origin, free.correlated_lines)
 
 
 def _static(free: PoleFit, number: int) -> Real:

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from process.errors import InputError
 from process.labels import make_compliance
 from smfe.compare import compare, scale_factor
 from smfe.explained import Design, explain, holm, judge, tracks
@@ -141,6 +142,12 @@ def test_nothing_varies_nothing_is_explained():
     assert explain({"a": one}).empty
     assert explain({"a": one, "b": one}).empty
     assert "p_family" in explain({}).columns
+
+
+def test_conditions_that_cannot_be_read_are_refused() -> None:
+    broken = measurement(30.0, 0.03, 0.01, 1).assign_attrs(conditions="K2")
+    with pytest.raises(InputError, match="no JSON object"):
+        explain({"a": broken})
 
 
 def test_holm_against_its_definition():

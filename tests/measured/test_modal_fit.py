@@ -367,6 +367,18 @@ def test_a_machine_takes_energy_and_a_wrong_sign_gives_it():
         fit.modal_model()
 
 
+def test_residues_of_no_real_shape_leave_poles_alone():
+    """A quarter of a turn between force and motion is no machine: no stiffness is made up for it."""
+    turned = measured(0.002, 1)
+    turned["compliance"] = 1j * turned["compliance"]
+    turned["compliance"].attrs["units"] = "m/N"
+    fit = fit_modes(turned)
+    assert fit.shapes is None
+    with pytest.raises(InputError, match="check delays and signs"):
+        fit.modal_model()
+    assert "stiffness_N_um" not in fit.table()
+
+
 def test_what_cannot_carry_a_fit_is_refused_with_a_sentence():
     few = measured(0.01, 1, grid=np.arange(30.0, 40.0, 1.0))
     with pytest.raises(InputError, match="known at 10 frequencies; a modal fit needs at least 12"):
