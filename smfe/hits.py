@@ -20,11 +20,15 @@ from process.errors import InputError
 from process.labels import sample_interval
 from smfe.spectra import force_samples, motion_axes, record_source
 
-FAULTS: tuple[str, ...] = ("overloaded", "double_hit")
+FAULTS: tuple[str, ...] = ("overloaded", "double_hit", "direction")
 """What keeps a hit out of the average unless the caller says otherwise."""
+
+WRONG_DIRECTION = "wrong direction"
+"""How the reason of a hit begins that was made elsewhere than declared."""
 
 _MAD_TO_STD = 1.4826  # of Gaussian noise
 _BAND_DROP = 0.01  # -20 dB in power: where the force spectrum ends
+_OTHER_SIDE = 0.2  # share of the largest force from which a pulse of the other sign is a hit
 _ANTI_ALIAS = 2.56  # sampling rate over the highest frequency a usual converter passes
 
 
@@ -48,6 +52,8 @@ class HitRules:
         A second pulse above this share of the largest makes a double hit [1].
     full_scale : float, optional
         Range of the force channel [N], where known; hits within 1 % of it are overloaded.
+    peak_range : (float, float), optional
+        Only hits whose peak force lies within [N] are used: one level of several.
     """
 
     trigger: float = 0.05
@@ -56,6 +62,7 @@ class HitRules:
     pre_trigger: float = 0.02
     double_share: float = 0.1
     full_scale: float | None = None
+    peak_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -142,7 +149,7 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
     if np.mean(pulse > 0.5 * peak) > 0.15 or not peak > threshold:
         raise _no_hammer(source, excitation)
     dt = sample_interval(record)
-    starts, stops = runs(pulse > threshold)
+    starts, stops, side = _pulses(pulse, threshold)
     gaps = (starts[1:] - stops[:-1]) * dt
     first = np.concatenate([[0], np.flatnonzero(gaps >= rules.minimum_spacing) + 1, [starts.size]])
     if np.diff(first).max() > 10:
@@ -150,8 +157,10 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
     time = record["time"].values
     hits = []
     for number, (a, b) in enumerate(pairwise(first), start=1):
-        hit = _measure(pulse, starts[a:b], stops[a:b], dt, rules)
-        peak_at = int(starts[a]) + int(np.argmax(pulse[starts[a] : stops[b - 1]]))
+        peak_at = int(starts[a]) + int(np.argmax(np.abs(pulse[starts[a] : stops[b - 1]])))
+        way = 1.0 if pulse[peak_at] > 0.0 else -1.0
+        own = np.arange(a, b)[side[a:b] == way]
+        hit = _measure(way * pulse, starts[own], stops[own], dt, rules)
         following = int(starts[b]) if b < starts.size else None
         hits.append(
             replace(
@@ -162,12 +171,24 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
                 number=number,
                 capacity=_capacity(hit.onset, following, force.size, rules.pre_trigger) * dt,
                 time=float(time[peak_at]),
-                peak_force=sign * hit.peak_force,
-                impulse=sign * hit.impulse,
-                second_force=sign * hit.second_force,
+                peak_force=way * sign * hit.peak_force,
+                impulse=way * sign * hit.impulse,
+                second_force=way * sign * hit.second_force,
             )
         )
     return _flag_outliers(hits, pulse)
+
+
+def _pulses(
+    pulse: NDArray[np.float64], threshold: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Return where pulses start and stop, and their sides: what rebounds is no hit from the other side."""
+    back = max(threshold, _OTHER_SIDE * float(pulse.max()))
+    (starts, stops), (other_starts, other_stops) = runs(pulse > threshold), runs(-pulse > back)
+    side = np.concatenate([np.ones(starts.size), -np.ones(other_starts.size)])
+    starts, stops = np.concatenate([starts, other_starts]), np.concatenate([stops, other_stops])
+    order = np.argsort(starts, kind="stable")
+    return starts[order], stops[order], side[order]
 
 
 def _no_hammer(source: str, excitation: str) -> InputError:
@@ -276,7 +297,7 @@ def _flag_outliers(hits: list[Hit], pulse: NDArray[np.float64]) -> list[Hit]:
     for k, hit in enumerate(hits):
         others = [abs(h.peak_force) for i, h in enumerate(hits) if i != k]
         lone = bool(others) and abs(hit.peak_force) > 5.0 * float(np.median(others))
-        twice = np.count_nonzero(pulse >= abs(hit.peak_force) * (1.0 - 1e-9)) >= 2
+        twice = np.count_nonzero(np.abs(pulse) >= abs(hit.peak_force) * (1.0 - 1e-9)) >= 2
         out.append(replace(hit, overloaded=hit.overloaded or (lone and bool(twice))))
     return out
 
@@ -313,10 +334,12 @@ def judge(hit: Hit, record: xr.Dataset, duration: float, exclude: Collection[str
     rows = {axis: motion.sel(axis=axis).values for axis in axes}
     clipped = "".join(axis for axis, row in rows.items() if flat_top(row) or flat_top(-row))
     hit = replace(hit, clipped=clipped, usable_to=band[1])
-    return replace(hit, reason="; ".join(_faults(hit, exclude)))
+    return replace(hit, reason="; ".join(_faults(hit, exclude, rules)))
 
 
-def _faults(hit: Hit, exclude: Collection[str]) -> Iterable[str]:
+def _faults(hit: Hit, exclude: Collection[str], rules: HitRules) -> Iterable[str]:
+    if rules.peak_range is not None and not rules.peak_range[0] <= abs(hit.peak_force) <= rules.peak_range[1]:
+        yield f"its peak of {abs(hit.peak_force):.4g} N is outside the level"
     if hit.onset == 0:
         yield "the pulse began before the record"
     if "overloaded" in exclude:
@@ -379,6 +402,7 @@ def hit_table(hits: Sequence[Hit]) -> pd.DataFrame:
             "double_hit": [h.double for h in hits],
             "second_hit_after_ms": [h.second_delay * 1e3 for h in hits],
             "second_hit_N": [h.second_force for h in hits],
+            "wrong_direction": [h.reason.startswith(WRONG_DIRECTION) for h in hits],
             "usable_to_Hz": [h.usable_to for h in hits],
             "used": [not h.reason for h in hits],
             "reason": [h.reason for h in hits],

@@ -24,10 +24,15 @@ from process.labels import make_compliance, sample_interval
 from process.tool import Tool
 from smfe import __version__
 from smfe.actuator import identify_actuator
+from smfe.attached_mass import without_mass
+from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
-from smfe.hammer import identify_hammer
+from smfe.hammer import Averaging, identify_hammer
+from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
+from smfe.periodic import identify_periodic
 from smfe.records import read_frf, read_records
+from smfe.steps import StepRules
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import LocalPolynomial, SingleReference, SweepPass
@@ -150,14 +155,39 @@ def _per_axis(measurement: Measurement) -> Identification:
     for entry in measurement.records:
         assert entry.excitation is not None
         records.setdefault(entry.excitation, []).extend(records_of(entry, entry.excitation))
-    if measurement.method == "hammer":
-        return identify_hammer(
-            measurement.name,
+    return _hammer(measurement, records) if measurement.method == "hammer" else _actuator(measurement, records)
+
+
+def _hammer(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:
+    moves = m.feed is not None and any(v != 0.0 for v in m.feed.values())
+    remove = moves if m.remove_background is None else m.remove_background
+    return identify_hammer(
+        m.name,
+        records,
+        frequency_range=m.frequency_range,
+        resolution=m.resolution,
+        gate_force=bool(m.force_window),
+        rules=HitRules(full_scale=m.full_scale),
+        averaging=Averaging(m.estimator or "H1", exponential_window=m.exponential_window),
+        background=Background() if remove else None,
+        accelerometer_mass=m.accelerometer_mass or 0.0,
+    )
+
+
+def _actuator(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:
+    frame, sensor = m.frame_mass or 0.0, m.accelerometer_mass or 0.0
+    if m.period is None:
+        return identify_actuator(
+            m.name,
             records,
-            frequency_range=measurement.frequency_range,
-            resolution=measurement.resolution,
+            frequency_range=m.frequency_range,
+            rules=StepRules(settling=m.settling),
+            frame_mass=frame,
+            accelerometer_mass=sensor,
         )
-    return identify_actuator(measurement.name, records, frequency_range=measurement.frequency_range)
+    found = identify_periodic(m.name, records, m.period, settling=m.settling, frequency_range=m.frequency_range)
+    compliance, notes = without_mass(found.compliance, frame + sensor)
+    return replace(found, compliance=compliance, warnings=(*found.warnings, *notes))
 
 
 def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[SweepPass], tuple[float, float]]:

@@ -98,7 +98,44 @@ class RecordEntry(Conditions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measurement(Conditions):
+class Processing:
+    """How the records of a measurement become a compliance; None: the usual way.
+
+    Parameters
+    ----------
+    estimator : str, optional
+        "H1", "H2" or "Hv" (hammer).
+    force_window : bool, optional
+        Whether the force is set to zero outside contact (hammer).
+    exponential_window : float, optional
+        Time constant of a window that is taken off again [s] (hammer).
+    remove_background : bool, optional
+        Whether motion between hits is removed (hammer). None: where the campaign declares a feed.
+    full_scale : float, optional
+        Range of the force channel [N] (hammer).
+    accelerometer_mass : float, optional
+        At the driving point, taken off [kg] (hammer, actuator).
+    frame_mass : float, optional
+        Between force sensor and tool, taken off [kg] (actuator).
+    period : float, optional
+        Of a force that repeats itself [s] (actuator). None: a stepped sine.
+    settling : float, optional
+        Dropped at the beginning of each step, or of a periodic record [s] (actuator).
+    """
+
+    estimator: str | None = None
+    force_window: bool | None = None
+    exponential_window: float | None = None
+    remove_background: bool | None = None
+    full_scale: float | None = None
+    accelerometer_mass: float | None = None
+    frame_mass: float | None = None
+    period: float | None = None
+    settling: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement(Conditions, Processing):
     """One ``[[measurement]]``.
 
     Parameters
@@ -135,7 +172,8 @@ class Measurement(Conditions):
 
     def settings(self) -> dict[str, Any]:
         """Return method, conditions and processing as plain values for a protocol, without what is not given."""
-        names = ["method", *(f.name for f in fields(Conditions)), "frequency_range", "resolution", "references"]
+        names = ["method", *(f.name for part in (Conditions, Processing) for f in fields(part))]
+        names += ["frequency_range", "resolution", "references"]
         values = {name: getattr(self, name) for name in names}
         values["started"] = self.started.isoformat() if self.started else None
         return {name: value for name, value in values.items() if value is not None}
@@ -445,7 +483,8 @@ def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
     own = _declared(table.channels)
     inherited = merge(_for_method(table.method, base), own)
     common: dict[str, Any] = {name: getattr(table, name) for name in schema.ConditionsTable.model_fields}
-    rest = ("name", "method", "frequency_range", "resolution", "references", "held_out")
+    rest = ["name", "method", "frequency_range", "resolution", "references", "held_out"]
+    rest += [f.name for f in fields(Processing)]
     return Measurement(
         **common,
         **{name: getattr(table, name) for name in rest},

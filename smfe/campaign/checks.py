@@ -26,6 +26,21 @@ _WHERE_READ = {
 }
 """Key of a record -> methods that need it; for other methods it is an error, because nothing reads it."""
 
+_PROCESSING = {
+    "background": ("sweep",),
+    "references": ("sweep",),
+    "estimator": ("hammer",),
+    "force_window": ("hammer",),
+    "exponential_window": ("hammer",),
+    "remove_background": ("hammer",),
+    "full_scale": ("hammer",),
+    "accelerometer_mass": ("hammer", "actuator"),
+    "frame_mass": ("actuator",),
+    "period": ("actuator",),
+    "settling": ("actuator",),
+}
+"""Key of a measurement -> methods that read it."""
+
 _EXAMPLES = {
     "excitation": 'the axis that was excited, excitation = "x"',
     "response": 'the axis of the motion, response = "x"',
@@ -98,9 +113,12 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
         method = table.get("method")
         if method not in METHODS:
             continue
-        for key in ("background", "references"):
-            if key in table and method != "sweep":
-                yield (*where, key), f"method '{method}' does not read it; only a sweep does, take it out"
+        for key, readers in _PROCESSING.items():
+            if key in table and method not in readers:
+                only = " or ".join(readers)
+                yield (*where, key), f"method '{method}' does not read it; only a {only} does, take it out"
+        if "period" in table and "resolution" in table:
+            yield (*where, "resolution"), "a periodic force has lines 1/period apart; take one of both out"
         for place, record in _records(table):
             yield from _keys(method, (*where, *place), record)
 

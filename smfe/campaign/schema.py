@@ -101,6 +101,20 @@ class ConditionsTable(Table):
     repeat: StrictInt | None = None
 
 
+class ProcessingTable(ConditionsTable):
+    """How the records of a measurement become a compliance; each key belongs to some methods (`checks`)."""
+
+    estimator: Annotated[str, q.one_of(("H1", "H2", "Hv"), "estimator")] | None = None
+    force_window: StrictBool | None = None
+    exponential_window: PositiveTime | None = None
+    remove_background: StrictBool | None = None
+    full_scale: q.PositiveForce | None = None
+    accelerometer_mass: PositiveMass | None = None
+    frame_mass: PositiveMass | None = None
+    period: PositiveTime | None = None
+    settling: q.NoTime | None = None
+
+
 class RecordTable(ConditionsTable):
     """One entry of ``records``."""
 
@@ -112,7 +126,7 @@ class RecordTable(ConditionsTable):
     channels: Annotated[Channels, Field(default_factory=dict)]
 
 
-class MeasurementTable(ConditionsTable):
+class MeasurementTable(ProcessingTable):
     """``[[measurement]]``."""
 
     name: q.Name

@@ -7,7 +7,8 @@ from scipy import signal
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.hammer import average_h1, identify_hammer
+from smfe.averaging import average, degrees_of_freedom, deviations
+from smfe.hammer import identify_hammer
 from smfe.hits import FAULTS, HitRules, find_hits, flat_top, usable_band
 
 # The laboratory bench of the paper: one mass of 11.3 kg on 1.68 N/um with 104 N s/m, peak 24.94 um/N at 61.36 Hz.
@@ -122,17 +123,20 @@ def test_standard_deviation_is_calibrated() -> None:
 
 
 def test_h1_against_its_definition() -> None:
+    """Least squares by numpy, hits of equal force: the classical standard deviation, and M - 1 degrees of freedom."""
     rng = np.random.default_rng(3)
     x = rng.standard_normal((7, 2, 5)) + 1j * rng.standard_normal((7, 2, 5))
-    f = rng.standard_normal((7, 5)) + 1j * rng.standard_normal((7, 5))
-    h, std, coherence = average_h1(x, f)
+    f = np.exp(2j * np.pi * rng.uniform(size=(7, 5)))
+    found = average(x, f)
+    std = np.sqrt(np.sum(np.abs(deviations(found)) ** 2, axis=2))
     for line in range(7):
         for row in range(2):
             solution, rss, *_ = np.linalg.lstsq(f[line][:, None], x[line, row], rcond=None)
-            assert h[line, row] == pytest.approx(solution[0])
+            assert found.compliance[line, row] == pytest.approx(solution[0])
             assert std[line, row] ** 2 == pytest.approx(rss[0] / 4.0 / np.sum(np.abs(f[line]) ** 2))
             total = np.sum(np.abs(x[line, row]) ** 2)
-            assert coherence[line, row] == pytest.approx(1.0 - rss[0] / total)
+            assert found.coherence[line, row] == pytest.approx(1.0 - rss[0] / total)
+    assert degrees_of_freedom(found.leverage) == pytest.approx(np.full((7, 2), 4.0))
 
 
 def test_coherence_of_noise_that_only_some_hits_share_is_below_one() -> None:
@@ -431,6 +435,6 @@ def test_a_range_the_force_does_not_reach() -> None:
 
 
 def test_unknown_fault() -> None:
-    assert FAULTS == ("overloaded", "double_hit")
+    assert FAULTS == ("overloaded", "double_hit", "direction")
     with pytest.raises(InputError, match="exclude names soft_tip"):
         identify_hammer("wrong", {"x": [bench([(0.1, 25.0)], 4.0)]}, exclude=("soft_tip",))
