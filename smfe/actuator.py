@@ -83,8 +83,7 @@ def identify_actuator(
     Per step and response ``Phi = X/F`` with the complex amplitudes of sines of one and the same frequency, and ``var
     Phi = mean_k |dX_k - Phi dF_k|^2 / |F|^2`` over the lines k next to it (`smfe.steps.neighbour_lines`), which see the
     same noise and none of the harmonics. Where the two halves of the fitted part differ by more than three standard
-    deviations, their difference is added in quadrature. Repeats of a frequency are averaged with the inverse variance;
-    where they scatter more than their noise allows, their scatter is the error.
+    deviations, their difference is added in quadrature. Repeats of a frequency are averaged; where they scatter more than their noise allows, their scatter is the error.
 
     Parameters
     ----------
@@ -349,24 +348,26 @@ def _assemble(name: str, steps: Sequence[Step], wanted: tuple[float, float] | No
 def _merge(repeats: Sequence[Step], response: str) -> tuple[complex, float, complex, float, float]:
     """Return the weighted mean of repeats; standard deviation, relation, degrees of freedom of its error; mean R^2.
 
-    Weights are inverse variances.
+    Weights are inverse variances where these differ clearly.
     The error is what the noise within the repeats makes of it, unless they scatter by more than chance allows (F test,
     5 %): then it is their scatter.
     """
     value = np.array([s.compliance[response] for s in repeats])
     std = np.array([s.std[response] for s in repeats])
     r2 = float(np.mean([min(s.force.r_squared, s.responses[response].r_squared) for s in repeats]))
-    weight = 1.0 / std**2 if np.all(std > 0.0) else np.ones(value.size)
-    weight = weight / weight.sum()
-    mean = complex(weight @ value)
-    noise = float(weight**2 @ std**2)
-    freedom = float(np.sum([s.freedom for s in repeats]))
     n = value.size
+    # Weights that are known from few lines cost more than they gain where the repeats are about equally noisy.
+    weight = 1.0 / std**2 if np.all(std > 0.0) and std.max() > 2.0 * std.min() else np.ones(n)
+    weight = weight / weight.sum()
+    mean, noise = complex(weight @ value), float(weight**2 @ std**2)
+    freedom = float(np.sum([s.freedom for s in repeats]))
     if n > 1:
-        d = weight * (value - mean) / np.sqrt(1.0 - weight)
-        scatter = float(np.sum(np.abs(d) ** 2))
-        if scatter > noise * float(stats.f.ppf(0.95, 2 * (n - 1), freedom)):
-            return mean, float(np.sqrt(scatter)), complex(np.sum(d**2)), n - 1.0, r2
+        around = np.sum(weight * np.abs(value - mean) ** 2) / (n - 1)
+        if around > noise * float(stats.f.ppf(0.95, 2 * (n - 1), freedom)):
+            # What scatters so has nothing to do with the noise within: all repeats count alike.
+            mean = complex(value.mean())
+            d = (value - mean) / np.sqrt(n * (n - 1.0))
+            return mean, float(np.linalg.norm(d)), complex(np.sum(d**2)), n - 1.0, r2
     return mean, float(np.sqrt(noise)), 0j, freedom, r2
 
 

@@ -120,9 +120,12 @@ def noise_ratio(motion: Complex, force: Complex, force_noise: float) -> Real:
     k = np.full(count.shape, np.inf)
     if force_noise <= 0.0:
         return k
-    first = average(motion, force)
     for row in np.flatnonzero((count > 1).all(axis=0)):
-        h, here = first.compliance[:, row], there[0, row]
+        here = there[0, row]
+        power = np.sum(np.abs(force[:, here]) ** 2, axis=1)
+        # Without the noise of the force, which would make the response look noisier than it is.
+        power = np.maximum(power - np.count_nonzero(here) * force_noise, 0.1 * power)
+        h = np.sum(motion[:, row][:, here] * force[:, here].conj(), axis=1) / power
         own = motion[:, row][:, here] - h[:, None] * force[:, here]
         residual = np.sum(np.abs(own) ** 2, axis=1) / (count[:, row] - 1)
         explained = np.abs(h) ** 2 * force_noise

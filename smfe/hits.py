@@ -292,12 +292,17 @@ def _converter_step(samples: NDArray[np.float64], scale: float) -> float:
 
 
 def _flag_outliers(hits: list[Hit], pulse: NDArray[np.float64]) -> list[Hit]:
-    """Flag hits far above the others (five medians) whose largest value occurs twice: full scale."""
+    """Flag hits far above the others (five medians, twice the next) whose largest value occurs twice: full scale.
+
+    Several strong hits among weak ones are a level of their own, and none of them stands alone.
+    """
     out = []
-    for k, hit in enumerate(hits):
+    ends = [*(h.onset for h in hits[1:]), pulse.size]
+    for k, (hit, end) in enumerate(zip(hits, ends, strict=True)):
+        peak = abs(hit.peak_force)
         others = [abs(h.peak_force) for i, h in enumerate(hits) if i != k]
-        lone = bool(others) and abs(hit.peak_force) > 5.0 * float(np.median(others))
-        twice = np.count_nonzero(np.abs(pulse) >= abs(hit.peak_force) * (1.0 - 1e-9)) >= 2
+        lone = bool(others) and peak > max(5.0 * float(np.median(others)), 2.0 * max(others))
+        twice = np.count_nonzero(np.abs(pulse[hit.onset : end]) >= peak * (1.0 - 1e-9)) >= 2
         out.append(replace(hit, overloaded=hit.overloaded or (lone and bool(twice))))
     return out
 

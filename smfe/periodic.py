@@ -112,7 +112,8 @@ def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: f
     mean_u = np.stack([s.force.mean(axis=1) for s in spectra], axis=1)
     mean_y = np.stack([s.motion.mean(axis=2) for s in spectra], axis=2)
     power = np.sum(np.abs(mean_u) ** 2, axis=1)
-    phi = np.sum(mean_y * mean_u.conj()[:, None, :], axis=2) / np.where(power > 0.0, power, np.nan)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a line that nothing excites
+        phi = np.sum(mean_y * mean_u.conj()[:, None, :], axis=2) / power[:, None]
     if len(records) >= 3:
         variance, relation, freedom = _between_records(phi, mean_y, mean_u)
     else:

@@ -20,8 +20,8 @@ Complex = NDArray[np.complex128]
 REACH = 5
 """Lines to either side over which a compliance is a rational function."""
 
-POLES = 1
-"""Order of its denominator: the one resonance that is near. Others bend the numerator."""
+POLES = 2
+"""Order of its denominator: two resonances may be near. Others bend the numerator."""
 
 BEND = 2
 """Order of its numerator."""
@@ -79,10 +79,10 @@ def laplace_factor(frequency: Real, tau: float, channel: str) -> Complex:
 def without_window(compliance: Complex, frequency: Real, tau: float) -> Complex:
     """Return compliances at ``j w`` from their values at ``1/tau + j w``.
 
-    Over ``2 REACH + 1`` lines round each line ``H(s0 + d) = (b0 + b1 d + b2 d^2)/(1 + a d)`` is fitted (linearised,
-    then weighted with the denominator found: Sanathanan and Koerner 1963; local rational models: McKelvey and Guerin
-    2012) and read at ``d = -1/tau``. A single mode is exact. The damping removed is ``1/tau`` of every decay rate:
-    ``zeta w_n`` falls by it.
+    Over ``2 REACH + 1`` lines round each line ``H(s0 + d) = (b0 + b1 d + b2 d^2)/(1 + a1 d + a2 d^2)`` is fitted
+    (linearised, then weighted with the denominator found: Sanathanan and Koerner 1963; local rational models: McKelvey
+    and Guerin 2012) and read at ``d = -1/tau``. One or two modes are exact, of more the rest bends little over 11
+    lines. The damping removed is ``1/tau`` of every decay rate: ``zeta w_n`` falls by it.
 
     Parameters
     ----------

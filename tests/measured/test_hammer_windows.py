@@ -50,19 +50,19 @@ def error(found: xr.Dataset, second: bool = False) -> float:
 @pytest.mark.parametrize("second", [False, True], ids=["one mode", "two modes"])
 @pytest.mark.parametrize("channel", ["acceleration", "displacement"])
 def test_a_record_that_is_too_short_is_right_with_an_exponential_window(channel: str, second: bool) -> None:
-    """1 s for a decay of 0.65 s: without a window an error of exp(-1/0.65); with 0.15 s, taken off again, below 1 %."""
+    """1 s for a decay of 0.65 s: without a window an error of exp(-1/0.65); with 0.15 s, taken off again, 0.03 %."""
     records = {"x": [record(1.0, second=second, channel=channel)]}
     plain = identify_hammer("short", records, frequency_range=(40.0, 100.0))
     assert error(plain.compliance, second) > 0.1
     window = Averaging(exponential_window=0.15)
     found = identify_hammer("short", records, frequency_range=(40.0, 100.0), averaging=window)
-    assert error(found.compliance, second) < 0.01
+    assert error(found.compliance, second) < 1e-3
     assert any("not decayed" in w for w in plain.warnings)
     assert not any("not decayed" in w for w in found.warnings)
 
 
 def test_the_window_adds_its_decay_rate_and_nothing_else() -> None:
-    """H(1/tau + j w) before it is taken off: every pole decays by 1/tau more, 0.15 s here, against 1.54 1/s of the mode."""
+    """H(1/tau + j w) before it is taken off: every pole decays by 1/tau more, 6.7 1/s on 1.54 1/s of the mode."""
     tau, rate = 0.15, 8000.0
     one = record(1.0, rate)
     taper = exponential(one.sizes["time"], 0, 1.0 / rate, tau)
@@ -81,7 +81,8 @@ def test_the_continuation_is_exact_for_one_mode() -> None:
     f = np.arange(10.0, 200.0, 1.0)
     for tau in (0.1, 0.25, 0.5):
         wide = modes(1.0 / tau + 2j * np.pi * f)
-        assert without_window(wide, f, tau) == pytest.approx(modes(2j * np.pi * f), rel=1e-5)
+        truth = modes(2j * np.pi * f)
+        assert without_window(wide, f, tau) == pytest.approx(truth, abs=1e-6 * np.abs(truth).max())
 
 
 @pytest.mark.parametrize("tau", [-0.1, 0.0, 0.8, 0.001])
