@@ -83,7 +83,8 @@ def identify_actuator(
     Per step and response ``Phi = X/F`` with the complex amplitudes of sines of one and the same frequency, and ``var
     Phi = mean_k |dX_k - Phi dF_k|^2 / |F|^2`` over the lines k next to it (`smfe.steps.neighbour_lines`), which see the
     same noise and none of the harmonics. Where the two halves of the fitted part differ by more than three standard
-    deviations, their difference is added in quadrature. Repeats of a frequency are averaged; where they scatter more than their noise allows, their scatter is the error.
+    deviations, their difference is added in quadrature. Repeats of a frequency are averaged; where they scatter more
+    than their noise allows, their scatter is the error.
 
     Parameters
     ----------

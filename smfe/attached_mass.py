@@ -8,9 +8,11 @@ the same to a measured force, ``F_tool = F_measured - m a``, so that one correct
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from process.errors import InputError
 from smfe.error_factors import ENTRY, deviation_of, error_variables
@@ -64,7 +66,9 @@ def without_mass(compliance: xr.Dataset, mass: float) -> tuple[xr.Dataset, tuple
     corrected[[j for _, j, _ in direct]] = True
     known &= corrected
     found = np.where(known, found, np.nan)
-    variables = {"compliance": (ENTRY, found, compliance["compliance"].attrs)}
+    variables: dict[str, tuple[tuple[str, ...], ArrayLike, dict[Any, Any]]] = {
+        "compliance": (ENTRY, found, compliance["compliance"].attrs)
+    }
     deviation = deviation_of(compliance)
     if deviation is not None:
         moved = np.einsum("fij,hfjk,fkl->hfil", left, np.nan_to_num(deviation), right)
@@ -83,20 +87,21 @@ def _operators(phi: Complex, inertia: Real, direct: list[tuple[int, int, str]]) 
     ``R = (1 + w^2 m Phi'_aa)^-1`` over the axes a known at a line, ``L = 1 - w^2 m Phi'_ra R_aa`` at the rows a.
     """
     f, n_rows, n_columns = phi.shape
+    rows = np.arange(n_rows)
     left = np.broadcast_to(np.eye(n_rows, dtype=complex), (f, n_rows, n_rows)).copy()
     right = np.broadcast_to(np.eye(n_columns, dtype=complex), (f, n_columns, n_columns)).copy()
     there = np.stack([np.isfinite(phi[:, i, j]) for i, j, _ in direct], axis=1)
     for pattern in np.unique(there, axis=0):
         lines = np.flatnonzero((there == pattern).all(axis=1))
-        i = [direct[k][0] for k in np.flatnonzero(pattern)]
-        j = [direct[k][1] for k in np.flatnonzero(pattern)]
-        if not i:
+        i = np.array([direct[k][0] for k in np.flatnonzero(pattern)], dtype=np.intp)
+        j = np.array([direct[k][1] for k in np.flatnonzero(pattern)], dtype=np.intp)
+        if not i.size:
             continue
         block = np.nan_to_num(phi[np.ix_(lines, i, j)])  # an entry that was not measured reacts on nothing
-        inverse = np.linalg.inv(np.eye(len(i)) + inertia[lines, None, None] * block)
+        inverse = np.linalg.inv(np.eye(i.size) + inertia[lines, None, None] * block)
         right[np.ix_(lines, j, j)] = inverse
-        whole = np.nan_to_num(phi[np.ix_(lines, range(n_rows), j)])
-        left[np.ix_(lines, range(n_rows), i)] -= inertia[lines, None, None] * (whole @ inverse)
+        whole = np.nan_to_num(phi[np.ix_(lines, rows, j)])
+        left[np.ix_(lines, rows, i)] -= inertia[lines, None, None] * (whole @ inverse)
     return left, right
 
 

@@ -75,9 +75,9 @@ def average(motion: Complex, force: Complex, estimator: str = "H1", noise_ratio:
     sxx, sxf, sff = (part.sum(axis=2) for part in parts)
     count = there.sum(axis=2)
     whole = _ratio(estimator, sxx, sxf, sff, k)
-    rest = (total[..., None] - part for total, part in zip((sxx, sxf, sff), parts, strict=True))
+    without = [total[..., None] - part for total, part in zip((sxx, sxf, sff), parts, strict=True)]
     several = (count > 1)[..., None] & there
-    left_out = np.where(several, _ratio(estimator, *rest, k[..., None]), np.nan)
+    left_out = np.where(several, _ratio(estimator, without[0], without[1], without[2], k[..., None]), np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         leverage = np.where(there, np.abs(f) ** 2 / sff[..., None], 0.0)
         coherence = np.minimum(np.abs(sxf) ** 2 / (sxx * sff), 1.0)

@@ -83,7 +83,7 @@ def stack_conditions(compliances: Sequence[tuple[Mapping[str, float], xr.Dataset
         values = np.full(shape, np.nan, dtype=datasets[0][variable].dtype)
         for at, line, dataset in zip(places, lines, datasets, strict=True):
             part = dataset[variable].transpose(*ENTRY).reindex(labels).values
-            values[(*at, line)] = part
+            values[at][line] = part
         data[variable] = ((*names, *ENTRY), values, {"units": UNITS[variable]})
     out = xr.Dataset(data, coords=coords)
     for name in (*names, "frequency"):
@@ -229,7 +229,7 @@ def _group(m: Measurement) -> str:
         "repeat": m.repeat,
     }
     said = [m.method, *(f"{name} {value}" for name, value in parts.items() if value is not None)]
-    return ", ".join(said)
+    return ", ".join(said).replace("/", " per ")
 
 
 def _numbers(m: Measurement) -> dict[str, float]:

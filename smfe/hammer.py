@@ -144,7 +144,8 @@ def identify_hammer(
     duration = 1.0 / resolution if resolution is not None else longest_block(hits)
     check_time_constant(averaging.exponential_window, duration)
     hits = [judge(hit, columns[hit.excitation][hit.record], duration, exclude, rules) for hit in hits]
-    tables, notes = {}, []
+    tables: dict[str, pd.DataFrame] = {}
+    notes: list[str] = []
     if background is not None:
         columns, tables["background"], notes = _without_background(columns, hits, background)
     plan = _Plan(duration, rules, gate_force, averaging, frequency_range)

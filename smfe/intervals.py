@@ -54,7 +54,7 @@ def interval(compliance: xr.Dataset, probability: float = 0.95) -> xr.Dataset:
     else:
         freedom = np.full(std_real.shape, np.inf)
     quantile = student_quantile(freedom, probability)
-    reach = (quantile * std_real + 1j * quantile * std_imaginary).transpose(*center.dims)
+    reach = (std_real * quantile + std_imaginary * (1j * quantile)).transpose(*center.dims)
     lower = center.copy(data=center.values - reach.values)
     upper = center.copy(data=center.values + reach.values)
     return xr.Dataset({"lower": lower, "upper": upper}, attrs={"probability": probability})
@@ -76,9 +76,14 @@ def component_std(compliance: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     if "compliance_std" not in compliance:
         raise InputError("the compliance has no compliance_std, so no interval can be given; identify it from repeats")
     power = compliance["compliance_std"] ** 2
-    relation = compliance["compliance_relation"].real if "compliance_relation" in compliance else 0.0 * power
-    real, imaginary = (np.sqrt(np.maximum(0.5 * (power + sign * relation), 0.0)) for sign in (1.0, -1.0))
-    return real.transpose(*power.dims), imaginary.transpose(*power.dims)
+    relation = np.zeros(power.shape)
+    if "compliance_relation" in compliance:
+        relation = compliance["compliance_relation"].transpose(*power.dims).values.real
+
+    def part(sign: float) -> xr.DataArray:
+        return power.copy(data=np.sqrt(np.maximum(0.5 * (power.values + sign * relation), 0.0)))
+
+    return part(1.0), part(-1.0)
 
 
 def student_quantile(freedom: Real, probability: float) -> Real:

@@ -33,6 +33,7 @@ from smfe import __version__
 from smfe.campaign import Campaign, Measurement, Model, load_campaign
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.compare import compare as compare_compliances
+from smfe.conditions import condition_cubes
 from smfe.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
@@ -125,9 +126,15 @@ def run(
         finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
     notes.warnings += _warnings(found, results, verdicts)
+    cubes, unstacked = condition_cubes(loaded.measurements, compliances)
+    notes.warnings += unstacked
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found)
+    if cubes:
+        write_groups(folder / "conditions.nc", cubes)
+    else:
+        (folder / "conditions.nc").unlink(missing_ok=True)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)
     write_csv(folder / "model_error.csv", errors)

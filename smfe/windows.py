@@ -117,7 +117,7 @@ def without_window(compliance: Complex, frequency: Real, tau: float) -> Complex:
 
 def _continued(values: Complex, shift: Complex, at: float) -> Complex:
     """Fit the rational function of each window, shapes (f, lines), and evaluate it; NaN where a value is unknown."""
-    known = np.isfinite(values).all(axis=1)
+    known = np.asarray(np.isfinite(values).all(axis=1))
     h = np.where(known[:, None], values, 1.0)
     size = np.abs(h).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, 1.0)

@@ -115,8 +115,8 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
             continue
         for key, readers in _PROCESSING.items():
             if key in table and method not in readers:
-                only = " or ".join(readers)
-                yield (*where, key), f"method '{method}' does not read it; only a {only} does, take it out"
+                only = " or ".join(f"{'an' if r[0] in 'aeiou' else 'a'} {r}" for r in readers)
+                yield (*where, key), f"method '{method}' does not read it; only {only} does, take it out"
         if "period" in table and "resolution" in table:
             yield (*where, "resolution"), "a periodic force has lines 1/period apart; take one of both out"
         for place, record in _records(table):

@@ -49,6 +49,8 @@ def _left_out(
     """A hit that was refused, with what it alone would have made of the compliance."""
     double, overloaded = bool(hit["double_hit"]), bool(hit["overloaded"]) or bool(hit["response_overloaded"])
     cause = "saturation" if overloaded else "double_hit" if double else "windowed_channel"
+    if bool(hit["wrong_direction"]):
+        cause = "sensor_axis"
     harm = _harm(hit, records, good, settings)
     return Suspect(
         cause,
