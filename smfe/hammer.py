@@ -21,6 +21,7 @@ from process.labels import AXES, axis_index, make_compliance, sample_interval
 from smfe.attached_mass import without_mass
 from smfe.averaging import ESTIMATORS, average, degrees_of_freedom, deviations, noise_ratio
 from smfe.background import Background, remove_background
+from smfe.decay import leakage, leakage_by_line
 from smfe.error_factors import error_variables
 from smfe.hit_direction import HitSpectra, wrong_directions
 from smfe.hits import (
@@ -29,6 +30,7 @@ from smfe.hits import (
     HitRules,
     accepted,
     block,
+    common_duration,
     find_hits,
     hit_table,
     judge,
@@ -142,6 +144,7 @@ def identify_hammer(
     columns = {axis: list(group) for axis, group in records.items() if len(group)}
     hits = [h for axis, group in columns.items() for i, r in enumerate(group) for h in find_hits(r, axis, i, rules)]
     duration = 1.0 / resolution if resolution is not None else longest_block(hits)
+    duration = common_duration(duration, [sample_interval(r) for group in columns.values() for r in group])
     check_time_constant(averaging.exponential_window, duration)
     hits = [judge(hit, columns[hit.excitation][hit.record], duration, exclude, rules) for hit in hits]
     tables: dict[str, pd.DataFrame] = {}
@@ -240,14 +243,16 @@ def _gather_column(records: Sequence[xr.Dataset], hits: Sequence[Hit], plan: _Pl
     axis = hits[0].excitation
     order = sorted({h.record for h in hits})
     gathered = [_gather(records[i], [h for h in hits if h.record == i], plan) for i in order]
-    frequency = gathered[0].frequency
+    shared = min(blocks.frequency.size for blocks in gathered)
+    frequency = gathered[0].frequency[:shared]
     for blocks in gathered[1:]:
-        if blocks.frequency.size != frequency.size or not np.allclose(blocks.frequency, frequency, rtol=1e-6):
+        if not np.allclose(blocks.frequency[:shared], frequency, rtol=1e-6):
             raise InputError(
-                f"the records of excitation {axis} are sampled at different rates; resample them to one rate"
+                f"the records of excitation {axis} are sampled at different rates, whose lines are not the same; "
+                "resample them to one rate"
             )
-    motion = np.concatenate([b.motion for b in gathered], axis=2)
-    force = np.concatenate([b.force for b in gathered], axis=1)
+    motion = np.concatenate([b.motion[:shared] for b in gathered], axis=2)
+    force = np.concatenate([b.force[:shared] for b in gathered], axis=1)
     noise = float(np.mean([b.noise_energy for b in gathered]))
     low, high = usable_band(frequency, np.mean(np.abs(force) ** 2, axis=1), 0.0 if plan.gate else noise)
     channels = {motion_axes(records[i])[0] for i in order}
@@ -288,14 +293,45 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
     if how.estimator == "H1" and not plan.gate:
         loss = compliance * (column.noise / power)[:, None]
         deviation = np.concatenate([deviation, np.where(np.isnan(deviation[..., :1]), np.nan, loss[..., None])], axis=2)
+    deviation = np.concatenate(
+        [deviation, _cut_off(column, compliance, plan) * (1.0 + 0.0 * deviation[..., :1])], axis=2
+    )
     notes = [
         *_hit_count_note(axis, len(column.hits)),
-        *_leakage_note(axis, column.records, column.band, plan),
+        *_leakage_note(axis, column, plan),
         *_force_noise_note(axis, column, power, plan),
     ]
     freedom = degrees_of_freedom(averaged.leverage)
     length = 1.0 / float(f[0])
     return _Column(axis, f, length, compliance, deviation, freedom, averaged.coherence, column.band, tuple(notes))
+
+
+def _quarters(column: _Gathered) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the velocity in the first and the last quarter of the blocks, shape (quarter lines, 3, hits).
+
+    Velocity shows the resonances; displacement also shows the drift of the accelerometer.
+    """
+    f = column.records[0].quarter_frequency
+    alike = [b for b in column.records if b.quarter_frequency.size == f.size]
+    w = f[:, None, None]
+    first, last = (
+        np.concatenate([getattr(b, name) for b in alike], axis=2) for name in ("first_quarter", "last_quarter")
+    )
+    return w * first, w * last
+
+
+def _cut_off(column: _Gathered, compliance: NDArray[np.complex128], plan: _Plan) -> NDArray[np.complex128]:
+    """Return what the end of the block may have cut off the compliance, in any phase, shape (f, 3, 2)."""
+    first, last = _quarters(column)
+    tau = plan.averaging.exponential_window
+    share = np.zeros(compliance.shape)
+    for row in range(len(AXES)):
+        there = np.isfinite(first[0, row])
+        if there.sum() > 1:
+            left = leakage_by_line(first[:, row][:, there], last[:, row][:, there])
+            share[:, row] = np.interp(column.frequency, column.records[0].quarter_frequency, left)
+    share *= 1.0 if tau is None else float(np.exp(-plan.duration / tau))
+    return (share * compliance)[..., None] * np.array([1.0, 1.0j]) / np.sqrt(2.0)
 
 
 def _noise_ratio(column: _Gathered, plan: _Plan) -> NDArray[np.float64]:
@@ -391,54 +427,15 @@ def _hit_count_note(axis: str, count: int) -> Iterable[str]:
         )
 
 
-def leakage(first: NDArray[np.complex128], last: NDArray[np.complex128]) -> tuple[float, int]:
-    """Estimate the error of a block that ends before the response has decayed.
-
-    A decay ``exp(-t/tau)`` cut at T leaves an error of ``exp(-T/tau)``. The decay from the first to the last
-    quarter of the block, whose centres are 3/4 T apart, is read where the first quarter is above a tenth of
-    its maximum, on the mean over hits, where that is above what the scatter of the hits leaves of the noise,
-    and raised to 4/3.
-
-    Parameters
-    ----------
-    first, last : ndarray of complex, shape (f, hits)
-        Hann-windowed transforms of the velocity in the first and the last quarter, in any unit.
-
-    Returns
-    -------
-    error : float
-        Relative error of the compliance near the peaks of the response [1].
-    line : int
-        Index of the frequency that contributes most.
-    """
-    hits = first.shape[1]
-
-    def mean_and_noise(quarter: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        mean = quarter.mean(axis=1)
-        noise = np.sum(np.abs(quarter - mean[:, None]) ** 2, axis=1) / max(hits * (hits - 1), 1)
-        return np.abs(mean) ** 2, noise
-
-    (early, early_noise), (late, late_noise) = mean_and_noise(first), mean_and_noise(last)
-    # Ten and six times the noise of the mean: from few hits its estimate is itself uncertain.
-    heard = early > 10.0 * early_noise
-    strong = heard & (early > 0.01 * np.max(early, where=heard, initial=0.0))
-    if not strong.any() or late[strong].sum() <= 6.0 * late_noise[strong].sum():
-        return 0.0, 0
-    ratio = float(np.sqrt(late[strong].sum() / early[strong].sum()))
-    return min(ratio, 1.0) ** (4.0 / 3.0), int(np.argmax(np.where(strong, late, 0.0)))
-
-
-def _leakage_note(axis: str, gathered: Sequence[_Blocks], band: tuple[float, float], plan: _Plan) -> Iterable[str]:
-    f, tau = gathered[0].quarter_frequency, plan.averaging.exponential_window
-    low, high = plan.wanted or band
+def _leakage_note(axis: str, column: _Gathered, plan: _Plan) -> Iterable[str]:
+    """Say what the end of the block has cut off."""
+    f, tau = column.records[0].quarter_frequency, plan.averaging.exponential_window
+    low, high = plan.wanted or column.band
     # Below two lines of the quarter, the window mixes the line with the drift that -1/w^2 has raised.
-    keep = (f >= max(band[0], low, 2.0 * f[0])) & (f <= min(band[1], high))
+    keep = (f >= max(column.band[0], low, 2.0 * f[0])) & (f <= min(column.band[1], high))
     if not keep.any():
         return
-    # Velocity shows the resonances; displacement also shows the drift of the accelerometer.
-    w = f[keep][:, None, None]
-    first = w * np.concatenate([b.first_quarter for b in gathered], axis=2)[keep]
-    last = w * np.concatenate([b.last_quarter for b in gathered], axis=2)[keep]
+    first, last = (q[keep] for q in _quarters(column))
     worst, line = 0.0, 0
     for row in range(len(AXES)):
         there = np.isfinite(first[0, row])
@@ -448,7 +445,7 @@ def _leakage_note(axis: str, gathered: Sequence[_Blocks], band: tuple[float, flo
     worst *= 1.0 if tau is None else float(np.exp(-plan.duration / tau))
     if worst > 0.01:
         yield (
-            f"excitation {axis}: at the end of the block of {1.0 / gathered[0].frequency[0]:.3g} s the response "
+            f"excitation {axis}: at the end of the block of {1.0 / column.frequency[0]:.3g} s the response "
             f"has not decayed (or its sensor drifts), mostly at {f[keep][line]:.3g} Hz; estimated error of the "
             f"compliance there {100.0 * worst:.2g} % (leave more time between hits)"
         )

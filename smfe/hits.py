@@ -6,8 +6,10 @@ otherwise. It is measured, given a block of the record, and refused when it is o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -314,6 +316,29 @@ def longest_block(hits: Sequence[Hit]) -> float:
     """Return the longest block [s] that nearly every hit allows; one stray hit must not shorten the rest."""
     capacity = np.array([hit.capacity for hit in hits])
     return float(capacity[capacity >= 0.5 * np.median(capacity)].min())
+
+
+def common_duration(duration: float, intervals: Collection[float]) -> float:
+    """Return the longest block [s] up to `duration` that is a whole number of samples at every sampling interval [s].
+
+    Its lines are then the same at every rate. Rates whose common multiple is longer than a twentieth of the block (5000
+    and 4999 Hz) have no such block, and nothing is changed: they are refused where their lines are compared.
+
+    Parameters
+    ----------
+    duration : float
+        Longest block allowed [s].
+    intervals : collection of float
+        Sampling intervals of the records [s].
+    """
+    first = min(intervals)
+    ratios = [Fraction(dt / first).limit_denominator(1000) for dt in intervals]
+    common = first * math.lcm(*(ratio.numerator for ratio in ratios))
+    if all(abs(float(r) * first - dt) < 1e-7 * dt for r, dt in zip(ratios, intervals, strict=True)):
+        # A sample of slack: a record of n samples lasts n, not n - 1, intervals.
+        whole = int(duration / common * (1.0 + 1e-9) + 1e-6)
+        return whole * common if len(set(ratios)) > 1 and whole >= 20 else duration
+    return duration
 
 
 def block(hit: Hit, dt: float, duration: float, rules: HitRules) -> tuple[int, int]:

@@ -422,9 +422,34 @@ def test_what_is_no_hammer_record(kind: str) -> None:
 
 
 def test_different_sampling_rates() -> None:
-    records = [bench([(0.1, 25.0)], 4.0, rate=5000.0), bench([(0.1, 25.0)], 4.0, rate=4000.0)]
-    with pytest.raises(InputError, match="different rates; resample"):
+    """5000 and 4999 Hz share no block."""
+    records = [bench([(0.1, 25.0)], 4.0, rate=5000.0), bench([(0.1, 25.0)], 4.0, rate=4999.0)]
+    with pytest.raises(InputError, match="different rates, whose lines are not the same; resample"):
         identify_hammer("mixed", {"x": records})
+
+
+@pytest.mark.parametrize("rates", [(10000.0, 8000.0), (8000.0, 10000.0), (8000.0, 25600.0)])
+def test_records_of_different_rates_are_averaged_on_their_common_lines(rates: tuple[float, float]) -> None:
+    records = [bench([(0.1, 25.0)], 3.987, rate=rate, noise=1e-3, seed=int(rate)) for rate in rates]
+    found = identify_hammer("mixed", {"x": records}, frequency_range=(30.0, 120.0))
+    assert found.tables["hits"]["used"].all()
+    assert relative_error(found.compliance) < 2e-3
+    length = found.compliance.attrs["block_length_s"]
+    for rate in rates:
+        assert length * rate == pytest.approx(round(length * rate), abs=1e-6)
+
+
+@pytest.mark.parametrize(("gap", "limit"), [(0.4, 0.12), (0.6, 0.07), (0.8, 0.03)])
+def test_tails_that_overlap_are_reported_and_in_the_standard_deviation(gap: float, limit: float) -> None:
+    """Ten hits before the bench has rung down (0.217 s): an error of exp(-T/tau) that scatter alone does not show."""
+    starts = 0.1 + np.cumsum(gap * (1.0 + 0.3 * np.random.default_rng(1).uniform(size=10)))
+    record = bench([(float(start), 25.0) for start in starts], float(starts[-1] + 1.1 * gap), rate=10000.0)
+    found = identify_hammer("tails", {"x": [record]}, frequency_range=(30.0, 120.0))
+    assert relative_error(found.compliance) < limit
+    assert any("not decayed" in w and "leave more time between hits" in w for w in found.warnings)
+    error = found.compliance["compliance"].values[:, 0, 0] - exact(found.compliance["frequency"].values)
+    ratio = np.sqrt(np.mean(np.abs(error / found.compliance["compliance_std"].values[:, 0, 0]) ** 2))
+    assert 0.3 < ratio < 1.5
 
 
 def test_a_range_the_force_does_not_reach() -> None:
