@@ -17,6 +17,7 @@ from smfe.campaign import Campaign, load_campaign
 from smfe.hammer import identify_hammer
 from smfe.actuator import identify_actuator
 from smfe.identification import Identification
+from smfe.intervals import interval
 from smfe.limits import LobeResult
 from smfe.pipeline import chatter, demo, identify, lobes, run
 from smfe.records import read_records
@@ -40,6 +41,7 @@ __all__ = [
     "identify_actuator",
     "identify_hammer",
     "identify_sweep",
+    "interval",
     "load_campaign",
     "lobes",
     "read_records",

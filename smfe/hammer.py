@@ -88,8 +88,9 @@ def identify_hammer(
 
     Each excitation column is averaged over its accepted hits. Its error follows from leaving one hit out at a time
     (`smfe.averaging.deviations`); for hits of equal force that is ``s^2 = sum_m |X_m - H F_m|^2 / (M - 1)``, ``var H =
-    s^2 / sum_m |F_m|^2``. What noise on the force takes from H1 is added in quadrature. With one hit neither the error
-    nor the coherence ``|S_XF|^2/(S_XX S_FF)`` (1 by construction) says anything, and both are NaN.
+    s^2 / sum_m |F_m|^2``. What noise on the force takes from H1 (and noise of the response adds to H2), and what a
+    response that has not decayed may be wrong by, are added in quadrature. With one hit neither the error nor the
+    coherence ``|S_XF|^2/(S_XX S_FF)`` (1 by construction) says anything, and both are NaN.
 
     Compliance is claimed only where the force carries it: up to where its spectrum has fallen by 20 dB (its
     first deep zero lies beyond) and to the sampling rate over 2.56, from 1/(block length) for a displacement
@@ -290,12 +291,14 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
             values[near] = without_window(values[near], f[near], how.exponential_window)
     deviation = deviations(averaged, compliance, left_out)
     power = np.mean(np.abs(column.force) ** 2, axis=1)
+    bias = np.zeros_like(averaged.coherence)
     if how.estimator == "H1" and not plan.gate:
-        loss = compliance * (column.noise / power)[:, None]
-        deviation = np.concatenate([deviation, np.where(np.isnan(deviation[..., :1]), np.nan, loss[..., None])], axis=2)
-    deviation = np.concatenate(
-        [deviation, _cut_off(column, compliance, plan) * (1.0 + 0.0 * deviation[..., :1])], axis=2
-    )
+        bias += (column.noise / power)[:, None]
+    elif how.estimator == "H2":
+        bias += np.nan_to_num(1.0 - averaged.coherence)  # (H2 - H1)/H2, if all that is incoherent is in the response
+    systematic = np.concatenate([(bias * compliance)[..., None], _cut_off(column, compliance, plan)], axis=2)
+    unknown = np.isnan(deviation[..., :1])
+    deviation = np.concatenate([deviation, np.where(unknown, np.nan, systematic)], axis=2)
     notes = [
         *_hit_count_note(axis, len(column.hits)),
         *_leakage_note(axis, column, plan),
@@ -331,7 +334,7 @@ def _cut_off(column: _Gathered, compliance: NDArray[np.complex128], plan: _Plan)
             left = leakage_by_line(first[:, row][:, there], last[:, row][:, there])
             share[:, row] = np.interp(column.frequency, column.records[0].quarter_frequency, left)
     share *= 1.0 if tau is None else float(np.exp(-plan.duration / tau))
-    return (share * compliance)[..., None] * np.array([1.0, 1.0j]) / np.sqrt(2.0)
+    return np.asarray((share * compliance)[..., None] * np.array([1.0, 1.0j]) / np.sqrt(2.0))
 
 
 def _noise_ratio(column: _Gathered, plan: _Plan) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,6 +28,7 @@ from smfe.actuator import identify_actuator
 from smfe.attached_mass import without_mass
 from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
+from smfe.conditions import hammer_levels
 from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
@@ -151,27 +153,53 @@ def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dat
 
 def _per_axis(measurement: Measurement) -> Identification:
     """Hammer or actuator: one excitation axis a record."""
+    records = _records_by_axis(measurement)
+    if measurement.method == "hammer":
+        return identify_hammer(measurement.name, records, **hammer_settings(measurement))
+    return _actuator(measurement, records)
+
+
+def _records_by_axis(measurement: Measurement) -> dict[str, list[xr.Dataset]]:
     records: dict[str, list[xr.Dataset]] = {}
     for entry in measurement.records:
         assert entry.excitation is not None
         records.setdefault(entry.excitation, []).extend(records_of(entry, entry.excitation))
-    return _hammer(measurement, records) if measurement.method == "hammer" else _actuator(measurement, records)
+    return records
 
 
-def _hammer(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:
+def hammer_settings(m: Measurement) -> dict[str, Any]:
+    """Return what a hammer measurement of a campaign says to `smfe.hammer.identify_hammer`."""
     moves = m.feed is not None and any(v != 0.0 for v in m.feed.values())
     remove = moves if m.remove_background is None else m.remove_background
-    return identify_hammer(
-        m.name,
-        records,
-        frequency_range=m.frequency_range,
-        resolution=m.resolution,
-        gate_force=bool(m.force_window),
-        rules=HitRules(full_scale=m.full_scale),
-        averaging=Averaging(m.estimator or "H1", exponential_window=m.exponential_window),
-        background=Background() if remove else None,
-        accelerometer_mass=m.accelerometer_mass or 0.0,
-    )
+    return {
+        "frequency_range": m.frequency_range,
+        "resolution": m.resolution,
+        "gate_force": bool(m.force_window),
+        "rules": HitRules(full_scale=m.full_scale),
+        "averaging": Averaging(m.estimator or "H1", exponential_window=m.exponential_window),
+        "background": Background() if remove else None,
+        "accelerometer_mass": m.accelerometer_mass or 0.0,
+    }
+
+
+def split_levels(campaign: Campaign) -> dict[str, xr.Dataset]:
+    """Identify the hammer measurements that ask for it once more, each force level for itself.
+
+    Returns
+    -------
+    dict
+        "NAME, by level" -> compliance with the dimension ``force_level`` [N].
+
+    Raises
+    ------
+    InputError
+        With the measurement's name and the level.
+    """
+    return {
+        f"{m.name}, by level": hammer_levels(m.name, _records_by_axis(m), **hammer_settings(m)).compliance
+        for m in campaign.measurements
+        if m.method == "hammer" and m.split_levels
+    }
 
 
 def _actuator(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:

@@ -41,7 +41,7 @@ from smfe.diagnosis.verbs import finding_of
 from smfe.explained import explain
 from smfe.identification import Identification, Progress, silent
 from smfe.limits import LobeResult, all_lobes, joined, write_lobes
-from smfe.measurements import cached_identification, check_sweeps, file_hash
+from smfe.measurements import cached_identification, check_sweeps, file_hash, split_levels
 from smfe.modal_verb import modal as modal
 from smfe.records import Channel, read_records
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
@@ -127,6 +127,7 @@ def run(
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
     notes.warnings += _warnings(found, results, verdicts)
     cubes, unstacked = condition_cubes(loaded.measurements, compliances)
+    cubes |= split_levels(loaded)
     notes.warnings += unstacked
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.

@@ -111,6 +111,8 @@ class Processing:
         Time constant of a window that is taken off again [s] (hammer).
     remove_background : bool, optional
         Whether motion between hits is removed (hammer). None: where the campaign declares a feed.
+    split_levels : bool, optional
+        Whether each force level is also identified for itself (hammer).
     full_scale : float, optional
         Range of the force channel [N] (hammer).
     accelerometer_mass : float, optional
@@ -127,6 +129,7 @@ class Processing:
     force_window: bool | None = None
     exponential_window: float | None = None
     remove_background: bool | None = None
+    split_levels: bool | None = None
     full_scale: float | None = None
     accelerometer_mass: float | None = None
     frame_mass: float | None = None

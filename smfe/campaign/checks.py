@@ -33,6 +33,7 @@ _PROCESSING = {
     "force_window": ("hammer",),
     "exponential_window": ("hammer",),
     "remove_background": ("hammer",),
+    "split_levels": ("hammer",),
     "full_scale": ("hammer",),
     "accelerometer_mass": ("hammer", "actuator"),
     "frame_mass": ("actuator",),

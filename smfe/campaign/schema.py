@@ -108,6 +108,7 @@ class ProcessingTable(ConditionsTable):
     force_window: StrictBool | None = None
     exponential_window: PositiveTime | None = None
     remove_background: StrictBool | None = None
+    split_levels: StrictBool | None = None
     full_scale: q.PositiveForce | None = None
     accelerometer_mass: PositiveMass | None = None
     frame_mass: PositiveMass | None = None

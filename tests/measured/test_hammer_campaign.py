@@ -10,7 +10,7 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.conditions import condition_cubes
-from smfe.measurements import identify_measurement
+from smfe.measurements import identify_measurement, split_levels
 from smfe.records.write import write_record_netcdf
 
 RATE = 2000.0
@@ -142,6 +142,8 @@ def test_full_scale_marks_what_reaches_it(tmp_path: Path) -> None:
         ('exponential_window = "0 s"', "hammer", "exponential_window: '0 s' is not possible; it must be positive"),
         ('exponential_window = "2 mm"', "hammer", "exponential_window: unit 'mm' is not a unit of time"),
         ('remove_background = "yes"', "hammer", "remove_background: "),
+        ("split_levels = 3", "hammer", "split_levels: "),
+        ("split_levels = true", "actuator", "split_levels: method 'actuator' does not read it; only a hammer does"),
         ('full_scale = "-5 N"', "hammer", "full_scale: '-5 N' is not possible; it must be positive"),
         ('accelerometer_mass = "30"', "hammer", "accelerometer_mass: '30' has no unit"),
         ('accelerometer_mass = "0 kg"', "hammer", "accelerometer_mass: '0 kg' is not possible; it must be positive"),
@@ -166,6 +168,16 @@ def test_a_window_that_does_not_fit_the_block_is_said_with_the_measurement(tmp_p
         InputError, match=r"measurement 'hammer': an exponential window of 3 s on blocks of 1.84 s; give"
     ):
         identified(tmp_path, table('exponential_window = "3 s"'))
+
+
+def test_levels_in_the_records_of_one_measurement_are_split(tmp_path: Path) -> None:
+    for level in (100, 400):
+        hits(tmp_path, f"h{level}.nc", level=float(level))
+    loaded = load_campaign(campaign(tmp_path, table("split_levels = true", file="h*.nc"), table(name="plain")))
+    (name,) = found = split_levels(loaded)
+    assert name == "hammer, by level"
+    assert found[name]["force_level"].values.tolist() == [100.0, 400.0]
+    assert np.isfinite(found[name]["compliance_std"]).all()
 
 
 def test_measurements_that_differ_in_level_and_feed_are_stacked(tmp_path: Path) -> None:
