@@ -25,6 +25,9 @@ from smfe.identification import Identification
 from smfe.spectra import as_displacement, check_records, force_samples, motion_axes, record_source
 from smfe.steps import SineFit, StepRules, find_steps, fit_sine, neighbour_lines, refine_frequency
 
+SETTLING: tuple[float, ...] = (0.5, 0.75, 0.875)
+"""Shares of a step that are dropped, in turn, until the two halves of the rest agree."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -164,9 +167,15 @@ def fit_steps(record: xr.Dataset, excitation: str, index: int = 0, rules: StepRu
         inner = force[start + cycle : stop - cycle]
         if inner.size > 4 * cycle:
             frequency = refine_frequency(inner, dt, frequency)
-        part = _settled_part(start, stop - cycle, frequency, dt, rules)
-        fits = _fit_part(force, motion, channel, part, frequency, dt)
-        steps.append(_step(fits, rules, excitation, source, number, float(time[start]), (stop - start) * dt))
+        place = excitation, source, number, float(time[start]), (stop - start) * dt
+        for share in SETTLING if rules.settling is None else (0.0,):
+            part = _settled_part(start, stop - cycle, share, frequency, dt, rules)
+            if share > SETTLING[0] and (part.stop - part.start) * dt * frequency < 2.0 * rules.minimum_cycles:
+                break
+            step = _step(_fit_part(force, motion, channel, part, frequency, dt), rules, *place)
+            if step.settled:
+                break
+        steps.append(step)
     if not any(not step.reason for step in steps):
         raise _no_steps(force, source, excitation)
     return steps
@@ -184,9 +193,9 @@ def _no_steps(force: NDArray[np.float64], source: str, excitation: str) -> Input
     )
 
 
-def _settled_part(start: int, stop: int, frequency: float, dt: float, rules: StepRules) -> slice:
-    """Return the whole cycles at the end of a step that are left after settling."""
-    drop = (stop - start) // 2 if rules.settling is None else round(rules.settling / dt)
+def _settled_part(start: int, stop: int, share: float, frequency: float, dt: float, rules: StepRules) -> slice:
+    """Return the whole cycles at the end of a step that are left after settling: a share of the step, or a time."""
+    drop = round(share * (stop - start)) if rules.settling is None else round(rules.settling / dt)
     cycles = max(int((stop - start - drop) * frequency * dt), 0)
     return slice(stop - round(cycles / (frequency * dt)), stop)
 

@@ -23,8 +23,8 @@ class StepRules:
     Parameters
     ----------
     settling : float, optional
-        Time dropped at the beginning of each step [s]. Default: the first half of the step, as the damping is not
-        known beforehand; `stationary` tells whether it was enough.
+        Time dropped at the beginning of each step [s]. Default: the first half of the step, or more, up to seven
+        eighths, where `stationary` tells that it was not enough.
     minimum_cycles : int, optional
         A step is fitted over at least this many cycles.
     force_r_squared : float, optional

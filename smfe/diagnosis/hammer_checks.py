@@ -27,7 +27,7 @@ def hit_suspects(name: str, records: Mapping[str, Sequence[xr.Dataset]], **setti
     records : mapping of str to sequence of xarray.Dataset
         Excitation axis -> records.
     **settings : object
-        ``frequency_range`` and ``resolution`` of `smfe.hammer.identify_hammer`.
+        Of `smfe.hammer.identify_hammer`, but for ``exclude``.
     """
     found = identify_hammer(name, records, **settings)  # type: ignore[arg-type]
     hits = found.tables["hits"]

@@ -226,6 +226,18 @@ def test_a_dwell_that_is_too_short_is_reported() -> None:
     assert off[errors(found.compliance) > 0.01].max() < 3.0 * std[errors(found.compliance) > 0.01].max()
 
 
+def test_steps_that_settle_late_are_fitted_late() -> None:
+    """Round the resonance half a dwell of 1.72 s leaves transients; up to seven eighths are dropped there, half "
+    "elsewhere."""
+    record = transient_record(np.arange(18.0, 30.5, 1.0), 1.72)
+    found = identify_actuator("detected", {"x": [record]})
+    half = identify_actuator("half", {"x": [record]}, rules=StepRules(settling=0.86))
+    table = found.tables["steps"].set_index(np.round(found.tables["steps"]["frequency_Hz"]))
+    assert table["fitted_s"][18.0] > 0.7
+    assert table["fitted_s"][24.0] < 0.5
+    assert np.sqrt(np.mean(errors(found.compliance) ** 2)) < 0.7 * np.sqrt(np.mean(errors(half.compliance) ** 2))
+
+
 def test_settling_can_be_given() -> None:
     record = transient_record(np.arange(22.0, 26.5, 1.0), 4.0)
     long = identify_actuator("long", {"x": [record]}, rules=StepRules(settling=2.5))

@@ -173,7 +173,9 @@ def test_a_window_that_does_not_fit_the_block_is_said_with_the_measurement(tmp_p
 def test_levels_in_the_records_of_one_measurement_are_split(tmp_path: Path) -> None:
     for level in (100, 400):
         hits(tmp_path, f"h{level}.nc", level=float(level))
-    loaded = load_campaign(campaign(tmp_path, table("split_levels = true", file="h*.nc"), table(name="plain")))
+    loaded = load_campaign(
+        campaign(tmp_path, table("split_levels = true", file="h*.nc"), table(name="plain", file="h100.nc"))
+    )
     (name,) = found = split_levels(loaded)
     assert name == "hammer, by level"
     assert found[name]["force_level"].values.tolist() == [100.0, 400.0]
