@@ -10,8 +10,11 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.conditions import condition_cubes
+from smfe.intervals import interval
 from smfe.measurements import identify_measurement, split_levels
+from smfe.pipeline import run
 from smfe.records.write import write_record_netcdf
+from smfe.store import read_groups
 
 RATE = 2000.0
 MASS, STIFFNESS, DAMPING = 20.0, 3e6, 300.0
@@ -200,3 +203,17 @@ def test_measurements_that_differ_in_level_and_feed_are_stacked(tmp_path: Path) 
     }  # fmt: skip
     one = cubes["hammer"]["compliance"].sel(force_level=400.0, feed=500.0)
     assert one.values == pytest.approx(found["h400_500"]["compliance"].values)
+
+
+def test_a_run_writes_levels_and_feeds_as_dimensions(tmp_path: Path) -> None:
+    for level in (100, 400):
+        hits(tmp_path, f"h{level}.nc", level=float(level))
+    tables = [table(f'force_level = "{level} N"', f"at_{level}", file=f"h{level}.nc") for level in (100, 400)]
+    path = campaign(tmp_path, *tables, table("split_levels = true", "both", file="h*.nc"))
+    run(path, tmp_path / "results")
+    groups = read_groups(tmp_path / "results" / "conditions.nc")
+    assert set(groups) == {"hammer", "both, by level"}
+    for dataset in groups.values():
+        assert dataset["compliance"].sel(force_level=400.0).dims == ("frequency", "response", "excitation")
+    kept = read_groups(tmp_path / "results" / "frf.nc")["at_100"]
+    assert np.isfinite(interval(kept)["upper"]).all()

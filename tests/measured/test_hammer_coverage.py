@@ -87,6 +87,12 @@ CASES = {
     "force noise and all, H1": (5, {"force": 0.001, "motion": 0.2, "scatter": 0.01}, None, False),
     "force noise and all, force window": (5, {"force": 0.02, "motion": 0.2, "scatter": 0.01}, None, True),
     "force noise and all, Hv": (5, {"force": 0.01, "motion": 0.2, "scatter": 0.01}, Averaging("Hv"), False),
+    "hits that differ by 1 %, exponential window": (
+        5,
+        {"motion": 0.05, "scatter": 0.01},
+        Averaging(exponential_window=0.3),
+        False,
+    ),
 }
 
 

@@ -1,5 +1,10 @@
 """Hammer: hits made along another axis, or from another side than the sensor says, are found and left out."""
 
+import importlib
+import sys
+import types
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -131,3 +136,29 @@ def test_shapes_are_compared_without_regard_to_size() -> None:
     assert (shape, gain) == (pytest.approx(1.0), pytest.approx(-0.5))
     assert compared(np.array([1.0, 0.0]), np.array([0.0, 1.0]))[0] == 0.0
     assert compared(np.array([np.nan, np.nan]), np.array([1.0, 1.0]))[0] == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("feed", [0.0, 100.0, 500.0])
+@pytest.mark.parametrize("kind", ["lugre", "stick", "gms"])
+def test_friction_accuses_nobody(kind: str, feed: float) -> None:
+    """Five blows of a hand on the bench with a guideway that rubs, from 25 to 1000 N: no hit is a wrong direction."""
+    package = types.ModuleType("truth")
+    package.__path__ = [str(Path(__file__).parents[1] / "truth")]
+    sys.modules.setdefault("truth", package)
+    axis, chain = (importlib.import_module(f"truth.{name}") for name in ("axis", "chain"))
+    rng = np.random.default_rng(round(feed))
+    truth = axis.Truth(friction=axis.Friction(kind=kind))
+    for level in (25.0, 100.0, 400.0, 1000.0):
+        records = []
+        for _ in range(5):
+            blow = chain.hit(rng, level, 0.0)
+            blow[:, 0] += 0.1
+            setting = axis.Setting(feed * axis.MM_MIN, "K2", arrival=float(rng.uniform(-0.3, 0.3)))
+            raw = axis.simulate(truth, setting, blow, np.zeros((0, 5)), 2.0)[:, ::4]
+            force = raw[3] + 0.02 * rng.standard_normal(raw.shape[1])
+            motion = raw[0] + 1e-3 * rng.standard_normal(raw.shape[1])
+            t = np.arange(raw.shape[1]) * 4.0 / axis.RATE
+            records.append(make_record(t, {"force": {"x": force}, "acceleration": {"x": motion}}))
+        found = identify_hammer("bench", {"x": records}, frequency_range=(10.0, 150.0))
+        assert not found.tables["hits"]["wrong_direction"].any()
