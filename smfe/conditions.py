@@ -194,22 +194,23 @@ def condition_cubes(
     Returns
     -------
     cubes : dict
-        "hammer, controller K2" and so on -> compliance with the dimensions ``force_level`` [N] and ``feed`` [mm/min],
-        of those that are declared in all of a group and differ.
+        "hammer, controller K2" and so on -> compliance with the dimensions ``force_level`` [N] and ``feed``
+        [mm/min], of those that its measurements declare and that differ. Measurements that declare different ones are
+        not mixed.
     notes : list of str
         Groups that cannot be stacked, and why.
     """
-    groups: dict[str, list[Measurement]] = {}
+    groups: dict[tuple[str, tuple[str, ...]], list[Measurement]] = {}
     for m in measurements:
         if m.name in compliances and m.method in ("hammer", "actuator"):
-            groups.setdefault(_group(m), []).append(m)
+            groups.setdefault((_group(m), tuple(_numbers(m))), []).append(m)
     cubes, notes = {}, []
-    for name, members in groups.items():
+    for (name, declared), members in groups.items():
         given = [_numbers(m) for m in members]
-        shared = [key for key in ("force_level", "feed") if all(key in g for g in given)]
-        varied = [key for key in shared if len({g[key] for g in given}) > 1]
+        varied = [key for key in declared if len({g[key] for g in given}) > 1]
         if not varied:
             continue
+        name = f"{name}, over {' and '.join(varied)}" if name in cubes else name
         try:
             parts = [
                 ({key: g[key] for key in varied}, compliances[m.name]) for g, m in zip(given, members, strict=True)
