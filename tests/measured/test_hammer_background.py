@@ -21,6 +21,7 @@ from process.trials import Running, hammer_trial
 from smfe.background import Background, quiet_spans, remove_background
 from smfe.hammer import identify_hammer
 from smfe.hits import find_hits
+from smfe.intervals import interval
 
 MASS, STIFFNESS, DAMPING = 11.3, 1.68e6, 104.0
 RATE, PULSE = 2000.0, 4e-3
@@ -143,6 +144,23 @@ def test_an_axis_under_its_drive_is_measured_while_it_moves() -> None:
         band[name] = np.abs(found["compliance"].sel(response="x").values[:, 0] - truth).max() / np.abs(truth).max()
     assert band["left"] > 0.05
     assert band["removed"] < 0.01
+
+
+@pytest.mark.slow
+def test_intervals_hold_in_motion_as_often_as_they_say() -> None:
+    """Three tones, a drift and noise of 0.2 m/s2, 60 seeds: 95 % intervals hold 92 to 98 % once the tones are off."""
+    clean = in_motion("acceleration", ((17.3, 1.5), (62.4, 2.0), (111.1, 1.0)), slope=0.05)
+    held = []
+    for seed in range(60):
+        record = clean.copy(deep=True)
+        record["acceleration"].values[0] += 0.2 * np.random.default_rng(seed).standard_normal(record.sizes["time"])
+        found = identify_hammer("m", {"x": [record]}, frequency_range=(10.0, 120.0), background=Background()).compliance
+        bounds, truth = interval(found), exact(found["frequency"].values)
+        low, high = bounds["lower"].values[:, 0, 0], bounds["upper"].values[:, 0, 0]
+        real = (low.real <= truth.real) & (truth.real <= high.real)
+        held.append([real.mean(), np.mean((low.imag <= truth.imag) & (truth.imag <= high.imag))])
+    assert np.mean(held, axis=0).min() > 0.92
+    assert np.mean(held, axis=0).max() < 0.98
 
 
 @pytest.mark.slow
