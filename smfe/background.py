@@ -228,11 +228,22 @@ def _refined(samples: Real, mask: Mask, dt: float, frequency: float) -> float:
 
 
 def _goes_on(samples: Real, quiet: Mask, late: Mask, dt: float, frequencies: list[float]) -> bool:
-    """Tell whether the last tone is late in the quiet spans what it is early: ringing dies away."""
-    early_part = _amplitudes(samples, quiet & ~late, dt, frequencies)[-1]
-    late_part = _amplitudes(samples, quiet & late, dt, frequencies)[-1]
-    one, two = complex(early_part[1], -early_part[2]), complex(late_part[1], -late_part[2])
-    return abs(two - one) <= _CONSTANT * max(abs(one), abs(two))
+    """Tell whether the last tone is the same early and late in the quiet spans, and in every other span.
+
+    Ringing dies away within a span and begins anew, with the phase of the hit, in the next. In a single span only its
+    decay tells, so that less of it is allowed.
+    """
+    spans = ndimage.label(quiet)[0]
+    parts = [(quiet & ~late, quiet & late)]
+    if spans.max() > 1:
+        parts.append((quiet & (spans % 2 == 0), quiet & (spans % 2 == 1)))
+    limit = _CONSTANT if spans.max() > 1 else 0.3 * _CONSTANT
+    for first, second in parts:
+        tones = [_amplitudes(samples, part, dt, frequencies)[-1] for part in (first, second)]
+        one, two = (complex(cosine, -sine) for _, cosine, sine in tones)
+        if abs(two - one) > limit * max(abs(one), abs(two)):
+            return False
+    return True
 
 
 def _wave(tones: Sequence[tuple[float, float, float]], count: int, dt: float) -> Real:

@@ -95,6 +95,21 @@ def test_ringing_is_no_background(spacing: float) -> None:
     assert removed < plain + 2e-3
 
 
+@pytest.mark.parametrize("count", [1, 4])
+def test_ringing_that_has_hardly_decayed_is_no_tone(count: int) -> None:
+    """A mode of 0.1 % rings on through the quiet spans: its tails keep their size but not their phase, so they stay."""
+    t = np.arange(round(2.2 * count * RATE)) / RATE
+    force, motion = np.zeros(t.size), np.zeros(t.size)
+    rng = np.random.default_rng(4)
+    w, zeta = 2.0 * np.pi * 40.3, 0.001
+    for k in range(count):
+        start = 2.2 * k + 0.1 + 0.1 * rng.uniform()
+        force += np.where((t >= start) & (t <= start + PULSE), 100.0 * np.sin(np.pi * (t - start) / PULSE), 0.0)
+        motion += np.where(t > start, np.exp(-zeta * w * (t - start)) * np.sin(w * (t - start)), 0.0)
+    record = make_record(t, {"force": {"x": force}, "acceleration": {"x": motion + 1e-3 * rng.standard_normal(t.size)}})
+    assert remove_background(record, find_hits(record, "x")).tones.empty
+
+
 def test_nothing_is_removed_where_nothing_moves() -> None:
     record = in_motion("acceleration", noise=0.02)
     found = remove_background(record, find_hits(record, "x"))
