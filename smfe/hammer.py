@@ -450,7 +450,7 @@ def _leakage_note(axis: str, column: _Gathered, plan: _Plan) -> Iterable[str]:
         yield (
             f"excitation {axis}: at the end of the block of {1.0 / column.frequency[0]:.3g} s the response "
             f"has not decayed (or its sensor drifts), mostly at {f[keep][line]:.3g} Hz; estimated error of the "
-            f"compliance there {100.0 * worst:.2g} % (leave more time between hits)"
+            f"compliance there {100.0 * worst:.2g} % (leave more time between hits, or give an exponential_window)"
         )
 
 
@@ -474,8 +474,8 @@ def _force_noise_note(axis: str, column: _Gathered, power: NDArray[np.float64], 
     if bias > 0.01:
         yield (
             f"excitation {axis}: force noise lowers the compliance by up to {100.0 * bias:.2g} % (at "
-            f"{frequency[weakest]:.4g} Hz); hit harder, use a harder tip or a narrower frequency_range (from Python: "
-            "gate_force=True removes most of it)"
+            f"{frequency[weakest]:.4g} Hz); hit harder, use a harder tip or a narrower frequency_range (a "
+            "force_window removes most of it)"
         )
 
 
@@ -510,8 +510,8 @@ def _assemble(name: str, columns: Sequence[_Column], plan: _Plan) -> xr.Dataset:
         bands = ", ".join(f"{c.excitation} {c.band[0]:.4g} to {c.band[1]:.4g} Hz" for c in columns)
         raise InputError(
             f"measurement '{name}': nothing can be claimed between {low:.4g} and {high:.4g} Hz (usable: {bands}); ask "
-            "for another frequency range, record longer blocks, use a harder hammer tip, or pass gate_force=True "
-            "where force noise limits the band"
+            "for another frequency range, record longer blocks, use a harder hammer tip, or set force_window = true "
+            "(gate_force=True) where force noise limits the band"
         )
     recorded = [row for row in range(len(AXES)) if any(np.isfinite(c.compliance[0, row]) for c in columns)]
 

@@ -101,7 +101,8 @@ def _levels(name: str, hits: pd.DataFrame) -> list[Suspect]:
                     "note",
                     f"{name}, hits along {axis}",
                     f"peak forces from {peaks.min():.3g} to {peaks.max():.3g} N are averaged together",
-                    "with friction or micro-slip the level changes the compliance: identify weak and strong hits apart",
+                    "with friction or micro-slip the level changes the compliance: identify weak and strong hits "
+                    "apart (split_levels = true)",
                 )
             )
     return out

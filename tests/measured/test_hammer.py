@@ -161,7 +161,7 @@ def test_force_noise_lowers_the_compliance_and_the_gate_repairs_it() -> None:
 def test_force_noise_ends_the_band() -> None:
     """Noise of 2 N makes every line of a 25 N hit uncertain by more than a tenth: nothing is claimed."""
     record = bench([(0.1 + 4.0 * k, 25.0) for k in range(3)], 12.0, force_noise=2.0, seed=4)
-    with pytest.raises(InputError, match="gate_force=True where force noise limits the band"):
+    with pytest.raises(InputError, match=r"force_window = true \(gate_force=True\) where force noise limits the band"):
         identify_hammer("noisy", {"x": [record]}, frequency_range=(30.0, 120.0))
 
 
