@@ -261,7 +261,10 @@ def _gather_column(records: Sequence[xr.Dataset], hits: Sequence[Hit], plan: _Pl
     lines = 2.0 if channel == "acceleration" else 1.0
     band = (max(low, lines * float(frequency[0])), high)
     ordered = [h for i in order for h in hits if h.record == i]
-    return _Gathered(ordered, gathered, frequency, motion, force, noise, band, channel)
+    # What nobody asks for above the band is most of a record sampled fast: it need not be averaged.
+    top = max(high, plan.wanted[1] if plan.wanted else 0.0)
+    kept = slice(0, int(np.searchsorted(frequency, top)) + 2 * REACH + 2)
+    return _Gathered(ordered, gathered, frequency[kept], motion[kept], force[kept], noise, band, channel)
 
 
 @dataclass(frozen=True)
