@@ -139,7 +139,7 @@ def test_shapes_are_compared_without_regard_to_size() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("feed", [0.0, 100.0, 500.0])
+@pytest.mark.parametrize("feed", [0.0, 100.0])
 @pytest.mark.parametrize("kind", ["lugre", "stick", "gms"])
 def test_friction_accuses_nobody(kind: str, feed: float) -> None:
     """Five blows of a hand on the bench with a guideway that rubs, from 25 to 1000 N: no hit is a wrong direction."""
