@@ -20,6 +20,7 @@ from smfe.diagnosis.campaign_cuts import cutting_case
 from smfe.diagnosis.campaign_drive import drive_case
 from smfe.diagnosis.campaign_limits import limit_case
 from smfe.diagnosis.campaign_menu import menu
+from smfe.diagnosis.campaign_modes import NamedModes, modes_named
 from smfe.diagnosis.machine_frf import MachineFrfs, condition_of, excitation_of
 from smfe.diagnosis.modal_frf import ModalFrfs
 from smfe.diagnosis.modal_proposals import modal_proposals
@@ -87,11 +88,12 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: P
     if isinstance(baseline, MechanisticForces):
         return cutting_case(campaign)
     if isinstance(baseline, LimitsOf):
-        return limit_case(campaign, baseline, progress)
-    family = modal_family(campaign, baseline, found) if isinstance(baseline, ModesOf) else _with_menu(campaign, found)
+        return limit_case(campaign, baseline, found, progress)
+    modes = modes_named(campaign, baseline.source, found) if isinstance(baseline, ModesOf) else None
+    family = _with_menu(campaign, found) if modes is None else modal_family(campaign, modes, found)
     names = [c.name for c in family.conditions]
     held_out = tuple(m.name for m in campaign.measurements if m.held_out and m.name in names)
-    return Case(family, {n: (n,) for n in names}, held_out)
+    return Case(family, {n: (n,) for n in names}, held_out, () if modes is None else modes.suspects)
 
 
 def _with_menu(campaign: Campaign, found: Mapping[str, Identification]) -> MachineFrfs:
@@ -131,22 +133,15 @@ def machine_family(campaign: Campaign, found: Mapping[str, Identification]) -> M
     return MachineFrfs(baseline, tuple(conditions))
 
 
-def modal_family(campaign: Campaign, baseline: ModesOf, found: Mapping[str, Identification]) -> ModalFrfs:
+def modal_family(campaign: Campaign, modes: NamedModes, found: Mapping[str, Identification]) -> ModalFrfs:
     """Return the family of a campaign whose baseline is a modal model: every hammer and actuator measurement.
 
     Raises
     ------
     InputError
-        When its modes are not declared, or no measurement has an uncertainty.
+        When no measurement has an uncertainty.
     """
-    models = {m.name: m.modal for m in campaign.models}
-    if baseline.source not in models:
-        raise InputError(
-            f"baseline.from: '{baseline.source}' is a measurement; a simulation is made of modes: declare those found "
-            "in it as a [[model]] and name that"
-        )
-    model = models[baseline.source]
-    band = (0.5 * float(model.frequency.min()), 2.0 * float(model.frequency.max()))
+    band = (0.5 * modes.band[0], 2.0 * modes.band[1])
     conditions = []
     for m, order in _ordered(campaign):
         axes = tuple(a for a in AXES if _shows(found.get(m.name), a))
@@ -157,7 +152,7 @@ def modal_family(campaign: Campaign, baseline: ModesOf, found: Mapping[str, Iden
             "no hammer or actuator measurement has an uncertainty (three hits or more); the baseline has nothing to be "
             "compared with"
         )
-    return ModalFrfs(model, tuple(conditions), modal_proposals(conditions))
+    return ModalFrfs(modes.modal, tuple(conditions), modal_proposals(conditions))
 
 
 def _ordered(campaign: Campaign) -> list[tuple[Measurement, float]]:

@@ -8,18 +8,21 @@ from dataclasses import replace
 
 from process.engagement import engagement
 from process.errors import InputError
-from smfe.campaign import Campaign, CuttingTest, LimitsOf, Model
+from smfe.campaign import Campaign, CuttingTest, LimitsOf
 from smfe.cutting_tests import judge
 from smfe.diagnosis.campaign_case import Case
+from smfe.diagnosis.campaign_modes import modes_named
 from smfe.diagnosis.cutting_limits import Limit, Spread, Trial, bracketed, limit_family
 from smfe.diagnosis.suspect import Suspect
-from smfe.identification import Progress, silent
+from smfe.identification import Identification, Progress, silent
 
 Cut = tuple[str, float, float]
 """Kind of cut, width [m], feed per tooth [m]: what the tests of one limit have in common besides the speed."""
 
 
-def limit_case(campaign: Campaign, baseline: LimitsOf, progress: Progress = silent) -> Case:
+def limit_case(
+    campaign: Campaign, baseline: LimitsOf, found: Mapping[str, Identification], progress: Progress = silent
+) -> Case:
     """Return the case of the limits that cutting tests bracket, against those of a modal model.
 
     A test is stable or not as the campaign says (``observed``), else as the spectral criterion judges its record; the
@@ -28,20 +31,20 @@ def limit_case(campaign: Campaign, baseline: LimitsOf, progress: Progress = sile
     Raises
     ------
     InputError
-        When the source is not a model, a record cannot be judged, or no limit is bracketed.
+        When the source has no modes, a record cannot be judged, or no limit is bracketed.
     """
-    model, tool, material = _model(campaign, baseline), campaign.tool, campaign.coefficients
+    modes, tool, material = modes_named(campaign, baseline.source, found), campaign.tool, campaign.coefficients
     if tool is None or material is None:
         raise InputError("a limit depth needs the tables [tool] and [material]; add them")
     trials = _trials(campaign, progress)
     limits: list[Limit] = []
     groups: dict[str, tuple[str, ...]] = {}
-    suspects: list[Suspect] = []
+    suspects: list[Suspect] = list(modes.suspects)
     for (cut, width, feed), tests in trials.items():
-        found, notes = bracketed([trial for _, trial in tests], feed)
+        bounds, notes = bracketed([trial for _, trial in tests], feed)
         arc = engagement(cut, width, tool.diameter)
         where = f"{cut}, {width * 1e3:.4g} mm wide, {feed * 1e3:.4g} mm per tooth"
-        named = [replace(x, arc=arc, name=f"limit at {x.spindle_speed:.6g} rpm, {where}") for x in found]
+        named = [replace(x, arc=arc, name=f"limit at {x.spindle_speed:.6g} rpm, {where}") for x in bounds]
         limits += named
         suspects += [
             Suspect("unusable", "note", f"cutting tests {where}", note, "add a cut on the other side") for note in notes
@@ -54,27 +57,21 @@ def limit_case(campaign: Campaign, baseline: LimitsOf, progress: Progress = sile
         told = "; ".join(s.evidence for s in suspects) or "every cutting test stays undecided"
         raise InputError(f"no limit is bracketed between a stable and a chattering cut: {told}")
     arcs = [x.arc for x in limits if x.arc is not None]
-    family = limit_family(limits, model.modal, tool, arcs[0], material, spread=_spread(model))
+    family = limit_family(limits, modes.modal, tool, arcs[0], material, spread=_spread(campaign, baseline))
     held_out = tuple(dict.fromkeys(t.file.name for t in campaign.cutting_tests if t.held_out and t.file.name in groups))
     return Case(family, groups, held_out, tuple(suspects))
 
 
-def _model(campaign: Campaign, baseline: LimitsOf) -> Model:
+def _spread(campaign: Campaign, baseline: LimitsOf) -> Spread:
+    """How well the modes are known: as the campaign says of a model, else the default."""
+    usual = Spread()
     for model in campaign.models:
         if model.name == baseline.source:
-            return model
-    raise InputError(
-        f"baseline.limits: '{baseline.source}' is a measurement; limits are predicted from modes: declare those found "
-        "in it as a [[model]] and name that"
-    )
-
-
-def _spread(model: Model) -> Spread:
-    """How well the modes are known: as the campaign says, else the default."""
-    usual, given = Spread(), model.spread
-    return Spread(
-        given.frequency or usual.frequency, given.damping or usual.damping, given.stiffness or usual.stiffness
-    )
+            given = model.spread
+            return Spread(
+                given.frequency or usual.frequency, given.damping or usual.damping, given.stiffness or usual.stiffness
+            )
+    return usual
 
 
 def _trials(campaign: Campaign, progress: Progress) -> Mapping[Cut, Sequence[tuple[CuttingTest, Trial]]]:

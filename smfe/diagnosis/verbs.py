@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from process.errors import InputError
-from smfe.campaign import AxisModel, Campaign, ModesOf, load_campaign
+from smfe.campaign import AxisModel, Campaign, LimitsOf, ModesOf, load_campaign
 from smfe.datasets import Show
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.campaign_case import Case
@@ -91,10 +91,14 @@ def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:
 
 
 def _identified(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
-    if not isinstance(campaign.baseline, AxisModel | ModesOf):
+    baseline = campaign.baseline
+    if not isinstance(baseline, AxisModel | ModesOf | LimitsOf):
         return {}
-    wanted = [m for m in campaign.measurements if m.method in ("hammer", "actuator")]
-    if not wanted:
+    compared = () if isinstance(baseline, LimitsOf) else ("hammer", "actuator")
+    source = "" if isinstance(baseline, AxisModel) else baseline.source
+    has_modes = [m for m in campaign.measurements if m.method not in ("drive", "silent")]
+    wanted = [m for m in has_modes if m.method in compared or m.name == source]
+    if compared and not any(m.method in compared for m in wanted):
         raise InputError("the campaign has no hammer or actuator measurement; the baseline has nothing to compare with")
     out = {}
     for done, measurement in enumerate(wanted):

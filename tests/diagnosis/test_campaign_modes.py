@@ -1,0 +1,66 @@
+"""Claims: the modes of a measurement are a baseline like those of a model, and what is no compliance is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from truth.modal_machine import Hidden, Setting, at_tool, modes, nominal
+
+from process.errors import InputError
+from process.labels import AXES, make_compliance
+from smfe.campaign import Campaign, Measurement, ModesOf
+from smfe.diagnosis.campaign_family import case_of
+from smfe.diagnosis.campaign_modes import modes_named
+from smfe.diagnosis.engine import diagnose
+from smfe.identification import Identification
+
+F = np.arange(14.0, 150.0, 0.5)
+NOISE = 0.01
+"""Of the rms of each entry."""
+
+
+def measured(name: str, seed: int, level: float = 100.0) -> Identification:
+    ram = nominal(3, np.random.default_rng(5))
+    h = at_tool(ram, Hidden(), Setting(level=level), F)
+    size = NOISE * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
+    rng = np.random.default_rng(seed)
+    noise = (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2.0)
+    three = ("frequency", "response", "excitation")
+    std = np.broadcast_to(size, h.shape)
+    compliance = make_compliance(F, h + size * noise, extra={"compliance_std": (three, std)})
+    steps = pd.DataFrame({"excitation": list(AXES), "force_N": [level] * 3})
+    return Identification(name, "actuator", compliance, {"steps": steps})
+
+
+def campaign(found: dict[str, Identification], source: str) -> Campaign:
+    each = tuple(Measurement(name=n, method="actuator", records=(), channels={}) for n in found)
+    return Campaign(Path("campaign.toml"), "ram", measurements=each, baseline=ModesOf(source))
+
+
+def test_the_modes_of_a_measurement_are_those_of_the_machine() -> None:
+    found = {"first": measured("first", 1)}
+    named = modes_named(campaign(found, "first"), "first", found)
+    frequency = modes(nominal(3, np.random.default_rng(5)))[0]
+    fitted = named.modal.frequency[(named.modal.frequency > 14.0) & (named.modal.frequency < 150.0)]
+    # The cable that hangs on the tool shifts the modes of the bare ram by some per cent.
+    assert [float(np.min(np.abs(fitted / f - 1.0))) < 0.05 for f in frequency] == [True] * frequency.size
+    assert named.band[1] <= 150.0
+
+
+@pytest.mark.slow
+def test_a_measurement_like_the_one_that_gave_the_modes_is_consistent_with_them() -> None:
+    alike = {name: measured(name, k, level=level) for k, (name, level) in enumerate((("a", 100.0), ("b", 50.0)), 1)}
+    assert diagnose(case_of(campaign(alike, "a"), alike).family).verdict == "consistent"
+
+
+def test_what_has_no_modes_is_refused_with_what_to_do() -> None:
+    silent = {"first": measured("first", 1)}
+    with pytest.raises(InputError, match="'air' is no compliance, so it has no modes"):
+        modes_named(campaign(silent, "air"), "air", silent)
+    first = silent["first"]
+    few = first.compliance.isel(frequency=slice(0, 6))
+    with pytest.raises(
+        InputError, match=r"'first' does not give the modes of a simulation .* declare them as a \[\[model\]\]"
+    ):
+        modes_named(campaign(silent, "first"), "first", {"first": Identification("first", "actuator", few, {})})
