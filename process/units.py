@@ -31,6 +31,8 @@ UNITS: dict[str, dict[str, float]] = {
     "mass": {"kg": 1.0, "g": 1e-3},
     "stiffness": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6},
     "compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6, "µm/N": 1e-6},
+    "mobility": {"m/s/N": 1.0, "mm/s/N": 1e-3},
+    "accelerance": {"m/s^2/N": 1.0, "mm/s^2/N": 1e-3, "g/N": 9.80665},
     "cubic_stiffness": {"N/m^3": 1.0, "N/mm^3": 1e9},
     "viscosity": {"N s/m": 1.0, "Ns/m": 1.0, "N s/mm": 1e3},
     "steepness": {"s/m": 1.0, "s/mm": 1e3},
@@ -73,6 +75,11 @@ def factor(unit: str, dimension: str) -> float:
             + ", ".join(repr(known) for known in table if known)
         )
     return table[name]
+
+
+def known(unit: str, dimension: str) -> bool:
+    """Whether a unit belongs to a dimension."""
+    return _canonical(unit) in UNITS[dimension]
 
 
 def parse(text: str, dimension: str) -> float:

@@ -1,7 +1,7 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
-The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter`, `simulate` here, and
-``compare``, ``modal`` and ``report`` in `smfe.pipeline`, ``plan`` in `smfe.plan`, whose names are taken by what does
+The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter`, `convert`, `simulate` here,
+and ``compare``, ``modal`` and ``report`` in `smfe.pipeline`, ``plan`` in `smfe.plan`, whose names are taken by what does
 the work.
 """
 
@@ -14,6 +14,7 @@ __version__ = importlib.metadata.version("smfe")
 import stability  # noqa: F401  (fails with a clear sentence when a user's own process.py shadows ours)
 from process.errors import InputError
 from smfe.campaign import Campaign, load_campaign
+from smfe.conversion import convert
 from smfe.hammer import identify_hammer
 from smfe.actuator import identify_actuator
 from smfe.identification import Identification
@@ -36,6 +37,7 @@ __all__ = [
     "SweepPass",
     "__version__",
     "chatter",
+    "convert",
     "demo",
     "identify",
     "identify_actuator",

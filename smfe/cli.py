@@ -15,6 +15,7 @@ from rich.table import Table
 from process.errors import InputError
 from smfe import __version__, pipeline
 from smfe import plan as planner
+from smfe.conversion import convert as convert_file
 from smfe.demo_campaign import DEMO_SEED
 from smfe.diagnosis import audit, verbs
 from smfe.diagnosis.finding import explain
@@ -236,6 +237,19 @@ def diagnose(
         finding = verbs.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show)
     out.print(explain(finding), markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output}", highlight=False)
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(help="Record to read, in any format.", show_default=False)],
+    target: Annotated[Path, typer.Argument(help="File to write: .nc, .csv, .mat, .uff, .unv.", show_default=False)],
+    campaign: Annotated[Path | None, typer.Option(help="Campaign file that declares the channels.")] = None,
+) -> None:
+    """Write a record in another format, in SI units and with the corrections of its channels."""
+    with bar(console) as progress:
+        written = convert_file(source, target, campaign, progress)
+    for path in written:
+        out.print(f"written: {path}", highlight=False, soft_wrap=True)
 
 
 @app.command()

@@ -33,7 +33,7 @@ from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
 from smfe.periodic import identify_periodic
-from smfe.records import read_frf, read_records
+from smfe.records import put_on_clock, read_frf, read_records, read_reduced
 from smfe.steps import StepRules
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
@@ -148,7 +148,13 @@ def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dat
         for name, channel in entry.channels.items()
         if only_force is None or not name.startswith("force_") or name == f"force_{only_force}"
     }
-    return [record for file in entry.files for record in read_records(file, channels)]
+    found = [record for file in entry.files for record in read_records(file, channels)]
+    for other in entry.others:
+        added = read_records(other.file, other.channels)
+        if len(found) != 1 or len(added) != 1:
+            raise InputError(f"{other.file.name} is added to {entry.files[0].name}: both must have one segment")
+        found = [put_on_clock(found[0], added[0], other.shared)]
+    return found
 
 
 def _per_axis(measurement: Measurement) -> Identification:
@@ -230,9 +236,18 @@ def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[
     passes = []
     for entry in measurement.records:
         name, arc = _pass_of(campaign.tool, entry)
-        for number, record in enumerate(records_of(entry)):
+        for number, record in enumerate(_sweep_records(entry, measurement.frequency_range)):
             passes.append(SweepPass(record, name + (f" ({number + 1})" if number else ""), arc))
     return passes, measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
+
+
+def _sweep_records(entry: RecordEntry, band: tuple[float, float] | None) -> list[xr.Dataset]:
+    """Read the records of a pass, at a lower sample rate where the band is known and needs no more."""
+    if band is None or entry.others:
+        return records_of(entry)
+    channels = {name: channel for name, channel in entry.channels.items() if name != "tacho"}
+    highest = band[1] + 2.0 * max(LocalPolynomial().half_widths)  # the band that the widest fit reaches to
+    return [record for file in entry.files for record in read_reduced(file, channels, highest)]
 
 
 def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
@@ -326,7 +341,7 @@ def cached_identification(
 
 def _key(campaign: Campaign, measurement: Measurement) -> str:
     settings = repr((__version__, campaign.tool, measurement))
-    hashes = [file_hash(f) for entry in measurement.records for f in entry.files]
+    hashes = [file_hash(f) for entry in measurement.records for f in entry.all_files]
     return hashlib.sha256("\n".join([settings, *hashes]).encode()).hexdigest()[:16]
 
 

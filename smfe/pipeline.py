@@ -228,13 +228,13 @@ def chatter(record: Path | str, speed: str | None, teeth: int, campaign: Path | 
     """
     rotation = None if speed is None else parse(speed, "rotation")
     if campaign is None:
-        records = _read_default_channels(Path(record))
+        records = read_default_channels(Path(record))
     else:
         records = read_records(Path(record), load_campaign(Path(campaign)).channels)
     return chatter_verdict(records[0], rotation, teeth)
 
 
-def _read_default_channels(path: Path) -> list[xr.Dataset]:
+def read_default_channels(path: Path) -> list[xr.Dataset]:
     """Read those of `DEFAULT_CHANNELS` that a file has; anything else that is wrong with it stays an error."""
     channels = dict(DEFAULT_CHANNELS)
     while len(channels) > ("time" in channels):
@@ -388,7 +388,7 @@ def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -
 
 
 def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
-    files = [f for m in campaign.measurements for entry in m.records for f in entry.files]
+    files = [f for m in campaign.measurements for entry in m.records for f in entry.all_files]
     files = list(dict.fromkeys([campaign.path, *files, *(t.file for t in campaign.cutting_tests)]))
     packages = ("smfe", "numpy", "scipy", "numba", "xarray", "pandas", "h5netcdf")
     return {

@@ -71,6 +71,25 @@ class Conditions:
     repeat: int | None = None
 
 
+@dataclass(frozen=True)
+class OtherRecorder:
+    """One entry of ``with``: what a second recorder wrote meanwhile, on a clock of its own.
+
+    Parameters
+    ----------
+    file : Path
+        Its file.
+    channels : mapping of str to Channel
+        Channels of it; nothing is inherited.
+    shared : str
+        The channel that both recorders have, by which the clocks are aligned.
+    """
+
+    file: Path
+    channels: Mapping[str, Channel]
+    shared: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class RecordEntry(Conditions):
     """One entry of ``records``: files that belong together, with conditions inherited from their measurement.
@@ -87,6 +106,8 @@ class RecordEntry(Conditions):
         "down", "up" or "central" (sweep).
     width_of_cut : float, optional
         [m] (sweep).
+    others : tuple of OtherRecorder
+        Files of other recorders that belong to the one file of the entry; often empty.
     """
 
     files: tuple[Path, ...]
@@ -95,6 +116,12 @@ class RecordEntry(Conditions):
     response: str | None = None
     cut: str | None = None
     width_of_cut: float | None = None
+    others: tuple[OtherRecorder, ...] = ()
+
+    @property
+    def all_files(self) -> tuple[Path, ...]:
+        """The files of all recorders."""
+        return (*self.files, *(other.file for other in self.others))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -381,7 +408,7 @@ class Campaign:
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that the campaign reads, sorted, each once."""
-        found = {file for m in self.measurements for record in m.records for file in record.files}
+        found = {file for m in self.measurements for record in m.records for file in record.all_files}
         found |= {file for m in self.measurements for file in m.background}
         return tuple(sorted(found | {test.file for test in self.cutting_tests}))
 
@@ -506,6 +533,10 @@ def _record(table: schema.RecordTable, method: str, inherited: Declared, common:
         **{name: getattr(table, name) for name in rest},
         files=table.file,
         channels=_channels(method, merge(inherited, _declared(table.channels))),
+        others=tuple(
+            OtherRecorder(other.file, _channels(method, _declared(other.channels)), other.shared)
+            for other in table.others
+        ),
     )
 
 

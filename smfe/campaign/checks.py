@@ -11,7 +11,7 @@ from typing import Any
 from process import units
 from process.errors import InputError
 from smfe.campaign.quantities import METHODS
-from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, unit_factor
+from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, unit_factor
 from smfe.records.words import did_you_mean, listed
 
 Loc = tuple[str | int, ...]
@@ -259,9 +259,20 @@ def _channels(raw: Raw) -> Iterator[Complaint]:
         inner = _inherit(base, table)
         yield from _channel_tables(where, table, inner)
         for place, record in _records(table):
-            yield from _channel_tables((*where, *place), record, _inherit(inner, record))
+            merged = _inherit(inner, record)
+            yield from _channel_tables((*where, *place), record, merged)
+            for other_place, other in _tables(record, "with"):
+                yield from _other_recorder((*where, *place, *other_place), other, merged)
     for where, table in _tables(raw, "cutting_test"):
         yield from _channel_tables(where, table, _inherit(base, table))
+
+
+def _other_recorder(where: Loc, other: Raw, merged: Mapping[str, Raw]) -> Iterator[Complaint]:
+    own, shared = _inherit({}, other), other.get("shared")
+    yield from _channel_tables(where, other, own)
+    for known, what in ((own, "this file"), (merged, "the file it is added to")):
+        if isinstance(shared, str) and shared in RECORD_CHANNELS and shared not in known:
+            yield (*where, "shared"), f"'{shared}' is not declared for {what}; both need it in their channels"
 
 
 def _own(table: Raw) -> dict[str, Raw]:

@@ -101,6 +101,14 @@ class ConditionsTable(Table):
     repeat: StrictInt | None = None
 
 
+class OtherRecorderTable(Table):
+    """One entry of ``with``: a file that a second recorder wrote meanwhile, with channels of its own."""
+
+    file: q.OneFile
+    channels: Channels
+    shared: Annotated[str, BeforeValidator(check_channel_name)]
+
+
 class ProcessingTable(ConditionsTable):
     """How the records of a measurement become a compliance; each key belongs to some methods (`checks`)."""
 
@@ -125,6 +133,13 @@ class RecordTable(ConditionsTable):
     cut: q.CutName | None = None
     width_of_cut: q.PositiveLength | None = None
     channels: Annotated[Channels, Field(default_factory=dict)]
+    others: tuple[OtherRecorderTable, ...] = Field(default=(), alias="with")
+
+    @model_validator(mode="after")
+    def _one_file(self) -> RecordTable:
+        if self.others and len(self.file) != 1:
+            raise InputError(f"with adds to one file, and {len(self.file)} match; give each file an entry of its own")
+        return self
 
 
 class MeasurementTable(ProcessingTable):

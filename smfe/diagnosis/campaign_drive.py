@@ -16,7 +16,7 @@ from smfe.diagnosis.drive_control_law import ControlLaw, Gains, fit_control_law,
 from smfe.diagnosis.drive_record import DriveRecordFamily
 from smfe.diagnosis.drive_signals import Real
 from smfe.diagnosis.suspect import Suspect
-from smfe.records import read_records
+from smfe.measurements import records_of
 
 MASS_SPREAD = 0.1
 """Prior standard deviation of a moved mass that a data sheet gives, relative."""
@@ -62,7 +62,7 @@ def _records(campaign: Campaign) -> list[_Read]:
     out = []
     for m in sorted(campaign.measurements, key=lambda m: m.held_out):
         if m.method == "drive":
-            found = [r for entry in m.records for file in entry.files for r in read_records(file, entry.channels)]
+            found = [r for entry in m.records for r in records_of(entry)]
             alone = len(found) == 1
             out += [_Read(m.name if alone else f"{m.name}, {r.attrs['source']}", m, r) for r in found]
     return out

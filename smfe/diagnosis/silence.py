@@ -10,7 +10,7 @@ from process.labels import sample_interval
 from smfe.campaign import Campaign, Measurement
 from smfe.diagnosis.channel_checks import channels_of, tones
 from smfe.diagnosis.suspect import Suspect
-from smfe.records import read_records
+from smfe.measurements import records_of
 
 LOUDER, TONAL = 3.0, 0.5
 """Times the root mean square at rest, and share of the power in lines, above which an axis vibrates by itself."""
@@ -63,11 +63,10 @@ def _levels(measurement: Measurement) -> dict[str, tuple[float, float]]:
     """Root mean square of each accelerometer about its mean [m/s2] and share of its lines, of the loudest record."""
     found: dict[str, tuple[float, float]] = {}
     for entry in measurement.records:
-        for file in entry.files:
-            for record in read_records(file, entry.channels):
-                for name, samples in channels_of(record):
-                    level = float(np.std(samples))
-                    if name.startswith("acceleration") and level > found.get(name, (0.0, 0.0))[0]:
-                        lines = sum(0.5 * a**2 for _, a, _ in tones(samples, sample_interval(record)))
-                        found[name] = level, lines / level**2
+        for record in records_of(entry):
+            for name, samples in channels_of(record):
+                level = float(np.std(samples))
+                if name.startswith("acceleration") and level > found.get(name, (0.0, 0.0))[0]:
+                    lines = sum(0.5 * a**2 for _, a, _ in tones(samples, sample_interval(record)))
+                    found[name] = level, lines / level**2
     return found

@@ -1,8 +1,19 @@
 """Files of measured signals -> labelled records, and back."""
 
+from smfe.records.blocks import read_blocks
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
+from smfe.records.clocks import put_on_clock
 from smfe.records.read import READERS, read_frf, read_records
-from smfe.records.write import record_columns, write_record_csv, write_record_mat, write_record_netcdf
+from smfe.records.reduce import read_reduced
+from smfe.records.write import (
+    record_columns,
+    write_pieces_csv,
+    write_pieces_netcdf,
+    write_record_csv,
+    write_record_mat,
+    write_record_netcdf,
+)
+from smfe.records.write_uff import uff_columns, write_compliance_uff, write_record_uff
 
 __all__ = [
     "CHANNELS",
@@ -10,10 +21,18 @@ __all__ = [
     "READERS",
     "RECORD_CHANNELS",
     "Channel",
+    "put_on_clock",
+    "read_blocks",
     "read_frf",
     "read_records",
+    "read_reduced",
     "record_columns",
+    "uff_columns",
+    "write_compliance_uff",
+    "write_pieces_csv",
+    "write_pieces_netcdf",
     "write_record_csv",
     "write_record_mat",
     "write_record_netcdf",
+    "write_record_uff",
 ]

@@ -13,7 +13,7 @@ from process.errors import InputError
 from process.labels import sample_interval
 from smfe.records.channels import split_vector
 
-_HALF = 32
+HALF = 32
 _BETA = 10.0
 
 
@@ -68,7 +68,7 @@ def shift(samples: NDArray[np.float64], by: float, first: int, last: int) -> NDA
     whole = round(by)
     fraction = by - whole
     if abs(fraction) > 1e-9:
-        half = min(_HALF, samples.size - 1)
+        half = min(HALF, samples.size - 1)
         at = fraction - np.arange(-half, half + 1)
         inside = np.clip(1.0 - (at / (half + 0.5)) ** 2, 0.0, None)
         weights = np.sinc(at) * np.i0(_BETA * np.sqrt(inside))

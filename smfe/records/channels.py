@@ -97,9 +97,23 @@ def unit_factor(name: str, unit: str | None) -> float:
         return 1.0
     if unit is None:
         raise InputError(f'{name} has no unit; add unit = "{next(iter(units.UNITS[dimension]))}" or the one it is in')
+    if dimension == "compliance":
+        dimension = _MOTIONS[motion_of(unit)]
     factor = units.factor(unit, dimension)
     # Labels show a spindle speed in rpm (process.labels.SHOP_UNITS).
     return units.from_si(factor, "rpm", "rotation") if name == "spindle_speed" else factor
+
+
+_MOTIONS = ("compliance", "mobility", "accelerance")
+"""What averaged responses come as: displacement, velocity or acceleration over force."""
+
+
+def motion_of(unit: str | None) -> int:
+    """Return how often the motion of an averaged response is differentiated in time, by its unit: 0, 1 or 2."""
+    for order, dimension in enumerate(_MOTIONS):
+        if unit is not None and units.known(unit, dimension):
+            return order
+    return 0
 
 
 def check_channel_name(name: str) -> str:

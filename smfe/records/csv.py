@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, damaged, find_columns
+from smfe.records.table import Column, Table, find_columns, guarded, join
 
 # In the order of preference where several fit. "12,5" with whitespace around it has a decimal comma; "12,5" in a
 # file whose every line splits at the comma has not.
 _DIALECTS = [(";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", "."), (" ", "."), (" ", ",")]
 
 _HEAD_BYTES = 1 << 16
+_LONGEST_HEADER = 1 << 22
+_WHOLE = 1 << 20
+"""Rows a block where a file is read as a whole: the text of a block lives beside its numbers."""
 
 
 @dataclass(frozen=True)
@@ -55,58 +58,123 @@ class Dialect:
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     """Read the wanted columns of a text file; see `smfe.records.read_records`."""
+    return join(read_blocks(path, wanted, _WHOLE))
+
+
+def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
+    """Yield the wanted columns of a text file, `block` rows at a time."""
     dialect = sniff(path)
     at = find_columns(path.name, _header(dialect, wanted), wanted, dialect.fields)
-    frame = _read(path, dialect, sorted(set(at.values())))
-    return [Table({column: frame[index] for column, index in at.items()})]
+    indices = sorted(set(at.values()))
+    before = 0
+    for frame in guarded(path, "text", _parsed(path, dialect, indices, block)):
+        columns = {index: frame[index].to_numpy() for index in indices}
+        before += len(frame)
+        last = len(frame) < block
+        if last and before > 1 and any(np.isnan(c[-1]) and not np.isnan(c[:-1]).any() for c in columns.values()):
+            raise InputError(f"{path.name}: the last row ({before}) is incomplete; the file is truncated")
+        yield Table({column: columns[index] for column, index in at.items()})
 
 
 def sniff(path: Path) -> Dialect:
-    """Find delimiter, decimal sign and header of a text file from its first 64 kB.
+    """Find delimiter, decimal sign and header of a text file from its first 64 kB, or from more after a long header.
 
     Raises
     ------
     InputError
         When the file is empty, is no text, or holds no rows of numbers.
     """
-    with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
-    if not head.strip():
-        raise InputError(f"{path.name}: the file is empty")
-    text, encoding = _decode(path, head)
-    lines = re.split(r"\r\n|\r|\n", text)
-    if len(head) == _HEAD_BYTES:
-        lines.pop()  # cut in its middle
-    found = [(*_rows_of_numbers(lines, *dialect), dialect) for dialect in _DIALECTS]
-    rows, pattern, (delimiter, decimal) = max(found, key=lambda f: (f[0], sum(f[1]) / max(len(f[1]), 1), len(f[1]) > 1))
+    size = _HEAD_BYTES
+    while True:
+        with path.open("rb") as stream:
+            head = stream.read(size)
+        if not head.strip():
+            raise InputError(f"{path.name}: the file is empty")
+        text, encoding = _decode(path, head)
+        lines = re.split(r"\r\n|\r|\n", text)
+        if len(head) == size:
+            lines.pop()  # cut in its middle
+        found = [(*_rows_of_numbers(lines, *dialect), dialect) for dialect in _DIALECTS]
+        rows, pattern, dialect = max(found, key=lambda f: (f[0], sum(f[1]) / max(len(f[1]), 1), len(f[1]) > 1))
+        if rows > 1 or len(head) < size or size >= _LONGEST_HEADER:
+            break
+        size *= 8
     if rows == 0:
         raise InputError(f"{path.name}: no rows of numbers among the first {len(lines)} lines")
+    return _laid_out(lines, pattern, dialect, encoding)
+
+
+def _laid_out(lines: Sequence[str], pattern: tuple[bool, ...], dialect: tuple[str, str], encoding: str) -> Dialect:
+    delimiter, decimal = dialect
     first = next(i for i, line in enumerate(lines) if _pattern(line, delimiter, decimal) == pattern)
     count = len(pattern)
     fields = count if delimiter == " " else lines[first].count(delimiter) + 1
+    first -= _starts_with_a_keyword(lines, first, delimiter, decimal)
     header = [_names(line, delimiter) for line in lines[:first]]
     names = tuple(line for line in header if count <= len(line) <= fields)
     return Dialect(delimiter, decimal, first, count, fields, names, encoding)
 
 
+def _starts_with_a_keyword(lines: Sequence[str], first: int, delimiter: str, decimal: str) -> bool:
+    """Whether the line before the first plain row is a row too, with a keyword where all others have an empty field.
+
+    So begin the data of a dSPACE recording: ``trace_values,0,1.5`` and then ``,0.001,1.6``.
+    """
+    if first == 0 or delimiter == " ":
+        return False
+    above, row = (_fields(line, delimiter) for line in (lines[first - 1], lines[first]))
+    if len(above) != len(row) or "" not in row:
+        return False
+    return all(not b or (bool(a) and _is_number(a, decimal)) for a, b in zip(above, row, strict=True))
+
+
 def _decode(path: Path, head: bytes) -> tuple[str, str]:
+    """Return the text of the head and its encoding: UTF-8, UTF-16 with or without a mark, GBK, else Latin-1."""
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return head[: len(head) // 2 * 2].decode("utf-16", errors="replace"), "utf-16"
     if b"\0" in head:
-        raise InputError(f"{path.name}: the file holds no text; give it the suffix of its format or export it as CSV")
+        return _decode_unmarked(path, head)
     try:
         # A character may be cut at the end of the head.
         return head[:-4].decode("utf-8-sig") + head[-4:].decode("utf-8", errors="replace"), "utf-8-sig"
     except UnicodeDecodeError:
-        return head.decode("latin-1"), "latin-1"
+        encoding = "gbk" if _is_gbk(head) else "latin-1"
+        return head.decode(encoding, errors="replace"), encoding
+
+
+def _decode_unmarked(path: Path, head: bytes) -> tuple[str, str]:
+    """Numbers in UTF-16 have a zero byte in every second place; other files with zero bytes are no text."""
+    even = head[: len(head) // 2 * 2]
+    for encoding, zeros in (("utf-16-le", even[1::2]), ("utf-16-be", even[::2])):
+        text = even.decode(encoding, errors="replace")
+        if zeros.count(0) > 0.8 * len(zeros) and not re.search(r"[\x00-\x08\x0e-\x1f]", text):
+            return text, encoding
+    raise InputError(f"{path.name}: the file holds no text; give it the suffix of its format or export it as CSV")
+
+
+def _is_gbk(head: bytes) -> bool:
+    """Whether all bytes above ASCII come in pairs of the Chinese plane; an umlaut of Latin-1 stands alone."""
+    runs = re.findall(rb"[\x80-\xff]+", head[:-2])
+    return all(len(run) % 2 == 0 and all(0xA1 <= byte <= 0xFE for byte in run) for run in runs)
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
     """Split a line; empty fields at the end are no columns."""
-    fields = line.split() if delimiter == " " else [field.strip() for field in line.split(delimiter)]
+    if delimiter == " ":
+        fields = line.split()
+    else:
+        fields = [field.strip() for field in (_quoted(line, delimiter) if '"' in line else line.split(delimiter))]
     while fields and not fields[-1]:
         fields.pop()
     return [field.strip('"') for field in fields]
+
+
+def _quoted(line: str, delimiter: str) -> list[str]:
+    """Split a line whose fields may hold the delimiter in quotes."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    except csv.Error:
+        return line.split(delimiter)
 
 
 def _pattern(line: str, delimiter: str, decimal: str) -> tuple[bool, ...]:
@@ -134,7 +202,8 @@ def _rows_of_numbers(lines: Sequence[str], delimiter: str, decimal: str) -> tupl
     A column of text, such as a clock time, is thereby no hindrance, and a header of numbers no row.
     """
     patterns = Counter(_pattern(line, delimiter, decimal) for line in lines)
-    del patterns[()]
+    # Sentences that hold a number are no rows.
+    patterns = Counter({pattern: rows for pattern, rows in patterns.items() if 3 * sum(pattern) >= len(pattern) > 0})
     if not patterns:
         return 0, ()
     pattern, rows = max(patterns.items(), key=lambda item: (item[1], item[0]))
@@ -152,26 +221,21 @@ def _header(dialect: Dialect, wanted: Sequence[Column]) -> tuple[str, ...]:
     return max(dialect.names, key=lambda line: sum(name in line for name in wanted))
 
 
-def _read(path: Path, dialect: Dialect, indices: Sequence[int]) -> dict[int, NDArray[np.float64]]:
-    """Read columns as numbers."""
-    with damaged(path, "text"):
-        try:
-            frame = _parse(path, dialect, indices, np.float64)
-        except pd.errors.ParserError:
-            raise
-        except ValueError:
-            _find_text(path, dialect, indices)
-            raise
-    columns = {index: frame[index].to_numpy() for index in indices}
-    if len(frame) > 1 and any(np.isnan(c[-1]) and not np.isnan(c[:-1]).any() for c in columns.values()):
-        raise InputError(f"{path.name}: the last row ({len(frame)}) is incomplete; the file is truncated")
-    return columns
+def _parsed(path: Path, dialect: Dialect, indices: Sequence[int], block: int) -> Iterator[pd.DataFrame]:
+    """Yield the rows as numbers; a field that is none is named with its row."""
+    try:
+        yield from _chunks(path, dialect, indices, np.float64, block)
+    except pd.errors.ParserError:
+        raise
+    except ValueError:
+        _find_text(path, dialect, indices)
+        raise
 
 
-def _parse(path: Path, dialect: Dialect, indices: Sequence[int], dtype: type) -> pd.DataFrame:
+def _chunks(path: Path, dialect: Dialect, indices: Sequence[int], dtype: type, block: int) -> Iterator[pd.DataFrame]:
     # No usecols: with it pandas passes over rows that are too long, as a decimal comma in a comma-delimited file makes
     types = {index: dtype if index in indices else str for index in range(dialect.fields)}
-    return pd.read_csv(
+    with pd.read_csv(
         path,
         sep=r"\s+" if dialect.delimiter == " " else dialect.delimiter,
         decimal=dialect.decimal,
@@ -184,20 +248,24 @@ def _parse(path: Path, dialect: Dialect, indices: Sequence[int], dtype: type) ->
         encoding_errors="replace",
         skipinitialspace=True,
         low_memory=False,
-    )
+        chunksize=block,
+    ) as reader:
+        yield from reader
 
 
 def _find_text(path: Path, dialect: Dialect, indices: Sequence[int]) -> None:
     """Raise for the first field that is no number, with its row; return where there is none."""
-    frame = _parse(path, dialect, indices, str)
-    for index in indices:
-        text = frame[index].str.strip()
-        if dialect.decimal == ",":
-            text = text.str.replace(",", ".", regex=False)
-        bad = (pd.to_numeric(text, errors="coerce").isna() & text.notna()).to_numpy()
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise InputError(
-                f"{path.name}: column {index + 1} holds the text '{frame[index].iloc[row]}' in data row {row + 1}; "
-                "numbers are needed there"
-            )
+    before = 0
+    for frame in _chunks(path, dialect, indices, str, 1 << 17):
+        for index in indices:
+            text = frame[index].str.strip()
+            if dialect.decimal == ",":
+                text = text.str.replace(",", ".", regex=False)
+            bad = (pd.to_numeric(text, errors="coerce").isna() & text.notna()).to_numpy()
+            if bad.any():
+                row = int(np.argmax(bad))
+                raise InputError(
+                    f"{path.name}: column {index + 1} holds the text '{frame[index].iloc[row]}' in data row "
+                    f"{before + row + 1}; numbers are needed there"
+                )
+        before += len(frame)

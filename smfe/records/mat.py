@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,11 @@ import numpy as np
 from scipy import io
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, same_length
+from smfe.records.hdf5 import Place, open_file, read_places
+from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, join, same_length, slices
 
 _KIND = "a MATLAB file"
+_WHOLE = 1 << 62
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
@@ -22,12 +24,19 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
 
     A matrix of several columns is offered column by column, as ``data(:,2)``.
     """
+    return join(read_blocks(path, wanted, _WHOLE))
+
+
+def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
+    """Yield the wanted variables, `block` samples at a time; of version 4 to 7 whole variables are in memory."""
     with path.open("rb") as stream:
         head = stream.read(520)
     if not head:
         raise InputError(f"{path.name}: the file is empty")
     with damaged(path, _KIND):
-        return [_read_hdf5(path, wanted) if head[512:] == b"\x89HDF\r\n\x1a\n" else _read_mat(path, wanted)]
+        if head[512:] == b"\x89HDF\r\n\x1a\n":
+            return _read_hdf5(path, wanted, block)
+        return slices(_read_mat(path, wanted), block)
 
 
 def _refuse_truncated(path: Path) -> None:
@@ -65,18 +74,22 @@ def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
     return _table(path, at, places, content)
 
 
-def _read_hdf5(path: Path, wanted: Sequence[Column]) -> Table:
-    with h5py.File(path, "r") as file:
+def _read_hdf5(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
+    with open_file(path) as file:
         # MATLAB stores by column, HDF5 by row: a matrix comes out transposed.
         shapes = {
             name: item.shape[::-1]
             for name, item in file.items()
             if isinstance(item, h5py.Dataset) and item.ndim == 2 and item.dtype.kind in "biuf"
         }
-        places = list(_places(shapes.items()))
-        at = find_columns(path.name, [name for name, _, _ in places], wanted, len(places))
-        content = {name: file[name][()].T for name in {places[index][1] for index in at.values()}}
-    return _table(path, at, places, content)
+    found = list(_places(shapes.items()))
+    at = find_columns(path.name, [name for name, _, _ in found], wanted, len(found))
+    places = {}
+    for column, index in at.items():
+        name, variable, k = found[index]
+        rows, columns = shapes[variable]
+        places[column] = Place(name, variable, 1 if k is not None or rows >= columns else 0, k)
+    return read_places(path, _KIND, places, block)
 
 
 def _places(shapes: Iterable[tuple[str, tuple[int, ...]]]) -> Iterable[tuple[str, str, int | None]]:

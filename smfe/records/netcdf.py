@@ -1,8 +1,8 @@
-"""NetCDF-4 and HDF5: records in our own layout, or any file with one-dimensional data sets."""
+"""NetCDF-4 and HDF5: records in our own layout, or any file with data sets of one or two dimensions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import h5py
@@ -10,30 +10,43 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import RECORD_SCALARS, RECORD_VECTORS, UNITS
-from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, same_length
+from smfe.records.hdf5 import columns_of, open_file, read_places
+from smfe.records.table import Column, Table, damaged, find_columns, guarded, join
 
 _KIND = "NetCDF-4 or HDF5"
+_WHOLE = 1 << 62
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
-    """Read the wanted one-dimensional data sets of an HDF5 file, named by their path (``group/name``)."""
+    """Read the wanted data sets of an HDF5 file, named by their path (``group/name``, ``group/matrix(:,2)``)."""
+    return join(read_blocks(path, wanted, _WHOLE))
+
+
+def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
+    """Yield the wanted data sets of an HDF5 file, `block` samples at a time."""
     _check_signature(path)
-    with damaged(path, _KIND), h5py.File(path, "r") as file:
+    with damaged(path, _KIND), open_file(path) as file:
         found: list[str] = []
 
         def visit(name: str, item: object) -> None:
-            if isinstance(item, h5py.Dataset) and item.size > 1 and item.size == max(item.shape):
+            if isinstance(item, h5py.Dataset) and item.shape and item.size > 1:
                 found.append(name)
 
         file.visititems(visit)
-        at = find_columns(path.name, found, wanted, len(found))
-        columns = {column: as_numbers(path.name, column, file[found[index]][()]) for column, index in at.items()}
-    same_length(path.name, columns)
-    return [Table(columns)]
+        places = columns_of(file, found)
+        at = find_columns(path.name, [place.name for place in places], wanted, len(places))
+    return read_places(path, _KIND, {column: places[index] for column, index in at.items()}, block)
 
 
-def read_own_layout(path: Path) -> xr.Dataset | None:
-    """Return the record when the file holds one in our own layout (``force(axis, time)`` ...), else None.
+def read_own_layout(path: Path, block: int | None = None) -> Iterator[xr.Dataset] | None:
+    """Return the blocks of the record when the file holds one in our own layout (``force(axis, time)``), else None.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    block : int, optional
+        Samples a block; None: all at once.
 
     Raises
     ------
@@ -41,19 +54,23 @@ def read_own_layout(path: Path) -> xr.Dataset | None:
         When the file cannot be read, or a variable of the layout has another unit than `process.labels` says.
     """
     _check_signature(path)
-    with damaged(path, _KIND):
-        with h5py.File(path, "r") as file:
-            ours = "axis" in file and "time" in file and any(name in file for name in RECORD_VECTORS)
-        if not ours:
-            return None
-        with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
-            record = dataset.load()
-    names = [name for name in (*RECORD_VECTORS, *RECORD_SCALARS) if name in record]
-    for name in ("time", *names):
-        unit = record[name].attrs.get("units")
-        if unit != UNITS[name]:
-            raise InputError(f"{path.name}: {name} has units {unit!r}; a record in our own layout has '{UNITS[name]}'")
-    return record[names]
+    with damaged(path, _KIND), h5py.File(path, "r") as file:
+        ours = "axis" in file and "time" in file and any(name in file for name in RECORD_VECTORS)
+    return guarded(path, _KIND, _own_blocks(path, block or _WHOLE)) if ours else None
+
+
+def _own_blocks(path: Path, block: int) -> Iterator[xr.Dataset]:
+    with xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False) as dataset:
+        names = [name for name in (*RECORD_VECTORS, *RECORD_SCALARS) if name in dataset]
+        for name in ("time", *names):
+            unit = dataset[name].attrs.get("units")
+            if unit != UNITS[name]:
+                raise InputError(
+                    f"{path.name}: {name} has units {unit!r}; a record in our own layout has '{UNITS[name]}'"
+                )
+        size = dataset.sizes["time"]
+        for begin in range(0, max(size, 1), block):
+            yield dataset[names].isel(time=slice(begin, min(begin + block, size))).load()
 
 
 def _check_signature(path: Path) -> None:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, make_compliance, make_record
-from smfe.records import csv, lvm, mat, netcdf
+from smfe.records import csv, lvm, mat, netcdf, parquet, tdms, uff, wav
 from smfe.records.align import align
-from smfe.records.channels import COMPLIANCE_CHANNELS, Channel, record_channels, split_vector
+from smfe.records.channels import COMPLIANCE_CHANNELS, Channel, motion_of, record_channels, split_vector
 from smfe.records.table import Column, Table
 
 Reader = Callable[[Path, Sequence[Column]], list[Table]]
@@ -25,12 +25,31 @@ READERS: dict[str, Reader] = {
     ".csv": csv.read_tables,
     ".txt": csv.read_tables,
     ".dat": csv.read_tables,
+    ".frf": csv.read_tables,
+    ".parquet": parquet.read_tables,
     ".nc": netcdf.read_tables,
     ".h5": netcdf.read_tables,
+    ".hdf5": netcdf.read_tables,
     ".mat": mat.read_tables,
     ".lvm": lvm.read_tables,
+    ".tdms": tdms.read_tables,
+    ".uff": uff.read_tables,
+    ".unv": uff.read_tables,
+    ".wav": wav.read_tables,
 }
 """Suffix of a file -> what reads it."""
+
+BlockReader = Callable[[Path, Sequence[Column], int], Iterator[Table]]
+
+BLOCK_READERS: dict[Reader, BlockReader] = {
+    csv.read_tables: csv.read_blocks,
+    mat.read_tables: mat.read_blocks,
+    netcdf.read_tables: netcdf.read_blocks,
+    parquet.read_tables: parquet.read_blocks,
+    tdms.read_tables: tdms.read_blocks,
+    wav.read_tables: wav.read_blocks,
+}
+"""What reads a file as a whole -> what reads it block by block, where the format allows it."""
 
 
 def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.Dataset]:
@@ -57,19 +76,19 @@ def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.D
         For anything that is wrong with the file or its channels, in one sentence with the file's name.
     """
     path = Path(path)
-    reader = _reader(path)
+    reader = reader_of(path)
     used = record_channels(channels)
     if reader is netcdf.read_tables and (own := netcdf.read_own_layout(path)) is not None:
-        return [_record(path.name, *_own_table(own, used), own.attrs)]
-    if not any(name != "time" for name in used):
-        raise InputError(f"{path.name}: no channels are declared; say in [channels] which column is which")
-    tables = reader(path, _columns(path.name, used))
-    sources = [path.name if len(tables) == 1 else f"{path.name}, segment {k}" for k in range(len(tables))]
-    return [_record(source, table, used) for source, table in zip(sources, tables, strict=True)]
+        (record,) = own
+        return [_record(path.name, *own_table(record, used), record.attrs)]
+    tables = reader(path, columns_of(path.name, used))
+    return [_record(source, table, used) for source, table in zip(sources_of(path, tables), tables, strict=True)]
 
 
 def read_frf(path: str | Path, channels: Mapping[str, Channel], response: str, excitation: str) -> xr.Dataset:
     """Read one entry of a compliance that another program has averaged.
+
+    A mobility (``m/s/N``) or accelerance (``m/s^2/N``, ``g/N``) becomes a compliance by its unit.
 
     Parameters
     ----------
@@ -91,23 +110,43 @@ def read_frf(path: str | Path, channels: Mapping[str, Channel], response: str, e
         For anything that is wrong with the file or its channels.
     """
     path = Path(path)
-    reader = _reader(path)
+    reader = reader_of(path)
     missing = [name for name in COMPLIANCE_CHANNELS if name not in channels]
     if missing:
         raise InputError(
             f"{path.name}: channel {missing[0]} is not declared; a compliance needs {', '.join(COMPLIANCE_CHANNELS)}"
         )
     used = {name: channels[name] for name in COMPLIANCE_CHANNELS}
-    tables = reader(path, _columns(path.name, used))
+    tables = reader(path, columns_of(path.name, used))
     if len(tables) > 1:
         raise InputError(f"{path.name}: has {len(tables)} segments; a compliance needs one")
-    values = {name: _values(path.name, name, channel, tables[0]) for name, channel in used.items()}
-    compliance = (values["compliance_real"] + 1j * values["compliance_imag"])[:, None, None]
-    with _named(path.name):
-        return make_compliance(values["frequency"], compliance, [response], [excitation], attrs={"source": path.name})
+    values = {name: values_of(path.name, name, channel, tables[0]) for name, channel in used.items()}
+    frequency, complex_values = _displacement(path.name, values, used)
+    with named(path.name):
+        compliance = complex_values[:, None, None]
+        return make_compliance(frequency, compliance, [response], [excitation], attrs={"source": path.name})
 
 
-def _reader(path: Path) -> Reader:
+def _displacement(
+    source: str, values: Mapping[str, NDArray[np.float64]], channels: Mapping[str, Channel]
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Return frequencies [Hz] and displacement over force [m/N] of an averaged response.
+
+    A mobility is divided by ``j w``, an accelerance by ``(j w)^2``; the line at 0 Hz, where neither says anything of
+    the displacement, is left out then.
+    """
+    orders = {motion_of(channels[name].unit) for name in ("compliance_real", "compliance_imag")}
+    if len(orders) > 1:
+        raise InputError(f"{source}: real and imaginary part are of different motions; give both a unit of one kind")
+    order = orders.pop()
+    frequency = values["frequency"]
+    response = values["compliance_real"] + 1j * values["compliance_imag"]
+    keep = frequency > 0.0 if order else np.ones(frequency.size, bool)
+    return frequency[keep], response[keep] / (2j * np.pi * frequency[keep]) ** order
+
+
+def reader_of(path: Path) -> Reader:
+    """Return what reads a file, by its suffix."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     if path.suffix.lower() not in READERS:
@@ -115,7 +154,15 @@ def _reader(path: Path) -> Reader:
     return READERS[path.suffix.lower()]
 
 
-def _columns(source: str, channels: Mapping[str, Channel]) -> list[Column]:
+def sources_of(path: Path, segments: Sequence[object]) -> list[str]:
+    """Return what the segments of a file are called."""
+    return [path.name if len(segments) == 1 else f"{path.name}, segment {k}" for k in range(len(segments))]
+
+
+def columns_of(source: str, channels: Mapping[str, Channel]) -> list[Column]:
+    """Return the columns that the channels stand in."""
+    if all(name == "time" for name in channels):
+        raise InputError(f"{source}: no channels are declared; say in [channels] which column is which")
     columns: list[Column] = []
     for name, channel in channels.items():
         if channel.column is not None:
@@ -127,17 +174,17 @@ def _columns(source: str, channels: Mapping[str, Channel]) -> list[Column]:
     return columns
 
 
-def _values(source: str, name: str, channel: Channel, table: Table) -> NDArray[np.float64]:
-    """Return a channel in the unit of its label, all finite."""
+def values_of(source: str, name: str, channel: Channel, table: Table, before: int = 0) -> NDArray[np.float64]:
+    """Return a channel in the unit of its label, all finite; `before` samples came before this block of it."""
     assert channel.column is not None
     numbers = table.columns[channel.column]
     bad = ~np.isfinite(numbers)
     if bad.any():
         raise InputError(
             f"{source}: channel {name} (column '{channel.column}') is empty, NaN or infinite in {int(bad.sum())} "
-            f"samples, the first at sample {int(np.argmax(bad))} (counted from 0); repair or cut the record"
+            f"samples, the first at sample {before + int(np.argmax(bad))} (counted from 0); repair or cut the record"
         )
-    with _named(source):
+    with named(source):
         values = channel.to_si(name, numbers)
     return np.unwrap(values) if name == "spindle_angle" else values
 
@@ -150,33 +197,34 @@ def _record(
     for name, channel in channels.items():
         if name == "time":
             continue
-        values = _values(source, name, channel, table)
+        values = values_of(source, name, channel, table)
         vector = split_vector(name)
         if vector is None:
             scalars[name] = values
         else:
             vectors.setdefault(vector[0], {})[vector[1]] = values
-    time = _time(source, table, channels.get("time"))
-    with _named(source):
+    time = time_of(source, table, channels.get("time"))
+    with named(source):
         record = make_record(time, vectors, scalars, {**(attrs or {}), "source": source})
-        return _finish(record, channels)
+        return finish(record, channels)
 
 
-def _time(source: str, table: Table, channel: Channel | None) -> NDArray[np.float64]:
+def time_of(source: str, table: Table, channel: Channel | None, before: int = 0) -> NDArray[np.float64]:
+    """Return the times of a table [s], of which `before` samples came before."""
     if channel is not None and channel.column is not None:
-        return _values(source, "time", channel, table)
+        return values_of(source, "time", channel, table, before)
     size = next(iter(table.columns.values())).size
     if channel is not None and channel.sample_rate is not None:
-        return np.arange(size) / channel.sample_rate
+        return np.arange(before, before + size) / channel.sample_rate
     if table.sample_rate is not None:
-        return table.start + np.arange(size) / table.sample_rate
+        return table.start + np.arange(before, before + size) / table.sample_rate
     raise InputError(
         f'{source}: no time; declare time = {{ column = "t", unit = "s" }}, or time = {{ sample_rate = "51200 Hz" }} '
         "for a file without a time column"
     )
 
 
-def _own_table(record: xr.Dataset, declared: Mapping[str, Channel]) -> tuple[Table, dict[str, Channel]]:
+def own_table(record: xr.Dataset, declared: Mapping[str, Channel]) -> tuple[Table, dict[str, Channel]]:
     """Return a record in our own layout as columns, each named after its channel, with the corrections declared."""
     columns: dict[Column, NDArray[np.float64]] = {"time": record["time"].values.astype(float)}
     for variable, array in record.data_vars.items():
@@ -194,7 +242,7 @@ def _own_table(record: xr.Dataset, declared: Mapping[str, Channel]) -> tuple[Tab
 
 
 @contextmanager
-def _named(source: str) -> Iterator[None]:
+def named(source: str) -> Iterator[None]:
     """Put the name of the file before a message that lacks it."""
     try:
         yield
@@ -202,7 +250,8 @@ def _named(source: str) -> Iterator[None]:
         raise InputError(f"{source}: {error}") from error
 
 
-def _finish(record: xr.Dataset, channels: Mapping[str, Channel]) -> xr.Dataset:
+def finish(record: xr.Dataset, channels: Mapping[str, Channel]) -> xr.Dataset:
+    """Note the pulses of a tacho and undo the delays of the channels."""
     tacho = channels.get("tacho")
     if tacho is not None and tacho.pulses_per_revolution is not None and "tacho" in record:
         record["tacho"].attrs["pulses_per_revolution"] = tacho.pulses_per_revolution

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +90,22 @@ def as_numbers(source: str, column: Column, values: object) -> NDArray[np.float6
     return np.ascontiguousarray(array.reshape(-1), dtype=np.float64)
 
 
+def join(parts: Iterable[Table]) -> list[Table]:
+    """Return the consecutive blocks of one segment as the one table they are parts of."""
+    found = list(parts)
+    first = found[0]
+    columns = {column: np.concatenate([part.columns[column] for part in found]) for column in first.columns}
+    return [Table(columns, first.sample_rate, first.start)]
+
+
+def slices(table: Table, block: int) -> Iterator[Table]:
+    """Yield a table that is in memory already in blocks."""
+    size = next(iter(table.columns.values())).size
+    for begin in range(0, size, block):
+        columns = {column: values[begin : begin + block] for column, values in table.columns.items()}
+        yield Table(columns, table.sample_rate, table.start)
+
+
 def same_length(source: str, columns: Mapping[Column, NDArray[np.float64]]) -> None:
     """Refuse columns of different length."""
     lengths = {column: values.size for column, values in columns.items()}
@@ -97,6 +114,46 @@ def same_length(source: str, columns: Mapping[Column, NDArray[np.float64]]) -> N
         raise InputError(
             f"{source}: columns of different length ({found} samples); channels of one record need the same"
         )
+
+
+def refuse_oversize(path: Path, stated: int, stored: int, most: float = 1.0, slack: int = 4096) -> None:
+    """Refuse a file whose header states far more bytes than it holds, before anything is allocated for them.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    stated, stored : int
+        Bytes of numbers that the header promises, and bytes that are there.
+    most : float, optional
+        How many times the numbers may be larger than what is stored: 1 without compression, about 1000 with deflate.
+    slack : int, optional
+        Bytes that are let pass beyond that.
+
+    Raises
+    ------
+    InputError
+        When it does.
+    """
+    if stated > most * stored + slack:
+        raise InputError(
+            f"{path.name}: the header states {stated} bytes of samples and {stored} bytes are there; the file is "
+            "truncated or damaged: copy or export it again"
+        )
+
+
+_Item = TypeVar("_Item")
+
+
+def guarded(path: Path, kind: str, items: Iterator[_Item]) -> Iterator[_Item]:
+    """Yield what a reader of a foreign library yields, with its exceptions as in `damaged`."""
+    while True:
+        with damaged(path, kind):
+            try:
+                item = next(items)
+            except StopIteration:
+                return
+        yield item
 
 
 @contextmanager

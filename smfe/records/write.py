@@ -6,10 +6,12 @@ Every file is written under a temporary name and moved into place.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import h5netcdf
+import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -26,14 +28,49 @@ _VECTOR_HEADERS = {
     "drive_force": "Fd",
     "reference_position": "ref",
 }
-_SCALAR_HEADERS = {"spindle_angle": "angle", "spindle_speed": "n", "tacho": "tacho"}
+_SCALAR_HEADERS = {"spindle_angle": "angle", "spindle_speed": "n", "tacho": "tacho", "sound": "sound"}
 
 
 def write_record_netcdf(record: xr.Dataset, path: str | Path) -> Path:
     """Write a record as NetCDF-4 in our own layout; `read_records` needs no channels for it."""
-    with _in_place(Path(path)) as temporary:
+    with in_place(Path(path)) as temporary:
         check_record(record).to_netcdf(temporary, engine="h5netcdf")
     return Path(path)
+
+
+def write_pieces_netcdf(pieces: Iterable[xr.Dataset], path: str | Path) -> Path:
+    """Write a record that comes in consecutive pieces as `write_record_netcdf` would write the whole."""
+    with in_place(Path(path)) as temporary, h5netcdf.File(temporary, "w") as file:
+        size = 0
+        for piece in pieces:
+            check_record(piece)
+            if size == 0:
+                _lay_out(file, piece)
+            part = slice(size, size + piece.sizes["time"])
+            size = part.stop
+            file.resize_dimension("time", size)
+            file.variables["time"][part] = piece["time"].values
+            for name, array in piece.data_vars.items():
+                file.variables[str(name)][..., part] = array.transpose(..., "time").values
+    return Path(path)
+
+
+def _lay_out(file: h5netcdf.File, piece: xr.Dataset) -> None:
+    """Create dimensions and variables of our own layout in an empty file."""
+    file.dimensions = {"time": None} | ({"axis": piece.sizes["axis"]} if "axis" in piece.dims else {})
+    chunk = piece.sizes["time"]
+    file.create_variable("time", ("time",), np.float64, chunks=(chunk,)).attrs["units"] = UNITS["time"]
+    if "axis" in piece.dims:
+        text = h5py.string_dtype()
+        file.create_variable("axis", ("axis",), text)[...] = np.array(piece["axis"].values, dtype=object)
+    for name, array in piece.data_vars.items():
+        dims = ("axis", "time") if "axis" in array.dims else ("time",)
+        chunks = (piece.sizes["axis"], chunk) if "axis" in array.dims else (chunk,)
+        variable = file.create_variable(str(name), dims, np.float64, chunks=chunks, fillvalue=np.nan)
+        for key, value in array.attrs.items():
+            variable.attrs[str(key)] = value
+    for key, value in piece.attrs.items():
+        file.attrs[str(key)] = value
 
 
 def write_record_csv(
@@ -52,20 +89,28 @@ def write_record_csv(
     digits : int, optional
         Significant digits.
     """
-    columns = _named_columns(record)
+    return write_pieces_csv([record], path, delimiter, decimal, digits)
+
+
+def write_pieces_csv(
+    pieces: Iterable[xr.Dataset], path: str | Path, delimiter: str = ",", decimal: str = ".", digits: int = 10
+) -> Path:
+    """Write a record that comes in consecutive pieces as `write_record_csv` would write the whole."""
     # One format for a whole row: several times faster than pandas writes, with the same text.
-    row = delimiter.join([f"%.{digits}g"] * len(columns)) + "\n"
-    rows = zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True)
-    with _in_place(Path(path)) as temporary, Path(temporary).open("w", encoding="utf-8", newline="") as stream:
-        stream.write(delimiter.join(columns) + "\n")
-        text = "".join(map(row.__mod__, rows))
-        stream.write(text if decimal == "." else text.replace(".", decimal))
+    with in_place(Path(path)) as temporary, Path(temporary).open("w", encoding="utf-8", newline="") as stream:
+        for number, columns in enumerate(map(_named_columns, pieces)):
+            row = delimiter.join([f"%.{digits}g"] * len(columns)) + "\n"
+            if number == 0:
+                stream.write(delimiter.join(columns) + "\n")
+            rows = zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True)
+            text = "".join(map(row.__mod__, rows))
+            stream.write(text if decimal == "." else text.replace(".", decimal))
     return Path(path)
 
 
 def write_record_mat(record: xr.Dataset, path: str | Path) -> Path:
     """Write a record as a MATLAB file of version 5 with one variable a channel, named as in `write_record_csv`."""
-    with _in_place(Path(path)) as temporary:
+    with in_place(Path(path)) as temporary:
         io.savemat(temporary, _named_columns(record), appendmat=False, do_compression=True)
     return Path(path)
 
@@ -95,7 +140,7 @@ def _named_columns(record: xr.Dataset) -> dict[str, NDArray[np.float64]]:
 
 
 @contextmanager
-def _in_place(path: Path) -> Iterator[Path]:
+def in_place(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside `path`; what was written there takes the place of `path` when all went well."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")

@@ -1,13 +1,18 @@
 """What every identified measurement is checked for."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from process.compliance import ModalModel
 from process.engagement import engagement
 from process.errors import InputError
+from smfe import measurements
+from smfe.campaign import load_campaign
 from smfe.demo_campaign import MACHINE, TOOL, sweep_passes
 from smfe.measurements import sign_warnings, tooth_passing_band
+from smfe.records import read_records, write_record_netcdf
 from smfe.sweep import identify_sweep
 from smfe.sweep_estimators import SweepPass
 
@@ -49,6 +54,46 @@ def test_the_band_of_a_sweep_is_its_tooth_passing_frequency_and_twice_that() -> 
     # From 600 rpm at 1.5 rad/s2, after half a second in the air, 20 s in the cut, two teeth.
     assert low == pytest.approx(21.0, abs=1.0)
     assert high == pytest.approx(2 * (20.0 + 2 * 1.5 * 20.5 / (2 * np.pi)), abs=2.0)
+
+
+CAMPAIGN = """
+[campaign]
+name = "sweeps"
+[tool]
+diameter = "{diameter} m"
+teeth = 2
+[[measurement]]
+name = "sweep"
+method = "sweep"
+frequency_range = ["20 Hz", "80 Hz"]
+references = "{references}"
+records = [
+    {{ file = "down.nc", cut = "down", width_of_cut = "12 mm" }},
+    {{ file = "up.nc", cut = "up", width_of_cut = "12 mm" }},
+    {{ file = "central.nc", cut = "central", width_of_cut = "12 mm" }},
+]
+"""
+
+
+@pytest.mark.parametrize("references", ["all", "x"])
+def test_reading_sweeps_at_a_lower_rate_changes_no_compliance(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, references: str
+) -> None:
+    for cut, record in sweep_passes(seed=1, duration=20.0).items():
+        write_record_netcdf(record, tmp_path / f"{cut}.nc")
+    text = CAMPAIGN.format(diameter=TOOL.diameter, references=references)
+    (tmp_path / "c.toml").write_text(text)
+    campaign = load_campaign(tmp_path / "c.toml")
+    passes, _ = measurements.passes_and_band(campaign, campaign.measurements[0])
+    assert all(p.record.attrs["reduced_from_Hz"] >= 2.5 * 2.5 * 80.0 for p in passes)
+    reduced = measurements.identify_measurement(campaign, campaign.measurements[0]).compliance
+    monkeypatch.setattr(measurements, "read_reduced", lambda file, channels, highest: read_records(file, channels))
+    full = measurements.identify_measurement(campaign, campaign.measurements[0]).compliance
+    np.testing.assert_allclose(reduced["frequency"], full["frequency"], rtol=1e-12)
+    a, b = (c["compliance"].values for c in (reduced, full))
+    assert np.array_equal(np.isnan(a), np.isnan(b))
+    left = np.sqrt(np.nanmean(np.abs(a - b) ** 2) / np.nanmean(np.abs(b) ** 2))
+    assert left < (1e-3 if references == "all" else 1e-5)
 
 
 def test_passes_over_different_speeds_have_no_band() -> None:

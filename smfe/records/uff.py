@@ -1,0 +1,303 @@
+"""Universal files (UFF, UNV), dataset 58: functions at nodal degrees of freedom, as text or binary (58b).
+
+The layout is that of the Structural Dynamics Research Laboratory, University of Cincinnati, universal dataset 58. Only
+what a record or a compliance needs is taken: degrees of freedom, abscissa, ordinate. Everything else in the file is
+passed over. Parsed here and not by pyuff, because a header must be able to neither make us allocate what is not there
+nor give a step of six digits for the clock of a long record.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from smfe.records.table import Column, Table, damaged, find_columns
+from smfe.records.words import did_you_mean, listed
+
+_KIND = "a universal file"
+_CLOSES_TEXT = re.compile(rb"^ {4}-1[ ]*\r?$", re.MULTILINE)
+_CLOSES_BINARY = re.compile(rb" {4}-1[ ]*\r?$", re.MULTILINE)
+_DIRECTIONS = ("", "+X", "+Y", "+Z", "+RX", "+RY", "+RZ")
+_ABSCISSA = {17: "time", 18: "frequency"}
+EXACT = "smfe abscissa: first "
+"""Begin of an identification line that says the abscissa in all digits, which the fields of the header cannot."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """One dataset 58.
+
+    Parameters
+    ----------
+    name : str
+        ``node:direction`` of the response, followed by ``/node:direction`` of the reference where there is one.
+    abscissa : str
+        "time", "frequency" or "abscissa".
+    first, step : float
+        First abscissa and its step; the step is 0 where every value has an abscissa of its own.
+    x : ndarray or None
+        Abscissae of a function of uneven step.
+    y : ndarray, real or complex
+        Ordinates.
+    """
+
+    name: str
+    abscissa: str
+    first: float
+    step: float
+    x: NDArray[np.float64] | None
+    y: NDArray[np.float64] | NDArray[np.complex128]
+
+    def axis(self) -> NDArray[np.float64]:
+        """Return the abscissae."""
+        return np.asarray(self.first + self.step * np.arange(self.y.size)) if self.x is None else self.x
+
+    def columns(self) -> dict[str, NDArray[np.float64]]:
+        """Return the function as real columns."""
+        if np.iscomplexobj(self.y):
+            return {f"{self.name} real": self.y.real.copy(), f"{self.name} imag": self.y.imag.copy()}
+        return {self.name: np.asarray(self.y, dtype=np.float64)}
+
+
+def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
+    """Read the wanted functions of a universal file.
+
+    A real function is the column ``1:+X`` (node and direction of the response) or ``1:+X/2:+Z`` (with the reference), a
+    complex one the columns ``1:+X/2:+Z real`` and ``1:+X/2:+Z imag``; ``time`` or ``frequency`` is their abscissa. A
+    name that occurs again begins another segment, as do functions over another abscissa; segments without the columns
+    wanted are left out.
+    """
+    functions = read_functions(path)
+    if not functions:
+        raise InputError(f"{path.name}: no dataset 58 (functions) in this universal file; export time data or FRFs")
+    segments = [_columns(segment) for segment in _segments(functions)]
+    chosen = [(s, c) for s, c in segments if all(isinstance(w, int) or w in c for w in wanted)]
+    if not chosen:
+        names = list(dict.fromkeys(name for _, columns in segments for name in columns))
+        absent = next((w for w in wanted if w not in names and not isinstance(w, int)), None)
+        if absent is None:
+            raise InputError(f"{path.name}: the functions wanted do not share an abscissa; read them one by one")
+        raise InputError(
+            f"{path.name}: no column '{absent}'{did_you_mean(str(absent), names)}; the file has {listed(names)}"
+        )
+    return [_table(path, first, columns, wanted) for first, columns in chosen]
+
+
+def _columns(segment: Sequence[Function]) -> tuple[Function, dict[str, NDArray[np.float64]]]:
+    columns: dict[str, NDArray[np.float64]] = {segment[0].abscissa: segment[0].axis()}
+    for function in segment:
+        columns |= function.columns()
+    return segment[0], columns
+
+
+def _table(path: Path, first: Function, columns: dict[str, NDArray[np.float64]], wanted: Sequence[Column]) -> Table:
+    names = list(columns)
+    at = find_columns(path.name, names, wanted, len(names))
+    rate = _rate(first.step) if first.x is None and first.step > 0.0 else None
+    return Table({column: columns[names[index]] for column, index in at.items()}, rate, first.first)
+
+
+def _segments(functions: Sequence[Function]) -> list[list[Function]]:
+    """Deal functions out: those over one abscissa belong together, a name that occurs again begins another segment."""
+    segments: list[list[Function]] = []
+    for function in functions:
+        for segment in segments:
+            if _same_axis(segment[0], function) and all(other.name != function.name for other in segment):
+                segment.append(function)
+                break
+        else:
+            segments.append([function])
+    return segments
+
+
+def _same_axis(a: Function, b: Function) -> bool:
+    if (a.abscissa, a.first, a.step, a.y.size, a.x is None) != (b.abscissa, b.first, b.step, b.y.size, b.x is None):
+        return False
+    return a.x is None or b.x is None or np.array_equal(a.x, b.x)
+
+
+def _rate(step: float) -> float:
+    """Return 1/step; where six digits hide a whole number of hertz, that number.
+
+    1.95313E-05 s is 51199.9 Hz as it stands: over ten minutes the clock would be 1.4 ms off.
+    """
+    rate = 1.0 / step
+    spread = rate * 0.6 * 10.0 ** (math.floor(math.log10(step)) - 5) / step
+    for digits in range(int(math.log10(rate)) + 1 if rate >= 1.0 else 0, -1, -1):
+        round_rate = round(rate / 10.0**digits) * 10.0**digits
+        if round_rate > 0.0 and abs(round_rate - rate) <= spread:
+            return round_rate
+    return rate
+
+
+# --- the file, dataset by dataset ------------------------------------------------------------------------------------
+
+
+def read_functions(path: Path) -> list[Function]:
+    """Return every dataset 58 of a universal file.
+
+    Raises
+    ------
+    InputError
+        When the file is empty, is none, is truncated, or one of its datasets cannot be read.
+    """
+    content = path.read_bytes()
+    if not content.strip():
+        raise InputError(f"{path.name}: the file is empty")
+    if content.lstrip()[:2] != b"-1":
+        raise InputError(f"{path.name}: not a universal file; its first line must be '    -1'")
+    with damaged(path, _KIND):
+        return [_function(path, header, body, binary) for header, body, binary in _datasets(path, content)]
+
+
+def _datasets(path: Path, content: bytes) -> Iterator[tuple[list[str], bytes, bytes]]:
+    """Yield header lines, body and line of the type of each dataset 58."""
+    place = 0
+    while place < len(content):
+        line, place = _line(content, place)
+        if not line.strip():
+            continue
+        if line.strip() != b"-1":
+            raise InputError(f"{path.name}: '    -1' is missing before a dataset; the file is damaged, export it again")
+        kind, place = _line(content, place)
+        binary = kind.split()[:1] in ([b"58b"], [b"58B"])
+        if not binary and kind.split()[:1] != [b"58"]:
+            place = _after(path, content, place, _CLOSES_TEXT)[1]
+            continue
+        header = []
+        for _ in range(11):
+            text, place = _line(content, place)
+            header.append(text.decode("latin-1"))
+        size = _binary_size(path, header, content, place) if binary else 0
+        end, following = _after(path, content, place + size, _CLOSES_BINARY if binary else _CLOSES_TEXT)
+        yield header, content[place : place + size] if binary else content[place:end], kind if binary else b""
+        place = following
+
+
+def _line(content: bytes, place: int) -> tuple[bytes, int]:
+    end = content.find(b"\n", place)
+    end = len(content) if end < 0 else end
+    return content[place:end].rstrip(b"\r"), end + 1
+
+
+def _after(path: Path, content: bytes, place: int, delimiter: re.Pattern[bytes]) -> tuple[int, int]:
+    """Return where the delimiter stands that closes a dataset, and where the next line begins."""
+    found = delimiter.search(content, place)
+    if found is None:
+        raise InputError(f"{path.name}: the last dataset is not closed by '    -1'; the file is truncated, copy it")
+    return found.start(), found.end() + 1
+
+
+def _binary_size(path: Path, header: Sequence[str], content: bytes, place: int) -> int:
+    """Return the bytes of a binary body; what it states of values counts, for some writers count bytes wrong."""
+    kind, count, even = _ordinates(header)
+    size = count * ({2: 4, 4: 8, 5: 8, 6: 16}[kind] + (0 if even else 4))
+    if place + size > len(content):
+        raise InputError(
+            f"{path.name}: {len(content) - place} of the {size} bytes that the header of a dataset 58 states; the file "
+            "is truncated, copy it again"
+        )
+    return size
+
+
+def _ordinates(header: Sequence[str]) -> tuple[int, int, bool]:
+    """Return type of the ordinates, their number, and whether their abscissae are even."""
+    kind, count, even = (int(header[6][k : k + 10]) for k in (0, 10, 20))
+    if kind not in (2, 4, 5, 6) or count < 0 or even not in (0, 1):
+        raise ValueError(f"ordinate type {kind}, {count} values, spacing {even}")
+    return kind, count, bool(even)
+
+
+def _function(path: Path, header: Sequence[str], body: bytes, binary: bytes) -> Function:
+    kind, count, even = _ordinates(header)
+    first, step = (_float(header[6][k : k + 13]) for k in (30, 43))
+    numbers = _binary_numbers(body, binary, kind, even) if binary else _text_numbers(body, kind, even)
+    width = (2 if kind in (5, 6) else 1) + (0 if even else 1)
+    if numbers.size < count * width:
+        raise InputError(
+            f"{path.name}: {numbers.size // width} of the {count} values that the header of a dataset 58 states; the "
+            "file is truncated, copy it again"
+        )
+    # Some writers fill up the last line.
+    rows = numbers[: count * width].reshape(count, width)
+    x = None if even else rows[:, 0].copy()
+    values = rows if even else rows[:, 1:]
+    y = values[:, 0] + 1j * values[:, 1] if kind in (5, 6) else values[:, 0].copy()
+    if even:
+        first, step = _exact(header, first, step)
+    return Function(_name(header[5]), _ABSCISSA.get(_integer(header[7][:10]), "abscissa"), first, step, x, y)
+
+
+def _integer(text: str) -> int:
+    return int(text) if text.strip() else 0
+
+
+def _float(text: str) -> float:
+    return float(text.replace("D", "E").replace("d", "e")) if text.strip() else 0.0
+
+
+def _exact(header: Sequence[str], first: float, step: float) -> tuple[float, float]:
+    """Return first abscissa and step in all digits where our own writer has put them down and they fit the header."""
+    line = header[4]
+    if line.startswith(EXACT):
+        stated = [float(word) for word in line.removeprefix(EXACT).split(" step ")]
+        if np.allclose(stated, [first, step], rtol=1e-4, atol=0.0):
+            return stated[0], stated[1]
+    return first, step
+
+
+def _name(line: str) -> str:
+    """Return the degrees of freedom of record 6: 2(I5,I10),2(1X,10A1,I10,I4)."""
+    function = _integer(line[:5])
+    response = _degree(line[41:51], line[51:55])
+    reference = _degree(line[66:76], line[76:80])
+    # A function of time has a reference only where it is a response to something: FRFs, spectra, correlations.
+    return response if function in (0, 1) or not reference else f"{response}/{reference}"
+
+
+def _degree(node: str, direction: str) -> str:
+    code = _integer(direction)
+    if abs(code) >= len(_DIRECTIONS):
+        raise ValueError(f"direction {code}")
+    name = _DIRECTIONS[abs(code)]
+    return f"{_integer(node)}" + (f":{name.replace('+', '-') if code < 0 else name}" if name else "")
+
+
+def _binary_numbers(body: bytes, line: bytes, kind: int, even: bool) -> NDArray[np.float64]:
+    """Return the values of a binary dataset; abscissae are single precision there whatever the ordinates are."""
+    words = line.decode("latin-1").lower().split("b", 1)[1].split()
+    if words[1] != "2":
+        raise ValueError(f"numbers of floating-point format {words[1]}, and not IEEE 754")
+    order = {"1": "<", "2": ">"}[words[0]]
+    value = f"{order}f{4 if kind in (2, 5) else 8}"
+    if even:
+        return np.frombuffer(body, value).astype(np.float64)
+    parts = 2 if kind in (5, 6) else 1
+    rows = np.frombuffer(body, np.dtype([("x", f"{order}f4"), ("y", value, (parts,))]))
+    return np.column_stack([rows["x"].astype(np.float64), rows["y"].astype(np.float64)]).ravel()
+
+
+def _text_numbers(body: bytes, kind: int, even: bool) -> NDArray[np.float64]:
+    """Return the values of a dataset in text: by white space, or by the columns of the format where they touch."""
+    text = body.decode("ascii").replace("D", "E").replace("d", "e")
+    widths = [13] * 6
+    if kind in (4, 6):
+        widths = [20] * 4 if even else [13, 20] * 2 if kind == 4 else [13, 20, 20]
+    edges = np.cumsum([0, *widths])
+    out: list[str] = []
+    for line in text.splitlines():
+        # A sign that does not follow an exponent letter begins a number; one that touches its neighbour needs columns.
+        if re.search(r"\d[-+]", re.sub(r"[eE][-+]", "", line)):
+            fields = (line[a:b].strip() for a, b in pairwise(edges))
+            out += [field for field in fields if field]
+        else:
+            out += line.split()
+    return np.array(out, dtype=np.float64)

@@ -1,0 +1,128 @@
+"""WAV files (RIFF and RF64): PCM of 8 to 32 bits and floating point, read block by block.
+
+Integers come out as shares of full scale, -1 to 1, floating-point numbers as they stand; the `scale` of a channel says
+how much full scale is. The layout is that of the Multimedia Programming Interface 1.0 (IBM, Microsoft 1991), RF64 that
+of EBU Tech 3306.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from smfe.records.table import Column, Table, damaged, find_columns, guarded, join, refuse_oversize
+
+_KIND = "WAV"
+_WHOLE = 1 << 20
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_UNKNOWN = 0xFFFFFFFF
+"""Length of a chunk whose true length stands in the ds64 chunk, or was never written."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Format of the samples and where they stand: bytes, all counted from the begin of the file."""
+
+    tag: int
+    channels: int
+    rate: int
+    bytes_each: int
+    begin: int
+    length: int
+
+    @property
+    def frames(self) -> int:
+        return self.length // (self.channels * self.bytes_each)
+
+
+def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
+    """Read the wanted channels of a WAV file, by position; see `smfe.records.read_records`."""
+    return join(read_blocks(path, wanted, _WHOLE))
+
+
+def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
+    """Yield the wanted channels of a WAV file, `block` samples at a time."""
+    with damaged(path, _KIND), path.open("rb") as stream:
+        layout = _layout(path, stream)
+    at = find_columns(path.name, [], wanted, layout.channels)
+    return guarded(path, _KIND, _blocks(path, layout, at, block))
+
+
+def _layout(path: Path, stream: BinaryIO) -> _Layout:
+    head = stream.read(12)
+    if not head:
+        raise InputError(f"{path.name}: the file is empty")
+    if head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
+        raise InputError(f"{path.name}: not a WAV file; it must begin with RIFF and WAVE")
+    size = path.stat().st_size
+    form: tuple[int, int, int, int, int] | None = None
+    long_length = None
+    while len(header := stream.read(8)) == 8:
+        name, length = header[:4], struct.unpack("<I", header[4:])[0]
+        begin = stream.tell()
+        if name == b"ds64":
+            long_length = struct.unpack("<QQ", stream.read(16))[1]
+        elif name == b"fmt ":
+            form = _format(path, stream.read(min(length, 40)))
+        elif name == b"data":
+            if form is None:
+                break
+            if length == _UNKNOWN:
+                length = long_length if long_length is not None else size - begin
+            refuse_oversize(path, begin + length, size, slack=0)
+            return _checked(path, form, begin, length)
+        stream.seek(begin + length + length % 2)
+    raise InputError(f"{path.name}: a WAV file without samples; it is truncated or damaged: copy or export it again")
+
+
+def _format(path: Path, text: bytes) -> tuple[int, int, int, int, int]:
+    tag, channels, rate, _, frame, bits = struct.unpack("<HHIIHH", text[:16])
+    if tag == _EXTENSIBLE:
+        tag = struct.unpack("<H", text[24:26])[0]
+    return tag, channels, rate, frame, bits
+
+
+def _checked(path: Path, form: tuple[int, int, int, int, int], begin: int, length: int) -> _Layout:
+    tag, channels, rate, frame, bits = form
+    known = {_PCM: (8, 16, 24, 32), _FLOAT: (32, 64)}
+    if bits not in known.get(tag, ()):
+        raise InputError(
+            f"{path.name}: samples of format {tag} with {bits} bits are not read; PCM of 8, 16, 24 or 32 bits and "
+            "floating point of 32 or 64 bits are: export it as one of them"
+        )
+    if channels < 1 or rate < 1 or frame != channels * bits // 8 or length % frame:
+        raise InputError(
+            f"{path.name}: {channels} channels of {bits} bits at {rate} Hz, {frame} bytes a frame and {length} bytes "
+            "of samples do not fit together; the file is damaged: copy or export it again"
+        )
+    return _Layout(tag, channels, rate, bits // 8, begin, length)
+
+
+def _blocks(path: Path, layout: _Layout, at: dict[Column, int], block: int) -> Iterator[Table]:
+    with path.open("rb") as stream:
+        stream.seek(layout.begin)
+        for begin in range(0, max(layout.frames, 1), block):
+            count = min(block, layout.frames - begin)
+            raw = stream.read(count * layout.channels * layout.bytes_each)
+            values = _numbers(raw, layout).reshape(count, layout.channels)
+            yield Table({c: np.ascontiguousarray(values[:, k]) for c, k in at.items()}, float(layout.rate))
+
+
+def _numbers(raw: bytes, layout: _Layout) -> NDArray[np.float64]:
+    """Return samples as numbers: integers as shares of full scale (8 bits are unsigned around 128)."""
+    if layout.tag == _FLOAT:
+        return np.frombuffer(raw, f"<f{layout.bytes_each}").astype(np.float64)
+    if layout.bytes_each == 1:
+        return (np.frombuffer(raw, np.uint8).astype(np.float64) - 128.0) / 128.0
+    if layout.bytes_each == 3:
+        wide = np.zeros((len(raw) // 3, 4), np.uint8)
+        wide[:, 1:] = np.frombuffer(raw, np.uint8).reshape(-1, 3)
+        return wide.view("<i4")[:, 0].astype(np.float64) / 2.0**31
+    return np.frombuffer(raw, f"<i{layout.bytes_each}").astype(np.float64) / 2.0 ** (8 * layout.bytes_each - 1)

@@ -1,0 +1,197 @@
+"""Damaged files of every format: the right record or one sentence; never a traceback, a hang or a huge allocation.
+
+What cannot be found out: a flipped bit among the samples of a format without checksums gives another number there, and
+in the names of channels another name. Text that ends with a whole row cannot be told from a shorter record.
+"""
+
+import resource
+import signal as signals
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nptdms import ChannelObject, RootObject, TdmsWriter
+from scipy import io
+from scipy.io import wavfile
+
+from process.errors import InputError
+from process.labels import make_record
+from smfe.records import (
+    READERS,
+    Channel,
+    read_blocks,
+    read_records,
+    write_record_csv,
+    write_record_mat,
+    write_record_netcdf,
+    write_record_uff,
+)
+
+N, RATE = 256, 2000.0
+CLOCK = {"time": Channel("t", "s")}
+FORCE = {"force_x": Channel("Fx", "N"), "acceleration_x": Channel("ax", "m/s^2")}
+LIMIT = 5  # seconds a file may take
+FORMATS = ["csv", "parquet", "nc", "h5", "mat", "mat73", "tdms", "uff", "uff_text", "wav"]
+
+
+def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
+    """Write a short record in a format; return it with its channels."""
+    rng = np.random.default_rng(5)
+    t = np.arange(N) / RATE
+    record = make_record(t, {"force": {"x": rng.standard_normal(N)}, "acceleration": {"x": rng.standard_normal(N)}})
+    columns = {"t": t, "Fx": record["force"].values[0], "ax": record["acceleration"].values[0]}
+    path = folder / f"r.{kind.removesuffix('73').removesuffix('_text')}"
+    if kind in ("csv", "nc", "mat"):
+        write = {"csv": write_record_csv, "nc": write_record_netcdf, "mat": write_record_mat}[kind]
+        return write(record, path), CLOCK | FORCE
+    if kind == "parquet":
+        pytest.importorskip("pyarrow")
+        pd.DataFrame(columns).to_parquet(path)
+    elif kind in ("h5", "mat73"):
+        with h5py.File(path, "w", userblock_size=512 if kind == "mat73" else 0) as file:
+            for name, values in columns.items():
+                file[name] = values[None, :] if kind == "mat73" else values
+        if kind == "mat73":
+            with path.open("r+b") as stream:
+                stream.write(b"MATLAB 7.3 MAT-file")
+    elif kind == "tdms":
+        with TdmsWriter(path) as writer:
+            writer.write_segment([RootObject(), *(ChannelObject("g", n, v) for n, v in columns.items())])
+    elif kind == "wav":
+        wavfile.write(path, int(RATE), np.column_stack([columns["Fx"], columns["ax"]]))
+        return path, {"force_x": Channel(1, "N"), "acceleration_x": Channel(2, "m/s^2")}
+    else:
+        write_record_uff(record, path)
+        if kind == "uff_text":
+            _as_text(path)
+        return path, {"force_x": Channel("1:+X", "N"), "acceleration_x": Channel("2:+X", "m/s^2")}
+    return path, CLOCK | FORCE
+
+
+def _as_text(path: Path) -> None:
+    import pyuff
+
+    sets = pyuff.UFF(str(path)).read_sets()
+    path.unlink()
+    pyuff.UFF(str(path)).write_sets([s | {"binary": 0} for s in sets], "add")
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """End what takes longer than the limit, and let nothing allocate more than 4 GB."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError(f"more than {LIMIT} s")
+
+    before = signals.signal(signals.SIGALRM, late)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + (4 << 30), hard))
+    signals.alarm(LIMIT)
+    try:
+        yield
+    finally:
+        signals.alarm(0)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        signals.signal(signals.SIGALRM, before)
+
+
+def _a_sentence(text: str, path: Path) -> str:
+    assert path.name in text
+    assert "\n" not in text
+    return text
+
+
+def said(path: Path, channels: dict[str, Channel]) -> str:
+    """Return the sentence with which a file is refused, empty when it is read; read in blocks it is the same."""
+    with guarded():
+        try:
+            records = read_records(path, channels)
+        except InputError as error:
+            return _a_sentence(str(error), path)
+        if len(records) > 1:  # a damaged name or step made another segment
+            return "segments"
+        (record,) = records
+        sizes = [piece.sizes["time"] for piece in read_blocks(path, channels, 100)]
+        assert sum(sizes) == record.sizes["time"]
+    return ""
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, dict[str, Channel], bytes]]:
+    found = {}
+    for kind in FORMATS:
+        path, channels = make(kind, tmp_path_factory.mktemp(kind))
+        found[kind] = path, channels, path.read_bytes()
+    return found
+
+
+Originals = dict[str, tuple[Path, dict[str, Channel], bytes]]
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+class TestDamage:
+    def test_whole(self, originals: Originals, kind: str) -> None:
+        path, channels, whole = originals[kind]
+        path.write_bytes(whole)
+        assert said(path, channels) == ""
+
+    def test_empty(self, originals: Originals, kind: str) -> None:
+        path, channels, _ = originals[kind]
+        path.write_bytes(b"")
+        assert said(path, channels) == f"{path.name}: the file is empty"
+
+    def test_truncated(self, originals: Originals, kind: str) -> None:
+        path, channels, whole = originals[kind]
+        for size in np.unique(np.linspace(1, len(whole.rstrip()) - 1, 25, dtype=int)):
+            path.write_bytes(whole[:size])
+            assert said(path, channels) or kind == "csv", f"{size} of {len(whole)} bytes"
+
+    @given(st.data())
+    @settings(max_examples=40, deadline=None)
+    def test_flipped_bits(self, originals: Originals, kind: str, data: st.DataObject) -> None:
+        path, channels, whole = originals[kind]
+        broken = bytearray(whole)
+        # Most of a file is samples: half of the hits go to its ends, where headers and footers are.
+        edge = min(len(whole), 1200)
+        place = st.one_of(
+            st.integers(0, len(whole) - 1), st.integers(0, edge - 1), st.integers(len(whole) - edge, len(whole) - 1)
+        )
+        for at in data.draw(st.lists(place, min_size=1, max_size=4)):
+            broken[at] ^= 1 << data.draw(st.integers(0, 7))
+        path.write_bytes(bytes(broken))
+        said(path, channels)
+
+    def test_headers_that_state_huge_numbers(self, originals: Originals, kind: str) -> None:
+        path, channels, whole = originals[kind]
+        for at in range(0, min(len(whole), 1600), 16):
+            path.write_bytes(whole[:at] + b"\xff\xff\xff\x7f" + whole[at + 4 :])
+            said(path, channels)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=300), st.sampled_from(sorted(READERS)))
+def test_any_bytes_under_any_suffix(tmp_path_factory: pytest.TempPathFactory, content: bytes, suffix: str) -> None:
+    path = tmp_path_factory.getbasetemp() / f"any{suffix}"
+    magic = {
+        ".tdms": b"TDSm",
+        ".wav": b"RIFF",
+        ".uff": b"    -1\n    58\n",
+        ".parquet": b"PAR1",
+        ".h5": b"\x89HDF\r\n\x1a\n",
+    }
+    for text in (content, magic.get(suffix, b"") + content):
+        path.write_bytes(text)
+        said(path, CLOCK | FORCE)
+
+
+def test_a_structure_of_matlab_is_no_channel(tmp_path: Path) -> None:
+    io.savemat(tmp_path / "r.mat", {"t": np.arange(4.0), "Fx": {"Data": np.ones(4)}})
+    with pytest.raises(InputError, match=r"no column 'Fx'"):
+        read_records(tmp_path / "r.mat", {"time": Channel("t", "s"), "force_x": Channel("Fx", "N")})
