@@ -19,18 +19,20 @@ RATE = 51_200
 NAMES = ("Fx", "Fy", "Fz", "ax", "ay", "az", "angle")
 
 _READ = """
-import resource, sys, time
+import sys, time
 from smfe.records import Channel, read_records, read_reduced
 columns = {f"force_{a}": ("F" + a, "N") for a in "xyz"} | {f"acceleration_{a}": ("a" + a, "g") for a in "xyz"}
 columns["spindle_angle"] = ("angle", "rad")
 channels = {name: Channel(column, unit) for name, (column, unit) in columns.items()}
 channels["time"] = Channel(sample_rate=51200.0)
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def peak():  # of this process alone; ru_maxrss would begin with that of the process that started it
+    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+before = peak()
 start = time.perf_counter()
 whole = sys.argv[2] == "whole"
 (record,) = read_records(sys.argv[1], channels) if whole else read_reduced(sys.argv[1], channels, 400.0)
 seconds = time.perf_counter() - start
-print(seconds, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024, record.sizes["time"])
+print(seconds, (peak() - before) / 1024, record.sizes["time"])
 """
 
 
@@ -98,9 +100,9 @@ def test_memory_does_not_grow_with_the_record(  # type: ignore[no-untyped-def]
         path.unlink()
     time_short, memory_short, _ = found[short]
     time_long, memory_long, size = found[long]
-    # What is returned grows with the record: 8 bytes a sample of seven channels and the time, twice while it is joined.
+    # What is returned grows with the record: 8 bytes a sample of 7 channels and the time, twice while it is labelled.
     returned = 2 * 8 * 8 * size / 2**20
-    assert memory_long < memory_short + returned + 30.0
+    assert memory_long < memory_short + returned + 40.0, "read whole it would be gigabytes"
     benchmark.extra_info.update(
         megabytes_short=round(memory_short), megabytes_long=round(memory_long), seconds_short=round(time_short, 1)
     )

@@ -15,7 +15,7 @@ from smfe.records.table import Column, Table, as_numbers, guarded, refuse_oversi
 _MOST_COMPRESSED = 1100.0
 """Deflate cannot shrink data further than this."""
 
-_CHUNK_CACHE = 1 << 24
+_CHUNK_CACHE = 1 << 22
 """Bytes of unpacked chunks that h5py keeps a data set, so that a large chunk is not unpacked for every block."""
 
 

@@ -16,8 +16,6 @@ _WHOLE = 1 << 18
 _MOST_COMPRESSED = 10_000.0
 """Runs of one value shrink further than deflate would make them."""
 
-_LARGEST_PAGE = 1 << 28
-
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     """Read the wanted columns of a Parquet file; see `smfe.records.read_records`."""
@@ -48,8 +46,9 @@ def _pyarrow(path: Path) -> Any:
 
 
 def _batches(parquet: Any, path: Path, names: dict[Column, str], block: int) -> Iterator[Table]:
-    # No memory map, no threads: a damaged file then costs an exception at worst.
-    with parquet.ParquetFile(path, memory_map=False, page_checksum_verification=True) as file:
+    # Without these two all row groups are fetched before the first batch comes.
+    lazily = {"pre_buffer": False, "buffer_size": 1 << 18}
+    with parquet.ParquetFile(path, page_checksum_verification=True, **lazily) as file:
         rows = 0
         empty = True
         for batch in file.iter_batches(block, columns=sorted(set(names.values())), use_threads=False):

@@ -111,7 +111,8 @@ def _reduced(stream: Stream, highest_frequency: float) -> xr.Dataset | None:
     parts = list(_decimated(first, stream.blocks, factor))
     if sum(part["time"].size for part in parts) < 2:
         return None
-    samples = {name: np.concatenate([part[name] for part in parts]) for name in first}
+    # Channel by channel, so that what is returned is never there twice.
+    samples = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
     return stream.record(samples).assign_attrs(reduced_from_Hz=rate)
 
 
