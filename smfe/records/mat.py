@@ -22,7 +22,8 @@ _WHOLE = 1 << 62
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     """Read the wanted variables of a MATLAB file; see `smfe.records.read_records`.
 
-    A matrix of several columns is offered column by column, as ``data(:,2)``.
+    A matrix of several columns is offered column by column, as ``data(:,2)``, a structure field by field, as
+    ``data.Fx``.
     """
     return join(read_blocks(path, wanted, _WHOLE))
 
@@ -66,29 +67,50 @@ def _refuse_truncated(path: Path) -> None:
 
 def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
     _refuse_truncated(path)
-    shapes = {name: shape for name, shape, kind in io.whosmat(path) if kind not in ("char", "cell", "struct", "object")}
-    places = list(_places(shapes.items()))
+    kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path)}
+    shapes = {n: shape for n, (shape, kind) in kinds.items() if kind not in ("char", "cell", "struct", "object")}
+    structures = [name for name, (_, kind) in kinds.items() if kind == "struct"]
+    fields: dict[str, Any] = {}
+    if any(isinstance(w, int) or w not in shapes for w in wanted) and structures:
+        # What a structure holds is known only when it has been read.
+        content = io.loadmat(path, variable_names=structures)
+        fields = {
+            name: value for s in structures for name, value in _fields(s, content[s]) if value.dtype.kind in "biuf"
+        }
+    places = list(_places((shapes | {name: value.shape for name, value in fields.items()}).items()))
     at = find_columns(path.name, [name for name, _, _ in places], wanted, len(places))
-    needed = sorted({places[index][1] for index in at.values()})
-    content = io.loadmat(path, variable_names=needed)
-    return _table(path, at, places, content)
+    needed = sorted({places[index][1] for index in at.values()} - set(fields))
+    return _table(path, at, places, fields | io.loadmat(path, variable_names=needed) if needed else fields)
+
+
+def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the arrays in a structure, named as in MATLAB: ``data.Fx``, ``record.Y(2).Data``."""
+    if value.dtype.names is None:
+        yield name, value
+        return
+    for k, element in enumerate(value.ravel(order="F")):
+        label = name if value.size == 1 else f"{name}({k + 1})"
+        for field in value.dtype.names:
+            yield from _fields(f"{label}.{field}", np.asarray(element[field]))
 
 
 def _read_hdf5(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
     with open_file(path) as file:
         # MATLAB stores by column, HDF5 by row: a matrix comes out transposed.
-        shapes = {
-            name: item.shape[::-1]
-            for name, item in file.items()
-            if isinstance(item, h5py.Dataset) and item.ndim == 2 and item.dtype.kind in "biuf"
-        }
+        shapes: dict[str, tuple[int, ...]] = {}
+
+        def visit(name: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset) and item.ndim == 2 and item.dtype.kind in "biuf" and name[0] != "#":
+                shapes[name.replace("/", ".")] = item.shape[::-1]
+
+        file.visititems(visit)
     found = list(_places(shapes.items()))
     at = find_columns(path.name, [name for name, _, _ in found], wanted, len(found))
     places = {}
     for column, index in at.items():
         name, variable, k = found[index]
         rows, columns = shapes[variable]
-        places[column] = Place(name, variable, 1 if k is not None or rows >= columns else 0, k)
+        places[column] = Place(name, variable.replace(".", "/"), 1 if k is not None or rows >= columns else 0, k)
     return read_places(path, _KIND, places, block)
 
 

@@ -68,16 +68,24 @@ def _opened(path: Path) -> Iterator[Any]:
             yield file
 
 
+class _Refuse(logging.Handler):
+    """Makes an exception of what npTDMS only logs: sizes of samples that do not fit together."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.name in ("nptdms.tdms_segment", "nptdms.reader") and record.levelno >= logging.WARNING:
+            raise ValueError(record.getMessage())
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep npTDMS from writing to the terminal what is refused with a sentence of ours."""
+    """Keep npTDMS from writing to the terminal, and refuse what it would read in spite of a warning."""
     logger = logging.getLogger("nptdms")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
+    handlers = logger.handlers
+    logger.handlers = [_Refuse()]
     try:
         yield
     finally:
-        logger.setLevel(level)
+        logger.handlers = handlers
 
 
 def _refuse_truncated(path: Path) -> None:

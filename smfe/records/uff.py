@@ -178,6 +178,11 @@ def _datasets(path: Path, content: bytes) -> Iterator[tuple[list[str], bytes, by
             header.append(text.decode("latin-1"))
         size = _binary_size(path, header, content, place) if binary else 0
         end, following = _after(path, content, place + size, _CLOSES_BINARY if binary else _CLOSES_TEXT)
+        if binary and content[place + size : end].strip():
+            raise InputError(
+                f"{path.name}: a dataset 58 holds more bytes than the {size} of the values that its header states; the "
+                "file is damaged, copy or export it again"
+            )
         yield header, content[place : place + size] if binary else content[place:end], kind if binary else b""
         place = following
 
@@ -226,7 +231,12 @@ def _function(path: Path, header: Sequence[str], body: bytes, binary: bytes) -> 
             f"{path.name}: {numbers.size // width} of the {count} values that the header of a dataset 58 states; the "
             "file is truncated, copy it again"
         )
-    # Some writers fill up the last line.
+    # Some writers fill up the last line, which holds six numbers at most.
+    if numbers.size >= count * width + 6:
+        raise InputError(
+            f"{path.name}: a dataset 58 holds {numbers.size // width} values where its header states {count}; the "
+            "file is damaged, copy or export it again"
+        )
     rows = numbers[: count * width].reshape(count, width)
     x = None if even else rows[:, 0].copy()
     values = rows if even else rows[:, 1:]

@@ -58,8 +58,10 @@ class TestInterpolation:
 
 
 class TestTwoRecorders:
-    @pytest.mark.parametrize("rates", [(2000.0, 2000.0), (2048.0, 5000.0), (5000.0, 1651.3)])
-    @pytest.mark.parametrize(("offset", "drift"), [(0.0, 0.0), (1.2345, 8e-5), (2.9, -1.5e-4)])
+    @pytest.mark.parametrize(
+        ("rates", "offset", "drift"),
+        [((2000.0, 2000.0), 0.0, 0.0), ((2048.0, 5000.0), 1.2345, 8e-5), ((5000.0, 1651.3), 2.9, -1.5e-4)],
+    )
     def test_offset_and_drift_are_found(self, rates: tuple[float, float], offset: float, drift: float) -> None:
         a, b = recorded(rates, offset, drift, noise=0.02, seed=3)
         both = put_on_clock(a, b, "force_x")
@@ -73,7 +75,7 @@ class TestTwoRecorders:
 
     def test_the_error_of_the_lag_is_what_it_says(self) -> None:
         errors, stds = [], []
-        for seed in range(8):
+        for seed in range(5):
             a, b = recorded((2000.0, 2000.0), 0.777, 5e-5, noise=0.2, seed=seed)
             both = put_on_clock(a, b, "force_x")
             errors.append((both.attrs["clock_ratio"] - 1.00005) / both.attrs["clock_ratio_std"])

@@ -12,6 +12,7 @@ import pytest
 import pyuff
 import xarray as xr
 from nptdms import ChannelObject, RootObject, TdmsWriter
+from scipy import io
 from scipy.io import wavfile
 
 from process.compliance import ModalModel
@@ -130,6 +131,17 @@ class TestTdms:
                 InputError, match=r"r\.tdms: the segment that begins at byte 0 is damaged or ends after"
             ):
                 one(path, FORCE)
+
+    def test_sizes_that_do_not_fit_together(self, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+        path = self.write(
+            tmp_path / "r.tdms", ChannelObject("A", "t", np.arange(64.0)), ChannelObject("A", "Fx", np.ones(64))
+        )
+        whole = path.read_bytes()
+        at = whole.rindex(struct.pack("<Q", 64))
+        path.write_bytes(whole[:at] + struct.pack("<Q", 60) + whole[at + 8 :])
+        with pytest.raises(InputError, match=r"r\.tdms: cannot be read as TDMS; .* not a multiple of the chunk size"):
+            one(path, FORCE)
+        assert capfd.readouterr().err == ""
 
     def test_channels_of_different_rate(self, tmp_path: Path) -> None:
         path = self.write(
@@ -318,10 +330,38 @@ class TestUff:
             with pytest.raises(InputError, match=r"r\.uff"):
                 one(path, {"force_x": CLOCKED["force_x"]})
 
+    @pytest.mark.parametrize("binary", [0, 1])
+    def test_a_header_that_states_fewer_values_than_there_are(self, tmp_path: Path, binary: int) -> None:
+        path = pyuff_file(tmp_path / "r.uff", pyuff_set(binary=binary))
+        path.write_bytes(path.read_bytes().replace(b"         4        16", b"         4         6"))
+        with pytest.raises(InputError, match=r"r\.uff: a dataset 58 holds"):
+            one(path, {"force_x": CLOCKED["force_x"]})
+
     def test_names_that_are_not_there(self, tmp_path: Path) -> None:
         path = pyuff_file(tmp_path / "r.uff", pyuff_set())
         with pytest.raises(InputError, match=r"no column '1:\+Y' .*the file has 'time', '1:\+X'"):
             one(path, {"force_x": Channel("1:+Y", "N")})
+
+
+class TestMatlabStructures:
+    def test_fields_and_arrays_of_structures(self, tmp_path: Path) -> None:
+        x, y = RNG.standard_normal((2, 30))
+        traces = np.zeros((1, 2), dtype=[("Name", object), ("Data", object)])
+        traces[0, 0], traces[0, 1] = ("a", x), ("b", y)
+        io.savemat(tmp_path / "r.mat", {"rec": {"X": {"Data": np.arange(30) / RATE}, "Y": traces}, "other": 1.0})
+        channels = {"time": Channel("rec.X.Data", "s"), "force_x": Channel("rec.Y(2).Data", "N")}
+        np.testing.assert_array_equal(one(tmp_path / "r.mat", channels)["force"][0], y)
+        with pytest.raises(InputError, match=r"did you mean 'rec\.Y\(2\)\.Data'"):
+            one(tmp_path / "r.mat", channels | {"force_x": Channel("rec.Y(3).Data", "N")})
+
+    def test_version_7_3_calls_them_the_same(self, tmp_path: Path) -> None:
+        with h5py.File(tmp_path / "r.mat", "w", userblock_size=512) as file:
+            file["data/Fx"], file["data/t"] = np.arange(9.0)[None, :], np.arange(9.0)[None, :] / RATE
+            file["#refs#/a"] = np.ones((1, 9))
+        with (tmp_path / "r.mat").open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file")
+        channels = {"time": Channel("data.t", "s"), "force_x": Channel("data.Fx", "N")}
+        np.testing.assert_array_equal(one(tmp_path / "r.mat", channels)["force"][0], np.arange(9))
 
 
 class TestAveragedResponses:

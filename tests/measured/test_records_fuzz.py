@@ -8,12 +8,14 @@ import resource
 import signal as signals
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nptdms import ChannelObject, RootObject, TdmsWriter
@@ -136,6 +138,34 @@ Originals = dict[str, tuple[Path, dict[str, Channel], bytes]]
 
 
 @pytest.mark.parametrize("kind", FORMATS)
+class TestDeclarations:
+    @given(st.data())
+    @settings(max_examples=6, deadline=None)
+    def test_order_signs_units_and_scales_change_nothing_but_what_they_should(
+        self, originals: Originals, kind: str, data: st.DataObject
+    ) -> None:
+        path, channels, whole = originals[kind]
+        path.write_bytes(whole)
+        (plain,) = read_records(path, channels)
+        order = data.draw(st.permutations(sorted(channels)))
+        sign = data.draw(st.sampled_from((1.0, -1.0)))
+        scale = data.draw(st.sampled_from((1.0, 0.5, 4.0)))
+        unit, factor = data.draw(st.sampled_from((("N", 1.0), ("kN", 1000.0))))
+        if kind == "nc":
+            unit, factor = "N", 1.0  # our own layout states its units itself
+        changed = {name: channels[name] for name in order}
+        changed["force_x"] = replace(channels["force_x"], sign=sign, scale=scale, unit=unit)
+        pieces = list(read_blocks(path, changed, data.draw(st.integers(60, 300))))
+        for (record,) in (
+            read_records(path, changed),
+            [xr.concat(pieces, "time", data_vars="minimal", coords="minimal")],
+        ):
+            np.testing.assert_allclose(record["force"], sign * scale * factor * plain["force"], rtol=1e-15)
+            np.testing.assert_array_equal(record["acceleration"], plain["acceleration"])
+            np.testing.assert_array_equal(record["time"], plain["time"])
+
+
+@pytest.mark.parametrize("kind", FORMATS)
 class TestDamage:
     def test_whole(self, originals: Originals, kind: str) -> None:
         path, channels, whole = originals[kind]
@@ -154,7 +184,7 @@ class TestDamage:
             assert said(path, channels) or kind == "csv", f"{size} of {len(whole)} bytes"
 
     @given(st.data())
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=20, deadline=None)
     def test_flipped_bits(self, originals: Originals, kind: str, data: st.DataObject) -> None:
         path, channels, whole = originals[kind]
         broken = bytearray(whole)
@@ -168,9 +198,22 @@ class TestDamage:
         path.write_bytes(bytes(broken))
         said(path, channels)
 
+    @pytest.mark.slow
+    def test_many_flipped_bits(self, originals: Originals, kind: str) -> None:
+        path, channels, whole = originals[kind]
+        rng = np.random.default_rng(99)
+        for _ in range(300):
+            broken = np.frombuffer(whole, np.uint8).copy()
+            at = np.minimum(rng.exponential(len(whole) / 6, rng.integers(1, 5)).astype(int), len(whole) - 1)
+            if rng.random() < 0.5:  # from the end
+                at = len(whole) - 1 - at
+            broken[at] ^= (1 << rng.integers(0, 8, at.size)).astype(np.uint8)
+            path.write_bytes(broken.tobytes())
+            said(path, channels)
+
     def test_headers_that_state_huge_numbers(self, originals: Originals, kind: str) -> None:
         path, channels, whole = originals[kind]
-        for at in range(0, min(len(whole), 1600), 16):
+        for at in range(0, min(len(whole), 1500), 50):
             path.write_bytes(whole[:at] + b"\xff\xff\xff\x7f" + whole[at + 4 :])
             said(path, channels)
 
@@ -191,7 +234,7 @@ def test_any_bytes_under_any_suffix(tmp_path_factory: pytest.TempPathFactory, co
         said(path, CLOCK | FORCE)
 
 
-def test_a_structure_of_matlab_is_no_channel(tmp_path: Path) -> None:
+def test_a_structure_of_matlab_is_no_channel_itself(tmp_path: Path) -> None:
     io.savemat(tmp_path / "r.mat", {"t": np.arange(4.0), "Fx": {"Data": np.ones(4)}})
     with pytest.raises(InputError, match=r"no column 'Fx'"):
         read_records(tmp_path / "r.mat", {"time": Channel("t", "s"), "force_x": Channel("Fx", "N")})
