@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, make_compliance, make_record
-from smfe.records import csv, lvm, mat, netcdf, parquet, tdms, uff, wav
+from smfe.records import csv, lvm, mat, netcdf, npy, parquet, tdms, uff, wav
 from smfe.records.align import align
 from smfe.records.channels import COMPLIANCE_CHANNELS, Channel, motion_of, record_channels, split_vector
 from smfe.records.table import Column, Table
@@ -32,6 +32,8 @@ READERS: dict[str, Reader] = {
     ".hdf5": netcdf.read_tables,
     ".mat": mat.read_tables,
     ".lvm": lvm.read_tables,
+    ".npy": npy.read_tables,
+    ".npz": npy.read_tables,
     ".tdms": tdms.read_tables,
     ".uff": uff.read_tables,
     ".unv": uff.read_tables,

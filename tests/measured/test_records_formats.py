@@ -1,5 +1,6 @@
 """Claims about recorders' files: what a format holds comes out as it went in, whatever its writer's habits."""
 
+import os
 import struct
 import warnings
 import wave
@@ -362,6 +363,48 @@ class TestMatlabStructures:
             stream.write(b"MATLAB 7.3 MAT-file")
         channels = {"time": Channel("data.t", "s"), "force_x": Channel("data.Fx", "N")}
         np.testing.assert_array_equal(one(tmp_path / "r.mat", channels)["force"][0], np.arange(9))
+
+
+class TestNumpy:
+    def test_arrays_are_called_as_python_indexes_them(self, tmp_path: Path) -> None:
+        data = RNG.standard_normal((40, 3))
+        np.save(tmp_path / "r.npy", np.asfortranarray(data))
+        np.savez_compressed(tmp_path / "r.npz", t=np.arange(40) / RATE, u=data.T)
+        clock = {"time": Channel(sample_rate=RATE)}
+        record = one(tmp_path / "r.npy", clock | {"force_x": Channel("[:,1]", "N"), "force_y": Channel(3, "N")})
+        np.testing.assert_array_equal(record["force"], data[:, 1:].T)
+        record = one(tmp_path / "r.npz", {"time": Channel("t", "s"), "force_x": Channel("u[2,:]", "N")})
+        np.testing.assert_array_equal(record["force"][0], data[:, 2])
+
+    def test_a_list_of_arrays_is_read_without_running_anything(self, tmp_path: Path) -> None:
+        h = RNG.standard_normal((2, 30)) + 1j * RNG.standard_normal((2, 30))
+        both = np.empty(2, dtype=object)
+        both[0], both[1] = np.arange(30.0), h
+        np.save(tmp_path / "h.npy", both)
+        channels = {
+            "frequency": Channel("[0]", "Hz"),
+            "compliance_real": Channel("[1][1,:] real", "m/N"),
+            "compliance_imag": Channel("[1][1,:] imag", "m/N"),
+        }
+        found = read_frf(tmp_path / "h.npy", channels, "x", "x")
+        np.testing.assert_array_equal(found["compliance"][:, 0, 0], h[1])
+
+    def test_a_pickle_that_would_run_code_is_refused(self, tmp_path: Path) -> None:
+        class Evil:
+            def __reduce__(self) -> tuple[object, ...]:
+                return os.mkdir, (str(tmp_path / "owned"),)
+
+        np.save(tmp_path / "r.npy", np.array([Evil(), Evil()], dtype=object), allow_pickle=True)
+        with pytest.raises(InputError, match=r"r\.npy: cannot be read as a NumPy file; .*it would call posix\.mkdir"):
+            one(tmp_path / "r.npy", FORCE)
+        assert not (tmp_path / "owned").exists()
+
+    def test_a_header_that_states_more_than_is_there(self, tmp_path: Path) -> None:
+        np.save(tmp_path / "r.npy", np.arange(64.0))
+        whole = (tmp_path / "r.npy").read_bytes()
+        (tmp_path / "r.npy").write_bytes(whole.replace(b"(64,), }        ", b"(64000000000,), }"))
+        with pytest.raises(InputError, match=r"r\.npy: "):
+            one(tmp_path / "r.npy", {"time": Channel(sample_rate=1.0), "force_x": Channel(1, "N")})
 
 
 class TestAveragedResponses:

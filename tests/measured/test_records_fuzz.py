@@ -39,7 +39,7 @@ N, RATE = 256, 2000.0
 CLOCK = {"time": Channel("t", "s")}
 FORCE = {"force_x": Channel("Fx", "N"), "acceleration_x": Channel("ax", "m/s^2")}
 LIMIT = 5  # seconds a file may take
-FORMATS = ["csv", "parquet", "nc", "h5", "mat", "mat73", "tdms", "uff", "uff_text", "wav"]
+FORMATS = ["csv", "parquet", "nc", "h5", "mat", "mat73", "tdms", "uff", "uff_text", "wav", "npy", "npz", "npy_list"]
 
 
 def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
@@ -48,13 +48,15 @@ def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
     t = np.arange(N) / RATE
     record = make_record(t, {"force": {"x": rng.standard_normal(N)}, "acceleration": {"x": rng.standard_normal(N)}})
     columns = {"t": t, "Fx": record["force"].values[0], "ax": record["acceleration"].values[0]}
-    path = folder / f"r.{kind.removesuffix('73').removesuffix('_text')}"
+    path = folder / f"r.{kind.split('_')[0].removesuffix('73')}"
     if kind in ("csv", "nc", "mat"):
         write = {"csv": write_record_csv, "nc": write_record_netcdf, "mat": write_record_mat}[kind]
         return write(record, path), CLOCK | FORCE
     if kind == "parquet":
         pytest.importorskip("pyarrow")
         pd.DataFrame(columns).to_parquet(path)
+    elif kind in ("npy", "npz", "npy_list"):
+        return path, _numpy_file(kind, path, columns)
     elif kind in ("h5", "mat73"):
         with h5py.File(path, "w", userblock_size=512 if kind == "mat73" else 0) as file:
             for name, values in columns.items():
@@ -74,6 +76,25 @@ def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
             _as_text(path)
         return path, {"force_x": Channel("1:+X", "N"), "acceleration_x": Channel("2:+X", "m/s^2")}
     return path, CLOCK | FORCE
+
+
+def _numpy_file(kind: str, path: Path, columns: dict[str, np.ndarray]) -> dict[str, Channel]:
+    names = list(columns)
+    if kind == "npz":
+        np.savez_compressed(path, **columns)
+    elif kind == "npy":
+        np.save(path, np.column_stack(list(columns.values())))
+        names = ["[:,0]", "[:,1]", "[:,2]"]
+    else:
+        several = np.empty(3, dtype=object)
+        several[:] = list(columns.values())
+        np.save(path, several)
+        names = ["[0]", "[1]", "[2]"]
+    return {
+        "time": Channel(names[0], "s"),
+        "force_x": Channel(names[1], "N"),
+        "acceleration_x": Channel(names[2], "m/s^2"),
+    }
 
 
 def _as_text(path: Path) -> None:
