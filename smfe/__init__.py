@@ -21,7 +21,7 @@ from smfe.identification import Identification
 from smfe.intervals import interval
 from smfe.limits import LobeResult
 from smfe.pipeline import chatter, demo, identify, lobes, run
-from smfe.records import read_records
+from smfe.records import read_blocks, read_records, read_reduced
 from smfe.scenario import simulate
 from smfe.sweep import identify_sweep
 from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
@@ -46,7 +46,9 @@ __all__ = [
     "interval",
     "load_campaign",
     "lobes",
+    "read_blocks",
     "read_records",
+    "read_reduced",
     "run",
     "simulate",
 ]

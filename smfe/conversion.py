@@ -12,6 +12,7 @@ from smfe.campaign import load_campaign
 from smfe.identification import Progress, silent
 from smfe.pipeline import read_default_channels
 from smfe.records import (
+    own_layout,
     read_blocks,
     read_records,
     write_pieces_csv,
@@ -73,13 +74,10 @@ def convert(
         )
     if target.exists() and source.exists() and target.samefile(source):
         raise InputError(f"{target.name}: the source itself would be overwritten; name another file")
-    if campaign is None:
-        records = read_default_channels(source)
-    else:
-        channels = load_campaign(Path(campaign)).channels
-        if suffix in PIECEWISE and _one_segment(source):
-            return [PIECEWISE[suffix](_told(read_blocks(source, channels), source, progress), target)]
-        records = read_records(source, channels)
+    channels = {} if campaign is None else load_campaign(Path(campaign)).channels
+    if suffix in PIECEWISE and (_one_segment(source) if channels else _own_layout(source)):
+        return [PIECEWISE[suffix](_told(read_blocks(source, channels), source, progress), target)]
+    records = read_records(source, channels) if channels else read_default_channels(source)
     written = []
     for number, record in enumerate(records):
         progress(f"writing {target.name}", number, len(records))
@@ -91,6 +89,11 @@ def convert(
 def _one_segment(source: Path) -> bool:
     """Whether the format holds one segment a file, and a long one need not be read at once."""
     return source.suffix.lower() not in (".lvm", ".uff", ".unv")
+
+
+def _own_layout(source: Path) -> bool:
+    """Whether a file says itself which channels it holds."""
+    return source.suffix.lower() in (".nc", ".h5", ".hdf5") and source.is_file() and own_layout(source)
 
 
 def _told(pieces: Iterator[xr.Dataset], source: Path, progress: Progress) -> Iterator[xr.Dataset]:

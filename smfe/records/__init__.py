@@ -3,6 +3,7 @@
 from smfe.records.blocks import read_blocks
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.clocks import put_on_clock
+from smfe.records.netcdf import own_layout
 from smfe.records.read import READERS, read_frf, read_records
 from smfe.records.reduce import read_reduced
 from smfe.records.write import (
@@ -21,6 +22,7 @@ __all__ = [
     "READERS",
     "RECORD_CHANNELS",
     "Channel",
+    "own_layout",
     "put_on_clock",
     "read_blocks",
     "read_frf",

@@ -9,6 +9,7 @@ before each correlation, so that the parabola is only asked for what is left, ne
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ from scipy import signal
 from process.errors import InputError
 from process.labels import axis_present, make_record, sample_interval
 from smfe.records.channels import split_vector
+from smfe.records.reduce import low_pass
 from smfe.records.resample import resample
 
 Real = NDArray[np.float64]
@@ -31,6 +33,9 @@ _WORST_CLOCK = 3e-4
 
 _LEAST_BLOCK, _MOST_BLOCK = 256, 1 << 16
 _SMALLEST = 4 * _LEAST_BLOCK
+_MOST_BLOCKS = 64
+_MOST_COARSE = 1 << 20
+"""Samples among which the first block is looked for; longer records are thinned for that."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,16 @@ class _Signal:
             return self
         count = int((self.last - self.first) / step * (1.0 + 1e-12)) + 1
         return _Signal(self.first, step, self.at(np.asarray(self.first + step * np.arange(count)), step))
+
+    def thinned(self, factor: int) -> _Signal:
+        """Return every `factor`-th sample of what the lower rate can hold."""
+        if factor == 1:
+            return self
+        taps = low_pass(factor)
+        delay = taps.size // 2 // factor
+        count = (self.samples.size - 1) // factor + 1
+        samples = signal.upfirdn(taps, self.samples, 1, factor)[delay : delay + count]
+        return _Signal(self.first, self.step * factor, np.asarray(samples))
 
 
 def put_on_clock(record: xr.Dataset, other: xr.Dataset, shared: str) -> xr.Dataset:
@@ -197,7 +212,8 @@ def fit_clock(a: _Signal, b: _Signal, name: str = "the shared channel", source: 
             f"{name} and {source}: {min(a.samples.size, b.samples.size)} samples are too few to align clocks by; at "
             f"least {_SMALLEST} are needed"
         )
-    centre, p = _coarse(a, b, name, source)
+    thin = max(1, math.ceil(max(a.samples.size, b.samples.size) / _MOST_COARSE))
+    centre, p = _coarse(a.thinned(thin), b.thinned(thin), name, source)
     size = int(np.clip(a.samples.size // 32, _LEAST_BLOCK, _MOST_BLOCK))
     whole = max(a.last - centre, centre - a.first)
     reaches = [4.0 * size * step]
@@ -205,7 +221,7 @@ def fit_clock(a: _Signal, b: _Signal, name: str = "the shared channel", source: 
         reaches.append(2.0 * reaches[-1])
     found, q, q_std = None, 1.0, _WORST_CLOCK
     for reach in (*reaches, reaches[-1]):
-        search = int(np.ceil(3.0 + q_std * min(reach, whole) / step))
+        search = int(np.ceil(3.0 + q_std * min(reach, whole) / step)) + (thin if found is None else 0)
         found = _line(_lags(a, b, (centre, p, q), size, reach, search), centre, a, f"{name} and {source}")
         p, q, q_std = found.p, found.q, min(3.0 * found.q_std, _WORST_CLOCK)
     assert found is not None
@@ -289,7 +305,8 @@ def _lags(
     centre, p, q = line
     points = []
     power = float(np.var(a.samples))
-    for start in range(0, a.samples.size - size + 1, size):
+    starts = np.arange(0, a.samples.size - size + 1, size)
+    for start in starts[:: math.ceil(starts.size / _MOST_BLOCKS)]:
         middle = a.first + a.step * (start + 0.5 * (size - 1))
         block = a.samples[start : start + size]
         if abs(middle - centre) > reach or np.var(block) < 0.01 * power:

@@ -53,10 +53,14 @@ def read_own_layout(path: Path, block: int | None = None) -> Iterator[xr.Dataset
     InputError
         When the file cannot be read, or a variable of the layout has another unit than `process.labels` says.
     """
+    return guarded(path, _KIND, _own_blocks(path, block or _WHOLE)) if own_layout(path) else None
+
+
+def own_layout(path: Path) -> bool:
+    """Whether a NetCDF or HDF5 file holds a record in our own layout, which needs no declaration of channels."""
     _check_signature(path)
     with damaged(path, _KIND), h5py.File(path, "r") as file:
-        ours = "axis" in file and "time" in file and any(name in file for name in RECORD_VECTORS)
-    return guarded(path, _KIND, _own_blocks(path, block or _WHOLE)) if ours else None
+        return "axis" in file and "time" in file and any(name in file for name in RECORD_VECTORS)
 
 
 def _own_blocks(path: Path, block: int) -> Iterator[xr.Dataset]:

@@ -13,7 +13,8 @@ Real = NDArray[np.float64]
 _HALF = 32
 _BETA = 10.0
 _PHASES = 1024
-_AT_ONCE = 1 << 13
+_AT_ONCE = 1 << 19
+"""Neighbours that are gathered at a time."""
 
 
 def resample(samples: Real, positions: Real, stretch: float = 1.0) -> Real:
@@ -39,8 +40,9 @@ def resample(samples: Real, positions: Real, stretch: float = 1.0) -> Real:
     padded = np.pad(samples, half, mode="reflect", reflect_type="odd")
     out = np.empty(positions.size)
     near = np.arange(2 * half + 1)
-    for begin in range(0, positions.size, _AT_ONCE):
-        at = positions[begin : begin + _AT_ONCE]
+    rows = max(64, _AT_ONCE // near.size)
+    for begin in range(0, positions.size, rows):
+        at = positions[begin : begin + rows]
         whole = np.clip(np.round(at).astype(np.int64), 0, samples.size - 1)
         phase = (at - whole + 0.5) * _PHASES
         cell = np.clip(phase.astype(np.int64), 0, _PHASES - 1)

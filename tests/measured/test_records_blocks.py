@@ -131,7 +131,7 @@ def together(path: Path, channels: dict[str, Channel], block: int) -> xr.Dataset
 
 class TestBlocks:
     @pytest.mark.parametrize("make", FILES)
-    @pytest.mark.parametrize("block", [2, 999, 1000, 5999, 6000, 10_000])
+    @pytest.mark.parametrize("block", [2, 1000, 5999, 10_000])
     def test_pieces_together_are_the_record(self, tmp_path: Path, make: Make, block: int) -> None:
         path, channels = make(tmp_path, 6000 if block > 2 else 21)
         (whole,) = read_records(path, channels)
@@ -140,7 +140,7 @@ class TestBlocks:
         assert pieces.attrs["source"] == path.name
 
     @given(st.integers(2, 700), st.floats(-9e-3, 9e-3), st.floats(-9e-3, 9e-3))
-    @settings(max_examples=25, deadline=None)
+    @settings(max_examples=12, deadline=None)
     def test_delays_are_undone_across_the_edges_of_pieces(
         self, tmp_path_factory: pytest.TempPathFactory, block: int, first: float, second: float
     ) -> None:

@@ -326,7 +326,7 @@ class TestUff:
     def test_truncated(self, tmp_path: Path, binary: int) -> None:
         path = pyuff_file(tmp_path / "r.uff", pyuff_set(binary=binary))
         whole = path.read_bytes()
-        for size in range(1, len(whole.rstrip()) - 1, 7):
+        for size in range(1, len(whole.rstrip()) - 1, 23):
             path.write_bytes(whole[:size])
             with pytest.raises(InputError, match=r"r\.uff"):
                 one(path, {"force_x": CLOCKED["force_x"]})
