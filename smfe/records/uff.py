@@ -178,11 +178,6 @@ def _datasets(path: Path, content: bytes) -> Iterator[tuple[list[str], bytes, by
             header.append(text.decode("latin-1"))
         size = _binary_size(path, header, content, place) if binary else 0
         end, following = _after(path, content, place + size, _CLOSES_BINARY if binary else _CLOSES_TEXT)
-        if binary and content[place + size : end].strip():
-            raise InputError(
-                f"{path.name}: a dataset 58 holds more bytes than the {size} of the values that its header states; the "
-                "file is damaged, copy or export it again"
-            )
         yield header, content[place : place + size] if binary else content[place:end], kind if binary else b""
         place = following
 
@@ -202,15 +197,25 @@ def _after(path: Path, content: bytes, place: int, delimiter: re.Pattern[bytes])
 
 
 def _binary_size(path: Path, header: Sequence[str], content: bytes, place: int) -> int:
-    """Return the bytes of a binary body; what it states of values counts, for some writers count bytes wrong."""
+    """Return the bytes of a binary body: those of its values, for some writers count bytes wrong.
+
+    Abscissae of uneven step are in single precision after the standard, in that of the ordinates after some writers.
+    """
     kind, count, even = _ordinates(header)
-    size = count * ({2: 4, 4: 8, 5: 8, 6: 16}[kind] + (0 if even else 4))
-    if place + size > len(content):
+    ordinate, single = {2: (4, 4), 4: (8, 8), 5: (8, 4), 6: (16, 8)}[kind]
+    sizes = [count * ordinate] if even else [count * (ordinate + abscissa) for abscissa in (4, single)]
+    for size in sizes:
+        if re.match(rb"\s*? {4}-1[ ]*\r?(?:\n|$)", content[place + size : place + size + 200]):
+            return size
+    if place + sizes[0] > len(content.rstrip()) - 2:
         raise InputError(
-            f"{path.name}: {len(content) - place} of the {size} bytes that the header of a dataset 58 states; the file "
-            "is truncated, copy it again"
+            f"{path.name}: {len(content) - place} of the {sizes[0]} bytes that the header of a dataset 58 states; the "
+            "file is truncated, copy it again"
         )
-    return size
+    raise InputError(
+        f"{path.name}: a dataset 58 holds more bytes than the {sizes[0]} of the values that its header states; the file "
+        "is damaged, copy or export it again"
+    )
 
 
 def _ordinates(header: Sequence[str]) -> tuple[int, int, bool]:
@@ -224,7 +229,7 @@ def _ordinates(header: Sequence[str]) -> tuple[int, int, bool]:
 def _function(path: Path, header: Sequence[str], body: bytes, binary: bytes) -> Function:
     kind, count, even = _ordinates(header)
     first, step = (_float(header[6][k : k + 13]) for k in (30, 43))
-    numbers = _binary_numbers(body, binary, kind, even) if binary else _text_numbers(body, kind, even)
+    numbers = _binary_numbers(body, binary, kind, even, count) if binary else _text_numbers(body, kind, even)
     width = (2 if kind in (5, 6) else 1) + (0 if even else 1)
     if numbers.size < count * width:
         raise InputError(
@@ -281,17 +286,18 @@ def _degree(node: str, direction: str) -> str:
     return f"{_integer(node)}" + (f":{name.replace('+', '-') if code < 0 else name}" if name else "")
 
 
-def _binary_numbers(body: bytes, line: bytes, kind: int, even: bool) -> NDArray[np.float64]:
-    """Return the values of a binary dataset; abscissae are single precision there whatever the ordinates are."""
+def _binary_numbers(body: bytes, line: bytes, kind: int, even: bool, count: int) -> NDArray[np.float64]:
+    """Return the values of a binary dataset."""
     words = line.decode("latin-1").lower().split("b", 1)[1].split()
     if words[1] != "2":
         raise ValueError(f"numbers of floating-point format {words[1]}, and not IEEE 754")
     order = {"1": "<", "2": ">"}[words[0]]
     value = f"{order}f{4 if kind in (2, 5) else 8}"
-    if even:
+    if even or not count:
         return np.frombuffer(body, value).astype(np.float64)
     parts = 2 if kind in (5, 6) else 1
-    rows = np.frombuffer(body, np.dtype([("x", f"{order}f4"), ("y", value, (parts,))]))
+    abscissa = len(body) // count - parts * np.dtype(value).itemsize
+    rows = np.frombuffer(body, np.dtype([("x", f"{order}f{abscissa}"), ("y", value, (parts,))]))
     return np.column_stack([rows["x"].astype(np.float64), rows["y"].astype(np.float64)]).ravel()
 
 

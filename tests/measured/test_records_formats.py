@@ -272,6 +272,36 @@ class TestUff:
         np.testing.assert_allclose(function.axis(), [5.0, 5.03501, 100.0])
         np.testing.assert_allclose(function.y, [0.993003 - 1.0842e-19j, 1.00135, 0.803837])
 
+    @pytest.mark.parametrize("binary", [0, 1])
+    @pytest.mark.parametrize("even", [0, 1])
+    @pytest.mark.parametrize("kind", [2, 4, 5, 6])
+    def test_every_kind_of_ordinate(self, tmp_path: Path, kind: int, even: int, binary: int) -> None:
+        n = 17  # odd, so that the last line of text is not full
+        x = 0.5 * np.arange(n) if even else np.sort(RNG.uniform(0.0, 9.0, n))
+        y = np.arange(n) + 0.25 + (1j * np.arange(n) if kind > 4 else 0.0)
+        written = pyuff_set(binary=binary, ord_data_type=kind, abscissa_spacing=even, x=x, data=y, num_pts=n)
+        (function,) = read_functions(pyuff_file(tmp_path / "r.uff", written))
+        np.testing.assert_array_equal(function.y, y)
+        np.testing.assert_allclose(function.axis(), x, atol=0.0 if binary else 1e-5)
+
+    def test_abscissae_in_single_precision_after_the_standard(self, tmp_path: Path) -> None:
+        x, y = np.array([0.0, 0.5, 4.0], np.float32), np.array([1.0, -2.0, 3.5])
+        written = pyuff_set(binary=1, abscissa_spacing=0, x=x.astype(float), data=y, num_pts=3)
+        path = pyuff_file(tmp_path / "r.uff", written)
+        head = b"\n".join(path.read_bytes().split(b"\n")[:13]) + b"\n"
+        body = b"".join(struct.pack("<fd", *row) for row in zip(x, y, strict=True))
+        path.write_bytes(head + body + b"\n    -1\n")
+        (function,) = read_functions(path)
+        np.testing.assert_array_equal(function.axis(), x)
+        np.testing.assert_array_equal(function.y, y)
+
+    def test_a_file_whose_header_its_writer_has_overwritten_is_refused(self, tmp_path: Path) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)
+            pyuff.UFF(str(tmp_path / "r.uff")).write_sets([pyuff_set(binary=1)], "overwrite")
+        with pytest.raises(InputError, match=r"r\.uff: the last dataset is not closed"):
+            one(tmp_path / "r.uff", {"force_x": CLOCKED["force_x"]})
+
     def test_other_datasets_are_passed_over_and_repeated_names_are_segments(self, tmp_path: Path) -> None:
         node = {
             "type": 15,
