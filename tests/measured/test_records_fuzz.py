@@ -113,9 +113,10 @@ def guarded() -> Iterator[None]:
         raise TimeoutError(f"more than {LIMIT} s")
 
     before = signals.signal(signals.SIGALRM, late)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (used + (4 << 30), hard))
+    if (statm := Path("/proc/self/statm")).exists():
+        used = int(statm.read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + (4 << 30), hard))
     signals.alarm(LIMIT)
     try:
         yield
