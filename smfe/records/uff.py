@@ -213,7 +213,7 @@ def _binary_size(path: Path, header: Sequence[str], content: bytes, place: int) 
             "file is truncated, copy it again"
         )
     raise InputError(
-        f"{path.name}: a dataset 58 holds more bytes than the {sizes[0]} of the values that its header states; the file "
+        f"{path.name}: a dataset 58 holds more bytes than the {sizes[0]} of the values its header states; the file "
         "is damaged, copy or export it again"
     )
 
