@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from nptdms import TdmsFile
+from nptdms.log import log_manager
 
 from process.errors import InputError
 from smfe.records.table import (
@@ -47,7 +48,7 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
     if head != b"TDSm":
         raise InputError(f"{path.name}: not a TDMS file; it must begin with the letters TDSm")
     _refuse_truncated(path)
-    with damaged(path, _KIND), _opened(path) as file:
+    with damaged(path, _KIND), _opened(path) as file, _quiet():
         channels = [channel for group in file.groups() for channel in group.channels()]
         plain = Counter(channel.name for channel in channels)
         full = [f"{channel.group_name}/{channel.name}" for channel in channels]
@@ -79,13 +80,15 @@ class _Refuse(logging.Handler):
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep npTDMS from writing to the terminal, and refuse what it would read in spite of a warning."""
-    logger = logging.getLogger("nptdms")
-    handlers = logger.handlers
-    logger.handlers = [_Refuse()]
+    terminal, logger, refuse = log_manager.console_handler, logging.getLogger("nptdms"), _Refuse()
+    level = terminal.level
+    terminal.setLevel(logging.CRITICAL)
+    logger.addHandler(refuse)
     try:
         yield
     finally:
-        logger.handlers = handlers
+        logger.removeHandler(refuse)
+        terminal.setLevel(level)
 
 
 def _refuse_truncated(path: Path) -> None:
