@@ -1,8 +1,8 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter`, `convert`, `simulate` here,
-and ``compare``, ``modal`` and ``report`` in `smfe.pipeline`, ``plan`` in `smfe.plan`, whose names are taken by what does
-the work.
+and ``compare``, ``modal`` and ``report`` in `smfe.pipeline`, ``plan`` in `smfe.plan`, whose names are taken by what
+does the work.
 """
 
 # ruff: noqa: I001  (the version and the check for a foreign process.py come before everything that needs them)

@@ -3,8 +3,8 @@
 What cannot be found out: a flipped bit among the samples of a format without checksums gives another number there, and
 in the names of channels another name. Text that ends with a whole row cannot be told from a shorter record.
 
-The same damage is done in every run. Other damage has been seen to make the HDF5 library itself run on for ever (once, in
-a NetCDF file), and nothing but another process could end that.
+The same damage is done in every run. Other damage has been seen to make the HDF5 library itself run on for ever (once,
+in a NetCDF file), and nothing but another process could end that.
 """
 
 import resource
