@@ -12,7 +12,8 @@ from process.labels import make_record
 from process.simulate import MillingCut, Spindle, simulate_forced
 from process.trials import Sensors, milling_trial
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
-from smfe.sweep import bands, identify_sweep
+from smfe.sweep import identify_sweep
+from smfe.sweep_estimate import bands
 from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
 
 BAND = (20.0, 80.0)

@@ -1,0 +1,511 @@
+"""The default estimator of a sweep: whole-record transforms, local polynomials of several widths, a rational model.
+
+Everything is one errors-in-variables least squares: columns are the lines of all passes, inputs are the forces, a
+transient for each pass that does not run from rest to rest, and what repeats with the spindle where an air cut was
+recorded. The noise of the forces is taken out of the normal equations, the noise of the motion weights the passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from process.errors import InputError
+from smfe.force_noise import force_noise
+from smfe.local_equations import (
+    Bands,
+    Equations,
+    Lines,
+    bin_lines,
+    residual_power,
+    ring,
+    shift_matrix,
+    solve_bands,
+)
+from smfe.rational_fit import fit_rational
+from smfe.sweep_estimate import Estimate, in_words
+from smfe.sweep_estimators import LocalPolynomial, SweepPass, at_rest
+from smfe.sweep_inputs import (
+    HARMONICS,
+    background_noise,
+    force_lines,
+    instrumented,
+    orders_in_band,
+    place_along,
+    seconds,
+    spindle_waves,
+    transients,
+    with_inputs,
+)
+
+Step = Callable[[int, int], None]
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LARGEST_SHARE = 0.7
+"""Share of noise in the weakest direction of the forces above which a frequency is not solved."""
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Bins of all passes, raw and without the noise of the forces."""
+
+    raw: Equations
+    clean: Equations
+    frequency: Real
+    first: NDArray[np.int64]
+    excitations: int
+    noise_spread: float
+    """Relative standard deviation of the noise power of the forces; 0 where it is not known."""
+
+
+def solve_local(
+    estimator: LocalPolynomial,
+    passes: Sequence[SweepPass],
+    frequency: Real,
+    axes: Sequence[str],
+    response: Sequence[str],
+    background: Sequence[SweepPass] = (),
+    progress: Step | None = None,
+) -> Estimate:
+    """Solve with every half width that the records can fill and with a rational model, and choose row by row.
+
+    Parameters
+    ----------
+    estimator : LocalPolynomial
+        Its settings.
+    passes : sequence of SweepPass
+        At least as many directions as `axes`.
+    frequency : ndarray, shape (f,)
+        [Hz].
+    axes, response : sequence of str
+        Axes of the forces and of the motion.
+    background : sequence of SweepPass, optional
+        Air cuts: the spindle turns over the same speeds and nothing is cut.
+    progress : callable, optional
+        Called with (done, of).
+
+    Returns
+    -------
+    Estimate
+        With half width and degrees of freedom; twice as many excitations where the fit depends on position.
+
+    Raises
+    ------
+    InputError
+        For records that are too short.
+    """
+    tests, excitations, noise = _tests(estimator, passes, background, frequency, axes, response)
+    widths = usable_widths(estimator, [*passes, *background], tests[0].inputs.shape[1])
+    data = _data(estimator, tests, frequency, excitations, noise)
+    weight = _weights(data, estimator, widths[0])
+    steps = len(widths) + 1
+    solved, shares, bands, done = [], [], None, 0
+    for number, width in enumerate(widths):
+        side = _bins(data, width)
+        bands = _grown(bands, data, weight, [*range(-side, -done), *range(done, side)])
+        estimate, share = _solution(data, bands, estimator.error_lines(width))
+        solved.append(estimate)
+        shares.append(share)
+        done = side
+        if progress is not None:
+            progress(number + 1, steps)
+    found = _choose(estimator, widths, solved, frequency)
+    if estimator.rational:
+        found = _with_rational(estimator, data, weight, solved, found)
+    if progress is not None:
+        progress(steps, steps)
+    return _about_noise(found, shares[min(2, len(shares) - 1)], noise, frequency)
+
+
+# --- from records to equations ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Noise of the inputs of each test at the bins: shapes (b, j, j) and (b, j, r), for each line of a test."""
+
+    force: Callable[[Real], list[Complex]]
+    shared: Callable[[Real], list[Complex]] | None
+    freedom: float
+
+
+def _tests(
+    estimator: LocalPolynomial,
+    passes: Sequence[SweepPass],
+    background: Sequence[SweepPass],
+    frequency: Real,
+    axes: Sequence[str],
+    response: Sequence[str],
+) -> tuple[list[Lines], int, _Noise | None]:
+    """Return inputs and responses of all tests, the number of excitations, and the noise of the forces."""
+    reach, everything = estimator.reach(frequency), [*passes, *background]
+    moving = estimator.position_dependent
+    tests = [force_lines(p, reach, axes, response, moving and k < len(passes)) for k, p in enumerate(everything)]
+    e = len(axes) * (2 if moving else 1)
+    tests = [t if t.inputs.shape[1] == e else with_inputs(t, np.zeros_like(t.inputs)) for t in tests]
+    restless = [not at_rest(p.record) for p in passes] + [True] * len(background)
+    if background:
+        orders = orders_in_band(everything, (float(frequency[0]), float(frequency[-1])))
+        teeth = estimator.instrument_teeth
+        tests = [
+            with_inputs(t, spindle_waves(p.record, orders, reach, teeth))
+            for t, p in zip(tests, everything, strict=True)
+        ]
+        restless = [True] * len(everything)
+    noise = _known_noise(tests, passes, background, axes, frequency, e)
+    shares = np.ones(len(tests))
+    if estimator.instrument_teeth is not None:
+        orders = [h * estimator.instrument_teeth for h in range(1, HARMONICS + 1)]
+        for k, p in enumerate(passes):
+            waves = spindle_waves(p.record, orders, reach, estimator.instrument_teeth, cut_only=True)
+            tests[k], shares[k] = instrumented(tests[k], waves, e, p.label)
+        for k in range(len(passes), len(tests)):
+            tests[k].inputs[:, :e] = 0.0
+            shares[k] = 0.0
+        noise = None if noise is None else _through(noise, shares)
+    return transients(tests, restless), e, noise
+
+
+def _known_noise(
+    tests: Sequence[Lines],
+    passes: Sequence[SweepPass],
+    background: Sequence[SweepPass],
+    axes: Sequence[str],
+    frequency: Real,
+    e: int,
+) -> _Noise | None:
+    """Return the noise of the forces: from air cuts, else from the air at the ends of the records."""
+    everything = [*passes, *background]
+    length = [seconds(p.record) for p in everything]
+    along = [_along(p) if e > len(axes) and k < len(passes) else np.eye(1) for k, p in enumerate(everything)]
+    along = [m if m.shape[0] * len(axes) == e else np.diag([1.0, 0.0]) for m in along]
+    if background:
+        n = len(axes)
+        air = [
+            (Lines(t.frequency, np.delete(t.inputs, range(n, e), axis=1), t.response), s)
+            for t, s in list(zip(tests, length, strict=True))[len(passes) :]
+        ]
+        rows = np.array([m[0] for m in along])
+
+        def force(at: Real) -> list[Complex]:
+            seen = background_noise(air, n, at).force
+            return [
+                np.einsum("xy,bij->bxiyj", m, seen).reshape(-1, e, e) * s for m, s in zip(along, length, strict=True)
+            ]
+
+        def shared(at: Real) -> list[Complex]:
+            seen = background_noise(air, n, at).shared
+            return [
+                np.einsum("x,bir->bxir", m, seen).reshape(at.size, e, -1) * s for m, s in zip(rows, length, strict=True)
+            ]
+
+        return _Noise(force, shared, background_noise(air, n, frequency[:1]).freedom)
+    found = [force_noise(p.record, list(axes), (float(frequency[0]), float(frequency[-1]))) for p in passes]
+    known = [n for n in found if n is not None]
+    if not known:
+        return None
+    # A pass without air has the sensor of the others.
+    mean = np.mean([n.density for n in known], axis=0)
+    density = [mean if n is None else n.density for n in found]
+
+    def quiet_ends(at: Real) -> list[Complex]:
+        each = [np.kron(m, np.diag(d)) * s for m, d, s in zip(along, density, length, strict=True)]
+        return [np.broadcast_to(p.astype(complex), (at.size, e, e)) for p in each]
+
+    return _Noise(quiet_ends, None, sum(n.freedom for n in known))
+
+
+def _along(sweep: SweepPass) -> Real:
+    """Mean of the products of 1 and the place along the pass, shape (2, 2)."""
+    place = place_along(sweep.record)
+    return np.array([[1.0, place.mean()], [place.mean(), np.mean(place**2)]])
+
+
+def _through(noise: _Noise, shares: Real) -> _Noise:
+    """Return the noise that comes through instruments."""
+
+    def force(at: Real) -> list[Complex]:
+        return [share * p for share, p in zip(shares, noise.force(at), strict=True)]
+
+    if noise.shared is None:
+        return _Noise(force, None, noise.freedom)
+    whole = noise.shared
+
+    def shared(at: Real) -> list[Complex]:
+        return [share * p for share, p in zip(shares, whole(at), strict=True)]
+
+    return _Noise(force, shared, noise.freedom)
+
+
+def usable_widths(estimator: LocalPolynomial, passes: Sequence[SweepPass], inputs: int) -> list[float]:
+    """Return the half widths over which the passes give at least twice as many lines as there are unknowns."""
+    together = sum(seconds(p.record) for p in passes)
+    needed = 2.0 * (estimator.order + 1) * inputs
+    usable = [w for w in sorted(estimator.half_widths) if 2.0 * w * together >= needed]
+    if not usable:
+        widest = max(estimator.half_widths)
+        raise InputError(
+            f"the passes last {together:.3g} s together: {2.0 * widest * together:.0f} lines within {widest:g} Hz of a "
+            f"frequency for {needed / 2.0:.0f} unknowns; at least {needed / (2.0 * widest):.3g} s are needed: sweep "
+            "more slowly or add passes"
+        )
+    return usable
+
+
+def _data(
+    estimator: LocalPolynomial, tests: Sequence[Lines], frequency: Real, excitations: int, noise: _Noise | None
+) -> _Data:
+    step = estimator.resolution / max(2, round(estimator.resolution / min(estimator.half_widths)))
+    side = max(1, round(max(estimator.half_widths) / step))
+    bins = 2 * side + round((frequency[-1] - frequency[0]) / step)
+    edges = frequency[0] + step * (np.arange(bins + 1) - side)
+    raw = bin_lines(tests, edges, estimator.order)
+    first = side + np.round((frequency - frequency[0]) / step).astype(int)
+    if noise is None:
+        return _Data(raw, raw, frequency, first, excitations, 0.0)
+    e, j, r = excitations, tests[0].inputs.shape[1], tests[0].response.shape[1]
+    power = np.zeros((bins, len(tests), j, j), dtype=complex)
+    power[:, :, :e, :e] = np.stack(noise.force(raw.centre), axis=1)
+    shared = None
+    if noise.shared is not None:
+        shared = np.zeros((bins, len(tests), j, r), dtype=complex)
+        shared[:, :, :e] = np.stack(noise.shared(raw.centre), axis=1)
+    clean = raw.without_input_noise(power, shared)
+    return _Data(raw, clean, frequency, first, excitations, 1.0 / float(np.sqrt(noise.freedom)))
+
+
+def _bins(data: _Data, width: float) -> int:
+    return max(1, round(width / data.raw.step))
+
+
+def _at_bins(data: _Data, values: Real) -> Real:
+    """Return values given at the frequencies at the bins, nearest first, shape (b, ...)."""
+    nearest = np.abs(data.raw.centre[:, None] - data.frequency).argmin(axis=1)
+    return np.asarray(values[nearest])
+
+
+# --- noise of the motion ----------------------------------------------------------------------------------------------
+
+
+def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int = 4) -> Real:
+    """Learn the inverse noise power of each response in each pass, shape (b, tests, r).
+
+    The first round weights all passes alike, so that a noisy one leaves its mark on the residual of the quiet ones;
+    solving again with what was learnt takes it away.
+    """
+    b, tests, r = data.raw.power.shape
+    weight, side = np.ones((b, tests, r)), _bins(data, width)
+    k = data.raw.unknowns
+    # White noise of an accelerometer is a displacement that falls with the fourth power: bins below the band are noisy.
+    below = np.minimum((np.maximum(data.raw.centre, 0.0) / data.frequency[0]) ** 4, 1.0)[:, None, None]
+    for _ in range(rounds):
+        bands = ring(data.clean, data.first, weight, range(-side, side))
+        coefficients, _ = solve_bands(bands)
+        residual, lines = np.zeros((data.first.size, tests, r)), np.zeros(data.first.size)
+        for offset in range(-side, side):
+            at = data.first + offset
+            shift = np.kron(
+                shift_matrix((offset + 0.5) * data.raw.step, estimator.order), np.eye(k // (estimator.order + 1))
+            )
+            moved = np.einsum("kl,frl->frk", shift, coefficients)
+            here = Equations(*(getattr(data.raw, n)[at] if n != "step" else data.raw.step for n in _FIELDS))
+            residual += residual_power(here, np.repeat(moved[:, None], tests, axis=1))
+            lines += here.moment[:, :, 0, 0].sum(axis=1)
+        each = sum(data.raw.moment[data.first + o, :, 0, 0] for o in range(-side, side))
+        fair = lines / np.maximum(lines - k, 1.0)
+        mean = np.where(each[..., None] > 0, residual / np.maximum(each, 1.0)[..., None] * fair[:, None, None], np.nan)
+        weight = _at_bins(data, 1.0 / _smooth_noise(mean)) * below
+    return weight
+
+
+_FIELDS = ("centre", "step", "gram", "cross", "power", "moment")
+
+
+def _smooth_noise(residual: Real, reach: int = 8) -> Real:
+    """Take the median residual power (f, tests, r) over neighbouring frequencies; keep weights within 1:1000."""
+    padded = np.concatenate([np.full_like(residual[:reach], np.nan), residual, np.full_like(residual[:reach], np.nan)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * min(reach, residual.shape[0]) + 1, axis=0)
+    smooth = _nan_median(windows[: residual.shape[0]])
+    largest = np.max(np.nan_to_num(smooth), axis=1, keepdims=True)
+    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
+    return np.where(np.isfinite(smooth), np.maximum(smooth, floor), floor)
+
+
+def _nan_median(windows: Real) -> Real:
+    known = np.isfinite(windows).any(axis=-1)
+    return np.where(known, np.nanmedian(np.where(known[..., None], windows, 0.0), axis=-1), np.nan)
+
+
+# --- one width --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Both:
+    """Bands with and without the noise of the forces."""
+
+    raw: Bands
+    clean: Bands
+    force: Complex
+    loss: Complex
+
+
+def _grown(bands: _Both | None, data: _Data, weight: Real, offsets: Sequence[int]) -> _Both:
+    """Return the bands with more bins."""
+    e, plain = data.excitations, np.ones_like(weight[:, :, :1])
+    raw, clean = (ring(q, data.first, weight, offsets) for q in (data.raw, data.clean))
+    force, left = (
+        sum(np.einsum("btr,btjk->bjk", plain, q.gram[:, :, 0, :e, 0, :e])[data.first + o] for o in offsets)
+        for q in (data.raw, data.clean)
+    )
+    new = _Both(raw, clean, np.asarray(force), np.asarray(force - left))
+    if bands is None:
+        return new
+    return _Both(bands.raw + raw, bands.clean + clean, bands.force + new.force, bands.loss + new.loss)
+
+
+def _solution(data: _Data, bands: _Both, error_lines: float) -> tuple[Estimate, Real]:
+    """Solve one width at all frequencies; return also which share the noise of the forces would have taken, (f, r)."""
+    e, k = data.excitations, data.raw.unknowns
+    value, inverse = solve_bands(bands.clean)
+    lines = bands.raw.lines[:, None]
+    left = residual_power(bands.raw, value)
+    freedom = np.maximum(lines - k, 0.0)
+    mean = left / np.where(freedom > 0.0, freedom, np.nan)
+    # (G - L)^-1 G (G - L)^-1: the noise of the forces is part of the residual, not of the curvature.
+    spread = inverse @ bands.raw.gram @ inverse
+    covariance = (mean[..., None, None] * spread)[..., :e, :e]
+    total = bands.raw.power
+    coherence = np.clip(1.0 - mean * lines / np.where(total > 0.0, total, np.nan), 0.0, 1.0)
+    loss = value[..., :e] - (solve_bands(bands.raw)[0][..., :e] if data.noise_spread > 0.0 else value[..., :e])
+    covariance = covariance + data.noise_spread**2 * loss[..., :, None] * loss[..., None, :].conj()
+    share = np.linalg.norm(loss, axis=2) / np.maximum(np.linalg.norm(value[..., :e], axis=2), 1e-300)
+    condition = _condition(bands)
+    shape = np.broadcast_to(freedom, left.shape)
+    return Estimate(value[..., :e], covariance, coherence, condition, error_lines, None, 2.0 * shape), share
+
+
+def _condition(bands: _Both) -> Real:
+    """Condition number of the forces without their noise; infinite where noise is most of the weakest direction."""
+    clean = np.linalg.eigvalsh(bands.force - bands.loss)
+    whole = np.linalg.eigvalsh(bands.force)
+    largest, smallest = whole[:, -1], clean[:, 0]
+    drowned = smallest <= (1.0 - LARGEST_SHARE) * np.maximum(whole[:, 0], 0.0)
+    usable = (smallest > 1e-14 * largest) & ~drowned & (largest > 0.0)
+    return np.where(usable, np.sqrt(largest / np.where(usable, smallest, 1.0)), np.inf)
+
+
+# --- the choice -------------------------------------------------------------------------------------------------------
+
+
+def _choose(
+    estimator: LocalPolynomial, widths: Sequence[float], solved: Sequence[Estimate], frequency: Real
+) -> Estimate:
+    """Take, row by row, the widest band that agrees with all narrower ones; charge what even the narrowest bends."""
+    rows = solved[0].compliance.shape[:2]
+    index = np.zeros(rows, dtype=int)
+    agrees = np.ones(rows, dtype=bool)
+    for k in range(1, len(widths)):
+        for narrower in solved[:k]:
+            agrees &= difference(solved[k], narrower) <= estimator.agreement
+        # A mode bends the compliance over several lines; a single line that agrees by chance does not count.
+        agrees = ndimage.median_filter(agrees, size=(5, 1), mode="nearest")
+        index[agrees] = k
+    f, r = np.ogrid[: rows[0], : rows[1]]
+    compliance, covariance, coherence, freedom = (
+        np.array([getattr(s, name) for s in solved])[index, f, r]
+        for name in ("compliance", "covariance", "coherence", "freedom")
+    )
+    condition = np.array([s.condition for s in solved])[index, f].max(axis=1)
+    warnings: tuple[str, ...] = ()
+    if len(widths) > 1:
+        bent = (index == 0) & ~agrees
+        # The bias of a polynomial of order p grows with width^(p+1), so doubling the width shows it 2^(p+1) - 1 fold.
+        growth = (widths[1] / widths[0]) ** (estimator.order + 1) - 1.0
+        bias = np.where(bent[..., None], (solved[1].compliance - solved[0].compliance) / growth, 0.0)
+        clear = np.abs(bias) > np.sqrt(np.diagonal(covariance, axis1=2, axis2=3).real)
+        covariance = covariance + bias[..., :, None] * bias[..., None, :].conj()
+        if clear.any():
+            where = in_words(frequency, clear.any(axis=(1, 2)))
+            warnings = (
+                f"resonances are narrower than the finest band of {2 * widths[0]:g} Hz in {where}: their peaks come "
+                "out too low by about what the standard deviation says; sweep more slowly so that the lines lie "
+                "closer, and use smaller half_widths",
+            )
+    width = np.asarray(widths)[index]
+    lines = float(np.mean([estimator.error_lines(w) for w in width.ravel()]))
+    return Estimate(compliance, covariance, coherence, condition, lines, width, freedom, warnings)
+
+
+def difference(a: Estimate, b: Estimate) -> Real:
+    """Largest difference within a row, in standard deviations of b, shape (f, r)."""
+    ratio = np.abs(a.compliance - b.compliance) / np.where(b.std > 0.0, b.std, np.inf)
+    return np.asarray(np.nan_to_num(ratio).max(axis=2))
+
+
+def _with_rational(
+    estimator: LocalPolynomial, data: _Data, weight: Real, solved: Sequence[Estimate], found: Estimate
+) -> Estimate:
+    """Take the rational model where it agrees with what was chosen and with all narrower bands."""
+    assert found.half_width is not None
+    assert found.freedom is not None
+    e, f = data.excitations, data.frequency
+    fit = fit_rational(data.clean, weight, (float(f[0]) - 1.0, float(f[-1]) + 1.0), f, e)
+    covariance = fit.covariance * max(1.0, fit.misfit)
+    model = replace(found, compliance=fit.value, covariance=covariance)
+    agrees = np.ones(found.half_width.shape, dtype=bool)
+    for width, s in zip(sorted(estimator.half_widths), solved, strict=False):
+        narrower = found.half_width >= width - 1e-12
+        agrees &= ~narrower | (difference(model, s) <= estimator.agreement)
+    agrees = ndimage.median_filter(agrees, size=(5, 1), mode="nearest")
+    covariance = covariance + _lack_of_fit(model, found, estimator)
+    narrower_std = np.sum(np.diagonal(covariance, axis1=2, axis2=3).real, axis=2) < np.sum(found.std**2, axis=2)
+    take = agrees & narrower_std
+    width = (float(f[-1]) - float(f[0])) / (2.0 * fit.terms)
+    return replace(
+        found,
+        compliance=np.where(take[..., None], fit.value, found.compliance),
+        covariance=np.where(take[..., None, None], covariance, found.covariance),
+        half_width=np.where(take, np.maximum(width, found.half_width), found.half_width),
+        freedom=np.where(take, 2.0 * fit.freedom / found.compliance.shape[1], found.freedom),
+    )
+
+
+def _lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial, reach: float = 4.0) -> Complex:
+    """Return the variance that the model lacks: what it differs from the bands by, beyond their noise, within `reach`.
+
+    A wrong model differs everywhere a little; pooled over neighbouring frequencies this shows before a single line
+    does.
+    """
+    assert found.half_width is not None
+    variance = np.maximum(found.std**2, 1e-300)
+    ratio = np.nan_to_num(np.abs(model.compliance - found.compliance) ** 2 / variance, nan=1.0).mean(axis=2)
+    size = 2 * round(reach / estimator.resolution) + 1
+    pooled = ndimage.uniform_filter1d(ratio, size, axis=0, mode="nearest")
+    independent = found.compliance.shape[2] * np.maximum(reach / found.half_width, 1.0)
+    beyond = np.where(pooled > 1.0 + 2.0 / np.sqrt(independent), pooled - 1.0, 0.0)
+    return np.asarray(beyond[..., None, None] * np.eye(variance.shape[2]) * variance[..., None, :])
+
+
+def _about_noise(found: Estimate, share: Real, noise: _Noise | None, frequency: Real) -> Estimate:
+    """Say what noise on the forces would have taken, or that it is not known."""
+    if noise is None:
+        text = (
+            "no pass has a quiet piece of air before or after the cut, so what noise on the forces takes from the "
+            "compliance is unknown"
+        )
+        return replace(found, warnings=(*found.warnings, text))
+    solved = np.where(np.isfinite(found.condition)[:, None], share, 0.0)
+    most = float(np.nan_to_num(solved).max())
+    if most <= 0.01:
+        return found
+    at = frequency[int(np.argmax(np.nan_to_num(solved).max(axis=1)))]
+    text = (
+        f"noise on the forces would lower the compliance by up to {100.0 * most:.2g} % (at {at:g} Hz); it is taken "
+        "out, and how well it is known is in the standard deviation: a quieter sensor or a deeper cut would do better"
+    )
+    return replace(found, warnings=(*found.warnings, text))
