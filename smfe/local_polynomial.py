@@ -46,6 +46,9 @@ Step = Callable[[int, int], None]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+NOISE_REACH = 1.0
+"""Noise powers are the median over this distance to either side [Hz]: noise of the forces peaks with the compliance."""
+
 LARGEST_SHARE = 0.7
 """Share of noise in the weakest direction of the forces above which a frequency is not solved."""
 
@@ -102,7 +105,7 @@ def solve_local(
     tests, excitations, noise = _tests(estimator, passes, background, frequency, axes, response)
     widths = usable_widths(estimator, [*passes, *background], tests[0].inputs.shape[1])
     data = _data(estimator, tests, frequency, excitations, noise)
-    weight = _weights(data, estimator, widths[0])
+    weight = _weights(data, estimator, _width_for_noise(data, widths))
     steps = len(widths) + 1
     solved, shares, bands, done = [], [], None, 0
     for number, width in enumerate(widths):
@@ -292,6 +295,13 @@ def _at_bins(data: _Data, values: Real) -> Real:
 # --- noise of the motion ----------------------------------------------------------------------------------------------
 
 
+def _width_for_noise(data: _Data, widths: Sequence[float]) -> float:
+    """Return the narrowest half width with four lines for each unknown; with fewer, residuals say little."""
+    lines = data.raw.moment[:, :, 0, 0].sum(axis=1).mean() / data.raw.step
+    enough = [w for w in widths if 2.0 * w * lines >= 4.0 * data.raw.unknowns]
+    return enough[0] if enough else widths[-1]
+
+
 def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int = 4) -> Real:
     """Learn the inverse noise power of each response in each pass, shape (b, tests, r).
 
@@ -319,14 +329,14 @@ def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int 
         each = sum(data.raw.moment[data.first + o, :, 0, 0] for o in range(-side, side))
         fair = lines / np.maximum(lines - k, 1.0)
         mean = np.where(each[..., None] > 0, residual / np.maximum(each, 1.0)[..., None] * fair[:, None, None], np.nan)
-        weight = _at_bins(data, 1.0 / _smooth_noise(mean)) * below
+        weight = _at_bins(data, 1.0 / _smooth_noise(mean, max(1, round(NOISE_REACH / estimator.resolution)))) * below
     return weight
 
 
 _FIELDS = ("centre", "step", "gram", "cross", "power", "moment")
 
 
-def _smooth_noise(residual: Real, reach: int = 8) -> Real:
+def _smooth_noise(residual: Real, reach: int) -> Real:
     """Take the median residual power (f, tests, r) over neighbouring frequencies; keep weights within 1:1000."""
     padded = np.concatenate([np.full_like(residual[:reach], np.nan), residual, np.full_like(residual[:reach], np.nan)])
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * min(reach, residual.shape[0]) + 1, axis=0)
@@ -454,7 +464,7 @@ def _with_rational(
     assert found.half_width is not None
     assert found.freedom is not None
     e, f = data.excitations, data.frequency
-    fit = fit_rational(data.clean, weight, (float(f[0]) - 1.0, float(f[-1]) + 1.0), f, e)
+    fit = fit_rational(data.clean, data.raw, weight, (float(f[0]) - 1.0, float(f[-1]) + 1.0), f, e)
     covariance = fit.covariance * max(1.0, fit.misfit)
     model = replace(found, compliance=fit.value, covariance=covariance)
     agrees = np.ones(found.half_width.shape, dtype=bool)

@@ -78,7 +78,7 @@ class LocalPolynomial:
     resolution: float = 0.25
     half_widths: tuple[float, ...] = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
     order: int = 2
-    agreement: float = 2.5
+    agreement: float = 2.0
     rational: bool = True
     instrument_teeth: int | None = None
     position_dependent: bool = False
