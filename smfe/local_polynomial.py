@@ -46,8 +46,8 @@ Step = Callable[[int, int], None]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-NOISE_REACH = 1.0
-"""Noise powers are the median over this distance to either side [Hz]: noise of the forces peaks with the compliance."""
+NOISE_REACH = 2.0
+"""Noise powers of the motion are the median over this distance to either side [Hz]."""
 
 LARGEST_SHARE = 0.7
 """Share of noise in the weakest direction of the forces above which a frequency is not solved."""
@@ -64,6 +64,8 @@ class _Data:
     excitations: int
     noise_spread: float
     """Relative standard deviation of the noise power of the forces; 0 where it is not known."""
+    force_noise: Complex
+    """Noise of the forces a line, shape (b, tests, e, e)."""
 
 
 def solve_local(
@@ -270,7 +272,8 @@ def _data(
     raw = bin_lines(tests, edges, estimator.order)
     first = side + np.round((frequency - frequency[0]) / step).astype(int)
     if noise is None:
-        return _Data(raw, raw, frequency, first, excitations, 0.0)
+        nothing = np.zeros((bins, len(tests), excitations, excitations), dtype=complex)
+        return _Data(raw, raw, frequency, first, excitations, 0.0, nothing)
     e, j, r = excitations, tests[0].inputs.shape[1], tests[0].response.shape[1]
     power = np.zeros((bins, len(tests), j, j), dtype=complex)
     power[:, :, :e, :e] = np.stack(noise.force(raw.centre), axis=1)
@@ -279,7 +282,8 @@ def _data(
         shared = np.zeros((bins, len(tests), j, r), dtype=complex)
         shared[:, :, :e] = np.stack(noise.shared(raw.centre), axis=1)
     clean = raw.without_input_noise(power, shared)
-    return _Data(raw, clean, frequency, first, excitations, 1.0 / float(np.sqrt(noise.freedom)))
+    spread = 1.0 / float(np.sqrt(noise.freedom))
+    return _Data(raw, clean, frequency, first, excitations, spread, power[:, :, :e, :e])
 
 
 def _bins(data: _Data, width: float) -> int:
@@ -306,49 +310,59 @@ def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int 
     """Learn the inverse noise power of each response in each pass, shape (b, tests, r).
 
     The first round weights all passes alike, so that a noisy one leaves its mark on the residual of the quiet ones;
-    solving again with what was learnt takes it away.
+    solving again with what was learnt takes it away. Noise of the forces comes through the compliance, so it peaks with
+    it and is known; what is left is smooth, white for an accelerometer: as a displacement it falls with the fourth
+    power of frequency.
     """
     b, tests, r = data.raw.power.shape
-    weight, side = np.ones((b, tests, r)), _bins(data, width)
-    k = data.raw.unknowns
-    # White noise of an accelerometer is a displacement that falls with the fourth power: bins below the band are noisy.
+    weight = np.ones((b, tests, r))
+    reach = max(1, round(NOISE_REACH / estimator.resolution))
+    whitened = (data.frequency / data.frequency[0])[:, None, None] ** 4
     below = np.minimum((np.maximum(data.raw.centre, 0.0) / data.frequency[0]) ** 4, 1.0)[:, None, None]
     for _ in range(rounds):
-        bands = ring(data.clean, data.first, weight, range(-side, side))
-        coefficients, _ = solve_bands(bands)
-        residual, lines = np.zeros((data.first.size, tests, r)), np.zeros(data.first.size)
-        for offset in range(-side, side):
-            at = data.first + offset
-            shift = np.kron(
-                shift_matrix((offset + 0.5) * data.raw.step, estimator.order), np.eye(k // (estimator.order + 1))
-            )
-            moved = np.einsum("kl,frl->frk", shift, coefficients)
-            here = Equations(*(getattr(data.raw, n)[at] if n != "step" else data.raw.step for n in _FIELDS))
-            residual += residual_power(here, np.repeat(moved[:, None], tests, axis=1))
-            lines += here.moment[:, :, 0, 0].sum(axis=1)
-        each = sum(data.raw.moment[data.first + o, :, 0, 0] for o in range(-side, side))
-        fair = lines / np.maximum(lines - k, 1.0)
-        mean = np.where(each[..., None] > 0, residual / np.maximum(each, 1.0)[..., None] * fair[:, None, None], np.nan)
-        weight = _at_bins(data, 1.0 / _smooth_noise(mean, max(1, round(NOISE_REACH / estimator.resolution)))) * below
+        coefficients, mean = _residual_power(data, estimator, width, weight)
+        phi = coefficients[..., : data.excitations]
+        through = np.einsum("frj,ftkj,frk->ftr", phi, data.force_noise[data.first], phi.conj(), optimize=True).real
+        through = np.minimum(_median(through, reach // 2), 0.95 * _median(mean, reach // 2))
+        rest = _median((mean - through) * whitened, reach) / whitened
+        weight = _at_bins(data, 1.0 / _floored(np.maximum(rest, 0.05 * mean) + through)) * below
     return weight
 
 
-_FIELDS = ("centre", "step", "gram", "cross", "power", "moment")
+def _residual_power(data: _Data, estimator: LocalPolynomial, width: float, weight: Real) -> tuple[Complex, Real]:
+    """Return the coefficients of one width, (f, r, k), and the residual power a line, (f, tests, r)."""
+    side, k = _bins(data, width), data.raw.unknowns
+    coefficients, _ = solve_bands(ring(data.clean, data.first, weight, range(-side, side)))
+    tests, r = data.raw.power.shape[1:]
+    residual, each = np.zeros((data.first.size, tests, r)), np.zeros((data.first.size, tests))
+    for offset in range(-side, side):
+        at = data.first + offset
+        shift = shift_matrix((offset + 0.5) * data.raw.step, estimator.order)
+        moved = np.einsum("kl,frl->frk", np.kron(shift, np.eye(k // (estimator.order + 1))), coefficients)
+        here = Equations(
+            data.raw.centre[at], data.raw.step, data.raw.gram[at], data.raw.cross[at], data.raw.power[at],
+            data.raw.moment[at],
+        )  # fmt: skip
+        residual += residual_power(here, np.repeat(moved[:, None], tests, axis=1))
+        each += here.moment[:, :, 0, 0]
+    lines = each.sum(axis=1)
+    fair = (lines / np.maximum(lines - k, 1.0))[:, None, None]
+    return coefficients, np.where(each[..., None] > 0, residual / np.maximum(each, 1.0)[..., None] * fair, np.nan)
 
 
-def _smooth_noise(residual: Real, reach: int) -> Real:
-    """Take the median residual power (f, tests, r) over neighbouring frequencies; keep weights within 1:1000."""
-    padded = np.concatenate([np.full_like(residual[:reach], np.nan), residual, np.full_like(residual[:reach], np.nan)])
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * min(reach, residual.shape[0]) + 1, axis=0)
-    smooth = _nan_median(windows[: residual.shape[0]])
-    largest = np.max(np.nan_to_num(smooth), axis=1, keepdims=True)
-    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
-    return np.where(np.isfinite(smooth), np.maximum(smooth, floor), floor)
-
-
-def _nan_median(windows: Real) -> Real:
+def _median(values: Real, reach: int) -> Real:
+    """Return the median over `reach` neighbours to either side along the first axis; NaN counts for nothing."""
+    edge = np.full((reach, *values.shape[1:]), np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(np.concatenate([edge, values, edge]), 2 * reach + 1, axis=0)
     known = np.isfinite(windows).any(axis=-1)
     return np.where(known, np.nanmedian(np.where(known[..., None], windows, 0.0), axis=-1), np.nan)
+
+
+def _floored(noise: Real) -> Real:
+    """Keep noise powers (f, tests, r) of the passes within 1:1e6, and unknown ones out of the way."""
+    largest = np.max(np.nan_to_num(noise), axis=1, keepdims=True)
+    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
+    return np.where(np.isfinite(noise), np.maximum(noise, floor), floor)
 
 
 # --- one width --------------------------------------------------------------------------------------------------------
