@@ -201,10 +201,22 @@ def solve_bands(bands: Bands) -> tuple[Complex, Complex]:
     unit[..., np.arange(silent.shape[-1]), np.arange(silent.shape[-1])] += silent
     finite = np.isfinite(unit).all(axis=(-1, -2))
     unit[~finite] = np.eye(unit.shape[-1])
-    inverse = np.asarray(np.linalg.pinv(unit, rcond=1e-13, hermitian=True))
+    inverse = _inverse(unit)
     inverse = inverse * scale[..., :, None] * scale[..., None, :]
     inverse[~finite] = np.nan
     return np.einsum("frkl,frl->frk", inverse, bands.cross), inverse
+
+
+def _inverse(unit: Complex) -> Complex:
+    """Return inverses of matrices with a unit diagonal; of those that are singular the pseudo-inverse."""
+    try:
+        inverse: Complex = np.linalg.inv(unit)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(unit, rcond=1e-13, hermitian=True))
+    bad = ~(np.abs(inverse).max(axis=(-1, -2)) < 1e12)
+    if bad.any():
+        inverse[bad] = np.linalg.pinv(unit[bad], rcond=1e-13, hermitian=True)
+    return inverse
 
 
 def residual_power(equations: Bands | Equations, coefficients: Complex) -> Real:

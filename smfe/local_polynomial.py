@@ -265,7 +265,7 @@ def usable_widths(estimator: LocalPolynomial, passes: Sequence[SweepPass], input
 def _data(
     estimator: LocalPolynomial, tests: Sequence[Lines], frequency: Real, excitations: int, noise: _Noise | None
 ) -> _Data:
-    step = estimator.resolution / max(2, round(estimator.resolution / min(estimator.half_widths)))
+    step = estimator.resolution / (2 * max(2, round(estimator.resolution / min(estimator.half_widths))))
     side = max(1, round(max(estimator.half_widths) / step))
     bins = 2 * side + round((frequency[-1] - frequency[0]) / step)
     edges = frequency[0] + step * (np.arange(bins + 1) - side)
@@ -489,12 +489,13 @@ def _with_rational(
     covariance = covariance + _lack_of_fit(model, found, estimator)
     narrower_std = np.sum(np.diagonal(covariance, axis1=2, axis2=3).real, axis=2) < np.sum(found.std**2, axis=2)
     take = agrees & narrower_std
-    width = (float(f[-1]) - float(f[0])) / (2.0 * fit.terms)
+    width = np.where(take, np.maximum((f[-1] - f[0]) / (2.0 * fit.terms), found.half_width), found.half_width)
     return replace(
         found,
+        error_lines=float(np.mean([estimator.error_lines(float(w)) for w in width.ravel()])),
         compliance=np.where(take[..., None], fit.value, found.compliance),
         covariance=np.where(take[..., None, None], covariance, found.covariance),
-        half_width=np.where(take, np.maximum(width, found.half_width), found.half_width),
+        half_width=width,
         freedom=np.where(take, 2.0 * fit.freedom / found.compliance.shape[1], found.freedom),
     )
 

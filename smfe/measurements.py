@@ -25,12 +25,14 @@ from process.tool import Tool
 from smfe import __version__
 from smfe.actuator import identify_actuator
 from smfe.campaign import Campaign, Measurement, RecordEntry
+from smfe.dynamometer import compensate
 from smfe.hammer import identify_hammer
 from smfe.identification import Identification, Progress, silent
 from smfe.records import read_frf, read_records
+from smfe.spindle_orders import Orders
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
-from smfe.sweep_estimators import LocalPolynomial, SingleReference, SweepPass
+from smfe.sweep_estimators import Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
 
 @cache
@@ -72,12 +74,7 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
             found = _frf(measurement)
         else:
             found = _per_axis(measurement)
-        notes = sign_warnings(found.compliance)
-        if measurement.background:
-            notes += (
-                "the background record is not subtracted: what the spindle shakes without a cut is in the result",
-            )
-        return replace(found, warnings=(*found.warnings, *notes))
+        return replace(found, warnings=(*found.warnings, *sign_warnings(found.compliance)))
     except InputError as error:
         message = str(error)
         named = message if measurement.name in message else f"measurement '{measurement.name}': {message}"
@@ -173,17 +170,53 @@ def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[
     for entry in measurement.records:
         name, arc = _pass_of(campaign.tool, entry)
         for number, record in enumerate(records_of(entry)):
-            passes.append(SweepPass(record, name + (f" ({number + 1})" if number else ""), arc))
+            force = _compensated(measurement, record)
+            passes.append(SweepPass(force, name + (f" ({number + 1})" if number else ""), arc))
     return passes, measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
+
+
+def _compensated(measurement: Measurement, record: xr.Dataset) -> xr.Dataset:
+    return record if measurement.dynamometer is None else compensate(record, measurement.dynamometer)
+
+
+def sweep_estimator(campaign: Campaign, measurement: Measurement) -> Estimator | Orders:
+    """Return the estimator that a sweep measurement asks for."""
+    assert campaign.tool is not None
+    teeth = campaign.tool.teeth
+    fine, coarse = measurement.resolution or 0.25, measurement.resolution or 0.5
+    single = measurement.references == "x"
+    match measurement.estimator or ("single_reference" if single else "local_polynomial"):
+        case "single_reference":
+            return SingleReference(resolution=fine)
+        case "segments":
+            return Segments(coarse)
+        case "orders":
+            return Orders(teeth, resolution=fine)
+    return LocalPolynomial(
+        fine,
+        instrument_teeth=teeth if measurement.references == "spindle" else None,
+        position_dependent=measurement.position_dependent,
+    )
 
 
 def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
     passes, band = passes_and_band(campaign, measurement)
-    estimator: LocalPolynomial | SingleReference = LocalPolynomial(measurement.resolution or 0.25)
-    if measurement.references != "all":
-        estimator = SingleReference(measurement.references, measurement.resolution or 0.25)
+    background = [
+        SweepPass(_compensated(measurement, record), f"background {path.name}")
+        for path in measurement.background
+        for record in read_records(path, measurement.channels)
+    ]
     what = f"identifying {measurement.name}"
-    return identify_sweep(measurement.name, passes, band, estimator, lambda done, of: progress(what, done, of))
+    return identify_sweep(
+        measurement.name,
+        passes,
+        band,
+        sweep_estimator(campaign, measurement),
+        lambda done, of: progress(what, done, of),
+        axes=measurement.axes,
+        background=background,
+        reciprocal=measurement.reciprocal,
+    )
 
 
 def tooth_passing_band(passes: list[SweepPass], teeth: int) -> tuple[float, float]:
@@ -268,7 +301,9 @@ def cached_identification(
 
 def _key(campaign: Campaign, measurement: Measurement) -> str:
     settings = repr((__version__, campaign.tool, measurement))
-    hashes = [file_hash(f) for entry in measurement.records for f in entry.files]
+    hashes = [
+        file_hash(f) for files in (*(e.files for e in measurement.records), measurement.background) for f in files
+    ]
     return hashlib.sha256("\n".join([settings, *hashes]).encode()).hexdigest()[:16]
 
 

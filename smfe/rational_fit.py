@@ -20,6 +20,12 @@ from smfe.local_equations import Equations, ring
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+COARSE = 0.25
+"""Width of the bins that are joined to find the poles [Hz]."""
+
+NARROW = 8.0
+"""A pole narrower than so many of them is polished with the finest bins: its third derivative shows within a bin."""
+
 MOST_ORDER = 6
 """Order of the smooth remainder at most."""
 
@@ -131,7 +137,8 @@ def fit_rational(
     RationalFit
         With as many poles as are worth their unknowns, `MOST_POLES` at most.
     """
-    problem = _problem(equations, weight, band, order)
+    together = max(1, round(COARSE / equations.step))
+    problem = _problem(equations, weight, band, order, together)
     best = _solve(problem, np.zeros(0, dtype=complex))
     each = problem.gram.shape[0] * problem.inputs
     while True:
@@ -145,25 +152,31 @@ def fit_rational(
         if smoother.order > MOST_ORDER or not best.cost - found.cost > WORTH * each:
             break
         problem, best = smoother, found
-    return _result(problem, best, _residual(_problem(raw, weight, band, order), best), frequency, excitations)
+    if together > 1 and best.poles.size and float(best.poles.imag.min()) < NARROW * COARSE:
+        together = 1
+        problem = _problem(equations, weight, band, problem.order, 1)
+        best = _polished(problem, best.poles)
+    left = _residual(_problem(raw, weight, band, problem.order, together), best)
+    return _result(problem, best, left, frequency, excitations)
 
 
-def _problem(equations: Equations, weight: Real, band: tuple[float, float], order: int) -> _Problem:
-    first = np.flatnonzero((equations.centre > band[0]) & (equations.centre < band[1]))[:-1:2]
-    # Two bins in one: the terms of a bin still follow any mode that the narrowest band follows.
-    pairs = ring(equations, first + 1, weight, (-1, 0))
-    centre = 0.5 * (equations.centre[first] + equations.centre[first + 1])
+def _problem(equations: Equations, weight: Real, band: tuple[float, float], order: int, together: int) -> _Problem:
+    inside = np.flatnonzero((equations.centre > band[0]) & (equations.centre < band[1]))
+    first = inside[: inside.size // together * together : together]
+    # About the lower edge of a bin in the middle.
+    joined = ring(equations, first + together // 2, weight, range(-(together // 2), together - together // 2))
+    centre = equations.centre[first + together // 2] - 0.5 * equations.step
     return _Problem(
         centre,
-        np.ascontiguousarray(pairs.gram.swapaxes(0, 1)),
-        np.ascontiguousarray(pairs.cross.swapaxes(0, 1)),
-        pairs.power.sum(axis=0),
+        np.ascontiguousarray(joined.gram.swapaxes(0, 1)),
+        np.ascontiguousarray(joined.cross.swapaxes(0, 1)),
+        joined.power.sum(axis=0),
         0.5 * (band[0] + band[1]),
         0.5 * (band[1] - band[0]),
         order,
-        float(pairs.lines.sum()) * weight.shape[2],
+        float(joined.lines.sum()) * weight.shape[2],
         equations.gram.shape[3],
-        2.0 * equations.step,
+        0.5 * COARSE,
     )
 
 

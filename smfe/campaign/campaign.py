@@ -26,6 +26,7 @@ from smfe.campaign.checks import check, merge, path
 from smfe.campaign.messages import complaints
 from smfe.campaign.plan_table import PlanTable
 from smfe.datasets import Show
+from smfe.dynamometer import Dynamometer
 from smfe.records.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from stability import SpindleRange, Spread
 
@@ -118,7 +119,15 @@ class Measurement(Conditions):
     resolution : float, optional
         [Hz].
     references : str
-        "all", or "x" for the estimator with a single reference (sweep).
+        "all"; "spindle" with the passing of the teeth as instrument; "x" for a single reference (sweep).
+    estimator : str, optional
+        "local_polynomial", "segments", "orders" or "single_reference" (sweep).
+    axes : tuple of str
+        Axes of the forces that are references (sweep).
+    reciprocal, position_dependent : bool
+        Constrain the compliance to be symmetric; let it change along the pass (sweep).
+    dynamometer : Dynamometer, optional
+        Force sensor whose inertia and resonance are compensated (sweep).
     held_out : bool
         Set aside by a diagnosis, and opened once at its very end.
     """
@@ -131,11 +140,23 @@ class Measurement(Conditions):
     frequency_range: tuple[float, float] | None = None
     resolution: float | None = None
     references: str = "all"
+    estimator: str | None = None
+    axes: tuple[str, ...] = ("x", "y", "z")
+    reciprocal: bool = False
+    position_dependent: bool = False
+    dynamometer: Dynamometer | None = None
     held_out: bool = False
 
     def settings(self) -> dict[str, Any]:
         """Return method, conditions and processing as plain values for a protocol, without what is not given."""
-        names = ["method", *(f.name for f in fields(Conditions)), "frequency_range", "resolution", "references"]
+        names = [
+            "method",
+            *(f.name for f in fields(Conditions)),
+            "frequency_range",
+            "resolution",
+            "references",
+            "estimator",
+        ]
         values = {name: getattr(self, name) for name in names}
         values["started"] = self.started.isoformat() if self.started else None
         return {name: value for name, value in values.items() if value is not None}
@@ -441,15 +462,19 @@ def _declared(channels: schema.Channels) -> Declared:
     return {name: table.model_dump(exclude_unset=True) for name, table in channels.items()}
 
 
+_OF_SWEEPS = ("estimator", "axes", "reciprocal", "position_dependent")
+
+
 def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
     own = _declared(table.channels)
     inherited = merge(_for_method(table.method, base), own)
     common: dict[str, Any] = {name: getattr(table, name) for name in schema.ConditionsTable.model_fields}
-    rest = ("name", "method", "frequency_range", "resolution", "references", "held_out")
+    rest = ("name", "method", "frequency_range", "resolution", "references", "held_out", *_OF_SWEEPS)
     return Measurement(
         **common,
         **{name: getattr(table, name) for name in rest},
         background=table.background or (),
+        dynamometer=table.dynamometer and table.dynamometer.build(),
         channels=_channels(table.method, inherited),
         records=tuple(_record(record, table.method, inherited, common) for record in table.records),
     )

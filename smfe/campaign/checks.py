@@ -26,6 +26,17 @@ _WHERE_READ = {
 }
 """Key of a record -> methods that need it; for other methods it is an error, because nothing reads it."""
 
+_OF_SWEEPS = (
+    "background",
+    "references",
+    "estimator",
+    "axes",
+    "reciprocal",
+    "position_dependent",
+    "dynamometer",
+)
+"""Keys of a measurement that only a sweep reads."""
+
 _EXAMPLES = {
     "excitation": 'the axis that was excited, excitation = "x"',
     "response": 'the axis of the motion, response = "x"',
@@ -98,7 +109,7 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
         method = table.get("method")
         if method not in METHODS:
             continue
-        for key in ("background", "references"):
+        for key in _OF_SWEEPS:
             if key in table and method != "sweep":
                 yield (*where, key), f"method '{method}' does not read it; only a sweep does, take it out"
         for place, record in _records(table):
@@ -125,21 +136,40 @@ def _sweeps(raw: Raw) -> Iterator[Complaint]:
             passes.add((str(record.get("cut")), width))
             yield from _fits(diameter, (*where, *place), width, record)
         # The estimator with a single reference is fed the same passes, so that the two can be compared.
-        if len(passes) < 3:
-            yield (*where, "records"), _too_few(passes, diameter)
+        axes = table.get("axes")
+        needed = len(set(axes)) if isinstance(axes, list) and axes else 3
+        if len(passes) < needed:
+            yield (*where, "records"), _too_few(passes, diameter, needed)
+        yield from _estimator(where, table)
 
 
-def _too_few(passes: set[tuple[str, float | None]], diameter: float | None) -> str:
+def _estimator(where: Loc, table: Raw) -> Iterator[Complaint]:
+    """What goes with which estimator."""
+    references, estimator = table.get("references", "all"), table.get("estimator")
+    single = "single_reference" if references == "x" else "local_polynomial"
+    if estimator is not None and references != "all" and estimator != single:
+        yield (
+            (*where, "estimator"),
+            f"references = '{references}' is that of estimator '{single}'; take one of them out",
+        )
+    local = references != "x" and estimator in (None, "local_polynomial")
+    for key in ("background", "position_dependent"):
+        if table.get(key) and not local:
+            yield (*where, key), "only the estimator 'local_polynomial' reads it; take it or the estimator out"
+
+
+def _too_few(passes: set[tuple[str, float | None]], diameter: float | None, needed: int) -> str:
     cuts = {cut for cut, _ in passes}
     missing = [cut for cut in _ADVISED_PASSES if cut not in cuts] or list(_ADVISED_PASSES)
     advised = []
-    for cut in missing[: 3 - len(passes)]:
+    for cut in missing[: needed - len(passes)]:
         ratio = _ADVISED_PASSES[cut]
         width = f"{ratio:g} of the tool diameter" if diameter is None else units.show(ratio * diameter, "mm", "length")
         advised.append(f"a pass with cut = '{cut}' and a width of {width}")
+    directions, entries = {1: ("one", "one"), 2: ("two", "four")}.get(needed, ("three", "nine"))
     return (
-        f"{len(passes)} passes that differ in cut or width; three independent force directions are needed to solve for "
-        f"nine compliances; add {' and '.join(advised)}"
+        f"{len(passes)} passes that differ in cut or width; {directions} independent force directions are needed to "
+        f"solve for {entries} compliances; add {' and '.join(advised)}"
     )
 
 
