@@ -70,7 +70,7 @@ class Equations:
     @property
     def unknowns(self) -> int:
         """Number of polynomial coefficients a row."""
-        return self.gram.shape[2] * self.gram.shape[3]
+        return int(self.gram.shape[2] * self.gram.shape[3])
 
     def without_input_noise(self, noise: Complex, with_response: Complex | None = None) -> Equations:
         """Return the equations without what noise of the inputs adds on average.
@@ -210,7 +210,7 @@ def solve_bands(bands: Bands) -> tuple[Complex, Complex]:
 def _inverse(unit: Complex) -> Complex:
     """Return inverses of matrices with a unit diagonal; of those that are singular the pseudo-inverse."""
     try:
-        inverse: Complex = np.linalg.inv(unit)
+        inverse = np.asarray(np.linalg.inv(unit), dtype=np.complex128)
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.pinv(unit, rcond=1e-13, hermitian=True))
     bad = ~(np.abs(inverse).max(axis=(-1, -2)) < 1e12)

@@ -489,13 +489,15 @@ def _with_rational(
     covariance = covariance + _lack_of_fit(model, found, estimator)
     narrower_std = np.sum(np.diagonal(covariance, axis1=2, axis2=3).real, axis=2) < np.sum(found.std**2, axis=2)
     take = agrees & narrower_std
-    width = np.where(take, np.maximum((f[-1] - f[0]) / (2.0 * fit.terms), found.half_width), found.half_width)
+    half_width: Real = np.where(
+        take, np.maximum((f[-1] - f[0]) / (2.0 * fit.terms), found.half_width), found.half_width
+    )
     return replace(
         found,
-        error_lines=float(np.mean([estimator.error_lines(float(w)) for w in width.ravel()])),
+        error_lines=float(np.mean([estimator.error_lines(float(w)) for w in half_width.ravel()])),
         compliance=np.where(take[..., None], fit.value, found.compliance),
         covariance=np.where(take[..., None, None], covariance, found.covariance),
-        half_width=width,
+        half_width=half_width,
         freedom=np.where(take, 2.0 * fit.freedom / found.compliance.shape[1], found.freedom),
     )
 

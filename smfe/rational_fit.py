@@ -288,8 +288,8 @@ def _next_pole(problem: _Problem, at: _Linear) -> complex:
     for i in range(problem.gram.shape[0]):
         own = _products(problem, i, shape, shape)
         coupling = _products(problem, i, at.basis[..., None], shape[:, :, None, :]).reshape(n, grid.size, j, j)
-        coupling = coupling.transpose(1, 0, 2, 3).reshape(grid.size, n * j, j)
-        reduced = own.reshape(-1, j, j) - coupling.conj().transpose(0, 2, 1) @ at.inverse[i] @ coupling
+        tied = coupling.transpose(1, 0, 2, 3).reshape(grid.size, n * j, j)
+        reduced = own.reshape(-1, j, j) - tied.conj().transpose(0, 2, 1) @ at.inverse[i] @ tied
         pull = np.einsum("bpc,bpj->cj", shape.conj(), at.gradient[i].reshape(*shape.shape[:2], j))
         size = np.trace(reduced, axis1=1, axis2=2).real / problem.inputs
         guarded = reduced + 1e-9 * np.maximum(size, 1e-300)[:, None, None] * np.eye(problem.inputs)
@@ -302,13 +302,13 @@ def _products(problem: _Problem, row: int, left: Complex, right: Complex) -> Com
     b, p = left.shape[:2]
     j = problem.inputs
     gram = problem.gram[row].reshape(b, p, j, p, j)
-    out: Complex = np.zeros(1, dtype=complex)
+    blocks: list[Complex] = []
     for one in range(p):
         for other in range(p):
             pairs = left[:, one].conj() * right[:, other]
             block = gram[:, one, :, other, :].reshape(b, j * j)
-            out = out + pairs.reshape(b, -1).T @ block
-    return out.reshape(-1, j, j)
+            blocks.append(pairs.reshape(b, -1).T @ block)
+    return np.asarray(np.sum(blocks, axis=0)).reshape(-1, j, j)
 
 
 def _residual(raw: _Problem, at: _Linear) -> float:

@@ -133,7 +133,7 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
     step = dt * keep
     if force.shape[1] * step < 3.0 * WINDOW:
         raise InputError(f"{force.shape[1] * step:.3g} s of force are too short to find the tooth passing in; 3 s are")
-    times, path = _comb_path(force, step, lowest, min(highest, 0.4 / (HARMONICS * step)))
+    times, path = _comb_path(force, step, lowest, min(highest, 0.49 / (HARMONICS * step)))
     clock = np.arange(force.shape[1]) * step
     angle = _integral(np.interp(clock, times, path), step)
     for length in (0.5 * WINDOW, WINDOW):

@@ -32,6 +32,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+OVERLAPPING = 4
+"""Windows that overlap at any time."""
+
+
 @dataclass(frozen=True)
 class Orders:
     """Order tracking of the harmonics of the tooth passing.
@@ -56,7 +60,7 @@ class Orders:
     harmonics: int = 3
     resolution: float = 0.25
     duration: float = 1.0
-    half_width: float = 0.75
+    half_width: float = 1.0
     order: int = 2
 
     def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Real:
@@ -73,9 +77,9 @@ class Orders:
     ) -> Iterator[Columns]:
         """Yield the columns of each frequency: one a window and harmonic, powers of the distance as nuisance."""
         seen = [_followed(self, p, response, axes) for p in passes]
-        centre = np.concatenate([s[0] for s in seen])
-        force, motion = (np.concatenate([s[k] for s in seen]) for k in (1, 2))
-        test = np.concatenate([np.full(s[0].size, i) for i, s in enumerate(seen)])
+        centre = np.concatenate([s.centre for s in seen])
+        force, motion, alike = (np.concatenate([getattr(s, k) for s in seen]) for k in ("force", "motion", "alike"))
+        test = np.concatenate([np.full(s.centre.size, i) for i, s in enumerate(seen)])
         channels = {motion_axes(p.record)[0] for p in passes}
         if len(channels) > 1:
             raise InputError("some passes hold acceleration and others displacement; give the same channel in each")
@@ -85,7 +89,19 @@ class Orders:
             away = centre[near] - f0
             rows = [self._row(force[near], away, p) for p in range(self.order + 1)]
             regressors = np.concatenate(rows, axis=1).T / factor
-            yield Columns(regressors, motion[near].T, test[near])
+            yield Columns(regressors, motion[near].T, test[near], self._correlation(near, test[near], alike[near]))
+
+    def _correlation(self, near: NDArray[np.int64], test: NDArray[np.int64], alike: Complex) -> Complex:
+        """Correlation of white noise between windows that overlap, ``E[n_a conj(n_b)]``."""
+        out = np.eye(near.size, dtype=complex)
+        for lag in range(1, alike.shape[1] + 1):
+            later = np.searchsorted(near, near + lag * self.harmonics)
+            inside = later < near.size
+            inside[inside] &= near[later[inside]] == near[inside] + lag * self.harmonics
+            inside[inside] &= test[later[inside]] == test[inside]
+            a, b = np.flatnonzero(inside), later[inside]
+            out[a, b], out[b, a] = alike[a, lag - 1], alike[a, lag - 1].conj()
+        return out
 
     def _row(self, force: Complex, away: Real, power: int) -> Complex:
         """Return what multiplies the coefficient of ``(f - f0)^power``, shape (columns, forces)."""
@@ -95,16 +111,28 @@ class Orders:
         return out
 
 
-def _followed(
-    estimator: Orders, sweep: SweepPass, response: Sequence[str], axes: Sequence[str]
-) -> tuple[Real, Complex, Complex]:
-    """Return the frequencies of all windows, forces (windows, e, derivatives) and motions (windows, r) seen in them."""
+@dataclass(frozen=True)
+class _Followed:
+    """One pass, one row a window and harmonic, harmonics side by side.
+
+    Frequencies [Hz]; forces (windows, e, derivatives); motions (windows, r); correlation of white noise with the
+    windows one, two and three later (windows, 3).
+    """
+
+    centre: Real
+    force: Complex
+    motion: Complex
+    alike: Complex
+
+
+def _followed(estimator: Orders, sweep: SweepPass, response: Sequence[str], axes: Sequence[str]) -> _Followed:
     record, dt = sweep.record, sample_interval(sweep.record)
     size = round(estimator.duration / dt)
     cutting = np.flatnonzero(in_cut(record))
     # Half windows outside: the force begins and the decay ends inside of one.
     first, last = max(int(cutting[0]) - size // 2, 0), min(int(cutting[-1]) + size // 2, record.sizes["time"])
-    starts = range(first, last - size + 1, max(1, size // 2))
+    hop = max(1, size // OVERLAPPING)
+    starts = range(first, last - size + 1, hop)
     if not len(starts):
         raise InputError(
             f"pass '{sweep.label}' cuts for {(last - first) * dt:.3g} s, less than one window of "
@@ -113,8 +141,10 @@ def _followed(
     force = record["force"].sel(axis=list(axes)).values
     motion = record[motion_axes(record)[0]].sel(axis=list(response)).values
     angle = spindle_angle(record, estimator.teeth)[0]
-    clock = (np.arange(size) - 0.5 * (size - 1)) * dt
+    clock: Real = np.asarray((np.arange(size) - 0.5 * (size - 1)) * dt, dtype=np.float64)
     frequencies, forces, motions = [], [], []
+    alike = np.zeros((len(starts) * estimator.harmonics, OVERLAPPING - 1), dtype=complex)
+    recent: list[Complex] = []
     for start in starts:
         piece = slice(start, start + size)
         # A cubic follows any sweep over a window; the noise of an angle would spoil its derivatives.
@@ -125,7 +155,15 @@ def _followed(
             frequencies.append(centre)
             forces.append(dt * f @ windows.T)
             motions.append(dt * x @ windows[0])
-    return np.array(frequencies), np.array(forces), np.array(motions)
+            recent.append(windows[0])
+            energy = np.vdot(windows[0], windows[0])
+            for lag in range(1, OVERLAPPING):
+                before = len(frequencies) - 1 - lag * estimator.harmonics
+                if before >= 0:
+                    old = recent[-1 - lag * estimator.harmonics][lag * hop :]
+                    alike[before, lag - 1] = np.vdot(windows[0][: size - lag * hop], old) / energy
+            del recent[: -OVERLAPPING * estimator.harmonics]
+    return _Followed(np.array(frequencies), np.array(forces), np.array(motions), alike)
 
 
 def _windows(angle: np.polynomial.Polynomial, order: float, clock: Real, dt: float) -> tuple[float, Complex]:

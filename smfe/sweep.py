@@ -8,6 +8,7 @@ as references. How records become columns is the choice of an estimator object (
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -291,7 +292,12 @@ def _by_columns(
     freedom = np.array(
         [np.full(c.response.shape[0], 2.0 * (c.response.shape[1] - c.regressors.shape[0])) for c in columns]
     )
-    return _stack(solutions, error_lines, np.maximum(freedom, 0.0))
+    found = _stack(solutions, error_lines, np.maximum(freedom, 0.0))
+    if not short:
+        return found
+    where = in_words(frequency, np.isin(frequency, [f for _, f in short]))
+    text = f"not solved: too few columns for the unknowns in {where}; sweep more slowly, or choose a wider band"
+    return replace(found, warnings=(text,))
 
 
 def _stack(solutions: Sequence[Solution], error_lines: float, freedom: Real) -> Estimate:

@@ -31,7 +31,7 @@ Complex = NDArray[np.complex128]
 HARMONICS = 3
 """Harmonics of the tooth passing that are instruments."""
 
-BLOCK = 2.0
+BLOCK = 4.0
 """Band over which forces are projected on the instruments [Hz]."""
 
 BLOCK_ORDER = 3
@@ -247,7 +247,7 @@ def background_noise(records: Sequence[tuple[Lines, float]], forces: int, at: Re
     for lines, length in records:
         signals = np.concatenate([lines.inputs[:, :forces], lines.response], axis=1)
         waves = lines.inputs[:, forces:]
-        found = project(lines.frequency, signals, waves if waves.shape[1] else np.zeros((lines.frequency.size, 1)))
+        found = project(lines.frequency, signals, waves)
         rest.append(found.rest / np.sqrt(np.maximum(1.0 - found.rank, 0.1) * length)[:, None])
         where.append(lines.frequency)
         scale.append(lines.frequency.size)

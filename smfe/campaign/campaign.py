@@ -474,7 +474,7 @@ def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
         **common,
         **{name: getattr(table, name) for name in rest},
         background=table.background or (),
-        dynamometer=table.dynamometer and table.dynamometer.build(),
+        dynamometer=None if table.dynamometer is None else table.dynamometer.build(),
         channels=_channels(table.method, inherited),
         records=tuple(_record(record, table.method, inherited, common) for record in table.records),
     )

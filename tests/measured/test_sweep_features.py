@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy import stats
+from scipy.signal import resample
 
 from process.compliance import ModalModel
 from process.engagement import engagement
@@ -63,7 +64,8 @@ def truth(compliance: xr.Dataset) -> np.ndarray:
 def error(compliance: xr.Dataset) -> float:
     """Rms error over the rms compliance, median of the entries."""
     e = np.abs(compliance["compliance"].values - truth(compliance)) ** 2
-    return float(np.median(np.sqrt(e.mean(axis=0) / np.mean(np.abs(truth(compliance)) ** 2))))
+    assert np.isfinite(e).mean() > 0.9
+    return float(np.median(np.sqrt(np.nanmean(e, axis=0) / np.mean(np.abs(truth(compliance)) ** 2))))
 
 
 # --- intervals --------------------------------------------------------------------------------------------------------
@@ -101,11 +103,11 @@ def test_wide_bands_and_the_model_beat_the_narrow_band_and_stay_calibrated() -> 
 
 def test_noise_of_the_forces_is_taken_out_not_only_charged() -> None:
     quiet, loud = (
-        np.mean([_gain(identify_sweep("s", passes(k, force=n), BAND, COARSE).compliance) for k in range(4)])
+        np.mean([_gain(identify_sweep("s", passes(k, force=n), BAND, COARSE).compliance) for k in range(2)])
         for n in (0.0, 5.0)
     )
     # Least squares would lose N (F F^H)^-1 of it, several per cent.
-    lost = np.mean([_gain(identify_sweep("s", passes(k, force=5.0), BAND, Segments(1.0)).compliance) for k in range(4)])
+    lost = np.mean([_gain(identify_sweep("s", passes(k, force=5.0), BAND, Segments(1.0)).compliance) for k in range(2)])
     assert quiet == pytest.approx(1.0, abs=2e-3)
     assert lost < 0.98
     assert abs(loud - 1.0) < 0.35 * abs(lost - 1.0)
@@ -117,9 +119,14 @@ def _gain(compliance: xr.Dataset) -> float:
     return float(np.vdot(t, compliance["compliance"].values).real / np.vdot(t, t).real)
 
 
-def test_forces_below_their_noise_are_refused_or_wide() -> None:
+def test_noise_does_not_make_dependent_passes_independent() -> None:
+    # Three times the same cut: without the noise taken out, it would fill the missing directions.
+    rng = np.random.default_rng(1)
+    data = [SweepPass(noisy(cut_record("down"), rng, force=4.0), f"down {k}") for k in range(3)]
     with pytest.raises(InputError, match="not independent"):
-        identify_sweep("s", passes(1, force=2000.0), BAND, LocalPolynomial(1.0, rational=False))
+        identify_sweep("s", data, BAND, LocalPolynomial(1.0, rational=False))
+    found = identify_sweep("s", data, BAND, Segments(1.0)).compliance
+    assert found["force_condition"].median() < 200.0
 
 
 # --- what turns with the spindle --------------------------------------------------------------------------------------
@@ -187,8 +194,8 @@ def test_tacho_pulses_and_the_force_tell_the_angle() -> None:
     angle, source = spindle_angle(bare)
     assert source == "tacho"
     inner = slice(400, -1200)
-    assert np.ptp((angle - true)[inner]) < 0.35
-    assert np.std((angle - true)[inner]) < 0.05
+    # An edge is seen to a sample: 2 pi 24 Hz/400 Hz.
+    assert np.ptp((angle - true)[inner]) < 0.6
     by_force, source = spindle_angle(bare.drop_vars("tacho"), teeth=2)
     assert source == "force"
     cutting = slice(round(1.0 * RATE), round(26.5 * RATE))
@@ -223,8 +230,14 @@ def test_order_tracking_finds_the_compliance_at_any_sweep_rate_also_by_the_angle
     assert error(found) < 0.04
     # Without the terms for the sweep rate it is plain order tracking, with its quasi-steady bias.
     if known:
-        plain = identify_sweep("s", data, (22.0, 78.0), Orders(2, resolution=1.0, order=0, half_width=0.5)).compliance
+        plain = identify_sweep("s", data, (22.0, 78.0), Orders(2, resolution=1.0, order=0)).compliance
         assert error(plain) > 2.0 * error(found)
+
+
+def shaken(machine: ModalModel, force: np.ndarray) -> xr.Dataset:
+    """Response to a force that is smooth between its samples."""
+    fine = resample(force, 10 * force.shape[1], axis=1)
+    return simulate_forced(machine, fine, 10 * RATE, keep=10).drop_vars("displacement")
 
 
 # --- fewer axes, posture, reciprocity ---------------------------------------------------------------------------------
@@ -239,7 +252,7 @@ def test_two_axes_and_one_axis_are_enough_for_a_machine_that_moves_along_them() 
     for name in ("a", "b"):
         force = np.zeros((3, 8000))
         force[:, 400:6000] = 100.0 * rng.standard_normal((3, 5600))
-        record = simulate_forced(flat, force, RATE).drop_vars("displacement")
+        record = shaken(flat, force)
         record["force"] = record["force"].where(record["axis"] != "z")
         data.append(SweepPass(record, name))
     found = identify_sweep("s", data, (25.0, 70.0), COARSE, axes=("x", "y"))
@@ -251,7 +264,7 @@ def test_two_axes_and_one_axis_are_enough_for_a_machine_that_moves_along_them() 
         p.record["force"] = p.record["force"].where(p.record["axis"] == "x", 0.0)
     single = identify_sweep("s", data[:1], (25.0, 70.0), COARSE, axes=("x",)).compliance
     assert single.sizes["excitation"] == 1
-    with pytest.raises(InputError, match="2 passes .*need three"):
+    with pytest.raises(InputError, match=r"2 passes .*need three"):
         identify_sweep("s", data, BAND)
     with pytest.raises(InputError, match="four compliances need two passes"):
         identify_sweep("s", data[:1], BAND, axes=("x", "y"))
@@ -267,9 +280,9 @@ def test_a_compliance_that_changes_along_the_pass_is_found_with_its_change() -> 
     for name in "abc":
         force = np.zeros((3, n))
         force[:, 200:15200] = 100.0 * rng.standard_normal((3, 15000))
-        ends = [simulate_forced(m, force, RATE) for m in (stiff, soft)]
+        ends = [shaken(m, force) for m in (stiff, soft)]
         share = np.clip((np.arange(n) - 200) / 15000, 0.0, 1.0)
-        record = ends[0].drop_vars("displacement")
+        record = ends[0].copy()
         record["acceleration"] = (1.0 - share) * ends[0]["acceleration"] + share * ends[1]["acceleration"]
         data.append(SweepPass(record, name))
     found = identify_sweep("s", data, (25.0, 70.0), LocalPolynomial(1.0, position_dependent=True)).compliance
