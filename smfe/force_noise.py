@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from process.labels import sample_interval
+from process.labels import axis_present, sample_interval
 from smfe.spectra import hann
 
 Real = NDArray[np.float64]
@@ -50,9 +50,11 @@ def in_cut(record: xr.Dataset) -> NDArray[np.bool_]:
 
 def _level(record: xr.Dataset) -> Real:
     """Return the magnitude of the force, mean over 50 ms [N]."""
-    force = np.sqrt(np.nansum(record["force"].values ** 2, axis=0))
+    total = np.zeros(record.sizes["time"])
+    for axis in axis_present(record, "force"):
+        total += record["force"].sel(axis=axis).values ** 2
     width = max(1, round(0.05 / sample_interval(record)))
-    return np.asarray(ndimage.uniform_filter1d(force, width))
+    return np.asarray(ndimage.uniform_filter1d(np.sqrt(total, out=total), width))
 
 
 def air_pieces(record: xr.Dataset) -> list[slice]:

@@ -229,22 +229,17 @@ Estimator = LocalPolynomial | Segments | SingleReference
 def whole_record(record: xr.Dataset, reach: tuple[float, float], response: Sequence[str]) -> BlockSpectra:
     """Transform the whole record, padded with rest to a length that transforms fast."""
     n = record.sizes["time"]
-    length = fft.next_fast_len(n, real=True)
-    if length > n:
-        dt = sample_interval(record)
-        channels = record[["force", motion_axes(record)[0]]]
-        padded = channels.pad(time=(0, length - n), constant_values=0.0)
-        record = padded.assign_coords(time=float(record["time"][0]) + dt * np.arange(length))
-    return block_spectra(record, [0], length, None, reach, detrend=False, response=response)
+    length = int(fft.next_fast_len(n, real=True))
+    return block_spectra(record, [0], n, None, reach, detrend=False, response=response, padded=length)
 
 
 def end_pieces(record: xr.Dataset, channel: str, duration: float = 0.1) -> NDArray[np.float64]:
     """Return the rms of consecutive pieces of a channel, shape (axes, pieces)."""
     n = record.sizes["time"]
     piece = min(max(8, round(duration / sample_interval(record))), n)
-    values = record[channel].sel(axis=axis_present(record, channel)).values
-    blocks = values[:, : n // piece * piece].reshape(values.shape[0], -1, piece)
-    return np.asarray(np.sqrt(np.mean(blocks**2, axis=2)))
+    # One axis at a time: the squares of a long record need as much room as the record.
+    rows = (record[channel].sel(axis=a).values[: n // piece * piece] for a in axis_present(record, channel))
+    return np.array([np.sqrt(np.mean(row.reshape(-1, piece) ** 2, axis=1)) for row in rows])
 
 
 def at_rest(record: xr.Dataset) -> bool:

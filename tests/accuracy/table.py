@@ -1,4 +1,4 @@
-"""Errors of the sweep estimators against noise, teeth, immersion, run-out and sweep rate: writes docs/accuracy_table.md.
+"""Errors of the sweep estimators against noise, teeth, immersion, run-out, sweep rate -> docs/accuracy_table.md.
 
 Time simulations that regenerate the chip; 60 s of sweep, 0.8 mm depth, noise of 1.5 N and 0.012 m/s2 rms at 5 kHz.
 """
