@@ -89,7 +89,7 @@ class Equations:
         return replace(self, gram=gram, cross=cross)
 
 
-def bin_lines(tests: Sequence[Lines], edges: Real, order: int) -> Equations:
+def bin_lines(tests: Sequence[Lines], edges: Real, order: int, instruments: Sequence[Lines] | None = None) -> Equations:
     """Sum the lines of all tests in bins.
 
     Parameters
@@ -100,7 +100,10 @@ def bin_lines(tests: Sequence[Lines], edges: Real, order: int) -> Equations:
         Equally spaced edges of the bins [Hz].
     order : int
         Order of the polynomial.
+    instruments : sequence of Lines, optional
+        Take the place of the conjugated inputs: what they do not hold has no part in the sums.
     """
+    left = tests if instruments is None else instruments
     b, j, r, n = edges.size - 1, tests[0].inputs.shape[1], tests[0].response.shape[1], order + 1
     centre = 0.5 * (edges[1:] + edges[:-1])
     gram = np.zeros((b, len(tests), n * j, n * j), dtype=complex)
@@ -113,7 +116,8 @@ def bin_lines(tests: Sequence[Lines], edges: Real, order: int) -> Equations:
             terms = (test.frequency[lines] - centre[i])[:, None] ** np.arange(n)
             u = (terms[:, :, None] * test.inputs[lines, None, :]).reshape(terms.shape[0], n * j)
             x = test.response[lines]
-            gram[i, k], cross[i, k] = u.conj().T @ u, u.conj().T @ x
+            z = (terms[:, :, None] * left[k].inputs[lines, None, :]).reshape(u.shape)
+            gram[i, k], cross[i, k] = z.conj().T @ u, z.conj().T @ x
             power[i, k], moment[i, k] = np.sum(np.abs(x) ** 2, axis=0), terms.T @ terms
     shape = (b, len(tests), n, j)
     return Equations(

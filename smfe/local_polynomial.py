@@ -55,10 +55,15 @@ LARGEST_SHARE = 0.7
 
 @dataclass(frozen=True)
 class _Data:
-    """Bins of all passes, raw and without the noise of the forces."""
+    """Bins of all passes: raw for residuals, clean to solve, seen for what the solution rests on.
+
+    Without instruments, clean and seen are raw without the noise of the forces.
+    """
 
     raw: Equations
     clean: Equations
+    seen: Equations
+    spread: Equations
     frequency: Real
     first: NDArray[np.int64]
     excitations: int
@@ -105,26 +110,28 @@ def solve_local(
         For records that are too short.
     """
     tests, excitations, noise = _tests(estimator, passes, background, frequency, axes, response)
+    instruments, shares = _instruments(estimator, passes, tests, frequency, excitations)
     widths = usable_widths(estimator, [*passes, *background], tests[0].inputs.shape[1])
-    data = _data(estimator, tests, frequency, excitations, noise)
+    data = _data(estimator, tests, instruments, shares, frequency, excitations, noise)
     weight = _weights(data, estimator, _width_for_noise(data, widths))
     steps = len(widths) + 1
-    solved, shares, bands, done = [], [], None, 0
+    solved, losses, bands, done = [], [], None, 0
     for number, width in enumerate(widths):
         side = _bins(data, width)
         bands = _grown(bands, data, weight, [*range(-side, -done), *range(done, side)])
-        estimate, share = _solution(data, bands, estimator.error_lines(width))
+        estimate, loss = _solution(data, bands, estimator.error_lines(width))
         solved.append(estimate)
-        shares.append(share)
+        losses.append(loss)
         done = side
         if progress is not None:
             progress(number + 1, steps)
-    found = _choose(estimator, widths, solved, frequency)
-    if estimator.rational:
+    model = estimator.rational and instruments is None
+    found = _choose(estimator, widths, solved, frequency, cautious=model)
+    if model:
         found = _with_rational(estimator, data, weight, solved, found)
     if progress is not None:
         progress(steps, steps)
-    return _about_noise(found, shares[min(2, len(shares) - 1)], noise, frequency)
+    return _about_noise(found, losses[min(2, len(losses) - 1)], noise, frequency)
 
 
 # --- from records to equations ----------------------------------------------------------------------------------------
@@ -163,17 +170,30 @@ def _tests(
         ]
         restless = [True] * len(everything)
     noise = _known_noise(tests, passes, background, axes, frequency, e)
-    shares = np.ones(len(tests))
-    if estimator.instrument_teeth is not None:
-        orders = [h * estimator.instrument_teeth for h in range(1, HARMONICS + 1)]
-        for k, p in enumerate(passes):
-            waves = spindle_waves(p.record, orders, reach, estimator.instrument_teeth, cut_only=True)
-            tests[k], shares[k] = instrumented(tests[k], waves, e, p.label)
-        for k in range(len(passes), len(tests)):
-            tests[k].inputs[:, :e] = 0.0
-            shares[k] = 0.0
-        noise = None if noise is None else _through(noise, shares)
     return transients(tests, restless), e, noise
+
+
+def _instruments(
+    estimator: LocalPolynomial, passes: Sequence[SweepPass], tests: Sequence[Lines], frequency: Real, excitations: int
+) -> tuple[list[Lines] | None, Real]:
+    """Return the tests with their forces projected on the passing of the teeth, and which share of noise comes through.
+
+    An air cut has no teeth that pass: its forces have no part.
+    """
+    if estimator.instrument_teeth is None:
+        return None, np.ones(len(tests))
+    orders = [h * estimator.instrument_teeth for h in range(1, HARMONICS + 1)]
+    out, shares = [], np.zeros(len(tests))
+    for k, lines in enumerate(tests):
+        if k >= len(passes):
+            silent = np.where(np.arange(lines.inputs.shape[1]) < excitations, 0.0, lines.inputs)
+            out.append(Lines(lines.frequency, silent, lines.response))
+            continue
+        p = passes[k]
+        waves = spindle_waves(p.record, orders, estimator.reach(frequency), estimator.instrument_teeth, cut_only=True)
+        projected, shares[k] = instrumented(lines, waves, excitations, p.label)
+        out.append(projected)
+    return out, shares
 
 
 def _known_noise(
@@ -231,22 +251,6 @@ def _along(sweep: SweepPass) -> Real:
     return np.array([[1.0, place.mean()], [place.mean(), np.mean(place**2)]])
 
 
-def _through(noise: _Noise, shares: Real) -> _Noise:
-    """Return the noise that comes through instruments."""
-
-    def force(at: Real) -> list[Complex]:
-        return [share * p for share, p in zip(shares, noise.force(at), strict=True)]
-
-    if noise.shared is None:
-        return _Noise(force, None, noise.freedom)
-    whole = noise.shared
-
-    def shared(at: Real) -> list[Complex]:
-        return [share * p for share, p in zip(shares, whole(at), strict=True)]
-
-    return _Noise(force, shared, noise.freedom)
-
-
 def usable_widths(estimator: LocalPolynomial, passes: Sequence[SweepPass], inputs: int) -> list[float]:
     """Return the half widths over which the passes give at least twice as many lines as there are unknowns."""
     together = sum(seconds(p.record) for p in passes)
@@ -263,7 +267,13 @@ def usable_widths(estimator: LocalPolynomial, passes: Sequence[SweepPass], input
 
 
 def _data(
-    estimator: LocalPolynomial, tests: Sequence[Lines], frequency: Real, excitations: int, noise: _Noise | None
+    estimator: LocalPolynomial,
+    tests: Sequence[Lines],
+    instruments: Sequence[Lines] | None,
+    shares: Real,
+    frequency: Real,
+    excitations: int,
+    noise: _Noise | None,
 ) -> _Data:
     step = estimator.resolution / (2 * max(2, round(estimator.resolution / min(estimator.half_widths))))
     side = max(1, round(max(estimator.half_widths) / step))
@@ -271,19 +281,20 @@ def _data(
     edges = frequency[0] + step * (np.arange(bins + 1) - side)
     raw = bin_lines(tests, edges, estimator.order)
     first = side + np.round((frequency - frequency[0]) / step).astype(int)
-    if noise is None:
-        nothing = np.zeros((bins, len(tests), excitations, excitations), dtype=complex)
-        return _Data(raw, raw, frequency, first, excitations, 0.0, nothing)
     e, j, r = excitations, tests[0].inputs.shape[1], tests[0].response.shape[1]
     power = np.zeros((bins, len(tests), j, j), dtype=complex)
-    power[:, :, :e, :e] = np.stack(noise.force(raw.centre), axis=1)
-    shared = None
-    if noise.shared is not None:
-        shared = np.zeros((bins, len(tests), j, r), dtype=complex)
-        shared[:, :, :e] = np.stack(noise.shared(raw.centre), axis=1)
-    clean = raw.without_input_noise(power, shared)
-    spread = 1.0 / float(np.sqrt(noise.freedom))
-    return _Data(raw, clean, frequency, first, excitations, spread, power[:, :, :e, :e])
+    shared = np.zeros((bins, len(tests), j, r), dtype=complex)
+    if noise is not None:
+        power[:, :, :e, :e] = np.stack(noise.force(raw.centre), axis=1)
+        if noise.shared is not None:
+            shared[:, :, :e] = np.stack(noise.shared(raw.centre), axis=1)
+    spread = raw if instruments is None else bin_lines(instruments, edges, estimator.order)
+    solvable = raw if instruments is None else bin_lines(tests, edges, estimator.order, instruments)
+    through, together = (np.asarray(shares[:, None, None] * v, dtype=np.complex128) for v in (power, shared))
+    clean = solvable.without_input_noise(through, together)
+    seen = clean if instruments is None else spread.without_input_noise(through)
+    known = 0.0 if noise is None else 1.0 / float(np.sqrt(noise.freedom))
+    return _Data(raw, clean, seen, spread, frequency, first, excitations, known, power[:, :, :e, :e])
 
 
 def _bins(data: _Data, width: float) -> int:
@@ -374,6 +385,7 @@ class _Both:
 
     raw: Bands
     clean: Bands
+    spread: Bands
     force: Complex
     loss: Complex
 
@@ -382,14 +394,17 @@ def _grown(bands: _Both | None, data: _Data, weight: Real, offsets: Sequence[int
     """Return the bands with more bins."""
     e, plain = data.excitations, np.ones_like(weight[:, :, :1])
     raw, clean = (ring(q, data.first, weight, offsets) for q in (data.raw, data.clean))
+    spread = raw if data.spread is data.raw else ring(data.spread, data.first, weight, offsets)
     force, left = (
         sum(np.einsum("btr,btjk->bjk", plain, q.gram[:, :, 0, :e, 0, :e])[data.first + o] for o in offsets)
-        for q in (data.raw, data.clean)
+        for q in (data.spread, data.seen)
     )
-    new = _Both(raw, clean, np.asarray(force), np.asarray(force - left))
+    new = _Both(raw, clean, spread, np.asarray(force), np.asarray(force - left))
     if bands is None:
         return new
-    return _Both(bands.raw + raw, bands.clean + clean, bands.force + new.force, bands.loss + new.loss)
+    whole = bands.raw + raw
+    wide = whole if spread is raw else bands.spread + spread
+    return _Both(whole, bands.clean + clean, wide, bands.force + new.force, bands.loss + new.loss)
 
 
 def _solution(data: _Data, bands: _Both, error_lines: float) -> tuple[Estimate, Real]:
@@ -401,11 +416,12 @@ def _solution(data: _Data, bands: _Both, error_lines: float) -> tuple[Estimate, 
     freedom = np.maximum(lines - k, 0.0)
     mean = left / np.where(freedom > 0.0, freedom, np.nan)
     # (G - L)^-1 G (G - L)^-1: the noise of the forces is part of the residual, not of the curvature.
-    spread = inverse @ bands.raw.gram @ inverse
+    spread = inverse @ bands.spread.gram @ inverse.conj().swapaxes(-1, -2)
     covariance = (mean[..., None, None] * spread)[..., :e, :e]
     total = bands.raw.power
     coherence = np.clip(1.0 - mean * lines / np.where(total > 0.0, total, np.nan), 0.0, 1.0)
-    loss = value[..., :e] - (solve_bands(bands.raw)[0][..., :e] if data.noise_spread > 0.0 else value[..., :e])
+    noisy = data.noise_spread > 0.0 and bands.spread is bands.raw
+    loss = value[..., :e] - (solve_bands(bands.raw)[0][..., :e] if noisy else value[..., :e])
     covariance = covariance + data.noise_spread**2 * loss[..., :, None] * loss[..., None, :].conj()
     share = np.linalg.norm(loss, axis=2) / np.maximum(np.linalg.norm(value[..., :e], axis=2), 1e-300)
     condition = _condition(bands)
@@ -427,7 +443,7 @@ def _condition(bands: _Both) -> Real:
 
 
 def _choose(
-    estimator: LocalPolynomial, widths: Sequence[float], solved: Sequence[Estimate], frequency: Real
+    estimator: LocalPolynomial, widths: Sequence[float], solved: Sequence[Estimate], frequency: Real, cautious: bool
 ) -> Estimate:
     """Take, row by row, the widest band that agrees with all narrower ones; charge what even the narrowest bends."""
     rows = solved[0].compliance.shape[:2]
@@ -439,6 +455,9 @@ def _choose(
         # A mode bends the compliance over several lines; a single line that agrees by chance does not count.
         agrees = ndimage.median_filter(agrees, size=(5, 1), mode="nearest")
         index[agrees] = k
+    if cautious:
+        # The widest that agrees may be bent by as much as its own noise: one less is not.
+        index = np.maximum(index - 1, 0)
     f, r = np.ogrid[: rows[0], : rows[1]]
     compliance, covariance, coherence, freedom = (
         np.array([getattr(s, name) for s in solved])[index, f, r]
@@ -514,7 +533,7 @@ def _lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial, r
     size = 2 * round(reach / estimator.resolution) + 1
     pooled = ndimage.uniform_filter1d(ratio, size, axis=0, mode="nearest")
     independent = found.compliance.shape[2] * np.maximum(reach / found.half_width, 1.0)
-    beyond = np.where(pooled > 1.0 + 2.0 / np.sqrt(independent), pooled - 1.0, 0.0)
+    beyond = np.where(pooled > 1.0 + 1.0 / np.sqrt(independent), pooled - 1.0, 0.0)
     return np.asarray(beyond[..., None, None] * np.eye(variance.shape[2]) * variance[..., None, :])
 
 
