@@ -181,14 +181,15 @@ def ring(equations: Equations, first: NDArray[np.int64], weight: Real, offsets: 
     for offset in offsets:
         at = first + offset
         # About the frequency, whose distance to the centre of the bin is half a bin more than the offset.
-        s = shift_matrix((offset + 0.5) * equations.step, order)
+        s = np.kron(shift_matrix((offset + 0.5) * equations.step, order), np.eye(k // (order + 1)))
         w = weight[at]
-        g = np.einsum("ftr,ftajbk->frajbk", w, equations.gram[at], optimize=True)
-        g = np.einsum("ap,frajbk,bq->frpjqk", s, g, s, optimize=True)
-        q = np.einsum("ap,ftr,ftajr->frpj", s, w, equations.cross[at], optimize=True)
-        gram += g.reshape(gram.shape)
-        cross += q.reshape(cross.shape)
-        power += np.einsum("ftr,ftr->fr", w, equations.power[at])
+        tests = w.shape[1]
+        # (f, r, tests) times (f, tests, k k): matrix products are several times faster than einsum here.
+        weighted = w.swapaxes(1, 2) @ equations.gram[at].reshape(first.size, tests, k * k)
+        gram += s.T @ weighted.reshape(gram.shape) @ s
+        moved = np.sum(w[:, :, None] * equations.cross[at].reshape(first.size, tests, k, r), axis=1)
+        cross += moved.swapaxes(1, 2) @ s
+        power += np.sum(w * equations.power[at], axis=1)
         lines += equations.moment[at, :, 0, 0].sum(axis=1)
     return Bands(gram, cross, power, lines)
 

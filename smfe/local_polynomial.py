@@ -392,14 +392,12 @@ class _Both:
 
 def _grown(bands: _Both | None, data: _Data, weight: Real, offsets: Sequence[int]) -> _Both:
     """Return the bands with more bins."""
-    e, plain = data.excitations, np.ones_like(weight[:, :, :1])
+    e = data.excitations
     raw, clean = (ring(q, data.first, weight, offsets) for q in (data.raw, data.clean))
     spread = raw if data.spread is data.raw else ring(data.spread, data.first, weight, offsets)
-    force, left = (
-        sum(np.einsum("btr,btjk->bjk", plain, q.gram[:, :, 0, :e, 0, :e])[data.first + o] for o in offsets)
-        for q in (data.spread, data.seen)
-    )
-    new = _Both(raw, clean, spread, np.asarray(force), np.asarray(force - left))
+    together = [q.gram[:, :, 0, :e, 0, :e].sum(axis=1) for q in (data.spread, data.seen)]
+    force, left = (np.sum([q[data.first + o] for o in offsets], axis=0) for q in together)
+    new = _Both(raw, clean, spread, force, force - left)
     if bands is None:
         return new
     whole = bands.raw + raw

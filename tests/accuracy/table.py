@@ -134,9 +134,14 @@ def main(target: Path, seeds: int) -> None:
         for column in ("default", "force x alone"):
             values = " | ".join(f"{100.0 * v:.2g}" for v in np.mean(found[column], axis=0))
             entries.append(f"| {name}, {column} | {values} |")
+        target.write_text(_text(columns, rows, entries, seeds), encoding="utf-8")
+
+
+def _text(columns: list[str], rows: list[str], entries: list[str], seeds: int) -> str:
+    """Return both tables."""
     pairs = [a + b for a in "xyz" for b in "xyz"]
-    text = [
-        f"Median entry [%], mean of {seeds} machines of three to five modes (seeds 1 to {seeds}):",
+    lines = [
+        f"Median entry [%], mean over {seeds} machines of three to five modes (seeds 1 to {seeds}):",
         "",
         "| | " + " | ".join(columns) + " |",
         "| --- |" + " --- |" * len(columns),
@@ -149,7 +154,7 @@ def main(target: Path, seeds: int) -> None:
         *entries,
         "",
     ]
-    target.write_text("\n".join(text), encoding="utf-8")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
