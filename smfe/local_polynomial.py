@@ -49,6 +49,11 @@ Complex = NDArray[np.complex128]
 NOISE_REACH = 2.0
 """Noise powers of the motion are the median over this distance to either side [Hz]."""
 
+SAME = 5e-4
+"""Relative difference below which two estimates of an entry are the same, however quiet the sensors.
+
+An entry known to a thousandth must not keep the rest of its row, which is not, from a wide band."""
+
 LARGEST_SHARE = 0.7
 """Share of noise in the weakest direction of the forces above which a frequency is not solved."""
 
@@ -451,7 +456,7 @@ def _choose(
         for narrower in solved[:k]:
             agrees &= difference(solved[k], narrower) <= estimator.agreement
         # A mode bends the compliance over several lines; a single line that agrees by chance does not count.
-        agrees = ndimage.median_filter(agrees, size=(5, 1), mode="nearest")
+        agrees = ndimage.median_filter(agrees, size=(5, 1), mode="mirror")
         index[agrees] = k
     if cautious:
         # The widest that agrees may be bent by as much as its own noise: one less is not.
@@ -483,8 +488,9 @@ def _choose(
 
 
 def difference(a: Estimate, b: Estimate) -> Real:
-    """Largest difference within a row, in standard deviations of b, shape (f, r)."""
-    ratio = np.abs(a.compliance - b.compliance) / np.where(b.std > 0.0, b.std, np.inf)
+    """Largest difference within a row, in standard deviations of b but at least `SAME`, shape (f, r)."""
+    scale = np.hypot(b.std, SAME * np.abs(b.compliance))
+    ratio = np.abs(a.compliance - b.compliance) / np.where(scale > 0.0, scale, np.inf)
     return np.asarray(np.nan_to_num(ratio).max(axis=2))
 
 
@@ -502,7 +508,7 @@ def _with_rational(
     for width, s in zip(sorted(estimator.half_widths), solved, strict=False):
         narrower = found.half_width >= width - 1e-12
         agrees &= ~narrower | (difference(model, s) <= estimator.agreement)
-    agrees = ndimage.median_filter(agrees, size=(5, 1), mode="nearest")
+    agrees = ndimage.median_filter(agrees, size=(5, 1), mode="mirror")
     covariance = covariance + _lack_of_fit(model, found, estimator)
     narrower_std = np.sum(np.diagonal(covariance, axis1=2, axis2=3).real, axis=2) < np.sum(found.std**2, axis=2)
     take = agrees & narrower_std
@@ -527,7 +533,8 @@ def _lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial, r
     """
     assert found.half_width is not None
     variance = np.maximum(found.std**2, 1e-300)
-    ratio = np.nan_to_num(np.abs(model.compliance - found.compliance) ** 2 / variance, nan=1.0).mean(axis=2)
+    scale = variance + (SAME * np.abs(found.compliance)) ** 2
+    ratio = np.nan_to_num(np.abs(model.compliance - found.compliance) ** 2 / scale, nan=1.0).mean(axis=2)
     size = 2 * round(reach / estimator.resolution) + 1
     pooled = ndimage.uniform_filter1d(ratio, size, axis=0, mode="nearest")
     independent = found.compliance.shape[2] * np.maximum(reach / found.half_width, 1.0)
