@@ -206,17 +206,23 @@ def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> 
         for path in measurement.background
         for record in read_records(path, measurement.channels)
     ]
+    estimator = sweep_estimator(campaign, measurement)
+    subtracted = background if isinstance(estimator, LocalPolynomial) else []
     what = f"identifying {measurement.name}"
-    return identify_sweep(
+    found = identify_sweep(
         measurement.name,
         passes,
         band,
-        sweep_estimator(campaign, measurement),
+        estimator,
         lambda done, of: progress(what, done, of),
         axes=measurement.axes,
-        background=background,
+        background=subtracted,
         reciprocal=measurement.reciprocal,
     )
+    if len(subtracted) == len(background):
+        return found
+    text = "the background record is not subtracted: only the estimator 'local_polynomial' does"
+    return replace(found, warnings=(*found.warnings, text))
 
 
 def tooth_passing_band(passes: list[SweepPass], teeth: int) -> tuple[float, float]:

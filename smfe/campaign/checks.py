@@ -153,9 +153,8 @@ def _estimator(where: Loc, table: Raw) -> Iterator[Complaint]:
             f"references = '{references}' is that of estimator '{single}'; take one of them out",
         )
     local = references != "x" and estimator in (None, "local_polynomial")
-    for key in ("background", "position_dependent"):
-        if table.get(key) and not local:
-            yield (*where, key), "only the estimator 'local_polynomial' reads it; take it or the estimator out"
+    if table.get("position_dependent") and not local:
+        yield (*where, "position_dependent"), "only the estimator 'local_polynomial' reads it; take one of them out"
 
 
 def _too_few(passes: set[tuple[str, float | None]], diameter: float | None, needed: int) -> str:

@@ -93,7 +93,6 @@ def test_an_air_cut_a_dynamometer_and_reciprocity_are_used(folder: Path) -> None
     ("keys", "message"),
     [
         ('estimator = "orders"\nreferences = "x"', "is that of estimator 'single_reference'"),
-        ('estimator = "segments"\nbackground = "air.nc"', "only the estimator 'local_polynomial' reads it"),
         ('references = "x"\nposition_dependent = true', "only the estimator 'local_polynomial' reads it"),
         ('estimator = "welch"', "estimator"),
         ('dynamometer = { mass = "-1 kg" }', "mass"),
