@@ -32,7 +32,7 @@ from smfe.records import read_frf, read_records
 from smfe.spindle_orders import Orders
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
-from smfe.sweep_estimators import Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
+from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
 
 @cache
@@ -188,6 +188,8 @@ def sweep_estimator(campaign: Campaign, measurement: Measurement) -> Estimator |
     match measurement.estimator or ("single_reference" if single else "local_polynomial"):
         case "single_reference":
             return SingleReference(resolution=fine)
+        case "bands":
+            return replace(BANDS, resolution=fine)
         case "segments":
             return Segments(coarse)
         case "orders":

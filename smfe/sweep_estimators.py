@@ -93,6 +93,10 @@ class LocalPolynomial:
         widest = max(self.half_widths)
         return max(float(frequency[0]) - widest, 0.1), float(frequency[-1]) + widest
 
+    def unknowns(self, restless: Sequence[bool]) -> int:
+        """Return the number of unknowns a row, with three forces and no air cut."""
+        return (self.order + 1) * (3 + sum(restless))
+
     def error_lines(self, half_width: float) -> float:
         """Return how many lines of the axis share an error.
 
@@ -103,6 +107,9 @@ class LocalPolynomial:
         weight = np.linalg.pinv(shift[:, None] ** np.arange(self.order + 1))[0]
         return max(1.0, 2.0 * half_width / (self.resolution * shift.size * float(weight @ weight)))
 
+
+BANDS = LocalPolynomial(half_widths=(0.125, 0.25, 0.5, 1.0), agreement=2.5, rational=False)
+"""Narrow bands alone: the estimator whose errors a plan predicts. The default errs less."""
 
 HANN_ERROR_LINES = 1.5
 """How many lines of a Hann window share an error: its noise bandwidth."""

@@ -141,7 +141,7 @@ def _text(columns: list[str], rows: list[str], entries: list[str], seeds: int) -
     """Return both tables."""
     pairs = [a + b for a in "xyz" for b in "xyz"]
     lines = [
-        f"Median entry [%], mean over {seeds} machines of three to five modes (seeds 1 to {seeds}):",
+        f"Median entry [%], mean over seeds 1 to {seeds} (4, 5, 3 modes and so on):",
         "",
         "| | " + " | ".join(columns) + " |",
         "| --- |" + " --- |" * len(columns),
