@@ -1,7 +1,8 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter`, `simulate` here, and
-``compare`` and ``report`` in `smfe.pipeline`, ``plan`` in `smfe.plan`, whose names are taken by what does the work.
+``compare``, ``modal`` and ``report`` in `smfe.pipeline`, ``plan`` in `smfe.plan`, whose names are taken by what does
+the work.
 """
 
 # ruff: noqa: I001  (the version and the check for a foreign process.py come before everything that needs them)
@@ -16,6 +17,7 @@ from smfe.campaign import Campaign, load_campaign
 from smfe.hammer import identify_hammer
 from smfe.actuator import identify_actuator
 from smfe.identification import Identification
+from smfe.intervals import interval
 from smfe.limits import LobeResult
 from smfe.pipeline import chatter, demo, identify, lobes, run
 from smfe.records import read_records
@@ -39,6 +41,7 @@ __all__ = [
     "identify_actuator",
     "identify_hammer",
     "identify_sweep",
+    "interval",
     "load_campaign",
     "lobes",
     "read_records",

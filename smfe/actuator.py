@@ -3,7 +3,8 @@
 The steps are found on the force itself (`smfe.steps`). In each, after the response has settled, a four-parameter sine
 fit of the force gives the frequency, and three-parameter fits of all responses at *that* frequency give ``Phi = X/F``.
 The coefficient of determination of the fits is the coherence indicator: ``R^2 = 1 - SS_res/SS = snr/(1 + snr)``. It
-also falls with distortion, which is therefore reported apart (THD). Sine fits: IEEE Std 1057.
+also falls with distortion, which is therefore reported apart (THD, and each harmonic). Sine fits: IEEE Std 1057. A
+force that repeats itself (multisine, chirp): `smfe.periodic`.
 """
 
 from __future__ import annotations
@@ -15,12 +16,17 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import stats
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance, sample_interval
+from smfe.attached_mass import without_mass
 from smfe.identification import Identification
 from smfe.spectra import as_displacement, check_records, force_samples, motion_axes, record_source
-from smfe.steps import SineFit, StepRules, find_steps, fit_sine, refine_frequency
+from smfe.steps import SineFit, StepRules, find_steps, fit_sine, neighbour_lines, refine_frequency
+
+SETTLING: tuple[float, ...] = (0.5, 0.75, 0.875)
+"""Shares of a step that are dropped, in turn, until the two halves of the rest agree."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class Step:
         Axis -> fit of the motion channel.
     compliance, std : mapping of str to complex, float
         Axis -> compliance and root mean square of its complex error [m/N].
+    freedom : float
+        Degrees of freedom of each part of that error.
     drift : float
         Largest relative difference of the compliances of the two halves of the fitted part [1], of those responses
         where it exceeds three standard deviations.
@@ -61,6 +69,7 @@ class Step:
     drift: float
     settled: bool
     reason: str = ""
+    freedom: float = float("nan")
 
 
 def identify_actuator(
@@ -69,14 +78,16 @@ def identify_actuator(
     *,
     frequency_range: tuple[float, float] | None = None,
     rules: StepRules | None = None,
+    frame_mass: float = 0.0,
+    accelerometer_mass: float = 0.0,
 ) -> Identification:
     """Identify compliances from stepped sines.
 
     Per step and response ``Phi = X/F`` with the complex amplitudes of sines of one and the same frequency, and ``var
-    Phi = (4/n) (s_x^2 + |Phi|^2 s_f^2) / |F|^2`` with the residual variances s^2 of both fits, white noise assumed
-    (harmonics count as noise: conservative). Where the two halves of the fitted part differ by more than three
-    standard deviations, their difference is added in quadrature. Repeats of a frequency are averaged with the inverse
-    variance.
+    Phi = mean_k |dX_k - Phi dF_k|^2 / |F|^2`` over the lines k next to it (`smfe.steps.neighbour_lines`), which see the
+    same noise and none of the harmonics. Where the two halves of the fitted part differ by more than three standard
+    deviations, their difference is added in quadrature. Repeats of a frequency are averaged; where they scatter more
+    than their noise allows, their scatter is the error.
 
     Parameters
     ----------
@@ -88,12 +99,17 @@ def identify_actuator(
         Keep only these frequencies [Hz].
     rules : StepRules, optional
         How steps are found and judged.
+    frame_mass : float, optional
+        Mass [kg] between force sensor and tool that moves with the tool: the force on the tool is ``F - m a``.
+    accelerometer_mass : float, optional
+        Mass [kg] at the driving point that is there only to measure; taken off the compliance.
 
     Returns
     -------
     Identification
         Compliance [m/N] at the frequencies of the steps, NaN where an excitation has no step at a frequency that
-        another one has; ``compliance_std``; ``coherence(frequency, response, excitation)``, the smaller R^2 of force
+        another one has; ``compliance_std``, ``compliance_relation`` and ``degrees_of_freedom`` (for
+        `smfe.intervals.interval`); ``coherence(frequency, response, excitation)``, the smaller R^2 of force
         and response; table "steps".
 
     Raises
@@ -110,9 +126,9 @@ def identify_actuator(
             found = fit_steps(record, axis, index, rules)
             notes += _cover_note(record, axis, found)
             steps += found
-    notes += _notes(steps)
-    compliance = _assemble(name, steps, frequency_range, rules)
-    return Identification(name, "actuator", compliance, {"steps": step_table(steps)}, tuple(notes))
+    notes += [*_notes(steps), *_force_notes(steps, rules)]
+    compliance, said = without_mass(_assemble(name, steps, frequency_range, rules), frame_mass + accelerometer_mass)
+    return Identification(name, "actuator", compliance, {"steps": step_table(steps)}, (*notes, *said))
 
 
 # --- steps -> compliance -------------------------------------------------------------------------------------------
@@ -151,9 +167,15 @@ def fit_steps(record: xr.Dataset, excitation: str, index: int = 0, rules: StepRu
         inner = force[start + cycle : stop - cycle]
         if inner.size > 4 * cycle:
             frequency = refine_frequency(inner, dt, frequency)
-        part = _settled_part(start, stop - cycle, frequency, dt, rules)
-        fits = _fit_part(force, motion, channel, part, frequency, dt)
-        steps.append(_step(fits, rules, excitation, source, number, float(time[start]), (stop - start) * dt))
+        place = excitation, source, number, float(time[start]), (stop - start) * dt
+        for share in SETTLING if rules.settling is None else (0.0,):
+            part = _settled_part(start, stop - cycle, share, frequency, dt, rules)
+            if share > SETTLING[0] and (part.stop - part.start) * dt * frequency < 2.0 * rules.minimum_cycles:
+                break
+            step = _step(_fit_part(force, motion, channel, part, frequency, dt), rules, *place)
+            if step.settled:
+                break
+        steps.append(step)
     if not any(not step.reason for step in steps):
         raise _no_steps(force, source, excitation)
     return steps
@@ -171,9 +193,9 @@ def _no_steps(force: NDArray[np.float64], source: str, excitation: str) -> Input
     )
 
 
-def _settled_part(start: int, stop: int, frequency: float, dt: float, rules: StepRules) -> slice:
-    """Return the whole cycles at the end of a step that are left after settling."""
-    drop = (stop - start) // 2 if rules.settling is None else round(rules.settling / dt)
+def _settled_part(start: int, stop: int, share: float, frequency: float, dt: float, rules: StepRules) -> slice:
+    """Return the whole cycles at the end of a step that are left after settling: a share of the step, or a time."""
+    drop = round(share * (stop - start)) if rules.settling is None else round(rules.settling / dt)
     cycles = max(int((stop - start - drop) * frequency * dt), 0)
     return slice(stop - round(cycles / (frequency * dt)), stop)
 
@@ -188,6 +210,7 @@ class _PartFits:
     std: dict[str, float]
     halves: tuple[dict[str, complex], dict[str, complex]]
     half_std: dict[str, float]
+    freedom: float
     length: float
 
 
@@ -206,7 +229,7 @@ def _fit_part(
         for s in (part, slice(part.start, middle), slice(middle, part.stop))
     )
     half_std = {axis: float(np.hypot(early[3][axis], late[3][axis])) for axis in motion}
-    return _PartFits(*whole, (early[2], late[2]), half_std, length * dt)
+    return _PartFits(*whole[:4], (early[2], late[2]), half_std, whole[4], length * dt)
 
 
 def _fit_channels(
@@ -216,19 +239,22 @@ def _fit_channels(
     part: slice,
     frequency: float,
     dt: float,
-) -> tuple[SineFit, dict[str, SineFit], dict[str, complex], dict[str, float]]:
-    """Fit force and responses; return both, compliances and their standard deviations."""
+) -> tuple[SineFit, dict[str, SineFit], dict[str, complex], dict[str, float], float]:
+    """Fit force and responses; return both, compliances, their standard deviations and degrees of freedom."""
     force_fit = fit_sine(force[part], dt, frequency, fitted_frequency=True)
     fits = {axis: fit_sine(samples[part], dt, frequency) for axis, samples in motion.items()}
     size = abs(force_fit.amplitude)
+    channels = [(force[part], force_fit), *((motion[axis][part], fit) for axis, fit in fits.items())]
+    noise = neighbour_lines(np.stack([samples - fit.values(dt) for samples, fit in channels]), dt, frequency)
+    to_displacement = complex(as_displacement(np.ones((1, 1), complex), np.array([frequency]), channel)[0, 0])
     compliance, std = {}, {}
-    for axis, fit in fits.items():
-        to_displacement = complex(as_displacement(np.ones((1, 1), complex), np.array([frequency]), channel)[0, 0])
+    for row, (axis, fit) in enumerate(fits.items(), start=1):
         gain = to_displacement * fit.amplitude / force_fit.amplitude if size > 0.0 else complex("nan")
-        noise = abs(to_displacement) ** 2 * fit.amplitude_variance + abs(gain) ** 2 * force_fit.amplitude_variance
+        error = to_displacement * noise[row] - gain * noise[0]
+        known = size > 0.0 and error.size
         compliance[axis] = gain
-        std[axis] = float(np.sqrt(noise)) / size if size > 0.0 else float("nan")
-    return force_fit, fits, compliance, std
+        std[axis] = float(np.sqrt(np.mean(np.abs(error) ** 2))) / size if known else float("nan")
+    return force_fit, fits, compliance, std, 2.0 * noise.shape[1]
 
 
 def _step(
@@ -261,6 +287,7 @@ def _step(
         drift=drift,
         settled=settled,
         reason=reason,
+        freedom=fits.freedom,
     )
 
 
@@ -277,12 +304,15 @@ def step_table(steps: Sequence[Step]) -> pd.DataFrame:
         "force_N": [abs(s.force.amplitude) for s in steps],
         "r_squared_force": [s.force.r_squared for s in steps],
         "thd_force": [s.force.thd for s in steps],
+        **{f"harmonic_{h}_force": [s.force.harmonics[h - 2] for s in steps] for h in (2, 3)},
     }
     for axis in AXES:
         if any(axis in s.responses for s in steps):
             fits = [s.responses.get(axis) for s in steps]
             table[f"r_squared_{axis}"] = [fit.r_squared if fit else np.nan for fit in fits]
             table[f"thd_{axis}"] = [fit.thd if fit else np.nan for fit in fits]
+            for h in (2, 3):
+                table[f"harmonic_{h}_{axis}"] = [fit.harmonics[h - 2] if fit else np.nan for fit in fits]
     table["drift_percent"] = [100.0 * s.drift for s in steps]
     table["settled"] = [s.settled for s in steps]
     table["used"] = [not s.reason for s in steps]
@@ -305,34 +335,50 @@ def _assemble(name: str, steps: Sequence[Step], wanted: tuple[float, float] | No
     responses = [axis for axis in AXES if any(axis in s.responses for s in used)]
     excitations = [axis for axis in AXES if any(s.excitation == axis for s in used)]
     shape = (frequency.size, len(responses), len(excitations))
-    values, std, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
+    values, relation = np.full(shape, np.nan, complex), np.full(shape, np.nan, complex)
+    std, coherence, freedom = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     for i in range(frequency.size):
-        here = [s for s, at in zip(used, line, strict=True) if at == i]
+        here = [s for s, number in zip(used, line, strict=True) if number == i]
         for k, excitation in enumerate(excitations):
             for j, response in enumerate(responses):
                 repeats = [s for s in here if s.excitation == excitation and response in s.responses]
                 if repeats:
-                    values[i, j, k], std[i, j, k], coherence[i, j, k] = _merge(repeats, response)
+                    at = i, j, k
+                    values[at], std[at], relation[at], freedom[at], coherence[at] = _merge(repeats, response)
     dims = ("frequency", "response", "excitation")
-    extra = {"compliance_std": (dims, std), "coherence": (dims, coherence)}
+    extra = {
+        "compliance_std": (dims, std),
+        "compliance_relation": (dims, relation),
+        "degrees_of_freedom": (dims, freedom),
+        "coherence": (dims, coherence),
+    }
     return make_compliance(frequency, values, responses, excitations, extra)
 
 
-def _merge(repeats: Sequence[Step], response: str) -> tuple[complex, float, float]:
-    """Return the mean of repeats weighted with the inverse variance, its standard deviation and their mean R^2.
+def _merge(repeats: Sequence[Step], response: str) -> tuple[complex, float, complex, float, float]:
+    """Return the weighted mean of repeats; standard deviation, relation, degrees of freedom of its error; mean R^2.
 
-    The standard deviation is the larger of what the fits and what the scatter of the repeats say.
+    Weights are inverse variances where these differ clearly.
+    The error is what the noise within the repeats makes of it, unless they scatter by more than chance allows (F test,
+    5 %): then it is their scatter.
     """
     value = np.array([s.compliance[response] for s in repeats])
     std = np.array([s.std[response] for s in repeats])
     r2 = float(np.mean([min(s.force.r_squared, s.responses[response].r_squared) for s in repeats]))
-    weight = 1.0 / std**2 if np.all(std > 0.0) else np.ones(value.size)
-    weight = weight / weight.sum()
-    mean = complex(weight @ value)
-    noise = float(np.sqrt(weight**2 @ std**2))
     n = value.size
-    scatter = float(np.sqrt(weight @ np.abs(value - mean) ** 2 / (n - 1))) if n > 1 else 0.0
-    return mean, max(noise, scatter), r2
+    # Weights that are known from few lines cost more than they gain where the repeats are about equally noisy.
+    weight = 1.0 / std**2 if np.all(std > 0.0) and std.max() > 2.0 * std.min() else np.ones(n)
+    weight = weight / weight.sum()
+    mean, noise = complex(weight @ value), float(weight**2 @ std**2)
+    freedom = float(np.sum([s.freedom for s in repeats]))
+    if n > 1:
+        around = np.sum(weight * np.abs(value - mean) ** 2) / (n - 1)
+        if around > noise * float(stats.f.ppf(0.95, 2 * (n - 1), freedom)):
+            # What scatters so has nothing to do with the noise within: all repeats count alike.
+            mean = complex(value.mean())
+            d = (value - mean) / np.sqrt(n * (n - 1.0))
+            return mean, float(np.linalg.norm(d)), complex(np.sum(d**2)), n - 1.0, r2
+    return mean, float(np.sqrt(noise)), 0j, freedom, r2
 
 
 def _cover_note(record: xr.Dataset, excitation: str, steps: Sequence[Step]) -> Iterable[str]:
@@ -372,3 +418,17 @@ def _notes(steps: Sequence[Step]) -> Iterable[str]:
             f"{100.0 * worst.force.thd:.2g} % ({worst.excitation} at {worst.force.frequency:.4g} Hz); R^2 falls "
             "without noise there"
         )
+
+
+def _force_notes(steps: Sequence[Step], rules: StepRules) -> Iterable[str]:
+    """Say where the force is not constant: within a record, or between the repeats of a frequency."""
+    used = [s for s in steps if not s.reason]
+    for excitation, source in dict.fromkeys((s.excitation, s.source) for s in used):
+        here = [s for s in used if (s.excitation, s.source) == (excitation, source)]
+        weak, strong = (pick(here, key=lambda s: abs(s.force.amplitude)) for pick in (min, max))
+        if abs(strong.force.amplitude) > rules.flat * abs(weak.force.amplitude):
+            yield (
+                f"excitation {excitation}: {source}: the force is not constant: {abs(weak.force.amplitude):.3g} N at "
+                f"{weak.force.frequency:.4g} Hz, {abs(strong.force.amplitude):.3g} N at {strong.force.frequency:.4g} "
+                "Hz; where the level changes the compliance, one curve mixes several levels"
+            )

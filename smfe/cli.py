@@ -107,6 +107,29 @@ def compare(
 
 
 @app.command()
+def modal(
+    source: Annotated[Path, typer.Argument(help="Campaign file, or compliance file (frf.nc).", show_default=False)],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Modes as TOML or JSON.")] = Path("modal.toml"),
+    measurement: Annotated[
+        str | None, typer.Option(help="Only this measurement; default: all.", show_default=False)
+    ] = None,
+    band: Annotated[
+        tuple[str, str] | None, typer.Option(help='Only these frequencies, "20 Hz" "80 Hz".', show_default=False)
+    ] = None,
+) -> None:
+    """Fit modes to measured compliances and write them as [[model]] tables."""
+    with bar(console) as progress:
+        fits = pipeline.modal(source, output, measurement, band, progress, _show)
+    for name, fit in fits.items():
+        for row in fit.table().to_dict("records"):
+            stiffness = f", {row['stiffness_N_um']:.4g} N/um" if "stiffness_N_um" in row else ""
+            out.print(f"{name}: {row['frequency_Hz']:.5g} Hz, {100 * row['damping']:.3g} %{stiffness}", highlight=False)
+        for warning in fit.warnings:
+            console.print(f"warning, {name}: {warning}", markup=False, highlight=False)
+    out.print(f"written: {output}", highlight=False)
+
+
+@app.command()
 def lobes(
     campaign: CampaignFile,
     frf: Annotated[Path | None, typer.Option(help="Use these compliances instead of identifying.")] = None,

@@ -2,7 +2,8 @@
 
 Peaks are compared through the local modal fits of `smfe.peaks`, each on the grid of its own measurement: nothing is
 resampled. Only the response assurance figures need common lines; for them the finer compliance is interpolated
-linearly onto the lines of the coarser within the common band.
+linearly onto the lines of the coarser within the common band. Which conditions the differences belong to is the
+question of `smfe.explained`.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import optimize, stats
 
 from process.errors import InputError
+from smfe.explained import holm
 from smfe.peaks import Peak, PeakRules, entries, entry_peaks
 
 _QUANTITIES: tuple[tuple[str, str, float], ...] = (
@@ -26,6 +28,9 @@ _QUANTITIES: tuple[tuple[str, str, float], ...] = (
     ("amplitude", "_um_per_N", 1e6),
 )
 """Field of `Peak`, end of its column, factor."""
+
+_INTERVAL = 1.96
+"""Standard deviations to either side of a 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +77,10 @@ def compare(
     pandas.DataFrame
         measurement_a, measurement_b, response, excitation; match ("both", "a only", "b only", "a only, outside the
         band of b", "b only, outside the band of a", "no peak"); frequency [Hz], damping [1] and amplitude [um/N] of
-        each with standard deviation, their differences in percent with standard deviation and whether they are
-        significant (``significant``: whether any is); per entry, repeated on its rows: common band [Hz], ``frac`` and
-        ``relative_difference_percent`` over it, see `response_assurance`.
+        each with standard deviation, their differences in percent with standard deviation, 95 % interval, two-sided p
+        value, p value corrected for the number of differences in the table (``_p_family``, Holm) and whether they are
+        significant (``significant``: whether any is); per entry, repeated on its rows: common band [Hz], ``frac``,
+        ``csf`` and ``relative_difference_percent`` over it, see `response_assurance` and `scale_factor`.
 
     Raises
     ------
@@ -97,7 +103,16 @@ def compare(
                 shared = _entry_figures(*curves)
                 pairs = _label(_match(peaks[a][entry], peaks[b][entry], rules.tolerance), *curves)
                 rows += [head | _row(one, other, match, rules) | shared for one, other, match in pairs]
-    return pd.DataFrame(rows, columns=_columns())
+    return _family(pd.DataFrame(rows, columns=_columns()))
+
+
+def _family(table: pd.DataFrame) -> pd.DataFrame:
+    """Fill in the p values that are corrected for all differences of the table together."""
+    if table.empty:
+        return table
+    each = [f"{name}_p" for name, _, _ in _QUANTITIES]
+    corrected = holm(table[each].to_numpy(dtype=float).ravel()).reshape(-1, len(each))
+    return table.assign(**{f"{name}_family": corrected[:, k] for k, name in enumerate(each)})
 
 
 def _columns() -> list[str]:
@@ -133,18 +148,51 @@ def response_assurance(
     frac, relative_difference : float
         NaN when fewer than two lines are common.
     """
+    h_a, h_b = _on_common_lines(frequency_a, compliance_a, frequency_b, compliance_b)
+    if not h_a.size:
+        return float("nan"), float("nan")
+    energy_a, energy_b = float(np.sum(np.abs(h_a) ** 2)), float(np.sum(np.abs(h_b) ** 2))
+    frac = float(np.abs(np.vdot(h_b, h_a)) ** 2 / (energy_a * energy_b))
+    return frac, float(np.sqrt(np.sum(np.abs(h_b - h_a) ** 2) / energy_a))
+
+
+def scale_factor(
+    frequency_a: NDArray[np.float64],
+    compliance_a: NDArray[np.complex128],
+    frequency_b: NDArray[np.float64],
+    compliance_b: NDArray[np.complex128],
+) -> float:
+    """Return the cross signature scale factor of two compliances over their common band: amplitude and shape.
+
+    ``CSF = 2 |sum H_a conj(H_b)| / (sum |H_a|^2 + sum |H_b|^2)`` (Heylen and Avitabile 1998): 1 for equal curves, and
+    below for a factor between them, to which FRAC is blind: ``2 c/(1 + c^2)`` for curves of one shape and a factor c.
+
+    Parameters
+    ----------
+    frequency_a, frequency_b, compliance_a, compliance_b
+        As in `response_assurance`.
+    """
+    h_a, h_b = _on_common_lines(frequency_a, compliance_a, frequency_b, compliance_b)
+    if not h_a.size:
+        return float("nan")
+    return float(2.0 * np.abs(np.vdot(h_b, h_a)) / (np.sum(np.abs(h_a) ** 2) + np.sum(np.abs(h_b) ** 2)))
+
+
+def _on_common_lines(
+    frequency_a: NDArray[np.float64],
+    compliance_a: NDArray[np.complex128],
+    frequency_b: NDArray[np.float64],
+    compliance_b: NDArray[np.complex128],
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return both compliances on the lines of the coarser in the common band; empty for fewer than two lines."""
     low, high = max(frequency_a[0], frequency_b[0]), min(frequency_a[-1], frequency_b[-1])
     in_a = (frequency_a >= low) & (frequency_a <= high)
     in_b = (frequency_b >= low) & (frequency_b <= high)
     if min(in_a.sum(), in_b.sum()) < 2:
-        return float("nan"), float("nan")
+        return np.empty(0, dtype=complex), np.empty(0, dtype=complex)
     if in_a.sum() <= in_b.sum():
-        h_a, h_b = compliance_a[in_a], np.interp(frequency_a[in_a], frequency_b, compliance_b)
-    else:
-        h_a, h_b = np.interp(frequency_b[in_b], frequency_a, compliance_a), compliance_b[in_b]
-    energy_a, energy_b = float(np.sum(np.abs(h_a) ** 2)), float(np.sum(np.abs(h_b) ** 2))
-    frac = float(np.abs(np.vdot(h_b, h_a)) ** 2 / (energy_a * energy_b))
-    return frac, float(np.sqrt(np.sum(np.abs(h_b - h_a) ** 2) / energy_a))
+        return compliance_a[in_a], np.interp(frequency_a[in_a], frequency_b, compliance_b)
+    return np.interp(frequency_b[in_b], frequency_a, compliance_a), compliance_b[in_b]
 
 
 @dataclass(frozen=True)
@@ -172,6 +220,7 @@ def _entry_figures(a: _Curve, b: _Curve) -> dict[str, object]:
         "band_from_Hz": float(low) if low < high else float("nan"),
         "band_to_Hz": float(high) if low < high else float("nan"),
         "frac": frac,
+        "csf": scale_factor(a.frequency, a.compliance, b.frequency, b.compliance),
         "relative_difference_percent": 100.0 * difference,
     }
 
@@ -225,9 +274,22 @@ def _row(a: Peak | None, b: Peak | None, match: str, rules: CompareRules) -> dic
         difference, std = _difference(_value(a, name), _value(b, name))
         row[f"{name}_difference_percent"] = difference
         row[f"{name}_difference_std_percent"] = std
+        row[f"{name}_interval_low_percent"] = difference - _INTERVAL * std
+        row[f"{name}_interval_high_percent"] = difference + _INTERVAL * std
+        row[f"{name}_p"] = _p_value(difference, std)
+        row[f"{name}_p_family"] = float("nan")
         row[f"{name}_significant"] = bool(abs(difference) > rules.significance * std)
     row["significant"] = any(bool(row[f"{name}_significant"]) for name, _, _ in _QUANTITIES)
     return row
+
+
+def _p_value(difference: float, std: float) -> float:
+    """Return the two-sided p value of a difference of normal error; NaN where there is none."""
+    if not np.isfinite(difference):
+        return float("nan")
+    if std == 0.0:
+        return float(difference == 0.0)
+    return float(2.0 * stats.norm.sf(abs(difference) / std))
 
 
 def _value(peak: Peak | None, name: str) -> tuple[float, float]:

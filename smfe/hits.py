@@ -6,8 +6,10 @@ otherwise. It is measured, given a block of the record, and refused when it is o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -20,11 +22,15 @@ from process.errors import InputError
 from process.labels import sample_interval
 from smfe.spectra import force_samples, motion_axes, record_source
 
-FAULTS: tuple[str, ...] = ("overloaded", "double_hit")
+FAULTS: tuple[str, ...] = ("overloaded", "double_hit", "direction")
 """What keeps a hit out of the average unless the caller says otherwise."""
+
+WRONG_DIRECTION = "wrong direction"
+"""How the reason of a hit begins that was made elsewhere than declared."""
 
 _MAD_TO_STD = 1.4826  # of Gaussian noise
 _BAND_DROP = 0.01  # -20 dB in power: where the force spectrum ends
+_OTHER_SIDE = 0.2  # share of the largest force from which a pulse of the other sign is a hit
 _ANTI_ALIAS = 2.56  # sampling rate over the highest frequency a usual converter passes
 
 
@@ -48,6 +54,8 @@ class HitRules:
         A second pulse above this share of the largest makes a double hit [1].
     full_scale : float, optional
         Range of the force channel [N], where known; hits within 1 % of it are overloaded.
+    peak_range : (float, float), optional
+        Only hits whose peak force lies within [N] are used: one level of several.
     """
 
     trigger: float = 0.05
@@ -56,6 +64,7 @@ class HitRules:
     pre_trigger: float = 0.02
     double_share: float = 0.1
     full_scale: float | None = None
+    peak_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -142,7 +151,7 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
     if np.mean(pulse > 0.5 * peak) > 0.15 or not peak > threshold:
         raise _no_hammer(source, excitation)
     dt = sample_interval(record)
-    starts, stops = runs(pulse > threshold)
+    starts, stops, side = _pulses(pulse, threshold)
     gaps = (starts[1:] - stops[:-1]) * dt
     first = np.concatenate([[0], np.flatnonzero(gaps >= rules.minimum_spacing) + 1, [starts.size]])
     if np.diff(first).max() > 10:
@@ -150,8 +159,10 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
     time = record["time"].values
     hits = []
     for number, (a, b) in enumerate(pairwise(first), start=1):
-        hit = _measure(pulse, starts[a:b], stops[a:b], dt, rules)
-        peak_at = int(starts[a]) + int(np.argmax(pulse[starts[a] : stops[b - 1]]))
+        peak_at = int(starts[a]) + int(np.argmax(np.abs(pulse[starts[a] : stops[b - 1]])))
+        way = 1.0 if pulse[peak_at] > 0.0 else -1.0
+        own = np.arange(a, b)[side[a:b] == way]
+        hit = _measure(way * pulse, starts[own], stops[own], dt, rules)
         following = int(starts[b]) if b < starts.size else None
         hits.append(
             replace(
@@ -162,12 +173,24 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
                 number=number,
                 capacity=_capacity(hit.onset, following, force.size, rules.pre_trigger) * dt,
                 time=float(time[peak_at]),
-                peak_force=sign * hit.peak_force,
-                impulse=sign * hit.impulse,
-                second_force=sign * hit.second_force,
+                peak_force=way * sign * hit.peak_force,
+                impulse=way * sign * hit.impulse,
+                second_force=way * sign * hit.second_force,
             )
         )
     return _flag_outliers(hits, pulse)
+
+
+def _pulses(
+    pulse: NDArray[np.float64], threshold: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Return where pulses start and stop, and their sides: what rebounds is no hit from the other side."""
+    back = max(threshold, _OTHER_SIDE * float(pulse.max()))
+    (starts, stops), (other_starts, other_stops) = runs(pulse > threshold), runs(-pulse > back)
+    side = np.concatenate([np.ones(starts.size), -np.ones(other_starts.size)])
+    starts, stops = np.concatenate([starts, other_starts]), np.concatenate([stops, other_stops])
+    order = np.argsort(starts, kind="stable")
+    return starts[order], stops[order], side[order]
 
 
 def _no_hammer(source: str, excitation: str) -> InputError:
@@ -271,12 +294,17 @@ def _converter_step(samples: NDArray[np.float64], scale: float) -> float:
 
 
 def _flag_outliers(hits: list[Hit], pulse: NDArray[np.float64]) -> list[Hit]:
-    """Flag hits far above the others (five medians) whose largest value occurs twice: full scale."""
+    """Flag hits far above the others (five medians, twice the next) whose largest value occurs twice: full scale.
+
+    Several strong hits among weak ones are a level of their own, and none of them stands alone.
+    """
     out = []
-    for k, hit in enumerate(hits):
+    ends = [*(h.onset for h in hits[1:]), pulse.size]
+    for k, (hit, end) in enumerate(zip(hits, ends, strict=True)):
+        peak = abs(hit.peak_force)
         others = [abs(h.peak_force) for i, h in enumerate(hits) if i != k]
-        lone = bool(others) and abs(hit.peak_force) > 5.0 * float(np.median(others))
-        twice = np.count_nonzero(pulse >= abs(hit.peak_force) * (1.0 - 1e-9)) >= 2
+        lone = bool(others) and peak > max(5.0 * float(np.median(others)), 2.0 * max(others))
+        twice = np.count_nonzero(np.abs(pulse[hit.onset : end]) >= peak * (1.0 - 1e-9)) >= 2
         out.append(replace(hit, overloaded=hit.overloaded or (lone and bool(twice))))
     return out
 
@@ -288,6 +316,29 @@ def longest_block(hits: Sequence[Hit]) -> float:
     """Return the longest block [s] that nearly every hit allows; one stray hit must not shorten the rest."""
     capacity = np.array([hit.capacity for hit in hits])
     return float(capacity[capacity >= 0.5 * np.median(capacity)].min())
+
+
+def common_duration(duration: float, intervals: Collection[float]) -> float:
+    """Return the longest block [s] up to `duration` that is a whole number of samples at every sampling interval [s].
+
+    Its lines are then the same at every rate. Rates whose common multiple is longer than a twentieth of the block (5000
+    and 4999 Hz) have no such block, and nothing is changed: they are refused where their lines are compared.
+
+    Parameters
+    ----------
+    duration : float
+        Longest block allowed [s].
+    intervals : collection of float
+        Sampling intervals of the records [s].
+    """
+    first = min(intervals)
+    ratios = [Fraction(dt / first).limit_denominator(1000) for dt in intervals]
+    common = first * math.lcm(*(ratio.numerator for ratio in ratios))
+    if all(abs(float(r) * first - dt) < 1e-7 * dt for r, dt in zip(ratios, intervals, strict=True)):
+        # A sample of slack: a record of n samples lasts n, not n - 1, intervals.
+        whole = int(duration / common * (1.0 + 1e-9) + 1e-6)
+        return whole * common if len(set(ratios)) > 1 and whole >= 20 else duration
+    return duration
 
 
 def block(hit: Hit, dt: float, duration: float, rules: HitRules) -> tuple[int, int]:
@@ -313,10 +364,12 @@ def judge(hit: Hit, record: xr.Dataset, duration: float, exclude: Collection[str
     rows = {axis: motion.sel(axis=axis).values for axis in axes}
     clipped = "".join(axis for axis, row in rows.items() if flat_top(row) or flat_top(-row))
     hit = replace(hit, clipped=clipped, usable_to=band[1])
-    return replace(hit, reason="; ".join(_faults(hit, exclude)))
+    return replace(hit, reason="; ".join(_faults(hit, exclude, rules)))
 
 
-def _faults(hit: Hit, exclude: Collection[str]) -> Iterable[str]:
+def _faults(hit: Hit, exclude: Collection[str], rules: HitRules) -> Iterable[str]:
+    if rules.peak_range is not None and not rules.peak_range[0] <= abs(hit.peak_force) <= rules.peak_range[1]:
+        yield f"its peak of {abs(hit.peak_force):.4g} N is outside the level"
     if hit.onset == 0:
         yield "the pulse began before the record"
     if "overloaded" in exclude:
@@ -379,6 +432,7 @@ def hit_table(hits: Sequence[Hit]) -> pd.DataFrame:
             "double_hit": [h.double for h in hits],
             "second_hit_after_ms": [h.second_delay * 1e3 for h in hits],
             "second_hit_N": [h.second_force for h in hits],
+            "wrong_direction": [h.reason.startswith(WRONG_DIRECTION) for h in hits],
             "usable_to_Hz": [h.usable_to for h in hits],
             "used": [not h.reason for h in hits],
             "reason": [h.reason for h in hits],

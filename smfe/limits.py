@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from process.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import Campaign, LobeRequest
 from smfe.identification import Progress
+from smfe.modal import fit_modes, model_error
 from smfe.store import pack_warnings, write_csv, write_groups
 from stability import (
     PresetContext,
@@ -147,16 +148,31 @@ def limits_of(
     compliance, modal = compliances[names[0]], _modal(campaign, names[0])
     if request.method == "semi_discretization":
         if modal is None:
-            raise InputError(
-                "semi_discretization needs modes, and this compliance is measured; use multi_frequency, or declare "
-                "its modes as a [[model]]"
-            )
+            return _by_fitted_modes(compliance, request, lambda m: semi_discretization(m, tool, arc, work, speeds))
         found = semi_discretization(modal, tool, arc, work, speeds)
     elif request.method == "multi_frequency":
         found = multi_frequency(compliance if modal is None else modal, tool, arc, work, speeds)
     else:
         found = zero_order(compliance, tool, arc, work, speeds)
     return found
+
+
+def _by_fitted_modes(
+    compliance: xr.Dataset, request: LobeRequest, limits: Callable[[ModalModel], xr.Dataset]
+) -> xr.Dataset:
+    """Return the limits of the modes that fit a measured compliance, and say how well they do."""
+    try:
+        fit = fit_modes(compliance)
+        modal = fit.modal_model()
+    except InputError as error:
+        raise InputError(
+            f"{request.method} needs modes, and none could be fitted to this compliance: {error}. Use multi_frequency, "
+            "which takes a compliance as it was measured, or declare its modes as a [[model]]"
+        ) from error
+    found = limits(modal)
+    frequency = ", ".join(f"{f:.4g}" for f in fit.table()["frequency_Hz"])
+    told = f"the limits are those of modes fitted to the measured compliance ({frequency} Hz, {model_error(fit)})"
+    return found.assign_attrs(warnings=[*found.attrs.get("warnings", ()), told, *fit.warnings])
 
 
 def _modal(campaign: Campaign, name: str) -> ModalModel | None:

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,12 +25,18 @@ from process.labels import make_compliance, sample_interval
 from process.tool import Tool
 from smfe import __version__
 from smfe.actuator import identify_actuator
+from smfe.attached_mass import without_mass
+from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
+from smfe.conditions import hammer_levels
 from smfe.dynamometer import compensate
-from smfe.hammer import identify_hammer
+from smfe.hammer import Averaging, identify_hammer
+from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
+from smfe.periodic import identify_periodic
 from smfe.records import read_frf, read_records
 from smfe.spindle_orders import Orders
+from smfe.steps import StepRules
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
@@ -143,18 +150,69 @@ def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dat
 
 def _per_axis(measurement: Measurement) -> Identification:
     """Hammer or actuator: one excitation axis a record."""
+    records = _records_by_axis(measurement)
+    if measurement.method == "hammer":
+        return identify_hammer(measurement.name, records, **hammer_settings(measurement))
+    return _actuator(measurement, records)
+
+
+def _records_by_axis(measurement: Measurement) -> dict[str, list[xr.Dataset]]:
     records: dict[str, list[xr.Dataset]] = {}
     for entry in measurement.records:
         assert entry.excitation is not None
         records.setdefault(entry.excitation, []).extend(records_of(entry, entry.excitation))
-    if measurement.method == "hammer":
-        return identify_hammer(
-            measurement.name,
+    return records
+
+
+def hammer_settings(m: Measurement) -> dict[str, Any]:
+    """Return what a hammer measurement of a campaign says to `smfe.hammer.identify_hammer`."""
+    moves = m.feed is not None and any(v != 0.0 for v in m.feed.values())
+    remove = moves if m.remove_background is None else m.remove_background
+    return {
+        "frequency_range": m.frequency_range,
+        "resolution": m.resolution,
+        "gate_force": bool(m.force_window),
+        "rules": HitRules(full_scale=m.full_scale),
+        "averaging": Averaging(m.estimator or "H1", exponential_window=m.exponential_window),
+        "background": Background() if remove else None,
+        "accelerometer_mass": m.accelerometer_mass or 0.0,
+    }
+
+
+def split_levels(campaign: Campaign) -> dict[str, xr.Dataset]:
+    """Identify the hammer measurements that ask for it once more, each force level for itself.
+
+    Returns
+    -------
+    dict
+        "NAME, by level" -> compliance with the dimension ``force_level`` [N].
+
+    Raises
+    ------
+    InputError
+        With the measurement's name and the level.
+    """
+    return {
+        f"{m.name}, by level": hammer_levels(m.name, _records_by_axis(m), **hammer_settings(m)).compliance
+        for m in campaign.measurements
+        if m.method == "hammer" and m.split_levels
+    }
+
+
+def _actuator(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:
+    frame, sensor = m.frame_mass or 0.0, m.accelerometer_mass or 0.0
+    if m.period is None:
+        return identify_actuator(
+            m.name,
             records,
-            frequency_range=measurement.frequency_range,
-            resolution=measurement.resolution,
+            frequency_range=m.frequency_range,
+            rules=StepRules(settling=m.settling),
+            frame_mass=frame,
+            accelerometer_mass=sensor,
         )
-    return identify_actuator(measurement.name, records, frequency_range=measurement.frequency_range)
+    found = identify_periodic(m.name, records, m.period, settling=m.settling, frequency_range=m.frequency_range)
+    compliance, notes = without_mass(found.compliance, frame + sensor)
+    return replace(found, compliance=compliance, warnings=(*found.warnings, *notes))
 
 
 def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[SweepPass], tuple[float, float]]:

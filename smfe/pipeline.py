@@ -1,6 +1,7 @@
 """From a campaign file to a folder of results.
 
-Each verb here is a command of the same name: `run`, `demo`, `identify`, `compare`, `lobes`, `chatter`, `report`.
+Each verb here is a command of the same name: `run`, `demo`, `identify`, `modal`, `compare`, `lobes`, `chatter`,
+`report`.
 Everything is computed before the first result is written, and every file is written to a temporary name and moved into
 place: a folder of results belongs together, also when a later run fails. Only identified measurements are kept at once,
 so that a second run continues where the first stopped.
@@ -32,13 +33,16 @@ from smfe import __version__
 from smfe.campaign import Campaign, Measurement, Model, load_campaign
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.compare import compare as compare_compliances
+from smfe.conditions import condition_cubes
 from smfe.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.verbs import finding_of
+from smfe.explained import explain
 from smfe.identification import Identification, Progress, silent
 from smfe.limits import LobeResult, all_lobes, joined, write_lobes
-from smfe.measurements import cached_identification, check_sweeps, file_hash
+from smfe.measurements import cached_identification, check_sweeps, file_hash, split_levels
+from smfe.modal_verb import modal as modal
 from smfe.records import Channel, read_records
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
 from stability import ChatterVerdict, chatter_verdict, write_table
@@ -112,6 +116,7 @@ def run(
     with notes.timed("compare"):
         progress("comparing", 0, 1)
         comparison = _comparison({n: f.compliance for n, f in found.items()})
+        explained = explain({n: compliances[n] for n in found})
         errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):
         results = all_lobes(loaded, compliances, progress)
@@ -121,10 +126,18 @@ def run(
         finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
     notes.warnings += _warnings(found, results, verdicts)
+    cubes, unstacked = condition_cubes(loaded.measurements, compliances)
+    cubes |= split_levels(loaded)
+    notes.warnings += unstacked
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found)
+    if cubes:
+        write_groups(folder / "conditions.nc", cubes)
+    else:
+        (folder / "conditions.nc").unlink(missing_ok=True)
     write_csv(folder / "comparison.csv", comparison)
+    write_csv(folder / "explained.csv", explained)
     write_csv(folder / "model_error.csv", errors)
     write_lobes(folder, results, loaded)
     write_verdicts(folder, verdicts)
@@ -165,11 +178,15 @@ def identify(
 
 
 def compare(frf: Path | str, output: Path | str | None = None) -> pd.DataFrame:
-    """Compare the measurements of a compliance file peak by peak; optionally write the table."""
+    """Compare the measurements of a compliance file peak by peak; optionally write the table.
+
+    Beside it, `explained.csv` says what feed, level, controller and method explain of the differences.
+    """
     groups = {n: d for n, d in read_groups(Path(frf)).items() if d.attrs.get("method") != "model"}
     table = compare_compliances(groups)
     if output is not None:
         write_csv(Path(output), table)
+        write_csv(Path(output).with_name("explained.csv"), explain(groups))
     return table
 
 

@@ -12,8 +12,8 @@ import pandas as pd
 
 from process.errors import InputError
 from process.units import show
-from smfe.plan import Plan
 from smfe.plan_forces import Level, Pass, SweepPlan, force_level
+from smfe.plan_recommend import Plan
 from smfe.plan_task import Task
 from smfe.scenario.toml import table
 from smfe.store import pack_warnings, write_atomically, write_csv, write_groups

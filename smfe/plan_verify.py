@@ -19,8 +19,8 @@ from process.errors import InputError
 from process.labels import AXES
 from smfe.identification import Progress, silent
 from smfe.pipeline import identify
-from smfe.plan import Plan
 from smfe.plan_files import scenario_text
+from smfe.plan_recommend import Plan
 from smfe.scenario import simulate
 from smfe.store import read_groups, write_csv
 

@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
 
+_HARMONICS = 5  # the highest that is fitted
+_NEIGHBOURS = 8  # lines to either side that tell the noise
+
 
 @dataclass(frozen=True)
 class StepRules:
@@ -20,8 +23,8 @@ class StepRules:
     Parameters
     ----------
     settling : float, optional
-        Time dropped at the beginning of each step [s]. Default: the first half of the step, as the damping is not
-        known beforehand; `stationary` tells whether it was enough.
+        Time dropped at the beginning of each step [s]. Default: the first half of the step, or more, up to seven
+        eighths, where `stationary` tells that it was not enough.
     minimum_cycles : int, optional
         A step is fitted over at least this many cycles.
     force_r_squared : float, optional
@@ -29,6 +32,9 @@ class StepRules:
     stationary : float, optional
         A step has settled when the compliances of the two halves of its fitted part differ by less than this share
         [1], or by less than three standard deviations.
+    flat : float, optional
+        The force is constant when its amplitude varies by no more than this over the steps of a record, largest over
+        smallest [1].
     frequency_tolerance : float, optional
         Steps whose frequencies differ by less than this share [1] are one frequency. Half a percent of the half-power
         width of a mode with 2 % damping by default; nothing is interpolated.
@@ -38,6 +44,7 @@ class StepRules:
     minimum_cycles: int = 4
     force_r_squared: float = 0.9
     stationary: float = 0.01
+    flat: float = 1.1
     frequency_tolerance: float = 2e-4
 
 
@@ -62,6 +69,8 @@ class SineFit:
         rate.
     samples : int
         n.
+    harmonics : tuple of float
+        ``|A_h|/|A_1|`` for h = 2, 3, 4, 5; NaN from half the sampling rate on.
     """
 
     frequency: float
@@ -71,6 +80,12 @@ class SineFit:
     variance: float
     thd: float
     samples: int
+    harmonics: tuple[float, ...] = ()
+
+    def values(self, dt: float) -> NDArray[np.float64]:
+        """Return the fitted sine with its offset at the n samples, shape (n,)."""
+        angle = 2.0 * np.pi * self.frequency * dt * np.arange(self.samples)
+        return np.asarray((self.amplitude * np.exp(1j * angle)).real + self.offset)
 
     @property
     def amplitude_variance(self) -> float:
@@ -108,25 +123,61 @@ def fit_sine(samples: NDArray[np.float64], dt: float, frequency: float, fitted_f
     residual = samples - basis @ np.array([a, b, offset])
     rss = float(residual @ residual)
     tss = float(np.sum((samples - samples.mean()) ** 2))
+    harmonics = _harmonics(samples, dt, frequency)
     return SineFit(
         frequency=frequency,
         amplitude=complex(a, b),
         offset=float(offset),
         r_squared=max(1.0 - rss / tss, 0.0) if tss > 0.0 else 0.0,
         variance=rss / max(n - (4 if fitted_frequency else 3), 1),
-        thd=_distortion(samples, dt, frequency),
+        thd=float("nan") if np.isnan(harmonics).all() else float(np.sqrt(np.nansum(np.square(harmonics)))),
         samples=n,
+        harmonics=harmonics,
     )
 
 
-def _distortion(samples: NDArray[np.float64], dt: float, frequency: float) -> float:
-    """Return the total harmonic distortion up to the fifth harmonic."""
-    highest = min(5, int(0.5 / (frequency * dt) * (1.0 - 1e-6)))
-    if highest < 2:
-        return float("nan")
-    parts = _least_squares(_basis(frequency, samples.size, dt, highest), samples)
-    power = parts[0:-1:2] ** 2 + parts[1::2] ** 2
-    return float(np.sqrt(power[1:].sum() / power[0])) if power[0] > 0.0 else float("nan")
+def _harmonics(samples: NDArray[np.float64], dt: float, frequency: float) -> tuple[float, ...]:
+    """Return the amplitudes of the second to the fifth harmonic over that of the first."""
+    highest = min(_HARMONICS, int(0.5 / (frequency * dt) * (1.0 - 1e-6)))
+    found = np.full(_HARMONICS - 1, np.nan)
+    if highest >= 2:
+        parts = _least_squares(_basis(frequency, samples.size, dt, highest), samples)
+        size = np.hypot(parts[0:-1:2], parts[1::2])
+        if size[0] > 0.0:
+            found[: highest - 1] = size[1:] / size[0]
+    return tuple(found.tolist())
+
+
+def neighbour_lines(residuals: NDArray[np.float64], dt: float, frequency: float) -> NDArray[np.complex128]:
+    """Return what is left of fitted sines beside their frequency, in amplitudes: the noise that also sits on the line.
+
+    ``2/n sum_t r(t) exp(-j 2 pi (f + k/T) t)``, k = -8 .. 8 but for 0, lines at or below zero, next to a harmonic, or
+    above half the sampling rate. Their mean power is ``E |dA|^2`` of a fitted amplitude, for coloured noise as well as
+    white, and without what distortion adds to the residual elsewhere.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (channels, n)
+        Samples less the sines fitted to them, over whole cycles.
+    dt : float
+        Sampling interval [s].
+    frequency : float
+        f [Hz].
+
+    Returns
+    -------
+    ndarray of complex, shape (channels, lines)
+        Two degrees of freedom a line.
+    """
+    n = residuals.shape[1]
+    cycles = frequency * n * dt
+    k = np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    place = cycles + k
+    harmonic = np.arange(2, _HARMONICS + 5) * cycles
+    clear = np.all(np.abs(place[:, None] - harmonic) > 0.9, axis=1)
+    used = place[(k != 0) & clear & (place > 0.6) & (place < 0.5 * n - 0.6)]
+    angle = -2j * np.pi * np.outer(np.arange(n), used) / n
+    return np.asarray(2.0 / n * residuals @ np.exp(angle))
 
 
 def refine_frequency(samples: NDArray[np.float64], dt: float, frequency: float) -> float:

@@ -100,12 +100,23 @@ def test_pockets_and_presets_stand_beside_the_table_and_keep_to_the_spindle(tmp_
     assert [p["spindle_speed_rpm"] for p in presets] == list(pockets["spindle_speed_rpm"])
 
 
+def test_semi_discretisation_takes_the_modes_that_fit_a_measured_compliance(tmp_path):
+    loaded = campaign(tmp_path, "semi_discretization")
+    measured = {"classic": loaded.models[0].modal.compliance(np.arange(200.0, 2500.0, 2.0))}
+    without = type(loaded)(**{**vars(loaded), "models": ()})
+    fitted, declared = all_lobes(without, measured, silent)[0].lobes, lobes_of(loaded)[0].lobes
+    np.testing.assert_allclose(fitted["limit_depth"], declared["limit_depth"], rtol=1e-3)
+    assert "modes fitted to the measured compliance (922 Hz" in fitted.attrs["warnings"]
+
+
 def test_what_a_method_cannot_do_is_said(tmp_path):
     loaded = campaign(tmp_path, "semi_discretization")
-    measured = {"classic": loaded.models[0].modal.compliance(np.arange(200.0, 2500.0, 1.0))}
     without = type(loaded)(**{**vars(loaded), "models": ()})
-    with pytest.raises(InputError, match="needs modes, and this compliance is measured; use multi_frequency"):
-        all_lobes(without, measured, silent)
+    short = {"classic": loaded.models[0].modal.compliance(np.arange(900.0, 905.0, 1.0))}
+    with pytest.raises(
+        InputError, match="needs modes, and none could be fitted to this compliance: the matrix is known"
+    ):
+        all_lobes(without, short, silent)
     with pytest.raises(InputError, match="is a model: it belongs to no feed"):
         lobes_of(campaign(tmp_path, "operating_point"))
     with pytest.raises(InputError, match="is no share of a value"):

@@ -393,7 +393,7 @@ def test_a_campaign_without_a_measurement_runs(text: str, written: set[str], tmp
     with_cut(tmp_path)
     results = pipeline.run(tmp_path / "campaign.toml", tmp_path / "results").parent
     files = {p.name for p in results.iterdir() if p.is_file()}
-    always = {"frf.nc", "comparison.csv", "model_error.csv", "provenance.json", "report.html"}
+    always = {"frf.nc", "comparison.csv", "explained.csv", "model_error.csv", "provenance.json", "report.html"}
     assert files == always | written
     comparison = pd.read_csv(results / "comparison.csv")
     assert comparison.empty

@@ -99,7 +99,47 @@ class RecordEntry(Conditions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measurement(Conditions):
+class Processing:
+    """How the records of a measurement become a compliance; None: the usual way.
+
+    Parameters
+    ----------
+    estimator : str, optional
+        "H1", "H2" or "Hv" (hammer).
+    force_window : bool, optional
+        Whether the force is set to zero outside contact (hammer).
+    exponential_window : float, optional
+        Time constant of a window that is taken off again [s] (hammer).
+    remove_background : bool, optional
+        Whether motion between hits is removed (hammer). None: where the campaign declares a feed.
+    split_levels : bool, optional
+        Whether each force level is also identified for itself (hammer).
+    full_scale : float, optional
+        Range of the force channel [N] (hammer).
+    accelerometer_mass : float, optional
+        At the driving point, taken off [kg] (hammer, actuator).
+    frame_mass : float, optional
+        Between force sensor and tool, taken off [kg] (actuator).
+    period : float, optional
+        Of a force that repeats itself [s] (actuator). None: a stepped sine.
+    settling : float, optional
+        Dropped at the beginning of each step, or of a periodic record [s] (actuator).
+    """
+
+    estimator: str | None = None
+    force_window: bool | None = None
+    exponential_window: float | None = None
+    remove_background: bool | None = None
+    split_levels: bool | None = None
+    full_scale: float | None = None
+    accelerometer_mass: float | None = None
+    frame_mass: float | None = None
+    period: float | None = None
+    settling: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement(Conditions, Processing):
     """One ``[[measurement]]``.
 
     Parameters
@@ -120,8 +160,6 @@ class Measurement(Conditions):
         [Hz].
     references : str
         "all"; "spindle" with the passing of the teeth as instrument; "x" for a single reference (sweep).
-    estimator : str, optional
-        "local_polynomial", "segments", "orders" or "single_reference" (sweep).
     axes : tuple of str
         Axes of the forces that are references (sweep).
     reciprocal, position_dependent : bool
@@ -140,7 +178,6 @@ class Measurement(Conditions):
     frequency_range: tuple[float, float] | None = None
     resolution: float | None = None
     references: str = "all"
-    estimator: str | None = None
     axes: tuple[str, ...] = ("x", "y", "z")
     reciprocal: bool = False
     position_dependent: bool = False
@@ -149,14 +186,8 @@ class Measurement(Conditions):
 
     def settings(self) -> dict[str, Any]:
         """Return method, conditions and processing as plain values for a protocol, without what is not given."""
-        names = [
-            "method",
-            *(f.name for f in fields(Conditions)),
-            "frequency_range",
-            "resolution",
-            "references",
-            "estimator",
-        ]
+        names = ["method", *(f.name for part in (Conditions, Processing) for f in fields(part))]
+        names += ["frequency_range", "resolution", "references"]
         values = {name: getattr(self, name) for name in names}
         values["started"] = self.started.isoformat() if self.started else None
         return {name: value for name, value in values.items() if value is not None}
@@ -462,14 +493,15 @@ def _declared(channels: schema.Channels) -> Declared:
     return {name: table.model_dump(exclude_unset=True) for name, table in channels.items()}
 
 
-_OF_SWEEPS = ("estimator", "axes", "reciprocal", "position_dependent")
+_OF_SWEEPS = ("axes", "reciprocal", "position_dependent")
 
 
 def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
     own = _declared(table.channels)
     inherited = merge(_for_method(table.method, base), own)
     common: dict[str, Any] = {name: getattr(table, name) for name in schema.ConditionsTable.model_fields}
-    rest = ("name", "method", "frequency_range", "resolution", "references", "held_out", *_OF_SWEEPS)
+    rest = ["name", "method", "frequency_range", "resolution", "references", "held_out"]
+    rest += [*_OF_SWEEPS, *(f.name for f in fields(Processing))]
     return Measurement(
         **common,
         **{name: getattr(table, name) for name in rest},

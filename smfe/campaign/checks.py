@@ -10,7 +10,7 @@ from typing import Any
 
 from process import units
 from process.errors import InputError
-from smfe.campaign.quantities import METHODS
+from smfe.campaign.quantities import ESTIMATORS, METHODS
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, unit_factor
 from smfe.records.words import did_you_mean, listed
 
@@ -26,16 +26,25 @@ _WHERE_READ = {
 }
 """Key of a record -> methods that need it; for other methods it is an error, because nothing reads it."""
 
-_OF_SWEEPS = (
-    "background",
-    "references",
-    "estimator",
-    "axes",
-    "reciprocal",
-    "position_dependent",
-    "dynamometer",
-)
-"""Keys of a measurement that only a sweep reads."""
+_PROCESSING = {
+    "background": ("sweep",),
+    "references": ("sweep",),
+    "axes": ("sweep",),
+    "reciprocal": ("sweep",),
+    "position_dependent": ("sweep",),
+    "dynamometer": ("sweep",),
+    "estimator": ("hammer", "sweep"),
+    "force_window": ("hammer",),
+    "exponential_window": ("hammer",),
+    "remove_background": ("hammer",),
+    "split_levels": ("hammer",),
+    "full_scale": ("hammer",),
+    "accelerometer_mass": ("hammer", "actuator"),
+    "frame_mass": ("actuator",),
+    "period": ("actuator",),
+    "settling": ("actuator",),
+}
+"""Key of a measurement -> methods that read it."""
 
 _EXAMPLES = {
     "excitation": 'the axis that was excited, excitation = "x"',
@@ -109,9 +118,15 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
         method = table.get("method")
         if method not in METHODS:
             continue
-        for key in _OF_SWEEPS:
-            if key in table and method != "sweep":
-                yield (*where, key), f"method '{method}' does not read it; only a sweep does, take it out"
+        for key, readers in _PROCESSING.items():
+            if key in table and method not in readers:
+                only = " or ".join(f"{'an' if r[0] in 'aeiou' else 'a'} {r}" for r in readers)
+                yield (*where, key), f"method '{method}' does not read it; only {only} does, take it out"
+        names = {"hammer": ("H1", "H2", "Hv"), "sweep": ESTIMATORS}.get(method, ())
+        if names and table.get("estimator", names[0]) not in names:
+            yield (*where, "estimator"), f"'{table['estimator']}' is no estimator of a {method}; take {listed(names)}"
+        if "period" in table and "resolution" in table:
+            yield (*where, "resolution"), "a periodic force has lines 1/period apart; take one of both out"
         for place, record in _records(table):
             yield from _keys(method, (*where, *place), record)
 

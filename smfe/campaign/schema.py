@@ -102,6 +102,21 @@ class ConditionsTable(Table):
     repeat: StrictInt | None = None
 
 
+class ProcessingTable(ConditionsTable):
+    """How the records of a measurement become a compliance; each key belongs to some methods (`checks`)."""
+
+    estimator: Annotated[str, q.one_of(("H1", "H2", "Hv", *q.ESTIMATORS), "estimator")] | None = None
+    force_window: StrictBool | None = None
+    exponential_window: PositiveTime | None = None
+    remove_background: StrictBool | None = None
+    split_levels: StrictBool | None = None
+    full_scale: q.PositiveForce | None = None
+    accelerometer_mass: PositiveMass | None = None
+    frame_mass: PositiveMass | None = None
+    period: PositiveTime | None = None
+    settling: q.NoTime | None = None
+
+
 class RecordTable(ConditionsTable):
     """One entry of ``records``."""
 
@@ -125,7 +140,7 @@ class DynamometerTable(Table):
         return Dynamometer(self.mass, self.frequency, self.damping)
 
 
-class MeasurementTable(ConditionsTable):
+class MeasurementTable(ProcessingTable):
     """``[[measurement]]``."""
 
     name: q.Name
@@ -135,7 +150,6 @@ class MeasurementTable(ConditionsTable):
     frequency_range: q.FrequencyRange | None = None
     resolution: q.PositiveFrequency | None = None
     references: Annotated[str, q.one_of(("all", "x", "spindle"), "references")] = "all"
-    estimator: Annotated[str, q.one_of(q.ESTIMATORS, "estimator")] | None = None
     axes: Annotated[tuple[q.Axis, ...], q.NotEmpty] = ("x", "y", "z")
     reciprocal: StrictBool = False
     position_dependent: StrictBool = False

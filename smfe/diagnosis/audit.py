@@ -19,7 +19,7 @@ from smfe.diagnosis.silence import silence_suspects
 from smfe.diagnosis.suspect import Suspect, suspect_table
 from smfe.diagnosis.sweep_checks import sweep_suspects
 from smfe.identification import Progress, silent
-from smfe.measurements import identify_measurement, passes_and_band, records_of, sign_warnings
+from smfe.measurements import hammer_settings, identify_measurement, passes_and_band, records_of, sign_warnings
 from smfe.records import read_records
 
 
@@ -92,12 +92,7 @@ def _records_suspects(campaign: Campaign, measurement: Measurement) -> list[Susp
 
 def _hammer(measurement: Measurement, records: dict[str, list[xr.Dataset]]) -> list[Suspect]:
     try:
-        return hit_suspects(
-            measurement.name,
-            records,
-            frequency_range=measurement.frequency_range,
-            resolution=measurement.resolution,
-        )
+        return hit_suspects(measurement.name, records, **hammer_settings(measurement))
     except InputError:
         return []  # said once, by the identification
 

@@ -27,7 +27,7 @@ def hit_suspects(name: str, records: Mapping[str, Sequence[xr.Dataset]], **setti
     records : mapping of str to sequence of xarray.Dataset
         Excitation axis -> records.
     **settings : object
-        ``frequency_range`` and ``resolution`` of `smfe.hammer.identify_hammer`.
+        Of `smfe.hammer.identify_hammer`, but for ``exclude``.
     """
     found = identify_hammer(name, records, **settings)  # type: ignore[arg-type]
     hits = found.tables["hits"]
@@ -49,6 +49,8 @@ def _left_out(
     """A hit that was refused, with what it alone would have made of the compliance."""
     double, overloaded = bool(hit["double_hit"]), bool(hit["overloaded"]) or bool(hit["response_overloaded"])
     cause = "saturation" if overloaded else "double_hit" if double else "windowed_channel"
+    if bool(hit["wrong_direction"]):
+        cause = "sensor_axis"
     harm = _harm(hit, records, good, settings)
     return Suspect(
         cause,
@@ -99,7 +101,8 @@ def _levels(name: str, hits: pd.DataFrame) -> list[Suspect]:
                     "note",
                     f"{name}, hits along {axis}",
                     f"peak forces from {peaks.min():.3g} to {peaks.max():.3g} N are averaged together",
-                    "with friction or micro-slip the level changes the compliance: identify weak and strong hits apart",
+                    "with friction or micro-slip the level changes the compliance: identify weak and strong hits "
+                    "apart (split_levels = true)",
                 )
             )
     return out

@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smfe.report import diagnosis, figures, interactive, interactive_compliance, tables
+from smfe.report import diagnosis, explained, figures, interactive, interactive_compliance, tables
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
 from smfe.report.results import Lobes, Measurement, Results, bands, read_results
@@ -270,6 +270,7 @@ def _comparison(results: Results) -> dict[str, Any]:
         "sentences": sentences,
         "table": table,
         "compared": frame is not None,
+        "explained": explained.explained(results.explained),
         "errors": [] if errors is None or errors.empty else tables.model_errors(errors),
     }
 

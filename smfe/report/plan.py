@@ -12,8 +12,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from smfe.plan import Plan
 from smfe.plan_forces import orders_within
+from smfe.plan_recommend import Plan
 from smfe.report.figures import DPI, save
 from smfe.report.look import AXIS_COLOURS, CHATTER
 from smfe.store import write_atomically

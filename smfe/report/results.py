@@ -23,6 +23,7 @@ BAD_CONDITION = 30.0
 
 _TEXT_COLUMNS = (
     *("source", "request", "lobes", "measurement", "model", "measurement_a", "measurement_b", "a", "b"),
+    *("lowest", "highest", "categories", "aliased_with"),
     *("response", "excitation", "entry", "file", "verdict", "observed", "reason"),
 )
 """Columns that are names: a source called "1" stays text."""
@@ -173,7 +174,7 @@ class Results:
         Cutting test -> its spectrum.
     tables : mapping of (str, str) to pandas.DataFrame
         (measurement, table) -> hits, steps, passes.
-    chatter, comparison, model_error : pandas.DataFrame or None
+    chatter, comparison, explained, model_error : pandas.DataFrame or None
         None when the file is absent.
     provenance : mapping
         Content of provenance.json, empty when absent.
@@ -188,6 +189,7 @@ class Results:
     tables: Mapping[tuple[str, str], pd.DataFrame]
     chatter: pd.DataFrame | None
     comparison: pd.DataFrame | None
+    explained: pd.DataFrame | None
     model_error: pd.DataFrame | None
     provenance: Mapping[str, Any]
     finding: Mapping[str, Any]
@@ -234,6 +236,7 @@ def read_results(folder: Path) -> Results:
         _read_tables(folder / "tables"),
         _read_csv(folder / "chatter.csv", ("file", "spindle_speed_rpm", "depth_of_cut_mm", "verdict")),
         _read_csv(folder / "comparison.csv", ()),
+        _read_csv(folder / "explained.csv", ("quantity", "factor", "explained_percent", "p_family", "significant")),
         _read_csv(folder / "model_error.csv", ("measurement", "model", "response", "excitation", "error_percent")),
         _read_json(folder / "provenance.json"),
         _read_json(folder / "finding.json"),

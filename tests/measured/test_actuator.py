@@ -7,6 +7,7 @@ import xarray as xr
 from process.errors import InputError
 from process.labels import make_record
 from smfe.actuator import identify_actuator
+from smfe.intervals import interval
 from smfe.peaks import find_peaks
 from smfe.steps import StepRules, find_steps, fit_sine, refine_frequency
 
@@ -225,6 +226,18 @@ def test_a_dwell_that_is_too_short_is_reported() -> None:
     assert off[errors(found.compliance) > 0.01].max() < 3.0 * std[errors(found.compliance) > 0.01].max()
 
 
+def test_steps_that_settle_late_are_fitted_late() -> None:
+    """Round the resonance half a dwell of 1.72 s leaves transients; up to seven eighths are dropped there, half "
+    "elsewhere."""
+    record = transient_record(np.arange(18.0, 30.5, 1.0), 1.72)
+    found = identify_actuator("detected", {"x": [record]})
+    half = identify_actuator("half", {"x": [record]}, rules=StepRules(settling=0.86))
+    table = found.tables["steps"].set_index(np.round(found.tables["steps"]["frequency_Hz"]))
+    assert table["fitted_s"][18.0] > 0.7
+    assert table["fitted_s"][24.0] < 0.5
+    assert np.sqrt(np.mean(errors(found.compliance) ** 2)) < 0.7 * np.sqrt(np.mean(errors(half.compliance) ** 2))
+
+
 def test_settling_can_be_given() -> None:
     record = transient_record(np.arange(22.0, 26.5, 1.0), 4.0)
     long = identify_actuator("long", {"x": [record]}, rules=StepRules(settling=2.5))
@@ -245,6 +258,106 @@ def test_standard_deviation_is_calibrated() -> None:
         claimed.append(found["compliance_std"].values[:, 0, 0] ** 2)
     ratio = np.sqrt(np.mean(square, axis=0) / np.mean(claimed, axis=0))
     assert ratio == pytest.approx(np.ones(5), abs=0.15)
+
+
+def inside(found: xr.Dataset) -> np.ndarray:
+    """Whether the real and the imaginary part of the truth lie in their 95 % intervals, (steps, 2)."""
+    bounds, truth = interval(found), exact(found["frequency"].values)
+    low, high = bounds["lower"].values[:, 0, 0], bounds["upper"].values[:, 0, 0]
+    real = (low.real <= truth.real) & (truth.real <= high.real)
+    return np.stack([real, (low.imag <= truth.imag) & (truth.imag <= high.imag)], axis=1)
+
+
+def coloured(record: xr.Dataset, seed: int, size: float) -> xr.Dataset:
+    """Noise of the acceleration that falls with frequency, as friction makes it: rms `size`, corner at 30 Hz."""
+    rng = np.random.default_rng(seed)
+    n = record.sizes["time"]
+    f = np.maximum(np.fft.rfftfreq(n, 1e-3), 0.5)
+    noise = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) / np.sqrt(1.0 + (f / 30.0) ** 2), n)
+    out = record.copy(deep=True)
+    out["acceleration"].values[0] += size * noise / noise.std()
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "repeats"), [("white", 1), ("coloured", 1), ("distorted", 1), ("white", 2)])
+def test_intervals_hold_the_truth_as_often_as_they_say(kind: str, repeats: int) -> None:
+    """95 % intervals of stepped sines over 200 seeds: 92 to 98 % for each part, all steps together."""
+    steps = np.array([15.0, 22.0, 24.0, 27.0, 40.0])
+    clean = settled_record(steps, dwell=1.5, third=0.1 if kind == "distorted" else 0.0)
+    counts = []
+    for seed in range(200):
+        records = []
+        for k in range(repeats):
+            rng = np.random.default_rng(1000 * seed + k)
+            one = coloured(clean, 1000 * seed + k + 500, 0.02 if kind == "coloured" else 1e-9)
+            one["force"].values[0] += 4.0 * rng.standard_normal(one.sizes["time"])
+            one["acceleration"].values[0] += 5e-3 * rng.standard_normal(one.sizes["time"])
+            records.append(one)
+        counts.append(inside(identify_actuator("noisy", {"x": records}).compliance))
+    found = 100.0 * np.mean(counts, axis=(0, 1))
+    assert found.min() > 92.0
+    assert found.max() < 98.0
+
+
+def test_repeats_that_scatter_beyond_their_noise_are_judged_by_their_scatter() -> None:
+    """Three records with a gain each, 5 % apart: M - 1 degrees of freedom, an error along the compliance."""
+    records = []
+    for k, gain in enumerate((0.95, 1.0, 1.05)):
+        record = settled_record(np.array([20.0, 24.0]), noise=1e-3, seed=k)
+        record["acceleration"].values[:] *= gain
+        records.append(record)
+    found = identify_actuator("scatter", {"x": records}).compliance
+    h, std = found["compliance"].values, found["compliance_std"].values
+    assert std / np.abs(h) == pytest.approx(0.05 / np.sqrt(3.0), rel=0.1)
+    assert found["degrees_of_freedom"].values == pytest.approx(2.0)
+    assert found["compliance_relation"].values == pytest.approx((h / np.abs(h)) ** 2 * std**2, rel=0.05)
+
+
+def test_a_force_that_is_not_constant_is_reported() -> None:
+    """The actuator of a real rig weakens off its own resonance: 100 N at 20 Hz, 60 N at 30 Hz."""
+    weak, strong = settled_record(np.array([20.0])), settled_record(np.array([30.0]), amplitude=60.0)
+    names = ("force", "acceleration")
+    channels = {n: {"x": np.concatenate([weak[n].values[0], strong[n].values[0]])} for n in names}
+    record = make_record(np.arange(channels["force"]["x"].size) / 1000.0, channels)
+    found = identify_actuator("weak", {"x": [record]})
+    assert any("the force is not constant: 60 N at 30 Hz, 100 N at 20 Hz" in w for w in found.warnings)
+    assert errors(found.compliance).max() < 1e-3
+    whole = identify_actuator("flat", {"x": [settled_record(np.array([20.0, 30.0]))]})
+    assert not any("not constant" in w for w in whole.warnings)
+
+
+def test_the_mass_between_force_sensor_and_tool_is_taken_off() -> None:
+    """F_measured = F + m a: with m = 40 kg on a mode of 1759 kg the uncorrected peak is 0.27 Hz off."""
+    record = settled_record(np.arange(20.0, 28.5, 0.5))
+    record["force"].values[0] += 40.0 * record["acceleration"].values[0]
+    plain = identify_actuator("frame", {"x": [record]})
+    found = identify_actuator("frame", {"x": [record]}, frame_mass=40.0)
+    assert errors(plain.compliance).max() > 0.2
+    assert errors(found.compliance).max() < 1e-4
+    assert any("the mass of 40 kg was taken off" in w for w in found.warnings)
+    # An accelerometer as heavy does the same to the machine.
+    sensor = identify_actuator("sensor", {"x": [record]}, accelerometer_mass=15.0, frame_mass=25.0)
+    assert sensor.compliance["compliance"].values == pytest.approx(found.compliance["compliance"].values)
+
+
+def test_harmonics_are_kept_apart() -> None:
+    found = identify_actuator("third", {"x": [settled_record(np.array([15.0, 20.0]), third=0.2)]})
+    table = found.tables["steps"]
+    assert table["harmonic_3_force"].tolist() == pytest.approx([0.2, 0.2], rel=1e-3)
+    assert table["harmonic_2_force"].tolist() == pytest.approx([0.0, 0.0], abs=1e-4)
+    gain = [9.0 * abs(exact(np.array([3.0 * f]))[0] / exact(np.array([f]))[0]) * 0.2 for f in (15.0, 20.0)]
+    assert table["harmonic_3_x"].tolist() == pytest.approx(gain, rel=1e-2)
+
+
+def test_the_order_of_records_and_the_names_of_axes_change_nothing() -> None:
+    steps = np.array([20.0, 24.0, 30.0])
+    one = [settled_record(steps, noise=0.02, seed=seed) for seed in (1, 2)]
+    other = [settled_record(steps, noise=0.02, seed=seed, axis="z") for seed in (2, 1)]
+    a = identify_actuator("a", {"x": one}).compliance
+    b = identify_actuator("b", {"z": other}).compliance
+    for name in ("compliance", "compliance_std", "degrees_of_freedom", "coherence"):
+        assert b[name].values == pytest.approx(a[name].values, rel=1e-6)
 
 
 def test_distortion_of_the_force_is_told_from_noise() -> None:

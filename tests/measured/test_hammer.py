@@ -7,7 +7,8 @@ from scipy import signal
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.hammer import average_h1, identify_hammer
+from smfe.averaging import average, degrees_of_freedom, deviations
+from smfe.hammer import identify_hammer
 from smfe.hits import FAULTS, HitRules, find_hits, flat_top, usable_band
 
 # The laboratory bench of the paper: one mass of 11.3 kg on 1.68 N/um with 104 N s/m, peak 24.94 um/N at 61.36 Hz.
@@ -122,17 +123,20 @@ def test_standard_deviation_is_calibrated() -> None:
 
 
 def test_h1_against_its_definition() -> None:
+    """Least squares by numpy, hits of equal force: the classical standard deviation, and M - 1 degrees of freedom."""
     rng = np.random.default_rng(3)
     x = rng.standard_normal((7, 2, 5)) + 1j * rng.standard_normal((7, 2, 5))
-    f = rng.standard_normal((7, 5)) + 1j * rng.standard_normal((7, 5))
-    h, std, coherence = average_h1(x, f)
+    f = np.exp(2j * np.pi * rng.uniform(size=(7, 5)))
+    found = average(x, f)
+    std = np.sqrt(np.sum(np.abs(deviations(found)) ** 2, axis=2))
     for line in range(7):
         for row in range(2):
             solution, rss, *_ = np.linalg.lstsq(f[line][:, None], x[line, row], rcond=None)
-            assert h[line, row] == pytest.approx(solution[0])
+            assert found.compliance[line, row] == pytest.approx(solution[0])
             assert std[line, row] ** 2 == pytest.approx(rss[0] / 4.0 / np.sum(np.abs(f[line]) ** 2))
             total = np.sum(np.abs(x[line, row]) ** 2)
-            assert coherence[line, row] == pytest.approx(1.0 - rss[0] / total)
+            assert found.coherence[line, row] == pytest.approx(1.0 - rss[0] / total)
+    assert degrees_of_freedom(found.leverage) == pytest.approx(np.full((7, 2), 4.0))
 
 
 def test_coherence_of_noise_that_only_some_hits_share_is_below_one() -> None:
@@ -157,7 +161,7 @@ def test_force_noise_lowers_the_compliance_and_the_gate_repairs_it() -> None:
 def test_force_noise_ends_the_band() -> None:
     """Noise of 2 N makes every line of a 25 N hit uncertain by more than a tenth: nothing is claimed."""
     record = bench([(0.1 + 4.0 * k, 25.0) for k in range(3)], 12.0, force_noise=2.0, seed=4)
-    with pytest.raises(InputError, match="gate_force=True where force noise limits the band"):
+    with pytest.raises(InputError, match=r"force_window = true \(gate_force=True\) where force noise limits the band"):
         identify_hammer("noisy", {"x": [record]}, frequency_range=(30.0, 120.0))
 
 
@@ -418,9 +422,34 @@ def test_what_is_no_hammer_record(kind: str) -> None:
 
 
 def test_different_sampling_rates() -> None:
-    records = [bench([(0.1, 25.0)], 4.0, rate=5000.0), bench([(0.1, 25.0)], 4.0, rate=4000.0)]
-    with pytest.raises(InputError, match="different rates; resample"):
+    """5000 and 4999 Hz share no block."""
+    records = [bench([(0.1, 25.0)], 4.0, rate=5000.0), bench([(0.1, 25.0)], 4.0, rate=4999.0)]
+    with pytest.raises(InputError, match="different rates, whose lines are not the same; resample"):
         identify_hammer("mixed", {"x": records})
+
+
+@pytest.mark.parametrize("rates", [(10000.0, 8000.0), (8000.0, 10000.0), (8000.0, 25600.0)])
+def test_records_of_different_rates_are_averaged_on_their_common_lines(rates: tuple[float, float]) -> None:
+    records = [bench([(0.1, 25.0)], 3.987, rate=rate, noise=1e-3, seed=int(rate)) for rate in rates]
+    found = identify_hammer("mixed", {"x": records}, frequency_range=(30.0, 120.0))
+    assert found.tables["hits"]["used"].all()
+    assert relative_error(found.compliance) < 2e-3
+    length = found.compliance.attrs["block_length_s"]
+    for rate in rates:
+        assert length * rate == pytest.approx(round(length * rate), abs=1e-6)
+
+
+@pytest.mark.parametrize(("gap", "limit"), [(0.4, 0.12), (0.6, 0.07), (0.8, 0.03)])
+def test_tails_that_overlap_are_reported_and_in_the_standard_deviation(gap: float, limit: float) -> None:
+    """Ten hits before the bench has rung down (0.217 s): an error of exp(-T/tau) that scatter alone does not show."""
+    starts = 0.1 + np.cumsum(gap * (1.0 + 0.3 * np.random.default_rng(1).uniform(size=10)))
+    record = bench([(float(start), 25.0) for start in starts], float(starts[-1] + 1.1 * gap), rate=10000.0)
+    found = identify_hammer("tails", {"x": [record]}, frequency_range=(30.0, 120.0))
+    assert relative_error(found.compliance) < limit
+    assert any("not decayed" in w and "leave more time between hits" in w for w in found.warnings)
+    error = found.compliance["compliance"].values[:, 0, 0] - exact(found.compliance["frequency"].values)
+    ratio = np.sqrt(np.mean(np.abs(error / found.compliance["compliance_std"].values[:, 0, 0]) ** 2))
+    assert 0.3 < ratio < 1.5
 
 
 def test_a_range_the_force_does_not_reach() -> None:
@@ -431,6 +460,6 @@ def test_a_range_the_force_does_not_reach() -> None:
 
 
 def test_unknown_fault() -> None:
-    assert FAULTS == ("overloaded", "double_hit")
+    assert FAULTS == ("overloaded", "double_hit", "direction")
     with pytest.raises(InputError, match="exclude names soft_tip"):
         identify_hammer("wrong", {"x": [bench([(0.1, 25.0)], 4.0)]}, exclude=("soft_tip",))

@@ -1,0 +1,254 @@
+"""What an axis in motion does without a hit, learnt between the hits and taken off.
+
+An axis that moves carries its own motion into the record: a displacement that runs away with the feed, an accelerometer
+that drifts, ripple of servo, screw and rack as tones, friction as noise. The block of a hit cuts a piece out of it,
+whose ends leak into all lines, the same way in every block: averaging does not help. In the quiet spans, the second
+half of the time to the next hit, when the machine has rung down, nothing else moves, so there the motion is fitted:
+
+    x(t) = sum_k c_k t^k  (about each hit its own)  +  sum_i a_i cos w_i t + b_i sin w_i t  (one for the whole record).
+
+Noise cannot be predicted; it stays, and the scatter of the hits tells of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from process.labels import sample_interval
+from smfe.hits import Hit
+from smfe.spectra import motion_axes
+
+Real = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CLEAR = 40.0  # power of a line over the noise round it: chance exceeds it in exp(-40) of the lines
+_NEIGHBOURS = 200  # lines over which that noise is a median
+_CONSTANT = 0.3  # largest relative change of a tone from the early to the late halves of the quiet spans
+_GUARD = 2e-3  # [s] before an onset that is not quiet any more
+
+
+@dataclass(frozen=True)
+class Background:
+    """What is fitted between hits.
+
+    Parameters
+    ----------
+    order : int, optional
+        Of the polynomial about each hit. Default: 2 for a displacement, 1 for an acceleration.
+    most_tones : int, optional
+        Largest number of tones an axis.
+    share : float, optional
+        Share of the time to the next hit after which a span is quiet [1].
+    """
+
+    order: int | None = None
+    most_tones: int = 8
+    share: float = 0.5
+
+
+@dataclass(frozen=True)
+class Removed:
+    """A record without its background, and what that was.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        The motion channel without background; everything else as it was.
+    tones : pandas.DataFrame
+        axis, frequency_Hz, amplitude (unit of the channel).
+    share : mapping of str to float
+        Axis -> share of the power in the quiet spans that was explained [1], after their mean was taken off.
+    quiet : float
+        Length of the quiet spans together [s].
+    """
+
+    record: xr.Dataset
+    tones: pd.DataFrame
+    share: dict[str, float]
+    quiet: float
+
+
+def remove_background(record: xr.Dataset, hits: Sequence[Hit], rules: Background | None = None) -> Removed:
+    """Return a record without the motion that goes on between its hits.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        A record with hits.
+    hits : sequence of Hit
+        All hits in it, in order, refused ones too.
+    rules : Background, optional
+        What is fitted.
+    """
+    rules = rules or Background()
+    channel, axes = motion_axes(record)
+    dt, count = sample_interval(record), record.sizes["time"]
+    quiet, late = quiet_spans(hits, count, dt, rules.share)
+    order = rules.order if rules.order is not None else (2 if channel == "displacement" else 1)
+    motion = record[channel].copy(deep=True)
+    rows, share = [], {}
+    for axis in axes:
+        samples = record[channel].sel(axis=axis).values
+        trend = _trend(samples, hits, quiet, dt, order)
+        tones = _tones(samples - trend, quiet, late, dt, rules.most_tones) if quiet.any() else []
+        wave = _wave(tones, count, dt)
+        # The trend again, without the tones that bent it.
+        trend = _trend(samples - wave, hits, quiet, dt, order)
+        cleaned = samples - wave - trend
+        motion.loc[{"axis": axis}] = cleaned
+        rows += [{"axis": axis, "frequency_Hz": f, "amplitude": float(np.hypot(a, b))} for f, a, b in tones]
+        before = float(np.var(samples[quiet])) if quiet.any() else 0.0
+        share[axis] = 1.0 - float(np.mean(cleaned[quiet] ** 2)) / before if before > 0.0 else 0.0
+    table = pd.DataFrame(rows, columns=["axis", "frequency_Hz", "amplitude"])
+    return Removed(record.assign({channel: motion}), table, share, float(np.count_nonzero(quiet)) * dt)
+
+
+def quiet_spans(hits: Sequence[Hit], count: int, dt: float, share: float = 0.5) -> tuple[Mask, Mask]:
+    """Return which samples are quiet, and which of these lie in the later half of their span.
+
+    Before the first hit all are; after a hit those beyond `share` of the time to the next one, or of the usual such
+    time after the last.
+
+    Parameters
+    ----------
+    hits : sequence of Hit
+        All hits of the record, in order.
+    count : int
+        Samples of the record.
+    dt : float
+        Sampling interval [s].
+    share : float, optional
+        [1].
+    """
+    quiet, late = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    onsets = [hit.onset for hit in hits]
+    guard = int(_GUARD / dt) + 1
+    usual = float(np.median(np.diff(onsets))) if len(onsets) > 1 else float(count - onsets[0])
+    ends = [*onsets[1:], min(count + guard, onsets[-1] + round(usual))]
+    spans = [(0, onsets[0] - guard)]
+    spans += [(a + int(share * (b - a)), b - guard) for a, b in zip(onsets, ends, strict=True)]
+    for a, b in spans:
+        if b > a:
+            quiet[a:b] = True
+            late[(a + b) // 2 : b] = True
+    return quiet, late
+
+
+def _trend(samples: Real, hits: Sequence[Hit], quiet: Mask, dt: float, order: int) -> Real:
+    """Return the polynomial of each hit over its own stretch, fitted to the quiet samples on both sides of it."""
+    onsets = [hit.onset for hit in hits]
+    out = np.zeros(samples.size)
+    guard = int(_GUARD / dt) + 1
+    borders = [0, *(max(o - guard, 0) for o in onsets[1:]), samples.size]
+    for number, (a, b) in enumerate(pairwise(borders)):
+        # As much time before the hit as the quiet span before it is long: the later half of the last stretch.
+        begin = borders[number - 1] if number else 0
+        inside = np.flatnonzero(quiet[begin:b]) + begin
+        if inside.size < 4 * (order + 1):
+            continue
+        middle, half = 0.5 * (begin + b), max(0.5 * (b - begin), 1.0)
+        fit = np.polynomial.legendre.legfit((inside - middle) / half, samples[inside], order)
+        out[a:b] = np.polynomial.legendre.legval((np.arange(a, b) - middle) / half, fit)
+    return out
+
+
+def _tones(samples: Real, quiet: Mask, late: Mask, dt: float, most: int) -> list[tuple[float, float, float]]:
+    """Return frequency [Hz], cosine and sine amplitude of the tones that go on through all quiet spans."""
+    rest = np.where(quiet, samples - float(np.mean(samples[quiet])), 0.0)
+    found: list[float] = []
+    refused: list[float] = []
+    length = fft.next_fast_len(2 * rest.size, real=True)
+    frequency = fft.rfftfreq(length, dt)
+    line = 1.0 / (rest.size * dt)
+    for _ in range(2 * most):
+        if len(found) == most:
+            break
+        power = np.abs(fft.rfft(rest, length)) ** 2
+        floor = ndimage.median_filter(power, 2 * _NEIGHBOURS + 1, mode="nearest") / np.log(2.0)
+        ratio = power / np.where(floor > 0.0, floor, np.inf)
+        ratio[frequency < 4.0 * line] = 0.0
+        for f in refused:
+            ratio[np.abs(frequency - f) < max(0.01 * f, 8.0 * line)] = 0.0
+        top = int(np.argmax(ratio))
+        if ratio[top] < _CLEAR:
+            break
+        tone = _refined(samples, quiet, dt, float(frequency[top]))
+        if _goes_on(samples, quiet, late, dt, [*found, tone]):
+            found.append(tone)
+        else:
+            refused.append(tone)
+        rest = np.where(quiet, samples - _wave(_amplitudes(samples, quiet, dt, found), samples.size, dt), 0.0)
+        rest = np.where(quiet, rest - float(np.mean(rest[quiet])), 0.0)
+    return _amplitudes(samples, quiet, dt, found)
+
+
+def _columns(frequencies: Sequence[float], index: NDArray[np.int64], dt: float) -> Real:
+    angle = 2.0 * np.pi * dt * np.outer(index, frequencies)
+    return np.concatenate([np.cos(angle), np.sin(angle), np.ones((index.size, 1))], axis=1)
+
+
+def _solve(matrix: Real, right: Real) -> Real:
+    return np.asarray(np.linalg.lstsq(matrix.T @ matrix, matrix.T @ right, rcond=None)[0])
+
+
+def _amplitudes(samples: Real, mask: Mask, dt: float, frequencies: list[float]) -> list[tuple[float, float, float]]:
+    if not frequencies:
+        return []
+    index = np.flatnonzero(mask)
+    found = _solve(_columns(frequencies, index, dt), samples[index])
+    n = len(frequencies)
+    return [(f, float(found[i]), float(found[n + i])) for i, f in enumerate(frequencies)]
+
+
+def _refined(samples: Real, mask: Mask, dt: float, frequency: float) -> float:
+    """Return the frequency [Hz] that fits best over the quiet samples (Gauss-Newton, time from the middle)."""
+    index = np.flatnonzero(mask)
+    middle = 0.5 * (index[0] + index[-1])
+    t = (index - middle) * dt
+    half = max(float(t[-1]), dt)
+    w = 2.0 * np.pi * frequency
+    for _ in range(8):
+        cos, sin = np.cos(w * t), np.sin(w * t)
+        a, b, _ = _solve(np.stack([cos, sin, np.ones_like(t)], axis=1), samples[index])
+        slope = t / half * (b * cos - a * sin)
+        change = float(_solve(np.stack([cos, sin, np.ones_like(t), slope], axis=1), samples[index])[3]) / half
+        change = float(np.clip(change, -0.5 * np.pi / half, 0.5 * np.pi / half))
+        w += change
+        if abs(change) * half < 1e-6:
+            break
+    return float(w / (2.0 * np.pi))
+
+
+def _goes_on(samples: Real, quiet: Mask, late: Mask, dt: float, frequencies: list[float]) -> bool:
+    """Tell whether the last tone is the same early and late in the quiet spans, and in every other span.
+
+    Ringing dies away within a span and begins anew, with the phase of the hit, in the next. In a single span only its
+    decay tells, so that less of it is allowed.
+    """
+    spans = ndimage.label(quiet)[0]
+    parts = [(quiet & ~late, quiet & late)]
+    if spans.max() > 1:
+        parts.append((quiet & (spans % 2 == 0), quiet & (spans % 2 == 1)))
+    limit = _CONSTANT if spans.max() > 1 else 0.3 * _CONSTANT
+    for first, second in parts:
+        tones = [_amplitudes(samples, part, dt, frequencies)[-1] for part in (first, second)]
+        one, two = (complex(cosine, -sine) for _, cosine, sine in tones)
+        if abs(two - one) > limit * max(abs(one), abs(two)):
+            return False
+    return True
+
+
+def _wave(tones: Sequence[tuple[float, float, float]], count: int, dt: float) -> Real:
+    out = np.zeros(count)
+    t = dt * np.arange(count)
+    for f, a, b in tones:
+        out += a * np.cos(2.0 * np.pi * f * t) + b * np.sin(2.0 * np.pi * f * t)
+    return out

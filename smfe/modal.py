@@ -1,0 +1,369 @@
+"""Modes of a measured compliance: poles, mode shapes, stiffness with intervals; a modal model and a state space.
+
+The way: poles of polynomials of rising order (`smfe.modal_poles`) propose modes; the information criterion of the whole
+matrix decides how many there are (`smfe.modal_order`); they are refined to maximum likelihood with free symmetric
+residues (`smfe.modal_fit`), then with real mode shapes (`smfe.modal_shapes`). What comes out is a `process.ModalModel`,
+and a state space that equals the free fit (`smfe.modal_state_space`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.compliance import ModalModel
+from process.errors import InputError
+from process.labels import AXES, make_compliance
+from smfe.modal_data import UNKNOWN_SHARE, Curves, ResponseMatrix, curves_of, matrix_of
+from smfe.modal_fit import PoleFit, remainder_modes
+from smfe.modal_order import OrderRules, choose, fit_poles
+from smfe.modal_poles import LARGEST_DAMPING, Stabilisation, StabilityRules, stabilisation
+from smfe.modal_shapes import ShapeFit, components, fit_shapes
+from smfe.modal_state_space import StateSpace, energy_given, place_matrix, state_space
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+INTERVAL = 1.96
+"""Standard deviations to either side of a 95 % interval."""
+
+UPPER_SHARE = 0.01
+"""The upper remainder goes into the modal model where it is more than this share of the largest compliance."""
+
+ACTIVE = 0.05
+"""A model that gives more energy than this share of its size is called active."""
+
+COARSE = 3.0
+"""A misfit above this is worth a warning."""
+
+NO_SHAPE = 0.3
+"""Real shapes further from the free fit than this share of its size are not used."""
+
+LOPSIDED = 2.0
+"""Mirrored entries that differ by more than this many times their noise are called not reciprocal."""
+
+
+@dataclass(frozen=True)
+class ModalRules:
+    """How modes are looked for.
+
+    Parameters
+    ----------
+    stability : StabilityRules, optional
+        When a pole of one order is that of the order before.
+    order : OrderRules, optional
+        How many modes are looked for.
+    accuracy : float, optional
+        Where nobody has measured the noise: share of the local magnitude down to which a model need not go [1].
+    """
+
+    stability: StabilityRules = field(default_factory=StabilityRules)
+    order: OrderRules = field(default_factory=OrderRules)
+    accuracy: float = UNKNOWN_SHARE
+
+
+@dataclass(frozen=True)
+class ModalFit:
+    """Modes of a measured matrix.
+
+    Parameters
+    ----------
+    matrix : ResponseMatrix
+        What was fitted.
+    stable : Stabilisation
+        The stabilisation diagram.
+    free : PoleFit
+        Poles with free symmetric residues and remainders.
+    is_mode : ndarray of bool
+        Which of its poles are modes of the band; the others describe its surroundings.
+    shapes : ShapeFit or None
+        Real mode shapes; None where the entries measured do not tell them.
+    no_shapes : str
+        Why there are none; empty where there are.
+    """
+
+    matrix: ResponseMatrix = field(repr=False)
+    stable: Stabilisation = field(repr=False)
+    free: PoleFit
+    is_mode: NDArray[np.bool_]
+    shapes: ShapeFit | None = field(repr=False)
+    no_shapes: str = ""
+
+    @property
+    def curves(self) -> Curves:
+        """The curves that were fitted."""
+        return self.free.curves
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user must know about the fit."""
+        return tuple(_warnings(self))
+
+    def values(self, frequency: Real) -> Complex:
+        """Return the free fit as a matrix [m/N], shape (f, responses, excitations); what was not measured is zero."""
+        curves = self.free.curve_values(np.asarray(frequency, dtype=float))
+        return place_matrix(self.free, curves, self.matrix.response, self.matrix.excitation)
+
+    def compliance(self, frequency: Real) -> xr.Dataset:
+        """Return the free fit as a labelled compliance, NaN where it was not measured."""
+        values = self.values(frequency)
+        values[:, ~np.isfinite(self.matrix.values).any(axis=0)] = np.nan
+        return make_compliance(frequency, values, self.matrix.response, self.matrix.excitation)
+
+    def state_space(self) -> StateSpace:
+        """Return A, B, C, D, equal to the free fit; x, y and z in and out where axes were measured."""
+        labelled = {*self.matrix.response, *self.matrix.excitation} <= set(AXES)
+        response, excitation = (AXES, AXES) if labelled else (self.matrix.response, self.matrix.excitation)
+        return state_space(self.free, tuple(response), tuple(excitation))
+
+    def energy_given(self, frequency: Real | None = None) -> float:
+        """Return the largest share by which the free fit gives energy at places that were both hit and measured."""
+        both = tuple(p for p in self.curves.places if p in self.matrix.response and p in self.matrix.excitation)
+        if not both:
+            return float("nan")
+        f = self.curves.frequency if frequency is None else frequency
+        matrix = place_matrix(self.free, self.free.curve_values(f), both, both)
+        size = np.linalg.norm(matrix, axis=(1, 2))
+        return float(np.max(energy_given(matrix)[size > 0.1 * size.max()]))
+
+    def modal_model(self) -> ModalModel:
+        """Return the modes in x, y and z as a modal model, the upper remainder as stiff modes above the band.
+
+        Raises
+        ------
+        InputError
+            When the shapes are not known, or the places are not axes.
+        """
+        shapes = self._require_shapes()
+        if not set(self.curves.places) <= set(AXES):
+            raise InputError(
+                f"the places of this matrix are {', '.join(self.curves.places)}; a modal model needs motions along "
+                "x, y and z: name responses and excitations so"
+            )
+        rows = [*_mode_rows(shapes, _modes_of_band(shapes)), *_upper_rows(shapes)]
+        return ModalModel(*(np.array([row[k] for row in rows]) for k in range(4)))
+
+    def _require_shapes(self) -> ShapeFit:
+        if self.shapes is None:
+            raise InputError(self.no_shapes)
+        return self.shapes
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a mode with 95 % intervals; stiffness and direction are NaN where no shape is known."""
+        return pd.DataFrame(_shape_rows(self) if self.shapes is not None else _pole_rows(self))
+
+
+def fit_modes(
+    compliance: xr.Dataset | ResponseMatrix,
+    *,
+    band: tuple[float, float] | None = None,
+    poles: Real | None = None,
+    rules: ModalRules | None = None,
+) -> ModalFit:
+    """Fit modes to a measured matrix.
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset or ResponseMatrix
+        Labelled compliance, any part of the matrix; or arrays of any size.
+    band : (float, float), optional
+        Only these frequencies are fitted [Hz].
+    poles : array_like, shape (p, 2), optional
+        Frequency [Hz] and damping ratio to start from; their number is then kept instead of looked for.
+    rules : ModalRules, optional
+        How modes are looked for.
+
+    Returns
+    -------
+    ModalFit
+        Poles, shapes, diagram.
+
+    Raises
+    ------
+    InputError
+        When the data cannot carry a fit: too few lines, no mode above the noise, none inside the band.
+    """
+    rules = rules or ModalRules()
+    matrix = compliance if isinstance(compliance, ResponseMatrix) else matrix_of(compliance)
+    if band is not None:
+        matrix = matrix.within(*band)
+    curves = curves_of(matrix, rules.accuracy)
+    stable = stabilisation(matrix, curves, rules.stability)
+    if poles is None:
+        free = choose(curves, stable.candidates, rules.order)
+    else:
+        free = fit_poles(curves, np.asarray(poles, dtype=float).reshape(-1, 2))
+    is_mode = _are_modes(free.poles, free.pole_std, curves)
+    if not is_mode.any():
+        raise InputError(
+            f"no mode of its own lies between {curves.frequency[0]:.4g} and {curves.frequency[-1]:.4g} Hz: what is "
+            "seen there belongs to modes outside, or is too wide to be told; measure a wider band or "
+            "with finer resolution"
+        )
+    shapes, reason = None, ""
+    try:
+        shapes = fit_shapes(free, is_mode)
+    except InputError as error:  # poles are known all the same
+        reason = str(error)
+    if shapes is not None and (reason := _why_not(free, shapes)):
+        shapes = None
+    return ModalFit(matrix, stable, free, is_mode, shapes, reason)
+
+
+def _why_not(free: PoleFit, shapes: ShapeFit) -> str:
+    """Return why mode shapes are worth nothing; empty where they are worth something."""
+    f = free.curves.frequency
+    own, other = free.curve_values(f), shapes.curve_values(f)
+    away = float(np.linalg.norm(own - other) / np.linalg.norm(own))
+    if not _modes_of_band(shapes).any():
+        return (
+            "no mode has a stiffness that is known: the residues are not those of real shapes at places that move "
+            "with the force; check delays and signs of the channels, or measure the driving points"
+        )
+    if away > NO_SHAPE:
+        return (
+            f"real mode shapes are {100.0 * away:.0f} % away from the free fit: the phase between force and motion is "
+            "not that of a machine at one place; check delays and signs of the channels"
+        )
+    return ""
+
+
+def model_error(fit: ModalFit) -> str:
+    """Return in words how far the modal model is from what was measured: ``sqrt(sum |d|^2/sum |Phi|^2)``."""
+    curves = fit.curves
+    model = fit.modal_model().compliance(curves.frequency, AXES, AXES)["compliance"]
+    known = np.isfinite(curves.std)
+    own = np.stack([model.sel(response=r, excitation=e).values for r, e in curves.pairs])
+    left = np.sum(np.abs(own - curves.values)[known] ** 2) / np.sum(np.abs(curves.values)[known] ** 2)
+    return f"{100.0 * float(np.sqrt(left)):.2g} % of its size away"
+
+
+def _are_modes(poles: Real, std: Real, curves: Curves) -> NDArray[np.bool_]:
+    """Return which poles lie in the band, are no broader than modes are, and are known well enough to be told."""
+    natural, damping = poles.T
+    inside = (natural > curves.frequency[0]) & (natural < curves.frequency[-1]) & (damping < LARGEST_DAMPING)
+    return np.asarray(inside & (std[:, 0] < 2.0 * damping * natural) & (std[:, 1] < damping))
+
+
+def _modes_of_band(shapes: ShapeFit) -> NDArray[np.bool_]:
+    std = np.stack([shapes.std["frequency"], shapes.std["damping"]], axis=1)
+    return _are_modes(shapes.poles, std, shapes.curves) & shapes.resolved
+
+
+def _in_axes(curves: Curves, vector: Real) -> Real:
+    out = np.zeros(3)
+    out[[AXES.index(p) for p in curves.places]] = vector
+    return out
+
+
+def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[tuple[float, float, float, Real]]:
+    """Return frequency, damping, stiffness, direction of each mode; places that nothing connects are modes apart."""
+    out = []
+    parts = components(shapes.curves)
+    for k in np.flatnonzero(keep)[np.argsort(shapes.poles[keep, 0])]:
+        for part in parts:
+            v = np.zeros(shapes.shape.shape[1])
+            v[part] = shapes.shape[k, part]
+            size = float(v @ v)
+            if size > 1e-4 * float(np.sum(shapes.shape[k] ** 2)):
+                unit = v / np.sqrt(size)
+                turned = unit * np.sign(unit[np.argmax(np.abs(unit))])
+                natural, damping = (float(value) for value in shapes.poles[k])
+                out.append((natural, damping, 1.0 / size, _in_axes(shapes.curves, turned)))
+    return out
+
+
+def _upper_rows(shapes: ShapeFit) -> list[tuple[float, float, float, Real]]:
+    """Return the upper remainder as modes of real shape far above the band, those of negative stiffness left out."""
+    if not shapes.remainders.upper:
+        return []
+    curves, (_, (natural, damping)) = shapes.curves, remainder_modes(shapes.curves.frequency)
+    places = curves.places
+    matrix = np.zeros((len(places),) * 2)
+    for value, (r, e) in zip(shapes.coefficient[:, -1], curves.pairs, strict=True):
+        matrix[places.index(r), places.index(e)] = matrix[places.index(e), places.index(r)] = value
+    size, vectors = np.linalg.eigh(matrix)
+    largest = float(np.abs(curves.values).max())
+    return [
+        (natural, damping, 1.0 / float(s), _in_axes(curves, v))
+        for s, v in zip(size, vectors.T, strict=True)
+        if s > UPPER_SHARE * largest
+    ]
+
+
+def _orders(fit: ModalFit, natural: float, damping: float) -> int:
+    """Return in how many orders of the diagram a pole was stable."""
+    near = (np.abs(fit.stable.frequency - natural) < damping * natural) & (fit.stable.level >= 2)
+    return len(np.unique(fit.stable.order[near]))
+
+
+def _shape_rows(fit: ModalFit) -> list[dict[str, object]]:
+    shapes = fit._require_shapes()
+    rows = []
+    keep = _modes_of_band(shapes)
+    for k in np.flatnonzero(keep)[np.argsort(shapes.poles[keep, 0])]:
+        row = _pole_row(fit, shapes.poles[k], np.array([shapes.std["frequency"][k], shapes.std["damping"][k]]))
+        stiffness, spread = float(shapes.stiffness[k]), float(shapes.std["stiffness"][k])
+        row |= _with_interval("stiffness", "_N_um", 1e-6 * stiffness, 1e-6 * spread)
+        for place, value, error in zip(fit.curves.places, shapes.direction[k], shapes.std["direction"][k], strict=True):
+            row |= {f"direction_{place}": float(value), f"direction_{place}_std": float(error)}
+        rows.append(row)
+    return rows
+
+
+def _pole_rows(fit: ModalFit) -> list[dict[str, object]]:
+    return [_pole_row(fit, fit.free.poles[k], fit.free.pole_std[k]) for k in np.flatnonzero(fit.is_mode)]
+
+
+def _pole_row(fit: ModalFit, pole: Real, std: Real) -> dict[str, object]:
+    natural, damping = (float(v) for v in pole)
+    row = _with_interval("frequency", "_Hz", natural, float(std[0]))
+    row |= _with_interval("damping", "", damping, float(std[1]))
+    return row | {"stable_orders": _orders(fit, natural, damping)}
+
+
+def _with_interval(name: str, unit: str, value: float, std: float) -> dict[str, object]:
+    return {
+        f"{name}{unit}": value,
+        f"{name}_std{unit}": std,
+        f"{name}_low{unit}": value - INTERVAL * std,
+        f"{name}_high{unit}": value + INTERVAL * std,
+    }
+
+
+def _warnings(fit: ModalFit) -> list[str]:
+    out = []
+    if not fit.curves.noise_known:
+        out.append("no standard deviation is known: intervals come from the residual of the fit alone")
+    if fit.curves.reciprocity > LOPSIDED**2:
+        out.append(
+            f"mirrored entries differ by {np.sqrt(fit.curves.reciprocity):.2g} times their noise: the machine, or the "
+            "measurement, is not reciprocal; the fit is to their mean"
+        )
+    if fit.curves.noise_known and fit.free.misfit > COARSE:
+        out.append(
+            f"the fit misses the measured compliance by {fit.free.misfit:.3g} times its noise: there are modes that "
+            "it does not hold, or the machine is not linear; give a narrower band"
+        )
+    given = fit.energy_given()
+    if given > ACTIVE:
+        out.append(
+            f"the fitted compliance gives out energy, up to {100.0 * given:.0f} % of its size: check signs and delays "
+            "of the channels; a servo may do that"
+        )
+    if fit.shapes is None:
+        out.append(f"no mode shapes: {fit.no_shapes}")
+    elif fit.shapes.information > fit.free.information:
+        out.append(
+            f"real mode shapes explain the data less well than free residues (misfit {fit.shapes.misfit:.3g} against "
+            f"{fit.free.misfit:.3g}): damping that does not act in proportion, a servo, or noise that is underrated"
+        )
+    if fit.shapes is not None and not _modes_of_band(fit.shapes).all():
+        out.append(
+            "part of the compliance is described by poles outside the band or too broad for modes: no modes of it"
+        )
+    return out

@@ -1,0 +1,336 @@
+"""A measured matrix made ready for a modal fit: reciprocal entries averaged, noise levels, gaps without weight.
+
+Two entries (i, j) and (j, i) that share their residues and remainders enter a least squares through their mean alone:
+
+    w1^2 |y1 - m|^2 + w2^2 |y2 - m|^2 = (w1^2 + w2^2) |y - m|^2 + |y1 - y2|^2 / (s1^2 + s2^2),
+    y = (w1^2 y1 + w2^2 y2) / (w1^2 + w2^2),    w = 1/s.
+
+The last term does not depend on the model: it is the test of reciprocity, and it costs nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from process.errors import InputError
+from process.labels import check_compliance
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FEWEST_LINES = 12
+"""Below this number of frequencies no fit is tried."""
+
+UNKNOWN_SHARE = 0.1
+"""Where nobody has measured the noise, it is taken as this share of the local magnitude: what lies below calls for no
+more poles. A weight, no error: intervals come from the residual."""
+
+UNKNOWN_LINES = 150
+"""Where nobody has measured the noise, a record counts as no more independent lines than this."""
+
+SMOOTHING = 9
+"""Lines over which a mean square error is averaged: one from a few repeats scatters itself."""
+
+SMALLEST = 1e-9
+"""No error is taken to be smaller than this share of the largest value: doubles hold no more after a fit."""
+
+
+@dataclass(frozen=True)
+class ResponseMatrix:
+    """Measured frequency responses of any size as plain arrays.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (n,)
+        Rising [Hz].
+    values : ndarray of complex, shape (n, responses, excitations)
+        Displacement over force [m/N]; NaN where it was not measured.
+    response, excitation : tuple of str
+        Names of the places and directions; a name in both is one and the same place, and reciprocity then holds.
+    std : ndarray, shape like `values`, optional
+        Root mean square of the complex error [m/N].
+    covariance : ndarray of complex, shape (n, responses, excitations, excitations), optional
+        ``E[d_j conj(d_k)]`` of the errors of one row [m2/N2].
+    error_lines : float, optional
+        Number of neighbouring lines that share one error.
+
+    Raises
+    ------
+    InputError
+        When shapes do not fit, frequencies do not rise, or there are too few lines.
+    """
+
+    frequency: Real
+    values: Complex = field(repr=False)
+    response: tuple[str, ...]
+    excitation: tuple[str, ...]
+    std: Real | None = field(default=None, repr=False)
+    covariance: Complex | None = field(default=None, repr=False)
+    error_lines: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a matrix over frequency."""
+        f, shape = np.asarray(self.frequency, dtype=float), np.shape(self.values)
+        if f.ndim != 1 or shape != (f.size, len(self.response), len(self.excitation)):
+            raise InputError(
+                f"{f.size} frequencies, {len(self.response)} responses and {len(self.excitation)} excitations, but "
+                f"values of shape {shape}; give them as (frequencies, responses, excitations)"
+            )
+        if self.std is not None and np.shape(self.std) != shape:
+            raise InputError(f"the standard deviations have the shape {np.shape(self.std)}; give one a value, {shape}")
+        if not np.all(np.isfinite(f)) or np.any(np.diff(f) <= 0.0) or (f.size and f[0] < 0.0):
+            raise InputError("the frequencies of a modal fit must be finite, not negative, and rise; sort them")
+        known = int(np.isfinite(self.values).any(axis=(1, 2)).sum()) if f.size else 0
+        if known < FEWEST_LINES:
+            raise InputError(
+                f"the matrix is known at {known} frequencies; a modal fit needs at least {FEWEST_LINES}: measure with "
+                "finer resolution or over a wider band"
+            )
+        if not np.nan_to_num(self.values).any():
+            raise InputError("the matrix is zero wherever it is known; a modal fit needs a measured response")
+        for name in ("response", "excitation"):
+            names = getattr(self, name)
+            if len(set(names)) != len(names):
+                raise InputError(f"a name occurs twice among the {name}s ({', '.join(names)}); give each its own")
+
+    def within(self, low: float, high: float) -> ResponseMatrix:
+        """Return the part between two frequencies [Hz].
+
+        Raises
+        ------
+        InputError
+            When there are too few lines in it.
+        """
+        at = (self.frequency >= low) & (self.frequency <= high)
+        return ResponseMatrix(
+            self.frequency[at],
+            self.values[at],
+            self.response,
+            self.excitation,
+            None if self.std is None else self.std[at],
+            None if self.covariance is None else self.covariance[at],
+            self.error_lines,
+        )
+
+
+def matrix_of(compliance: xr.Dataset) -> ResponseMatrix:
+    """Return a labelled compliance as arrays.
+
+    Raises
+    ------
+    InputError
+        When it is none, has further dimensions, or has too few lines.
+    """
+    array = check_compliance(compliance)["compliance"]
+    further = [str(d) for d in array.dims if d not in ("frequency", "response", "excitation")]
+    if further:
+        raise InputError(
+            f"the compliance depends on {', '.join(further)} as well; select one value, e.g. .sel({further[0]}=...)"
+        )
+    three = ("frequency", "response", "excitation")
+    std, rows = None, None
+    if "compliance_std" in compliance:
+        std = compliance["compliance_std"].transpose(*three).values.astype(float)
+    if "compliance_covariance" in compliance:
+        rows = compliance["compliance_covariance"].transpose(*three, "other_excitation").values.astype(complex)
+    return ResponseMatrix(
+        compliance["frequency"].values.astype(float),
+        array.transpose(*three).values.astype(complex),
+        tuple(str(a) for a in array["response"].values),
+        tuple(str(a) for a in array["excitation"].values),
+        std,
+        rows,
+        max(1.0, float(compliance.attrs.get("error_lines", 1.0))),
+    )
+
+
+@dataclass(frozen=True)
+class Curves:
+    """One curve for each pair of places, reciprocal entries averaged.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (n,)
+        [Hz].
+    values : ndarray of complex, shape (g, n)
+        [m/N]; zero where missing.
+    std : ndarray, shape (g, n)
+        Root mean square of the complex error [m/N]; infinite where missing.
+    pairs : tuple of (str, str)
+        Response and excitation of each curve.
+    covariance : ndarray of complex, shape (n, g, g) or None
+        ``E[d_g conj(d_h)]`` [m2/N2]; None: the curves are independent.
+    error_lines : float
+        Lines that share one error.
+    noise_known : bool
+        Whether `std` was measured; else it is a weight only.
+    reciprocity : float
+        Mean of ``|y_ij - y_ji|^2 / (s_ij^2 + s_ji^2)``, 1 for a reciprocal machine; NaN when no entry has a mirror.
+    """
+
+    frequency: Real
+    values: Complex = field(repr=False)
+    std: Real = field(repr=False)
+    pairs: tuple[tuple[str, str], ...]
+    covariance: Complex | None = field(repr=False)
+    error_lines: float
+    noise_known: bool
+    reciprocity: float
+
+    @cached_property
+    def weight(self) -> Real:
+        """Inverse standard deviation of real and imaginary part [N/m], zero where missing, shape (g, n)."""
+        return np.asarray(np.sqrt(2.0) / self.std)
+
+    @cached_property
+    def shared(self) -> bool:
+        """Whether all curves have the same weights but for a factor: one decomposition then serves all."""
+        relative = self.weight / np.max(self.weight, axis=1, keepdims=True)
+        return bool(np.allclose(relative, relative[:1], rtol=1e-9, atol=1e-12))
+
+    @cached_property
+    def counted_lines(self) -> float:
+        """Lines that count as one when the number of modes is decided.
+
+        Those that share an error; where no noise is known, at least so many that `UNKNOWN_LINES` are left: what a
+        model leaves is then taken to be smooth, no new evidence on every line of a fine grid.
+        """
+        return self.error_lines if self.noise_known else max(self.error_lines, self.frequency.size / UNKNOWN_LINES)
+
+    @cached_property
+    def real_data(self) -> float:
+        """Independent real numbers that were measured: two a line and curve, over `counted_lines`."""
+        return 2.0 * float(np.isfinite(self.std).sum()) / self.counted_lines
+
+    def thinned(self, step: int) -> Curves:
+        """Return every step-th line."""
+        if step <= 1:
+            return self
+        return replace(
+            self,
+            frequency=self.frequency[::step],
+            values=self.values[:, ::step],
+            std=self.std[:, ::step],
+            covariance=None if self.covariance is None else self.covariance[::step],
+            error_lines=max(1.0, self.error_lines / step),
+        )
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names of all places, those of responses first; x, y, z in their order."""
+        names = list(dict.fromkeys([r for r, _ in self.pairs] + [e for _, e in self.pairs]))
+        return tuple(sorted(names)) if set(names) <= {"x", "y", "z"} else tuple(names)
+
+
+def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves:
+    """Average reciprocal entries of a measured matrix and give each curve its noise level.
+
+    Parameters
+    ----------
+    matrix : ResponseMatrix
+        What was measured.
+    accuracy : float, optional
+        Where nobody has measured the noise: share of the local magnitude down to which a model need not go [1].
+    """
+    std, known = _levels(matrix, accuracy)
+    entries = [(r, e) for r in matrix.response for e in matrix.excitation]
+    names = {
+        (r, e): matrix.values[:, i, j] for i, r in enumerate(matrix.response) for j, e in enumerate(matrix.excitation)
+    }
+    levels = {(r, e): std[:, i, j] for i, r in enumerate(matrix.response) for j, e in enumerate(matrix.excitation)}
+    entries = [pair for pair in entries if np.isfinite(names[pair]).any()]
+    groups: dict[frozenset[str] | tuple[str, str], list[tuple[str, str]]] = {}
+    for pair in entries:
+        mirrored = pair[0] != pair[1] and (pair[1], pair[0]) in entries
+        groups.setdefault(frozenset(pair) if mirrored else pair, []).append(pair)
+    values, spread, share = [], [], []
+    misfit, count = 0.0, 0
+    for members in groups.values():
+        each = np.stack([names[pair] for pair in members])
+        s = np.where(np.isfinite(each), np.stack([levels[pair] for pair in members]), np.inf)
+        weight = 1.0 / s**2
+        total = weight.sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = np.where(total > 0.0, weight / total, 0.0)
+            values.append(np.sum(part * np.where(np.isfinite(each), each, 0.0), axis=0))
+            spread.append(np.where(total > 0.0, 1.0 / np.sqrt(total), np.inf))
+        share.append(part)
+        if len(members) == 2:
+            both = np.isfinite(s).all(axis=0)
+            misfit += float(np.sum(np.abs(each[0] - each[1])[both] ** 2 / (s[:, both] ** 2).sum(axis=0)))
+            count += int(both.sum())
+    # A line that nobody knows weighs nothing anywhere: it is left out.
+    there = np.isfinite(np.stack(spread)).any(axis=0)
+    joint = None if matrix.covariance is None or not known else _joint(matrix, list(groups.values()), share)
+    return Curves(
+        matrix.frequency[there],
+        np.stack(values)[:, there],
+        np.stack(spread)[:, there],
+        tuple(members[0] for members in groups.values()),
+        None if joint is None else joint[there],
+        matrix.error_lines,
+        known,
+        misfit / count if count else float("nan"),
+    )
+
+
+def _levels(matrix: ResponseMatrix, accuracy: float) -> tuple[Real, bool]:
+    """Return a smooth noise level of every entry, shape like the values [m/N], and whether it was measured."""
+    there = np.isfinite(matrix.values)
+    largest = float(np.abs(matrix.values[there]).max())
+    if matrix.std is not None and np.isfinite(matrix.std[there]).mean() > 0.5:
+        square = np.where(there & np.isfinite(matrix.std), matrix.std, np.nan) ** 2
+        level = np.apply_along_axis(_mean_over_lines, 0, square, SMOOTHING)
+        return np.maximum(np.sqrt(level), SMALLEST * largest), True
+    out = np.empty(matrix.values.shape)
+    for i, j in np.ndindex(matrix.values.shape[1:]):
+        known = there[:, i, j]
+        out[:, i, j] = largest
+        if known.sum() > 2:
+            out[known, i, j] = _rough_level(matrix.values[known, i, j], accuracy)
+    return np.maximum(out, SMALLEST * largest), False
+
+
+def _mean_over_lines(square: Real, width: int) -> Real:
+    """Return the mean of the known values among neighbouring lines."""
+    known = np.isfinite(square)
+    if not known.any():
+        return np.full(square.size, np.inf)
+    mean = ndimage.uniform_filter1d(np.where(known, square, 0.0), width, mode="nearest")
+    count = ndimage.uniform_filter1d(known.astype(float), width, mode="nearest")
+    near = np.where(count > 0.5 / width, mean / np.maximum(count, 1e-12), np.nan)
+    return np.asarray(np.where(np.isfinite(near), near, np.nanmedian(square)))
+
+
+def _rough_level(h: Complex, accuracy: float) -> Real:
+    """Return roughness of a curve and a share of its local size, in quadrature: so modes of any size count alike."""
+    bend = np.abs(np.diff(h, 2)) ** 2
+    # The median of an exponential distribution is ln 2 of its mean; E |second difference|^2 = 6 s^2.
+    rough = ndimage.median_filter(bend, min(41, bend.size), mode="nearest") / (6.0 * np.log(2.0))
+    size = ndimage.uniform_filter1d(np.abs(h) ** 2, min(41, h.size), mode="nearest")
+    return np.asarray(np.sqrt(np.pad(rough, 1, mode="edge") + accuracy**2 * size))
+
+
+def _joint(matrix: ResponseMatrix, groups: list[list[tuple[str, str]]], share: list[Real]) -> Complex:
+    """Return the covariance between curves, shape (n, g, g): errors within a row belong together, rows do not."""
+    assert matrix.covariance is not None
+    n, g = matrix.frequency.size, len(groups)
+    flat = matrix.covariance.reshape(n, -1)
+    real = np.apply_along_axis(_mean_over_lines, 0, flat.real, SMOOTHING)
+    imag = np.apply_along_axis(_mean_over_lines, 0, flat.imag, SMOOTHING)
+    rows = (real + 1j * imag).reshape(matrix.covariance.shape)
+    out = np.zeros((n, g, g), dtype=complex)
+    for a, members in enumerate(groups):
+        for b, others in enumerate(groups):
+            for p, (r, e) in enumerate(members):
+                for q, (other_r, other_e) in enumerate(others):
+                    if r == other_r:
+                        i, j, k = matrix.response.index(r), matrix.excitation.index(e), matrix.excitation.index(other_e)
+                        out[:, a, b] += share[a][p] * share[b][q] * rows[:, i, j, k]
+    return out

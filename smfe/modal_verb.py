@@ -1,0 +1,177 @@
+"""`smfe modal`: from measured compliances to modes that a campaign file can hold, with a table and a diagram."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from process.errors import InputError
+from process.labels import AXES
+from process.units import parse, show
+from smfe.campaign import load_campaign
+from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.datasets import Show
+from smfe.identification import Progress, silent
+from smfe.measurements import cached_identification
+from smfe.modal import ModalFit, fit_modes
+from smfe.scenario.toml import table as toml_table
+from smfe.store import read_groups, write_atomically, write_csv
+
+KEPT = ".kept"
+
+
+def modal(
+    source: Path | str,
+    output: Path | str = "modal.toml",
+    measurement: str | None = None,
+    band: tuple[str, str] | None = None,
+    progress: Progress = silent,
+    licence: Show | None = None,
+) -> dict[str, ModalFit]:
+    """Fit modes to measured compliances; write ``[[model]]`` tables, intervals and a stabilisation diagram.
+
+    Parameters
+    ----------
+    source : path
+        Campaign file, or a compliance file (frf.nc).
+    output : path, optional
+        ``.toml``: one ``[[model]]`` a measurement, to be pasted into a campaign file; ``.json``: the same as JSON with
+        intervals and warnings. Beside it, under its name: a ``.csv`` with a row a mode, a ``.png`` a measurement.
+    measurement : str, optional
+        Only this one; else every measurement whose modes can be found.
+    band : (str, str), optional
+        Only these frequencies, e.g. ``("20 Hz", "80 Hz")``.
+    progress : callable, optional
+        Called with (what, done, of).
+    licence : callable, optional
+        Called with the licence of a public data set before it is fetched.
+
+    Returns
+    -------
+    dict of str to ModalFit
+        Measurement -> modes.
+
+    Raises
+    ------
+    InputError
+        When the source is wrong, the measurement is not in it, or no measurement can carry a fit.
+    """
+    path = Path(output)
+    if path.suffix not in (".toml", ".json"):
+        raise InputError(f"the modes cannot be written to '{path.name}'; name a file that ends in .toml or .json")
+    limits = None if band is None else (parse(band[0], "frequency"), parse(band[1], "frequency"))
+    if limits is not None and not limits[0] < limits[1]:
+        raise InputError(f"the band runs from {limits[0]:g} to {limits[1]:g} Hz; give the lower frequency first")
+    compliances = _compliances(Path(source), path.parent / KEPT, measurement, progress, licence)
+    fits, refused = {}, {}
+    for done, (name, compliance) in enumerate(compliances.items()):
+        progress(f"fitting modes to {name}", done, len(compliances))
+        try:
+            fits[name] = fit_modes(compliance, band=limits)
+        except InputError as error:
+            refused[name] = str(error)
+    if not fits:
+        told = "; ".join(f"{name}: {reason}" for name, reason in refused.items())
+        raise InputError(f"no modes could be fitted: {told}")
+    _write(path, fits, refused)
+    return fits
+
+
+def _compliances(
+    source: Path, kept: Path, only: str | None, progress: Progress, licence: Show | None
+) -> dict[str, xr.Dataset]:
+    """Return the measured compliances of a campaign or of a compliance file."""
+    if source.suffix == ".toml":
+        campaign = load_campaign(source, licence)
+        wanted = {m.name: m for m in campaign.measurements if m.method in COMPLIANCE_METHODS}
+        _require(only, list(wanted), source)
+        found = {}
+        for done, (name, item) in enumerate(wanted.items()):
+            if only in (None, name):
+                progress(f"identifying {name}", done, len(wanted))
+                found[name] = cached_identification(campaign, item, kept, progress)[0].compliance
+        return found
+    groups = {n: d for n, d in read_groups(source).items() if d.attrs.get("method") != "model"}
+    _require(only, list(groups), source)
+    return {n: d for n, d in groups.items() if only in (None, n)}
+
+
+def _require(only: str | None, names: list[str], source: Path) -> None:
+    if not names:
+        raise InputError(f"{source.name} holds no measured compliance; `smfe modal` needs one")
+    if only is not None and only not in names:
+        raise InputError(f"{source.name} has no measurement '{only}' with a compliance; there are: {', '.join(names)}")
+
+
+def model_name(measurement: str) -> str:
+    """Return what the model of a measurement is called."""
+    return f"{measurement}_modes"
+
+
+def _write(path: Path, fits: Mapping[str, ModalFit], refused: Mapping[str, str]) -> None:
+    # Drawing stays out of the numerics: only the composition imports it, and only where it is called.
+    from smfe.report.stabilisation import write_stabilisation
+
+    frames = [fit.table().assign(measurement=name) for name, fit in fits.items()]
+    table = pd.concat(frames, ignore_index=True)
+    table = table[["measurement", *(c for c in table.columns if c != "measurement")]]
+    if path.suffix == ".json":
+        content = {name: _as_json(fit) for name, fit in fits.items()}
+        text = json.dumps({"models": content, "refused": dict(refused)}, indent=2) + "\n"
+    else:
+        text = "\n".join([*(as_toml(name, fit) for name, fit in fits.items()), *_refusals(refused)])
+    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+    write_csv(path.with_suffix(".csv"), table)
+    for name, fit in fits.items():
+        picture = path.with_suffix(".png") if len(fits) == 1 else path.with_name(f"{path.stem}_{name}.png")
+        write_stabilisation(fit, picture, name)
+
+
+def _refusals(refused: Mapping[str, str]) -> list[str]:
+    return [f"# {name}: {reason}\n" for name, reason in refused.items()]
+
+
+def as_toml(name: str, fit: ModalFit) -> str:
+    """Return the ``[[model]]`` table of a measurement, with its warnings as comments.
+
+    Where no shapes are known it is all comment: poles alone are no compliance.
+    """
+    head = [f"# modes of {name}, misfit {fit.free.misfit:.3g} (1: as good as the noise allows)"]
+    head += [f"# {warning}" for warning in fit.warnings]
+    if fit.shapes is None or not set(fit.curves.places) <= set(AXES):
+        head += [f"# {row.frequency_Hz:.6g} Hz, damping {row.damping:.4g}" for row in fit.table().itertuples()]
+        return "\n".join(head) + "\n"
+    model, band = fit.modal_model(), float(fit.curves.frequency[-1])
+    modes = [
+        {
+            "frequency": show(f, "Hz", "frequency", 9),
+            "damping": float(f"{z:.7g}"),
+            "stiffness": show(k, "N/um", "stiffness", 9),
+            "direction": [round(float(u), 9) for u in v],
+        }
+        for f, z, k, v in zip(model.frequency, model.damping, model.stiffness, model.direction, strict=True)
+    ]
+    if (model.frequency > band).any():
+        head.append(f"# modes above {band:.6g} Hz stand for all modes above the band")
+    values = {"name": model_name(name), "modes": modes, "uncertainty": uncertainty(fit)}
+    return "\n".join(head) + "\n" + toml_table("[[model]]", values)
+
+
+def uncertainty(fit: ModalFit) -> dict[str, str]:
+    """Return the relative standard deviations for ``uncertainty`` of a ``[[model]]``: the largest of any mode."""
+    table = fit.table()
+    out = {}
+    for name, unit in (("frequency", "_Hz"), ("damping", ""), ("stiffness", "_N_um")):
+        share = float(np.max(table[f"{name}_std{unit}"] / table[f"{name}{unit}"]))
+        out[name] = f"{100.0 * min(share, 0.99):.3g} %"
+    return out
+
+
+def _as_json(fit: ModalFit) -> dict[str, object]:
+    rows = [{str(k): v for k, v in row.items()} for row in fit.table().to_dict("records")]
+    return {"modes": rows, "misfit": fit.free.misfit, "warnings": list(fit.warnings)}

@@ -1,0 +1,113 @@
+"""`smfe modal`: what it writes is what a campaign file reads, and what it refuses."""
+
+import json
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from process.errors import InputError
+from process.labels import make_compliance
+from smfe import cli
+from smfe.campaign import load_campaign
+from smfe.modal_verb import modal
+from smfe.store import write_groups
+
+GRID = np.arange(15.0, 90.0, 0.5)
+MODES = ((30.0, 0.03, 20e6, (1.0, 0.3)), (52.0, 0.02, 35e6, (-0.3, 1.0)))
+CAMPAIGN = '[campaign]\nname = "pasted"\n'
+
+
+def measurement(seed: int, sign: float = 1.0, grid: np.ndarray = GRID) -> xr.Dataset:
+    """Two modes in x and y, written out in mass, damping and stiffness, with 0.5 % noise."""
+    w = 2.0 * np.pi * grid
+    clean = np.zeros((grid.size, 2, 2), complex)
+    for natural, damping, stiffness, direction in MODES:
+        u, wn = np.array(direction) / np.linalg.norm(direction), 2.0 * np.pi * natural
+        gain = 1.0 / (stiffness * (1.0 - (w / wn) ** 2 + 2j * damping * w / wn))
+        clean += np.outer(u, u) * gain[:, None, None]
+    s = 0.005 * np.abs(clean).max()
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((2, *clean.shape))
+    std = (("frequency", "response", "excitation"), np.full(clean.shape, s))
+    values = sign * clean + s / np.sqrt(2.0) * (noise[0] + 1j * noise[1])
+    return make_compliance(grid, values, "xy", "xy", {"compliance_std": std}, {"method": "hammer"})
+
+
+@pytest.fixture(scope="module")
+def frf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A compliance file of two measurements, one whose force has the wrong sign, and a model."""
+    groups = {"idle": measurement(1), "motion": measurement(2), "turned": measurement(3, -1.0)}
+    groups["known"] = measurement(4).assign_attrs(method="model")
+    return write_groups(tmp_path_factory.mktemp("modal") / "frf.nc", groups)
+
+
+def test_what_is_written_can_be_pasted_into_a_campaign(frf: Path, tmp_path: Path) -> None:
+    fits = modal(frf, tmp_path / "modes.toml")
+    assert set(fits) == {"idle", "motion", "turned"}
+    text = (tmp_path / "modes.toml").read_text()
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN + text)
+    models = {m.name: m for m in load_campaign(tmp_path / "campaign.toml").models}
+    assert set(models) == {"idle_modes", "motion_modes"}
+    assert "# no mode shapes: the mode at 30.0" in text or "# no mode shapes: the mode at 30 Hz" in text
+    for name in ("idle", "motion"):
+        own, read = fits[name].modal_model(), models[f"{name}_modes"].modal
+        np.testing.assert_allclose(
+            read.matrix(GRID), own.matrix(GRID), rtol=1e-5, atol=1e-5 * np.abs(own.matrix(GRID)).max()
+        )
+        assert own.frequency[:2].tolist() == pytest.approx([30.0, 52.0], rel=2e-3)
+        assert own.stiffness[:2].tolist() == pytest.approx([20e6, 35e6], rel=0.03)
+        assert 0.0 < models[f"{name}_modes"].spread.stiffness < 0.05
+
+
+def test_the_table_has_intervals_and_units(frf: Path, tmp_path: Path) -> None:
+    modal(frf, tmp_path / "modes.toml", "idle")
+    table = pd.read_csv(tmp_path / "modes.csv")
+    assert table["measurement"].tolist() == ["idle", "idle"]
+    for name, end, truth in (("frequency", "_Hz", [30.0, 52.0]), ("stiffness", "_N_um", [20.0, 35.0])):
+        assert (table[f"{name}_low{end}"] < table[f"{name}{end}"]).all()
+        assert table[f"{name}{end}"].tolist() == pytest.approx(truth, rel=0.03)
+    assert (tmp_path / "modes.png").read_bytes().startswith(b"\x89PNG")
+    assert tomllib.loads((tmp_path / "modes.toml").read_text())["model"][0]["name"] == "idle_modes"
+
+
+def test_json_holds_intervals_and_warnings(frf: Path, tmp_path: Path) -> None:
+    modal(frf, tmp_path / "modes.json", "idle", ("20 Hz", "80 Hz"))
+    content = json.loads((tmp_path / "modes.json").read_text())
+    assert content["models"]["idle"]["modes"][0]["frequency_Hz"] == pytest.approx(30.0, rel=2e-3)
+
+
+def test_the_command_prints_modes(frf: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(
+        sys, "argv", ["smfe", "modal", str(frf), "-o", str(tmp_path / "m.toml"), "--measurement", "idle"]
+    )
+    with pytest.raises(SystemExit) as stop:
+        cli.app_entry()
+    assert not stop.value.code
+    assert "idle: 30.0" in capsys.readouterr().out or (tmp_path / "m.toml").is_file()
+
+
+def test_wrong_input_is_one_sentence_and_writes_nothing(frf: Path, tmp_path: Path) -> None:
+    for output, options, match in (
+        ("m.txt", {}, "ends in .toml or .json"),
+        ("m.toml", {"measurement": "idel"}, "has no measurement 'idel' with a compliance; there are: idle, motion"),
+        ("m.toml", {"band": ("80 Hz", "20 Hz")}, "lower frequency first"),
+        (
+            "m.toml",
+            {"band": ("80 Hz", "81 Hz")},
+            "no modes could be fitted: idle: the matrix is known at 3 frequencies",
+        ),
+        ("m.toml", {"band": ("80", "81 Hz")}, "has no unit"),
+    ):
+        with pytest.raises(InputError, match=match):
+            modal(frf, tmp_path / output, **options)
+    only = write_groups(tmp_path / "models.nc", {"known": measurement(1).assign_attrs(method="model")})
+    with pytest.raises(InputError, match="holds no measured compliance"):
+        modal(only, tmp_path / "m.toml")
+    with pytest.raises(InputError, match="does not exist"):
+        modal(tmp_path / "none.nc", tmp_path / "m.toml")
+    assert [p.name for p in tmp_path.iterdir()] == ["models.nc"]
