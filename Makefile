@@ -27,13 +27,14 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo test slow exam lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo test slow exam accuracy lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
 	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
 	@echo "make slow    the slow tests"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
+	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md (minutes)"
 	@echo "make lint    ruff, mypy, import-linter, file checks"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"
@@ -53,6 +54,9 @@ slow: $(READY)
 
 exam: $(READY)
 	$(RUN) $(BIN)/python tests/exam/sitting.py docs/exam.md --jobs $(JOBS) $(ARGS)
+
+accuracy: $(READY)
+	$(RUN) $(BIN)/python tests/accuracy/table.py docs/accuracy_table.md $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

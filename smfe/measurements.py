@@ -29,15 +29,17 @@ from smfe.attached_mass import without_mass
 from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.conditions import hammer_levels
+from smfe.dynamometer import compensate
 from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
 from smfe.periodic import identify_periodic
 from smfe.records import put_on_clock, read_frf, read_records, read_reduced
+from smfe.spindle_orders import Orders
 from smfe.steps import StepRules
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
-from smfe.sweep_estimators import LocalPolynomial, SingleReference, SweepPass
+from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
 
 @cache
@@ -79,12 +81,7 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
             found = _frf(measurement)
         else:
             found = _per_axis(measurement)
-        notes = sign_warnings(found.compliance)
-        if measurement.background:
-            notes += (
-                "the background record is not subtracted: what the spindle shakes without a cut is in the result",
-            )
-        return replace(found, warnings=(*found.warnings, *notes))
+        return replace(found, warnings=(*found.warnings, *sign_warnings(found.compliance)))
     except InputError as error:
         message = str(error)
         named = message if measurement.name in message else f"measurement '{measurement.name}': {message}"
@@ -236,27 +233,75 @@ def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[
     passes = []
     for entry in measurement.records:
         name, arc = _pass_of(campaign.tool, entry)
-        for number, record in enumerate(_sweep_records(entry, measurement.frequency_range)):
-            passes.append(SweepPass(record, name + (f" ({number + 1})" if number else ""), arc))
+        for number, record in enumerate(_sweep_records(measurement, entry)):
+            force = _compensated(measurement, record)
+            passes.append(SweepPass(force, name + (f" ({number + 1})" if number else ""), arc))
     return passes, measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
 
 
-def _sweep_records(entry: RecordEntry, band: tuple[float, float] | None) -> list[xr.Dataset]:
+def _sweep_records(measurement: Measurement, entry: RecordEntry) -> list[xr.Dataset]:
     """Read the records of a pass, at a lower sample rate where the band is known and needs no more."""
-    if band is None or entry.others:
+    band, follows = (
+        measurement.frequency_range,
+        measurement.references == "spindle" or measurement.estimator == "orders",
+    )
+    if band is None or entry.others or follows or measurement.background:
         return records_of(entry)
     channels = {name: channel for name, channel in entry.channels.items() if name != "tacho"}
     highest = band[1] + 2.0 * max(LocalPolynomial().half_widths)  # the band that the widest fit reaches to
     return [record for file in entry.files for record in read_reduced(file, channels, highest)]
 
 
+def _compensated(measurement: Measurement, record: xr.Dataset) -> xr.Dataset:
+    return record if measurement.dynamometer is None else compensate(record, measurement.dynamometer)
+
+
+def sweep_estimator(campaign: Campaign, measurement: Measurement) -> Estimator | Orders:
+    """Return the estimator that a sweep measurement asks for."""
+    assert campaign.tool is not None
+    teeth = campaign.tool.teeth
+    fine, coarse = measurement.resolution or 0.25, measurement.resolution or 0.5
+    single = measurement.references == "x"
+    match measurement.estimator or ("single_reference" if single else "local_polynomial"):
+        case "single_reference":
+            return SingleReference(resolution=fine)
+        case "bands":
+            return replace(BANDS, resolution=fine)
+        case "segments":
+            return Segments(coarse)
+        case "orders":
+            return Orders(teeth, resolution=fine)
+    return LocalPolynomial(
+        fine,
+        instrument_teeth=teeth if measurement.references == "spindle" else None,
+        position_dependent=measurement.position_dependent,
+    )
+
+
 def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
     passes, band = passes_and_band(campaign, measurement)
-    estimator: LocalPolynomial | SingleReference = LocalPolynomial(measurement.resolution or 0.25)
-    if measurement.references != "all":
-        estimator = SingleReference(measurement.references, measurement.resolution or 0.25)
+    background = [
+        SweepPass(_compensated(measurement, record), f"background {path.name}")
+        for path in measurement.background
+        for record in read_records(path, measurement.channels)
+    ]
+    estimator = sweep_estimator(campaign, measurement)
+    subtracted = background if isinstance(estimator, LocalPolynomial) else []
     what = f"identifying {measurement.name}"
-    return identify_sweep(measurement.name, passes, band, estimator, lambda done, of: progress(what, done, of))
+    found = identify_sweep(
+        measurement.name,
+        passes,
+        band,
+        estimator,
+        lambda done, of: progress(what, done, of),
+        axes=measurement.axes,
+        background=subtracted,
+        reciprocal=measurement.reciprocal,
+    )
+    if len(subtracted) == len(background):
+        return found
+    text = "the background record is not subtracted: only the estimator 'local_polynomial' does"
+    return replace(found, warnings=(*found.warnings, text))
 
 
 def tooth_passing_band(passes: list[SweepPass], teeth: int) -> tuple[float, float]:
@@ -341,7 +386,8 @@ def cached_identification(
 
 def _key(campaign: Campaign, measurement: Measurement) -> str:
     settings = repr((__version__, campaign.tool, measurement))
-    hashes = [file_hash(f) for entry in measurement.records for f in entry.all_files]
+    files = [f for entry in measurement.records for f in entry.all_files] + list(measurement.background)
+    hashes = [file_hash(f) for f in files]
     return hashlib.sha256("\n".join([settings, *hashes]).encode()).hexdigest()[:16]
 
 

@@ -33,7 +33,7 @@ from process.labels import AXES, make_compliance
 from smfe.plan_forces import Forces, SweepPlan
 from smfe.plan_task import Estimate
 from smfe.sweep import REFUSE_CONDITION
-from smfe.sweep_estimators import LocalPolynomial
+from smfe.sweep_estimators import BANDS, LocalPolynomial
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -114,7 +114,7 @@ def expected(
     frequency : ndarray, shape (f,)
         Frequencies of the evaluation [Hz].
     estimator : LocalPolynomial, optional
-        Default: that of `smfe.sweep.identify_sweep`.
+        Default: `smfe.sweep_estimators.BANDS`; that of `smfe.sweep.identify_sweep` errs less.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def expected(
     InputError
         When the records are too short for the estimator, or the estimate does not reach beyond the band.
     """
-    chosen = LocalPolynomial() if estimator is None else estimator
+    chosen = BANDS if estimator is None else estimator
     truth = estimate.matrix(frequency)
     noise = instruments.response_noise(frequency, truth)
     forces = Forces(plan, coefficients, float(frequency[-1]) + max(chosen.half_widths))

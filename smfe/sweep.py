@@ -8,12 +8,13 @@ as references. How records become columns is the choice of an estimator object (
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from process.cutting import CuttingCoefficients, force_harmonics
 from process.engagement import Engagement
@@ -22,7 +23,11 @@ from process.labels import axis_present, make_compliance, sample_interval
 from process.tool import Tool
 from smfe.identification import Identification
 from smfe.least_squares import Columns, Solution, condition_number, solve
-from smfe.spectra import BlockSpectra, motion_axes
+from smfe.local_polynomial import solve_local
+from smfe.reciprocity import reciprocity, symmetric
+from smfe.spectra import motion_axes
+from smfe.spindle_orders import Orders
+from smfe.sweep_estimate import Estimate, in_words
 from smfe.sweep_estimators import (
     HANN_ERROR_LINES,
     Estimator,
@@ -31,7 +36,6 @@ from smfe.sweep_estimators import (
     SingleReference,
     SweepPass,
     at_rest,
-    end_pieces,
 )
 
 WARN_CONDITION = 30.0
@@ -47,25 +51,16 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """A compliance before it is labelled; shapes (f, r, 3), (f, r, 3, 3), (f, r), (f,), (f, r) or None."""
-
-    compliance: Complex
-    covariance: Complex
-    coherence: Real
-    condition: Real
-    error_lines: float
-    half_width: Real | None = None
-    warnings: tuple[str, ...] = ()
-
-
 def identify_sweep(
     name: str,
     passes: Sequence[SweepPass],
     frequency_range: tuple[float, float],
-    estimator: Estimator | None = None,
+    estimator: Estimator | Orders | None = None,
     progress: Step | None = None,
+    *,
+    axes: Sequence[str] = ("x", "y", "z"),
+    background: Sequence[SweepPass] = (),
+    reciprocal: bool = False,
 ) -> Identification:
     """Identify the compliance from sweep passes.
 
@@ -74,13 +69,20 @@ def identify_sweep(
     name : str
         Name of the measurement.
     passes : sequence of SweepPass
-        At least three that push in independent directions.
+        At least as many as there are axes, in independent directions.
     frequency_range : (float, float)
         Band to identify [Hz].
-    estimator : LocalPolynomial, Segments or SingleReference, optional
+    estimator : LocalPolynomial, Segments, Orders or SingleReference, optional
         Default: `LocalPolynomial()`.
     progress : callable, optional
         Called with (done, of).
+    axes : sequence of str, optional
+        Axes of the forces that are references, for rigs with fewer sensors; one pass is enough for one.
+    background : sequence of SweepPass, optional
+        Air cuts over the same speeds (`LocalPolynomial`): what turns with the spindle becomes an input of its own, and
+        the noise of the forces is taken from them.
+    reciprocal : bool, optional
+        Constrain the compliance to be symmetric.
 
     Returns
     -------
@@ -88,26 +90,25 @@ def identify_sweep(
         ``compliance``, ``compliance_std``, ``compliance_covariance`` (``E[d_j conj(d_k)]`` of the errors in one row,
         [m2/N2]), ``coherence`` (adjusted multiple coherence; NaN for `SingleReference`, where three columns for three
         unknowns leave nothing to judge by), ``force_condition`` and, for `LocalPolynomial`, the ``half_width`` chosen
-        [Hz]. Frequencies whose condition number exceeds `REFUSE_CONDITION` are NaN.
+        [Hz] and the real ``degrees_of_freedom`` of the variance; ``compliance_gradient`` and its standard deviation
+        where the fit depends on position: change from the middle to the end of a pass. Frequencies whose condition
+        number exceeds `REFUSE_CONDITION` are NaN.
 
     Raises
     ------
     InputError
-        Fewer than three passes; a record without three forces or without motion; a band that the records do not
-        hold; records too short for the estimator; passes that are not independent, by their arcs or by the measured
-        forces in more than half of the band.
+        Too few passes; a record without the forces or without motion; a band that the records do not hold; records too
+        short for the estimator; passes that are not independent, by their arcs or by the measured forces in more than
+        half of the band.
     """
     chosen = LocalPolynomial() if estimator is None else estimator
-    response = _check_passes(passes)
+    axes = [a for a in "xyz" if a in axes]
+    response = _check_passes([*passes, *background], len(passes), axes)
     _check_band(passes, frequency_range)
-    check_independent([(p.label, p.arc) for p in passes])
+    if len(axes) == 3:
+        check_independent([(p.label, p.arc) for p in passes])
     frequency = chosen.axis(frequency_range, passes)
-    if isinstance(chosen, LocalPolynomial):
-        found = _local(chosen, passes, frequency, response, progress)
-    elif isinstance(chosen, Segments):
-        found = _segments(chosen, passes, frequency, response, progress)
-    else:
-        found = _single(chosen, passes, frequency, response)
+    found = _estimate(chosen, passes, frequency, axes, response, background, progress)
     refused = ~(found.condition <= REFUSE_CONDITION)
     if refused.mean() > 0.5:
         raise InputError(
@@ -116,38 +117,99 @@ def identify_sweep(
             "frequencies, so nine compliances cannot be told apart; add a pass with another width or kind of cut"
         )
     found.compliance[refused], found.covariance[refused] = np.nan, np.nan
-    three = ("frequency", "response", "excitation")
-    extra = {
-        "compliance_std": (three, np.sqrt(np.diagonal(found.covariance, axis1=2, axis2=3).real)),
-        "compliance_covariance": ((*three, "other_excitation"), found.covariance),
+    attrs = {"method": "sweep", "estimator": repr(chosen), "error_lines": found.error_lines}
+    dataset = _labelled(frequency, found, response, axes, attrs)
+    warnings = (*_condition_warnings(frequency, found.condition), *found.warnings, *_fewer_axes(axes))
+    if reciprocal:
+        test = reciprocity(dataset)
+        dataset = symmetric(dataset)
+        if test.chance < 1e-4:
+            warnings += (
+                f"the compliance is not reciprocal: Phi_ij and Phi_ji differ by {100.0 * test.size:.2g} % beyond noise "
+                f"(chance {test.chance:.1e}, most at {test.worst:.4g} Hz), and were forced to be equal; leave "
+                "reciprocal out, or look for a sensor that is turned or away from the tool",
+            )
+    return Identification(name, "sweep", dataset, {"passes": _pass_table(passes, axes)}, warnings)
+
+
+def _estimate(
+    chosen: Estimator | Orders,
+    passes: Sequence[SweepPass],
+    frequency: Real,
+    axes: Sequence[str],
+    response: Sequence[str],
+    background: Sequence[SweepPass],
+    progress: Step | None,
+) -> Estimate:
+    """Solve with the estimator that was chosen."""
+    if isinstance(chosen, LocalPolynomial):
+        return solve_local(chosen, passes, frequency, axes, response, background, progress)
+    if background:
+        raise InputError(
+            f"an air cut is subtracted by the local polynomial only, and the estimator is {type(chosen).__name__}; "
+            "take background or estimator out"
+        )
+    if isinstance(chosen, SingleReference):
+        if len(axes) < 3:
+            raise InputError("a single reference needs the forces on x, y and z; take estimator or axes out")
+        return _single(chosen, passes, frequency, response)
+    columns = chosen.columns(passes, frequency, response, axes)
+    shared = HANN_ERROR_LINES if isinstance(chosen, Segments) else chosen.error_lines()
+    return _by_columns(list(columns), frequency, len(axes), shared, progress)
+
+
+def _labelled(
+    frequency: Real, found: Estimate, response: Sequence[str], axes: Sequence[str], attrs: dict[str, Any]
+) -> xr.Dataset:
+    """Return the compliance with its labels; a second set of excitations is the change along the pass."""
+    three, e = ("frequency", "response", "excitation"), len(axes)
+    covariance, std = found.covariance[..., :e, :e], found.std
+    extra: dict[str, Any] = {
+        "compliance_std": (three, std[..., :e]),
+        "compliance_covariance": ((*three, "other_excitation"), covariance),
         "coherence": (three[:2], found.coherence),
         "force_condition": (three[:1], found.condition),
     }
-    if found.half_width is not None:
-        extra["half_width"] = (three[:2], found.half_width)
-    attrs = {"method": "sweep", "estimator": repr(chosen), "error_lines": found.error_lines}
-    dataset = make_compliance(frequency, found.compliance, response, extra=extra, attrs=attrs)
-    warnings = (*_condition_warnings(frequency, found.condition), *found.warnings)
-    return Identification(name, "sweep", dataset, {"passes": _pass_table(passes)}, warnings)
+    if found.compliance.shape[2] > e:
+        extra["compliance_gradient"] = (three, found.compliance[..., e:])
+        extra["compliance_gradient_std"] = (three, std[..., e:])
+    for name, values in (("half_width", found.half_width), ("degrees_of_freedom", found.freedom)):
+        if values is not None:
+            extra[name] = (three[:2], values)
+    return make_compliance(frequency, found.compliance[..., :e], response, list(axes), extra=extra, attrs=attrs)
+
+
+def _fewer_axes(axes: Sequence[str]) -> tuple[str, ...]:
+    missing = [a for a in "xyz" if a not in axes]
+    if not missing:
+        return ()
+    return (
+        f"forces along {' and '.join(missing)} are no references: what they cause is noise where it is unlike the "
+        f"others, and counted to {' and '.join(axes)} where it is alike, which no standard deviation shows",
+    )
 
 
 # --- what is refused before anything is solved -----------------------------------------------------------------------
 
 
-def _check_passes(passes: Sequence[SweepPass]) -> list[str]:
+def _check_passes(passes: Sequence[SweepPass], cutting: int, axes: Sequence[str]) -> list[str]:
     """Return the response axes that all passes share."""
-    if len(passes) < 3:
+    if not axes:
+        raise InputError('no axis is a reference; give axes = ["x", "y", "z"] or those whose forces are recorded')
+    if cutting < len(axes):
+        number = {3: "nine", 2: "four", 1: "one"}[len(axes)]
         raise InputError(
-            f"a sweep measurement with {len(passes)} passes ({', '.join(p.label for p in passes)}); nine compliances "
-            "need three passes that push in different directions: add a down, an up or a central pass"
+            f"a sweep measurement with {cutting} passes ({', '.join(p.label for p in passes)}); {number} compliances "
+            f"need {('one pass', 'two passes', 'three passes')[len(axes) - 1]} that push in different directions: add "
+            "a down, an up or a central pass"
         )
     shared: list[str] = ["x", "y", "z"]
     for p in passes:
-        missing = [a for a in "xyz" if a not in axis_present(p.record, "force")]
+        missing = [a for a in axes if a not in axis_present(p.record, "force")]
         if missing:
             raise InputError(
                 f"pass '{p.label}' has no force_{missing[0]}; all three forces are needed as references: "
-                "declare it in [channels]"
+                "declare it in [channels], or name those there are in axes"
             )
         shared = [a for a in shared if a in motion_axes(p.record)[1]]
     if not shared:
@@ -207,170 +269,51 @@ def _best_condition(arcs: Sequence[Engagement]) -> float:
     return min(conditions)
 
 
-# --- the local polynomial ---------------------------------------------------------------------------------------------
+# --- the other estimators ---------------------------------------------------------------------------------------------
 
 
-def _local(
-    estimator: LocalPolynomial,
-    passes: Sequence[SweepPass],
-    frequency: Real,
-    response: Sequence[str],
-    progress: Step | None,
-) -> _Estimate:
-    """Solve with every half width that the records can fill and choose among them row by row."""
-    restless = [not at_rest(p.record) for p in passes]
-    spectra = estimator.spectra(passes, frequency, response)
-    widths = _usable_widths(estimator, passes, restless)
-    noise, solved = None, []
-    for number, width in enumerate(widths):
-        columns = [estimator.columns(spectra, restless, f, width) for f in frequency]
-        if noise is None:
-            noise = _noise(columns)
-        solutions = []
-        for i, c in enumerate(columns):
-            solutions.append(solve(c, 3, noise[i]))
-            if progress is not None:
-                progress(number * frequency.size + i + 1, len(widths) * frequency.size)
-        solved.append(_stack(solutions, estimator.error_lines(width)))
-    found = _choose(estimator, widths, solved, frequency)
-    return _with_force_noise(found, passes, spectra, frequency)
-
-
-def _usable_widths(estimator: LocalPolynomial, passes: Sequence[SweepPass], restless: Sequence[bool]) -> list[float]:
-    """Return the half widths over which the passes give at least twice as many lines as there are unknowns."""
-    seconds = sum(p.record.sizes["time"] * sample_interval(p.record) for p in passes)
-    needed = 2.0 * estimator.unknowns(restless)
-    usable = [w for w in sorted(estimator.half_widths) if 2.0 * w * seconds >= needed]
-    if not usable:
-        widest = max(estimator.half_widths)
+def _by_columns(
+    columns: Sequence[Columns], frequency: Real, excitations: int, error_lines: float, progress: Step | None
+) -> Estimate:
+    """Solve with segments or windows as columns, weighted with the inverse noise of their pass."""
+    short = [(c, f) for c, f in zip(columns, frequency, strict=True) if c.response.shape[1] <= c.regressors.shape[0]]
+    if len(short) > len(columns) // 2:
+        least, at = short[0]
         raise InputError(
-            f"the passes last {seconds:.3g} s together: {2.0 * widest * seconds:.0f} lines within {widest:g} Hz of a "
-            f"frequency for {needed / 2.0:.0f} unknowns; at least {needed / (2.0 * widest):.3g} s are needed: sweep "
-            "more slowly or add passes"
+            f"the passes give {least.response.shape[1]} columns for {least.regressors.shape[0]} unknowns at {at:g} Hz "
+            "and elsewhere; record longer passes, or choose a coarser resolution or a wider band"
         )
-    return usable
+    noise = _noise(columns, excitations)
+    solutions = []
+    for i, c in enumerate(columns):
+        solutions.append(solve(c, excitations, noise[i]))
+        if progress is not None:
+            progress(i + 1, len(columns))
+    freedom = np.array(
+        [np.full(c.response.shape[0], 2.0 * (c.response.shape[1] - c.regressors.shape[0])) for c in columns]
+    )
+    found = _stack(solutions, error_lines, np.maximum(freedom, 0.0))
+    if not short:
+        return found
+    where = in_words(frequency, np.isin(frequency, [f for _, f in short]))
+    text = f"not solved: too few columns for the unknowns in {where}; sweep more slowly, or choose a wider band"
+    return replace(found, warnings=(text,))
 
 
-def _stack(solutions: Sequence[Solution], error_lines: float) -> _Estimate:
-    return _Estimate(
+def _stack(solutions: Sequence[Solution], error_lines: float, freedom: Real) -> Estimate:
+    return Estimate(
         np.array([s.compliance for s in solutions]),
         np.array([s.covariance for s in solutions]),
         np.array([s.coherence for s in solutions]),
         np.array([s.condition for s in solutions]),
         error_lines,
+        freedom=freedom,
     )
-
-
-def _choose(
-    estimator: LocalPolynomial, widths: Sequence[float], solved: Sequence[_Estimate], frequency: Real
-) -> _Estimate:
-    """Take, row by row, the widest band that agrees with all narrower ones; charge what even the narrowest bends."""
-    rows = solved[0].compliance.shape[:2]
-    index = np.zeros(rows, dtype=int)
-    agrees = np.ones(rows, dtype=bool)
-    for k in range(1, len(widths)):
-        for narrower in solved[:k]:
-            agrees &= _difference(solved[k], narrower) <= estimator.agreement
-        # A mode bends the compliance over several lines; a single line that agrees by chance does not count.
-        agrees = ndimage.median_filter(agrees, size=(5, 1), mode="nearest")
-        index[agrees] = k
-    f, r = np.ogrid[: rows[0], : rows[1]]
-    compliance = np.array([s.compliance for s in solved])[index, f, r]
-    covariance = np.array([s.covariance for s in solved])[index, f, r]
-    coherence = np.array([s.coherence for s in solved])[index, f, r]
-    condition = np.array([s.condition for s in solved])[index, f].max(axis=1)
-    warnings: tuple[str, ...] = ()
-    if len(widths) > 1:
-        bent = (index == 0) & ~agrees
-        # The bias of a polynomial of order p grows with width^(p+1), so doubling the width shows it 2^(p+1) - 1 fold.
-        growth = (widths[1] / widths[0]) ** (estimator.order + 1) - 1.0
-        bias = np.where(bent[..., None], (solved[1].compliance - solved[0].compliance) / growth, 0.0)
-        clear = np.abs(bias) > np.sqrt(np.diagonal(covariance, axis1=2, axis2=3).real)
-        covariance = covariance + bias[..., :, None] * bias[..., None, :].conj()
-        if clear.any():
-            where = _in_words(frequency, clear.any(axis=(1, 2)))
-            warnings = (
-                f"resonances are narrower than the finest band of {2 * widths[0]:g} Hz in {where}: their peaks come "
-                "out too low by about what the standard deviation says; sweep more slowly so that the lines lie "
-                "closer, and use smaller half_widths",
-            )
-    width = np.asarray(widths)[index]
-    lines = float(np.mean([estimator.error_lines(w) for w in width.ravel()]))
-    return _Estimate(compliance, covariance, coherence, condition, lines, width, warnings)
-
-
-def _difference(a: _Estimate, b: _Estimate) -> Real:
-    """Largest difference within a row, in standard deviations of b, shape (f, r)."""
-    std = np.sqrt(np.diagonal(b.covariance, axis1=2, axis2=3).real)
-    ratio = np.abs(a.compliance - b.compliance) / np.where(std > 0.0, std, np.inf)
-    return np.asarray(np.nan_to_num(ratio).max(axis=2))
-
-
-def _with_force_noise(
-    found: _Estimate, passes: Sequence[SweepPass], spectra: Sequence[BlockSpectra], frequency: Real
-) -> _Estimate:
-    """Charge what noise on the forces takes from the compliance: ``E[Phi_hat] = Phi (1 - N (F F^H)^-1)``.
-
-    N is the noise of the force channels in the air before and after the cut, where the record has it.
-    """
-    if not all(at_rest(p.record) for p in passes):
-        text = "a pass begins or ends in the cut, so what noise on the forces takes from the compliance is unknown"
-        return replace(found, warnings=(*found.warnings, text))
-    assert found.half_width is not None
-    power = []
-    for p in passes:
-        rms, dt = end_pieces(p.record, "force"), sample_interval(p.record)
-        power.append(np.minimum(rms[:, 0], rms[:, -1]) ** 2 * dt**2 * p.record.sizes["time"])
-    loss = np.empty(found.compliance.shape, dtype=complex)
-    for i, f0 in enumerate(frequency):
-        width = float(found.half_width[i].min())
-        gram, noise = np.zeros((3, 3), dtype=complex), np.zeros(3)
-        for s, n in zip(spectra, power, strict=True):
-            force = s.force[slice(*np.searchsorted(s.frequency, [f0 - width, f0 + width])), :, 0].T
-            gram += force @ force.conj().T
-            noise += force.shape[1] * n
-        loss[i] = (found.compliance[i] * noise) @ np.linalg.pinv(gram)
-    share = np.linalg.norm(loss, axis=2) / np.linalg.norm(found.compliance, axis=2)
-    warnings = found.warnings
-    if np.nanmax(share) > 0.01:
-        at = frequency[int(np.nanargmax(np.nanmax(share, axis=1)))]
-        warnings += (
-            f"noise on the forces lowers the compliance by up to {100 * np.nanmax(share):.2g} % (at {at:g} Hz); limits "
-            "from it are too high by as much; it is in the standard deviation: use a quieter sensor or a deeper cut",
-        )
-    covariance = found.covariance + loss[..., :, None] * loss[..., None, :].conj()
-    return replace(found, covariance=covariance, warnings=warnings)
-
-
-# --- the other estimators ---------------------------------------------------------------------------------------------
-
-
-def _segments(
-    estimator: Segments,
-    passes: Sequence[SweepPass],
-    frequency: Real,
-    response: Sequence[str],
-    progress: Step | None,
-) -> _Estimate:
-    """Solve with all segments as columns, weighted with the inverse noise of their pass."""
-    columns = list(estimator.columns(passes, frequency, response))
-    noise = _noise(columns)
-    solutions = []
-    for i, c in enumerate(columns):
-        solutions.append(solve(c, 3, noise[i]))
-        if progress is not None:
-            progress(i + 1, len(columns))
-    if columns and columns[0].response.shape[1] <= columns[0].regressors.shape[0]:
-        raise InputError(
-            f"the passes give {columns[0].response.shape[1]} segments for {columns[0].regressors.shape[0]} unknowns; "
-            f"record longer passes or choose a coarser resolution than {estimator.resolution:g} Hz"
-        )
-    return _stack(solutions, HANN_ERROR_LINES)
 
 
 def _single(
     estimator: SingleReference, passes: Sequence[SweepPass], frequency: Real, response: Sequence[str]
-) -> _Estimate:
+) -> Estimate:
     sxf, sff = estimator.cross_spectra(passes, (float(frequency[0]), float(frequency[-1])), response)
     gains, conditions = [], []
     for x, f in zip(sxf, sff, strict=True):
@@ -379,12 +322,12 @@ def _single(
         gains.append(np.full((*x.shape[:1], 3), np.nan) if singular else np.linalg.lstsq(f.T, x.T, rcond=None)[0].T)
     shape = np.array(gains).shape
     unknown = np.full((*shape, 3), np.nan, dtype=complex)
-    return _Estimate(
+    return Estimate(
         np.array(gains, dtype=complex), unknown, np.full(shape[:2], np.nan), np.array(conditions), HANN_ERROR_LINES
     )
 
 
-def _noise(columns: Sequence[Columns], rounds: int = 4) -> Real:
+def _noise(columns: Sequence[Columns], excitations: int, rounds: int = 4) -> Real:
     """Learn the noise power of each response in each pass, shape (f, r, tests).
 
     The first round weights all passes alike, so that a noisy one leaves its mark on the residual of the quiet ones;
@@ -392,7 +335,7 @@ def _noise(columns: Sequence[Columns], rounds: int = 4) -> Real:
     """
     noise: Real | None = None
     for _ in range(rounds):
-        residual = [solve(c, 3, None if noise is None else noise[i]).residual for i, c in enumerate(columns)]
+        residual = [solve(c, excitations, None if noise is None else noise[i]).residual for i, c in enumerate(columns)]
         noise = _smooth_noise(np.array(residual))
     assert noise is not None
     return noise
@@ -411,32 +354,20 @@ def _smooth_noise(residual: Real, reach: int = 8) -> Real:
 # --- tables and words -------------------------------------------------------------------------------------------------
 
 
-def _pass_table(passes: Sequence[SweepPass]) -> pd.DataFrame:
+def _pass_table(passes: Sequence[SweepPass], axes: Sequence[str]) -> pd.DataFrame:
     rows = []
     for p in passes:
-        force = p.record["force"].sel(axis=["x", "y", "z"]).values
+        force = p.record["force"].sel(axis=list(axes)).values
         rms = np.sqrt(np.mean(force**2, axis=1))
         rows.append(
             {
                 "pass": p.label,
                 "duration_s": p.record.sizes["time"] * sample_interval(p.record),
-                "force_x_rms_N": rms[0],
-                "force_y_rms_N": rms[1],
-                "force_z_rms_N": rms[2],
+                **{f"force_{a}_rms_N": value for a, value in zip(axes, rms, strict=True)},
                 "from_rest_to_rest": at_rest(p.record),
             }
         )
     return pd.DataFrame(rows)
-
-
-def bands(frequency: Real, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return the contiguous bands [Hz] where a mask over frequency holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    return [(float(frequency[a]), float(frequency[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _in_words(frequency: Real, mask: NDArray[np.bool_]) -> str:
-    return ", ".join(f"{a:g}-{b:g} Hz" if b > a else f"{a:g} Hz" for a, b in bands(frequency, mask))
 
 
 def _condition_warnings(frequency: Real, condition: Real) -> tuple[str, ...]:
@@ -447,5 +378,5 @@ def _condition_warnings(frequency: Real, condition: Real) -> tuple[str, ...]:
         (~refused & (condition > WARN_CONDITION), f"badly conditioned (above {WARN_CONDITION:g})"),
     ):
         if mask.any():
-            out.append(f"{text} in {_in_words(frequency, mask)}")
+            out.append(f"{text} in {in_words(frequency, mask)}")
     return tuple(out)

@@ -66,50 +66,35 @@ class LocalPolynomial:
         Order of the polynomial.
     agreement : float, optional
         Largest accepted difference, in standard deviations.
+    rational : bool, optional
+        Fit a rational model to the whole band, too, and take it where it agrees (`smfe.rational_fit`).
+    instrument_teeth : int, optional
+        Teeth of the tool, to use the passing of the teeth as instrument: only the part of the forces that goes with
+        harmonics of the spindle angle counts. Against bias by regeneration.
+    position_dependent : bool, optional
+        Let the compliance change along the pass, in proportion to the way from its middle; twice as many unknowns.
     """
 
     resolution: float = 0.25
-    half_widths: tuple[float, ...] = (0.125, 0.25, 0.5, 1.0)
+    half_widths: tuple[float, ...] = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
     order: int = 2
-    agreement: float = 2.5
+    agreement: float = 2.0
+    rational: bool = True
+    instrument_teeth: int | None = None
+    position_dependent: bool = False
 
     def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Frequencies:
         """Return the frequency axis [Hz]."""
         low, high = (round(f / self.resolution) for f in frequency_range)
         return np.asarray(np.arange(low, high + 1) * self.resolution)
 
-    def spectra(
-        self, passes: Sequence[SweepPass], frequency: Frequencies, response: Sequence[str]
-    ) -> list[BlockSpectra]:
-        """Return the transform of each whole record around the frequencies."""
+    def reach(self, frequency: Frequencies) -> tuple[float, float]:
+        """Return the band [Hz] whose lines are needed."""
         widest = max(self.half_widths)
-        reach = (max(float(frequency[0]) - widest, 0.1), float(frequency[-1]) + widest)
-        return [whole_record(p.record, reach, response) for p in passes]
-
-    def columns(
-        self, spectra: Sequence[BlockSpectra], restless: Sequence[bool], frequency: float, half_width: float
-    ) -> Columns:
-        """Return the columns of one frequency; a pass that is `restless` brings terms for its transient."""
-        powers = np.arange(self.order + 1)
-        blocks, responses, tests = [], [], []
-        for test, s in enumerate(spectra):
-            low, high = np.searchsorted(s.frequency, [frequency - half_width, frequency + half_width])
-            shift = (s.frequency[low:high] - frequency) / half_width
-            terms = shift[None, :] ** powers[:, None]
-            # Order of rows: the three forces, then forces times shift, then times shift squared.
-            rows = (terms[:, None, :] * s.force[low:high, :, 0].T[None, :, :]).reshape(3 * powers.size, shift.size)
-            transient = np.zeros((len(spectra) * powers.size, shift.size))
-            if restless[test]:
-                transient[test * powers.size : (test + 1) * powers.size] = terms
-            blocks.append(np.concatenate([rows, transient]))
-            responses.append(s.displacement[low:high, :, 0].T)
-            tests.append(np.full(shift.size, test))
-        regressors = np.concatenate(blocks, axis=1)
-        used = np.any(regressors != 0.0, axis=1) | (np.arange(regressors.shape[0]) < 3)
-        return Columns(regressors[used], np.concatenate(responses, axis=1), np.concatenate(tests))
+        return max(float(frequency[0]) - widest, 0.1), float(frequency[-1]) + widest
 
     def unknowns(self, restless: Sequence[bool]) -> int:
-        """Return the number of unknowns a row."""
+        """Return the number of unknowns a row, with three forces and no air cut."""
         return (self.order + 1) * (3 + sum(restless))
 
     def error_lines(self, half_width: float) -> float:
@@ -122,6 +107,9 @@ class LocalPolynomial:
         weight = np.linalg.pinv(shift[:, None] ** np.arange(self.order + 1))[0]
         return max(1.0, 2.0 * half_width / (self.resolution * shift.size * float(weight @ weight)))
 
+
+BANDS = LocalPolynomial(half_widths=(0.125, 0.25, 0.5, 1.0), agreement=2.5, rational=False)
+"""Narrow bands alone: the estimator whose errors a plan predicts. The default errs less."""
 
 HANN_ERROR_LINES = 1.5
 """How many lines of a Hann window share an error: its noise bandwidth."""
@@ -156,7 +144,11 @@ class Segments:
         return np.asarray(lines[inside])
 
     def columns(
-        self, passes: Sequence[SweepPass], frequency: Frequencies, response: Sequence[str]
+        self,
+        passes: Sequence[SweepPass],
+        frequency: Frequencies,
+        response: Sequence[str],
+        axes: Sequence[str] = ("x", "y", "z"),
     ) -> Iterator[Columns]:
         """Yield the columns of each frequency."""
         reach = (float(frequency[0]), float(frequency[-1]))
@@ -171,7 +163,11 @@ class Segments:
                 )
         test = np.concatenate([np.full(b.force.shape[2], i) for i, b in enumerate(plain)])
         motion = np.concatenate([b.displacement for b in plain], axis=2)
-        force = np.concatenate([np.concatenate([b.force for b in blocks], axis=2) for blocks in seen], axis=1)
+        rows = [[b.excitation.index(a) for a in axes] for b in plain]
+        force = np.concatenate(
+            [np.concatenate([b.force[:, r] for b, r in zip(blocks, rows, strict=True)], axis=2) for blocks in seen],
+            axis=1,
+        )
         for line, f0 in enumerate(frequency):
             yield Columns(force[line], motion[line], test, _overlap_matrix(plain, f0))
 
@@ -240,22 +236,17 @@ Estimator = LocalPolynomial | Segments | SingleReference
 def whole_record(record: xr.Dataset, reach: tuple[float, float], response: Sequence[str]) -> BlockSpectra:
     """Transform the whole record, padded with rest to a length that transforms fast."""
     n = record.sizes["time"]
-    length = fft.next_fast_len(n, real=True)
-    if length > n:
-        dt = sample_interval(record)
-        channels = record[["force", motion_axes(record)[0]]]
-        padded = channels.pad(time=(0, length - n), constant_values=0.0)
-        record = padded.assign_coords(time=float(record["time"][0]) + dt * np.arange(length))
-    return block_spectra(record, [0], length, None, reach, detrend=False, response=response)
+    length = int(fft.next_fast_len(n, real=True))
+    return block_spectra(record, [0], n, None, reach, detrend=False, response=response, padded=length)
 
 
 def end_pieces(record: xr.Dataset, channel: str, duration: float = 0.1) -> NDArray[np.float64]:
     """Return the rms of consecutive pieces of a channel, shape (axes, pieces)."""
     n = record.sizes["time"]
     piece = min(max(8, round(duration / sample_interval(record))), n)
-    values = record[channel].sel(axis=axis_present(record, channel)).values
-    blocks = values[:, : n // piece * piece].reshape(values.shape[0], -1, piece)
-    return np.asarray(np.sqrt(np.mean(blocks**2, axis=2)))
+    # One axis at a time: the squares of a long record need as much room as the record.
+    rows = (record[channel].sel(axis=a).values[: n // piece * piece] for a in axis_present(record, channel))
+    return np.array([np.sqrt(np.mean(row.reshape(-1, piece) ** 2, axis=1)) for row in rows])
 
 
 def at_rest(record: xr.Dataset) -> bool:

@@ -26,6 +26,7 @@ from smfe.campaign.checks import check, merge, path
 from smfe.campaign.messages import complaints
 from smfe.campaign.plan_table import PlanTable
 from smfe.datasets import Show
+from smfe.dynamometer import Dynamometer
 from smfe.records.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from stability import SpindleRange, Spread
 
@@ -185,7 +186,13 @@ class Measurement(Conditions, Processing):
     resolution : float, optional
         [Hz].
     references : str
-        "all", or "x" for the estimator with a single reference (sweep).
+        "all"; "spindle" with the passing of the teeth as instrument; "x" for a single reference (sweep).
+    axes : tuple of str
+        Axes of the forces that are references (sweep).
+    reciprocal, position_dependent : bool
+        Constrain the compliance to be symmetric; let it change along the pass (sweep).
+    dynamometer : Dynamometer, optional
+        Force sensor whose inertia and resonance are compensated (sweep).
     held_out : bool
         Set aside by a diagnosis, and opened once at its very end.
     """
@@ -198,6 +205,10 @@ class Measurement(Conditions, Processing):
     frequency_range: tuple[float, float] | None = None
     resolution: float | None = None
     references: str = "all"
+    axes: tuple[str, ...] = ("x", "y", "z")
+    reciprocal: bool = False
+    position_dependent: bool = False
+    dynamometer: Dynamometer | None = None
     held_out: bool = False
 
     def settings(self) -> dict[str, Any]:
@@ -509,16 +520,20 @@ def _declared(channels: schema.Channels) -> Declared:
     return {name: table.model_dump(exclude_unset=True) for name, table in channels.items()}
 
 
+_OF_SWEEPS = ("axes", "reciprocal", "position_dependent")
+
+
 def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
     own = _declared(table.channels)
     inherited = merge(_for_method(table.method, base), own)
     common: dict[str, Any] = {name: getattr(table, name) for name in schema.ConditionsTable.model_fields}
     rest = ["name", "method", "frequency_range", "resolution", "references", "held_out"]
-    rest += [f.name for f in fields(Processing)]
+    rest += [*_OF_SWEEPS, *(f.name for f in fields(Processing))]
     return Measurement(
         **common,
         **{name: getattr(table, name) for name in rest},
         background=table.background or (),
+        dynamometer=None if table.dynamometer is None else table.dynamometer.build(),
         channels=_channels(table.method, inherited),
         records=tuple(_record(record, table.method, inherited, common) for record in table.records),
     )

@@ -10,7 +10,7 @@ from typing import Any
 
 from process import units
 from process.errors import InputError
-from smfe.campaign.quantities import METHODS
+from smfe.campaign.quantities import ESTIMATORS, METHODS
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, unit_factor
 from smfe.records.words import did_you_mean, listed
 
@@ -29,7 +29,11 @@ _WHERE_READ = {
 _PROCESSING = {
     "background": ("sweep",),
     "references": ("sweep",),
-    "estimator": ("hammer",),
+    "axes": ("sweep",),
+    "reciprocal": ("sweep",),
+    "position_dependent": ("sweep",),
+    "dynamometer": ("sweep",),
+    "estimator": ("hammer", "sweep"),
     "force_window": ("hammer",),
     "exponential_window": ("hammer",),
     "remove_background": ("hammer",),
@@ -118,6 +122,9 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
             if key in table and method not in readers:
                 only = " or ".join(f"{'an' if r[0] in 'aeiou' else 'a'} {r}" for r in readers)
                 yield (*where, key), f"method '{method}' does not read it; only {only} does, take it out"
+        names = {"hammer": ("H1", "H2", "Hv"), "sweep": ESTIMATORS}.get(method, ())
+        if names and table.get("estimator", names[0]) not in names:
+            yield (*where, "estimator"), f"'{table['estimator']}' is no estimator of a {method}; take {listed(names)}"
         if "period" in table and "resolution" in table:
             yield (*where, "resolution"), "a periodic force has lines 1/period apart; take one of both out"
         for place, record in _records(table):
@@ -144,21 +151,39 @@ def _sweeps(raw: Raw) -> Iterator[Complaint]:
             passes.add((str(record.get("cut")), width))
             yield from _fits(diameter, (*where, *place), width, record)
         # The estimator with a single reference is fed the same passes, so that the two can be compared.
-        if len(passes) < 3:
-            yield (*where, "records"), _too_few(passes, diameter)
+        axes = table.get("axes")
+        needed = len(set(axes)) if isinstance(axes, list) and axes else 3
+        if len(passes) < needed:
+            yield (*where, "records"), _too_few(passes, diameter, needed)
+        yield from _estimator(where, table)
 
 
-def _too_few(passes: set[tuple[str, float | None]], diameter: float | None) -> str:
+def _estimator(where: Loc, table: Raw) -> Iterator[Complaint]:
+    """What goes with which estimator."""
+    references, estimator = table.get("references", "all"), table.get("estimator")
+    single = "single_reference" if references == "x" else "local_polynomial"
+    if estimator is not None and references != "all" and estimator != single:
+        yield (
+            (*where, "estimator"),
+            f"references = '{references}' is that of estimator '{single}'; take one of them out",
+        )
+    local = references != "x" and estimator in (None, "local_polynomial")
+    if table.get("position_dependent") and not local:
+        yield (*where, "position_dependent"), "only the estimator 'local_polynomial' reads it; take one of them out"
+
+
+def _too_few(passes: set[tuple[str, float | None]], diameter: float | None, needed: int) -> str:
     cuts = {cut for cut, _ in passes}
     missing = [cut for cut in _ADVISED_PASSES if cut not in cuts] or list(_ADVISED_PASSES)
     advised = []
-    for cut in missing[: 3 - len(passes)]:
+    for cut in missing[: needed - len(passes)]:
         ratio = _ADVISED_PASSES[cut]
         width = f"{ratio:g} of the tool diameter" if diameter is None else units.show(ratio * diameter, "mm", "length")
         advised.append(f"a pass with cut = '{cut}' and a width of {width}")
+    directions, entries = {1: ("one", "one"), 2: ("two", "four")}.get(needed, ("three", "nine"))
     return (
-        f"{len(passes)} passes that differ in cut or width; three independent force directions are needed to solve for "
-        f"nine compliances; add {' and '.join(advised)}"
+        f"{len(passes)} passes that differ in cut or width; {directions} independent force directions are needed to "
+        f"solve for {entries} compliances; add {' and '.join(advised)}"
     )
 
 

@@ -24,6 +24,9 @@ COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
 METHODS = (*COMPLIANCE_METHODS, "drive", "silent")
 """How a measurement was made; "drive" is an axis that moves, "silent" a machine that nothing excites."""
 
+ESTIMATORS = ("local_polynomial", "bands", "segments", "orders", "single_reference")
+"""How the records of a sweep become a compliance."""
+
 LOBE_METHODS = ("zero_order", "multi_frequency", "semi_discretization", "operating_point")
 """Methods for stability lobes that can be asked for."""
 

@@ -19,6 +19,7 @@ from smfe.campaign import quantities as q
 from smfe.campaign.machine_tables import Delay, FrictionTable, PositiveMass, PositiveTime, ServoTable, Viscosity
 from smfe.campaign.plan_table import PlanTable
 from smfe.campaign.tables import Table
+from smfe.dynamometer import Dynamometer
 from smfe.records.channels import check_channel_name
 from stability import SpindleRange
 
@@ -112,7 +113,7 @@ class OtherRecorderTable(Table):
 class ProcessingTable(ConditionsTable):
     """How the records of a measurement become a compliance; each key belongs to some methods (`checks`)."""
 
-    estimator: Annotated[str, q.one_of(("H1", "H2", "Hv"), "estimator")] | None = None
+    estimator: Annotated[str, q.one_of(("H1", "H2", "Hv", *q.ESTIMATORS), "estimator")] | None = None
     force_window: StrictBool | None = None
     exponential_window: PositiveTime | None = None
     remove_background: StrictBool | None = None
@@ -142,6 +143,18 @@ class RecordTable(ConditionsTable):
         return self
 
 
+class DynamometerTable(Table):
+    """``dynamometer`` of a sweep."""
+
+    mass: q.Mass = 0.0
+    frequency: q.PositiveFrequency = math.inf
+    damping: q.Ratio = 0.02
+
+    def build(self) -> Dynamometer:
+        """Return the force sensor."""
+        return Dynamometer(self.mass, self.frequency, self.damping)
+
+
 class MeasurementTable(ProcessingTable):
     """``[[measurement]]``."""
 
@@ -151,7 +164,11 @@ class MeasurementTable(ProcessingTable):
     background: q.Files | None = None
     frequency_range: q.FrequencyRange | None = None
     resolution: q.PositiveFrequency | None = None
-    references: Annotated[str, q.one_of(("all", "x"), "references")] = "all"
+    references: Annotated[str, q.one_of(("all", "x", "spindle"), "references")] = "all"
+    axes: Annotated[tuple[q.Axis, ...], q.NotEmpty] = ("x", "y", "z")
+    reciprocal: StrictBool = False
+    position_dependent: StrictBool = False
+    dynamometer: DynamometerTable | None = None
     held_out: StrictBool = False
     channels: Annotated[Channels, Field(default_factory=dict)]
 

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft, ndimage, stats
+from scipy import fft, stats
 
 from process.errors import InputError
 from process.labels import sample_interval
 from smfe.diagnosis.suspect import Suspect
+from smfe.force_noise import in_cut
 from smfe.spectra import motion_axes
 from smfe.sweep import identify_sweep
 from smfe.sweep_estimators import LocalPolynomial, SweepPass, end_pieces, whole_record
@@ -141,7 +142,7 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
     Difference or None
         None where the halves have no frequency in common that both can solve.
     """
-    estimator = LocalPolynomial(resolution=2.0 * HALF_WIDTH, half_widths=(HALF_WIDTH,), order=ORDER)
+    estimator = LocalPolynomial(resolution=2.0 * HALF_WIDTH, half_widths=(HALF_WIDTH,), order=ORDER, rational=False)
     try:
         first, second = (
             identify_sweep("half", [_half(p, k) for p in passes], frequency_range, estimator).compliance for k in (0, 1)
@@ -159,18 +160,10 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
 
 def _half(sweep: SweepPass, which: int) -> SweepPass:
     """Return the first (0) or second (1) half of the cut, with the air on its side."""
-    cutting = np.flatnonzero(_in_cut(sweep.record))
+    cutting = np.flatnonzero(in_cut(sweep.record))
     middle = int(cutting[0] + cutting[-1]) // 2 if cutting.size else sweep.record.sizes["time"] // 2
     piece = slice(None, middle) if which == 0 else slice(middle, None)
     return SweepPass(sweep.record.isel(time=piece), sweep.label, sweep.arc)
-
-
-def _in_cut(record: xr.Dataset) -> NDArray[np.bool_]:
-    """Mark the samples in the cut: force over 50 ms above a fifth of its upper quartile."""
-    force = np.linalg.norm(record["force"].sel(axis=["x", "y", "z"]).values, axis=0)
-    width = max(1, round(0.05 / sample_interval(record)))
-    level = ndimage.uniform_filter1d(force, width)
-    return np.asarray(level > 0.2 * np.quantile(level, 0.75))
 
 
 # --- regeneration -----------------------------------------------------------------------------------------------------
@@ -215,7 +208,7 @@ def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> C
     frequency = fft.fftfreq(length, dt)
     # As `whole_record` takes its lines.
     low, high = np.searchsorted(frequency[: length // 2], [reach[0] - 1e-9, reach[1] + 1e-9])
-    angle, cut = record["spindle_angle"].values, _in_cut(record)
+    angle, cut = record["spindle_angle"].values, in_cut(record)
     waves = [np.exp(1j * h * teeth * angle) * cut for h in range(1, HARMONICS + 1)]
     return np.stack([dt * fft.fft(w, length)[low:high] for w in waves], axis=1)
 

@@ -31,12 +31,12 @@ from smfe.plan_search import covers, inverse_diagonal
 from smfe.plan_task import Estimate
 from smfe.spectra import BlockSpectra
 from smfe.sweep import identify_sweep
-from smfe.sweep_estimators import LocalPolynomial, SweepPass, whole_record
+from smfe.sweep_estimators import BANDS, LocalPolynomial, SweepPass, whole_record
 
 FREQUENCY = np.arange(20.0, 80.25, 0.25)
 STIFF = ModalModel([400.0], [0.5], [1e13], [[1.0, 1.0, 1.0]])
 ESTIMATE = Estimate("known", MACHINE)
-ONE_BAND = LocalPolynomial(half_widths=(0.5,))
+ONE_BAND = LocalPolynomial(half_widths=(0.5,), rational=False)
 NOISE = Instruments(SENSORS.acceleration_noise, (0.0, 0.0, 0.0), 2000.0)
 
 
@@ -198,7 +198,7 @@ def identified() -> xr.Dataset:
     """The published sweep, simulated with its noise and identified, seed 1."""
     records = sweep_passes(seed=1)
     passes = [SweepPass(r, cut, engagement(cut, 0.012, TOOL.diameter)) for cut, r in records.items()]
-    return identify_sweep("s", passes, (20.0, 80.0)).compliance
+    return identify_sweep("s", passes, (20.0, 80.0), BANDS).compliance
 
 
 def test_the_condition_number_is_the_one_that_the_identification_finds(identified: xr.Dataset) -> None:

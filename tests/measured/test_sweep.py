@@ -12,7 +12,8 @@ from process.labels import make_record
 from process.simulate import MillingCut, Spindle, simulate_forced
 from process.trials import Sensors, milling_trial
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
-from smfe.sweep import bands, identify_sweep
+from smfe.sweep import identify_sweep
+from smfe.sweep_estimate import bands
 from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
 
 BAND = (20.0, 80.0)
@@ -46,7 +47,7 @@ def test_all_references_beat_force_x_alone_in_every_entry(campaign: str, request
     data = request.getfixturevalue(campaign)
     ours = entry_errors(identify_sweep("all", data, BAND).compliance)
     theirs = entry_errors(identify_sweep("x", data, BAND, SingleReference()).compliance)
-    assert ours.mean() < 0.75 * theirs.mean()
+    assert ours.mean() < 0.5 * theirs.mean()
     assert (ours / theirs).max() < 1.05
 
 
@@ -56,7 +57,7 @@ def test_the_local_polynomial_also_beats_a_single_reference_with_more_overlap(go
     assert ours.mean() < 0.75 * theirs.mean()
 
 
-@pytest.mark.parametrize("estimator", [LocalPolynomial(), Segments()])
+@pytest.mark.parametrize("estimator", [LocalPolynomial(rational=False), Segments()])
 def test_the_stated_std_is_the_error(estimator: LocalPolynomial | Segments, good: list[SweepPass]) -> None:
     compliance = identify_sweep("s", good, BAND, estimator).compliance
     error = np.abs(compliance["compliance"].values - MACHINE.matrix(compliance["frequency"].values))
@@ -65,7 +66,7 @@ def test_the_stated_std_is_the_error(estimator: LocalPolynomial | Segments, good
     assert ratio.min() > 0.65
 
 
-@pytest.mark.parametrize("estimator", [LocalPolynomial(), Segments()])
+@pytest.mark.parametrize("estimator", [LocalPolynomial(rational=False), Segments()])
 def test_errors_are_shared_by_the_stated_number_of_lines(
     estimator: LocalPolynomial | Segments, good: list[SweepPass]
 ) -> None:
@@ -93,7 +94,7 @@ def test_a_record_that_ends_in_the_cut_is_solved_with_its_transient(monkeypatch:
     assert not result.tables["passes"]["from_rest_to_rest"].any()
     with_transient = entry_errors(result.compliance)
     assert with_transient.max() < 0.08
-    monkeypatch.setattr("smfe.sweep.at_rest", lambda record: True)
+    monkeypatch.setattr("smfe.local_polynomial.at_rest", lambda record: True)
     without = entry_errors(identify_sweep("s", data, (25.0, 75.0)).compliance)
     assert without.mean() > 2.0 * with_transient.mean()
 
@@ -109,7 +110,9 @@ def test_a_lightly_damped_machine_keeps_its_peaks_and_its_error_is_stated(
     value, truth = found["compliance"].values, machine.matrix(found["frequency"].values)
     for i in range(3):
         assert np.abs(value[:, i, i]).max() == pytest.approx(np.abs(truth[:, i, i]).max(), rel=0.005)
-    ratio = np.sqrt(np.mean(np.abs(value - truth) ** 2 / found["compliance_std"].values ** 2, axis=0))
+    # The time simulation itself is good to some 2e-4 of the compliance.
+    stated = found["compliance_std"].values ** 2 + (3e-4 * np.abs(truth)) ** 2
+    ratio = np.sqrt(np.mean(np.abs(value - truth) ** 2 / stated, axis=0))
     assert ratio.max() < 1.35
     # A single band of 2 Hz would have flattened them.
     wide = identify_sweep(
@@ -126,6 +129,18 @@ def test_noise_on_the_forces_is_in_the_stated_std_and_in_the_warnings(noise: flo
     error = np.abs(compliance["compliance"].values - MACHINE.matrix(compliance["frequency"].values))
     assert np.sqrt(np.mean((error / compliance["compliance_std"].values) ** 2, axis=0)).max() < 1.5
     assert any("noise on the forces" in w for w in found.warnings) == (noise > 10.0)
+    # Charged only in part: least squares with the same noise would be too small by more than this.
+    assert (
+        np.abs(
+            np.mean(
+                (compliance["compliance"].values / MACHINE.matrix(compliance["frequency"].values)).real[
+                    :, range(3), range(3)
+                ]
+            )
+            - 1.0
+        )
+        < 0.01
+    )
 
 
 def test_a_repeat_does_not_make_dependent_passes_independent() -> None:
@@ -144,9 +159,11 @@ def test_the_order_of_axes_in_a_record_does_not_matter(good: list[SweepPass]) ->
 def test_a_pass_with_fewer_motion_axes_limits_the_rows_of_all(good: list[SweepPass]) -> None:
     record = good[0].record.copy()
     record["acceleration"] = record["acceleration"].where(record["axis"] != "z")
-    found = identify_sweep("s", [SweepPass(record, "down", good[0].arc), *good[1:]], (30.0, 40.0)).compliance
+    # The rational model has the same poles in all rows; bands are solved row by row.
+    rows = LocalPolynomial(rational=False)
+    found = identify_sweep("s", [SweepPass(record, "down", good[0].arc), *good[1:]], (30.0, 40.0), rows).compliance
     assert list(found["response"].values) == ["x", "y"]
-    whole = identify_sweep("s", good, (30.0, 40.0)).compliance
+    whole = identify_sweep("s", good, (30.0, 40.0), rows).compliance
     np.testing.assert_allclose(found["compliance"].values, whole["compliance"].values[:, :2], rtol=1e-6)
 
 
@@ -248,9 +265,12 @@ def test_relabelling_axes_relabels_the_compliance() -> None:
             for name in ("force", "acceleration")
         }
         swapped.append(SweepPass(make_record(record["time"].values, channels), label))
-    plain = identify_sweep("s", base, BAND).compliance["compliance"].values
-    other = identify_sweep("s", swapped, BAND).compliance["compliance"].values
-    np.testing.assert_allclose(other[:, [1, 0, 2]][:, :, [1, 0, 2]], plain, rtol=1e-6, atol=1e-14)
+    # Without noise the rational model is ill-determined, and rounding moves its path a little.
+    for estimator, same in ((LocalPolynomial(rational=False), 1e-6), (LocalPolynomial(), 5e-3)):
+        plain = identify_sweep("s", base, BAND, estimator).compliance["compliance"].values
+        other = identify_sweep("s", swapped, BAND, estimator).compliance["compliance"].values
+        turned = other[:, [1, 0, 2]][:, :, [1, 0, 2]]
+        np.testing.assert_allclose(turned, plain, rtol=same, atol=same * 1e-8)
 
 
 def test_bands_are_the_runs_of_a_mask() -> None:

@@ -1,0 +1,200 @@
+"""The angle of the spindle: measured, from tacho pulses, from its speed, or from the cutting force itself.
+
+Only differences of the angle matter to what is built on it: a constant offset turns force and motion alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import interpolate, ndimage, signal
+
+from process.errors import InputError
+from process.labels import axis_present, sample_interval
+
+Real = NDArray[np.float64]
+
+SOURCES = ("spindle_angle", "tacho", "spindle_speed", "force")
+"""Where an angle comes from, best first."""
+
+WINDOW = 1.0
+"""Length of the pieces in which the tooth passing frequency is looked for [s]."""
+
+HARMONICS = 4
+"""Harmonics of the tooth passing frequency that are looked at together."""
+
+
+def spindle_angle(record: xr.Dataset, teeth: int | None = None) -> tuple[Real, str]:
+    """Return the angle [rad] of the spindle at each sample, and which of `SOURCES` it comes from.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With ``spindle_angle``, ``tacho``, ``spindle_speed``, or the forces of a cut.
+    teeth : int, optional
+        Needed where only the force tells the angle.
+
+    Raises
+    ------
+    InputError
+        When nothing tells the angle, or the tacho has too few pulses.
+    """
+    if "spindle_angle" in record:
+        return np.asarray(record["spindle_angle"].values, dtype=float), "spindle_angle"
+    if "tacho" in record:
+        pulses = float(record["tacho"].attrs.get("pulses_per_revolution", 1.0))
+        return tacho_angle(record["time"].values, record["tacho"].values, pulses), "tacho"
+    if "spindle_speed" in record:
+        turns = record["spindle_speed"].values / 60.0 * sample_interval(record)
+        return np.asarray(2.0 * np.pi * np.cumsum(turns)), "spindle_speed"
+    if teeth is None or not axis_present(record, "force"):
+        raise InputError(
+            "the record tells no spindle angle; declare spindle_angle, tacho (with pulses_per_revolution) or "
+            "spindle_speed in [channels]"
+        )
+    return force_angle(record, teeth), "force"
+
+
+def tacho_angle(time: Real, level: Real, pulses_per_revolution: float = 1.0) -> Real:
+    """Return the angle [rad] from the rising edges of a tacho, zero at the first.
+
+    An edge is where the level passes its middle after it was below a quarter; its time is interpolated between
+    samples. Between edges the angle is a cubic spline, outside them it goes on at the last speed.
+
+    Parameters
+    ----------
+    time, level : ndarray, shape (n,)
+        Time [s] and signal in any unit.
+    pulses_per_revolution : float, optional
+        Edges a turn.
+
+    Raises
+    ------
+    InputError
+        For fewer than four edges, or a gap as of a lost pulse.
+    """
+    low, high = np.quantile(level, [0.02, 0.98])
+    if not high > low:
+        low, high = float(level.min()), float(level.max())
+    middle, quarter = 0.5 * (low + high), low + 0.25 * (high - low)
+    edges = _edges(level, middle, quarter)
+    if edges.size < 4:
+        raise InputError(f"the tacho has {edges.size} rising edges; at least 4 are needed: check the channel")
+    share = (middle - level[edges]) / (level[edges + 1] - level[edges])
+    at = time[edges] + share * (time[edges + 1] - time[edges])
+    gaps = np.diff(at)
+    jump = gaps[1:] / gaps[:-1]
+    if np.any(jump > 1.6) or np.any(jump < 1.0 / 1.6):
+        where = float(at[1 + int(np.argmax(np.abs(np.log(jump))))])
+        raise InputError(
+            f"the time between tacho pulses changes by more than 60 % at {where:.4g} s: a pulse is lost or false, or "
+            "the spindle starts or stops; cut the record to the sweep"
+        )
+    angle = 2.0 * np.pi / pulses_per_revolution * np.arange(at.size)
+    spline = interpolate.CubicSpline(at, angle)
+    slope = spline(at[[0, -1]], 1)
+    inside = spline(np.clip(time, at[0], at[-1]))
+    return np.asarray(inside + slope[0] * np.minimum(time - at[0], 0.0) + slope[1] * np.maximum(time - at[-1], 0.0))
+
+
+def _edges(level: Real, middle: float, quarter: float) -> NDArray[np.int64]:
+    """Return the last sample before each passage of the middle that follows one below the quarter."""
+    state = np.where(level >= middle, 1, np.where(level <= quarter, -1, 0))
+    known = np.flatnonzero(state)
+    rising = known[1:][(state[known[1:]] == 1) & (state[known[:-1]] == -1)]
+    return np.asarray(rising - 1, dtype=np.int64)
+
+
+# --- from the force ---------------------------------------------------------------------------------------------------
+
+
+def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: float = 250.0) -> Real:
+    """Return the angle [rad] from the tooth passing that the forces show.
+
+    A path of the tooth passing frequency through a spectrogram (the comb with most amplitude, dynamic programming)
+    gives a first angle; the phase of the harmonics against it corrects it. The offset is arbitrary.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With force.
+    teeth : int
+        Of the tool.
+    lowest, highest : float, optional
+        Tooth passing frequencies [Hz] that are looked for.
+    """
+    dt = sample_interval(record)
+    keep = max(1, int(1.0 / (dt * 5.0 * HARMONICS * highest)))
+    force = record["force"].sel(axis=axis_present(record, "force")).values
+    force = force - force.mean(axis=1, keepdims=True)
+    if keep > 1:
+        force = signal.decimate(force, keep, ftype="fir", axis=1, zero_phase=True)
+    step = dt * keep
+    if force.shape[1] * step < 3.0 * WINDOW:
+        raise InputError(f"{force.shape[1] * step:.3g} s of force are too short to find the tooth passing in; 3 s are")
+    times, path = _comb_path(force, step, lowest, min(highest, 0.49 / (HARMONICS * step)))
+    clock = np.arange(force.shape[1]) * step
+    angle = _integral(np.interp(clock, times, path), step)
+    for length in (0.5 * WINDOW, WINDOW):
+        angle = _corrected(force, angle, step, length)
+    fine = np.arange(record.sizes["time"]) * dt
+    return np.asarray(interpolate.make_interp_spline(clock, angle, k=3)(np.minimum(fine, clock[-1])) / teeth)
+
+
+def _integral(frequency: Real, step: float) -> Real:
+    return np.asarray(2.0 * np.pi * step * (np.cumsum(frequency) - 0.5 * (frequency + frequency[0])))
+
+
+def _comb_path(force: Real, step: float, lowest: float, highest: float) -> tuple[Real, Real]:
+    """Return times [s] and the tooth passing frequency [Hz] there; in the air it goes on straight."""
+    length, hop = round(WINDOW / step), round(0.25 * WINDOW / step)
+    padded = 4 * length
+    frequency, times, spectrum = signal.spectrogram(
+        force, 1.0 / step, "hann", length, length - hop, padded, detrend="constant", mode="magnitude"
+    )
+    level = np.sqrt(np.sum(spectrum**2, axis=0))
+    grid = np.arange(lowest, highest, 0.5 * frequency[1])
+    comb = sum(level[np.round(h * grid / frequency[1]).astype(int)] for h in range(1, HARMONICS + 1))
+    score = np.asarray(comb)
+    cells = round(2.0 * hop * step / (grid[1] - grid[0])) + 1
+    path = grid[_best_path(score / score.max(), cells)]
+    loud = score.max(axis=0)
+    cutting = loud > 0.3 * np.quantile(loud, 0.75)
+    straight = np.polyval(np.polyfit(times[cutting], path[cutting], 1), times)
+    return times, np.where(cutting, path, straight)
+
+
+def _best_path(score: Real, reach: int) -> NDArray[np.int64]:
+    """Return the row of each column on the path of most score that moves at most `reach` rows a column."""
+    total, back = score[:, 0].copy(), np.zeros(score.shape, dtype=np.int64)
+    rows = np.arange(score.shape[0])
+    for k in range(1, score.shape[1]):
+        best = ndimage.maximum_filter1d(total, 2 * reach + 1, mode="constant", cval=-np.inf)
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(total, reach, constant_values=-np.inf), 2 * reach + 1)
+        back[:, k] = np.clip(rows + windows.argmax(axis=1) - reach, 0, rows[-1])
+        total = best + score[:, k]
+    path = np.empty(score.shape[1], dtype=np.int64)
+    path[-1] = int(total.argmax())
+    for k in range(score.shape[1] - 1, 0, -1):
+        path[k - 1] = back[path[k], k]
+    return path
+
+
+def _corrected(force: Real, angle: Real, step: float, length: float) -> Real:
+    """Return the tooth angle corrected by the phase that the harmonics show against it."""
+    size = round(length / step) | 1
+    hop = max(1, size // 8)
+    window = signal.windows.hann(size)
+    drift, weight = 0.0, 1e-300
+    for h in range(1, HARMONICS):
+        turned = force * np.exp(-1j * h * angle)
+        slow = signal.oaconvolve(turned, window[None, :], mode="same", axes=1)[:, ::hop]
+        between = np.sum(slow[:, 1:] * slow[:, :-1].conj(), axis=0)
+        # The error of a phase goes with the inverse amplitude, that of the angle with a further 1/h.
+        drift = drift + h * np.abs(between) * np.angle(between)
+        weight = weight + h**2 * np.abs(between)
+    rate = np.asarray(drift / np.maximum(weight, 1e-3 * np.max(weight)))
+    at = (np.arange(rate.size) + 1) * hop
+    total = np.concatenate([[0.0], np.cumsum(rate)])
+    return np.asarray(angle + np.interp(np.arange(angle.size), np.concatenate([[0], at]), total))
