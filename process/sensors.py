@@ -182,9 +182,10 @@ class Sensitivity(Stage):
 
 @dataclass(frozen=True)
 class Inertia(Stage):
-    """Mass between a force sensor and the point where the force acts: ``F_measured = F - m a``.
+    """Mass between a cut and the force sensor that carries it: ``F_measured = F - m a``.
 
-    Of a dynamometer the plate and the work, of an actuator its stinger. A hammer's tip: `HammerTip`.
+    A dynamometer shows what reaches the machine behind its plate, or the tool in it. What pushes from outside, through
+    a mass that moves with the tool, shows more than the tool gets: `Stinger`, `HammerTip`.
 
     Parameters
     ----------
@@ -205,8 +206,8 @@ class Inertia(Stage):
 
 
 @dataclass(frozen=True)
-class HammerTip(Stage):
-    """Mass of a hammer's tip before its force sensor: ``F_measured = F - m a`` while it touches.
+class Stinger(Stage):
+    """Mass between the force sensor of an actuator and the tool it moves with: ``F_measured = F + m a``.
 
     Parameters
     ----------
@@ -221,9 +222,31 @@ class HammerTip(Stage):
         _not_negative(mass=self.mass)
 
     def apply(self, record: xr.Dataset, rng: np.random.Generator) -> xr.Dataset:
-        """Return the record with the inertia force taken off the force of the pulses."""
+        """Return the record with the force that moves the mass put on the force."""
         motion = record["acceleration"].values
-        return _changed(record, "force", lambda f: np.where(f != 0.0, f - self.mass * motion, 0.0))
+        return _changed(record, "force", lambda force: force + self.mass * motion)
+
+
+@dataclass(frozen=True)
+class HammerTip(Stage):
+    """Mass of a hammer's tip before its force sensor: ``F_measured = F + m a`` while it touches and moves along.
+
+    Parameters
+    ----------
+    mass : float
+        m [kg].
+    """
+
+    mass: float
+
+    def __post_init__(self) -> None:
+        """Refuse a negative mass."""
+        _not_negative(mass=self.mass)
+
+    def apply(self, record: xr.Dataset, rng: np.random.Generator) -> xr.Dataset:
+        """Return the record with the force that moves the tip put on the pulses."""
+        motion = record["acceleration"].values
+        return _changed(record, "force", lambda f: np.where(f != 0.0, f + self.mass * motion, 0.0))
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from process.sensors import (
     Sensitivity,
     Sensors,
     Stage,
+    Stinger,
     Tone,
     with_added_mass,
 )
@@ -133,7 +134,7 @@ def build_sensors(table: schema.SensorsTable, method: str) -> Sensors:
     force = {"hammer": table.hammer, "actuator": table.actuator}.get(method, table.dynamometer)
     stages: list[Stage] = []
     if force.mass > 0.0:
-        stages.append(HammerTip(force.mass) if method == "hammer" else Inertia(force.mass))
+        stages.append({"hammer": HammerTip, "actuator": Stinger}.get(method, Inertia)(force.mass))
     stages += [*_sensor("force", force), *_sensor("acceleration", table.accelerometer)]
     stages += [Drift(f"force_{a}", rate) for a, rate in zip("xyz", force.drift, strict=True) if rate]
     stages += [_tone(tone) for tone in table.tone]

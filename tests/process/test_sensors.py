@@ -22,6 +22,7 @@ from process.sensors import (
     Resonance,
     Sensitivity,
     Sensors,
+    Stinger,
     Tone,
     with_added_mass,
 )
@@ -102,14 +103,16 @@ def test_a_turned_sensor_shows_a_vector_turned_back_and_keeps_its_length() -> No
     np.testing.assert_allclose(back, true, atol=1e-15)
 
 
-def test_a_plate_takes_its_inertia_off_the_force_and_a_hammer_only_while_it_touches() -> None:
+def test_a_plate_takes_its_inertia_off_the_force_and_what_pushes_shows_its_own_as_well() -> None:
+    """Newton for the mass between: a plate behind the cut passes on F - m a, a stinger needs F + m a for F."""
     force = np.zeros((3, 100))
     force[0, 40:50] = 5.0
     motion = np.full((3, 100), 2.0)
     record = record_of(force, motion)
     np.testing.assert_allclose(apply(Inertia(0.5), record)["force"].values, force - 1.0)
     tip = apply(HammerTip(0.5), record)["force"].values
-    np.testing.assert_allclose(tip, np.where(force != 0, 4.0, 0.0))
+    np.testing.assert_allclose(tip, np.where(force != 0, 6.0, 0.0))
+    np.testing.assert_allclose(apply(Stinger(0.5), record)["force"].values, force + 1.0)
 
 
 def test_the_error_of_a_plate_is_its_mass_times_the_accelerance() -> None:
