@@ -294,7 +294,7 @@ def _section(title, answers):
     if nulls < NULLS or seeds < EACH:
         lines += [f"Sat so far: {nulls} of {NULLS} nulls, {seeds} of {EACH} seeds of an effect.", ""]
     lines += ["| item | target | measured | met |", "| --- | --- | --- | --- |"]
-    lines += [f"| {s.item} | {s.target} | {s.measured} | {'yes' if s.met else 'no'} |" for s in scores(answers)]
+    lines += [f"| {s.item} | {s.target} | {s.measured} | {_word(s)} |" for s in scores(answers)]
     lines += ["", "| hidden | cause | said |", "| --- | --- | --- |"]
     lines += [f"| {hidden} | {cause} | {said} |" for hidden, cause, said in confusion(answers)]
     rungs = ladder(answers)
@@ -310,6 +310,10 @@ def _section(title, answers):
     wrong = [a for a in answers if (a.case.part in parts and not a.right) or (a.case.part == "null" and a.detected)]
     shown = "; ".join(f"{a.case.words} {a.case.seed}: {a.said}" for a in wrong[:40])
     return [*lines, "", "Not right (hidden, seed: said): " + (shown or "none") + ".", ""]
+
+
+def _word(score):
+    return "open" if "too few" in score.measured and score.met else "yes" if score.met else "no"
 
 
 def cases(name, nulls, seeds, rungs=0):
