@@ -139,7 +139,7 @@ def test_full_scale_marks_what_reaches_it(tmp_path: Path) -> None:
         (
             'estimator = "H1"',
             "actuator",
-            "estimator: method 'actuator' does not read it; only a hammer does, take it out",
+            "estimator: method 'actuator' does not read it; only a hammer or a sweep does, take it out",
         ),
         ("force_window = 1", "hammer", "force_window: "),
         ('exponential_window = "0 s"', "hammer", "exponential_window: '0 s' is not possible; it must be positive"),
