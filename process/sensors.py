@@ -228,20 +228,8 @@ class Stinger(Stage):
 
 
 @dataclass(frozen=True)
-class HammerTip(Stage):
-    """Mass of a hammer's tip before its force sensor: ``F_measured = F + m a`` while it touches and moves along.
-
-    Parameters
-    ----------
-    mass : float
-        m [kg].
-    """
-
-    mass: float
-
-    def __post_init__(self) -> None:
-        """Refuse a negative mass."""
-        _not_negative(mass=self.mass)
+class HammerTip(Stinger):
+    """Mass of a hammer's tip before its force sensor: ``F_measured = F + m a`` while it touches and moves along."""
 
     def apply(self, record: xr.Dataset, rng: np.random.Generator) -> xr.Dataset:
         """Return the record with the force that moves the tip put on the pulses."""
