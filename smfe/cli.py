@@ -118,7 +118,7 @@ def modal(
         tuple[str, str] | None, typer.Option(help='Only these frequencies, "20 Hz" "80 Hz".', show_default=False)
     ] = None,
 ) -> None:
-    """Fit modes to measured compliances and write them as [[model]] tables."""
+    """Fit modes to measured compliances and write them as models for a campaign file."""
     with bar(console) as progress:
         fits = pipeline.modal(source, output, measurement, band, progress, _show)
     for name, fit in fits.items():
