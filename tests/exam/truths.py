@@ -8,7 +8,7 @@ from truth.effects import CUBIC_PER_SHIFT, SHARE_PER_DROP
 
 AXIS = {
     "friction_level": ("friction_level", 100.0),
-    "asymmetry": ("friction_asymmetry", 100.0),
+    "asymmetry": ("friction_asymmetry", 50.0),  # the size is the difference, the parameter half of it
     "velocity_gain": ("Kp_error", 100.0),
     "integral_time": ("Ti_error", 100.0),
     "delay": ("extra_delay", 1e3),
