@@ -30,7 +30,7 @@ from scipy import optimize, stats
 from smfe.diagnosis.engine import diagnose
 
 SEEDS = {"null": 210_000, "effect": 160_000, "unknown": 170_000, "noisy": 180_000, "two": 190_000, "ladder": 200_000}
-"""First seed of each part; none of them was used while the diagnosis was tuned."""
+"""First seed of each part; the diagnosis was not tuned on any of them."""
 
 NULLS, EACH = 300, 40
 """A full exam: how often nothing is hidden, and seeds of each effect."""
@@ -277,7 +277,8 @@ def page(answers):
         "`make exam` hides effects in measurements of simulations that share no code with the packages and holds what",
         "the diagnosis says against the targets. First seeds: "
         + ", ".join(f"{k} {v}" for k, v in SEEDS.items())
-        + "; none of them was used while the diagnosis was built.",
+        + ". The nulls were not seen while the diagnosis was built; some effects of drive records had been sat once before",
+        "its last change, which concerned nulls.",
         "",
     ]
     for key, subject in SUBJECTS.items():
