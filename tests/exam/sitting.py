@@ -277,7 +277,8 @@ def page(answers):
         "`make exam` hides effects in measurements of simulations that share no code with the packages and holds what",
         "the diagnosis says against the targets. First seeds: "
         + ", ".join(f"{k} {v}" for k, v in SEEDS.items())
-        + ". The nulls were not seen while the diagnosis was built; some effects of drive records had been sat once before",
+        + ".",
+        "The nulls were not seen while the diagnosis was built; some effects of drive records had been sat once before",
         "its last change, which concerned nulls.",
         "",
     ]
