@@ -275,9 +275,7 @@ def page(answers):
         "# The exam of the diagnosis",
         "",
         "`make exam` hides effects in measurements of simulations that share no code with the packages and holds what",
-        "the diagnosis says against the targets. First seeds: "
-        + ", ".join(f"{k} {v}" for k, v in SEEDS.items())
-        + ".",
+        "the diagnosis says against the targets. First seeds: " + ", ".join(f"{k} {v}" for k, v in SEEDS.items()) + ".",
         "The nulls were not seen while the diagnosis was built; some effects of drive records had been sat once before",
         "its last change, which concerned nulls.",
         "",
