@@ -10,7 +10,7 @@ ratio less two a parameter; the largest over the whole catalogue is calibrated, 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smfe.diagnosis.model import Model
+from smfe.diagnosis.problem import Condition
 from smfe.diagnosis.signature import Signature, Tangent
 
 Real = NDArray[np.float64]
@@ -91,43 +92,77 @@ def parameters_of(model: Model, causes: Sequence[int]) -> int:
 def threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = FALSE_ALARM) -> float:
     """Return what the best ``gain - 2 parameters`` of any cause exceeds by chance alone with that probability."""
     best: dict[int, Real] = {}
-    for s, product in zip(at.signatures, _products(at, rng, DRAWS), strict=True):
+    products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, DRAWS)
+    for s, product in zip(at.signatures, products, strict=True):
         gain = score(model, [s]).gain(product) - PENALTY * parameters_of(model, [s.cause])
         best[s.cause] = np.maximum(best[s.cause], gain) if s.cause in best else gain
-    return _upper(best, chance)
+    return upper(list(best.values()), chance)
 
 
 def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = FALSE_ALARM) -> float:
     """Return the same for the best pair of causes, over all pairs."""
-    products = _products(at, rng, DRAWS // 5)
+    products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, DRAWS // 5)
     best: dict[int, Real] = {}
     for (i, a), (j, b) in combinations(enumerate(at.signatures), 2):
         if a.cause != b.cause:
             both = np.concatenate([products[i], products[j]], axis=1)
             gain = score(model, [a, b]).gain(both) - PENALTY * parameters_of(model, [a.cause, b.cause])
             best[0] = np.maximum(best[0], gain) if best else gain
-    return _upper(best, chance)
+    return upper(list(best.values()), chance)
 
 
-def _products(at: Tangent, rng: np.random.Generator, draws: int) -> list[Real]:
-    """Draw products of noise with the columns of each signature, (draws, m): Gaussian with the covariance ``X^T X``."""
-    columns = [s.columns for s in at.signatures]
+def products_of_noise(
+    model: Model, at: Tangent, columns: Sequence[Real], rng: np.random.Generator, draws: int
+) -> list[Real]:
+    """Draw products of noise with columns X of residuals, (draws, m): Gaussian with the covariance ``X^T X``.
+
+    A family may know several noises that its data could have come from (``noises``: columns of conditions to
+    covariances); then as many draws come from each.
+
+    Parameters
+    ----------
+    model : Model
+        With the family.
+    at : Tangent
+        Whose residuals they are.
+    columns : sequence of ndarray, shape (N, m)
+        The same draws of noise are multiplied with all of them.
+    rng : numpy.random.Generator
+        Draws.
+    draws : int
+        How many, at the least.
+    """
     if not columns:
         return []
     every = np.concatenate(columns, axis=1)
     size = np.linalg.norm(every, axis=0)  # an exchange of axes is a million times as large as others
-    unit = every / np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    noise = rng.standard_normal((draws, every.shape[1])) @ root.T * size
+    covariances = _covariances(model, at, every / np.where(size > 0.0, size, 1.0))
+    share = math.ceil(draws / len(covariances))
+    noise = np.concatenate([rng.standard_normal((share, size.size)) @ _root(c).T for c in covariances]) * size
     return np.split(noise, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 
-def _upper(best: dict[int, Real], chance: float) -> float:
-    """Upper quantile of the largest statistic; beyond the draws, its tail is continued as an exponential."""
+def _covariances(model: Model, at: Tangent, unit: Real) -> Sequence[Real]:
+    noises: Callable[[Sequence[tuple[Condition, Real]]], Sequence[Real]] | None = getattr(model.family, "noises", None)
+    if noises is not None:
+        ends = np.cumsum([r.size for r in at.fit.residual.values()])
+        parts = np.split(unit, ends)
+        found = noises([(model.conditions[r], x) for r, x in zip(at.fit.residual, parts[:-1], strict=True)])
+        if found:
+            return [c + parts[-1].T @ parts[-1] for c in found]
+    return [unit.T @ unit]
+
+
+def _root(covariance: Real) -> Real:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def upper(best: Sequence[Real], chance: float) -> float:
+    """Return the upper quantile of the largest statistic; beyond the draws, its tail is continued as an exponential."""
     if not best:
         return math.inf
-    largest = np.max(np.stack(list(best.values())), axis=0)
+    largest = np.max(np.stack(best), axis=0)
     edge = float(np.quantile(largest, 1.0 - _TAIL))
     beyond = largest[largest > edge] - edge
     if chance >= _TAIL or beyond.size == 0:

@@ -21,20 +21,20 @@ none was.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from smfe.diagnosis.drive_signals import Motion, Real
+from smfe.diagnosis.drive_signals import FINEST_SLIDE, Motion, Real
 from smfe.diagnosis.drive_terms import presliding
 
 ORDER = 10
 _SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 1.0)
 _POSITIONS = 8
-_SLIDES = (1e-6, 5e-6, 2.5e-5)
+_SLIDES = (FINEST_SLIDE, 5e-6, 2.5e-5)
 _ABOVE = 100.0
 """Force over what the reference leaves, in power, where a record can be used."""
 _RESOLUTION = 5.0
@@ -94,20 +94,56 @@ def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> W
     found = _autoregression(observed)
     if regressors is None:
         return found
-    basis = _orthonormal(regressors)
-    ends = np.cumsum([r.size for r in residuals])
-    white = np.random.default_rng(0).standard_normal((_DRAWN, _SETTLES + ends[-1]))
+    basis, sizes = _orthonormal(regressors), [r.size for r in residuals]
+    white = np.random.default_rng(0).standard_normal((_DRAWN, _SETTLES + sum(sizes)))
     given = observed.copy()
     for _ in range(_ROUNDS):
-        drawn = found.sigma * signal.lfilter([1.0], [1.0, *found.coefficients], white, axis=1)[:, _SETTLES:]
-        drawn -= (drawn @ basis) @ basis.T
-        each = [_covariances(np.split(x, ends[:-1]), kept) for x in drawn]
-        given = given + observed - np.mean(each, axis=0)
+        drawn = _projected(_coloured(found, white), basis)
+        given = given + observed - np.mean([_covariances(x, kept) for x in _split(drawn, sizes)], axis=0)
         better = _autoregression(given)
         if not better.stable:
             break
         found = better
     return found
+
+
+def learned_again(
+    found: Whitener, residuals: Sequence[Real], regressors: Real, draws: int
+) -> Iterator[tuple[Whitener, Sequence[Real]]]:
+    """Yield whiteners that records of the noise of one would give, and what the least squares leaves of each record.
+
+    Parameters
+    ----------
+    found : Whitener
+        Whose noise is drawn.
+    residuals : sequence of ndarray
+        That it was learned from (`fit_whitener`).
+    regressors : ndarray, shape (n, k)
+        Of the least squares.
+    draws : int
+        How many.
+    """
+    kept, basis, sizes = _kept(residuals), _orthonormal(regressors), [r.size for r in residuals]
+    whole = _coloured(found, np.random.default_rng(1).standard_normal((draws, _SETTLES + sum(sizes))))
+    left = _projected(whole.copy(), basis)
+    before, after = ([_covariances(x, kept) for x in _split(y, sizes)] for y in (whole, left))
+    taken = np.mean(before, axis=0) - np.mean(after, axis=0)
+    for lags, moves in zip(after, _split(left, sizes), strict=True):
+        yield _autoregression(lags + taken), moves
+
+
+def _coloured(found: Whitener, white: Real) -> Real:
+    return np.asarray(found.sigma * signal.lfilter([1.0], [1.0, *found.coefficients], white, axis=1)[:, _SETTLES:])
+
+
+def _projected(drawn: Real, basis: Real) -> Real:
+    drawn -= (drawn @ basis) @ basis.T
+    return drawn
+
+
+def _split(drawn: Real, sizes: Sequence[int]) -> list[list[Real]]:
+    """Each draw, move by move."""
+    return [np.split(x, np.cumsum(sizes)[:-1]) for x in drawn]
 
 
 def _kept(residuals: Sequence[Real]) -> list[bool]:
@@ -139,7 +175,7 @@ def reference(m: Motion) -> Real:
     """Return the regressors of the reference, shape (n, k): N for unit coefficients."""
     speed = np.abs(m.velocity) / np.abs(m.velocity).max()
     place = (m.position - m.position.min()) / max(float(np.ptp(m.position)), 1e-300)
-    columns = [m.acceleration, m.jerk, m.snap, *(presliding(m.position, m.velocity, d) for d in _SLIDES)]
+    columns = [m.acceleration, m.jerk, m.snap, *(presliding(m.place, m.rate, d) for d in _SLIDES)]
     for way in (m.velocity > 0.0, m.velocity <= 0.0):
         columns += [way * hat for hat in _hats(speed, _SPEEDS)]
         columns += [way * hat for hat in _hats(place, np.linspace(0.0, 1.0, _POSITIONS))]

@@ -27,6 +27,7 @@ from smfe.diagnosis.drive_control_law import ControlLaw, Gains, Pulse, fit_contr
 from smfe.diagnosis.drive_noise import Whitener
 from smfe.diagnosis.drive_signals import Motion, Real, Resampler, half_width, motion, moves
 from smfe.diagnosis.drive_terms import Term
+from smfe.diagnosis.noise_draws import NoiseDraw, noise_draws
 from smfe.diagnosis.problem import Cause, Condition, Parameter, Values
 
 _Kind = tuple[float | str, float | str]
@@ -91,6 +92,8 @@ class DriveModel:
         Drive force beyond which the axis seems to get less than was asked for [N].
     law : ControlLaw, optional
         Control law with its velocity filter.
+    draws : tuple of NoiseDraw
+        Noises that the record could as well have come from.
     """
 
     resampler: Resampler
@@ -103,6 +106,7 @@ class DriveModel:
     peak: float
     limit: float | None = None
     law: ControlLaw | None = None
+    draws: tuple[NoiseDraw, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -229,6 +233,24 @@ class DriveRecordFamily:
             return _law_force(condition.data, values) / self.model.law.noise
         raise InputError(f"condition {condition.name} is not one of this family")
 
+    def noises(self, columns: Sequence[tuple[Condition, Real]]) -> list[Real]:
+        """Return products of the columns of all conditions, (m, m): one covariance for each noise that may be true.
+
+        Parameters
+        ----------
+        columns : sequence of tuple
+            Conditions in their order in time, with an array (n, m) each.
+        """
+        moving = [(c, x) for c, x in columns if isinstance(c.data, ForceData)]
+        others = [x for c, x in columns if not isinstance(c.data, ForceData)]
+        rest = sum((x.T @ x for x in others), np.zeros((columns[0][1].shape[1],) * 2))
+        found = []
+        for draw in self.model.draws:
+            joined = np.concatenate([x * draw.size.get(kind_of(c.settings), 1.0) for c, x in moving])
+            through = draw.coloured_products(joined)
+            found.append(rest + through.T @ through)
+        return found
+
     def force_error(self, values: Values, conditions: Sequence[Condition] | None = None) -> float:
         """Return rms(measured - predicted force)/rms(measured force) [1], in the band, over moves (default: all)."""
         wrong, whole = 0.0, 0.0
@@ -310,6 +332,17 @@ class _Balance:
         """Time between two values that are kept [s]."""
         return self.filter.step * self.filter.every
 
+    @property
+    def moves(self) -> list[Real]:
+        """What the reference leaves in each move."""
+        first, every = self.spans[0][0], self.filter.every
+        return np.split(self.left, [(a - first) // every for a, _ in self.spans[1:]])
+
+    @property
+    def kinds(self) -> list[_Kind]:
+        """Kind of each move."""
+        return [kind_of(_settings(self.motion, begin, end)) for begin, end in self.spans]
+
     def seen(self, samples: Real) -> Real:
         """Pass a signal of the motion, full rate, through the filter."""
         return self.filter(samples[self.part])
@@ -383,9 +416,18 @@ def _learn(
     if boxes:
         first = float(full.motion.time[full.spans[0][0]])
         catalogue.append(terms.hidden_force([(first + a, first + b, sign) for a, b, sign in boxes]))
-    each, peak = _noise(full, whitener), float(np.max(np.abs(raw.force)))
     return DriveModel(
-        full.filter, whitener, each, nuisances, tuple(catalogue), delay, mass is not None, peak, limit, law
+        resampler=full.filter,
+        whitener=whitener,
+        noise=_noise(full, whitener),
+        nuisances=nuisances,
+        terms=tuple(catalogue),
+        delay=delay,
+        mass_known=mass is not None,
+        peak=float(np.max(np.abs(raw.force))),
+        limit=limit,
+        law=law,
+        draws=noise_draws(whitener, full.moves, full.regressors, full.kinds),
     )
 
 
@@ -431,20 +473,14 @@ def _periodic(
 
 
 def _whitener(balance: _Balance) -> Whitener:
-    first, every = balance.spans[0][0], balance.filter.every
-    return noise.fit_whitener(
-        np.split(balance.left, [(a - first) // every for a, _ in balance.spans[1:]]), balance.regressors
-    )
+    return noise.fit_whitener(balance.moves, balance.regressors)
 
 
 def _noise(balance: _Balance, whitener: Whitener) -> dict[_Kind, float]:
     """Return the noise of each kind of move: a screw, a belt, a bearing is louder one way, or fast."""
-    first, every = balance.spans[0][0], balance.filter.every
     squares: dict[_Kind, list[float]] = {}
-    for (begin, end), left in zip(
-        balance.spans, np.split(balance.left, [(a - first) // every for a, _ in balance.spans[1:]]), strict=True
-    ):
-        for kind in (kind_of(_settings(balance.motion, begin, end)), _ANY):
+    for own, left in zip(balance.kinds, balance.moves, strict=True):
+        for kind in (own, _ANY):
             squares.setdefault(kind, []).extend(np.square(whitener(left)))
     fitted = balance.regressors.shape[1] / balance.left.size
     return {kind: math.sqrt(float(np.mean(values)) / (1.0 - fitted)) for kind, values in squares.items()}

@@ -26,6 +26,10 @@ _ROLL = 8.0
 _REACH = 1.25
 _REST = 0.02
 _LONGEST, _SHORTEST = 2.0, 0.2
+_WIDE = 0.2
+
+FINEST_SLIDE = 1e-6
+"""Shortest distance [m] over which friction is taken to give way."""
 
 
 def half_width(cutoff: float) -> float:
@@ -122,7 +126,11 @@ def _weights(cutoff: float, step: float, every: int, reach: int, advance: float)
 
 @dataclass(frozen=True)
 class Motion:
-    """What the encoder says, sample by sample (SI), and the time; every field has shape (n,)."""
+    """What the encoder says, sample by sample (SI), and the time; every field has shape (n,).
+
+    `place` and `rate` are position and velocity in the widest band that the encoder allows: friction gives way within
+    micrometres after a reversal, which the band of the force balance would smear.
+    """
 
     time: Real
     position: Real
@@ -130,6 +138,8 @@ class Motion:
     acceleration: Real
     jerk: Real
     snap: Real
+    place: Real
+    rate: Real
 
     def __getitem__(self, part: slice) -> Motion:
         """Return a part of the motion."""
@@ -146,7 +156,19 @@ def motion(position: Real, step: float, cutoff: float) -> Motion:
         acceleration,
         filtered(acceleration, step, cutoff, 1),
         filtered(acceleration, step, cutoff, 2),
+        *_widest(position, step, cutoff),
     )
+
+
+def _widest(position: Real, step: float, cutoff: float) -> tuple[Real, Real]:
+    """Position and velocity up to a fifth of the sample rate, where the encoder is finer than friction gives way."""
+    wide = max(_WIDE / step, cutoff)
+    rough = position - filtered(position, step, wide)
+    edge = math.ceil(half_width(wide) / step)
+    inner = rough[edge : rough.size - edge]
+    if inner.size == 0 or 6.0 * float(np.std(inner)) > FINEST_SLIDE:
+        wide = cutoff
+    return filtered(position, step, wide), filtered(position, step, wide, 1)
 
 
 def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[int, int]]:

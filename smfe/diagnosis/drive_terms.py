@@ -61,11 +61,22 @@ def presliding(position: Real, velocity: Real, slide: float) -> Real:
 
 
 def coulomb() -> Term:
-    """Return Coulomb friction, ``F z`` with z the direction after pre-sliding."""
+    """Return Coulomb friction, ``F (z + tau dz/dt)`` with z the direction after pre-sliding.
+
+    The damping of the bristles, ``tau = sigma_1/sigma_0`` of LuGre (Canudas de Wit et al., IEEE Transactions on
+    Automatic Control 40, 1995), acts within the pre-sliding only; without it a reversal comes late by tau.
+    """
     force = Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0)
     slide = Parameter("coulomb.slide", "um", 2e-6, 1e-6, 1e-7, 1e-4, shown=1e6)
-    cause = Cause("guideway_friction", "Coulomb friction", (force, slide), "coulomb", starts=((0.0, 2e-6),))
-    return Term(cause, lambda m, p: p["coulomb.force"] * presliding(m.position, m.velocity, p["coulomb.slide"]))
+    damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, shown=1e3)
+
+    def at(m: Motion, p: Values) -> Real:
+        z = presliding(m.place, m.rate, p["coulomb.slide"])
+        damped = p["coulomb.damping"]
+        return np.asarray(p["coulomb.force"] * (z + damped * np.gradient(z, m.time) if damped else z))
+
+    start = (0.0, 2e-6, 0.0)
+    return Term(Cause("guideway_friction", "Coulomb friction", (force, slide, damping), "coulomb", starts=(start,)), at)
 
 
 def stribeck() -> Term:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smfe.diagnosis.calibration import PENALTY, combined_gain, pair_threshold, parameters_of, threshold
+from smfe.diagnosis.constancy import Change, most_changing
 from smfe.diagnosis.cross_validation import BAND, Gain, HeldOut, Scheme, compare, held_out, usable, within
 from smfe.diagnosis.fit import OPTIMISM, Fit, Target, approach, fit, misfit, residuals, roughly, tolerance
 from smfe.diagnosis.misfit import Misfit, assess
@@ -169,6 +170,10 @@ class Bench:
         if at.causes not in self._thresholds:
             self._thresholds[at.causes] = threshold(self.model, self.tangent(at), self.rng(1, len(at.causes)))
         return self._thresholds[at.causes]
+
+    def changing(self, at: Fit) -> Change | None:
+        """Return the parameter of a fit that differs most between its conditions."""
+        return most_changing(self.model, self.tangent(at), self.rng(7, len(at.causes)))
 
     def extend(self, at: Fit, added: Sequence[int], most: float = np.inf) -> Fit:
         """Fit a hypothesis that has causes more, from all its starts; the best that converged.

@@ -121,6 +121,10 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
     if left.chance < FALSE_ALARM:
         reason = "the baseline leaves more than noise, and no cause of the catalogue explains it"
         return Judgement("unknown", reason, {}, left, tuple(carriers(left)))
+    change = bench.changing(at)
+    if change is not None and change.certain:
+        reason = f"{change.parameter} changes with {change.setting}, and no cause of the catalogue explains it"
+        return Judgement("unknown", reason, {}, left)
     if not any(p.admissible for p in power):
         return Judgement("insufficient_data", "no cause of the catalogue would be seen in these conditions", {}, left)
     return Judgement("consistent", "the baseline leaves nothing but noise", {}, left)

@@ -94,7 +94,8 @@ def test_every_cause_nests_the_baseline(full: DriveRecordFamily) -> None:
 def test_admissible_friction_never_drives_the_axis(full: DriveRecordFamily) -> None:
     """Coulomb, Stribeck and lubricant friction against the motion, at every admissible corner; inertia is positive."""
     v = np.concatenate([np.linspace(-0.1, 0.1, 4001)])
-    m = Motion(v * 0.0, np.cumsum(v) * 1e-3, v, v * 0.0, v * 0.0, v * 0.0)
+    x = np.cumsum(v) * 1e-3
+    m = Motion(v * 0.0, x, v, v * 0.0, v * 0.0, v * 0.0, x, v)
     for term in full.model.terms:
         if term.cause.id == "low_speed_friction":
             low, (speed_low, speed_high) = term.cause.parameters[0].low, (1e-3, 0.1)

@@ -10,9 +10,10 @@ from scipy.optimize import lsq_linear, nnls
 
 from process.errors import InputError
 from smfe.diagnosis.calibration import PENALTY, Score, threshold
+from smfe.diagnosis.constancy import most_changing
 from smfe.diagnosis.cross_validation import HeldOut, compare, schemes
 from smfe.diagnosis.engine import deviations, diagnose, estimates
-from smfe.diagnosis.evidence import Bench
+from smfe.diagnosis.evidence import Bench, fitted_misfit
 from smfe.diagnosis.finding import explain
 from smfe.diagnosis.fit import Target, bounded_step
 from smfe.diagnosis.isolability import isolability
@@ -400,3 +401,58 @@ def test_a_cause_that_is_never_held_out_is_not_named():
     found = diagnose(measured(one, {"both.0": 5.0}, 0))
     assert found.verdict == "insufficient_data"
     assert "no condition can be held out" in found.reason
+
+
+CREEPING = replace(
+    FAMILY,
+    conditions=tuple(
+        Condition(f"run {k}", {"feed": 1.0 + k % 3, "direction": (-1.0) ** (k // 3), "order": k}) for k in range(24)
+    ),
+    effects=FAMILY.effects | {"creep": lambda s: (s["order"] - 11.5) * BASIS[0]},
+)
+"""What the catalogue does not have: an offset that creeps in time."""
+
+
+@pytest.mark.parametrize("chance", [0.05, 0.2])
+def test_noise_alone_is_beyond_the_threshold_as_often_as_it_should(chance):
+    draws, seen = 150, 0
+    for seed in range(draws):
+        b = bench(measured(FAMILY, {}, 1000 + seed))
+        seen += most_changing(b.model, b.tangent(b.null()), np.random.default_rng(0), chance).certain
+    assert abs(seen / draws - chance) < 3.0 * sqrt(chance * (1.0 - chance) / draws)
+
+
+def test_an_offset_that_creeps_is_unknown_though_no_condition_shows_it():
+    family = measured(CREEPING, {"creep": 0.04}, 3)
+    b = bench(family)
+    assert fitted_misfit(b, b.null()).chance > 0.002
+    found = b.changing(b.null())
+    assert (found.parameter, found.setting) == ("offset", "order")
+    # 0.04^2 times 24 values times the sum of (order - 11.5)^2, which nothing else imitates.
+    size = 0.04 * sqrt(N * 1150.0)
+    assert (size - 3.0) ** 2 < found.ratio < (size + 3.0) ** 2
+    finding = diagnose(family)
+    assert finding.verdict == "unknown"
+    assert finding.reason.startswith("offset changes with order")
+
+
+def test_the_catalogue_goes_first():
+    assert diagnose(measured(CREEPING, {"gain.0": 0.8}, 3)).verdict == "named"
+
+
+def test_words_are_told_apart_and_one_value_contrasts_nothing():
+    named = replace(
+        FAMILY,
+        conditions=tuple(
+            replace(c, settings={"controller": "hard" if c.settings["direction"] > 0 else "soft", "feed": 1.0})
+            for c in FAMILY.conditions
+        ),
+        causes=(),
+        effects={"softer": lambda s: (s["controller"] == "soft") * BASIS[1]},
+    )
+    b = bench(measured(named, {"softer": 3.0}, 0))
+    found = b.changing(b.null())
+    assert (found.parameter, found.setting, found.certain) == ("slope", "controller", True)
+    alone = replace(named, conditions=tuple(replace(c, settings={"feed": 1.0}) for c in named.conditions))
+    b = bench(measured(replace(alone, effects={}), {}, 0))
+    assert b.changing(b.null()) is None
