@@ -165,7 +165,7 @@ class DriveRecordFamily:
             Known wavelength of the ripple of screw, rack or magnets [m]. Default: the one that stands out, if one does
             beyond what noise alone would show at some wavelength; a ripple is in the catalogue in these cases only.
         cutoff : float, optional
-            Band of the comparison [Hz]. Default: as far as the force stands 20 dB above what no model explains, at
+            Band of the comparison [Hz]. Default: as far as the force stands 23 dB above what no model explains, at
             most a tenth of the sample rate.
         like : DriveRecordFamily, optional
             Take filter, noise, starts and catalogue from another record of the same axis (a held-out record).

@@ -405,7 +405,13 @@ def search(bench: Bench, most: int = MOST_CAUSES) -> tuple[Fit, list[Step]]:
         step = _best_step(bench, at, ladder)
         if step is None:
             return bench.fitted(at.causes), ladder
-        at = _drop_idle(bench, step, ladder)
+        refused, taken = {s.causes for s in ladder if not s.accepted}, len(ladder) - 1
+        smaller = _drop_idle(bench, step, ladder)
+        if smaller.causes in refused:
+            # A pair must not carry in what was refused alone.
+            ladder[taken:] = [replace(ladder[taken], accepted=False, reason="what is not idle of it was refused")]
+            return bench.fitted(at.causes), ladder
+        at = smaller
         if at.causes in seen:
             break
         seen.add(at.causes)
