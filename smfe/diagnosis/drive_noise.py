@@ -90,8 +90,8 @@ def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> W
         the ones observed.
     """
     kept = _kept(residuals)
-    observed = _covariances(residuals, kept)
-    found = _autoregression(observed)
+    observed, values = _covariances(residuals, kept), _values(residuals, kept)
+    found = _autoregression(observed, values)
     if regressors is None:
         return found
     basis, sizes = _orthonormal(regressors), [r.size for r in residuals]
@@ -100,7 +100,7 @@ def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> W
     for _ in range(_ROUNDS):
         drawn = _projected(_coloured(found, white), basis)
         given = given + observed - np.mean([_covariances(x, kept) for x in _split(drawn, sizes)], axis=0)
-        better = _autoregression(given)
+        better = _autoregression(given, values)
         if not better.stable:
             break
         found = better
@@ -129,7 +129,7 @@ def learned_again(
     before, after = ([_covariances(x, kept) for x in _split(y, sizes)] for y in (whole, left))
     taken = np.mean(before, axis=0) - np.mean(after, axis=0)
     for lags, moves in zip(after, _split(left, sizes), strict=True):
-        yield _autoregression(lags + taken), moves
+        yield _autoregression(lags + taken, _values(residuals, kept)), moves
 
 
 def _coloured(found: Whitener, white: Real) -> Real:
@@ -151,18 +151,29 @@ def _kept(residuals: Sequence[Real]) -> list[bool]:
     return [bool(rms <= 2.0 * np.median(size)) for rms in size]
 
 
+def _values(residuals: Sequence[Real], kept: Sequence[bool]) -> int:
+    return sum(r.size for r, good in zip(residuals, kept, strict=True) if good)
+
+
 def _covariances(residuals: Sequence[Real], kept: Sequence[bool]) -> Real:
     """Autocovariances of the moves that are kept, to lag `ORDER`."""
     used = [r for r, good in zip(residuals, kept, strict=True) if good]
-    total = sum(r.size for r in used)
+    total = _values(residuals, kept)
     return np.array([sum(float(r[k:] @ r[: r.size - k]) for r in used if r.size > k) / total for k in range(ORDER + 1)])
 
 
-def _autoregression(lags: Real) -> Whitener:
+def _autoregression(lags: Real, values: int) -> Whitener:
+    """Solve Yule and Walker's equations for the order of least ``N log(sigma^2) + 2 p``."""
     # A ridge of 1e-6 keeps what the low-pass has taken away from being blown up.
     lags = lags * np.where(np.arange(lags.size) == 0, 1.0 + 1e-6, 1.0)
-    coefficients = np.asarray(linalg.solve_toeplitz(lags[:-1], -lags[1:]))
-    return Whitener(coefficients, math.sqrt(max(float(lags[0] + coefficients @ lags[1:]), 1e-300)))
+    best, found = math.inf, Whitener(np.zeros(0), math.sqrt(max(float(lags[0]), 1e-300)))
+    for order in range(1, lags.size):
+        coefficients = np.asarray(linalg.solve_toeplitz(lags[:order], -lags[1 : order + 1]))
+        power = max(float(lags[0] + coefficients @ lags[1 : order + 1]), 1e-300)
+        merit = values * math.log(power) + 2.0 * order
+        if merit < best:
+            best, found = merit, Whitener(coefficients, math.sqrt(power))
+    return found
 
 
 def _orthonormal(columns: Real) -> Real:

@@ -12,7 +12,7 @@ independent balance for each move (`drive_control_law`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -244,8 +244,8 @@ class DriveRecordFamily:
         moving = [(c, x) for c, x in columns if isinstance(c.data, ForceData)]
         others = [x for c, x in columns if not isinstance(c.data, ForceData)]
         rest = sum((x.T @ x for x in others), np.zeros((columns[0][1].shape[1],) * 2))
-        found = []
-        for draw in self.model.draws:
+        found: list[Real] = []
+        for draw in self.model.draws if moving else ():
             joined = np.concatenate([x * draw.size.get(kind_of(c.settings), 1.0) for c, x in moving])
             through = draw.coloured_products(joined)
             found.append(rest + through.T @ through)
@@ -463,13 +463,26 @@ def _periodic(
         place = plain.seen(plain.motion.position)
         slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
         stroke = float(np.ptp(place))
-        wave = noise.strongest_wave(place, plain.left, _whitener(plain), 5.0 / stroke, cutoff / slowest)
-        if wave is not None and wave[1] < FALSE_ALARM:
-            lead = 1.0 / wave[0]
+        wave = _wave(place, plain, 5.0 / stroke, cutoff / slowest, lambda w: _balance(raw, cutoff, limit, 1.0 / w))
+        if wave is not None:
+            lead = 1.0 / wave
             plain = _balance(raw, cutoff, limit, lead)
     time = plain.seen(plain.motion.time)
-    wave = noise.strongest_wave(time, plain.left, _whitener(plain), _LOWEST_TONE, cutoff)
-    return lead, wave[0] if wave is not None and wave[1] < FALSE_ALARM else None
+    return lead, _wave(time, plain, _LOWEST_TONE, cutoff, lambda w: _balance(raw, cutoff, limit, lead, w))
+
+
+def _wave(
+    phase: Real, plain: _Balance, lowest: float, highest: float, with_wave: Callable[[float], _Balance]
+) -> float | None:
+    """Return the wave that stands out of what the reference leaves, if one does.
+
+    A strong one is learned as noise by the whitener: where it does not stand out, it is judged once more by a whitener
+    that was learned with the wave in the reference.
+    """
+    wave = noise.strongest_wave(phase, plain.left, _whitener(plain), lowest, highest)
+    if wave is not None and wave[1] >= FALSE_ALARM:
+        wave = noise.strongest_wave(phase, plain.left, _whitener(with_wave(wave[0])), lowest, highest)
+    return wave[0] if wave is not None and wave[1] < FALSE_ALARM else None
 
 
 def _whitener(balance: _Balance) -> Whitener:
