@@ -1,4 +1,4 @@
-"""Compliances under several conditions as one array: force level and feed become dimensions.
+"""Compliances under several conditions as one array: force level, depth of cut and feed become dimensions.
 
 A machine with friction, play or micro-slip has no compliance but one for each force level, and a moving axis one for
 each feed. Hits of several levels in the same records are told apart by their peaks; whole measurements by what the
@@ -29,7 +29,14 @@ Real = NDArray[np.float64]
 LEVEL_GAP = 1.6
 """Ratio of neighbouring peak forces from which they are two levels: a hand repeats a blow to a third or so."""
 
-STACKED = ("compliance", "compliance_std", "compliance_relation", "degrees_of_freedom", "coherence")
+STACKED = (
+    "compliance",
+    "compliance_std",
+    "compliance_relation",
+    "degrees_of_freedom",
+    "coherence",
+    "force_condition",
+)
 """Variables that are stacked; covariances stay with the single measurements."""
 
 _SAME_FREQUENCY = 2e-4
@@ -41,8 +48,9 @@ def stack_conditions(compliances: Sequence[tuple[Mapping[str, float], xr.Dataset
     Parameters
     ----------
     compliances : sequence of (mapping, xarray.Dataset)
-        Condition name (``force_level`` [N], ``feed`` [mm/min]) -> value, the same names in all; and what was measured
-        under it. Frequencies that differ by less than 0.02 % (or a quarter of the spacing) are one.
+        Condition name (``force_level`` [N], ``feed`` [mm/min], ``depth_of_cut`` [mm]) -> value, the same names in all;
+        and what was measured under it. Frequencies that differ by less than 0.02 % (or a quarter of the spacing) are
+        one.
 
     Returns
     -------
@@ -77,14 +85,15 @@ def stack_conditions(compliances: Sequence[tuple[Mapping[str, float], xr.Dataset
     }
     coords: dict[str, Any] = dict(zip(names, axes, strict=True))
     coords |= {"frequency": frequency, **labels}
-    shape = tuple(len(coords[name]) for name in (*names, *ENTRY))
     data = {}
     for variable in (v for v in STACKED if all(v in d for d in datasets)):
-        values = np.full(shape, np.nan, dtype=datasets[0][variable].dtype)
+        # A multiple coherence belongs to a response, the condition of the forces to neither.
+        own = tuple(dim for dim in ENTRY if dim in datasets[0][variable].dims)
+        values = np.full([len(coords[name]) for name in (*names, *own)], np.nan, dtype=datasets[0][variable].dtype)
         for at, line, dataset in zip(places, lines, datasets, strict=True):
-            part = dataset[variable].transpose(*ENTRY).reindex(labels).values
-            values[at][line] = part
-        data[variable] = ((*names, *ENTRY), values, {"units": UNITS[variable]})
+            part = dataset[variable].transpose(*own)
+            values[at][line] = part.reindex({dim: labels[dim] for dim in own[1:]}).values
+        data[variable] = ((*names, *own), values, {"units": UNITS[variable]})
     out = xr.Dataset(data, coords=coords)
     for name in (*names, "frequency"):
         out[name].attrs["units"] = UNITS.get(name, "1")
@@ -182,7 +191,7 @@ def by_level(
 def condition_cubes(
     measurements: Sequence[Measurement], compliances: Mapping[str, xr.Dataset]
 ) -> tuple[dict[str, xr.Dataset], list[str]]:
-    """Stack the measurements of a campaign that differ in force level or feed and in nothing else.
+    """Stack the measurements of a campaign that differ in level or feed and in nothing else.
 
     Parameters
     ----------
@@ -194,15 +203,15 @@ def condition_cubes(
     Returns
     -------
     cubes : dict
-        "hammer, controller K2" and so on -> compliance with the dimensions ``force_level`` [N] and ``feed``
-        [mm/min], of those that its measurements declare and that differ. Measurements that declare different ones are
-        not mixed.
+        "hammer, controller K2" and so on -> compliance with the dimensions ``force_level`` [N], ``depth_of_cut`` [mm]
+        (sweep) and ``feed`` [mm/min], of those that its measurements declare and that differ. Measurements that declare
+        different ones are not mixed.
     notes : list of str
         Groups that cannot be stacked, and why.
     """
     groups: dict[tuple[str, tuple[str, ...]], list[Measurement]] = {}
     for m in measurements:
-        if m.name in compliances and m.method in ("hammer", "actuator"):
+        if m.name in compliances and m.method in ("hammer", "actuator", "sweep"):
             groups.setdefault((_group(m), tuple(_numbers(m))), []).append(m)
     cubes, notes = {}, []
     for (name, declared), members in groups.items():
@@ -229,13 +238,17 @@ def _group(m: Measurement) -> str:
         "added mass": m.added_mass or None,
         "repeat": m.repeat,
     }
+    if m.method == "sweep":
+        parts |= {"estimator": m.estimator, "references": None if m.references == "all" else m.references}
     said = [m.method, *(f"{name} {value}" for name, value in parts.items() if value is not None)]
     return ", ".join(said).replace("/", " per ")
 
 
 def _numbers(m: Measurement) -> dict[str, float]:
-    """Return level [N] and feed [mm/min] where they are one number; several axes must agree."""
+    """Return level [N or mm] and feed [mm/min] where they are one number; several axes must agree."""
     out = {} if m.force_level is None else {"force_level": float(m.force_level)}
+    if m.method == "sweep" and m.depth_of_cut is not None:
+        out["depth_of_cut"] = round(1e3 * m.depth_of_cut, 6)
     if m.feed is not None:
         moving = {round(v * 6e4, 6) for v in m.feed.values() if v != 0.0}
         if len(moving) <= 1:

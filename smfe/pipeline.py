@@ -45,6 +45,7 @@ from smfe.measurements import cached_identification, check_sweeps, file_hash, sp
 from smfe.modal_verb import modal as modal
 from smfe.records import Channel, read_records
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
+from smfe.sweep_levels import level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table
 
 KEPT = ".kept"
@@ -111,31 +112,30 @@ def run(
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     with notes.timed("identify"):
-        found = _identify_all(loaded, folder / KEPT, progress)
-    compliances = _compliances(loaded, found)
+        found, cubes = _identify_all(loaded, folder / KEPT, progress)
+    whole = with_levels(loaded)
+    compliances = _compliances(whole, found)
     with notes.timed("compare"):
         progress("comparing", 0, 1)
-        comparison = _comparison({n: f.compliance for n, f in found.items()})
-        explained = explain({n: compliances[n] for n in found})
+        told = _told_apart({n: compliances[n] for n in found})
+        comparison, explained = _comparison(told), explain(told)
         errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):
-        results = all_lobes(loaded, compliances, progress)
+        results = all_lobes(whole, compliances, progress)
     with notes.timed("cutting tests"):
         verdicts = judge_all(loaded, compliances, progress)
     with notes.timed("diagnosis"):
-        finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
+        measured = {m.name: found[m.name] for m in loaded.measurements if m.name in found}
+        finding = finding_of(loaded, measured, progress) if loaded.baseline is not None else None
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
     notes.warnings += _warnings(found, results, verdicts)
-    cubes, unstacked = condition_cubes(loaded.measurements, compliances)
-    cubes |= split_levels(loaded)
+    stacked, unstacked = condition_cubes(loaded.measurements, compliances)
+    cubes |= stacked | split_levels(loaded)
     notes.warnings += unstacked
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found)
-    if cubes:
-        write_groups(folder / "conditions.nc", cubes)
-    else:
-        (folder / "conditions.nc").unlink(missing_ok=True)
+    _write_cubes(folder / "conditions.nc", cubes)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)
     write_csv(folder / "model_error.csv", errors)
@@ -170,19 +170,26 @@ def report(folder: Path | str, progress: Progress = silent) -> Path:
 def identify(
     campaign: Path | str, output: Path | str, progress: Progress = silent, licence: Show | None = None
 ) -> dict[str, Identification]:
-    """Identify every measurement of a campaign and write the compliances to one NetCDF file."""
+    """Identify every measurement of a campaign and write the compliances to one NetCDF file.
+
+    A sweep at several depths of cut is identified at each of them, too; `conditions.nc` beside the file then holds it
+    with the depth as a dimension.
+    """
     loaded, path = load_campaign(Path(campaign), licence), Path(output)
-    found = _identify_all(loaded, path.parent / KEPT, progress)
-    write_groups(path, _groups(_compliances(loaded, found), found))
+    found, cubes = _identify_all(loaded, path.parent / KEPT, progress)
+    write_groups(path, _groups(_compliances(with_levels(loaded), found), found))
+    if cubes:
+        _write_cubes(path.with_name("conditions.nc"), cubes)
     return found
 
 
 def compare(frf: Path | str, output: Path | str | None = None) -> pd.DataFrame:
     """Compare the measurements of a compliance file peak by peak; optionally write the table.
 
-    Beside it, `explained.csv` says what feed, level, controller and method explain of the differences.
+    Beside it, `explained.csv` says what feed, level, controller and method explain of the differences. Of a sweep at
+    several depths of cut these are compared, and not the estimate of all its passes together.
     """
-    groups = {n: d for n, d in read_groups(Path(frf)).items() if d.attrs.get("method") != "model"}
+    groups = _told_apart({n: d for n, d in read_groups(Path(frf)).items() if d.attrs.get("method") != "model"})
     table = compare_compliances(groups)
     if output is not None:
         write_csv(Path(output), table)
@@ -204,8 +211,8 @@ def lobes(
     if frf is not None:
         compliances = read_groups(Path(frf))
     else:
-        compliances = _compliances(loaded, _identify_all(loaded, path.parent / KEPT, progress))
-    results = all_lobes(loaded, compliances, progress)
+        compliances = _compliances(with_levels(loaded), _identify_all(loaded, path.parent / KEPT, progress)[0])
+    results = all_lobes(with_levels(loaded), compliances, progress)
     write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results})
     if table is not None:
         write_table(joined(results), Path(table))
@@ -260,16 +267,26 @@ def _no_default_channels(path: Path) -> str:
     )
 
 
-def _identify_all(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
-    check_sweeps(campaign)
+def _identify_all(
+    campaign: Campaign, kept: Path, progress: Progress
+) -> tuple[dict[str, Identification], dict[str, xr.Dataset]]:
+    """Return all measurements and levels of sweeps, and the latter as arrays over the depth of cut."""
+    whole = with_levels(campaign)
+    check_sweeps(whole)
     found = {}
-    for i, measurement in enumerate(campaign.measurements):
+    for i, measurement in enumerate(whole.measurements):
         if measurement.method not in COMPLIANCE_METHODS:
-            progress(_left_out(measurement), i, len(campaign.measurements))
+            progress(_left_out(measurement), i, len(whole.measurements))
             continue
-        progress(f"identifying {measurement.name}", i, len(campaign.measurements))
+        progress(f"identifying {measurement.name}", i, len(whole.measurements))
         found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
-    return found
+    pooled, cubes = level_cubes(campaign, found)
+    return found | pooled, cubes
+
+
+def _told_apart(compliances: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """Leave out estimates of several levels together, whose passes are in those of the single levels."""
+    return {name: dataset for name, dataset in compliances.items() if "levels" not in dataset.attrs}
 
 
 def _left_out(measurement: Measurement) -> str:
@@ -328,6 +345,13 @@ def _warnings(found: Mapping[str, Identification], lobes: Sequence[LobeResult], 
     out = [f"{name}: {w}" for name, item in found.items() for w in item.warnings]
     out += [f"{r.request}, {r.source}: {w}" for r in lobes for w in unpack_warnings(r.lobes)]
     return out + [f"{r['file']}: undecided: {r['reason']}" for r in verdicts.rows if r["verdict"] == "undecided"]
+
+
+def _write_cubes(path: Path, cubes: Mapping[str, xr.Dataset]) -> None:
+    if cubes:
+        write_groups(path, cubes)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _write_identifications(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from process.errors import InputError
+from smfe.entry_covariance import entry_covariance
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -145,14 +146,6 @@ def _square(compliance: xr.Dataset) -> tuple[Real, Complex, Complex, list[str]]:
         raise InputError("no frequency has a value and a standard deviation in all entries; nothing can be compared")
     part = compliance.sel(response=axes, excitation=axes).isel(frequency=np.flatnonzero(finite))
     value = part["compliance"].transpose("frequency", "response", "excitation").values
-    covariance = np.zeros((value.shape[0], n * n, n * n), dtype=complex)
-    where = [list(compliance["excitation"].values).index(a) for a in axes]
-    for i in range(n):
-        rows = slice(i * n, (i + 1) * n)
-        if "compliance_covariance" in part:
-            block = part["compliance_covariance"].isel(response=i).values
-            covariance[:, rows, rows] = block if block.shape[2] == n else block[:, :, where]
-        else:
-            std = part["compliance_std"].isel(response=i).values
-            covariance[:, rows, rows] = std[:, :, None] ** 2 * np.eye(n)
-    return part["frequency"].values, value, covariance, axes
+    if "other_excitation" in part.dims:
+        part = part.isel(other_excitation=[list(compliance["excitation"].values).index(a) for a in axes])
+    return part["frequency"].values, value, entry_covariance(part), axes

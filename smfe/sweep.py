@@ -21,6 +21,7 @@ from process.engagement import Engagement
 from process.errors import InputError
 from process.labels import axis_present, make_compliance, sample_interval
 from process.tool import Tool
+from smfe.force_noise import in_cut
 from smfe.identification import Identification
 from smfe.least_squares import Columns, Solution, condition_number, solve
 from smfe.local_polynomial import solve_local
@@ -355,15 +356,19 @@ def _smooth_noise(residual: Real, reach: int = 8) -> Real:
 
 
 def _pass_table(passes: Sequence[SweepPass], axes: Sequence[str]) -> pd.DataFrame:
+    """Return a row a pass: rms of each force over the record, and of their magnitude, with its peak, in the cut."""
     rows = []
     for p in passes:
         force = p.record["force"].sel(axis=list(axes)).values
         rms = np.sqrt(np.mean(force**2, axis=1))
+        whole = np.sum(force[:, in_cut(p.record)] ** 2, axis=0)
         rows.append(
             {
                 "pass": p.label,
                 "duration_s": p.record.sizes["time"] * sample_interval(p.record),
                 **{f"force_{a}_rms_N": value for a, value in zip(axes, rms, strict=True)},
+                "force_rms_N": np.sqrt(np.mean(whole)),
+                "force_peak_N": np.sqrt(np.max(whole)),
                 "from_rest_to_rest": at_rest(p.record),
             }
         )

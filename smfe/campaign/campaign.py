@@ -140,7 +140,8 @@ class Processing:
     remove_background : bool, optional
         Whether motion between hits is removed (hammer). None: where the campaign declares a feed.
     split_levels : bool, optional
-        Whether each force level is also identified for itself (hammer).
+        Whether each force level is also identified for itself (hammer), or each depth of cut (sweep). None: hammer no,
+        sweep yes.
     full_scale : float, optional
         Range of the force channel [N] (hammer).
     accelerometer_mass : float, optional

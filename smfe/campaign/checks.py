@@ -6,10 +6,12 @@ Works on the raw file, so that these errors are found together with those of the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from process import units
 from process.errors import InputError
+from smfe.campaign.depth_levels import depth_complaints, depths_of, level_name
 from smfe.campaign.quantities import ESTIMATORS, METHODS
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, unit_factor
 from smfe.records.words import did_you_mean, listed
@@ -37,7 +39,7 @@ _PROCESSING = {
     "force_window": ("hammer",),
     "exponential_window": ("hammer",),
     "remove_background": ("hammer",),
-    "split_levels": ("hammer",),
+    "split_levels": ("hammer", "sweep"),
     "full_scale": ("hammer",),
     "accelerometer_mass": ("hammer", "actuator"),
     "frame_mass": ("actuator",),
@@ -106,6 +108,9 @@ def _names(raw: Raw) -> Iterator[Complaint]:
         if name in first:
             yield (*where, "name"), f"'{name}' is already the name of {path(first[name])}; give each its own"
         first.setdefault(name, where)
+    for name in _level_names(raw):
+        if name in first:
+            yield (*first[name], "name"), f"'{name}' is what a depth of cut of a sweep is called; give another name"
 
 
 def _records(table: Raw) -> list[tuple[Loc, Raw]]:
@@ -156,6 +161,10 @@ def _sweeps(raw: Raw) -> Iterator[Complaint]:
         needed = len(set(axes)) if isinstance(axes, list) and axes else 3
         if len(passes) < needed:
             yield (*where, "records"), _too_few(passes, diameter, needed)
+        else:
+            records = [record for _, record in _records(table)]
+            missing = partial(_too_few, diameter=diameter, needed=needed)
+            yield from (((*where, "records"), text) for text in depth_complaints(table, records, needed, missing))
         yield from _estimator(where, table)
 
 
@@ -273,9 +282,17 @@ def _plan(raw: Raw) -> Iterator[Complaint]:
 
 def _named(raw: Raw, where: Loc, name: Any) -> Iterator[Complaint]:
     known = [known for _, known in _names_of(raw)]
-    if name not in known:
+    if name not in [*known, *_level_names(raw)]:
         near = did_you_mean(str(name), known)
         yield where, f"'{name}' is neither a measurement nor a model{near}; there are {listed(known)}"
+
+
+def _level_names(raw: Raw) -> Iterator[str]:
+    """Yield what the depths of cut of sweeps are called."""
+    for _, table in _tables(raw, "measurement"):
+        if table.get("method") == "sweep" and table.get("split_levels") is not False:
+            depths = {d for d in depths_of(table, [r for _, r in _records(table)]) if d is not None}
+            yield from (level_name(str(table.get("name")), d) for d in sorted(depths) if len(depths) > 1)
 
 
 def _channels(raw: Raw) -> Iterator[Complaint]:

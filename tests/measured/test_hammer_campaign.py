@@ -146,7 +146,11 @@ def test_full_scale_marks_what_reaches_it(tmp_path: Path) -> None:
         ('exponential_window = "2 mm"', "hammer", "exponential_window: unit 'mm' is not a unit of time"),
         ('remove_background = "yes"', "hammer", "remove_background: "),
         ("split_levels = 3", "hammer", "split_levels: "),
-        ("split_levels = true", "actuator", "split_levels: method 'actuator' does not read it; only a hammer does"),
+        (
+            "split_levels = true",
+            "actuator",
+            "split_levels: method 'actuator' does not read it; only a hammer or a sweep does",
+        ),
         ('full_scale = "-5 N"', "hammer", "full_scale: '-5 N' is not possible; it must be positive"),
         ('accelerometer_mass = "30"', "hammer", "accelerometer_mass: '30' has no unit"),
         ('accelerometer_mass = "0 kg"', "hammer", "accelerometer_mass: '0 kg' is not possible; it must be positive"),

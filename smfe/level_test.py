@@ -1,0 +1,125 @@
+"""Whether two compliances of one machine differ by more than their noise.
+
+With the difference d of all entries at a frequency and the sum C of their covariances, ``2 d^H C^-1 d`` of circular
+errors has the mean 2 r e (real and imaginary part of r e entries). Its mean over frequency is compared with chi^2 of as
+many degrees of freedom as the lines hold independently; C is estimated, from nu degrees of freedom a row, which makes
+the mean larger by nu/(nu - 2).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import stats
+
+from process.errors import InputError
+from smfe.entry_covariance import entry_covariance
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FEWEST = 3.0
+"""Degrees of freedom of a variance below which its mean is not corrected any more."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far two compliances are apart.
+
+    Parameters
+    ----------
+    size : float
+        Rms of the differences beyond noise over the rms compliance [1].
+    chance : float
+        Probability that noise alone makes as much.
+    worst : float
+        Frequency at which the difference is most significant [Hz].
+    """
+
+    size: float
+    chance: float
+    worst: float
+
+
+def difference_of(a: xr.Dataset, b: xr.Dataset) -> Difference:
+    """Compare two compliances of independent records at their common frequencies and entries.
+
+    Parameters
+    ----------
+    a, b : xarray.Dataset
+        With ``compliance_std``, better ``compliance_covariance`` and ``degrees_of_freedom``.
+
+    Returns
+    -------
+    Difference
+        The size refers to the mean of both.
+
+    Raises
+    ------
+    InputError
+        Without a common frequency and entry that both know with an error.
+    """
+    one, other = _common(a, b)
+    value = [_entries(d) for d in (one, other)]
+    spread = [entry_covariance(d) for d in (one, other)]
+    good = np.all([np.isfinite(v).all(axis=1) for v in (*value, *(s.reshape(len(s), -1) for s in spread))], axis=0)
+    if not good.any():
+        raise InputError("no frequency has a value and a standard deviation in all entries of both; nothing to compare")
+    d, covariance = (value[1] - value[0])[good], (spread[0] + spread[1])[good]
+    statistic = _distance(d, covariance) / _growth(one, other)[good]
+    lines = max(1.0, *(float(x.attrs.get("error_lines", 1.0)) for x in (a, b)))
+    independent = max(1.0, good.sum() / lines)
+    freedom = 2.0 * d.shape[1] * independent
+    chance = float(stats.chi2.sf(statistic.mean() * independent, freedom))
+    noise = float(np.trace(covariance, axis1=1, axis2=2).real.sum())
+    beyond = max(float(np.sum(np.abs(d) ** 2)) - noise, 0.0)
+    size = max(float(np.sum(np.abs(0.5 * (value[0] + value[1])[good]) ** 2)), 1e-300)
+    return Difference(math.sqrt(beyond / size), chance, float(one["frequency"].values[good][int(np.argmax(statistic))]))
+
+
+def _common(a: xr.Dataset, b: xr.Dataset) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return both at the frequencies and entries that they share."""
+    one, other = (np.round(d["frequency"].values, 6) for d in (a, b))
+    _, first, second = np.intersect1d(one, other, return_indices=True)
+    axes = {n: [x for x in a[n].values if x in b[n].values] for n in ("response", "excitation")}
+    if not first.size or not all(axes.values()):
+        raise InputError("the compliances share no frequency or no entry; identify both over the same band and axes")
+    both = [_selected(d, at, axes) for d, at in ((a, first), (b, second))]
+    return both[0], both[1]
+
+
+def _selected(d: xr.Dataset, at: NDArray[np.intp], axes: dict[str, list[str]]) -> xr.Dataset:
+    where = [list(d["excitation"].values).index(x) for x in axes["excitation"]]
+    # Labels of the other entry are optional; its order is that of the excitations.
+    others = {"other_excitation": where} if "other_excitation" in d.dims else {}
+    return d.isel({"frequency": at, **others}).sel(axes)
+
+
+def _entries(d: xr.Dataset) -> Complex:
+    value = d["compliance"].transpose("frequency", "response", "excitation").values
+    return np.asarray(value.reshape(len(value), -1), dtype=complex)
+
+
+def _distance(d: Complex, covariance: Complex) -> Real:
+    """Return ``2 d^H C^-1 d`` at each frequency; scaled, because entries differ by powers of ten."""
+    scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).real, 1e-300))
+    unit = covariance / (scale[:, :, None] * scale[:, None, :])
+    inverse = np.linalg.pinv(unit, rcond=1e-10, hermitian=True)
+    z = d / scale
+    return np.asarray(2.0 * np.einsum("fa,fab,fb->f", z.conj(), inverse, z).real)
+
+
+def _growth(a: xr.Dataset, b: xr.Dataset) -> Real:
+    """Return the mean of the distance over that of known covariances, ``nu/(nu - 2)``, the mean of all entries."""
+    growth = np.ones(a.sizes["frequency"])
+    for d in (a, b):
+        if "degrees_of_freedom" in d:
+            freedom = d["degrees_of_freedom"].transpose("frequency", ...).values.reshape(growth.size, -1)
+            known = np.maximum(np.nan_to_num(freedom, nan=np.inf), FEWEST)
+            # Each of both variances is about half of the sum.
+            growth += 0.25 * np.mean(known / (known - 2.0) - 1.0, axis=1)
+    return growth
