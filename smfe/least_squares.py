@@ -57,6 +57,9 @@ class Solution:
         Largest over smallest singular value of the force columns.
     residual : ndarray, shape (r, tests)
         Mean square residual of each response in each test.
+    freedom : ndarray, shape (r,)
+        Degrees of freedom of Student's t that the error of each part (real, imaginary) over its standard deviation
+        follows: ``2 (M - p)`` for uncorrelated columns, fewer where they share noise.
     """
 
     compliance: Complex
@@ -64,6 +67,7 @@ class Solution:
     coherence: Real
     condition: float
     residual: Real
+    freedom: Real
 
     @property
     def std(self) -> Real:
@@ -105,16 +109,17 @@ def solve(columns: Columns, excitations: int, noise: Real | None = None) -> Solu
     estimate = np.full(shape, np.nan, dtype=complex)
     covariance = np.full((*shape, excitations), np.nan, dtype=complex)
     coherence = np.full(rows, np.nan)
-    residual = np.full((rows, tests), np.nan)
+    residual, freedom = np.full((rows, tests), np.nan), np.zeros(rows)
     condition = condition_number(columns.regressors[:excitations])
     if m <= p or not np.isfinite(condition):
-        return Solution(estimate, covariance, coherence, condition, residual)
+        return Solution(estimate, covariance, coherence, condition, residual, freedom)
     for i in range(rows):
         weight = np.ones(m) if noise is None else 1.0 / np.sqrt(noise[i, columns.test])
         x = columns.response[i]
         gain, spread = _row(unit, x, weight, columns.correlation)
         left = x - gain @ unit
-        power = float(np.sum(np.abs(weight * left) ** 2)) / _freedom(unit, weight, columns.correlation)
+        expected, freedom[i] = _freedom(unit, weight, columns.correlation)
+        power = float(np.sum(np.abs(weight * left) ** 2)) / expected
         estimate[i] = gain[:excitations] / scale[:excitations]
         forces = scale[:excitations]
         covariance[i] = power * spread[:excitations, :excitations] / np.outer(forces, forces)
@@ -123,7 +128,7 @@ def solve(columns: Columns, excitations: int, noise: Real | None = None) -> Solu
         for test in range(tests):
             mine = columns.test == test
             residual[i, test] = np.mean(np.abs(left[mine]) ** 2) * m / (m - p) if mine.any() else np.nan
-    return Solution(estimate, covariance, np.clip(coherence, 0.0, 1.0), condition, residual)
+    return Solution(estimate, covariance, np.clip(coherence, 0.0, 1.0), condition, residual, freedom)
 
 
 def _row(unit: Complex, x: Complex, weight: Real, correlation: Complex | None) -> tuple[Complex, Complex]:
@@ -139,10 +144,20 @@ def _row(unit: Complex, x: Complex, weight: Real, correlation: Complex | None) -
     return gain, (inverse @ middle @ inverse.conj().T).conj()
 
 
-def _freedom(unit: Complex, weight: Real, correlation: Complex | None) -> float:
-    """Degrees of freedom of the residual: ``trace((I - Q Q^H) R)``, M - p for uncorrelated columns."""
+def _freedom(unit: Complex, weight: Real, correlation: Complex | None) -> tuple[float, float]:
+    """Return the expected sum of squares of the residual for unit noise, and its real degrees of freedom.
+
+    With ``P = I - Q Q^H`` and noise of correlation R the sum has the mean ``tr(P R)`` and the variance ``tr(P R P R)``
+    of circular noise; a scaled chi^2 of the same mean and variance has ``2 tr(P R)^2/tr(P R P R)`` degrees of freedom
+    (Satterthwaite 1946): 2 (M - p) for uncorrelated columns.
+    """
     p, m = unit.shape
     if correlation is None:
-        return float(m - p)
+        return float(m - p), 2.0 * (m - p)
     q = np.linalg.qr((unit * weight).conj().T)[0]
-    return max(float(m - np.trace(q.conj().T @ correlation.conj() @ q).real), 1.0)
+    # R belongs to the noise, P to its conjugate.
+    through = correlation.conj() @ q
+    inner = q.conj().T @ through
+    mean = max(float(m - np.trace(inner).real), 1.0)
+    square = np.sum(np.abs(correlation) ** 2) - 2.0 * np.sum(np.abs(through) ** 2) + np.sum(np.abs(inner) ** 2)
+    return mean, 2.0 * mean**2 / max(float(square), 1e-300)

@@ -91,7 +91,7 @@ def identify_sweep(
         ``compliance``, ``compliance_std``, ``compliance_covariance`` (``E[d_j conj(d_k)]`` of the errors in one row,
         [m2/N2]), ``coherence`` (adjusted multiple coherence; NaN for `SingleReference`, where three columns for three
         unknowns leave nothing to judge by), ``force_condition`` and, for `LocalPolynomial`, the ``half_width`` chosen
-        [Hz] and the real ``degrees_of_freedom`` of the variance; ``compliance_gradient`` and its standard deviation
+        [Hz]; ``degrees_of_freedom`` of Student's t for each part; ``compliance_gradient`` and its standard deviation
         where the fit depends on position: change from the middle to the end of a pass. Frequencies whose condition
         number exceeds `REFUSE_CONDITION` are NaN.
 
@@ -174,9 +174,11 @@ def _labelled(
     if found.compliance.shape[2] > e:
         extra["compliance_gradient"] = (three, found.compliance[..., e:])
         extra["compliance_gradient_std"] = (three, std[..., e:])
-    for name, values in (("half_width", found.half_width), ("degrees_of_freedom", found.freedom)):
-        if values is not None:
-            extra[name] = (three[:2], values)
+    if found.half_width is not None:
+        extra["half_width"] = (three[:2], found.half_width)
+    if found.freedom is not None:
+        # All entries of a row have the same residual; the label is that of every method.
+        extra["degrees_of_freedom"] = (three, np.repeat(found.freedom[..., None], e, axis=2))
     return make_compliance(frequency, found.compliance[..., :e], response, list(axes), extra=extra, attrs=attrs)
 
 
@@ -290,10 +292,7 @@ def _by_columns(
         solutions.append(solve(c, excitations, noise[i]))
         if progress is not None:
             progress(i + 1, len(columns))
-    freedom = np.array(
-        [np.full(c.response.shape[0], 2.0 * (c.response.shape[1] - c.regressors.shape[0])) for c in columns]
-    )
-    found = _stack(solutions, error_lines, np.maximum(freedom, 0.0))
+    found = _stack(solutions, error_lines)
     if not short:
         return found
     where = in_words(frequency, np.isin(frequency, [f for _, f in short]))
@@ -301,14 +300,14 @@ def _by_columns(
     return replace(found, warnings=(text,))
 
 
-def _stack(solutions: Sequence[Solution], error_lines: float, freedom: Real) -> Estimate:
+def _stack(solutions: Sequence[Solution], error_lines: float) -> Estimate:
     return Estimate(
         np.array([s.compliance for s in solutions]),
         np.array([s.covariance for s in solutions]),
         np.array([s.coherence for s in solutions]),
         np.array([s.condition for s in solutions]),
         error_lines,
-        freedom=freedom,
+        freedom=np.array([s.freedom for s in solutions]),
     )
 
 

@@ -30,7 +30,7 @@ class Estimate:
     half_width : ndarray, shape (f, r), optional
         Half of the band each row comes from [Hz].
     freedom : ndarray, shape (f, r), optional
-        Real degrees of freedom of the variance.
+        Degrees of freedom of Student's t for each part: real ones of the variance, whose errors are circular.
     warnings : tuple of str
         What the user should know.
     """

@@ -78,7 +78,7 @@ def error(compliance: xr.Dataset) -> float:
 def inside(compliance: xr.Dataset) -> np.ndarray:
     """Whether 95 % intervals of real and imaginary parts hold the truth, shape (2, f, r, e)."""
     d = compliance["compliance"].values - truth(compliance)
-    factor = stats.t.ppf(0.975, compliance["degrees_of_freedom"].values)[..., None] / math.sqrt(2.0)
+    factor = stats.t.ppf(0.975, compliance["degrees_of_freedom"].values) / math.sqrt(2.0)
     width = factor * compliance["compliance_std"].values
     return np.array([np.abs(d.real) <= width, np.abs(d.imag) <= width])
 
