@@ -47,6 +47,7 @@ SI_UNITS: dict[str, str] = {
     "compliance": "m/N",
     "compliance_std": "m/N",
     "compliance_covariance": "m^2/N^2",
+    "entry_covariance": "m^2/N^2",
     "compliance_relation": "m^2/N^2",
     "deviation": "m/N",
     "degrees_of_freedom": "1",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -9,6 +11,14 @@ from numpy.typing import NDArray
 from process.errors import InputError
 
 Complex = NDArray[np.complex128]
+
+
+def with_entries(compliance: xr.Dataset, responses: Sequence[str], excitations: Sequence[str]) -> xr.Dataset:
+    """Return a compliance of some entries, in the order given, with what its covariances say of them."""
+    rows = [list(compliance["response"].values).index(a) for a in responses]
+    columns = [list(compliance["excitation"].values).index(a) for a in excitations]
+    where = {"response": rows, "excitation": columns, "other_response": rows, "other_excitation": columns}
+    return compliance.isel({dim: at for dim, at in where.items() if dim in compliance.dims})
 
 
 def entry_covariance(compliance: xr.Dataset) -> Complex:
@@ -19,7 +29,7 @@ def entry_covariance(compliance: xr.Dataset) -> Complex:
     Parameters
     ----------
     compliance : xarray.Dataset
-        With ``compliance_std``, better ``compliance_covariance``.
+        With ``compliance_std``, better ``compliance_covariance``, best ``entry_covariance``.
 
     Raises
     ------
@@ -30,6 +40,10 @@ def entry_covariance(compliance: xr.Dataset) -> Complex:
         raise InputError("differences are judged against noise, and the compliance has no compliance_std; identify it")
     std = compliance["compliance_std"].transpose("frequency", "response", "excitation").values
     f, r, e = std.shape
+    if "entry_covariance" in compliance:
+        five = ("frequency", "response", "excitation", "other_response", "other_excitation")
+        whole = compliance["entry_covariance"].transpose(*five).values
+        return np.asarray(whole.reshape(f, r * e, r * e), dtype=complex)
     out = np.zeros((f, r, e, r, e), dtype=complex)
     for row in range(r):
         if "compliance_covariance" in compliance:

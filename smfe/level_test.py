@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from process.errors import InputError
-from smfe.entry_covariance import entry_covariance
+from smfe.entry_covariance import entry_covariance, with_entries
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -88,15 +88,8 @@ def _common(a: xr.Dataset, b: xr.Dataset) -> tuple[xr.Dataset, xr.Dataset]:
     axes = {n: [x for x in a[n].values if x in b[n].values] for n in ("response", "excitation")}
     if not first.size or not all(axes.values()):
         raise InputError("the compliances share no frequency or no entry; identify both over the same band and axes")
-    both = [_selected(d, at, axes) for d, at in ((a, first), (b, second))]
+    both = [with_entries(d.isel(frequency=at), *axes.values()) for d, at in ((a, first), (b, second))]
     return both[0], both[1]
-
-
-def _selected(d: xr.Dataset, at: NDArray[np.intp], axes: dict[str, list[str]]) -> xr.Dataset:
-    where = [list(d["excitation"].values).index(x) for x in axes["excitation"]]
-    # Labels of the other entry are optional; its order is that of the excitations.
-    others = {"other_excitation": where} if "other_excitation" in d.dims else {}
-    return d.isel({"frequency": at, **others}).sel(axes)
 
 
 def _entries(d: xr.Dataset) -> Complex:

@@ -54,8 +54,8 @@ class Equations:
         ``sum conj(u_j t^p) u_k t^q``.
     cross : ndarray of complex, shape (b, tests, p, j, r)
         ``sum conj(u_j t^p) X``.
-    power : ndarray, shape (b, tests, r)
-        ``sum |X|^2``.
+    joint : ndarray of complex, shape (b, tests, r, r)
+        ``sum X_i conj(X_k)``.
     moment : ndarray, shape (b, tests, p, p)
         ``sum t^(p + q)``; the first is the number of lines.
     """
@@ -64,8 +64,13 @@ class Equations:
     step: float
     gram: Complex
     cross: Complex
-    power: Real
+    joint: Complex
     moment: Real
+
+    @property
+    def power(self) -> Real:
+        """``sum |X|^2``, shape (b, tests, r)."""
+        return np.asarray(np.diagonal(self.joint, axis1=2, axis2=3).real)
 
     @property
     def unknowns(self) -> int:
@@ -108,7 +113,7 @@ def bin_lines(tests: Sequence[Lines], edges: Real, order: int, instruments: Sequ
     centre = 0.5 * (edges[1:] + edges[:-1])
     gram = np.zeros((b, len(tests), n * j, n * j), dtype=complex)
     cross = np.zeros((b, len(tests), n * j, r), dtype=complex)
-    power, moment = np.zeros((b, len(tests), r)), np.zeros((b, len(tests), n, n))
+    joint, moment = np.zeros((b, len(tests), r, r), dtype=complex), np.zeros((b, len(tests), n, n))
     for k, test in enumerate(tests):
         border = np.searchsorted(test.frequency, edges - 1e-9)
         for i in range(b):
@@ -118,10 +123,10 @@ def bin_lines(tests: Sequence[Lines], edges: Real, order: int, instruments: Sequ
             x = test.response[lines]
             z = (terms[:, :, None] * left[k].inputs[lines, None, :]).reshape(u.shape)
             gram[i, k], cross[i, k] = z.conj().T @ u, z.conj().T @ x
-            power[i, k], moment[i, k] = np.sum(np.abs(x) ** 2, axis=0), terms.T @ terms
+            joint[i, k], moment[i, k] = x.T @ x.conj(), terms.T @ terms
     shape = (b, len(tests), n, j)
     return Equations(
-        centre, float(edges[1] - edges[0]), gram.reshape(*shape, n, j), cross.reshape(*shape, r), power, moment
+        centre, float(edges[1] - edges[0]), gram.reshape(*shape, n, j), cross.reshape(*shape, r), joint, moment
     )
 
 
@@ -178,6 +183,7 @@ def ring(equations: Equations, first: NDArray[np.int64], weight: Real, offsets: 
     gram = np.zeros((first.size, r, k, k), dtype=complex)
     cross = np.zeros((first.size, r, k), dtype=complex)
     power, lines = np.zeros((first.size, r)), np.zeros(first.size)
+    squares = equations.power
     for offset in offsets:
         at = first + offset
         # About the frequency, whose distance to the centre of the bin is half a bin more than the offset.
@@ -189,7 +195,7 @@ def ring(equations: Equations, first: NDArray[np.int64], weight: Real, offsets: 
         gram += s.T @ weighted.reshape(gram.shape) @ s
         moved = np.sum(w[:, :, None] * equations.cross[at].reshape(first.size, tests, k, r), axis=1)
         cross += moved.swapaxes(1, 2) @ s
-        power += np.sum(w * equations.power[at], axis=1)
+        power += np.sum(w * squares[at], axis=1)
         lines += equations.moment[at, :, 0, 0].sum(axis=1)
     return Bands(gram, cross, power, lines)
 
@@ -224,15 +230,18 @@ def _inverse(unit: Complex) -> Complex:
     return inverse
 
 
-def residual_power(equations: Bands | Equations, coefficients: Complex) -> Real:
-    """Return ``sum |X - c u|^2``, shape (f, r); of `Equations`, with coefficients (b, tests, r, k), (b, tests, r)."""
-    if isinstance(equations, Equations):
-        b, t = equations.power.shape[:2]
-        k = equations.unknowns
-        gram, cross = equations.gram.reshape(b, t, k, k), equations.cross.reshape(b, t, k, -1)
-        fitted = np.einsum("btrk,btkl,btrl->btr", coefficients.conj(), gram, coefficients, optimize=True).real
-        shared = np.einsum("btrk,btkr->btr", coefficients.conj(), cross, optimize=True).real
-        return np.asarray(np.maximum(equations.power - 2.0 * shared + fitted, 0.0))
-    fitted = np.einsum("frk,frkl,frl->fr", coefficients.conj(), equations.gram, coefficients, optimize=True).real
-    shared = np.einsum("frk,frk->fr", coefficients.conj(), equations.cross).real
-    return np.asarray(np.maximum(equations.power - 2.0 * shared + fitted, 0.0))
+def residual_power(bands: Bands, coefficients: Complex) -> Real:
+    """Return the weighted ``sum |X - c u|^2``, shape (f, r)."""
+    fitted = np.einsum("frk,frkl,frl->fr", coefficients.conj(), bands.gram, coefficients, optimize=True).real
+    shared = np.einsum("frk,frk->fr", coefficients.conj(), bands.cross).real
+    return np.asarray(np.maximum(bands.power - 2.0 * shared + fitted, 0.0))
+
+
+def residual_products(equations: Equations, coefficients: Complex) -> Complex:
+    """Return ``sum (X - c u)_i conj((X - c u)_k)`` of coefficients (b, r, k) in all tests, shape (b, tests, r, r)."""
+    b, t = equations.joint.shape[:2]
+    k = equations.unknowns
+    gram, cross = equations.gram.reshape(b, t, k, k), equations.cross.reshape(b, t, k, -1)
+    shared = np.einsum("btli,bkl->btik", cross, coefficients.conj(), optimize=True)
+    fitted = np.einsum("bil,btml,bkm->btik", coefficients, gram, coefficients.conj(), optimize=True)
+    return np.asarray(equations.joint - shared - shared.conj().swapaxes(2, 3) + fitted)

@@ -22,11 +22,13 @@ from smfe.local_equations import (
     Lines,
     bin_lines,
     residual_power,
+    residual_products,
     ring,
     shift_matrix,
     solve_bands,
 )
 from smfe.rational_fit import fit_rational
+from smfe.row_correlation import noise_between, possible, shared_noise
 from smfe.sweep_estimate import Estimate, in_words
 from smfe.sweep_estimators import LocalPolynomial, SweepPass, at_rest
 from smfe.sweep_inputs import (
@@ -132,8 +134,14 @@ def solve_local(
             progress(number + 1, steps)
     model = estimator.rational and instruments is None
     found = _choose(estimator, widths, solved, frequency, cautious=model)
+    shared = shared_noise(*_products(data, estimator, weight, _width_for_noise(data, widths)))
+    level = 1.0 / np.sqrt(weight[data.first].mean(axis=1))
+    assert found.half_width is not None
+    found = replace(found, between=noise_between(found.covariance, shared, level, found.half_width))
     if model:
-        found = _with_rational(estimator, data, weight, solved, found)
+        found = _with_rational(estimator, data, weight, solved, found, (shared, level))
+    assert found.between is not None
+    found = replace(found, between=possible(found.covariance, found.between))
     if progress is not None:
         progress(steps, steps)
     return _about_noise(found, losses[min(2, len(losses) - 1)], noise, frequency)
@@ -330,13 +338,13 @@ def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int 
     it and is known; what is left is smooth, white for an accelerometer: as a displacement it falls with the fourth
     power of frequency.
     """
-    b, tests, r = data.raw.power.shape
-    weight = np.ones((b, tests, r))
+    weight = np.ones(data.raw.joint.shape[:3])
     reach = max(1, round(NOISE_REACH / estimator.resolution))
     whitened = (data.frequency / data.frequency[0])[:, None, None] ** 4
     below = np.minimum((np.maximum(data.raw.centre, 0.0) / data.frequency[0]) ** 4, 1.0)[:, None, None]
     for _ in range(rounds):
-        coefficients, mean = _residual_power(data, estimator, width, weight)
+        coefficients, products = _residual_noise(data, estimator, width, weight)
+        mean = np.maximum(np.diagonal(products, axis1=2, axis2=3).real, 0.0)
         phi = coefficients[..., : data.excitations]
         through = np.einsum("frj,ftkj,frk->ftr", phi, data.force_noise[data.first], phi.conj(), optimize=True).real
         through = np.minimum(_median(through, reach // 2), 0.95 * _median(mean, reach // 2))
@@ -345,25 +353,37 @@ def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int 
     return weight
 
 
-def _residual_power(data: _Data, estimator: LocalPolynomial, width: float, weight: Real) -> tuple[Complex, Real]:
-    """Return the coefficients of one width, (f, r, k), and the residual power a line, (f, tests, r)."""
+def _residual_noise(data: _Data, estimator: LocalPolynomial, width: float, weight: Real) -> tuple[Complex, Complex]:
+    """Return the coefficients of one width, (f, r, k), and the mean products of residuals a line, (f, tests, r, r)."""
     side, k = _bins(data, width), data.raw.unknowns
     coefficients, _ = solve_bands(ring(data.clean, data.first, weight, range(-side, side)))
-    tests, r = data.raw.power.shape[1:]
-    residual, each = np.zeros((data.first.size, tests, r)), np.zeros((data.first.size, tests))
+    tests, r = data.raw.joint.shape[1:3]
+    residual, each = np.zeros((data.first.size, tests, r, r), dtype=complex), np.zeros((data.first.size, tests))
     for offset in range(-side, side):
         at = data.first + offset
         shift = shift_matrix((offset + 0.5) * data.raw.step, estimator.order)
         moved = np.einsum("kl,frl->frk", np.kron(shift, np.eye(k // (estimator.order + 1))), coefficients)
         here = Equations(
-            data.raw.centre[at], data.raw.step, data.raw.gram[at], data.raw.cross[at], data.raw.power[at],
+            data.raw.centre[at], data.raw.step, data.raw.gram[at], data.raw.cross[at], data.raw.joint[at],
             data.raw.moment[at],
         )  # fmt: skip
-        residual += residual_power(here, np.repeat(moved[:, None], tests, axis=1))
+        residual += residual_products(here, moved)
         each += here.moment[:, :, 0, 0]
     lines = each.sum(axis=1)
-    fair = (lines / np.maximum(lines - k, 1.0))[:, None, None]
-    return coefficients, np.where(each[..., None] > 0, residual / np.maximum(each, 1.0)[..., None] * fair, np.nan)
+    fair = (lines / np.maximum(lines - k, 1.0))[:, None, None, None]
+    each = each[..., None, None]
+    return coefficients, np.where(each > 0, residual / np.maximum(each, 1.0) * fair, np.nan)
+
+
+def _products(data: _Data, estimator: LocalPolynomial, weight: Real, width: float) -> tuple[Complex, Real, int]:
+    """Return the noise a line, the independent lines that pooling rests on (f, tests), and the neighbours to pool."""
+    side, reach = _bins(data, width), max(1, round(NOISE_REACH / estimator.resolution))
+    products = _residual_noise(data, estimator, width, weight)[1]
+    count = np.sum([data.raw.moment[data.first + o, :, 0, 0] for o in range(-side, side)], axis=0)
+    free = 1.0 - np.minimum(data.raw.unknowns / np.maximum(count.sum(axis=1, keepdims=True), 1.0), 0.9)
+    # Bands of neighbours overlap, or leave lines between them out.
+    pooled = min(1.0 + reach * estimator.resolution / width, 2.0 * reach + 1.0)
+    return products, count * free * pooled, reach
 
 
 def _median(values: Real, reach: int) -> Real:
@@ -495,14 +515,23 @@ def difference(a: Estimate, b: Estimate) -> Real:
 
 
 def _with_rational(
-    estimator: LocalPolynomial, data: _Data, weight: Real, solved: Sequence[Estimate], found: Estimate
+    estimator: LocalPolynomial,
+    data: _Data,
+    weight: Real,
+    solved: Sequence[Estimate],
+    found: Estimate,
+    noise: tuple[Complex, Real],
 ) -> Estimate:
-    """Take the rational model where it agrees with what was chosen and with all narrower bands."""
+    """Take the rational model where it agrees with what was chosen and with all narrower bands.
+
+    Rows that share noise share errors, and rows of the model share its poles as well.
+    """
     assert found.half_width is not None
     assert found.freedom is not None
     e, f = data.excitations, data.frequency
     fit = fit_rational(data.clean, data.raw, weight, (float(f[0]) - 1.0, float(f[-1]) + 1.0), f, e)
-    covariance = fit.covariance * max(1.0, fit.misfit)
+    scale = max(1.0, fit.misfit)
+    covariance = fit.covariance * scale
     model = replace(found, compliance=fit.value, covariance=covariance)
     agrees = np.ones(found.half_width.shape, dtype=bool)
     for width, s in zip(sorted(estimator.half_widths), solved, strict=False):
@@ -512,6 +541,11 @@ def _with_rational(
     covariance = covariance + _lack_of_fit(model, found, estimator)
     narrower_std = np.sum(np.diagonal(covariance, axis1=2, axis2=3).real, axis=2) < np.sum(found.std**2, axis=2)
     take = agrees & narrower_std
+    linear = np.where(take[..., None, None], fit.linear * scale, found.covariance)
+    both = (take[:, :, None] & take[:, None, :])[:, :, None, :, None]
+    between = noise_between(linear, *noise, np.where(take, np.inf, found.half_width)) + np.where(
+        both, fit.between * scale, 0.0
+    )
     half_width: Real = np.where(
         take, np.maximum((f[-1] - f[0]) / (2.0 * fit.terms), found.half_width), found.half_width
     )
@@ -521,6 +555,7 @@ def _with_rational(
         compliance=np.where(take[..., None], fit.value, found.compliance),
         covariance=np.where(take[..., None, None], covariance, found.covariance),
         half_width=half_width,
+        between=between,
         freedom=np.where(take, 2.0 * fit.freedom / found.compliance.shape[1], found.freedom),
     )
 

@@ -5,7 +5,11 @@
 and modes far outside are smooth and belong to the remainder; the transient of a record has the same poles and is one
 more input. Weighted least squares over all bins: for given poles the rest is linear and eliminated row by row; the
 poles follow by Gauss and Newton's steps (variable projection, Golub and Pereyra 1973; common-denominator models:
-Pintelon and Schoukens 2012, ch. 9). Poles are added one by one while each is worth its unknowns.
+Pintelon and Schoukens 2012, ch. 9). Poles are added one by one while each is worth its unknowns, and so are orders of
+the remainder. An order that is not worth its unknowns may still be there: with a fall of W for each unknown, of which
+noise makes 1, its coefficients are W - 1 of their variances from zero, and left out they bias the model by up to
+``sqrt(W - 1)`` of its own standard deviation where that of the order rules, at the ends of the band. So one order more
+is fitted than pays: what is then left out is smaller by what an order brings.
 """
 
 from __future__ import annotations
@@ -59,7 +63,11 @@ class RationalFit:
     value : ndarray of complex, shape (f, r, e)
         At the frequencies asked for [m/N].
     covariance : ndarray of complex, shape (f, r, e, e)
-        For unit noise of the weighted lines.
+        Within a row, for unit noise of the weighted lines.
+    linear : ndarray of complex, shape (f, r, e, e)
+        The same as if the poles were known.
+    between : ndarray of complex, shape (f, r, e, r, e)
+        Between rows whose noise is independent: their poles are the same. Zero within a row.
     terms : int
         Functions of frequency an entry has.
     """
@@ -69,6 +77,8 @@ class RationalFit:
     freedom: float
     value: Complex
     covariance: Complex
+    linear: Complex
+    between: Complex
     terms: int
 
 
@@ -135,7 +145,7 @@ def fit_rational(
     Returns
     -------
     RationalFit
-        With as many poles as are worth their unknowns, `MOST_POLES` at most.
+        With as many poles as are worth their unknowns, `MOST_POLES` at most, and one order more than is.
     """
     together = max(1, round(COARSE / equations.step))
     problem = _problem(equations, weight, band, order, together)
@@ -147,17 +157,20 @@ def fit_rational(
             if best.cost - found.cost > WORTH * (each + 1):
                 best = found
                 continue
-        smoother = replace(problem, order=problem.order + 1)
-        found = _polished(smoother, best.poles)
-        if smoother.order > MOST_ORDER or not best.cost - found.cost > WORTH * each:
+        worth, (problem, best) = best.cost, _one_order_more(problem, best)
+        if problem.order > MOST_ORDER or not worth - best.cost > WORTH * each:
             break
-        problem, best = smoother, found
     if together > 1 and best.poles.size and float(best.poles.imag.min()) < NARROW * COARSE:
         together = 1
         problem = _problem(equations, weight, band, problem.order, 1)
         best = _polished(problem, best.poles)
     left = _residual(_problem(raw, weight, band, problem.order, together), best)
     return _result(problem, best, left, frequency, excitations)
+
+
+def _one_order_more(problem: _Problem, at: _Linear) -> tuple[_Problem, _Linear]:
+    smoother = replace(problem, order=problem.order + 1)
+    return smoother, _polished(smoother, at.poles)
 
 
 def _problem(equations: Equations, weight: Real, band: tuple[float, float], order: int, together: int) -> _Problem:
@@ -329,6 +342,8 @@ def _result(problem: _Problem, at: _Linear, left: float, frequency: Real, excita
     shape = plain / size
     value = np.einsum("fn,rnj->frj", shape, at.amplitude)[..., :excitations]
     covariance = np.empty((frequency.size, rows, excitations, excitations), dtype=complex)
+    moved = np.zeros((frequency.size, rows, excitations, m), dtype=complex)
+    poles = np.zeros((m, m), dtype=complex)
     if m:
         curvature, _, couplings = _curvature(problem, at)
         poles = np.linalg.pinv(curvature, rcond=1e-12, hermitian=True)
@@ -340,7 +355,11 @@ def _result(problem: _Problem, at: _Linear, left: float, frequency: Real, excita
             continue
         follow = (at.inverse[i] @ couplings[i]).reshape(n, j, m)
         direct = slopes[:, None, :] * (at.amplitude[i, :m].T / size[:m])[None]
-        moved = (direct - np.einsum("fn,njm->fjm", shape, follow))[:, :excitations]
-        covariance[:, i] += np.einsum("fjm,ml,fkl->fjk", moved, poles, moved.conj(), optimize=True)
+        moved[:, i] = (direct - np.einsum("fn,njm->fjm", shape, follow))[:, :excitations]
+    by_poles = np.einsum("frjm,ml,fskl->frjsk", moved, poles, moved.conj(), optimize=True)
+    within = np.stack([by_poles[:, i, :, i] for i in range(rows)], axis=1)
+    for i in range(rows):
+        by_poles[:, i, :, i] = 0.0
     freedom = problem.lines - rows * n * j - m
-    return RationalFit(at.poles, left / max(freedom, 1.0), freedom, value, covariance, n)
+    misfit = left / max(freedom, 1.0)
+    return RationalFit(at.poles, misfit, freedom, value, covariance + within, covariance, by_poles, n)

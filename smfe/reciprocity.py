@@ -1,9 +1,10 @@
 """Reciprocity of a measured compliance: a test, and the symmetric compliance next to it.
 
-A linear structure with force and motion at one point has ``Phi_ij = Phi_ji`` (Maxwell, Betti). Rows of a sweep have
-independent errors, so the symmetric matrix of least weighted distance is the constrained weighted least squares:
-``theta = (S^T C^-1 S)^-1 S^T C^-1 phi`` with the nine entries phi, their covariance C and S from six to nine. A servo,
-a moving guideway or sensors away from the tool break reciprocity; then the constraint is wrong, and the test says so.
+A linear structure with force and motion at one point has ``Phi_ij = Phi_ji`` (Maxwell, Betti). The symmetric matrix of
+least weighted distance is the constrained weighted least squares: ``theta = (S^T C^-1 S)^-1 S^T C^-1 phi`` with the
+nine entries phi, their covariance C (between rows, too, where noise reaches several sensors) and S from six to nine.
+A servo, a moving guideway or sensors away from the tool break reciprocity; then the constraint is wrong, and the test
+says so.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from process.errors import InputError
-from smfe.entry_covariance import entry_covariance
+from smfe.entry_covariance import entry_covariance, with_entries
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -64,6 +65,9 @@ def reciprocity(compliance: xr.Dataset) -> Reciprocity:
     for k, (i, j) in enumerate(pairs):
         difference[k, i * n + j], difference[k, j * n + i] = 1.0, -1.0
     spread = np.einsum("ka,fab,lb->fkl", difference, covariance, difference)
+    # What has been made symmetric differs by rounding, with no error.
+    floor = 1e-9 * np.trace(covariance, axis1=1, axis2=2).real / (n * n)
+    spread = spread + floor[:, None, None] * np.eye(len(pairs))
     statistic = 2.0 * np.einsum("fk,fkl,fl->f", d.conj(), np.linalg.pinv(spread, hermitian=True), d).real
     # Lines share their errors: as many are independent as there are groups of them.
     shared = max(1.0, float(compliance.attrs.get("error_lines", 1.0)))
@@ -79,7 +83,7 @@ def reciprocity(compliance: xr.Dataset) -> Reciprocity:
 def symmetric(compliance: xr.Dataset) -> xr.Dataset:
     """Return the compliance constrained to be symmetric, with the smaller standard deviation that this gives.
 
-    Rows share their errors afterwards; ``compliance_covariance`` holds what is within a row.
+    Rows share their errors afterwards: ``entry_covariance`` holds it, ``compliance_covariance`` what is within a row.
 
     Parameters
     ----------
@@ -94,17 +98,20 @@ def symmetric(compliance: xr.Dataset) -> xr.Dataset:
     for k, (i, j) in enumerate(zip(*np.tril_indices(n), strict=True)):
         expand[i * n + j, k] = expand[j * n + i, k] = 1.0
     scale = np.sqrt(np.trace(covariance, axis1=1, axis2=2).real / (n * n))[:, None, None]
-    weight = np.linalg.pinv(covariance / scale**2, hermitian=True)
+    own = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).real, 1e-30 * scale[:, 0] ** 2)) / scale[:, 0]
+    sizes = own[:, :, None] * own[:, None, :]
+    # Entries that are the same already have a singular covariance.
+    weight = np.linalg.pinv(covariance / scale**2 / sizes, rcond=1e-10, hermitian=True) / sizes
     inner = np.linalg.pinv(np.einsum("ak,fab,bl->fkl", expand, weight, expand), hermitian=True)
     theta = np.einsum("fkl,al,fab,fb->fk", inner, expand, weight, value.reshape(frequency.size, n * n))
     new = (theta @ expand.T).reshape(value.shape)
     spread = np.einsum("ak,fkl,bl->fab", expand, inner, expand) * scale**2
-    blocks = np.stack([spread[:, r * n : (r + 1) * n, r * n : (r + 1) * n] for r in range(n)], axis=1)
-    return _replaced(compliance, axes, new, blocks)
+    return _replaced(compliance, axes, new, spread.reshape(frequency.size, n, n, n, n))
 
 
-def _replaced(compliance: xr.Dataset, axes: list[str], value: Complex, blocks: Complex) -> xr.Dataset:
+def _replaced(compliance: xr.Dataset, axes: list[str], value: Complex, spread: Complex) -> xr.Dataset:
     """Return the dataset with new values; lines that were not all finite stay as they were, without a value."""
+    blocks = np.stack([spread[:, r, :, r] for r in range(len(axes))], axis=1)
     finite = _finite(compliance, axes)
     out = compliance.copy(deep=True)
     order = {"response": axes, "excitation": axes}
@@ -114,7 +121,7 @@ def _replaced(compliance: xr.Dataset, axes: list[str], value: Complex, blocks: C
     wide[finite] = blocks
     dims = ("frequency", "response", "excitation")
     coords = {"frequency": out["frequency"], **order}
-    std = np.sqrt(np.diagonal(wide, axis1=2, axis2=3).real)
+    std = np.sqrt(np.maximum(np.diagonal(wide, axis1=2, axis2=3).real, 0.0))
     for name, array in (("compliance", full), ("compliance_std", std)):
         attrs = out[name].attrs
         out[name] = xr.DataArray(array, coords, dims).reindex_like(out[name]).assign_attrs(attrs)
@@ -124,6 +131,13 @@ def _replaced(compliance: xr.Dataset, axes: list[str], value: Complex, blocks: C
         if "other_excitation" not in old.coords:
             new = new.drop_vars("other_excitation")
         out["compliance_covariance"] = new.assign_attrs(old.attrs)
+    if "entry_covariance" in out:
+        whole = np.full((finite.size, *spread.shape[1:]), np.nan, dtype=complex)
+        whole[finite] = spread
+        columns = [axes.index(str(a)) for a in out["excitation"].values]
+        rows = [axes.index(str(a)) for a in out["response"].values]
+        whole = whole[:, rows][:, :, columns][:, :, :, rows][..., columns]
+        out["entry_covariance"] = out["entry_covariance"].copy(data=whole)
     return out.assign_attrs(reciprocal="constrained")
 
 
@@ -144,8 +158,6 @@ def _square(compliance: xr.Dataset) -> tuple[Real, Complex, Complex, list[str]]:
     finite = _finite(compliance, axes)
     if not finite.any():
         raise InputError("no frequency has a value and a standard deviation in all entries; nothing can be compared")
-    part = compliance.sel(response=axes, excitation=axes).isel(frequency=np.flatnonzero(finite))
+    part = with_entries(compliance, axes, axes).isel(frequency=np.flatnonzero(finite))
     value = part["compliance"].transpose("frequency", "response", "excitation").values
-    if "other_excitation" in part.dims:
-        part = part.isel(other_excitation=[list(compliance["excitation"].values).index(a) for a in axes])
     return part["frequency"].values, value, entry_covariance(part), axes

@@ -89,11 +89,12 @@ def identify_sweep(
     -------
     Identification
         ``compliance``, ``compliance_std``, ``compliance_covariance`` (``E[d_j conj(d_k)]`` of the errors in one row,
-        [m2/N2]), ``coherence`` (adjusted multiple coherence; NaN for `SingleReference`, where three columns for three
-        unknowns leave nothing to judge by), ``force_condition`` and, for `LocalPolynomial`, the ``half_width`` chosen
-        [Hz]; ``degrees_of_freedom`` of Student's t for each part; ``compliance_gradient`` and its standard deviation
-        where the fit depends on position: change from the middle to the end of a pass. Frequencies whose condition
-        number exceeds `REFUSE_CONDITION` are NaN.
+        [m2/N2]), for `LocalPolynomial` ``entry_covariance`` (the same of all entries); ``coherence`` (adjusted multiple
+        coherence; NaN for `SingleReference`, where three columns for three unknowns leave nothing to judge by),
+        ``force_condition`` and, for `LocalPolynomial`, the ``half_width`` chosen [Hz]; ``degrees_of_freedom`` of
+        Student's t for each part; ``compliance_gradient`` and its standard deviation where the fit depends on position:
+        change from the middle to the end of a pass. Frequencies whose condition number exceeds `REFUSE_CONDITION` are
+        NaN.
 
     Raises
     ------
@@ -118,6 +119,8 @@ def identify_sweep(
             "frequencies, so nine compliances cannot be told apart; add a pass with another width or kind of cut"
         )
     found.compliance[refused], found.covariance[refused] = np.nan, np.nan
+    if found.between is not None:
+        found.between[refused] = np.nan
     attrs = {"method": "sweep", "estimator": repr(chosen), "error_lines": found.error_lines}
     dataset = _labelled(frequency, found, response, axes, attrs)
     warnings = (*_condition_warnings(frequency, found.condition), *found.warnings, *_fewer_axes(axes))
@@ -171,6 +174,11 @@ def _labelled(
         "coherence": (three[:2], found.coherence),
         "force_condition": (three[:1], found.condition),
     }
+    if found.between is not None:
+        whole = found.between[:, :, :e, :, :e].copy()
+        for r in range(len(response)):
+            whole[:, r, :, r] = covariance[:, r]
+        extra["entry_covariance"] = ((*three, "other_response", "other_excitation"), whole)
     if found.compliance.shape[2] > e:
         extra["compliance_gradient"] = (three, found.compliance[..., e:])
         extra["compliance_gradient_std"] = (three, std[..., e:])

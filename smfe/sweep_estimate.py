@@ -33,6 +33,8 @@ class Estimate:
         Degrees of freedom of Student's t for each part: real ones of the variance, whose errors are circular.
     warnings : tuple of str
         What the user should know.
+    between : ndarray of complex, shape (f, r, e, r, e), optional
+        Covariance of the errors of two rows, zero within a row [m2/N2].
     """
 
     compliance: Complex
@@ -43,6 +45,7 @@ class Estimate:
     half_width: Real | None = None
     freedom: Real | None = None
     warnings: tuple[str, ...] = ()
+    between: Complex | None = None
 
     @property
     def std(self) -> Real:

@@ -92,7 +92,9 @@ def test_intervals_of_95_percent_hold_the_truth_in_92_to_98_percent_of_200_seeds
     near = np.min(np.abs(frequency[:, None] - MACHINE.frequency) / (MACHINE.damping * MACHINE.frequency), axis=1) < 1.0
     for where in (near, ~near):
         assert 0.92 < hits[:, where].mean() < 0.98
-    assert hits.mean(axis=1).min() > 0.88
+    # Each part of each entry for itself.
+    assert hits.mean(axis=1).min() > 0.92
+    assert hits.mean(axis=1).max() < 0.98
 
 
 def test_wide_bands_and_the_model_beat_the_narrow_band_and_stay_calibrated() -> None:
