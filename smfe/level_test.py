@@ -1,9 +1,11 @@
 """Whether two compliances of one machine differ by more than their noise.
 
-With the difference d of all entries at a frequency and the sum C of their covariances, ``2 d^H C^-1 d`` of circular
-errors has the mean 2 r e (real and imaginary part of r e entries). Its mean over frequency is compared with chi^2 of as
-many degrees of freedom as the lines hold independently; C is estimated, from nu degrees of freedom a row, which makes
-the mean larger by nu/(nu - 2).
+With the difference d of a row of e entries at a frequency and the sum C of its covariances, ``2 d^H C^-1 d`` of
+circular errors has the mean 2 e (real and imaginary part). Added up over rows, and averaged over frequency, it is
+compared with chi^2. The mean does not depend on what rows share, so an estimate of that cannot spoil it; the scatter
+does: with B the blocks of the rows in the whole covariance C of r e entries, the sum scatters like chi^2 of
+``2 (r e)^2/tr((B^-1 C)^2)`` degrees of freedom (Satterthwaite 1946). C is estimated from nu degrees of freedom, which
+makes the mean larger by nu/(nu - 2).
 """
 
 from __future__ import annotations
@@ -70,11 +72,15 @@ def difference_of(a: xr.Dataset, b: xr.Dataset) -> Difference:
     if not good.any():
         raise InputError("no frequency has a value and a standard deviation in all entries of both; nothing to compare")
     d, covariance = (value[1] - value[0])[good], (spread[0] + spread[1])[good]
-    statistic = _distance(d, covariance) / _growth(one, other)[good]
+    weight = _row_weights(covariance, one.sizes["response"])
+    statistic = 2.0 * np.einsum("fa,fab,fb->f", d.conj(), weight, d).real / _growth(one, other)[good]
+    product = weight @ covariance
+    scatter = np.einsum("fab,fba->f", product, product).real
     lines = max(1.0, *(float(x.attrs.get("error_lines", 1.0)) for x in (a, b)))
     independent = max(1.0, good.sum() / lines)
-    freedom = 2.0 * d.shape[1] * independent
-    chance = float(stats.chi2.sf(statistic.mean() * independent, freedom))
+    entries = d.shape[1]
+    freedom = 2.0 * entries**2 / float(np.maximum(scatter, entries).mean()) * independent
+    chance = float(stats.chi2.sf(statistic.mean() / (2.0 * entries) * freedom, freedom))
     noise = float(np.trace(covariance, axis1=1, axis2=2).real.sum())
     beyond = max(float(np.sum(np.abs(d) ** 2)) - noise, 0.0)
     size = max(float(np.sum(np.abs(0.5 * (value[0] + value[1])[good]) ** 2)), 1e-300)
@@ -97,13 +103,15 @@ def _entries(d: xr.Dataset) -> Complex:
     return np.asarray(value.reshape(len(value), -1), dtype=complex)
 
 
-def _distance(d: Complex, covariance: Complex) -> Real:
-    """Return ``2 d^H C^-1 d`` at each frequency; scaled, because entries differ by powers of ten."""
-    scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).real, 1e-300))
-    unit = covariance / (scale[:, :, None] * scale[:, None, :])
-    inverse = np.linalg.pinv(unit, rcond=1e-10, hermitian=True)
-    z = d / scale
-    return np.asarray(2.0 * np.einsum("fa,fab,fb->f", z.conj(), inverse, z).real)
+def _row_weights(covariance: Complex, rows: int) -> Complex:
+    """Return the inverse of the blocks of the rows, shape (f, r e, r e); zero between rows."""
+    out = np.zeros_like(covariance)
+    for part in np.split(np.arange(covariance.shape[1]), rows):
+        block = covariance[:, part[:, None], part]
+        scale = np.sqrt(np.maximum(np.diagonal(block, axis1=1, axis2=2).real, 1e-300))
+        sizes = scale[:, :, None] * scale[:, None, :]
+        out[:, part[:, None], part] = np.linalg.pinv(block / sizes, rcond=1e-10, hermitian=True) / sizes
+    return out
 
 
 def _growth(a: xr.Dataset, b: xr.Dataset) -> Real:

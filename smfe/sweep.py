@@ -27,13 +27,12 @@ from smfe.least_squares import Columns, Solution, condition_number, solve
 from smfe.local_polynomial import solve_local
 from smfe.reciprocity import reciprocity, symmetric
 from smfe.spectra import motion_axes
-from smfe.spindle_orders import Orders
+from smfe.spindle_orders import Orders, solve_orders
 from smfe.sweep_estimate import Estimate, in_words
 from smfe.sweep_estimators import (
     HANN_ERROR_LINES,
     Estimator,
     LocalPolynomial,
-    Segments,
     SingleReference,
     SweepPass,
     at_rest,
@@ -157,9 +156,10 @@ def _estimate(
         if len(axes) < 3:
             raise InputError("a single reference needs the forces on x, y and z; take estimator or axes out")
         return _single(chosen, passes, frequency, response)
+    if isinstance(chosen, Orders):
+        return solve_orders(chosen, passes, frequency, axes, response, progress)
     columns = chosen.columns(passes, frequency, response, axes)
-    shared = HANN_ERROR_LINES if isinstance(chosen, Segments) else chosen.error_lines()
-    return _by_columns(list(columns), frequency, len(axes), shared, progress)
+    return _by_columns(list(columns), frequency, len(axes), HANN_ERROR_LINES, progress)
 
 
 def _labelled(
@@ -286,7 +286,7 @@ def _best_condition(arcs: Sequence[Engagement]) -> float:
 def _by_columns(
     columns: Sequence[Columns], frequency: Real, excitations: int, error_lines: float, progress: Step | None
 ) -> Estimate:
-    """Solve with segments or windows as columns, weighted with the inverse noise of their pass."""
+    """Solve with segments as columns, weighted with the inverse noise of their pass."""
     short = [(c, f) for c, f in zip(columns, frequency, strict=True) if c.response.shape[1] <= c.regressors.shape[0]]
     if len(short) > len(columns) // 2:
         least, at = short[0]
