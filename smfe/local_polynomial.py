@@ -27,6 +27,7 @@ from smfe.local_equations import (
     shift_matrix,
     solve_bands,
 )
+from smfe.noise_pooling import floored, pooled_noise
 from smfe.rational_fit import fit_rational
 from smfe.row_correlation import noise_between, possible, shared_noise
 from smfe.sweep_estimate import Estimate, in_words
@@ -134,7 +135,9 @@ def solve_local(
             progress(number + 1, steps)
     model = estimator.rational and instruments is None
     found = _choose(estimator, widths, solved, frequency, cautious=model)
-    shared = shared_noise(*_products(data, estimator, weight, _width_for_noise(data, widths)))
+    noise_width = _width_for_noise(data, widths)
+    products = _residual_noise(data, estimator, noise_width, weight)[1]
+    shared = shared_noise(products, *_pooled_lines(data, estimator, noise_width))
     level = 1.0 / np.sqrt(weight[data.first].mean(axis=1))
     assert found.half_width is not None
     found = replace(found, between=noise_between(found.covariance, shared, level, found.half_width))
@@ -342,6 +345,7 @@ def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int 
     reach = max(1, round(NOISE_REACH / estimator.resolution))
     whitened = (data.frequency / data.frequency[0])[:, None, None] ** 4
     below = np.minimum((np.maximum(data.raw.centre, 0.0) / data.frequency[0]) ** 4, 1.0)[:, None, None]
+    lines, _ = _pooled_lines(data, estimator, width)
     for _ in range(rounds):
         coefficients, products = _residual_noise(data, estimator, width, weight)
         mean = np.maximum(np.diagonal(products, axis1=2, axis2=3).real, 0.0)
@@ -349,7 +353,8 @@ def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int 
         through = np.einsum("frj,ftkj,frk->ftr", phi, data.force_noise[data.first], phi.conj(), optimize=True).real
         through = np.minimum(_median(through, reach // 2), 0.95 * _median(mean, reach // 2))
         rest = _median((mean - through) * whitened, reach) / whitened
-        weight = _at_bins(data, 1.0 / _floored(np.maximum(rest, 0.05 * mean) + through)) * below
+        noise = pooled_noise(floored(np.maximum(rest, 0.05 * mean) + through), lines)
+        weight = _at_bins(data, 1.0 / noise) * below
     return weight
 
 
@@ -375,15 +380,13 @@ def _residual_noise(data: _Data, estimator: LocalPolynomial, width: float, weigh
     return coefficients, np.where(each > 0, residual / np.maximum(each, 1.0) * fair, np.nan)
 
 
-def _products(data: _Data, estimator: LocalPolynomial, weight: Real, width: float) -> tuple[Complex, Real, int]:
-    """Return the noise a line, the independent lines that pooling rests on (f, tests), and the neighbours to pool."""
+def _pooled_lines(data: _Data, estimator: LocalPolynomial, width: float) -> tuple[Real, int]:
+    """Return the independent lines within `NOISE_REACH`, (f, tests), and how many neighbours that is."""
     side, reach = _bins(data, width), max(1, round(NOISE_REACH / estimator.resolution))
-    products = _residual_noise(data, estimator, width, weight)[1]
     count = np.sum([data.raw.moment[data.first + o, :, 0, 0] for o in range(-side, side)], axis=0)
     free = 1.0 - np.minimum(data.raw.unknowns / np.maximum(count.sum(axis=1, keepdims=True), 1.0), 0.9)
     # Bands of neighbours overlap, or leave lines between them out.
-    pooled = min(1.0 + reach * estimator.resolution / width, 2.0 * reach + 1.0)
-    return products, count * free * pooled, reach
+    return count * free * min(1.0 + reach * estimator.resolution / width, 2.0 * reach + 1.0), reach
 
 
 def _median(values: Real, reach: int) -> Real:
@@ -392,13 +395,6 @@ def _median(values: Real, reach: int) -> Real:
     windows = np.lib.stride_tricks.sliding_window_view(np.concatenate([edge, values, edge]), 2 * reach + 1, axis=0)
     known = np.isfinite(windows).any(axis=-1)
     return np.where(known, np.nanmedian(np.where(known[..., None], windows, 0.0), axis=-1), np.nan)
-
-
-def _floored(noise: Real) -> Real:
-    """Keep noise powers (f, tests, r) of the passes within 1:1e6, and unknown ones out of the way."""
-    largest = np.max(np.nan_to_num(noise), axis=1, keepdims=True)
-    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
-    return np.where(np.isfinite(noise), np.maximum(noise, floor), floor)
 
 
 # --- one width --------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from process.labels import make_record
 from smfe import LocalPolynomial, Segments, SweepPass, identify_hammer, identify_sweep
 from smfe.intervals import interval, student_quantile
 from smfe.least_squares import Columns, solve
+from smfe.noise_pooling import pooled_noise
 from smfe.spindle_orders import Orders
 
 RATE = 200.0
@@ -83,6 +84,29 @@ def test_a_sweep_with_few_lines_states_intervals_that_hold() -> None:
         inside += [(low.imag <= STATIC.imag) & (STATIC.imag <= high.imag)]
     assert found["degrees_of_freedom"].values == pytest.approx(10.0)
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+
+
+def test_noise_of_passes_is_pooled_as_far_as_it_differs_by_chance() -> None:
+    """Logarithms of means of n lines scatter by psi'(n): such passes become alike, others stay what they are."""
+    rng, n = np.random.default_rng(6), 8
+    alike = rng.gamma(n, 1.0 / n, (500, 3, 1))
+    pooled = pooled_noise(alike, np.full((500, 3), float(n)))
+    assert np.log(pooled).std(axis=1).mean() < 0.45 * np.log(alike).std(axis=1).mean()
+    np.testing.assert_allclose(np.log(pooled).mean(axis=1), np.log(alike).mean(axis=1))
+    unlike = alike * np.array([1.0, 100.0, 1e4])[:, None]
+    np.testing.assert_allclose(pooled_noise(unlike, np.full((500, 3), float(n))), unlike, rtol=0.1)
+    np.testing.assert_allclose(pooled_noise(alike[:, :1], np.full((500, 1), float(n))), alike[:, :1])
+
+
+def test_short_passes_of_equal_noise_are_not_weighted_by_chance() -> None:
+    """Two passes of 2 s, four lines each: noise learnt from each alone made intervals that hold in 85 %."""
+    rng, narrow, inside = np.random.default_rng(3), LocalPolynomial(4.0, (1.0,), rational=False), []
+    for _ in range(80):
+        bounds = interval(identify_sweep("s", sweeps(rng, 2, 400), (20.0, 80.0), narrow, axes=("x",)).compliance)
+        low, high = bounds["lower"].values, bounds["upper"].values
+        inside += [(low.real <= STATIC.real) & (STATIC.real <= high.real)]
+        inside += [(low.imag <= STATIC.imag) & (STATIC.imag <= high.imag)]
+    assert np.mean(inside) > 0.88
 
 
 def hits(count: int = 4) -> xr.Dataset:
