@@ -1,20 +1,25 @@
-"""How wrong each compliance will be: the estimator of `smfe.sweep`, worked through on the forces of a plan.
+"""How wrong each compliance will be: the estimators of `smfe.sweep`, worked through on the forces of a plan.
 
-Over a band of half width w the estimator fits ``Phi(f + w u) = C_0 + C_1 u + C_2 u^2`` to the lines of all records.
-With the energy ``G(f) = sum over records of F F^H`` the normal matrix of that fit is ``M_ab = integral u^(a+b) G ds``:
+**Bands.** Over a band of half width w the estimator fits ``Phi(f + w u) = C_0 + C_1 u + C_2 u^2`` to the lines of all
+records. With the energy ``G(f) = sum over records of F F^H`` the normal matrix is ``M_ab = integral u^(a+b) G ds``:
 
 - noise: ``Var Phi_ij = s_i^2 (M^-1)_jj`` of the block a = b = 0, with ``s_i^2 = dt (sigma_a^2/w^4 + sum_j |Phi_ij|^2
   sigma_F^2)`` for white noise of rms sigma sampled every dt; the length of the record cancels;
 - bend: what a polynomial of second order misses, ``[integral u^b Phi G ds]_b M^-1 - Phi``;
 - beats: harmonics that pass a frequency at different times beat over the band; as far as they do, what the polynomial
   misses of one entry is noise to the others of its row;
-- loss: noise of the forces is in the regressors too, so that M becomes M + N, N over all lines, the air included, and
-  the compliance comes out too small.
+- forces: their noise is in the regressors, too, and is taken out of M; the residual keeps it, so that ``M^-1`` becomes
+  ``M^-1 (M + N) M^-1``, N over all lines, the air included.
 
 The estimator takes, row by row, the widest band that agrees with all narrower ones, in units of the standard deviation
 that it states: that of its residual, where the bend counts as noise. Two bands differ by their difference in bend plus
 noise of variance ``V_narrow - V_wide``, so that they agree with the probability of a non-central chi-square; the mean
 square errors of the bands are added with the probabilities that they are taken.
+
+**Model.** The default estimator takes its rational model (`smfe.plan_rational`) where no entry of a row differs from
+the band by more than `agreement` standard deviations, else the band. An efficient model and its difference d to the
+band are independent, so that falling back adds ``E[|d_j|^2; any |d_k|^2 > a_k]`` of exponentially distributed
+squares: the band is taken exactly where it is far off.
 """
 
 from __future__ import annotations
@@ -30,7 +35,9 @@ from scipy import ndimage, stats
 from process.cutting import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from smfe.local_polynomial import SAME
 from smfe.plan_forces import Forces, SweepPlan
+from smfe.plan_rational import expected_model
 from smfe.plan_task import Estimate
 from smfe.sweep import REFUSE_CONDITION
 from smfe.sweep_estimators import BANDS, LocalPolynomial
@@ -39,7 +46,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 POINTS = 16
-"""Points at which a band is sampled."""
+"""Points at which a band is sampled, at least; 16 a Hertz of half width."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,10 @@ class Instruments:
 
 @dataclass(frozen=True)
 class _Band:
-    """One half width: noise, all that varies, what it will state, systematic error, condition; (f, 3, 3), last (f,)."""
+    """One half width: noise, all that varies, what differences count in, systematic error, condition.
+
+    Shapes (f, 3, 3), last (f,).
+    """
 
     noise: Real
     variance: Real
@@ -114,20 +124,22 @@ def expected(
     frequency : ndarray, shape (f,)
         Frequencies of the evaluation [Hz].
     estimator : LocalPolynomial, optional
-        Default: `smfe.sweep_estimators.BANDS`; that of `smfe.sweep.identify_sweep` errs less.
+        Default: that of `smfe.sweep.identify_sweep`, with its rational model.
 
     Returns
     -------
     xarray.Dataset
         ``compliance`` of the estimate, ``compliance_std`` (root mean square of the error to be expected, noise and
-        systematic), ``noise_std`` (noise alone), ``force_condition``, ``half_width`` (mean of what will be taken [Hz]).
+        systematic), ``noise_std`` (noise alone), ``force_condition``, ``half_width`` (mean of what will be taken [Hz]);
+        with a rational model also ``bands_std``, what `smfe.sweep_estimators.BANDS` would err by, and the number of
+        its ``poles`` as an attribute.
 
     Raises
     ------
     InputError
         When the records are too short for the estimator, or the estimate does not reach beyond the band.
     """
-    chosen = BANDS if estimator is None else estimator
+    chosen = LocalPolynomial() if estimator is None else estimator
     truth = estimate.matrix(frequency)
     noise = instruments.response_noise(frequency, truth)
     forces = Forces(plan, coefficients, float(frequency[-1]) + max(chosen.half_widths))
@@ -135,28 +147,59 @@ def expected(
     widths = _usable(chosen, plan)
     ground = _Ground(forces, estimate, instruments, frequency, truth, noise, beats, chosen.order)
     bands = [_band(ground, w) for w in widths]
-    taken = _taken(bands, chosen.agreement)
-    variance = np.einsum("kfi,kfij->fij", taken, np.array([b.variance for b in bands]))
-    systematic = np.einsum("kfi,kfij->fij", taken, np.array([np.abs(b.bias) ** 2 for b in bands]))
+    taken = _taken(bands, chosen)
+    alone = np.einsum("kfi,kfij->fij", taken, np.array([b.variance + np.abs(b.bias) ** 2 for b in bands]))
+    noisy = np.einsum("kfi,kfij->fij", taken, np.array([b.noise for b in bands]))
     likely = taken.argmax(axis=0)
     condition = np.array([b.condition for b in bands])[likely, np.arange(frequency.size)[:, None]].max(axis=1)
     three = ("frequency", "response", "excitation")
     extra = {
-        "compliance_std": (three, np.sqrt(variance + systematic)),
-        "noise_std": (three, np.sqrt(np.einsum("kfi,kfij->fij", taken, np.array([b.noise for b in bands])))),
         "force_condition": (three[:1], condition),
         "half_width": (three[:2], np.einsum("kfi,k->fi", taken, np.asarray(widths))),
     }
-    found = make_compliance(frequency, truth, AXES, extra=extra, attrs={"method": "plan", "estimator": repr(chosen)})
-    found["noise_std"].attrs["units"] = "m/N"
+    attrs: dict[str, object] = {"method": "plan", "estimator": repr(chosen)}
+    if chosen.rational:
+        extra["bands_std"] = (three, np.sqrt(_of_narrow_bands(dict(zip(widths, bands, strict=True)))))
+        noisy, systematic, poles = expected_model(forces, estimate, noise, frequency, chosen.order)
+        alone = _with_model(noisy, systematic, bands, taken, chosen.agreement)
+        attrs["poles"] = poles
+    extra |= {"compliance_std": (three, np.sqrt(alone)), "noise_std": (three, np.sqrt(noisy))}
+    found = make_compliance(frequency, truth, AXES, extra=extra, attrs=attrs)
+    for name in {"noise_std", "bands_std"} & set(extra):
+        found[name].attrs["units"] = "m/N"
     found["half_width"].attrs["units"] = "Hz"
     return found
 
 
-def relative_error(found: xr.Dataset, scale: Real) -> Real:
-    """Return the rms over frequency of ``compliance_std`` as a fraction of `scale`, shape (3, 3)."""
-    std = found["compliance_std"].transpose("frequency", "response", "excitation").values
+def relative_error(found: xr.Dataset, scale: Real, name: str = "compliance_std") -> Real:
+    """Return the rms over frequency of a standard deviation as a fraction of `scale`, shape (3, 3)."""
+    std = found[name].transpose("frequency", "response", "excitation").values
     return np.asarray(np.sqrt(np.mean(std**2, axis=0)) / scale)
+
+
+def _of_narrow_bands(bands: dict[float, _Band]) -> Real:
+    """Return the mean square error of `BANDS` from those of its half widths that can be filled, shape (f, 3, 3)."""
+    usable = [band for width, band in bands.items() if width in BANDS.half_widths]
+    usable = usable or [bands[min(bands)]]
+    taken = _taken(usable, BANDS)
+    return np.asarray(np.einsum("kfi,kfij->fij", taken, [b.variance + np.abs(b.bias) ** 2 for b in usable]))
+
+
+def _with_model(noise: Real, systematic: Complex, bands: list[_Band], taken: Real, agreement: float) -> Real:
+    """Return the mean square error of the model and, where the two disagree, of the band, shape (f, 3, 3)."""
+    kept = np.abs(systematic) ** 2
+    total = noise.copy()
+    for share, band in zip(taken, bands, strict=True):
+        apart = np.maximum(band.variance - noise, 0.05 * band.variance)
+        distance = np.abs(band.bias - systematic) ** 2
+        allowed = np.minimum(agreement**2 * band.stated / np.maximum(apart + distance, 1e-300), 1e3)
+        stays = 1.0 - np.exp(-allowed)
+        row = np.prod(stays, axis=2, keepdims=True)
+        others = row / np.maximum(stays, 1e-300)
+        # E[x; x < a] = 1 - (1 + a) exp(-a) of an exponential x of mean 1.
+        left = 1.0 - (1.0 - (1.0 + allowed) * np.exp(-allowed)) * others
+        total += share[..., None] * (apart * left + kept * row + np.abs(band.bias) ** 2 * (1.0 - row))
+    return np.asarray(total)
 
 
 def _usable(estimator: LocalPolynomial, plan: SweepPlan) -> list[float]:
@@ -175,25 +218,26 @@ def _usable(estimator: LocalPolynomial, plan: SweepPlan) -> list[float]:
 def _band(ground: _Ground, width: float) -> _Band:
     """Work through one half width [Hz]."""
     plan, frequency = ground.forces.plan, ground.frequency
-    shift = (np.arange(POINTS) + 0.5) * 2.0 / POINTS - 1.0
+    points = round(POINTS * max(1.0, width))
+    shift = (np.arange(points) + 0.5) * 2.0 / points - 1.0
     at = frequency[:, None] + width * shift
-    energy = plan.repeats * np.sum(ground.forces.energy(at), axis=0) * (2.0 * width / POINTS)
-    compliance = ground.estimate.matrix(at)
+    energy = plan.repeats * np.sum(ground.forces.energy(at), axis=0) * (2.0 * width / points)
+    compliance = ground.estimate.matrix(at, beyond=width > 1.0)
     powers = shift ** np.arange(ground.order + 1)[:, None]
     f, size = frequency.size, 3 * (ground.order + 1)
     exact = np.einsum("as,bs,fsij->faibj", powers, powers, energy, optimize=True).reshape(f, size, size)
     right = np.einsum("bs,fsik,fskj->fibj", powers, compliance, energy, optimize=True).reshape(f, 3, size)
     lines = 2.0 * width * plan.record * plan.records
     # Noise is in every line of every record; the energy of a chirp does not grow with the record.
-    loss = np.square(ground.instruments.force_noise) / ground.instruments.sample_rate * lines / POINTS
-    normal = exact + np.kron(powers @ powers.T, np.diag(loss))
-    condition = _condition(normal[:, :3, :3])
+    added = np.square(ground.instruments.force_noise) / ground.instruments.sample_rate * lines / points
+    noisy = np.kron(powers @ powers.T, np.diag(added))
+    condition = _condition(exact[:, :3, :3])
     solved = condition <= 10.0 * REFUSE_CONDITION
     # What cannot be solved is wrong by ten times the largest compliance.
     noise = np.full((f, 3, 3), 100.0 * float(np.abs(ground.truth).max()) ** 2)
     stated, bias = noise.copy(), np.zeros((f, 3, 3), dtype=complex)
-    inverse = np.linalg.inv(normal[solved])
-    spread = np.diagonal(inverse, axis1=1, axis2=2).real[:, None, :3]
+    inverse = np.linalg.inv(exact[solved])
+    spread = np.diagonal(inverse + inverse @ noisy @ inverse, axis1=1, axis2=2).real[:, None, :3]
     noise[solved] = ground.noise[solved][:, :, None] * spread
     bias[solved] = (right[solved] @ inverse)[:, :, :3] - ground.truth[solved]
     # What the polynomial misses is in the residual, and the estimator takes that for noise.
@@ -201,7 +245,7 @@ def _band(ground: _Ground, width: float) -> _Band:
     missed = _missed(whole, right[solved], exact[solved]) / max(lines - size, 1.0)
     stated[solved] = (ground.noise[solved] + missed)[:, :, None] * spread
     varies = noise + ground.beats[:, None, None] * (stated - noise)
-    return _Band(noise, varies, stated, bias, condition)
+    return _Band(noise, varies, stated + (SAME * np.abs(ground.truth)) ** 2, bias, condition)
 
 
 def _condition(energy: Complex) -> Real:
@@ -217,19 +261,23 @@ def _missed(whole: Real, right: Complex, normal: Complex) -> Real:
     return np.asarray(np.maximum(whole - kept, 0.0))
 
 
-def _taken(bands: list[_Band], agreement: float) -> Real:
+def _taken(bands: list[_Band], estimator: LocalPolynomial) -> Real:
     """Return the probability that each band is taken, shape (bands, f, 3)."""
     f = bands[0].variance.shape[0]
     at_least = [np.ones((f, 3))]
     for k in range(1, len(bands)):
         passes = at_least[-1]
         for j in range(k):
-            chance = _agrees(bands[k], bands[j], agreement)
+            chance = _agrees(bands[k], bands[j], estimator.agreement)
             # The estimator smooths its verdicts over five lines.
             passes = np.minimum(passes, ndimage.median_filter(chance, size=(5, 1), mode="nearest"))
         at_least.append(passes)
     at_least.append(np.zeros((f, 3)))
-    return np.asarray([at_least[k] - at_least[k + 1] for k in range(len(bands))])
+    taken = np.asarray([at_least[k] - at_least[k + 1] for k in range(len(bands))])
+    if estimator.rational and len(bands) > 1:
+        # Beside a model the next narrower one is taken.
+        taken = np.concatenate([taken[:1] + taken[1:2], taken[2:], np.zeros((1, f, 3))])
+    return taken
 
 
 def _agrees(wide: _Band, narrow: _Band, agreement: float) -> Real:

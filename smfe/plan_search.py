@@ -51,11 +51,11 @@ FEEDS = 4
 LINES = 15
 """Frequencies at which alternatives are ranked."""
 
-RANKING_BAND = 0.5
-"""Half width of the band in which alternatives are ranked [Hz]."""
+RANKING_BAND = 4.0
+"""Half width of the band in which alternatives are ranked [Hz]: the widest of the estimator, near its model."""
 
 BEYOND = 1.0
-"""How far a sweep goes beyond the band at either end [Hz]: the widest half width of the estimator."""
+"""How far a sweep goes beyond the band at either end [Hz]: as far as the estimator's model."""
 
 DEPTH_STEP = 0.1e-3
 """Depths are rounded down to this [m]."""

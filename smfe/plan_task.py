@@ -23,6 +23,7 @@ from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
 from smfe.identification import Progress, silent
 from smfe.measurements import identify_measurement
+from smfe.plan_smooth import without_noise
 from smfe.scenario import load_scenario
 from smfe.sweep_estimators import LocalPolynomial
 from stability import SpindleRange
@@ -51,15 +52,20 @@ class Estimate:
         The table ``[machine]`` of a scenario that simulates it; None where that cannot be done.
     warnings : tuple of str
         What the user must know of it.
+    smooth : xarray.Dataset or None
+        A measured source without its noise (`smfe.plan_smooth`), for the errors; limits are asked of the source.
     """
 
     name: str
     source: ModalModel | xr.Dataset
     machine: Mapping[str, Any] | None = None
     warnings: tuple[str, ...] = ()
+    smooth: xr.Dataset | None = None
 
-    def matrix(self, frequency: ArrayLike) -> Complex:
+    def matrix(self, frequency: ArrayLike, beyond: bool = False) -> Complex:
         """Return the compliance [m/N] at frequencies [Hz], shape (..., 3, 3); a measured one is interpolated.
+
+        With `beyond` a measured one ends in what it holds last.
 
         Raises
         ------
@@ -69,10 +75,11 @@ class Estimate:
         f = np.asarray(frequency, dtype=float)
         if isinstance(self.source, ModalModel):
             return self.source.matrix(f.ravel()).reshape(*f.shape, 3, 3)
-        full = full_matrix(self.source)
+        held = self.source if self.smooth is None else self.smooth
+        full = full_matrix(held)
         known = np.isfinite(full).all(axis=(1, 2))
-        at = self.source["frequency"].values[known]
-        if at.size < 2 or f.min() < at[0] - 1e-9 or f.max() > at[-1] + 1e-9:
+        at = held["frequency"].values[known]
+        if at.size < 2 or (not beyond and (f.min() < at[0] - 1e-9 or f.max() > at[-1] + 1e-9)):
             reach = f"{at[0]:g} to {at[-1]:g} Hz" if at.size else "nothing"
             raise InputError(
                 f"the estimate '{self.name}' holds {reach}; {f.min():g} to {f.max():g} Hz are needed, the band of the "
@@ -202,7 +209,7 @@ def _estimate(campaign: Campaign, limits: PlanTable, raw: Mapping[str, Any], pro
     array = found["compliance"]
     lacking = [a for a in AXES if a not in array["response"].values or a not in array["excitation"].values]
     told = (f"'{name}' has no {', '.join(lacking)}; what was not measured is taken as rigid",) if lacking else ()
-    return Estimate(name, found, None, told)
+    return Estimate(name, found, None, told, without_noise(found, limits.frequency_range))
 
 
 def _of_scenario(path: Path, limits: PlanTable) -> Estimate:

@@ -109,7 +109,7 @@ class LocalPolynomial:
 
 
 BANDS = LocalPolynomial(half_widths=(0.125, 0.25, 0.5, 1.0), agreement=2.5, rational=False)
-"""Narrow bands alone: the estimator whose errors a plan predicts. The default errs less."""
+"""Narrow bands alone. The default errs less."""
 
 HANN_ERROR_LINES = 1.5
 """How many lines of a Hann window share an error: its noise bandwidth."""

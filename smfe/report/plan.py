@@ -80,6 +80,7 @@ def _context(found: Plan, passes: pd.DataFrame) -> dict[str, Any]:
         "band": f"{low:g} to {high:g} Hz",
         "worst": f"{100.0 * found.worst:.2g}",
         "median": f"{100.0 * found.median:.2g}",
+        "bands": f"{100.0 * float(found.prediction['bands_relative_error'].max()):.2g}",
         "estimate": found.task.estimate.name,
         "examined": found.examined,
         "warnings": found.warnings,
@@ -183,7 +184,7 @@ def draw_error(found: Plan) -> Figure:
     p = found.prediction
     frequency = p["frequency"].values
     size = 1e6 * np.abs(p["compliance"].values)
-    std = 1e6 * p["compliance_std"].values
+    std, bands = (1e6 * p[name].values for name in ("compliance_std", "bands_std"))
     figure = _new(9.0, 7.0)
     panels = figure.subplots(3, 3, sharex=True, sharey=True)
     share = 100.0 * p["relative_error"].values
@@ -193,6 +194,7 @@ def draw_error(found: Plan) -> Figure:
             axes = panels[i, j]
             axes.semilogy(frequency, np.maximum(size[:, i, j], 1e-9 * top), color="black", linewidth=1.3)
             axes.semilogy(frequency, std[:, i, j], color=_COLOURS[0], linestyle="--", linewidth=1.3)
+            axes.semilogy(frequency, bands[:, i, j], color=_COLOURS[1], linestyle=":", linewidth=1.0)
             axes.set_title(f"{r}{e}: error {share[i, j]:.2g} %", fontsize=9)
             _plain(axes)
     panels[0, 0].set_ylim(0.3 * std.min(), 2.0 * top)
@@ -203,9 +205,9 @@ def draw_error(found: Plan) -> Figure:
     lines = panels[0, 0].get_lines()
     figure.legend(
         lines,
-        ["compliance (estimate)", "expected error"],
+        ["compliance (estimate)", "expected error", "with narrow bands alone"],
         loc="outside upper center",
-        ncols=2,
+        ncols=3,
         frameon=False,
         fontsize=9,
     )

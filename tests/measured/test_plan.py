@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.integrate import quad
 
 from process.compliance import ModalModel
@@ -27,8 +26,11 @@ from smfe.plan_forces import (
     orders_within,
     unit_harmonics,
 )
+from smfe.plan_recommend import thin_chips
 from smfe.plan_search import covers, inverse_diagonal
+from smfe.plan_smooth import without_noise
 from smfe.plan_task import Estimate
+from smfe.plan_verify import ENTRY_RATIO
 from smfe.spectra import BlockSpectra
 from smfe.sweep import identify_sweep
 from smfe.sweep_estimators import BANDS, LocalPolynomial, SweepPass, whole_record
@@ -153,7 +155,7 @@ def test_half_immersion_up_and_down_with_a_slot_have_no_finite_condition() -> No
     assert float(found["force_condition"].sel(frequency=slice(20.0, 36.0)).min()) > 200.0
     good = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY)
     assert float(good["force_condition"].max()) < 30.0
-    below = [e["noise_std"].sel(frequency=slice(22.0, 36.0)).mean() for e in (found, good)]
+    below = [e["bands_std"].sel(frequency=slice(22.0, 36.0)).mean() for e in (found, good)]
     assert below[0] > 10.0 * below[1]
 
 
@@ -194,30 +196,57 @@ def test_noise_of_sensors_is_white_and_its_units_are_those_of_a_compliance() -> 
 
 
 @pytest.fixture(scope="module")
-def identified() -> xr.Dataset:
-    """The published sweep, simulated with its noise and identified, seed 1."""
-    records = sweep_passes(seed=1)
-    passes = [SweepPass(r, cut, engagement(cut, 0.012, TOOL.diameter)) for cut, r in records.items()]
-    return identify_sweep("s", passes, (20.0, 80.0), BANDS).compliance
+def records() -> list[list[SweepPass]]:
+    """The published sweep, simulated with its noise, seeds 1 and 2."""
+    return [
+        [SweepPass(r, cut, engagement(cut, 0.012, TOOL.diameter)) for cut, r in sweep_passes(seed=seed).items()]
+        for seed in (1, 2)
+    ]
 
 
-def test_the_condition_number_is_the_one_that_the_identification_finds(identified: xr.Dataset) -> None:
-    found = identified["force_condition"].values
-    wanted = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY)["force_condition"].values
-    assert np.median(found / wanted) == pytest.approx(1.0, abs=0.03)
-    inner = slice(6, -6)
-    assert np.quantile(np.abs(found / wanted - 1.0)[inner], 0.9) < 0.10
-
-
-def test_the_expected_error_is_the_one_that_the_identification_makes(identified: xr.Dataset) -> None:
-    found = identified["compliance"].values
-    prediction = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY)
+@pytest.mark.parametrize("estimator", [LocalPolynomial(), BANDS], ids=["default", "bands"])
+def test_expected_error_and_condition_number_are_those_that_the_identification_has(
+    records: list[list[SweepPass]], estimator: LocalPolynomial
+) -> None:
+    found = [identify_sweep("s", passes, (20.0, 80.0), estimator).compliance for passes in records]
+    wanted = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY, estimator)
+    condition = found[0]["force_condition"].values / wanted["force_condition"].values
+    assert np.median(condition) == pytest.approx(1.0, abs=0.03)
+    assert np.quantile(np.abs(condition - 1.0)[6:-6], 0.9) < 0.10
+    difference = np.array([f["compliance"].values - MACHINE.matrix(FREQUENCY) for f in found])
     scale = ESTIMATE.scale(FREQUENCY)
-    error = np.sqrt(np.mean(np.abs(found - MACHINE.matrix(FREQUENCY)) ** 2, axis=0)) / scale
-    ratio = error / relative_error(prediction, scale)
-    assert ratio.min() > 0.5
-    assert ratio.max() < 2.0
-    assert 0.8 < np.median(ratio) < 1.25
+    ratio = np.sqrt(np.mean(np.abs(difference) ** 2, axis=(0, 1))) / scale / relative_error(wanted, scale)
+    assert ratio.min() > ENTRY_RATIO[0]
+    assert ratio.max() < ENTRY_RATIO[1]
+    # Errors of a model are those of a few poles, and scatter from sweep to sweep.
+    assert (0.65 if estimator.rational else 0.8) < np.median(ratio) < (1.5 if estimator.rational else 1.25)
+
+
+LOUD = Instruments((0.2, 0.2, 0.2), (5.0, 5.0, 5.0), 2000.0)
+
+
+def test_the_model_has_the_poles_of_the_machine_and_errs_half_as_much_as_bands() -> None:
+    """Three modes over 60 Hz are known better from all lines than a polynomial knows them from 2 Hz."""
+    prediction = expected(published(), MATERIAL, ESTIMATE, LOUD, FREQUENCY)
+    assert prediction.attrs["poles"] == 3
+    scale = ESTIMATE.scale(FREQUENCY)
+    ratio = relative_error(prediction, scale, "bands_std") / relative_error(prediction, scale)
+    assert ratio.min() > 2.0
+    bands = expected(published(), MATERIAL, ESTIMATE, LOUD, FREQUENCY, BANDS)
+    np.testing.assert_allclose(prediction["bands_std"], bands["compliance_std"], rtol=1e-9)
+
+
+def test_noise_of_the_model_falls_with_the_root_of_the_repeats_and_not_below_what_all_its_lines_allow() -> None:
+    """With n functions of frequency an entry has ``sum of G_jj var/s^2 >= n`` over lines, or more: forces are alike."""
+    plan = published(duration=30.0)
+    once, four = (expected(replace(plan, repeats=n), MATERIAL, ESTIMATE, LOUD, FREQUENCY) for n in (1, 4))
+    np.testing.assert_allclose(once["noise_std"] / four["noise_std"], 2.0, rtol=0.02)
+    density = np.diagonal(np.sum(Forces(plan, MATERIAL, 84.0).energy(FREQUENCY), axis=0), axis1=1, axis2=2).real
+    noise = LOUD.response_noise(FREQUENCY, MACHINE.matrix(FREQUENCY))
+    variance = once["noise_std"].transpose("frequency", "response", "excitation").values ** 2
+    trace = 0.25 * np.sum(density[:, None, :] * variance / noise[:, :, None], axis=0)
+    functions = once.attrs["poles"] + 3
+    assert (trace > 0.9 * functions).all()
 
 
 def test_records_too_short_for_the_estimator_are_refused() -> None:
@@ -245,3 +274,36 @@ def test_a_measured_estimate_predicts_what_its_modes_predict() -> None:
     a = expected(published(), MATERIAL, fine, NOISE, FREQUENCY, narrow)
     b = expected(published(), MATERIAL, ESTIMATE, NOISE, FREQUENCY, narrow)
     np.testing.assert_allclose(a["noise_std"], b["noise_std"], rtol=1e-3)
+    scale = ESTIMATE.scale(FREQUENCY)
+    smooth = replace(fine, smooth=without_noise(fine.source, (20.0, 80.0)))
+    both = [relative_error(expected(published(), MATERIAL, e, LOUD, FREQUENCY), scale) for e in (smooth, ESTIMATE)]
+    np.testing.assert_allclose(both[0], both[1], rtol=0.1)
+
+
+def test_noise_of_a_measured_estimate_is_not_taken_for_modes() -> None:
+    """A hammer test with 2 % noise promises what its modes promise; noise that were fitted would cost twelve poles."""
+    f = np.arange(15.0, 90.0, 0.25)
+    truth = MACHINE.compliance(f)
+    rng = np.random.default_rng(3)
+    std = 0.02 * ESTIMATE.scale(FREQUENCY) * np.ones((f.size, 1, 1))
+    noise = (rng.standard_normal(std.shape) + 1j * rng.standard_normal(std.shape)) * std / math.sqrt(2.0)
+    noisy = truth.assign(compliance=truth["compliance"] + noise, compliance_std=(truth["compliance"].dims, std))
+    noisy["compliance"].attrs = truth["compliance"].attrs
+    noisy["compliance_std"].attrs["units"] = "m/N"
+    for source in (noisy, noisy.drop_vars("compliance_std")):
+        measured = Estimate("hammer", source, smooth=without_noise(source, (20.0, 80.0)))
+        assert measured.smooth is not None
+        assert measured.smooth.attrs["poles"] <= 4
+        left = np.abs(measured.matrix(FREQUENCY) - MACHINE.matrix(FREQUENCY)) / ESTIMATE.scale(FREQUENCY)
+        assert np.sqrt(np.mean(left**2)) < 0.01
+    scale = ESTIMATE.scale(FREQUENCY)
+    found, wanted = (expected(published(), MATERIAL, e, LOUD, FREQUENCY) for e in (measured, ESTIMATE))
+    ratio = relative_error(found, scale) / relative_error(wanted, scale)
+    assert ratio.min() > 0.75
+    assert ratio.max() < 1.33
+
+
+def test_chips_thinner_than_an_edge_are_told() -> None:
+    """``f_z sin(phi) sin(kappa)`` with ``cos(phi) = 1 - 2 a_e/D``: 0.4 mm of 80 mm leave 5 um of 0.05 mm a tooth."""
+    assert "chips are thinner than 10 um in down 0.4 mm (3.9 um)" in thin_chips(published(0.0004))[0]
+    assert not thin_chips(published())

@@ -247,7 +247,6 @@ def test_hammer_modes_and_scenario_lead_to_the_same_sweep(tmp_path: Path) -> Non
     by_modes = recommend(load_task(written(tmp_path)))
     by_scenario = recommend(load_task(written(tmp_path, f'scenario = "machine.toml"\n{QUICK}')))
     assert by_scenario.worst == pytest.approx(by_modes.worst, rel=1e-6)
-    assert by_hammer.sweep.start == by_modes.sweep.start
     assert by_hammer.sweep.depth == pytest.approx(by_modes.sweep.depth, abs=0.11e-3)
     # What a hammer test of two hits tells of the machine is enough to tell what the sweep will be worth.
     assert by_hammer.worst == pytest.approx(by_modes.worst, rel=0.25)
@@ -294,6 +293,7 @@ CASES = {
     "noise of the forces alone": (NOISY.replace("0.3 m/s^2", "0.001 m/s^2"), ("", "")),
     "a short sweep": (SHORT, ("", "")),
     "a helix and hardly any axial force": (SHORT, ('"45 deg"', '"90 deg"\nhelix_angle = "30 deg"')),
+    "one part in two hundred of the diameter": (f"{SHORT}\nforce_noise = '0.5 N'", ("", "")),
     "little damping": (f'{SHORT}\nchatter_margin = "90 %"', ("damping = 0.0287", "damping = 0.01")),
 }
 
@@ -302,7 +302,9 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_the_prediction_comes_true_for_other_sweeps(case: str, tmp_path: Path) -> None:
     settings, change = CASES[case]
-    checked = verify(recommend(load_task(written(tmp_path, f"{FIXED}\n{settings}", change))), None, (1,))
+    fixed = FIXED.replace('width_of_cut = "12 mm"', 'width_of_cut = "0.4 mm"') if "part" in case else FIXED
+    # The error of a model is that of a few poles: one draw says less of it than of many bands.
+    checked = verify(recommend(load_task(written(tmp_path, f"{fixed}\n{settings}", change))), None, (1, 2, 3))
     assert checked.confirmed, checked.table.to_string()
     assert checked.condition_ratio == pytest.approx(1.0, abs=0.1)
 
@@ -311,7 +313,7 @@ def test_the_prediction_comes_true_for_other_sweeps(case: str, tmp_path: Path) -
 def test_the_prediction_comes_true(tmp_path: Path) -> None:
     result = recommend(load_task(EXAMPLE))
     checked = verify(result, tmp_path, (1, 2))
-    assert checked.table["ratio"].between(*ENTRY_RATIO).all()
+    assert checked.table["bands_ratio"].between(*ENTRY_RATIO).all()
     assert MEDIAN_RATIO[0] <= checked.median_ratio <= MEDIAN_RATIO[1]
     assert checked.condition_ratio == pytest.approx(1.0, abs=0.1)
     assert checked.confirmed

@@ -1,0 +1,73 @@
+"""How wrong the rational model of the default estimator will be: `smfe.rational_fit` on the equations to be expected.
+
+With the energy ``G(f) = sum over records of F F^H`` and noise of density ``s_i^2`` the lines of a bin sum up to
+``integral conj(t^p) t^q G df`` and ``integral Phi G df``, whatever the length of the records. The estimator itself is
+fitted to these sums: where it ends beside the truth is its systematic error, and its linearised covariance is the bound
+of Cramer and Rao for a model of as many poles, which efficient estimates reach.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smfe.local_equations import Equations
+from smfe.plan_forces import Forces
+from smfe.plan_task import Estimate
+from smfe.rational_fit import fit_rational
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+STEP = 1.0 / 16.0
+"""Width of a bin [Hz], that of the estimator."""
+
+POINTS = 3
+"""Points of Gauss at which a bin is sampled."""
+
+BEYOND = 1.0
+"""How far beyond the band the estimator takes lines for its model [Hz]."""
+
+
+def expected_model(
+    forces: Forces, estimate: Estimate, noise: Real, frequency: Real, order: int
+) -> tuple[Real, Complex, int]:
+    """Return variance [m2/N2] and systematic error [m/N] of the rational model, shapes (f, 3, 3), and its poles.
+
+    Parameters
+    ----------
+    forces : Forces
+        Of the plan.
+    estimate : Estimate
+        The machine.
+    noise : ndarray, shape (f, 3)
+        ``s_i^2`` of each row [m2 s].
+    frequency : ndarray, shape (f,)
+        Frequencies of the evaluation [Hz].
+    order : int
+        Order of the polynomial in a bin.
+    """
+    band = (float(frequency[0]) - BEYOND, float(frequency[-1]) + BEYOND)
+    centre = np.arange(band[0] + 0.5 * STEP, band[1], STEP)
+    at, share = np.polynomial.legendre.leggauss(POINTS)
+    points = centre[:, None] + 0.5 * STEP * at
+    compliance, truth = estimate.matrix(points), estimate.matrix(frequency)
+    plan = forces.plan
+    energy = plan.repeats * np.sum(forces.energy(points), axis=0) * (0.5 * STEP * share)[:, None, None]
+    lines = STEP * plan.record * plan.records
+    equations = _sums(centre, points - centre[:, None], energy, compliance, order, lines)
+    weight = np.stack([1.0 / np.interp(centre, frequency, row) for row in noise.T], axis=1)[:, None, :]
+    fit = fit_rational(equations, equations, weight, band, frequency, 3)
+    variance = np.diagonal(fit.covariance, axis1=2, axis2=3).real
+    return np.asarray(variance), np.asarray(fit.value - truth), fit.poles.size
+
+
+def _sums(centre: Real, shift: Real, energy: Complex, compliance: Complex, order: int, lines: float) -> Equations:
+    """Return the sums over bins of shape (b, points, ...) as one test; `lines` a bin."""
+    powers = shift[..., None] ** np.arange(order + 1)
+    # conj(F_j) F_k is the transpose of F F^H.
+    gram = np.einsum("bsp,bsq,bskj->bpjqk", powers, powers, energy, optimize=True)
+    cross = np.einsum("bsp,bsrk,bskj->bpjr", powers, compliance, energy, optimize=True)
+    power = np.einsum("bsrk,bskj,bsrj->br", compliance, energy, compliance.conj(), optimize=True).real
+    moment = np.einsum("bsp,bsq->bpq", powers, powers) * lines / shift.shape[1]
+    return Equations(centre, STEP, gram[:, None], cross[:, None], power[:, None], moment[:, None])
