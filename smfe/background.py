@@ -3,7 +3,8 @@
 An axis that moves carries its own motion into the record: a displacement that runs away with the feed, an accelerometer
 that drifts, ripple of servo, screw and rack as tones, friction as noise. The block of a hit cuts a piece out of it,
 whose ends leak into all lines, the same way in every block: averaging does not help. In the quiet spans, the second
-half of the time to the next hit, when the machine has rung down, nothing else moves, so there the motion is fitted:
+half of the time to the next hit, when the machine has rung down, nothing else moves, so there the motion is fitted
+(`smfe.steady_tones`):
 
     x(t) = sum_k c_k t^k  (about each hit its own)  +  sum_i a_i cos w_i t + b_i sin w_i t  (one for the whole record).
 
@@ -25,6 +26,7 @@ from scipy import fft, ndimage
 from process.labels import sample_interval
 from smfe.hits import Hit
 from smfe.spectra import motion_axes
+from smfe.steady_tones import NONE, Tones, alike, fit_tones, multiples
 
 Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +34,9 @@ Mask = NDArray[np.bool_]
 _CLEAR = 40.0  # power of a line over the noise round it: chance exceeds it in exp(-40) of the lines
 _NEIGHBOURS = 200  # lines over which that noise is a median
 _CONSTANT = 0.3  # largest relative change of a tone from the early to the late halves of the quiet spans
+ROUNDS = 3
+"""How often trend and tones are fitted again, each without the other."""
+
 _GUARD = 2e-3  # [s] before an onset that is not quiet any more
 
 
@@ -68,12 +73,15 @@ class Removed:
         Axis -> share of the power in the quiet spans that was explained [1], after their mean was taken off.
     quiet : float
         Length of the quiet spans together [s].
+    fitted : mapping of str to Tones
+        Axis -> the tones with their covariance.
     """
 
     record: xr.Dataset
     tones: pd.DataFrame
     share: dict[str, float]
     quiet: float
+    fitted: dict[str, Tones]
 
 
 def remove_background(record: xr.Dataset, hits: Sequence[Hit], rules: Background | None = None) -> Removed:
@@ -94,21 +102,33 @@ def remove_background(record: xr.Dataset, hits: Sequence[Hit], rules: Background
     quiet, late = quiet_spans(hits, count, dt, rules.share)
     order = rules.order if rules.order is not None else (2 if channel == "displacement" else 1)
     motion = record[channel].copy(deep=True)
-    rows, share = [], {}
+    rows, share, fitted = [], {}, {}
     for axis in axes:
         samples = record[channel].sel(axis=axis).values
+        tones = NONE
         trend = _trend(samples, hits, quiet, dt, order)
-        tones = _tones(samples - trend, quiet, late, dt, rules.most_tones) if quiet.any() else []
-        wave = _wave(tones, count, dt)
-        # The trend again, without the tones that bent it.
-        trend = _trend(samples - wave, hits, quiet, dt, order)
+        if quiet.any():
+            tones = _tones(samples - trend, quiet, late, dt, rules.most_tones)
+        usual = quiet
+        for _ in range(ROUNDS):
+            # The trend again, without the tones that bent it; the tones without the bend; neither where more moves.
+            trend = _trend(samples - tones.wave(count, dt), hits, usual, dt, order)
+            usual = alike(samples - trend - tones.wave(count, dt), quiet, dt)
+            more = multiples(tones, rules.most_tones - tones.frequency.size, 0.4 / dt)
+            tones = fit_tones(samples - trend, usual, dt, [*tones.frequency, *more])
+            # What was seen of a transient before it was left out is not there any more.
+            tones = fit_tones(samples - trend, usual, dt, list(tones.frequency[tones.clear**2 > _CLEAR]))
+        wave = tones.wave(count, dt)
+        trend = _trend(samples - wave, hits, usual, dt, order)
         cleaned = samples - wave - trend
         motion.loc[{"axis": axis}] = cleaned
-        rows += [{"axis": axis, "frequency_Hz": f, "amplitude": float(np.hypot(a, b))} for f, a, b in tones]
+        size = np.hypot(tones.cosine, tones.sine)
+        rows += [{"axis": axis, "frequency_Hz": f, "amplitude": a} for f, a in zip(tones.frequency, size, strict=True)]
+        fitted[axis] = tones
         before = float(np.var(samples[quiet])) if quiet.any() else 0.0
         share[axis] = 1.0 - float(np.mean(cleaned[quiet] ** 2)) / before if before > 0.0 else 0.0
     table = pd.DataFrame(rows, columns=["axis", "frequency_Hz", "amplitude"])
-    return Removed(record.assign({channel: motion}), table, share, float(np.count_nonzero(quiet)) * dt)
+    return Removed(record.assign({channel: motion}), table, share, float(np.count_nonzero(quiet)) * dt, fitted)
 
 
 def quiet_spans(hits: Sequence[Hit], count: int, dt: float, share: float = 0.5) -> tuple[Mask, Mask]:
@@ -160,16 +180,15 @@ def _trend(samples: Real, hits: Sequence[Hit], quiet: Mask, dt: float, order: in
     return out
 
 
-def _tones(samples: Real, quiet: Mask, late: Mask, dt: float, most: int) -> list[tuple[float, float, float]]:
-    """Return frequency [Hz], cosine and sine amplitude of the tones that go on through all quiet spans."""
+def _tones(samples: Real, quiet: Mask, late: Mask, dt: float, most: int) -> Tones:
+    """Return the tones that go on through all quiet spans, the clearest first."""
     rest = np.where(quiet, samples - float(np.mean(samples[quiet])), 0.0)
-    found: list[float] = []
-    refused: list[float] = []
+    found, refused, usual = NONE, list[float](), quiet
     length = fft.next_fast_len(2 * rest.size, real=True)
     frequency = fft.rfftfreq(length, dt)
     line = 1.0 / (rest.size * dt)
     for _ in range(2 * most):
-        if len(found) == most:
+        if found.frequency.size == most:
             break
         power = np.abs(fft.rfft(rest, length)) ** 2
         floor = ndimage.median_filter(power, 2 * _NEIGHBOURS + 1, mode="nearest") / np.log(2.0)
@@ -180,14 +199,17 @@ def _tones(samples: Real, quiet: Mask, late: Mask, dt: float, most: int) -> list
         top = int(np.argmax(ratio))
         if ratio[top] < _CLEAR:
             break
-        tone = _refined(samples, quiet, dt, float(frequency[top]))
-        if _goes_on(samples, quiet, late, dt, [*found, tone]):
-            found.append(tone)
+        # Alone first: its line may lie off by more than joint steps forgive.
+        tone = _refined(np.where(quiet, rest, 0.0), usual, dt, float(frequency[top]))
+        more = fit_tones(samples, usual, dt, [*found.frequency, tone])
+        if _goes_on(samples, usual, late & usual, dt, list(more.frequency)):
+            found = more
         else:
             refused.append(tone)
-        rest = np.where(quiet, samples - _wave(_amplitudes(samples, quiet, dt, found), samples.size, dt), 0.0)
-        rest = np.where(quiet, rest - float(np.mean(rest[quiet])), 0.0)
-    return _amplitudes(samples, quiet, dt, found)
+        usual = alike(samples - found.wave(samples.size, dt), quiet, dt)
+        rest = np.where(usual, samples - found.wave(samples.size, dt), 0.0)
+        rest = np.where(usual, rest - float(np.mean(rest[usual])), 0.0)
+    return found
 
 
 def _columns(frequencies: Sequence[float], index: NDArray[np.int64], dt: float) -> Real:
@@ -244,11 +266,3 @@ def _goes_on(samples: Real, quiet: Mask, late: Mask, dt: float, frequencies: lis
         if abs(two - one) > limit * max(abs(one), abs(two)):
             return False
     return True
-
-
-def _wave(tones: Sequence[tuple[float, float, float]], count: int, dt: float) -> Real:
-    out = np.zeros(count)
-    t = dt * np.arange(count)
-    for f, a, b in tones:
-        out += a * np.cos(2.0 * np.pi * f * t) + b * np.sin(2.0 * np.pi * f * t)
-    return out

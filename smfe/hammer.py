@@ -21,6 +21,7 @@ from process.labels import AXES, axis_index, make_compliance, sample_interval
 from smfe.attached_mass import without_mass
 from smfe.averaging import ESTIMATORS, average, degrees_of_freedom, deviations, noise_ratio
 from smfe.background import Background, remove_background
+from smfe.background_doubt import doubts, shared_doubt, side_by_side
 from smfe.decay import leakage, leakage_by_line
 from smfe.error_factors import error_variables
 from smfe.hit_direction import HitSpectra, wrong_directions
@@ -41,6 +42,7 @@ from smfe.hits import (
 )
 from smfe.identification import Identification
 from smfe.spectra import block_spectra, check_records, force_samples, hann, motion_axes
+from smfe.steady_tones import Tones
 from smfe.windows import REACH, check_time_constant, exponential, laplace_factor, without_window
 
 
@@ -150,10 +152,13 @@ def identify_hammer(
     hits = [judge(hit, columns[hit.excitation][hit.record], duration, exclude, rules) for hit in hits]
     tables: dict[str, pd.DataFrame] = {}
     notes: list[str] = []
+    tones: dict[str, list[Mapping[str, Tones]]] = {}
     if background is not None:
-        columns, tables["background"], notes = _without_background(columns, hits, background)
+        columns, tones, tables["background"], notes = _without_background(columns, hits, background)
     plan = _Plan(duration, rules, gate_force, averaging, frequency_range)
-    gathered = {a: _gather_column(columns[a], accepted(name, a, hits), plan) for a in AXES if a in columns}
+    gathered = {
+        a: _gather_column(columns[a], accepted(name, a, hits), plan, tones.get(a, ())) for a in AXES if a in columns
+    }
     if "direction" in exclude:
         hits, gathered, undecided = _rightly_directed(hits, gathered)
         notes += undecided
@@ -178,16 +183,18 @@ class _Plan:
 
 def _without_background(
     columns: Mapping[str, list[xr.Dataset]], hits: Sequence[Hit], background: Background
-) -> tuple[dict[str, list[xr.Dataset]], pd.DataFrame, list[str]]:
-    """Return the records without what moves between the hits, the table of tones, and what there is to say."""
+) -> tuple[dict[str, list[xr.Dataset]], dict[str, list[Mapping[str, Tones]]], pd.DataFrame, list[str]]:
+    """Return the records without what moves between the hits, its tones, their table, and what there is to say."""
     cleaned: dict[str, list[xr.Dataset]] = {}
+    tones: dict[str, list[Mapping[str, Tones]]] = {}
     tables, notes = [], []
     for axis, group in columns.items():
-        cleaned[axis] = []
+        cleaned[axis], tones[axis] = [], []
         for index, record in enumerate(group):
             here = [h for h in hits if h.excitation == axis and h.record == index]
             removed = remove_background(record, here, background)
             cleaned[axis].append(removed.record)
+            tones[axis].append(removed.fitted)
             tables.append(removed.tones.assign(excitation=axis, file=here[0].source))
             shares = ", ".join(f"{100.0 * share:.0f} % in {a}" for a, share in removed.share.items())
             notes.append(
@@ -195,7 +202,7 @@ def _without_background(
                 f"{removed.quiet:.3g} s, {len(removed.tones)} tones among it"
             )
     table = pd.concat(tables, ignore_index=True)
-    return cleaned, table[["excitation", "file", *(c for c in table if c not in ("excitation", "file"))]], notes
+    return cleaned, tones, table[["excitation", "file", *(c for c in table if c not in ("excitation", "file"))]], notes
 
 
 def _rightly_directed(
@@ -220,7 +227,10 @@ def _rightly_directed(
 
 @dataclass(frozen=True)
 class _Gathered:
-    """Hits of one excitation with their spectra, shapes (f,), (f, 3, M), (f, M); NaN for a response not recorded."""
+    """Hits of one excitation with their spectra, shapes (f,), (f, 3, M), (f, M); NaN for a response not recorded.
+
+    `doubt` (f, 3, M, p) is what the background that was taken off may be wrong by, one standard error each.
+    """
 
     hits: Sequence[Hit]
     records: Sequence[_Blocks]
@@ -230,20 +240,25 @@ class _Gathered:
     noise: float
     band: tuple[float, float]
     channel: str
+    doubt: NDArray[np.complex128]
 
     def only(self, kept: Sequence[int]) -> _Gathered:
         """Return some of the hits."""
         if len(kept) == len(self.hits):
             return self
         hits = [self.hits[m] for m in kept]
-        return replace(self, hits=hits, motion=self.motion[:, :, kept], force=self.force[:, kept])
+        return replace(
+            self, hits=hits, motion=self.motion[:, :, kept], force=self.force[:, kept], doubt=self.doubt[:, :, kept]
+        )
 
 
-def _gather_column(records: Sequence[xr.Dataset], hits: Sequence[Hit], plan: _Plan) -> _Gathered:
+def _gather_column(
+    records: Sequence[xr.Dataset], hits: Sequence[Hit], plan: _Plan, tones: Sequence[Mapping[str, Tones]]
+) -> _Gathered:
     """Transform the accepted hits of one excitation axis and find the band that their force carries."""
     axis = hits[0].excitation
     order = sorted({h.record for h in hits})
-    gathered = [_gather(records[i], [h for h in hits if h.record == i], plan) for i in order]
+    gathered = [_gather(records[i], [h for h in hits if h.record == i], plan, tones[i] if tones else {}) for i in order]
     shared = min(blocks.frequency.size for blocks in gathered)
     frequency = gathered[0].frequency[:shared]
     for blocks in gathered[1:]:
@@ -264,7 +279,8 @@ def _gather_column(records: Sequence[xr.Dataset], hits: Sequence[Hit], plan: _Pl
     # What nobody asks for above the band is most of a record sampled fast: it need not be averaged.
     top = max(high, plan.wanted[1] if plan.wanted else 0.0)
     kept = slice(0, int(np.searchsorted(frequency, top)) + 2 * REACH + 2)
-    return _Gathered(ordered, gathered, frequency[kept], motion[kept], force[kept], noise, band, channel)
+    doubt = side_by_side([b.doubt[:shared][kept] for b in gathered])
+    return _Gathered(ordered, gathered, frequency[kept], motion[kept], force[kept], noise, band, channel, doubt)
 
 
 @dataclass(frozen=True)
@@ -299,7 +315,8 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
         bias += (column.noise / power)[:, None]
     elif how.estimator == "H2":
         bias += np.nan_to_num(1.0 - averaged.coherence)  # (H2 - H1)/H2, if all that is incoherent is in the response
-    systematic = np.concatenate([(bias * compliance)[..., None], _cut_off(column, compliance, plan)], axis=2)
+    common = shared_doubt(column.doubt, column.force, averaged.leverage)
+    systematic = np.concatenate([(bias * compliance)[..., None], _cut_off(column, compliance, plan), common], axis=2)
     unknown = np.isnan(deviation[..., :1])
     deviation = np.concatenate([deviation, np.where(unknown, np.nan, systematic)], axis=2)
     notes = [
@@ -361,9 +378,11 @@ class _Blocks:
     last_quarter: NDArray[np.complex128]
     noise_energy: float
     """Expected ``|F|^2`` of the force noise in one block [N^2 s^2]; zero for a force cut to exact zeros."""
+    doubt: NDArray[np.complex128]
+    """What the background that was taken off may be wrong by, shape (f, 3, hits, p)."""
 
 
-def _gather(record: xr.Dataset, hits: Sequence[Hit], plan: _Plan) -> _Blocks:
+def _gather(record: xr.Dataset, hits: Sequence[Hit], plan: _Plan, tones: Mapping[str, Tones]) -> _Blocks:
     axis, rules, tau = hits[0].excitation, plan.rules, plan.averaging.exponential_window
     dt = sample_interval(record)
     force = force_samples(record, axis)
@@ -379,6 +398,7 @@ def _gather(record: xr.Dataset, hits: Sequence[Hit], plan: _Plan) -> _Blocks:
     motion = _all_axes(spectra.displacement, spectra.response)[1:]
     if tau is not None:
         motion = motion * laplace_factor(spectra.frequency[1:], tau, motion_axes(record)[0])[:, None, None]
+    doubt = doubts(record, [start for start, _ in blocks], taper, tones) if tau is None else motion[..., None][..., :0]
     quarter = length // 4
     window = hann(quarter)
     # The first quarter begins with the pulse, so that "first" and "last" are the same stretch of every decay.
@@ -393,6 +413,7 @@ def _gather(record: xr.Dataset, hits: Sequence[Hit], plan: _Plan) -> _Blocks:
         first_quarter=_all_axes(early.displacement, early.response)[1:],
         last_quarter=_all_axes(late.displacement, late.response)[1:],
         noise_energy=noise**2 * dt**2 * float(taper @ taper),
+        doubt=doubt,
     )
 
 

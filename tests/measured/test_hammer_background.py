@@ -19,9 +19,11 @@ from process.servo import Servo
 from process.structure import two_mass_axes
 from process.trials import Running, hammer_trial
 from smfe.background import Background, quiet_spans, remove_background
+from smfe.background_doubt import shared_doubt
 from smfe.hammer import identify_hammer
 from smfe.hits import find_hits
 from smfe.intervals import interval
+from smfe.steady_tones import fit_tones
 
 MASS, STIFFNESS, DAMPING = 11.3, 1.68e6, 104.0
 RATE, PULSE = 2000.0, 4e-3
@@ -161,6 +163,43 @@ def test_an_axis_under_its_drive_is_measured_while_it_moves() -> None:
     assert band["removed"] < 0.01
 
 
+def test_a_tone_that_keeps_step_with_the_hits_is_in_the_error() -> None:
+    """Hits a whole number of periods apart take the same error of a tone each time, which scatter does not show.
+
+    The errors of a wave are those that thirty draws of noise give.
+    """
+    t = np.arange(round(13.0 * RATE)) / RATE
+    quiet = (t % 2.5) > 1.2
+    clean = 0.3 * np.sin(2.0 * np.pi * 18.0 * t + 0.4) + 0.1 * np.sin(2.0 * np.pi * 36.0 * t)
+    draws = []
+    for seed in range(30):
+        noise = 0.05 * np.random.default_rng(seed).standard_normal(t.size)
+        found = fit_tones(clean + noise, quiet, 1.0 / RATE, [18.002, 35.997])
+        draws.append(found.wave(t.size, 1.0 / RATE) - clean)
+    stated = sum(found.doubt(k, t.size, 1.0 / RATE) ** 2 for k in range(found.factor.shape[1]))
+    assert found.multiple.shape == (2, 1)
+    assert found.frequency[1] == pytest.approx(2.0 * found.frequency[0], rel=1e-12)
+    assert np.sqrt(np.mean(np.square(draws)) / np.mean(stated)) == pytest.approx(1.0, abs=0.15)
+    # In step: all of an error is shared; at random: nothing on average.
+    rng = np.random.default_rng(1)
+    force, leverage = np.ones((400, 8), dtype=complex), np.full((400, 1, 8), 1.0 / 8.0)
+    turned = np.exp(2j * np.pi * rng.uniform(size=(400, 1, 8, 1)))
+    assert np.abs(shared_doubt(np.ones((400, 1, 8, 1), dtype=complex), force, leverage)) == pytest.approx(1.0)
+    assert np.mean(np.abs(shared_doubt(turned, force, leverage)) ** 2) < 0.07
+
+
+def test_what_begins_with_the_record_and_ends_is_no_tone_and_spoils_none() -> None:
+    """An axis that settles in the first tenth of a second: the tone is found as without it."""
+    t = np.arange(round(13.0 * RATE)) / RATE
+    record = in_motion("acceleration", ((17.3, 1.5),), noise=0.01)
+    without = error(record, Background())
+    record["acceleration"].values[0] += 3.0 * np.exp(-t / 0.03) * np.cos(2.0 * np.pi * 15.0 * t)
+    found = remove_background(record, find_hits(record, "x")).tones
+    assert found["frequency_Hz"].tolist() == pytest.approx([17.3], abs=2e-4)
+    assert found["amplitude"].tolist() == pytest.approx([1.5], rel=1e-3)
+    assert error(record, Background()) < without + 1e-3
+
+
 @pytest.mark.slow
 def test_intervals_hold_in_motion_as_often_as_they_say() -> None:
     """Three tones, a drift and noise of 0.2 m/s2, 60 seeds: 95 % intervals hold 92 to 98 % once the tones are off."""
@@ -180,12 +219,12 @@ def test_intervals_hold_in_motion_as_often_as_they_say() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("channel", "row"), [("acceleration", 0), ("displacement", 4)])
-@pytest.mark.parametrize(("feed", "limit"), [(1000.0, 0.015), (3000.0, 0.2)])
-def test_friction_and_screw_of_the_bench_are_background(channel: str, row: int, feed: float, limit: float) -> None:
-    """LuGre guideway, sampled servo, 30 N of screw ripple: against hits less the same motion without hits.
+@pytest.mark.parametrize(("feed", "ripple"), [(1000.0, 30.0), (3000.0, 30.0), (3000.0, 60.0), (5000.0, 30.0)])
+def test_friction_and_screw_of_the_bench_are_background(channel: str, row: int, feed: float, ripple: float) -> None:
+    """LuGre guideway, sampled servo, screw ripple: against hits less the same motion without hits.
 
     Left in, the error at 3000 mm/min is 19 times the largest compliance from acceleration (near the tone at 10 Hz) and
-    more than a thousand times from displacement; removed 0.16 and 0.08, at 1000 mm/min 0.003 and 0.01.
+    more than a thousand times from displacement. The first tenth of a second holds the start of the motion.
     """
     package = types.ModuleType("truth")
     package.__path__ = [str(Path(__file__).parents[1] / "truth")]
@@ -193,7 +232,7 @@ def test_friction_and_screw_of_the_bench_are_background(channel: str, row: int, 
     axis = importlib.import_module("truth.axis")
     starts = 0.5 + np.array([0.0, 1.43, 2.91, 4.36, 5.8])
     pulses = np.column_stack([starts, np.full(5, 150.0), np.full(5, 1.7e-3), np.full(5, 3.0)])
-    truth, setting = axis.Truth(ripple=30.0), axis.Setting(feed * axis.MM_MIN, "K2")
+    truth, setting = axis.Truth(ripple=ripple), axis.Setting(feed * axis.MM_MIN, "K2")
     hit, still = (axis.simulate(truth, setting, p, np.zeros((0, 5)), 7.5)[:, ::4] for p in (pulses, pulses[:0]))
 
     def compliance(motion: np.ndarray, background: Background | None) -> np.ndarray:
@@ -204,4 +243,4 @@ def test_friction_and_screw_of_the_bench_are_background(channel: str, row: int, 
 
     reference = compliance(hit[row] - still[row], None)
     removed = compliance(hit[row], Background())
-    assert np.abs(removed - reference).max() < limit * np.abs(reference).max()
+    assert np.abs(removed - reference).max() < (0.002 if feed < 4000.0 else 0.02) * np.abs(reference).max()
