@@ -18,7 +18,7 @@ import xarray as xr
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
 from process.engagement import engagement
-from process.sensors import Sensors
+from process.sensors import Sensors, Tone
 from process.simulate import MillingCut, Spindle
 from process.tool import Tool
 from process.trials import actuator_trial, hammer_trial, milling_trial
@@ -95,6 +95,13 @@ def _hammer(axis: str) -> Callable[[np.random.Generator], xr.Dataset]:
     return lambda rng: hammer_trial(MACHINE, axis, list(rng.uniform(3.0, 5.0, 5)), sensors, rng)
 
 
+def _hammer_in_motion(axis: str) -> Callable[[np.random.Generator], xr.Dataset]:
+    """The same test while x moves at the feed of the sweeps: the ripple of its drive is in the record."""
+    ripple = (Tone("acceleration_x", 0.05, 44.0), Tone("acceleration_x", 0.02, 88.0))
+    sensors = Sensors((1.0, 1.0, 1.0), SENSORS.acceleration_noise, stages=ripple)
+    return lambda rng: hammer_trial(MACHINE, axis, list(rng.uniform(3.0, 5.0, 5)), sensors, rng)
+
+
 def _actuator(axis: str) -> Callable[[np.random.Generator], xr.Dataset]:
     sensors = Sensors((0.5, 0.5, 0.5), SENSORS.acceleration_noise)
     steps = np.arange(20.0, 80.5, 1.0)
@@ -119,7 +126,9 @@ def _jobs() -> list[_Job]:
         _Job(f"records/sweep_{cut}.nc", _sweep(cut, SWEEP_WIDTH, SENSORS, SWEEP_DURATION))
         for cut in ("down", "up", "central")
     ]
-    return jobs + [_Job(_test_file(*test), _cutting_test(*test)) for test in CUTTING_TESTS]
+    # Seeds go by number: what is added comes last, so that the other records stay as they were.
+    jobs += [_Job(_test_file(*test), _cutting_test(*test)) for test in CUTTING_TESTS]
+    return jobs + [_Job(f"records/hammer_moving_{a}.csv", _hammer_in_motion(a)) for a in "xyz"]
 
 
 def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent) -> Path:
@@ -180,7 +189,9 @@ def _cutting_tests() -> str:
 
 
 _HEAD = """\
-# A measuring campaign on a simulated machine: three sweeps, a hammer test, an actuator test, six cutting tests.
+# A measuring campaign on a simulated machine: three sweeps, hammer tests at rest and in motion, an actuator test, six
+# cutting tests. Feed and method can be told apart, because there is a hammer test at either feed; method and level (the
+# depth of cut of a sweep, the force of an actuator) cannot, and explained.csv says so.
 [campaign]
 name = "Simulated milling machine"
 
@@ -222,6 +233,17 @@ records = [
     { file = "records/hammer_z.csv", excitation = "z" },
 ]
 
+[[measurement]]           # the same test at the feed of the sweeps: what differs from the first is the feed alone
+name = "hammer_moving"
+method = "hammer"
+feed = { x = "120 mm/min" }
+frequency_range = ["15 Hz", "90 Hz"]
+records = [
+    { file = "records/hammer_moving_x.csv", excitation = "x" },
+    { file = "records/hammer_moving_y.csv", excitation = "y" },
+    { file = "records/hammer_moving_z.csv", excitation = "z" },
+]
+
 [[measurement]]
 name = "actuator"
 method = "actuator"
@@ -236,6 +258,8 @@ records = [
 [[measurement]]
 name = "sweep"
 method = "sweep"
+feed = { x = "120 mm/min" }
+feed_per_tooth = "0.1 mm"
 depth_of_cut = "2 mm"
 frequency_range = ["20 Hz", "80 Hz"]
 records = [
@@ -247,6 +271,8 @@ records = [
 [[measurement]]           # the same records with force x as the only reference, to compare with
 name = "sweep_force_x_only"
 method = "sweep"
+feed = { x = "120 mm/min" }
+feed_per_tooth = "0.1 mm"
 depth_of_cut = "2 mm"
 frequency_range = ["20 Hz", "80 Hz"]
 references = "x"
