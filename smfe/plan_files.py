@@ -191,14 +191,12 @@ def scenario_text(task: Task, sweep: SweepPlan, seed: int) -> str:
         )
     limits = task.limits
     low, high = limits.frequency_range
-    # A simulated spindle accelerates from the start of the record, in the air before the cut too.
-    before = [w - sweep.lead * sweep.acceleration for w in (sweep.start, sweep.end)]
     trial: dict[str, Any] = {
         "method": "sweep",
         **({"controller": limits.controller} if limits.controller else {}),
         "depth_of_cut": show(sweep.depth, "mm", "length"),
-        "feed_per_tooth": show(sweep.feed_per_tooth * sweep.start / before[0], "mm", "length", digits=9),
-        "spindle_speed": [show(w, "rpm", "rotation", digits=9) for w in before],
+        "feed_per_tooth": show(sweep.feed_per_tooth, "mm", "length", digits=9),
+        "spindle_speed": [show(w, "rpm", "rotation", digits=9) for w in (sweep.start, sweep.end)],
         "rate": show(sweep.acceleration, "rad/s^2", "rotation_rate", digits=9),
         "lead": show(sweep.lead, "s", "time"),
         "tail": show(sweep.tail, "s", "time"),

@@ -347,6 +347,14 @@ def _sweep(stand: Stand, trial: schema.SweepTable, chosen: Combination) -> Itera
     if running != chosen.running:
         chosen.says["feed"] = _said_feed(running.feed)
     chosen = replace(chosen, running=running)
+    # The spindle accelerates in the air already, so that the speeds that are asked for are those in the cut.
+    first = start - trial.rate * trial.lead
+    if not first > 0.0:
+        raise InputError(
+            f"a spindle that has {start * 30.0 / math.pi:.4g} rpm where the cut begins and gains "
+            f"{trial.rate * 30.0 / math.pi:.4g} rpm/s would turn backwards {trial.lead:g} s (lead) before; shorten "
+            "lead or lower rate"
+        )
     jobs = []
     for number, one in enumerate(trial.passes, 1):
         arc = engagement(one.cut, one.width_of_cut, tool.diameter)
@@ -354,7 +362,7 @@ def _sweep(stand: Stand, trial: schema.SweepTable, chosen: Combination) -> Itera
             milling_trial,
             stand.loaded,
             MillingCut(tool, arc, material, chosen.level, feed_rate=feed_rate),
-            Spindle(start, trial.rate),
+            Spindle(first, trial.rate),
             (end - start) / trial.rate,
             lead=trial.lead,
             tail=trial.tail,

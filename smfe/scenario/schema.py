@@ -281,7 +281,10 @@ class CuttingTable(TrialTable):
 
 
 class SweepTable(CuttingTable):
-    """``method = "sweep"``: the feed rate is held while the speed rises, `feed_per_tooth` is that of the start."""
+    """``method = "sweep"``: the feed rate is held while the speed rises.
+
+    `spindle_speed` and `feed_per_tooth` are those in the cut, the latter at its start.
+    """
 
     method: Literal["sweep"]
     spindle_speed: Annotated[tuple[float, float], _range("rotation", steps=False)]

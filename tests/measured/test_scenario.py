@@ -194,6 +194,18 @@ def test_the_resonance_of_a_force_sensor_is_a_bias_beyond_the_stated_noise(simul
     assert np.nanmedian(error[:, [0, 1, 2], [0, 1, 2]]) > 2.0
 
 
+def test_the_speeds_of_a_sweep_are_those_in_the_cut(simulated: Path) -> None:
+    """The record holds 600 rpm where the forces begin and 1350 rpm where they end; a tooth passes at 20 to 45 Hz."""
+    campaign = load_campaign(simulated / "campaign.toml")
+    (sweep,) = (m for m in campaign.measurements if m.name == "sweep")
+    record = read_records(sweep.records[0].files[0], sweep.records[0].channels)[0]
+    force = np.abs(record["force"].sel(axis="x").values)
+    cutting = np.flatnonzero(force > 0.3 * force.max())
+    speed = record["spindle_speed"].values * (1.0 if record["spindle_speed"].attrs["units"] == "rpm" else 30.0 / np.pi)
+    assert speed[cutting[[0, -1]]] == pytest.approx([600.0, 1350.0], rel=0.01)
+    assert speed[0] == pytest.approx(600.0 - 0.5 * 3.0 * 30.0 / np.pi, rel=1e-3)
+
+
 def test_the_campaign_declares_what_was_simulated(simulated: Path) -> None:
     campaign = load_campaign(simulated / "campaign.toml")
     assert [(m.name, m.method) for m in campaign.measurements] == [
@@ -477,6 +489,10 @@ BAD = [
 ]
 BAD_CUT = [
     (("teeth = 2", "teeth = 0"), "tool: the tool has 0 teeth"),
+    (
+        ('rate = "3 rad/s^2"', 'rate = "300 rad/s^2"'),
+        "trial[2]: a spindle that has 600 rpm where the cut begins and gains",
+    ),
     (('depth_of_cut = "2 mm"', 'depth_of_cut = "0 mm"'), "depth_of_cut: '0 mm' is not possible; it must be positive"),
     (('width_of_cut = "40 mm"', 'width_of_cut = "90 mm"'), "trial[3]: a width of cut of 90 mm with a tool of 80 mm"),
     ((CUTTING, ""), "trial[2]: a sweep needs [tool] and [material]; add it"),
