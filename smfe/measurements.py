@@ -185,8 +185,15 @@ def hammer_settings(m: Measurement) -> dict[str, Any]:
     }
 
 
-def split_levels(campaign: Campaign) -> dict[str, xr.Dataset]:
+def split_levels(campaign: Campaign, folder: Path | None = None) -> dict[str, xr.Dataset]:
     """Identify the hammer measurements that ask for it once more, each force level for itself.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    folder : path, optional
+        Where results are kept, and found again while neither records nor settings have changed.
 
     Returns
     -------
@@ -198,11 +205,23 @@ def split_levels(campaign: Campaign) -> dict[str, xr.Dataset]:
     InputError
         With the measurement's name and the level.
     """
-    return {
-        f"{m.name}, by level": hammer_levels(m.name, _records_by_axis(m), **hammer_settings(m)).compliance
-        for m in campaign.measurements
-        if m.method == "hammer" and m.split_levels
-    }
+    wanted = (m for m in campaign.measurements if m.method == "hammer" and m.split_levels)
+    return {f"{m.name}, by level": _by_level(campaign, m, folder) for m in wanted}
+
+
+def _by_level(campaign: Campaign, m: Measurement, folder: Path | None) -> xr.Dataset:
+    path = None if folder is None else folder / f"{m.name}, by level-{_key(campaign, m)}.nc"
+    if path is not None and path.is_file():
+        try:
+            return read_groups(path)["by_level"]
+        except (InputError, KeyError):
+            path.unlink()
+    found = hammer_levels(m.name, _records_by_axis(m), **hammer_settings(m)).compliance
+    if path is not None and folder is not None:
+        for old in folder.glob(f"{m.name}, by level-????????????????.nc"):
+            old.unlink()
+        write_groups(path, {"by_level": found})
+    return found
 
 
 def _actuator(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:

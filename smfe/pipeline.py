@@ -130,7 +130,7 @@ def run(
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
     notes.warnings += _warnings(found, results, verdicts)
     stacked, unstacked = condition_cubes(loaded.measurements, compliances)
-    cubes |= stacked | split_levels(loaded)
+    cubes |= stacked | split_levels(loaded, folder / KEPT)
     notes.warnings += unstacked
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.

@@ -189,6 +189,26 @@ def test_levels_in_the_records_of_one_measurement_are_split(tmp_path: Path) -> N
     assert np.isfinite(found[name]["compliance_std"]).all()
 
 
+def test_levels_are_identified_once_and_read_back_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for level in (100, 400):
+        hits(tmp_path, f"h{level}.nc", level=float(level))
+    loaded = load_campaign(campaign(tmp_path, table("split_levels = true", file="h*.nc")))
+    plain, first = split_levels(loaded), split_levels(loaded, tmp_path / "kept")
+
+    def again(*_: object, **__: object) -> None:
+        raise AssertionError("identified again")
+
+    monkeypatch.setattr("smfe.measurements.hammer_levels", again)
+    second = split_levels(loaded, tmp_path / "kept")
+    for name, dataset in plain.items():
+        xr.testing.assert_identical(dataset, first[name])
+        xr.testing.assert_identical(dataset, second[name])
+    # Other records are other results.
+    hits(tmp_path, "h400.nc", level=300.0)
+    with pytest.raises(AssertionError, match="identified again"):
+        split_levels(load_campaign(tmp_path / "campaign.toml"), tmp_path / "kept")
+
+
 def test_measurements_that_differ_in_level_and_feed_are_stacked(tmp_path: Path) -> None:
     for level in (100, 400):
         hits(tmp_path, f"h{level}.nc", level=float(level))
