@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 
+HIGHEST_DAMPING = 0.999
+"""Largest damping ratio that a search may try: at 1 a mode does not vibrate any more and is refused."""
+
 
 @dataclass(frozen=True)
 class ModalModel:
@@ -56,6 +59,11 @@ class ModalModel:
             values = getattr(self, name)
             if not np.all(np.isfinite(values) & (values > 0.0)):
                 raise InputError(f"{name} of a mode is {values.min():g}; it must be positive")
+        if self.damping.max(initial=0.0) >= 1.0:
+            raise InputError(
+                f"the damping ratio of a mode is {self.damping.max():g}, which does not vibrate; give a ratio below 1: "
+                "2 % are 0.02"
+            )
 
     @property
     def mass(self) -> NDArray[np.float64]:

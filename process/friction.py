@@ -31,6 +31,14 @@ def _not_negative(**values: float) -> None:
             raise InputError(f"{name.replace('_', ' ')} is {value:g}; give a finite value >= 0 (SI units)")
 
 
+def _static_at_least(coulomb: float, static: float) -> None:
+    if static < coulomb * (1.0 - 1e-9):
+        raise InputError(
+            f"the static force of {static:g} N is below the sliding force (coulomb) of {coulomb:g} N; the Stribeck "
+            "curve falls from static to coulomb: give a static force at least as large"
+        )
+
+
 class FrictionLaw(ABC):
     """Friction without memory: a force for each velocity. Subclasses are frozen dataclasses."""
 
@@ -163,6 +171,7 @@ class Andersson(FrictionLaw):
         """Refuse parameters without meaning."""
         _not_negative(coulomb_force=self.coulomb, static_force=self.static, sigma=self.sigma)
         _positive(stribeck_speed=self.stribeck_speed, kt=self.kt, delta=self.delta)
+        _static_at_least(self.coulomb, self.static)
         if self.negative is not None and self.negative.negative is not None:
             raise InputError("the law for negative velocity has itself one for negative velocity; give it without")
 
@@ -223,6 +232,7 @@ class MemoryLaw(ABC):
         _positive(
             coulomb_force=self.coulomb, static_force=self.static, stribeck_speed=self.stribeck_speed, delta=self.delta
         )
+        _static_at_least(self.coulomb, self.static)
 
 
 @dataclass(frozen=True)

@@ -197,17 +197,22 @@ def _fit_stribeck(v: Real, f: Real, weight: Real | None, shape: Andersson) -> _S
     speed = float(speeds[np.argmin([nnls(basis(float(s)), f * w)[1] for s in speeds])])
     coulomb, boost, sigma = nnls(basis(speed), f * w)[0]
     scale = np.array([np.abs(f).max(), np.abs(f).max(), speed, np.abs(f).max() / v.max()])
-    start = np.array([coulomb, coulomb + boost, speed, sigma]) / scale
+    start = np.array([coulomb, boost, speed, sigma]) / scale
     # A Stribeck speed far below the slowest run cannot be seen; it would only send the static force to infinity.
     low = np.array([0.0, 0.0, speeds[0] / speed, 0.0])
 
+    # Fs - Fc in place of Fs: a static force below the sliding one would be no Stribeck curve.
+    turn = np.eye(4)
+    turn[1, 0] = 1.0
+
     def misfit(q: Real) -> Real:
-        return np.asarray((f - _law(shape, q * scale).force(v)) * w)
+        return np.asarray((f - _law(shape, turn @ (q * scale)).force(v)) * w)
 
     found = least_squares(misfit, np.maximum(start, low + 1e-9), bounds=(low, np.inf), xtol=1e-14, ftol=1e-14)
-    value = np.asarray(found.x * scale)
-    jacobian = np.asarray(found.jac, dtype=float)
-    std = scale * np.sqrt(np.diag(_covariance(jacobian, found.fun, weight is not None)))
+    value = turn @ (found.x * scale)
+    covariance = _covariance(np.asarray(found.jac, dtype=float), found.fun, weight is not None)
+    to_law = turn * scale
+    std = np.sqrt(np.diag(to_law @ covariance @ to_law.T))
     chance = _chance(basis(1.0)[:, [0, 2]], f * w, float(found.fun @ found.fun), weight is not None)
     return _Side(value, std, _scatter(f - _law(shape, value).force(v), 4), v.size, chance)
 

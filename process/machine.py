@@ -17,6 +17,7 @@ from process.friction import FrictionLaw, MemoryLaw, Viscous
 from process.friction_impedance import linearised
 from process.joints import Joint
 from process.operating_point import OperatingPoint, SlideImpedance
+from process.plausible import check_feed
 from process.servo import Servo
 from process.structure import Posture, Structure
 
@@ -141,6 +142,8 @@ class Machine:
         """Return the feed of each axis [m/s]; a plain value moves all axes, an axis not named stands still."""
         if not np.all(np.isfinite(list(feed.values()) if isinstance(feed, Mapping) else feed)):
             raise InputError(f"feed {feed} m/s; give finite ones")
+        for one in feed.values() if isinstance(feed, Mapping) else (feed,):
+            check_feed(one)
         if not isinstance(feed, Mapping):
             return dict.fromkeys(self.axes, float(feed))
         strangers = [a for a in feed if a not in self.axes]

@@ -20,6 +20,7 @@ from process.cutting import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.engagement import Engagement
 from process.errors import InputError
 from process.labels import AXES, make_record
+from process.plausible import check_feed
 from process.tool import Tool
 
 CHANNELS = ("force", "displacement", "acceleration")
@@ -177,6 +178,7 @@ class MillingCut:
             )
         if self.feed_rate is not None and not 0.0 < self.feed_rate < math.inf:
             raise InputError(f"the feed rate is {self.feed_rate * 6e4:g} mm/min; it must be positive and finite")
+        check_feed(self.feed_rate or 0.0)
         if self.feed_per_tooth is not None and not 0.0 < self.feed_per_tooth < math.inf:
             raise InputError(f"the feed per tooth is {self.feed_per_tooth * 1e3:g} mm; it must be positive and finite")
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.plausible import check_diameter
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Tool:
         """Refuse impossible geometry."""
         if not (self.diameter > 0.0 and math.isfinite(self.diameter)):
             raise InputError(f"the tool diameter is {self.diameter:g} m; it must be positive and finite")
+        check_diameter(self.diameter)
         if self.teeth < 1 or self.teeth != int(self.teeth):
             raise InputError(f"the tool has {self.teeth:g} teeth; a whole number, at least one, is needed")
         if not 0.0 < self.approach_angle <= math.pi / 2 + 1e-12:

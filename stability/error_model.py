@@ -21,7 +21,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import sparse
 
-from process.compliance import ModalModel
+from process.compliance import HIGHEST_DAMPING, ModalModel
 from process.cutting import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, axis_index
@@ -156,9 +156,9 @@ class ModalError:
         """Return the machine with ``exp(spread x step)`` on frequency, damping and stiffness; steps (3, modes)."""
         factor = np.exp(self.spread.modal[:, None] * steps)
         machine = self.machine
-        return ModalModel(
-            machine.frequency * factor[0], machine.damping * factor[1], machine.stiffness * factor[2], machine.direction
-        )
+        # A mode that would not vibrate any more is no draw of an uncertain damping.
+        damping = np.minimum(machine.damping * factor[1], HIGHEST_DAMPING)
+        return ModalModel(machine.frequency * factor[0], damping, machine.stiffness * factor[2], machine.direction)
 
     def draw(self, generator: np.random.Generator) -> Complex:
         """Return an error [m/N] at all frequencies, shape (n, 3, 3)."""

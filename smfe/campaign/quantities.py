@@ -14,6 +14,7 @@ from process import units
 from process.engagement import CUTS
 from process.errors import InputError
 from process.labels import AXES
+from process.plausible import FASTEST_FEED
 from smfe import datasets
 from smfe.records.read import READERS
 from smfe.records.words import did_you_mean, listed
@@ -96,6 +97,16 @@ def _ratio(value: Any) -> float:
 Ratio = Annotated[float, BeforeValidator(_ratio)]
 
 
+def _damping(value: Any) -> float:
+    ratio = _ratio(value)
+    if not 0.0 < ratio < 1.0:
+        raise InputError(f"{value!r} is no damping ratio of a mode; write one above 0 and below 1, e.g. 0.02 or '2 %'")
+    return ratio
+
+
+DampingRatio = Annotated[float, BeforeValidator(_damping)]
+
+
 def _share(value: Any) -> float:
     share = _ratio(value)
     if not 0.0 <= share < 1.0:
@@ -109,11 +120,21 @@ Share = Annotated[float, BeforeValidator(_share)]
 def _feed(value: Any) -> dict[str, float]:
     """One speed for all axes, or a table of axes; axes that are left out rest. -> axis -> m/s."""
     if not isinstance(value, dict):
-        return dict.fromkeys(AXES, units.parse(value, "speed"))
+        return dict.fromkeys(AXES, _speed(value))
     unknown = [axis for axis in value if axis not in AXES]
     if unknown:
         raise InputError(f"axis {unknown[0]!r} is none of {', '.join(AXES)}")
-    return {axis: units.parse(value[axis], "speed") if axis in value else 0.0 for axis in AXES}
+    return {axis: _speed(value[axis]) if axis in value else 0.0 for axis in AXES}
+
+
+def _speed(value: Any) -> float:
+    speed = units.parse(value, "speed")
+    if abs(speed) > FASTEST_FEED:
+        raise InputError(
+            f"{value!r} is beyond any machine tool ({FASTEST_FEED:g} m/s); give the feed with its unit, e.g. "
+            '"3000 mm/min"'
+        )
+    return speed
 
 
 Feed = Annotated[dict[str, float], BeforeValidator(_feed)]

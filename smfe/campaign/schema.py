@@ -177,7 +177,7 @@ class ModeTable(Table):
     """One entry of ``modes``."""
 
     frequency: q.PositiveFrequency
-    damping: q.Ratio
+    damping: q.DampingRatio
     stiffness: q.Stiffness
     direction: tuple[float, float, float]
 

@@ -240,7 +240,7 @@ class AxisBaseline:
         if max(side.static for side in sides) <= 0.0:
             return Viscous(sides[0].viscous)
         forth, back = (
-            LuGre(*self.bristle, max(s.coulomb, _LEAST), max(s.static, _LEAST), s.speed or 1.0, s.viscous)
+            LuGre(*self.bristle, max(s.coulomb, _LEAST), max(s.static, s.coulomb, _LEAST), s.speed or 1.0, s.viscous)
             for s in sides
         )
         return replace(forth, negative=back)

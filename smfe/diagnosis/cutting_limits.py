@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from process.compliance import ModalModel
+from process.compliance import HIGHEST_DAMPING, ModalModel
 from process.cutting import CuttingCoefficients, ProcessDamping
 from process.engagement import Engagement
 from process.errors import InputError
@@ -267,6 +267,7 @@ class CuttingLimits:
         # Iwan's joint: loss stiffness 4/(3 pi) of the stiffness that it loses, over twice what is left.
         damping = m.damping * (1.0 + of("damping")) + 2.0 / (3.0 * math.pi) * slip / (1.0 - slip)
         stiffness = m.stiffness * (1.0 + of("stiffness")) * (1.0 - slip)
+        damping = np.minimum(damping, HIGHEST_DAMPING)
         model = ModalModel(frequency, damping, stiffness, _turned(m.direction, of("coupling")))
         return _with_mode(model, values)
 

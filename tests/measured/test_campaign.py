@@ -339,7 +339,11 @@ ONE_FAULT = [
         'Ktc = "-1 Pa"',
         "material: K_tc is -1e-06 N/mm^2; the tangential coefficient must be positive",
     ),
-    ("damping = 0.012", "damping = 0", "model[0]: damping of a mode is 0; it must be positive"),
+    (
+        "damping = 0.012",
+        "damping = 0",
+        "model[0].modes[0].damping: 0 is no damping ratio of a mode; write one above 0 and below 1",
+    ),
     ("direction = [1, 0, 0]", "direction = [1, 0]", "model[0].modes[0].direction"),
     ("damping", "dampning", "model[0].modes[0].dampning: this key is not known (did you mean 'damping'?)"),
     # channels

@@ -485,6 +485,7 @@ BAD = [
     (("hits = 2", 'duration = "1 ms"'), "trial[0]: a pulse of 1 ms has 2 samples at 2000 Hz; at least 4 are needed"),
     (("hits = 2", 'peak_force = "1 kN"'), "trial[0]: a hammer trial needs an impulse or a peak_force, one of them"),
     (("order = 6", "order = 60"), "sensors: an anti-alias filter of order 60"),
+    (("damping = 0.06", "damping = 6.0"), "damping: 6.0 is no damping ratio of a mode; write one above 0 and below 1"),
     (("[1.0, 0.0, 0.01]", "[0, 0, 0]"), "machine: modes[2].direction must not be zero"),
 ]
 BAD_CUT = [
@@ -496,10 +497,12 @@ BAD_CUT = [
     (('depth_of_cut = "2 mm"', 'depth_of_cut = "0 mm"'), "depth_of_cut: '0 mm' is not possible; it must be positive"),
     (('width_of_cut = "40 mm"', 'width_of_cut = "90 mm"'), "trial[3]: a width of cut of 90 mm with a tool of 80 mm"),
     ((CUTTING, ""), "trial[2]: a sweep needs [tool] and [material]; add it"),
+    (('diameter = "80 mm"', 'diameter = "80 m"'), "the tool diameter is 80 m, larger than any milling tool"),
     (("[tool]\n", "[tools]\n"), "tools: this key is not known (did you mean 'tool'?)"),
 ]
 BAD_AXIS = [
     (('controller = ["K1", "K2"]', 'controller = ["K1", "K3"]'), "trial[0]: controller 'K3' is not known"),
+    (('{ x = "2000 mm/min" }', '{ x = "2000 m/s" }'), "'2000 m/s' is beyond any machine tool"),
     (('axis = "x"', 'axis = "y"'), "trial[1]: axis y does not move; the machine moves 'x'"),
     (("machine.axis.x", "machine.axis.u"), "machine.axis.u: axis 'u' is not known"),
     (('"4000 kg"', '"-4000 kg"'), "machine.axis.x.moving_mass: '-4000 kg' is not possible; it must be positive"),
