@@ -105,7 +105,7 @@ def fastest_pole(p: Problem, system: System) -> float:
 
 
 def exact_maps(a: Real, b: Real, rows: Real, step: float, halvings: int) -> Real:
-    """Exact maps for inputs quadratic in time, for a step halved 0, 1, ... times; `process._machine_kernels.Linear`.
+    """Exact maps for inputs quadratic in time, for a step halved 0, 1, ... times; `process._machine_parts.Linear`.
 
     The matrix exponential of state and input polynomial, for a quarter of the finest step; the others by squaring.
     """

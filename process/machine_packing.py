@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from process import _machine_kernels as kernels
+from process import _machine_parts as machine_parts
 from process._friction_kernels import friction_step
 from process.cutting import CuttingCoefficients
 from process.engagement import Engagement
@@ -37,21 +37,21 @@ _LONG = 1e3
 def _joint_kind(joint: Joint) -> tuple[int, Real]:
     """Kind and parameters of a joint for the kernel."""
     if isinstance(joint, CubicSpring):
-        return kernels.CUBIC, np.array([joint.stiffness, joint.cubic])
+        return machine_parts.CUBIC, np.array([joint.stiffness, joint.cubic])
     if isinstance(joint, Gap):
         k, g = joint.stiffness, joint.gap
-        return kernels.FLANKS, np.array([k, 1.0, g, k, -1.0, g])
+        return machine_parts.FLANKS, np.array([k, 1.0, g, k, -1.0, g])
     if isinstance(joint, DoublePinion):
-        return kernels.FLANKS, np.array(joint.flanks).ravel()
+        return machine_parts.FLANKS, np.array(joint.flanks).ravel()
     if isinstance(joint, Iwan):
-        return kernels.SLIDERS, np.concatenate(joint.packed())
+        return machine_parts.SLIDERS, np.concatenate(joint.packed())
     if isinstance(joint, Jenkins):
-        return kernels.SLIDERS, np.array([joint.stiffness, joint.slip_force])
+        return machine_parts.SLIDERS, np.array([joint.stiffness, joint.slip_force])
     raise InputError(f"a joint of type {type(joint).__name__} cannot be simulated; use one of process.joints")
 
 
 class _Element(NamedTuple):
-    """One row of `kernels.Elements`, and its states at the start."""
+    """One row of `machine_parts.Elements`, and its states at the start."""
 
     kind: int
     target: int
@@ -68,22 +68,22 @@ def _of_slide(rub: Rubbing, target: int, row: Real, size: int) -> _Element:
     offset = (rub.feed, rub.steady, rub.slope)
     felt = np.concatenate([np.zeros(row.size), row, np.zeros(size - 2 * row.size)])
     if isinstance(rub.law, FrictionLaw):
-        return _Element(kernels.FRICTION, target, code, parameters, offset, felt, np.zeros(0))
+        return _Element(machine_parts.FRICTION, target, code, parameters, offset, felt, np.zeros(0))
     state = np.zeros(rub.law.states)
     if rub.feed != 0.0:
         for _ in range(2):  # until it slips, then until it is steady
             friction_step(code, parameters, state, rub.feed, _LONG)
-    return _Element(kernels.MEMORY, target, code, parameters, offset, felt, state)
+    return _Element(machine_parts.MEMORY, target, code, parameters, offset, felt, state)
 
 
 def _mounted(joint: Joint, participation: Real, target: int, size: int) -> _Element:
     kind, parameters = _joint_kind(joint)
-    states = parameters.size // 2 if kind == kernels.SLIDERS else 0
+    states = parameters.size // 2 if kind == machine_parts.SLIDERS else 0
     felt = np.concatenate([participation, np.zeros(size - participation.size)])
     return _Element(kind, target, 0, parameters, (0.0, 0.0, 0.0), felt, np.zeros(states))
 
 
-def pack_elements(p: Problem, system: System) -> tuple[kernels.Elements, Real]:
+def pack_elements(p: Problem, system: System) -> tuple[machine_parts.Elements, Real]:
     """Pack friction and joints; also return their states at the start."""
     slides, tools = p.structures[0].slide_rows(), len(p.tools)
     made = [_of_slide(p.friction[i], tools + i, slides[i], system.size) for i in system.rubbing]
@@ -95,7 +95,7 @@ def pack_elements(p: Problem, system: System) -> tuple[kernels.Elements, Real]:
 
     parameters, states = [m.parameters for m in made], [m.state for m in made]
     offsets = np.array([m.offset for m in made], dtype=float).reshape(-1, 3).T.copy()
-    elements = kernels.Elements(
+    elements = machine_parts.Elements(
         kind=np.array([m.kind for m in made], dtype=np.int64),
         target=np.array([m.target for m in made], dtype=np.int64),
         law=np.array([m.law for m in made], dtype=np.int64),
@@ -123,7 +123,7 @@ def _looking_back(lag: Real) -> tuple[NDArray[np.int64], Real]:
     return first.astype(np.int64), np.ascontiguousarray(share)
 
 
-def pack_servos(p: Problem, system: System, step: float) -> tuple[kernels.Servos, int]:
+def pack_servos(p: Problem, system: System, step: float) -> tuple[machine_parts.Servos, int]:
     """Pack the servos outside the linear part; also return the length of their ring."""
     tools, rows = len(p.tools), p.structures[0].slide_rows()
     blank, none = np.zeros((0, 3)), np.zeros((0, 2))
@@ -133,7 +133,7 @@ def pack_servos(p: Problem, system: System, step: float) -> tuple[kernels.Servos
         late = np.array([-rows_of[i] for i in system.late]).reshape(len(system.late), system.size)
         target = np.array([tools + i for i in system.late], dtype=np.int64)
         longest = int(lag.max(initial=0.0)) + 8
-        return kernels.Servos(target, late, *_looking_back(lag), 0, blank, 0.0, none), 1 << longest.bit_length()
+        return machine_parts.Servos(target, late, *_looking_back(lag), 0, blank, 0.0, none), 1 << longest.bit_length()
     held = [(i, v) for i, v in enumerate(p.servos) if v is not None]
     read = np.zeros((2 * len(held), system.size))
     for k, (i, _) in enumerate(held):
@@ -142,7 +142,9 @@ def pack_servos(p: Problem, system: System, step: float) -> tuple[kernels.Servos
     ramp = np.array([(p.feeds[i], -v.following_error(p.feeds[i])) for i, v in held]).reshape(-1, 2)
     target = np.array([tools + i for i, _ in held], dtype=np.int64)
     every, fine = max(1, round(p.control.period / step)), p.control.encoder_resolution
-    return kernels.Servos(target, read, *_looking_back(np.zeros(0)), every, gains_of, fine, ramp), p.control.lag + 1
+    return machine_parts.Servos(
+        target, read, *_looking_back(np.zeros(0)), every, gains_of, fine, ramp
+    ), p.control.lag + 1
 
 
 @lru_cache(maxsize=8)
@@ -163,7 +165,7 @@ def _sampled(excitation: Excitation, step: float, steps: int) -> Real:
     return excitation.force(np.arange(SUB * m + 1, dtype=np.float64) * (step / SUB))
 
 
-def pack_forces(p: Problem, step: float, steps: int) -> tuple[kernels.Given, dict[str, Real]]:
+def pack_forces(p: Problem, step: float, steps: int) -> tuple[machine_parts.Given, dict[str, Real]]:
     """Pack the forces over time; also return those on the tool as sampled."""
     tools, axes = p.tools, list(p.machine.axes)
     fine = {a: _sampled(e, step, steps) for a, e in p.forces.items()}
@@ -176,10 +178,12 @@ def pack_forces(p: Problem, step: float, steps: int) -> tuple[kernels.Given, dic
         windows = np.lib.stride_tricks.sliding_window_view(f, SUB + 1)[::SUB]
         row[: windows.shape[0]] = windows @ _projection(SUB)
     peak = max([float(np.abs(f).max()) for f in both], default=0.0)
-    return kernels.Given(np.array(target, dtype=np.int64), values, peak), fine
+    return machine_parts.Given(np.array(target, dtype=np.int64), values, peak), fine
 
 
-def pack_linear(p: Problem, system: System, elements: kernels.Elements, step: float, steps: int) -> kernels.Linear:
+def pack_linear(
+    p: Problem, system: System, elements: machine_parts.Elements, step: float, steps: int
+) -> machine_parts.Linear:
     """Discretise the linear part at every point of the path."""
     halvings = HALVINGS if elements.kind.size else 0
     maps = np.array([exact_maps(a, b, elements.rows, step, halvings) for a, b in system.matrices])
@@ -188,15 +192,15 @@ def pack_linear(p: Problem, system: System, elements: kernels.Elements, step: fl
     power[:, :n] += first.stiffness
     places = np.minimum(np.arange(steps) * (step / p.total), 1.0) * (len(p.structures) - 1.0)
     tool = np.array([s.tool for s in p.structures])
-    return kernels.Linear(maps, places, power, first.mass, first.stiffness, reach(p, first), tool)
+    return machine_parts.Linear(maps, places, power, first.mass, first.stiffness, reach(p, first), tool)
 
 
 def scratch(
-    linear: kernels.Linear, elements: kernels.Elements, servos: kernels.Servos, ring: int, state: Real
-) -> kernels.Work:
+    linear: machine_parts.Linear, elements: machine_parts.Elements, servos: machine_parts.Servos, ring: int, state: Real
+) -> machine_parts.Work:
     """Make the arrays that the loop works in, with the states of the elements at the start."""
     count, size, inputs, held = elements.kind.size, linear.power.shape[1], linear.reach.shape[0], servos.target.size
-    return kernels.Work(
+    return machine_parts.Work(
         z=np.zeros(size),
         base=np.zeros(linear.maps.shape[3]),
         known=np.zeros((inputs, 3)),
@@ -220,14 +224,14 @@ def scratch(
 
 
 @lru_cache(maxsize=1)
-def _no_cut() -> kernels.Cut:
+def _no_cut() -> machine_parts.Cut:
     """Return a cut that never begins, of the types that the kernel is compiled for."""
     cut = MillingCut(Tool(0.01, 1), Engagement(0.0, math.pi), CuttingCoefficients(1.0, 0.0, 0.0), 1.0, 1.0)
     teeth = pack_teeth(cut, 1e-3, 1.0, 1.0)
-    return kernels.Cut(pack_motion(Spindle(1.0), cut), teeth, flat_surfaces(teeth), 0.0, 0.0, np.zeros(1))
+    return machine_parts.Cut(pack_motion(Spindle(1.0), cut), teeth, flat_surfaces(teeth), 0.0, 0.0, np.zeros(1))
 
 
-def pack_cut(p: Problem, step: float) -> kernels.Cut:
+def pack_cut(p: Problem, step: float) -> machine_parts.Cut:
     """Pack the cut; without one there are no teeth."""
     if p.cut is None or p.spindle is None:
         return _no_cut()
@@ -235,4 +239,4 @@ def pack_cut(p: Problem, step: float) -> kernels.Cut:
     teeth = pack_teeth(p.cut, step, slowest, fastest)
     first = p.structures[0]
     kick = np.linalg.solve(first.mass, first.tool.T @ np.asarray(p.impulse, dtype=float))
-    return kernels.Cut(pack_motion(p.spindle, p.cut), teeth, flat_surfaces(teeth), p.entry, p.leave, kick)
+    return machine_parts.Cut(pack_motion(p.spindle, p.cut), teeth, flat_surfaces(teeth), p.entry, p.leave, kick)

@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process import _machine_kernels as kernels
+from process import _machine_parts as machine_parts
 from process.errors import InputError
 from process.excitation import Excitation
 from process.machine import Machine
@@ -66,15 +67,15 @@ def _march(p: Problem, system: System, fastest: float, sample_rate: float, keep:
     states = np.zeros((steps, system.size))
     work = scratch(linear, elements, servos, ring, state)
     end, done = kernels.march(linear, elements, servos, given, work, step, accuracy, pack_cut(p, step), states, inputs)
-    if end == kernels.NOT_SOLVED:
+    if end == machine_parts.NOT_SOLVED:
         raise InputError(
             f"friction and joints cannot be solved for at {done * step:.4g} s even with steps of "
             f"{step / 2**HALVINGS * 1e6:.3g} us; give a shorter step, or a law that is less steep"
         )
     _require_near(p, states[: min(done + 1, steps), : system.n], end, done, step)
-    worst, largest = work.tally[kernels.WORST], work.tally[kernels.LARGEST]
+    worst, largest = work.tally[machine_parts.WORST], work.tally[machine_parts.LARGEST]
     share = float(worst / largest) if largest > 0.0 else 0.0
-    lost, thickest = float(work.cutting[kernels.LOST]), float(work.cutting[kernels.THICKEST])
+    lost, thickest = float(work.cutting[machine_parts.LOST]), float(work.cutting[machine_parts.THICKEST])
     return Run(states, inputs, force, step, keep, linear.places, share, lost, thickest)
 
 
@@ -82,10 +83,10 @@ def _require_near(p: Problem, coordinates: NDArray[np.float64], end: int, done: 
     """Refuse a tool that left the range of 1 m."""
     # Coordinates that are small enough bound the tool without its path.
     farthest = np.abs(p.structures[0].tool).sum(axis=1).max() * np.abs(coordinates).max(initial=0.0)
-    if end == kernels.DONE and farthest < 1.0:
+    if end == machine_parts.DONE and farthest < 1.0:
         return
     tip = np.abs(coordinates @ p.structures[0].tool.T)
-    if end == kernels.RAN_AWAY or not tip.max(initial=0.0) < 1.0:
+    if end == machine_parts.RAN_AWAY or not tip.max(initial=0.0) < 1.0:
         late = np.flatnonzero(~(tip.max(axis=1) < 1.0))
         when = (late[0] if late.size else done) * step
         raise InputError(f"the tool left the range of 1 m after {when:.3g} s; it is hit too hard, or unstable")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process import _machine_kernels as kernels
+from process import _element_kernels as kernels
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
 from process.drive import Drive
