@@ -117,7 +117,8 @@ def remove_background(record: xr.Dataset, hits: Sequence[Hit], rules: Background
             more = multiples(tones, rules.most_tones - tones.frequency.size, 0.4 / dt)
             tones = fit_tones(samples - trend, usual, dt, [*tones.frequency, *more])
             # What was seen of a transient before it was left out is not there any more.
-            tones = fit_tones(samples - trend, usual, dt, list(tones.frequency[tones.clear**2 > _CLEAR]))
+            if not (tones.clear**2 > _CLEAR).all():
+                tones = fit_tones(samples - trend, usual, dt, list(tones.frequency[tones.clear**2 > _CLEAR]))
         wave = tones.wave(count, dt)
         trend = _trend(samples - wave, hits, usual, dt, order)
         cleaned = samples - wave - trend

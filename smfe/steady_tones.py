@@ -33,7 +33,8 @@ STRETCH = 0.05
 UNLIKE = 3.0
 """A stretch whose rest is so many times the usual one is left out."""
 
-_CHUNK = 1 << 16
+_CHUNK = 1 << 15
+_PIECE = 1 << 8
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,11 @@ class Tones:
 
     def wave(self, count: int, dt: float) -> Real:
         """Return the tones over a record of `count` samples."""
-        t, out = dt * np.arange(count), np.zeros(count)
-        for f, a, b in zip(self.frequency, self.cosine, self.sine, strict=True):
-            out += a * np.cos(2.0 * np.pi * f * t) + b * np.sin(2.0 * np.pi * f * t)
+        out = np.zeros(count)
+        size = self.cosine - 1j * self.sine
+        for first in range(0, count, _CHUNK):
+            turning = _turning(self.frequency, 0.0, first, min(_CHUNK, count - first), dt)
+            out[first : first + _CHUNK] = (turning @ size).real
         return out
 
     @property
@@ -76,14 +79,16 @@ class Tones:
 
     def doubt(self, number: int, count: int, dt: float) -> Real:
         """Return what the wave is wrong by, for one independent standard error of its parameters."""
-        t = dt * (np.arange(count) - self.origin)
         a, b = _turned(self.frequency, self.cosine, self.sine, self.origin * dt)
         n, part = self.frequency.size, self.factor[:, number]
-        away = self.multiple @ part[2 * n :]
+        away = 2.0 * np.pi * (self.multiple @ part[2 * n :])
+        still, drifting = part[:n] - 1j * part[n : 2 * n], away * (b + 1j * a)
         out = np.zeros(count)
-        for i, f in enumerate(self.frequency):
-            c, s = np.cos(2.0 * np.pi * f * t), np.sin(2.0 * np.pi * f * t)
-            out += part[i] * c + part[n + i] * s + 2.0 * np.pi * away[i] * t * (b[i] * c - a[i] * s)
+        for first in range(0, count, _CHUNK):
+            here = slice(first, min(first + _CHUNK, count))
+            turning = _turning(self.frequency, self.origin, first, here.stop - first, dt)
+            t = dt * (np.arange(first, here.stop) - self.origin)
+            out[here] = (turning @ still).real + t * (turning @ drifting).real
         return out
 
 
@@ -207,11 +212,14 @@ def _normal(
     n = f.size
     size = 2 * n + 1 + (0 if amplitude is None else multiple.shape[1])
     normal, right = np.zeros((size, size)), np.zeros(size)
-    for first in range(0, index.size, _CHUNK):
-        here = index[first : first + _CHUNK]
+    for first in range(int(index[0]), int(index[-1]) + 1, _CHUNK):
+        inside = slice(*np.searchsorted(index, [first, first + _CHUNK]))
+        here = index[inside]
+        if not here.size:
+            continue
         t = dt * (here - origin)
-        angle = 2.0 * np.pi * np.outer(t, f)
-        c, s = np.cos(angle), np.sin(angle)
+        turning = _turning(f, origin, first, int(here[-1]) + 1 - first, dt)[here - first]
+        c, s = turning.real, turning.imag
         columns = [c, s, np.ones((here.size, 1))]
         if amplitude is not None:
             columns.append((t / half)[:, None] * (c * amplitude[n:] - s * amplitude[:n]) @ multiple)
@@ -249,6 +257,17 @@ def _ties(found: _Fit, samples: int, length: float) -> tuple[Real, Real]:
     weight = (size[members] * order[members]) ** 2
     first = float(np.sum(weight * f[members] / order[members]) / np.sum(weight))
     return multiple, np.array([first, *f[alone]])
+
+
+def _turning(f: Real, origin: float, first: int, count: int, dt: float) -> NDArray[np.complex128]:
+    """Return ``exp(j w t)`` at `count` samples from `first` on, shape (count, n); time counts from the origin.
+
+    A product of two short series: several times faster than as many sines.
+    """
+    starts = first + _PIECE * np.arange(-(-count // _PIECE))
+    coarse = np.exp(2j * np.pi * dt * np.outer(starts - origin, f))
+    fine = np.exp(2j * np.pi * dt * np.outer(np.arange(_PIECE), f))
+    return np.asarray((coarse[:, None] * fine).reshape(starts.size * _PIECE, f.size)[:count])
 
 
 def _turned(f: Real, a: Real, b: Real, by: float) -> tuple[Real, Real]:
