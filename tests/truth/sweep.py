@@ -66,10 +66,10 @@ class Campaign:
     widths: of the three cuts [m]; rotation [rad/s], acceleration [rad/s2], seconds in the cut. feed_rate is held [m/s].
     runout: eccentricity [m]. cutting (t, r, a) [N/m2], edge [N/m]. rate: of the records [Hz]. force_noise [N] and
     motion_noise [m/s2]: rms at `noise_rate`, white, the same density at any rate; coloured: as in `truth.chain`.
-    encoder: lines of the encoder; 0: a tacho of one pulse a turn. dynamometer: natural frequency [Hz].
-    plate: mass of the plate [kg] times its share of the tool's acceleration. posture: relative change of all
-    stiffnesses from the middle to the end of a pass. turning: order of the spindle, and the size of the force that
-    turns with it [N], which no dynamometer sees. bits: of the converter.
+    encoder: lines of the encoder, mounted at an angle; 0: a tacho of one pulse a turn. bits: of the converter.
+    dynamometer: natural frequency [Hz]. plate: mass of the plate [kg] times its share of the tool's acceleration.
+    posture: relative change of all stiffnesses from the middle to the end of a pass. turning: order of the spindle, and
+    the size of the force that turns with it [N], which no dynamometer sees.
     """
 
     diameter: float = 0.08
@@ -96,6 +96,7 @@ class Campaign:
     coloured: bool = False
     bits: int = 16
     encoder: int = 1024
+    mounted: float = 0.0
     dynamometer: float = math.inf
     dynamometer_damping: float = 0.03
     plate: float = 0.0
@@ -131,6 +132,7 @@ def with_nuisances(campaign: Campaign, rng: np.random.Generator) -> Campaign:
         acceleration=campaign.acceleration * float(rng.uniform(0.97, 1.03)),
         wander=float(rng.uniform(0.5e-3, 2e-3)),
         encoder=int(rng.choice([256, 1024, 2500])),
+        mounted=float(rng.uniform(0.0, 2.0 * math.pi)),
         offsets=(float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-0.02, 0.02))),
         drift=float(rng.uniform(-1.0, 1.0)),
     )
@@ -235,8 +237,8 @@ def record(campaign: Campaign, cut: str, rng: np.random.Generator) -> dict[str, 
 
 
 def _clock(campaign: Campaign, angle: Real, rng: np.random.Generator) -> dict[str, Real]:
-    """What tells the angle: counts of an encoder mounted at any angle, or one pulse a turn with some noise."""
-    mounted = angle + rng.uniform(0.0, 2.0 * math.pi)
+    """What tells the angle: counts of an encoder, or one pulse a turn with some noise."""
+    mounted = angle + campaign.mounted
     if campaign.encoder:
         count = 2.0 * math.pi / campaign.encoder
         return {"angle": np.floor(mounted / count) * count}
