@@ -229,7 +229,7 @@ def main(target: Path, seeds: int) -> None:
 
     numbers = range(1, seeds + 1)
     lines = asked_for(seeds, say)
-    for section in (against, with_corrections):
+    for section in (with_corrections, against):
         lines += ["", *section(numbers, say)]
         target.write_text("\n".join(lines) + "\n", encoding="utf-8")
     say(f"written to {target}")
