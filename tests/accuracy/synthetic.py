@@ -23,6 +23,9 @@ SWEPT = (18.0, 50.0)
 JUDGED = np.arange(22.0, 46.01, 0.25)
 TEETH, DIAMETER, APPROACH, FEED = 8, 0.125, math.pi / 4.0, 2e-4
 CUTTING, EDGE = (1800e6, 700e6, 250e6), (30e3, 45e3, 5e3)
+LEAD = 0.5
+"""Air before a cut that ends in air [s]."""
+
 WINDOWS = (0.25, 0.5, 1.0, 2.0)
 TRIOS = {
     "A": (0.3, 0.5, 0.85),
@@ -80,26 +83,28 @@ def condition(trio: str, h: int = 1) -> float:
 
 @dataclass(frozen=True)
 class Pass:
-    """Angle [rad], force (3, n) [N] and acceleration (3, n) [m/s2] of one pass, and its sweep [Hz/s]."""
+    """Angle [rad], force (3, n) [N] and acceleration (3, n) [m/s2] of a pass, its sweep [Hz/s], where it begins [s]."""
 
     cut: str
     angle: Real
     force: Real
     acceleration: Real
     slope: float
+    begin: float
 
 
 @functools.cache
 def _shaken(seconds: float, tail: float, cut: str, share: float, depth: float, stiffer: float) -> Pass:
-    """Sweep a pass; it begins at once and from rest."""
-    t = np.arange(round((seconds + tail) * RATE)) / RATE
+    """Sweep a pass; without a free decay behind it there is no air before it either."""
+    lead = LEAD if tail else 0.0
+    t = np.arange(round((lead + seconds + tail) * RATE)) / RATE - lead
     slope = (SWEPT[1] - SWEPT[0]) / seconds
     angle = 2.0 * math.pi / TEETH * (SWEPT[0] * t + 0.5 * slope * t**2)
     grid = np.arange(28800) * 2.0 * math.pi / 28800 / TEETH
     each = [tooth_force(grid + 2.0 * math.pi * j / TEETH, *arc(cut, share), depth) for j in range(TEETH)]
     force = np.array([np.interp(angle, grid, row, period=2.0 * math.pi / TEETH) for row in np.sum(each, axis=0)])
-    force[:, t >= seconds] = 0.0
-    return Pass(cut, angle, force, accelerated(ram(stiffer), force), slope)
+    force[:, (t < 0.0) | (t >= seconds)] = 0.0
+    return Pass(cut, angle, force, accelerated(ram(stiffer), force), slope, lead)
 
 
 def accelerated(modes: Modes, force: Real) -> Real:
@@ -129,6 +134,7 @@ def noisy(passes: list[Pass], motion: float, force: float, seed: int) -> list[Pa
             p.force + more * force * rng.standard_normal(p.force.shape),
             p.acceleration + more * motion * rng.standard_normal(p.force.shape),
             p.slope,
+            p.begin,
         )
         for p in passes
     ]
@@ -189,7 +195,7 @@ def orders(passes: list[Pass], window: float, harmonics: int = 3) -> Complex:
                 centre = (f0 / h - SWEPT[0]) / p.slope
                 if not 0.0 <= centre * p.slope <= SWEPT[1] - SWEPT[0]:
                     continue
-                first = round(centre * RATE) - size // 2
+                first = round((p.begin + centre) * RATE) - size // 2
                 # A window that begins before the record or ends behind it is cut off.
                 piece = slice(max(first, 0), min(first + size, p.angle.size))
                 shape = hann[piece.start - first : piece.stop - first]

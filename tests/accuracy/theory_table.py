@@ -66,8 +66,11 @@ def labelled(passes: list[Pass], trio: str) -> list[SweepPass]:
 
 
 def package(passes: list[Pass], trio: str, stiffer: float = 1.0, estimator: LocalPolynomial | None = None) -> float:
-    """Error of the package's estimate."""
-    found = identify_sweep("s", labelled(passes, trio), (22.0, 46.0), estimator or LocalPolynomial())
+    """Error of the package's estimate; NaN where it refuses the passes."""
+    try:
+        found = identify_sweep("s", labelled(passes, trio), (22.0, 46.0), estimator or LocalPolynomial())
+    except ValueError:
+        return np.nan
     return error(found.compliance["compliance"].values, stiffer)
 
 
@@ -94,7 +97,7 @@ def by_noise(trio: str, motion: float, force: float, seeds: int = 3) -> tuple[fl
         float(np.mean([error(estimate(d), 4.0) for d in draws]))
         for estimate in (lambda d: whole_pass(d, 0.25), lambda d: orders(d, 1.0))
     )
-    return plain, followed, np.nan if trio == "D" else package(draws[0], trio, 4.0)
+    return plain, followed, package(draws[0], trio, 4.0)
 
 
 def _cell(value: float, first: float | None) -> str:
@@ -126,7 +129,7 @@ def main(target: Path) -> None:
         cells = []
         for (motion, force), (a, b) in zip(LEVELS, first, strict=True):
             plain, followed, ours = by_noise(trio, motion, force)
-            default = "refused" if trio == "D" else f"{100.0 * ours:.2g}"
+            default = "refused" if np.isnan(ours) else f"{100.0 * ours:.2g}"
             cells.append(f"{_cell(plain, a)} / {_cell(followed, b)} / **{default}**")
         widths = "/".join(f"{w:g}" for w in TRIOS[trio]).replace("0.", ".")
         lines.append(f"| {trio} {widths} | {condition(trio):.3g} ({number:.3g}) | " + " | ".join(cells) + " |")
