@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from accuracy.passes import BAND, entry_errors, sweep_passes
+from accuracy.table import CORRECTIONS, corrected
 from truth import sweep
 from truth.sweep import Campaign, Modes, drawn_modes, required
 
@@ -133,3 +134,27 @@ def test_coloured_noise_and_a_tacho_change_little() -> None:
     of_all, ours, theirs = judged(replace(campaign, force_noise=0.67, motion_noise=5.4e-3), 13)
     assert np.median(of_all) < 0.01
     assert ours.mean() < 0.5 * theirs.mean()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "without", "after"),
+    [
+        ("force noise x 10", 0.03, 0.03),
+        ("spindle order 2 at -20 dB", 0.2, 0.01),
+        ("60 kg plate, 10 % of the motion", 0.2, 0.01),
+        ("dynamometer of 400 Hz", 0.02, 0.01),
+    ],
+)
+def test_a_correction_takes_out_what_it_is_for(name: str, without: float, after: float) -> None:
+    before, corrected_error = corrected(1, CORRECTIONS[name])
+    assert before > without
+    assert corrected_error < min(after, 0.6 * before)
+
+
+@pytest.mark.slow
+def test_a_fit_over_position_helps_against_a_large_change_only() -> None:
+    small, large = (corrected(1, CORRECTIONS[f"stiffness ±{n} % along the pass"]) for n in (2, 10))
+    assert large[1] < 0.6 * large[0]
+    assert small[0] < 0.12
+    assert small[1] < 0.25
