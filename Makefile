@@ -34,7 +34,7 @@ help:
 	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
 	@echo "make slow    the slow tests"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
-	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (a quarter of an hour)"
+	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
 	@echo "make lint    ruff, mypy, import-linter, file checks"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"
