@@ -41,6 +41,8 @@ SI_UNITS: dict[str, str] = {
     "displacement": "m",
     "encoder_position": "m",
     "reference_position": "m",
+    "encoder_speed": "m/s",
+    "reference_speed": "m/s",
     "spindle_angle": "rad",
     "tacho": "1",
     "sound": "Pa",
@@ -55,6 +57,8 @@ SI_UNITS: dict[str, str] = {
     "force_condition": "1",
     "force_level": "N",
     "lobe": "1",
+    "loop_response": "1",
+    "loop_response_std": "1",
 }
 
 UNITS: dict[str, str] = {**SHOP_UNITS, **SI_UNITS}
@@ -67,6 +71,8 @@ RECORD_VECTORS: tuple[str, ...] = (
     "encoder_position",
     "drive_force",
     "reference_position",
+    "encoder_speed",
+    "reference_speed",
 )
 """Channels of a record with one component an axis."""
 

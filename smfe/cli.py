@@ -19,6 +19,8 @@ from smfe.conversion import convert as convert_file
 from smfe.demo_campaign import DEMO_SEED
 from smfe.diagnosis import audit, verbs
 from smfe.diagnosis.finding import explain
+from smfe.loops import FILE as LOOP_FILE
+from smfe.loops import loop_lines
 from smfe.plan_verify import explain as explain_verification
 from smfe.plan_verify import verify as verify_plan
 from smfe.progress import bar
@@ -92,6 +94,8 @@ def identify(
         out.print(f"{name}: {item.method}, {sizes} (frequencies x responses x excitations)", highlight=False)
         for warning in item.warnings:
             console.print(f"warning, {name}: {warning}", markup=False, highlight=False)
+    for line in loop_lines(output.with_name(LOOP_FILE)):
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output}", highlight=False)
 
 

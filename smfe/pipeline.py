@@ -41,6 +41,8 @@ from smfe.diagnosis.verbs import finding_of
 from smfe.explained import explain
 from smfe.identification import Identification, Progress, silent
 from smfe.limits import LobeResult, all_lobes, joined, write_lobes
+from smfe.loops import FILE as LOOP_FILE
+from smfe.loops import loops_of, write_loops
 from smfe.measurements import cached_identification, check_sweeps, file_hash, split_levels
 from smfe.modal_verb import modal as modal
 from smfe.records import Channel, read_records
@@ -113,6 +115,7 @@ def run(
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     with notes.timed("identify"):
         found, cubes = _identify_all(loaded, folder / KEPT, progress)
+        loops = loops_of(loaded)
     whole = with_levels(loaded)
     compliances = _compliances(whole, found)
     with notes.timed("compare"):
@@ -127,7 +130,8 @@ def run(
     with notes.timed("diagnosis"):
         measured = {m.name: found[m.name] for m in loaded.measurements if m.name in found}
         finding = finding_of(loaded, measured, progress) if loaded.baseline is not None else None
-    notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found]
+    notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found | loops]
+    notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
     notes.warnings += _warnings(found, results, verdicts)
     stacked, unstacked = condition_cubes(loaded.measurements, compliances)
     cubes |= stacked | split_levels(loaded, folder / KEPT)
@@ -135,6 +139,7 @@ def run(
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found)
+    write_loops(folder / LOOP_FILE, loops, folder / "tables")
     _write_cubes(folder / "conditions.nc", cubes)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)
@@ -172,6 +177,7 @@ def identify(
 ) -> dict[str, Identification]:
     """Identify every measurement of a campaign and write the compliances to one NetCDF file.
 
+<<<<<<< HEAD
     A sweep at several depths of cut is identified at each of them, too; `conditions.nc` beside the file then holds it
     with the depth as a dimension.
     """
@@ -180,6 +186,14 @@ def identify(
     write_groups(path, _groups(_compliances(with_levels(loaded), found), found))
     if cubes:
         _write_cubes(path.with_name("conditions.nc"), cubes)
+=======
+    Responses of drive loops, which are no compliances, stand in ``loops.nc`` beside it.
+    """
+    loaded, path = load_campaign(Path(campaign), licence), Path(output)
+    found, loops = _identify_all(loaded, path.parent / KEPT, progress), loops_of(loaded)
+    write_loops(path.with_name(LOOP_FILE), loops)
+    write_groups(path, _groups(_compliances(loaded, found), found))
+>>>>>>> e8009d0 (Read drive loops, so that the trace of a Sinumerik control has a campaign that says what it holds)
     return found
 
 
@@ -290,6 +304,8 @@ def _told_apart(compliances: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
 
 
 def _left_out(measurement: Measurement) -> str:
+    if measurement.method == "loop":
+        return f"{measurement.name}: a loop gives no compliance; its response stands in {LOOP_FILE}"
     return f"{measurement.name}: method '{measurement.method}' gives no compliance; only a diagnosis reads it"
 
 

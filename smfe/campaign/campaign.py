@@ -149,9 +149,9 @@ class Processing:
     frame_mass : float, optional
         Between force sensor and tool, taken off [kg] (actuator).
     period : float, optional
-        Of a force that repeats itself [s] (actuator). None: a stepped sine.
+        Of a force or setpoint that repeats itself [s] (actuator, loop). None: a stepped sine; found (loop).
     settling : float, optional
-        Dropped at the beginning of each step, or of a periodic record [s] (actuator).
+        Dropped at the beginning of each step, or of a periodic record [s] (actuator, loop).
     """
 
     estimator: str | None = None
@@ -175,7 +175,7 @@ class Measurement(Conditions, Processing):
     name : str
         Unique among measurements and models.
     method : str
-        "hammer", "actuator", "sweep", "frf", "drive" or "silent".
+        "hammer", "actuator", "sweep", "frf", "drive", "loop" or "silent".
     records : tuple of RecordEntry
         At least one.
     channels : mapping of str to Channel
@@ -561,8 +561,8 @@ def _for_method(method: str, base: Declared) -> Declared:
 
     Other records have no spindle channels, and none of the records that nothing excites has a force.
     """
-    spindle = RECORD_SCALARS if method in ("hammer", "actuator", "drive", "silent") else ()
-    quiet = method in ("drive", "silent")
+    spindle = RECORD_SCALARS if method in ("hammer", "actuator", "drive", "loop", "silent") else ()
+    quiet = method in ("drive", "loop", "silent")
     return {n: entry for n, entry in base.items() if n not in spindle and not (quiet and n.startswith("force_"))}
 
 

@@ -43,8 +43,8 @@ _PROCESSING = {
     "full_scale": ("hammer",),
     "accelerometer_mass": ("hammer", "actuator"),
     "frame_mass": ("actuator",),
-    "period": ("actuator",),
-    "settling": ("actuator",),
+    "period": ("actuator", "loop"),
+    "settling": ("actuator", "loop"),
 }
 """Key of a measurement -> methods that read it."""
 

@@ -22,8 +22,9 @@ from smfe.records.words import did_you_mean, listed
 COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
 """Methods of a measurement that give a compliance; "frf" is one that another program has averaged."""
 
-METHODS = (*COMPLIANCE_METHODS, "drive", "silent")
-"""How a measurement was made; "drive" is an axis that moves, "silent" a machine that nothing excites."""
+METHODS = (*COMPLIANCE_METHODS, "drive", "loop", "silent")
+"""How a measurement was made; "drive" is an axis that moves, "loop" one whose control excites its setpoint, "silent" a
+machine that nothing excites."""
 
 ESTIMATORS = ("local_polynomial", "bands", "segments", "orders", "single_reference")
 """How the records of a sweep become a compliance."""

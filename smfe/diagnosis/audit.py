@@ -19,6 +19,8 @@ from smfe.diagnosis.silence import silence_suspects
 from smfe.diagnosis.suspect import Suspect, suspect_table
 from smfe.diagnosis.sweep_checks import sweep_suspects
 from smfe.identification import Progress, silent
+from smfe.loop import summary
+from smfe.loops import loop_of
 from smfe.measurements import hammer_settings, identify_measurement, passes_and_band, records_of, sign_warnings
 from smfe.records import read_records
 
@@ -58,6 +60,7 @@ def audit(campaign: Campaign, progress: Progress = silent) -> list[Suspect]:
         progress(f"checking {measurement.name}", done, total)
         out += _records_suspects(campaign, measurement)
         out += _compliance_suspects(campaign, measurement, compliances)
+        out += _loop_suspects(measurement)
     for done, test in enumerate(campaign.cutting_tests, start=len(campaign.measurements)):
         progress(f"checking {test.file.name}", done, total)
         for record in read_records(test.file, test.channels):
@@ -114,6 +117,23 @@ def _compliance_suspects(
     ]
     skew = [] if signs else skew_suspects(measurement.name, found.compliance)
     return [*signs, *skew, *reciprocity_suspects(measurement.name, found.compliance), *_sweep(campaign, measurement)]
+
+
+def _loop_suspects(measurement: Measurement) -> list[Suspect]:
+    """Say what the setpoint of a loop is, what the loop does, and what spoils it."""
+    if measurement.method != "loop":
+        return []
+    try:
+        found = loop_of(measurement)
+    except InputError as error:
+        advice = "correct the campaign file or the record; nothing can be computed from it"
+        return [Suspect("unusable", "fault", measurement.name, str(error), advice)]
+    advice = "the response of a loop to its setpoint, without unit; it is no compliance"
+    told = [Suspect("loop_response", "note", measurement.name, text, advice) for text in summary(found)]
+    return told + [
+        Suspect("loop_response", "note", measurement.name, text, "record several periods, not their average")
+        for text in found.notes
+    ]
 
 
 def _sweep(campaign: Campaign, measurement: Measurement) -> list[Suspect]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from process.errors import InputError
 from smfe.campaign import AxisModel, Campaign, LimitsOf, ModesOf, load_campaign
+from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.campaign_case import Case
@@ -96,7 +97,7 @@ def _identified(campaign: Campaign, kept: Path, progress: Progress) -> dict[str,
         return {}
     compared = () if isinstance(baseline, LimitsOf) else ("hammer", "actuator")
     source = "" if isinstance(baseline, AxisModel) else baseline.source
-    has_modes = [m for m in campaign.measurements if m.method not in ("drive", "silent")]
+    has_modes = [m for m in campaign.measurements if m.method in COMPLIANCE_METHODS]
     wanted = [m for m in has_modes if m.method in compared or m.name == source]
     if compared and not any(m.method in compared for m in wanted):
         raise InputError("the campaign has no hammer or actuator measurement; the baseline has nothing to compare with")

@@ -20,6 +20,8 @@ _DIMENSION_OF_VECTOR = {
     "encoder_position": "length",
     "drive_force": "force",
     "reference_position": "length",
+    "encoder_speed": "speed",
+    "reference_speed": "speed",
 }
 
 RECORD_CHANNELS: dict[str, str] = {

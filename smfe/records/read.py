@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, make_compliance, make_record
-from smfe.records import csv, lvm, mat, netcdf, npy, parquet, tdms, uff, wav
+from smfe.records import csv, lvm, mat, netcdf, npy, parquet, sinumerik, tdms, uff, wav
 from smfe.records.align import align
 from smfe.records.channels import COMPLIANCE_CHANNELS, Channel, motion_of, record_channels, split_vector
 from smfe.records.table import Column, Table
@@ -38,6 +38,7 @@ READERS: dict[str, Reader] = {
     ".uff": uff.read_tables,
     ".unv": uff.read_tables,
     ".wav": wav.read_tables,
+    ".xml": sinumerik.read_tables,
 }
 """Suffix of a file -> what reads it."""
 

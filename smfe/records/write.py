@@ -27,6 +27,8 @@ _VECTOR_HEADERS = {
     "encoder_position": "enc",
     "drive_force": "Fd",
     "reference_position": "ref",
+    "encoder_speed": "venc",
+    "reference_speed": "vref",
 }
 _SCALAR_HEADERS = {"spindle_angle": "angle", "spindle_speed": "n", "tacho": "tacho", "sound": "sound"}
 

@@ -26,8 +26,10 @@ _QUANTITY = {
     "displacement": 8,
     "encoder_position": 8,
     "reference_position": 8,
+    "encoder_speed": 11,
+    "reference_speed": 11,
 }
-"""Vector of a record -> specific data type of dataset 58: 8 displacement, 12 acceleration, 13 excitation force."""
+"""Vector of a record -> specific data type of dataset 58: 8 displacement, 11 velocity, 12 acceleration, 13 force."""
 
 _FIRST_SCALAR_NODE = 101
 

@@ -226,7 +226,14 @@ class TestRegistry:
 
     def test_ours_is_complete_and_its_campaigns_name_its_files(self, monkeypatch: pytest.MonkeyPatch) -> None:
         ours = datasets.read_registry(REPOSITORY / "datasets" / "registry.toml")
-        assert sorted(ours) == ["emps", "milling_forces_ubc", "pyfrf_hammer", "sdypy_ema_beam", "toolpoint_hammer_ubc"]
+        assert sorted(ours) == [
+            "emps",
+            "milling_forces_ubc",
+            "pyfrf_hammer",
+            "sdypy_ema_beam",
+            "sinumerik_speedloop",
+            "toolpoint_hammer_ubc",
+        ]
         for name, entry in ours.items():
             assert all(len(file.sha256) == 64 for file in entry.files.values())
             text = (REPOSITORY / "datasets" / f"{name}.toml").read_text(encoding="utf-8")
@@ -248,7 +255,7 @@ class TestPublicData:
                     pytest.skip(f"not here: {path}")
                 assert hashlib.sha256(path.read_bytes()).hexdigest() == described.sha256
 
-    @pytest.mark.parametrize("name", ["pyfrf_hammer", "sdypy_ema_beam", "toolpoint_hammer_ubc"])
+    @pytest.mark.parametrize("name", ["pyfrf_hammer", "sdypy_ema_beam", "sinumerik_speedloop", "toolpoint_hammer_ubc"])
     def test_the_campaigns_load(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("SMFE_DATA", str(SHARED))
         campaign = load_campaign(REPOSITORY / "datasets" / f"{name}.toml")

@@ -1,0 +1,104 @@
+"""The period of a setpoint that a control has made: found in the record, not declared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from process.errors import InputError
+
+Real = NDArray[np.float64]
+
+_SAME = 1e-6
+"""Mean square change from one period to the next, of the variance, up to which a setpoint repeats itself."""
+
+_FLAT = 1e-6
+"""Relative difference of the lines of a binary sequence of maximum length, but for rounding."""
+
+
+@dataclass(frozen=True)
+class Period:
+    """How a setpoint repeats itself.
+
+    Parameters
+    ----------
+    samples : int
+        Its period.
+    kind : str
+        "PRBS of order 11", "periodic".
+    """
+
+    samples: int
+    kind: str
+
+
+def find_period(setpoint: Real, dt: float, source: str = "the record") -> Period:
+    """Return the period of a setpoint.
+
+    A record of several periods equals itself one period later: the smallest lag of at most half the record at which the
+    mean square change is nothing but rounding. A record of one period gives it away only where the setpoint is a binary
+    sequence of maximum length (PRBS): two levels, ``2^n - 1`` samples and, as nothing shorter or longer has, equal
+    power at all lines but that of the mean (Golomb 1967).
+
+    Parameters
+    ----------
+    setpoint : ndarray, shape (n,)
+        Samples of one setpoint; free of noise, as a control computes it.
+    dt : float
+        Sampling interval [s].
+    source : str, optional
+        File, for messages.
+
+    Raises
+    ------
+    InputError
+        When it does not repeat itself and is no such sequence.
+    """
+    u = setpoint - setpoint.mean()
+    power = float(np.mean(u**2))
+    if u.size < 16 or power <= 0.0:
+        raise InputError(f"{source}: the setpoint does not change; record it while the loop is excited")
+    lag = _repeats(u, power)
+    if lag is not None:
+        order = _prbs_order(setpoint[:lag])
+        return Period(lag, f"PRBS of order {order}" if order else "periodic")
+    order = _prbs_order(setpoint)
+    if order:
+        return Period(u.size, f"PRBS of order {order}")
+    raise InputError(
+        f"{source}: the setpoint does not repeat itself within {u.size * dt:.4g} s; record two periods or more, or "
+        "give the measurement its period"
+    )
+
+
+def _repeats(u: Real, power: float) -> int | None:
+    """Return the smallest lag at which a signal is what it was.
+
+    ``sum (u_t - u_t+l)^2`` over all t of a lag l is the energy of both parts less twice their correlation, which a
+    transform gives for all lags together.
+    """
+    n = u.size
+    size = fft.next_fast_len(2 * n, real=True)
+    spectrum = fft.rfft(u, size)
+    correlation = fft.irfft(np.abs(spectrum) ** 2, size)[: n // 2 + 1]
+    energy = np.concatenate([[0.0], np.cumsum(u**2)])
+    lags = np.arange(n // 2 + 1)
+    change = (energy[n - lags] + energy[n] - energy[lags] - 2.0 * correlation) / (n - lags) / power
+    # A slow setpoint has hardly changed a sample later: it must have changed before it can come back.
+    away = np.flatnonzero(change > 0.5)
+    back = np.flatnonzero(change[away[0] :] < _SAME) if away.size else away
+    return int(away[0] + back[0]) if back.size else None
+
+
+def _prbs_order(u: Real) -> int:
+    """Return n for one period of a binary sequence of maximum length 2^n - 1, else 0."""
+    order = int(np.log2(u.size + 1))
+    low, high = float(u.min()), float(u.max())
+    two_levels = np.all(np.minimum(u - low, high - u) < _FLAT * (high - low))
+    if order < 3 or u.size != 2**order - 1 or not two_levels:
+        return 0
+    lines = np.abs(fft.rfft(u - u.mean()))[1:]
+    return order if float(np.ptp(lines)) < _FLAT * float(lines.max()) else 0
