@@ -12,6 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from process.errors import InputError
+from smfe.records import hdf5_watch
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
@@ -42,6 +43,7 @@ def read_groups(path: Path) -> dict[str, xr.Dataset]:
     """
     if not path.is_file():
         raise InputError(f"{path} does not exist; `smfe run` writes it")
+    hdf5_watch.check(path, "a NetCDF-4 file of results")
     try:
         with xr.open_datatree(path, engine="h5netcdf") as tree:
             loaded = tree.load()

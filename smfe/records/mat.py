@@ -12,6 +12,7 @@ import numpy as np
 from scipy import io
 
 from process.errors import InputError
+from smfe.records import hdf5_watch
 from smfe.records.hdf5 import Place, open_file, read_places
 from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, join, same_length, slices
 
@@ -95,6 +96,7 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _read_hdf5(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
+    hdf5_watch.check(path, _KIND)
     with open_file(path) as file:
         # MATLAB stores by column, HDF5 by row: a matrix comes out transposed.
         shapes: dict[str, tuple[int, ...]] = {}

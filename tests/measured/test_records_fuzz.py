@@ -3,8 +3,7 @@
 What cannot be found out: a flipped bit among the samples of a format without checksums gives another number there, and
 in the names of channels another name. Text that ends with a whole row cannot be told from a shorter record.
 
-The same damage is done in every run. Other damage has been seen to make the HDF5 library itself run on for ever (once,
-in a NetCDF file), and nothing but another process could end that.
+On what makes the HDF5 library itself run on for ever, see test_records_hdf5_damage.py.
 """
 
 import resource
@@ -30,6 +29,7 @@ from process.labels import make_record
 from smfe.records import (
     READERS,
     Channel,
+    hdf5_watch,
     read_blocks,
     read_records,
     write_record_csv,
@@ -37,12 +37,28 @@ from smfe.records import (
     write_record_netcdf,
     write_record_uff,
 )
+from smfe.records.sinumerik import DIGITS
 
 N, RATE = 256, 2000.0
 CLOCK = {"time": Channel("t", "s")}
 FORCE = {"force_x": Channel("Fx", "N"), "acceleration_x": Channel("ax", "m/s^2")}
 LIMIT = 5  # seconds a file may take
-FORMATS = ["csv", "parquet", "nc", "h5", "mat", "mat73", "tdms", "uff", "uff_text", "wav", "npy", "npz", "npy_list"]
+FORMATS = [
+    "csv",
+    "parquet",
+    "nc",
+    "h5",
+    "mat",
+    "mat73",
+    "tdms",
+    "uff",
+    "uff_text",
+    "wav",
+    "npy",
+    "npz",
+    "npy_list",
+    "xml",
+]
 
 
 def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
@@ -58,8 +74,8 @@ def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
     if kind == "parquet":
         pytest.importorskip("pyarrow")
         pd.DataFrame(columns).to_parquet(path)
-    elif kind in ("npy", "npz", "npy_list"):
-        return path, _numpy_file(kind, path, columns)
+    elif kind in ("npy", "npz", "npy_list", "xml"):
+        return path, _trace(path, columns) if kind == "xml" else _numpy_file(kind, path, columns)
     elif kind in ("h5", "mat73"):
         with h5py.File(path, "w", userblock_size=512 if kind == "mat73" else 0) as file:
             for name, values in columns.items():
@@ -98,6 +114,24 @@ def _numpy_file(kind: str, path: Path, columns: dict[str, np.ndarray]) -> dict[s
         "force_x": Channel(names[1], "N"),
         "acceleration_x": Channel(names[2], "m/s^2"),
     }
+
+
+def _trace(path: Path, columns: dict[str, np.ndarray]) -> dict[str, Channel]:
+    """A measurement of a control: arrays of doubles to the base 85."""
+    nodes = ""
+    for name in ("Fx", "ax"):
+        words = columns[name].astype(">f8").view(">u4").tolist()
+        raw = "".join(DIGITS[word // 85**k % 85] for word in words for k in range(4, -1, -1))
+        raw = "\n".join(raw[k : k + 150] for k in range(0, len(raw), 150))
+        nodes += (
+            f'<PlatformSignalNode><unsigned_int name="m_uNodeId">{name}</unsigned_int><TimeSeries>'
+            f'<NumericArray elementtype="double" format="base85"><unsigned_int name="m_length">{N}</unsigned_int>'
+            f"<raw><![CDATA[{raw}]]></raw></NumericArray>"
+            f'<float name="m_TimeVector.start">0</float><float name="m_TimeVector.end">{(N - 1) / RATE}</float>'
+            "</TimeSeries></PlatformSignalNode>\n"
+        )
+    path.write_text(f"<ResponseTestCustom>{nodes}</ResponseTestCustom>\n")
+    return FORCE
 
 
 def _as_text(path: Path) -> None:
@@ -148,6 +182,13 @@ def said(path: Path, channels: dict[str, Channel]) -> str:
         sizes = [piece.sizes["time"] for piece in read_blocks(path, channels, 100)]
         assert sum(sizes) == record.sizes["time"]
     return ""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def patience() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hdf5_watch, "SECONDS", 2.0)
+        yield
 
 
 @pytest.fixture(scope="module")
