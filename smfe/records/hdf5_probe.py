@@ -74,10 +74,15 @@ def _walk(path: str) -> None:
 def main() -> None:
     """Answer every line of the input with one of the output."""
     _limit_memory()
+    _say("ready")
     for line in sys.stdin:
         _walk(json.loads(line))
-        sys.stdout.write("done\n")
-        sys.stdout.flush()
+        _say("done")
+
+
+def _say(word: str) -> None:
+    sys.stdout.write(word + "\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -28,6 +28,9 @@ from process.errors import InputError
 SECONDS = 60.0
 """How long a file may take; a slow network disk needs a few, a library that loops needs for ever."""
 
+START = 60.0
+"""How long the second process may take to start; on a machine that is busy that counts, and no file is to blame."""
+
 _SCRIPT = Path(__file__).with_name("hdf5_probe.py")
 
 
@@ -63,11 +66,16 @@ class _Probe:
         try:
             self.process.stdin.write(json.dumps(str(path)) + "\n")
             self.process.stdin.flush()
+        except OSError:
+            return ""
+        return self.answer(seconds)
+
+    def answer(self, seconds: float) -> str | None:
+        """Return the next line, "" when the process has died, None when the time is up."""
+        try:
             return self.answers.get(timeout=seconds)
         except queue.Empty:
             return None
-        except OSError:
-            return ""
 
     def end(self) -> None:
         """End the process, and only this one."""
@@ -110,8 +118,6 @@ def check(path: Path, kind: str) -> None:
             return
         _running.clear()
         probe.end()
-        if answer == "" and not _works():
-            return
     what = f"does not come back within {SECONDS:g} s" if answer is None else "breaks down"
     raise InputError(
         f"{path.name}: cannot be read as {kind}: the HDF5 library {what}; the file is damaged: copy or export it again"
@@ -124,22 +130,16 @@ def _start() -> _Probe | None:
         _running.clear()  # of the process that we were forked from
     if not _running and not _dead:
         try:
-            _running.append(_Probe())
+            probe = _Probe()
         except OSError as error:
             _dead.append(str(error))
+            return None
+        if probe.answer(START):
+            _running.append(probe)
+        else:  # what was started is no Python interpreter, or has no h5py
+            _dead.append("it does not answer")
+            probe.end()
     return _running[0] if _running else None
-
-
-def _works() -> bool:
-    """Tell whether a new process answers at all: a program that is no Python interpreter does not."""
-    probe = _start()
-    if probe is not None and probe.ask(Path(os.devnull), SECONDS):
-        return True
-    _running.clear()
-    _dead.append("no answer")
-    if probe is not None:
-        probe.end()
-    return False
 
 
 @atexit.register
