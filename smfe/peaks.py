@@ -24,6 +24,9 @@ from scipy import ndimage, optimize, signal
 from process.errors import InputError
 from process.labels import check_compliance
 
+CLEAR_SIGNIFICANCE = 4.0
+"""How many times more significant than another a peak must be that is low beside the highest one."""
+
 _LARGEST_DAMPING = 0.5
 _MOST_POLES = 4  # fitted together; more overlapping peaks than that are no longer peaks
 
@@ -39,7 +42,14 @@ class PeakRules:
     prominence : float, optional
         And by this share of its own height [1].
     height : float, optional
-        Peaks below this share of the highest one are ignored [1].
+        Peaks below this share of the highest one are ignored [1], unless they are clear.
+    clear : float, optional
+        A peak is clear when it rises above its surroundings by this share of its own height [1] and by
+        `CLEAR_SIGNIFICANCE` times `significance`: a mode of the same mass and damping at five times the frequency has
+        1/25 of the compliance, and is a mode all the same.
+    floor : float, optional
+        Below this share of the highest peak nothing counts, however clear [1]: 60 dB down begins what the recording
+        itself adds.
     width : float, optional
         Half-power widths fitted to each side of a peak; 3 to 6 together is the compromise between noise and the
         neighbours that the remainders can no longer describe.
@@ -48,6 +58,8 @@ class PeakRules:
     significance: float = 5.0
     prominence: float = 0.1
     height: float = 0.02
+    clear: float = 0.5
+    floor: float = 0.001
     width: float = 2.5
 
 
@@ -228,7 +240,10 @@ def _tops(h: NDArray[np.complex128], noise: NDArray[np.float64], rules: PeakRule
     size = np.abs(h)
     tops, found = signal.find_peaks(size, prominence=0.0)
     needed = np.maximum(rules.prominence * size[tops], rules.significance * noise[tops])
-    keep = (found["prominences"] >= needed) & (size[tops] >= rules.height * size.max())
+    rises = found["prominences"]
+    clear = (rises >= rules.clear * size[tops]) & (rises >= CLEAR_SIGNIFICANCE * rules.significance * noise[tops])
+    share = size[tops] / size.max()
+    keep = (rises >= needed) & ((clear & (share >= rules.floor)) | (share >= rules.height))
     return [int(top) for top in tops[keep]]
 
 

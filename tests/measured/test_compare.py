@@ -131,6 +131,21 @@ def test_peaks_below_the_significance_are_ignored() -> None:
     assert [round(p.frequency) for p in find_peaks(f, h, std, PeakRules(significance=25.0))] == [24]
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_high_mode_of_little_compliance_is_a_peak(noise: float) -> None:
+    """Equal masses, 1 % damping, 100 and 1000 Hz: 1/100 of the compliance, -40 dB, with noise of -80 dB (seed 1)."""
+    f = np.arange(20.0, 1500.0, 0.5)
+    h = sum(1.0 / (k**2 - f**2 + 2j * 0.01 * k * f) for k in (100.0, 1000.0))
+    level = noise * np.abs(h).max()
+    rng = np.random.default_rng(1)
+    seen = h + level / np.sqrt(2.0) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
+    peaks = find_peaks(f, seen)
+    assert [p.frequency for p in peaks] == pytest.approx([100.0, 1000.0], rel=1e-3)
+    assert peaks[1].damping == pytest.approx(0.01, rel=0.05)
+    assert len(find_peaks(f, seen, rules=PeakRules(clear=1.1))) == 1
+    assert len(find_peaks(f, seen, rules=PeakRules(floor=0.02))) == 1
+
+
 def test_gaps_and_short_curves() -> None:
     f = np.arange(30.0, 120.0, 0.25)
     h = bench(f)

@@ -57,11 +57,15 @@ def test_the_modes_of_the_tool_point_are_found_within_2_percent(run_public) -> N
 def test_the_modes_of_the_free_beam_are_found_within_1_percent(run_public) -> None:
     groups = read_groups(run_public("sdypy_ema_beam") / "frf.nc")
     peaks = [peak_table(groups[f"hit_{k}"])["frequency_Hz"].to_numpy() for k in range(6)]
-    # The close pair at 2258 and 2286 Hz is too flat in the compliance to be listed as a peak.
-    for known in (176.0, 476.0, 932.0, 1534.0, 3161.0, 4180.0):
+    # Of the close pair at 2258 and 2286 Hz the second is the peak. It is 35 to 47 dB below that at 476 Hz.
+    modes = np.array([176.0, 476.0, 932.0, 1534.0, 2286.0, 3161.0, 4180.0])
+    for known in modes:
         seen = [np.abs(found - known).min() < 0.01 * known for found in peaks]
-        assert sum(seen) >= 3, f"{known} Hz is seen from {sum(seen)} of 6 points"
-    assert all(found.size <= 6 for found in peaks), "and nothing else is"
+        assert sum(seen) == 6, f"{known} Hz is seen from {sum(seen)} of 6 points"
+    others = [f for found in peaks for f in found if np.abs(modes / f - 1.0).min() > 0.01]
+    # And nothing else but what both ends of the beam show at 1376 Hz, which the authors do not list.
+    assert others == pytest.approx([1376.5] * len(others), abs=1.0)
+    assert len(others) == 2
 
 
 def test_the_single_hit_agrees_with_the_average_where_it_claims_anything(run_public) -> None:

@@ -1,0 +1,134 @@
+"""Peak memory of a sweep identified from one long record: ``python benchmarks/long_record_memory.py 0.1 10``.
+
+For each size [GB] a record of seven channels in double precision at 51.2 kHz is written (deleted afterwards; it needs
+as much free disk), then identified by a process of its own as a sweep of one axis in the band from 20 to 80 Hz: header,
+blocks, low-pass, decimation, estimate. Printed is by how much the largest resident memory of that process exceeds what
+it was after a record of 10 s had been identified, so that libraries and compiled code do not count.
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+from nptdms import ChannelObject, RootObject, TdmsWriter
+from numpy.typing import NDArray
+from scipy import signal
+
+RATE = 51_200
+NAMES = ("Fx", "Fy", "Fz", "ax", "ay", "az", "n")
+BYTES_A_SECOND = RATE * len(NAMES) * 8
+CAMPAIGN = """
+[campaign]
+name = "Long record"
+[tool]
+diameter = "100 mm"
+teeth = 4
+[channels]
+time = { sample_rate = "51200 Hz" }
+force_x = { column = "Fx", unit = "N" }
+force_y = { column = "Fy", unit = "N" }
+force_z = { column = "Fz", unit = "N" }
+acceleration_x = { column = "ax", unit = "m/s^2" }
+acceleration_y = { column = "ay", unit = "m/s^2" }
+acceleration_z = { column = "az", unit = "m/s^2" }
+spindle_speed = { column = "n", unit = "rpm" }
+"""
+MEASUREMENT = """
+[[measurement]]
+name = "{name}"
+method = "sweep"
+axes = ["x"]
+frequency_range = ["20 Hz", "80 Hz"]
+records = [{{ file = "{file}", cut = "down", width_of_cut = "40 mm" }}]
+"""
+
+_IDENTIFY = """
+import sys, time
+from smfe.campaign import load_campaign
+from smfe.measurements import identify_measurement
+def peak():  # of this process alone; ru_maxrss would begin with that of the process that started it
+    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+campaign = load_campaign(sys.argv[1])
+short, long = campaign.measurements
+identify_measurement(campaign, short)
+before = peak()
+start = time.perf_counter()
+found = identify_measurement(campaign, long)
+print(time.perf_counter() - start, (peak() - before) / 1024, before / 1024, found.compliance.sizes["frequency"])
+"""
+
+
+def pieces(seconds: int) -> Iterator[NDArray[np.float64]]:
+    """Yield a second at a time: a random force along x, what a mode at 50 Hz answers, and noise in all the rest."""
+    rng = np.random.default_rng(0)
+    poles = np.exp((-0.03 + 1j) * 2.0 * np.pi * 50.0 / RATE)
+    b, a = [1.0, -2.0, 1.0], np.poly([poles, np.conj(poles)])
+    noise, state = rng.standard_normal((len(NAMES), RATE)), np.zeros(2)
+    for second in range(seconds):
+        noise[0] = 100.0 * rng.standard_normal(RATE)
+        answer, state = signal.lfilter(b, a, noise[0], zi=state)
+        noise[3] = 0.1 * answer
+        noise[6] = 600.0 + 600.0 * second / seconds
+        yield noise
+
+
+def hdf5(path: Path, seconds: int) -> None:
+    with h5py.File(path, "w") as file:
+        sets = [file.create_dataset(n, (seconds * RATE,), float, chunks=(RATE,)) for n in NAMES]
+        for second, piece in enumerate(pieces(seconds)):
+            for data, row in zip(sets, piece, strict=True):
+                data[second * RATE : (second + 1) * RATE] = row
+
+
+def tdms(path: Path, seconds: int) -> None:
+    with TdmsWriter(path) as writer:
+        for piece in pieces(seconds):
+            channels = [ChannelObject("DAQ", n, row) for n, row in zip(NAMES, piece, strict=True)]
+            writer.write_segment([RootObject(), *channels])
+
+
+WRITE = {"h5": hdf5, "tdms": tdms}
+
+
+def measure(folder: Path, kind: str, gigabytes: float) -> None:
+    seconds = max(20, round(gigabytes * 1e9 / BYTES_A_SECOND))
+    paths = [folder / f"short.{kind}", folder / f"long.{kind}", folder / "campaign.toml"]
+    try:
+        for path, length in zip(paths, (10, seconds), strict=False):
+            WRITE[kind](path, length)
+        text = "".join(MEASUREMENT.format(name=path.stem, file=path.name) for path in paths[:2])
+        paths[2].write_text(CAMPAIGN + text, encoding="utf-8")
+        size = paths[1].stat().st_size / 1e9
+        command = [sys.executable, "-c", _IDENTIFY, str(paths[2])]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        spent, more, before, lines = (float(word) for word in done.stdout.split())
+        print(
+            f"{kind}: {size:.2f} GB, {seconds} s of record: {more:.0f} MB more than the {before:.0f} MB before, in "
+            f"{spent:.0f} s ({lines:.0f} lines)",
+            flush=True,
+        )
+    finally:
+        for path in paths:
+            path.unlink(missing_ok=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("gigabytes", type=float, nargs="+")
+    parser.add_argument("--format", choices=sorted(WRITE), default="h5")
+    parser.add_argument("--folder", type=Path, default=Path("long_record"))
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    for gigabytes in given.gigabytes:
+        start = time.perf_counter()
+        measure(given.folder, given.format, gigabytes)
+        print(f"  written, read and deleted in {time.perf_counter() - start:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
