@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from process.errors import InputError
-from smfe.explained import holm
+from smfe.explained import LEVEL, error_covariance, holm
 from smfe.peaks import Peak, PeakRules, entries, entry_peaks
 
 _QUANTITIES: tuple[tuple[str, str, float], ...] = (
@@ -41,13 +42,13 @@ class CompareRules:
     ----------
     tolerance : float, optional
         Largest relative difference of frequency at which two peaks can be the same mode [1].
-    significance : float, optional
-        A difference is significant when it exceeds this many of its standard deviations. Three, because a table holds
-        dozens of differences, of which one in twenty would exceed two by chance.
+    level : float, optional
+        A difference is significant when its p value, corrected for the number of differences in the table, is below
+        this: the probability that anything is called significant in a table of equal machines.
     """
 
     tolerance: float = 0.1
-    significance: float = 3.0
+    level: float = LEVEL
 
 
 def compare(
@@ -78,9 +79,11 @@ def compare(
         measurement_a, measurement_b, response, excitation; match ("both", "a only", "b only", "a only, outside the
         band of b", "b only, outside the band of a", "no peak"); frequency [Hz], damping [1] and amplitude [um/N] of
         each with standard deviation, their differences in percent with standard deviation, 95 % interval, two-sided p
-        value, p value corrected for the number of differences in the table (``_p_family``, Holm) and whether they are
-        significant (``significant``: whether any is); per entry, repeated on its rows: common band [Hz], ``frac``,
-        ``csf`` and ``relative_difference_percent`` over it, see `response_assurance` and `scale_factor`.
+        value, p value corrected for the number of differences in the table (``_p_family``, Holm) and whether that is
+        below the level; ``joint_p`` of all three differences together with the covariance of their errors, and
+        ``significant``, whether that is below the level when corrected for the number of pairs of peaks; per entry,
+        repeated on its rows: common band [Hz], ``frac``, ``csf`` and ``relative_difference_percent`` over it, see
+        `response_assurance` and `scale_factor`.
 
     Raises
     ------
@@ -102,24 +105,28 @@ def compare(
                 head = {"measurement_a": a, "measurement_b": b, "response": entry[0], "excitation": entry[1]}
                 shared = _entry_figures(*curves)
                 pairs = _label(_match(peaks[a][entry], peaks[b][entry], rules.tolerance), *curves)
-                rows += [head | _row(one, other, match, rules) | shared for one, other, match in pairs]
-    return _family(pd.DataFrame(rows, columns=_columns()))
+                rows += [head | _row(one, other, match) | shared for one, other, match in pairs]
+    return _family(pd.DataFrame(rows, columns=_columns()), rules.level)
 
 
-def _family(table: pd.DataFrame) -> pd.DataFrame:
-    """Fill in the p values that are corrected for all differences of the table together."""
+def _family(table: pd.DataFrame, level: float) -> pd.DataFrame:
+    """Fill in the p values that are corrected for all differences of the table together, and what they say."""
     if table.empty:
         return table
-    each = [f"{name}_p" for name, _, _ in _QUANTITIES]
-    corrected = holm(table[each].to_numpy(dtype=float).ravel()).reshape(-1, len(each))
-    return table.assign(**{f"{name}_family": corrected[:, k] for k, name in enumerate(each)})
+    names = [name for name, _, _ in _QUANTITIES]
+    single = table[[f"{name}_p" for name in names]].to_numpy(dtype=float)
+    corrected = holm(single.ravel()).reshape(single.shape)
+    joint = holm(table["joint_p"].to_numpy(dtype=float))
+    filled: dict[str, NDArray[Any]] = {f"{name}_p_family": corrected[:, k] for k, name in enumerate(names)}
+    filled |= {f"{name}_significant": corrected[:, k] < level for k, name in enumerate(names)}
+    return table.assign(**filled, joint_p_family=joint, significant=joint < level)
 
 
 def _columns() -> list[str]:
     """Return the columns of comparison.csv in their order."""
     nothing = _Curve(np.array([1.0, 2.0]), np.ones(2, dtype=np.complex128))
     figures = _entry_figures(nothing, nothing)
-    row = _row(None, None, "", CompareRules())
+    row = _row(None, None, "")
     return ["measurement_a", "measurement_b", "response", "excitation", *row, *figures]
 
 
@@ -262,7 +269,7 @@ def _label(
             yield None, other, "b only" if a.holds(other.frequency) else "b only, outside the band of a"
 
 
-def _row(a: Peak | None, b: Peak | None, match: str, rules: CompareRules) -> dict[str, object]:
+def _row(a: Peak | None, b: Peak | None, match: str) -> dict[str, object]:
     """Return the columns of one pair of peaks."""
     row: dict[str, object] = {"match": match}
     for name, unit, factor in _QUANTITIES:
@@ -278,9 +285,16 @@ def _row(a: Peak | None, b: Peak | None, match: str, rules: CompareRules) -> dic
         row[f"{name}_interval_high_percent"] = difference + _INTERVAL * std
         row[f"{name}_p"] = _p_value(difference, std)
         row[f"{name}_p_family"] = float("nan")
-        row[f"{name}_significant"] = bool(abs(difference) > rules.significance * std)
-    row["significant"] = any(bool(row[f"{name}_significant"]) for name, _, _ in _QUANTITIES)
-    return row
+        row[f"{name}_significant"] = False
+    return row | {"joint_p": _joint_p(a, b), "joint_p_family": float("nan"), "significant": False}
+
+
+def _joint_p(a: Peak | None, b: Peak | None) -> float:
+    """Return the p value of no difference in frequency, damping and amplitude together: d' (S_a + S_b)^-1 d."""
+    if a is None or b is None:
+        return float("nan")
+    d = np.array([np.log(getattr(b, name) / getattr(a, name)) for name, _, _ in _QUANTITIES])
+    return float(stats.chi2.sf(d @ np.linalg.solve(error_covariance(a) + error_covariance(b), d), d.size))
 
 
 def _p_value(difference: float, std: float) -> float:

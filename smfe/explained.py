@@ -9,7 +9,15 @@ by least squares weighted with 1/s_m^2, s_m being the relative standard deviatio
 factor is judged by what the fit loses without it (``D`` more in chi^2 for ``r`` unknowns fewer): ``F =
 (D/r)/(chi^2/dof)`` where measurements are left over and scatter by more than their errors say, chi^2 with r degrees
 of freedom otherwise. What one design cannot separate is said instead of guessed: factors that always change together
-are aliased and are judged together, as one term. The p values of a table are corrected for their number (Holm 1979).
+are aliased and are judged together, as one term.
+
+Where a design has them, products of two terms are judged as well: an **interaction** is a feed that acts with one
+controller and not with the other. Each is added to the additive model alone and judged by what the fit gains. The
+three quantities of a peak are judged one by one and jointly, with the covariance of their errors in each measurement
+(those of damping and amplitude are nearly one).
+
+One rule decides what is significant: the p values of all rows of a table, joint ones and interactions included, are
+corrected for their number (Holm 1979) and compared with `LEVEL`.
 """
 
 from __future__ import annotations
@@ -36,8 +44,17 @@ CONDITIONS = ("method", "controller", "feed", "level", "position", "added_mass",
 TOLERANCE = 0.1
 """Largest relative difference of frequency at which two peaks can be the same mode."""
 
+LEVEL = 0.05
+"""Probability that any row of a table is called significant where no condition does anything."""
+
+JOINT = "all three"
+"""Quantity of a row that judges frequency, damping and amplitude together."""
+
 WITH = " + "
 """Between factors that cannot be told apart."""
+
+TIMES = " x "
+"""Between the two terms of an interaction."""
 
 COLUMNS = (
     *("response", "excitation", "frequency_Hz", "quantity", "factor", "categories", "measurements", "aliased_with"),
@@ -109,6 +126,52 @@ class Design:
                 out.append(term)
         return out
 
+    def interactions(self) -> list[Product]:
+        """Return the products of two terms that the design determines: both have changed, independently enough."""
+        full, out = self.columns(list(self.factors)), []
+        rank = int(np.linalg.matrix_rank(full))
+        terms = self.terms()
+        for i, first in enumerate(terms):
+            for second in terms[i + 1 :]:
+                a, b = self._combined(first), self._combined(second)
+                columns = np.array(
+                    [
+                        [float(c == u and d == v) for c, d in zip(a, b, strict=True)]
+                        for u in sorted(set(a))[1:]
+                        for v in sorted(set(b))[1:]
+                    ]
+                ).T
+                if columns.size and int(np.linalg.matrix_rank(np.concatenate([full, columns], axis=1))) > rank:
+                    names = WITH.join(first), WITH.join(second)
+                    every = "; ".join(", ".join(sorted(set(c))) for c in (a, b))
+                    ends = f"{names[0]} at {min(b)}", f"{names[0]} at {max(b)}"
+                    out.append(Product(TIMES.join(names), every, columns, ends))
+        return out
+
+    def _combined(self, term: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the category of each measurement, of factors that cannot be told apart the categories together."""
+        return tuple(" and ".join(c) for c in zip(*(self.factors[n] for n in term), strict=True))
+
+
+@dataclass(frozen=True)
+class Product:
+    """Columns that a product of two terms adds to a design.
+
+    Parameters
+    ----------
+    name, categories : str
+        "feed x controller", and the categories of both.
+    columns : ndarray, shape (measurements, q)
+        Products of their columns.
+    ends : (str, str)
+        Of two terms of two categories each: at which category of the second the effect of the first is compared.
+    """
+
+    name: str
+    categories: str
+    columns: Real
+    ends: tuple[str, str]
+
 
 def conditions_of(compliance: xr.Dataset) -> dict[str, str]:
     """Return factor -> category of a measurement, as ``attrs`` of its compliance say.
@@ -161,7 +224,7 @@ def explain(identifications: Mapping[str, xr.Dataset], peak_rules: PeakRules | N
     frame = pd.DataFrame(rows, columns=list(COLUMNS))
     if len(frame):
         frame["p_family"] = holm(frame["p"].to_numpy(dtype=float))
-        frame["significant"] = frame["p_family"] < 0.05
+        frame["significant"] = frame["p_family"] < LEVEL
     return frame
 
 
@@ -213,54 +276,96 @@ def _track_rows(
         "frequency_Hz": float(np.exp(np.mean([np.log(track[n].frequency) for n in names]))),
         "measurements": len(names),
     }
+    peaks = [track[n] for n in names]
+    value = np.array([[getattr(peak, quantity) for quantity in QUANTITIES] for peak in peaks])
+    covariance = np.stack([error_covariance(peak) for peak in peaks])
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     rows = []
-    for quantity in QUANTITIES:
-        value = np.array([getattr(track[n], quantity) for n in names])
-        std = np.array([getattr(track[n], f"{quantity}_std") for n in names]) / value
-        # A peak of an exact curve claims no error at all; it must not take all the weight.
-        std = np.maximum(std, 1e-9)
-        rows += [head | {"quantity": quantity} | row for row in judge(design, np.log(value), std)]
-    return rows
+    for k, quantity in enumerate(QUANTITIES):
+        found = judge(design, np.log(value[:, k]), std[:, k])
+        rows += [head | {"quantity": quantity} | row for row in found]
+    return rows + [head | {"quantity": JOINT} | row for row in judge(design, np.log(value), covariance)]
 
 
-def judge(design: Design, logarithm: Real, std: Real) -> list[dict[str, object]]:
-    """Return what every term of a design explains of a quantity.
+def error_covariance(peak: Peak) -> Real:
+    """Return the covariance of the relative errors of frequency, damping and amplitude, shape (3, 3).
+
+    It is bounded away from singular; and a peak of an exact curve, which claims no error at all, must not take all the
+    weight.
+    """
+    std = np.array([max(getattr(peak, f"{q}_std") / getattr(peak, q), 1e-9) for q in QUANTITIES])
+    matrix = np.eye(3)
+    for (i, j), value in zip(((0, 1), (0, 2), (1, 2)), peak.correlation, strict=True):
+        matrix[i, j] = matrix[j, i] = np.clip(value, -0.999, 0.999)
+    values, vectors = np.linalg.eigh(matrix)
+    matrix = (vectors * np.maximum(values, 1e-3)) @ vectors.T
+    matrix /= np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+    return np.asarray(matrix * np.outer(std, std))
+
+
+def judge(design: Design, logarithm: Real, errors: Real) -> list[dict[str, object]]:
+    """Return what every term of a design, and every product of two, explains of a quantity, or of several together.
 
     Parameters
     ----------
     design : Design
         Conditions of the measurements.
-    logarithm : ndarray, shape (measurements,)
+    logarithm : ndarray, shape (measurements,) or (measurements, quantities)
         ln q.
-    std : ndarray, shape (measurements,)
-        Relative standard deviation of q.
+    errors : ndarray, shape (measurements,) or (measurements, quantities, quantities)
+        Relative standard deviation of q, or the covariance of the relative errors of several.
     """
-    names = list(design.factors)
-    chi, beta, covariance = _fit(design.columns(names), logarithm, std)
-    total, _, _ = _fit(np.ones((logarithm.size, 1)), logarithm, std)
-    left = logarithm.size - design.rank(names)
-    # Scatter beyond the stated errors counts as error; less scatter than stated is chance.
-    scale = max(chi / left, 1.0) if left else 1.0
+    names, data = list(design.factors), _Data.of(logarithm, errors)
+    full = design.columns(names)
+    chi, beta, covariance = data.fit(full)
+    total, _, _ = data.fit(full[:, :1])
+    rank = design.rank(names)
+    left = logarithm.shape[0] - rank
     rows = []
     for term in design.terms():
         others = [n for n in names if n not in term]
-        without, _, _ = _fit(design.columns(others), logarithm, std)
-        freedom = design.rank(names) - design.rank(others)
-        loss = max(without - chi, 0.0)
-        row: dict[str, object] = {
+        freedom = rank - design.rank(others)
+        loss = max(data.fit(design.columns(others))[0] - chi, 0.0)
+        row, scale = _judged(data, loss, total, freedom, chi, left)
+        row |= {
             "factor": WITH.join(term),
             "categories": "; ".join(", ".join(sorted(set(design.factors[n]))) for n in term),
             "aliased_with": WITH.join(term) if len(term) > 1 else "",
-            "explained_percent": 100.0 * loss / total if total > 0.0 else float("nan"),
-            "degrees_of_freedom": freedom,
-            "left_over": left,
-            "misfit": float(np.sqrt(chi / left)) if left else float("nan"),
         }
-        row |= _test(loss, freedom, left, scale)
-        if len(term) == 1 and freedom == len(set(design.factors[term[0]])) - 1:
+        if data.quantities == 1 and len(term) == 1 and freedom == len(set(design.factors[term[0]])) - 1:
             row |= _effect(design, term[0], names, beta, covariance * scale)
         rows.append(row)
-    return rows
+    return rows + [_interaction(data, product, full, chi, total) for product in design.interactions()]
+
+
+def _interaction(data: _Data, product: Product, full: Real, additive: float, total: float) -> dict[str, object]:
+    """Return the row of a product of two terms, by what it gains over the additive model."""
+    columns = np.concatenate([full, product.columns], axis=1)
+    chi, beta, covariance = data.fit(columns)
+    rank = int(np.linalg.matrix_rank(columns))
+    freedom, left = rank - int(np.linalg.matrix_rank(full)), columns.shape[0] - rank
+    row, scale = _judged(data, max(additive - chi, 0.0), total, freedom, chi, left)
+    row |= {"factor": product.name, "categories": product.categories, "aliased_with": ""}
+    if data.quantities == 1 and freedom == 1 and product.columns.shape[1] == 1:
+        low, high = product.ends
+        row |= _change(low, high, float(beta[-1]), float(np.sqrt(covariance[-1, -1] * scale)))
+    return row
+
+
+def _judged(
+    data: _Data, loss: float, total: float, freedom: int, chi: float, left: int
+) -> tuple[dict[str, object], float]:
+    """Return the test of a term, and by what the variance of its errors is raised."""
+    r, dof = freedom * data.quantities, left * data.quantities
+    # Scatter beyond the stated errors counts as error; less scatter than stated is chance.
+    scale = max(chi / dof, 1.0) if dof else 1.0
+    row: dict[str, object] = {
+        "explained_percent": 100.0 * loss / total if total > 0.0 else float("nan"),
+        "degrees_of_freedom": r,
+        "left_over": dof,
+        "misfit": float(np.sqrt(chi / dof)) if dof else float("nan"),
+    }
+    return row | _test(loss, r, dof, scale), scale
 
 
 def _test(loss: float, freedom: int, left: int, scale: float) -> dict[str, object]:
@@ -281,10 +386,15 @@ def _effect(design: Design, name: str, names: list[str], beta: Real, covariance:
         if at:
             contrast[start + at - 1] = sign
     change, std = float(size[high] - size[low]), float(np.sqrt(contrast @ covariance @ contrast))
+    return _change(categories[low], categories[high], change, std)
+
+
+def _change(lowest: str, highest: str, change: float, std: float) -> dict[str, object]:
+    """Return a difference of logarithms as columns."""
     ends = [100.0 * np.expm1(change + side * 1.96 * std) for side in (-1.0, 1.0)]
     return {
-        "lowest": categories[low],
-        "highest": categories[high],
+        "lowest": lowest,
+        "highest": highest,
         "effect_percent": 100.0 * np.expm1(change),
         "effect_std_percent": 100.0 * np.exp(change) * std,
         "effect_low_percent": ends[0],
@@ -292,9 +402,37 @@ def _effect(design: Design, name: str, names: list[str], beta: Real, covariance:
     }
 
 
-def _fit(columns: Real, value: Real, std: Real) -> tuple[float, Real, Real]:
-    """Return chi^2, coefficients and their covariance of a weighted least squares (smallest norm where singular)."""
-    weighted, right = columns / std[:, None], value / std
-    inverse = np.linalg.pinv(weighted, rcond=1e-10)
-    beta = inverse @ right
-    return float(np.sum((right - weighted @ beta) ** 2)), beta, inverse @ inverse.T
+@dataclass(frozen=True)
+class _Data:
+    """Quantities of a peak in all measurements, whitened by the errors of each measurement.
+
+    Parameters
+    ----------
+    value : ndarray, shape (measurements, quantities)
+        What is described.
+    whiten : ndarray, shape (measurements, quantities, quantities)
+        Turns errors into independent ones of variance one.
+    """
+
+    value: Real
+    whiten: Real
+
+    @classmethod
+    def of(cls, value: Real, errors: Real) -> _Data:
+        value = value - value.mean(axis=0)  # every model has a mean; without it less is lost to rounding
+        if value.ndim == 1:
+            return cls(value[:, None], (1.0 / errors)[:, None, None])
+        return cls(value, np.linalg.inv(np.linalg.cholesky(errors)))
+
+    @property
+    def quantities(self) -> int:
+        return int(self.value.shape[1])
+
+    def fit(self, columns: Real) -> tuple[float, Real, Real]:
+        """Return chi^2, coefficients and their covariance of least squares (smallest norm where singular)."""
+        right = np.einsum("mij,mj->mi", self.whiten, self.value).ravel()
+        # Each quantity has coefficients of its own: whitened (kron of identity and row) measurement by measurement.
+        weighted = np.einsum("mij,mc->mijc", self.whiten, columns).reshape(right.size, -1)
+        inverse = np.linalg.pinv(weighted, rcond=1e-10)
+        beta = inverse @ right
+        return float(np.sum((right - weighted @ beta) ** 2)), beta, inverse @ inverse.T

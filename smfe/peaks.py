@@ -78,6 +78,8 @@ class Peak:
     misfit : float
         Root mean square residual over standard deviation of the data, 1 for a perfect model; NaN when the compliance
         came without standard deviations.
+    correlation : (float, float, float), optional
+        Of the errors of frequency and damping, frequency and amplitude, damping and amplitude [1].
     """
 
     frequency: float
@@ -87,6 +89,7 @@ class Peak:
     amplitude: float
     amplitude_std: float
     misfit: float
+    correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def find_peaks(
@@ -473,19 +476,26 @@ def _peak(fit: _Fit, k: int, given: bool) -> Peak | None:
     fine = np.linspace(low, high, 801)
     top = fine[[int(np.argmax(np.abs(fit.model(fine))))]]
     amplitude = float(np.abs(fit.model(top))[0])
+    gradient = _amplitude_gradient(fit, top)
+    amplitude_std = float(np.sqrt(np.maximum(gradient @ fit.covariance @ gradient, 0.0)))
+    own = fit.covariance[2 * k : 2 * k + 2]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a peak of an exact curve claims no error
+        related = np.nan_to_num(np.array([own[0, 2 * k + 1] / std[1], *(own @ gradient / amplitude_std)]))
+        related = np.nan_to_num(related / std[[0, 0, 1]])
     return Peak(
         frequency=frequency,
         frequency_std=float(std[0]),
         damping=damping,
         damping_std=float(std[1]),
         amplitude=amplitude,
-        amplitude_std=_amplitude_std(fit, top),
+        amplitude_std=amplitude_std,
         misfit=fit.misfit if given else float("nan"),
+        correlation=(float(related[0]), float(related[1]), float(related[2])),
     )
 
 
-def _amplitude_std(fit: _Fit, top: NDArray[np.float64]) -> float:
-    """Return the standard deviation [m/N] of ``|H|`` at its maximum.
+def _amplitude_gradient(fit: _Fit, top: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivative of ``|H|`` at its maximum with respect to all parameters.
 
     The maximum does not move to first order when the parameters do, so the gradient is taken at a fixed frequency.
     """
@@ -498,4 +508,4 @@ def _amplitude_std(fit: _Fit, top: NDArray[np.float64]) -> float:
             up[i], down[i] = up[i] + step, down[i] - step
             difference = np.abs(fit.model(top, up)) - np.abs(fit.model(top, down))
             gradient[i] = float(difference[0]) / (2.0 * step)
-    return float(np.sqrt(np.maximum(gradient @ fit.covariance @ gradient, 0.0)))
+    return gradient

@@ -10,8 +10,8 @@ from scipy import stats
 from process.errors import InputError
 from process.labels import make_compliance
 from smfe.compare import compare, scale_factor
-from smfe.explained import Design, explain, holm, judge, tracks
-from smfe.peaks import Peak
+from smfe.explained import JOINT, Design, explain, holm, judge, tracks
+from smfe.peaks import Peak, find_peaks
 
 GRID = np.arange(15.0, 60.0, 0.25)
 
@@ -44,7 +44,8 @@ def test_each_factor_is_given_what_it_does():
     """6 % by feed, 3 % by controller: both found, each with its size and an interval that holds it."""
     table = explain(balanced(1))
     found = table[table["quantity"] == "frequency"].set_index("factor")
-    assert set(found.index) == {"feed", "controller"}
+    assert set(found.index) == {"feed", "controller", "controller x feed"}
+    assert not found.loc["controller x feed", "significant"]
     for factor, truth in (("feed", 100.0 * (1.0 / 0.94 - 1.0)), ("controller", 3.0)):
         row = found.loc[factor]
         assert row["significant"]
@@ -69,6 +70,78 @@ def test_what_does_nothing_is_not_significant():
     assert stats.kstest(p, "uniform").pvalue > 0.001  # p values are what they claim
 
 
+def test_joint_tests_and_interactions_claim_no_more_than_they_should():
+    """20 additive machines with effects of both factors: p of the interaction, and of what is tested jointly."""
+    alone, jointly = [], []
+    for seed in range(20):
+        table = explain(balanced(300 + seed))
+        product = table[table["factor"] == "controller x feed"]
+        assert len(product) == 4  # frequency, damping, amplitude, and all three
+        alone += product.loc[product["quantity"] != JOINT, "p"].tolist()
+        jointly += product.loc[product["quantity"] == JOINT, "p"].tolist()
+        assert table.loc[(table["quantity"] == JOINT) & (table["factor"] == "feed"), "significant"].all()
+    assert stats.kstest(alone, "uniform").pvalue > 0.001
+    assert stats.kstest(jointly, "uniform").pvalue > 0.001
+    assert np.median(jointly) > 0.2
+
+
+@pytest.mark.parametrize("by", [0.94, 0.995])
+def test_a_feed_that_acts_with_one_controller_only_is_found(by):
+    """With K1 the feed does nothing, with K2 it takes 6 % (or 0.5 %) off the frequency: that is the interaction."""
+    runs = {}
+    for i, feed in enumerate(("0 mm/min", "500 mm/min")):
+        for j, controller in enumerate(("K1", "K2")):
+            for k in range(2):
+                natural = 30.0 * (by if i and j else 1.0)
+                runs[f"{i}{j}{k}"] = measurement(
+                    natural, 0.03, 0.01, 40 + 10 * i + 3 * j + k, feed=feed, controller=controller
+                )
+    table = explain(runs)
+    row = table[(table["quantity"] == "frequency") & (table["factor"] == "controller x feed")].iloc[0]
+    assert row["significant"]
+    assert row["p_family"] < 1e-3
+    truth = 100.0 * (by - 1.0)
+    assert row["effect_percent"] == pytest.approx(truth, abs=0.2)
+    assert row["effect_low_percent"] - 0.1 < truth < row["effect_high_percent"] + 0.1
+    assert (row["lowest"], row["highest"]) == ("controller at 0 mm/min", "controller at 500 mm/min")
+    joint = table[(table["quantity"] == JOINT) & (table["factor"] == "controller x feed")].iloc[0]
+    assert joint["significant"]
+
+
+def test_without_every_combination_there_is_no_interaction_to_judge():
+    """Three of four combinations: the product of both factors is not in the design."""
+    design = Design({"feed": ("0", "5", "0"), "controller": ("a", "a", "b")})
+    assert design.interactions() == []
+    whole = Design({"feed": ("0", "5", "0", "5"), "controller": ("a", "a", "b", "b")})
+    assert [product.name for product in whole.interactions()] == ["feed x controller"]
+
+
+def test_the_joint_test_against_its_closed_form():
+    """Two measurements, three quantities, correlated errors: d' (S_a + S_b)^-1 d, chi^2 with three degrees."""
+    rng = np.random.default_rng(4)
+    roots = rng.standard_normal((2, 3, 3))
+    errors = roots @ roots.transpose(0, 2, 1)
+    value = rng.standard_normal((2, 3))
+    (row,) = judge(Design({"feed": ("0", "5")}), value, errors)
+    d = value[1] - value[0]
+    assert row["statistic"] == pytest.approx(d @ np.linalg.solve(errors.sum(axis=0), d))
+    assert row["p"] == pytest.approx(stats.chi2.sf(row["statistic"], 3))
+    assert row["degrees_of_freedom"] == 3
+
+
+def test_errors_of_a_peak_are_related_as_they_scatter():
+    """200 seeds of 2 % noise: damping and amplitude err against each other, as strongly as the fit says."""
+    found = [
+        find_peaks(GRID, d["compliance"].values.ravel(), d["compliance_std"].values.ravel())[0]
+        for d in (measurement(30.0, 0.03, 0.02, 1000 + seed) for seed in range(200))
+    ]
+    columns = np.array([[p.frequency, p.damping, p.amplitude] for p in found])
+    seen = np.corrcoef(columns.T)
+    said = np.mean([p.correlation for p in found], axis=0)
+    assert said == pytest.approx([seen[0, 1], seen[0, 2], seen[1, 2]], abs=0.15)
+    assert said[2] < -0.5
+
+
 def test_factors_that_change_together_are_not_told_apart():
     """Method and level always change together: one row for both, with no effect ascribed to either."""
     runs = {
@@ -79,7 +152,8 @@ def test_factors_that_change_together_are_not_told_apart():
     }
     table = explain(runs)
     found = table[table["quantity"] == "frequency"].set_index("factor")
-    assert set(found.index) == {"method + level", "feed"}
+    assert set(found.index) == {"method + level", "feed", "method + level x feed"}
+    assert not found.loc["method + level x feed", "significant"]
     assert found.loc["method + level", "aliased_with"] == "method + level"
     assert np.isnan(found.loc["method + level", "effect_percent"])
     assert found.loc["method + level", "significant"]
@@ -126,7 +200,7 @@ def test_renaming_categories_and_reordering_measurements_change_nothing():
         told["controller"] = {"K1": "zeta", "K2": "alpha"}[told["controller"]]
         dataset.attrs["conditions"] = json.dumps(told)
     renamed = explain(runs)
-    np.testing.assert_allclose(renamed["statistic"], first["statistic"], rtol=1e-9)
+    np.testing.assert_allclose(renamed["statistic"], first["statistic"], rtol=1e-7)
 
 
 def test_peaks_are_followed_through_measurements():
