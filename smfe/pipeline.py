@@ -177,23 +177,15 @@ def identify(
 ) -> dict[str, Identification]:
     """Identify every measurement of a campaign and write the compliances to one NetCDF file.
 
-<<<<<<< HEAD
     A sweep at several depths of cut is identified at each of them, too; `conditions.nc` beside the file then holds it
-    with the depth as a dimension.
+    with the depth as a dimension. Responses of drive loops, which are no compliances, stand in ``loops.nc`` beside it.
     """
     loaded, path = load_campaign(Path(campaign), licence), Path(output)
     found, cubes = _identify_all(loaded, path.parent / KEPT, progress)
+    write_loops(path.with_name(LOOP_FILE), loops_of(loaded))
     write_groups(path, _groups(_compliances(with_levels(loaded), found), found))
     if cubes:
         _write_cubes(path.with_name("conditions.nc"), cubes)
-=======
-    Responses of drive loops, which are no compliances, stand in ``loops.nc`` beside it.
-    """
-    loaded, path = load_campaign(Path(campaign), licence), Path(output)
-    found, loops = _identify_all(loaded, path.parent / KEPT, progress), loops_of(loaded)
-    write_loops(path.with_name(LOOP_FILE), loops)
-    write_groups(path, _groups(_compliances(loaded, found), found))
->>>>>>> e8009d0 (Read drive loops, so that the trace of a Sinumerik control has a campaign that says what it holds)
     return found
 
 

@@ -21,6 +21,7 @@ from matplotlib.patches import Patch
 
 from smfe.report import diagnosis
 from smfe.report.answer import outcomes
+from smfe.report.conditions import cubes
 from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, predicted_lines, spectrum_span
 from smfe.report.look import (
     AXIS_COLOURS,
@@ -70,6 +71,8 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
     shown = [m for m in results.measurements if m.entries]
     if shown:
         out["compliance.png"] = partial(draw_compliance, shown, looks)
+    for position, cube in enumerate(cubes(results.conditions), 1):
+        out[f"conditions_{position}.png"] = partial(draw_compliance, cube.cells, cube.looks)
     if any(m.condition() is not None or any(m.coherences(r) for r in "xyz") for m in shown if not m.is_model):
         out["condition.png"] = partial(draw_quality, shown, looks)
     if results.spectra:
@@ -89,7 +92,14 @@ def tests_of(chatter: pd.DataFrame | None, request: str) -> pd.DataFrame | None:
 
 def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
     """Delete pictures of ours that an earlier report wrote and this one does not."""
-    for pattern in ("lobes_*.png", "compliance.png", "condition.png", "spectra.png", "diagnosis.png"):
+    for pattern in (
+        "lobes_*.png",
+        "conditions_*.png",
+        "compliance.png",
+        "condition.png",
+        "spectra.png",
+        "diagnosis.png",
+    ):
         for path in folder.glob(pattern):
             if path.name not in kept:
                 path.unlink()

@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smfe.report import diagnosis, explained, figures, interactive, interactive_compliance, tables
+from smfe.report import conditions, diagnosis, explained, figures, interactive, interactive_compliance, tables
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
 from smfe.report.results import Lobes, Measurement, Results, bands, read_results
@@ -243,9 +243,20 @@ def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any])
         "any": bool(shown),
         "quality": "plot-quality" in plots,
         "by_force": any(e for m in shown for r in "xyz" for e, _ in m.coherences(r)),
+        "cubes": _cubes(results, plots),
         "uncertain": any(m.std(*pair) is not None for m in shown for pair in m.entries),
         "conditions": [(m.name, interactive_compliance.bad_bands_text(m)) for m in shown if m.condition() is not None],
     }
+
+
+def _cubes(results: Results, plots: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return name, figure and sentences of each set of compliances over level and feed."""
+    out = []
+    for position, cube in enumerate(conditions.cubes(results.conditions), 1):
+        name = f"plot-cube-{position}"
+        plots[name] = interactive_compliance.compliance_figure(cube.cells, cube.looks)
+        out.append({"name": cube.name, "plot": name, "said": conditions.largest_changes(cube)})
+    return out
 
 
 def _measurement_row(m: Measurement, look: Line) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from process.labels import check_compliance
+from process.labels import UNITS, check_compliance
 from smfe.store import read_groups, unpack_warnings
 
 BAD_CONDITION = 30.0
@@ -193,6 +193,7 @@ class Results:
     model_error: pd.DataFrame | None
     provenance: Mapping[str, Any]
     finding: Mapping[str, Any]
+    conditions: Mapping[str, xr.Dataset] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -240,6 +241,7 @@ def read_results(folder: Path) -> Results:
         _read_csv(folder / "model_error.csv", ("measurement", "model", "response", "excitation", "error_percent")),
         _read_json(folder / "provenance.json"),
         _read_json(folder / "finding.json"),
+        _read_conditions(folder / "conditions.nc"),
     )
 
 
@@ -298,6 +300,17 @@ def _read_measurements(path: Path) -> tuple[Measurement, ...]:
         conditions = _json_attr(path, name, dataset, "conditions")
         out.append(Measurement(name, method, dataset, conditions, _warnings(path, name, dataset)))
     return tuple(sorted(out, key=lambda m: m.is_model))
+
+
+def _read_conditions(path: Path) -> dict[str, xr.Dataset]:
+    """Read conditions.nc: compliances with further dimensions that the vocabulary knows."""
+    groups = _groups(path)
+    for name, dataset in groups.items():
+        dims = dataset["compliance"].dims if "compliance" in dataset else ()
+        further = [str(d) for d in dims if d not in ("frequency", "response", "excitation")]
+        if not further or any(d not in UNITS for d in further):
+            raise InputError(f"{path}, group '{name}' has no compliance over a force level or feed; write it again")
+    return groups
 
 
 def _read_lobes(path: Path, table: pd.DataFrame | None) -> tuple[Lobes, ...]:
