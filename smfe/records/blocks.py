@@ -1,7 +1,7 @@
 """Long records, block by block: a few blocks are in memory and never the whole file.
 
-CSV, Parquet, HDF5, NetCDF, MAT 7.3, TDMS and WAV are read lazily; of MAT 5, LVM and universal files the channels
-wanted are read at once and handed out in blocks.
+CSV, Parquet, HDF5, NetCDF, MAT 7.3, TDMS, WAV and binary universal files are read lazily; of MAT 5, LVM, NumPy and
+universal files as text the channels wanted are read at once and handed out in blocks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import make_record, sample_interval
-from smfe.records import netcdf
+from smfe.records import netcdf, uff
 from smfe.records.align import HALF, shift
 from smfe.records.channels import Channel, record_channels, split_vector
 from smfe.records.read import (
@@ -126,8 +126,12 @@ def streams(path: str | Path, channels: Mapping[str, Channel], block: int = BLOC
     if reader is netcdf.read_tables and (own := netcdf.read_own_layout(path, block)) is not None:
         return [_own_stream(path.name, own, used)]
     wanted = columns_of(path.name, used)
-    parts = [BLOCK_READERS[reader](path, wanted, block)] if reader in BLOCK_READERS else []
-    parts = parts or [slices(table, block) for table in reader(path, wanted)]
+    if reader is uff.read_tables:
+        parts = uff.read_segments(path, wanted, block)
+    elif reader in BLOCK_READERS:
+        parts = [BLOCK_READERS[reader](path, wanted, block)]
+    else:
+        parts = [slices(table, block) for table in reader(path, wanted)]
     return [_stream(source, part, used) for source, part in zip(sources_of(path, parts), parts, strict=True)]
 
 

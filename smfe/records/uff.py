@@ -9,18 +9,23 @@ nor give a step of six digits for the clock of a long record.
 from __future__ import annotations
 
 import math
+import mmap
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, damaged, find_columns
+from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, guarded, slices
 from smfe.records.words import did_you_mean, listed
+
+Body = bytes | memoryview
+"""Samples of a dataset; of a binary one a view of the mapped file."""
 
 _KIND = "a universal file"
 _CLOSES_TEXT = re.compile(rb"^ {4}-1[ ]*\r?$", re.MULTILINE)
@@ -54,7 +59,7 @@ class Function:
     first: float
     step: float
     x: NDArray[np.float64] | None
-    y: NDArray[np.float64] | NDArray[np.complex128]
+    y: NDArray[Any]
 
     def axis(self) -> NDArray[np.float64]:
         """Return the abscissae."""
@@ -64,7 +69,7 @@ class Function:
         """Return the function as real columns."""
         if np.iscomplexobj(self.y):
             return {f"{self.name} real": self.y.real.copy(), f"{self.name} imag": self.y.imag.copy()}
-        return {self.name: np.asarray(self.y, dtype=np.float64)}
+        return {self.name: self.y}
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
@@ -75,6 +80,27 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     name that occurs again begins another segment, as do functions over another abscissa; segments without the columns
     wanted are left out.
     """
+    return [_loaded(path, table) for table in _tables(path, wanted)]
+
+
+def read_segments(path: Path, wanted: Sequence[Column], block: int) -> list[Iterator[Table]]:
+    """Return the blocks of every segment; of binary datasets nothing is in memory but the block that is asked for."""
+    return [guarded(path, _KIND, _sliced(path, table, block)) for table in _tables(path, wanted)]
+
+
+def _sliced(path: Path, table: Table, block: int) -> Iterator[Table]:
+    for part in slices(table, block):
+        yield _loaded(path, part)
+
+
+def _loaded(path: Path, table: Table) -> Table:
+    """Return columns as numbers in memory that nothing else shares."""
+    columns = {c: as_numbers(path.name, c, np.array(v, dtype=np.float64)) for c, v in table.columns.items()}
+    return Table(columns, table.sample_rate, table.start)
+
+
+def _tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
+    """Return the wanted columns of every segment as they stand in the file, not yet as numbers of our own."""
     functions = read_functions(path)
     if not functions:
         raise InputError(f"{path.name}: no dataset 58 (functions) in this universal file; export time data or FRFs")
@@ -149,16 +175,19 @@ def read_functions(path: Path) -> list[Function]:
     InputError
         When the file is empty, is none, is truncated, or one of its datasets cannot be read.
     """
-    content = path.read_bytes()
-    if not content.strip():
-        raise InputError(f"{path.name}: the file is empty")
-    if content.lstrip()[:2] != b"-1":
-        raise InputError(f"{path.name}: not a universal file; its first line must be '    -1'")
+    with path.open("rb") as stream:
+        head = stream.read(4096).lstrip()
+        if not head:
+            raise InputError(f"{path.name}: the file is empty")
+        if head[:2] != b"-1":
+            raise InputError(f"{path.name}: not a universal file; its first line must be '    -1'")
+        # Mapped, not read: the samples of binary datasets stay in the file until a block of them is wanted.
+        content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
     with damaged(path, _KIND):
         return [_function(path, header, body, binary) for header, body, binary in _datasets(path, content)]
 
 
-def _datasets(path: Path, content: bytes) -> Iterator[tuple[list[str], bytes, bytes]]:
+def _datasets(path: Path, content: mmap.mmap) -> Iterator[tuple[list[str], Body, bytes]]:
     """Yield header lines, body and line of the type of each dataset 58."""
     place = 0
     while place < len(content):
@@ -178,17 +207,18 @@ def _datasets(path: Path, content: bytes) -> Iterator[tuple[list[str], bytes, by
             header.append(text.decode("latin-1"))
         size = _binary_size(path, header, content, place) if binary else 0
         end, following = _after(path, content, place + size, _CLOSES_BINARY if binary else _CLOSES_TEXT)
-        yield header, content[place : place + size] if binary else content[place:end], kind if binary else b""
+        body = memoryview(content)[place : place + size] if binary else content[place:end]
+        yield header, body, kind if binary else b""
         place = following
 
 
-def _line(content: bytes, place: int) -> tuple[bytes, int]:
+def _line(content: mmap.mmap, place: int) -> tuple[bytes, int]:
     end = content.find(b"\n", place)
     end = len(content) if end < 0 else end
     return content[place:end].rstrip(b"\r"), end + 1
 
 
-def _after(path: Path, content: bytes, place: int, delimiter: re.Pattern[bytes]) -> tuple[int, int]:
+def _after(path: Path, content: mmap.mmap, place: int, delimiter: re.Pattern[bytes]) -> tuple[int, int]:
     """Return where the delimiter stands that closes a dataset, and where the next line begins."""
     found = delimiter.search(content, place)
     if found is None:
@@ -196,7 +226,7 @@ def _after(path: Path, content: bytes, place: int, delimiter: re.Pattern[bytes])
     return found.start(), found.end() + 1
 
 
-def _binary_size(path: Path, header: Sequence[str], content: bytes, place: int) -> int:
+def _binary_size(path: Path, header: Sequence[str], content: mmap.mmap, place: int) -> int:
     """Return the bytes of a binary body: those of its values, for some writers count bytes wrong.
 
     Abscissae of uneven step are in single precision after the standard, in that of the ordinates after some writers.
@@ -207,7 +237,7 @@ def _binary_size(path: Path, header: Sequence[str], content: bytes, place: int) 
     for size in sizes:
         if re.match(rb"\s*? {4}-1[ ]*\r?(?:\n|$)", content[place + size : place + size + 200]):
             return size
-    if place + sizes[0] > len(content.rstrip()) - 2:
+    if place + sizes[0] > _end(content) - 2:
         raise InputError(
             f"{path.name}: {len(content) - place} of the {sizes[0]} bytes that the header of a dataset 58 states; the "
             "file is truncated, copy it again"
@@ -218,6 +248,12 @@ def _binary_size(path: Path, header: Sequence[str], content: bytes, place: int) 
     )
 
 
+def _end(content: mmap.mmap) -> int:
+    """Return where the white space at the end of a file begins."""
+    tail = content[-4096:]
+    return len(content) - len(tail) + len(tail.rstrip())
+
+
 def _ordinates(header: Sequence[str]) -> tuple[int, int, bool]:
     """Return type of the ordinates, their number, and whether their abscissae are even."""
     kind, count, even = (int(header[6][k : k + 10]) for k in (0, 10, 20))
@@ -226,7 +262,7 @@ def _ordinates(header: Sequence[str]) -> tuple[int, int, bool]:
     return kind, count, bool(even)
 
 
-def _function(path: Path, header: Sequence[str], body: bytes, binary: bytes) -> Function:
+def _function(path: Path, header: Sequence[str], body: Body, binary: bytes) -> Function:
     kind, count, even = _ordinates(header)
     first, step = (_float(header[6][k : k + 13]) for k in (30, 43))
     numbers = _binary_numbers(body, binary, kind, even, count) if binary else _text_numbers(body, kind, even)
@@ -245,7 +281,7 @@ def _function(path: Path, header: Sequence[str], body: bytes, binary: bytes) -> 
     rows = numbers[: count * width].reshape(count, width)
     x = None if even else rows[:, 0].copy()
     values = rows if even else rows[:, 1:]
-    y = values[:, 0] + 1j * values[:, 1] if kind in (5, 6) else values[:, 0].copy()
+    y = values[:, 0] + 1j * values[:, 1] if kind in (5, 6) else values[:, 0]
     if even:
         first, step = _exact(header, first, step)
     return Function(_name(header[5]), _ABSCISSA.get(_integer(header[7][:10]), "abscissa"), first, step, x, y)
@@ -286,13 +322,15 @@ def _degree(node: str, direction: str) -> str:
     return f"{_integer(node)}" + (f":{name.replace('+', '-') if code < 0 else name}" if name else "")
 
 
-def _binary_numbers(body: bytes, line: bytes, kind: int, even: bool, count: int) -> NDArray[np.float64]:
+def _binary_numbers(body: Body, line: bytes, kind: int, even: bool, count: int) -> NDArray[np.float64]:
     """Return the values of a binary dataset."""
     words = line.decode("latin-1").lower().split("b", 1)[1].split()
     if words[1] != "2":
         raise ValueError(f"numbers of floating-point format {words[1]}, and not IEEE 754")
     order = {"1": "<", "2": ">"}[words[0]]
     value = f"{order}f{4 if kind in (2, 5) else 8}"
+    if kind in (2, 4) and even:
+        return np.frombuffer(body, value)  # a view of the file
     if even or not count:
         return np.frombuffer(body, value).astype(np.float64)
     parts = 2 if kind in (5, 6) else 1
@@ -301,9 +339,9 @@ def _binary_numbers(body: bytes, line: bytes, kind: int, even: bool, count: int)
     return np.column_stack([rows["x"].astype(np.float64), rows["y"].astype(np.float64)]).ravel()
 
 
-def _text_numbers(body: bytes, kind: int, even: bool) -> NDArray[np.float64]:
+def _text_numbers(body: Body, kind: int, even: bool) -> NDArray[np.float64]:
     """Return the values of a dataset in text: by white space, or by the columns of the format where they touch."""
-    text = body.decode("ascii").replace("D", "E").replace("d", "e")
+    text = bytes(body).decode("ascii").replace("D", "E").replace("d", "e")
     widths = [13] * 6
     if kind in (4, 6):
         widths = [20] * 4 if even else [13, 20] * 2 if kind == 4 else [13, 20, 20]
