@@ -3,7 +3,8 @@
 For each size [GB] a record of seven channels in double precision at 51.2 kHz is written (deleted afterwards; it needs
 as much free disk), then identified by a process of its own as a sweep of one axis in the band from 20 to 80 Hz: header,
 blocks, low-pass, decimation, estimate. Printed is by how much the largest resident memory of that process exceeds what
-it was after a record of 10 s had been identified, so that libraries and compiled code do not count.
+it was after a record of 10 s had been identified, so that libraries and compiled code do not count. With
+``--what blocks`` the record is read through in blocks instead (as `smfe convert` does) and nothing is kept.
 """
 
 import argparse
@@ -51,15 +52,21 @@ _IDENTIFY = """
 import sys, time
 from smfe.campaign import load_campaign
 from smfe.measurements import identify_measurement
+from smfe.records import read_blocks
 def peak():  # of this process alone; ru_maxrss would begin with that of the process that started it
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+def read_through(campaign, measurement):
+    entry = measurement.records[0]
+    return sum(piece.sizes["time"] for piece in read_blocks(entry.files[0], entry.channels))
 campaign = load_campaign(sys.argv[1])
 short, long = campaign.measurements
+if sys.argv[2] == "blocks":
+    identify_measurement = read_through
 identify_measurement(campaign, short)
 before = peak()
 start = time.perf_counter()
-found = identify_measurement(campaign, long)
-print(time.perf_counter() - start, (peak() - before) / 1024, before / 1024, found.compliance.sizes["frequency"])
+identify_measurement(campaign, long)
+print(time.perf_counter() - start, (peak() - before) / 1024, before / 1024)
 """
 
 
@@ -95,7 +102,7 @@ def tdms(path: Path, seconds: int) -> None:
 WRITE = {"h5": hdf5, "tdms": tdms}
 
 
-def measure(folder: Path, kind: str, gigabytes: float) -> None:
+def measure(folder: Path, kind: str, gigabytes: float, what: str) -> None:
     seconds = max(20, round(gigabytes * 1e9 / BYTES_A_SECOND))
     paths = [folder / f"short.{kind}", folder / f"long.{kind}", folder / "campaign.toml"]
     try:
@@ -104,12 +111,12 @@ def measure(folder: Path, kind: str, gigabytes: float) -> None:
         text = "".join(MEASUREMENT.format(name=path.stem, file=path.name) for path in paths[:2])
         paths[2].write_text(CAMPAIGN + text, encoding="utf-8")
         size = paths[1].stat().st_size / 1e9
-        command = [sys.executable, "-c", _IDENTIFY, str(paths[2])]
+        command = [sys.executable, "-c", _IDENTIFY, str(paths[2]), what]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
-        spent, more, before, lines = (float(word) for word in done.stdout.split())
+        spent, more, before = (float(word) for word in done.stdout.split())
         print(
-            f"{kind}: {size:.2f} GB, {seconds} s of record: {more:.0f} MB more than the {before:.0f} MB before, in "
-            f"{spent:.0f} s ({lines:.0f} lines)",
+            f"{kind}, {what}: {size:.2f} GB, {seconds} s of record: {more:.0f} MB more than the {before:.0f} MB "
+            f"before, in {spent:.0f} s",
             flush=True,
         )
     finally:
@@ -121,12 +128,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("gigabytes", type=float, nargs="+")
     parser.add_argument("--format", choices=sorted(WRITE), default="h5")
+    parser.add_argument("--what", choices=("sweep", "blocks"), default="sweep")
     parser.add_argument("--folder", type=Path, default=Path("long_record"))
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     for gigabytes in given.gigabytes:
         start = time.perf_counter()
-        measure(given.folder, given.format, gigabytes)
+        measure(given.folder, given.format, gigabytes, given.what)
         print(f"  written, read and deleted in {time.perf_counter() - start:.0f} s", flush=True)
 
 

@@ -1,6 +1,6 @@
 """Long records, block by block: a few blocks are in memory and never the whole file.
 
-CSV, Parquet, HDF5, NetCDF, MAT 7.3, TDMS, WAV and binary universal files are read lazily; of MAT 5, LVM, NumPy and
+CSV, Parquet, HDF5, NetCDF, MAT 7.3, TDMS, WAV, LVM and binary universal files are read lazily; of MAT 4 to 7, NumPy and
 universal files as text the channels wanted are read at once and handed out in blocks.
 """
 
@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import make_record, sample_interval
-from smfe.records import netcdf, uff
+from smfe.records import netcdf
 from smfe.records.align import HALF, shift
 from smfe.records.channels import Channel, record_channels, split_vector
 from smfe.records.read import (
     BLOCK_READERS,
+    SEGMENT_READERS,
     columns_of,
     named,
     own_table,
@@ -126,8 +127,8 @@ def streams(path: str | Path, channels: Mapping[str, Channel], block: int = BLOC
     if reader is netcdf.read_tables and (own := netcdf.read_own_layout(path, block)) is not None:
         return [_own_stream(path.name, own, used)]
     wanted = columns_of(path.name, used)
-    if reader is uff.read_tables:
-        parts = uff.read_segments(path, wanted, block)
+    if reader in SEGMENT_READERS:
+        parts = SEGMENT_READERS[reader](path, wanted, block)
     elif reader in BLOCK_READERS:
         parts = [BLOCK_READERS[reader](path, wanted, block)]
     else:

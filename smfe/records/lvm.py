@@ -1,44 +1,118 @@
-"""LabVIEW measurement files (.lvm), read with lvm_read; each segment is a record."""
+"""LabVIEW measurement files (.lvm), parsed with lvm_read block by block; each segment is a record."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import lvm_read
 import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, damaged, find_columns
+from smfe.records.table import Column, Table, damaged, find_columns, guarded, join
+
+_KIND = "a LabVIEW measurement file"
+_WHOLE = 1 << 16
+_SHOWN = 3
+"""Rows of a segment that tell how many columns it has."""
+
+
+@dataclass
+class _Part:
+    """A segment: its lines up to the names of its channels, the line its rows begin with, and how many there are."""
+
+    header: list[str]
+    begin: int = 0
+    rows: int = 0
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     """Read the wanted columns of every segment of an LVM file; see `smfe.records.read_records`."""
-    with damaged(path, "a LabVIEW measurement file"):
-        text = path.read_text(encoding="utf-8", errors="ignore")
-        if not text.strip():
+    return [table for blocks in read_segments(path, wanted, _WHOLE) for table in join(blocks)]
+
+
+def read_segments(path: Path, wanted: Sequence[Column], block: int) -> list[Iterator[Table]]:
+    """Return the blocks of every segment; the file is gone through once for its headers, and once for each segment."""
+    with damaged(path, _KIND), _opened(path) as stream:
+        first = stream.readline()
+        if not first.strip() and not stream.read(4096).strip():
             raise InputError(f"{path.name}: the file is empty")
-        if not text.startswith("LabVIEW Measurement"):
+        if not first.startswith("LabVIEW Measurement"):
             raise InputError(f"{path.name}: not a LabVIEW measurement file; its first line must say so")
-        # read_str and not read: that would load (and leave) a pickle beside the file.
-        content = lvm_read.read_str(text)
-        return [_segment(path, content[number], number, wanted) for number in range(content["Segments"])]
+        header, parts = _layout(path)
+        if not parts:
+            raise ValueError("no data segment found; the separator does not match the file")
+        return [_segment(path, header, part, number, wanted, block) for number, part in enumerate(parts)]
 
 
-def _segment(path: Path, segment: dict[str, Any], number: int, wanted: Sequence[Column]) -> Table:
-    data: NDArray[np.float64] = np.atleast_2d(segment["data"])
+def _opened(path: Path) -> TextIO:
+    return path.open(encoding="utf-8", errors="ignore")
+
+
+def _layout(path: Path) -> tuple[list[str], list[_Part]]:
+    """Return the header of the file and its segments: each begins with an empty line, its rows below ``X_Value``."""
+    header: list[str] = []
+    parts: list[_Part] = []
+    separator, in_rows = "\t", False
+    with _opened(path) as stream:
+        for number, line in enumerate(stream):
+            if number < 20 and line.startswith("Separator"):
+                separator = line.strip()[9]
+            if line in ("\n", f"{separator}\n"):
+                parts.append(_Part([line]))
+                in_rows = False
+            elif in_rows:
+                parts[-1].rows += 1
+            elif parts:
+                parts[-1].header.append(line)
+                in_rows = line.split(separator)[0] == "X_Value"
+                parts[-1].begin = number + 1
+            else:
+                header.append(line)
+    return header, [part for part in parts if part.header[-1].startswith("X_Value")]
+
+
+def _segment(
+    path: Path, header: list[str], part: _Part, number: int, wanted: Sequence[Column], block: int
+) -> Iterator[Table]:
+    prefix = "".join([*header, *part.header])
+    segment = _parsed(prefix, _lines(path, part.begin, min(_SHOWN, part.rows)))
     source = f"{path.name}, segment {number}"
     stated = [int(samples) for samples in segment.get("Samples", []) if samples == samples]
-    rows, stated_rows = data.shape[0] if data.size else 0, max(stated, default=1)
-    if rows < stated_rows:
-        raise InputError(f"{source}: {rows} of the {stated_rows} samples that its header states; the file is truncated")
+    stated_rows = max(stated, default=1)
+    if part.rows < stated_rows:
+        raise InputError(
+            f"{source}: {part.rows} of the {stated_rows} samples that its header states; the file is truncated"
+        )
     names = [name for name in segment["Channel names"] if name != "Comment"]
-    at = find_columns(source, names, wanted, min(len(names), data.shape[1]))
-    rate, start = _clock(segment)
-    columns = {column: np.ascontiguousarray(data[:, index]) for column, index in at.items()}
-    return Table(columns, rate, start)
+    at = find_columns(source, names, wanted, min(len(names), np.atleast_2d(segment["data"]).shape[1]))
+    return guarded(path, _KIND, _blocks(path, prefix, part, at, _clock(segment), block))
+
+
+def _blocks(
+    path: Path, prefix: str, part: _Part, at: dict[Column, int], clock: tuple[float | None, float], block: int
+) -> Iterator[Table]:
+    with _opened(path) as stream:
+        rows = islice(stream, part.begin, part.begin + part.rows)
+        while lines := list(islice(rows, block)):
+            data: NDArray[np.float64] = np.atleast_2d(_parsed(prefix, lines)["data"])
+            yield Table({column: np.ascontiguousarray(data[:, index]) for column, index in at.items()}, *clock)
+
+
+def _lines(path: Path, begin: int, count: int) -> list[str]:
+    with _opened(path) as stream:
+        return list(islice(stream, begin, begin + count))
+
+
+def _parsed(prefix: str, lines: Sequence[str]) -> dict[str, Any]:
+    """Return one segment with some of its rows, as lvm_read understands them."""
+    # read_str and not read: that would load (and leave) a pickle beside the file.
+    segment: dict[str, Any] = lvm_read.read_str(prefix + "".join(lines))[0]
+    return segment
 
 
 def _clock(segment: dict[str, Any]) -> tuple[float | None, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -14,10 +15,13 @@ from scipy import io
 from process.errors import InputError
 from smfe.records import hdf5_watch
 from smfe.records.hdf5 import Place, open_file, read_places
+from smfe.records.memory import refuse_larger
 from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, join, same_length, slices
 
 _KIND = "a MATLAB file"
 _WHOLE = 1 << 62
+_TIMES = 3.5
+"""Peak of the memory over the unpacked samples, of version 4 to 7 (measured: docs/records.md)."""
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
@@ -74,6 +78,7 @@ def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
     fields: dict[str, Any] = {}
     if any(isinstance(w, int) or w not in shapes for w in wanted) and structures:
         # What a structure holds is known only when it has been read.
+        refuse_larger(path, _TIMES)
         content = io.loadmat(path, variable_names=structures)
         fields = {
             name: value for s in structures for name, value in _fields(s, content[s]) if value.dtype.kind in "biuf"
@@ -81,6 +86,7 @@ def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
     places = list(_places((shapes | {name: value.shape for name, value in fields.items()}).items()))
     at = find_columns(path.name, [name for name, _, _ in places], wanted, len(places))
     needed = sorted({places[index][1] for index in at.values()} - set(fields))
+    refuse_larger(path, _TIMES, sum(8 * math.prod(shapes[name]) for name in needed))
     return _table(path, at, places, fields | io.loadmat(path, variable_names=needed) if needed else fields)
 
 

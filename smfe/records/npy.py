@@ -19,11 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from smfe.records.memory import refuse_larger
 from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, refuse_oversize, same_length
 
 _KIND = "a NumPy file"
 _MOST_COMPRESSED = 1100.0
 _MOST_COLUMNS = 10_000
+_TIMES = 3.5
+"""Peak of the memory over the size of a file (measured: docs/records.md)."""
 
 Numbers = NDArray[Any]
 
@@ -36,6 +39,7 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     """
     if path.stat().st_size == 0:
         raise InputError(f"{path.name}: the file is empty")
+    refuse_larger(path, _TIMES)
     with damaged(path, _KIND):
         columns = dict(itertools.islice(_columns(path), _MOST_COLUMNS))
         names = list(columns)

@@ -55,6 +55,13 @@ BLOCK_READERS: dict[Reader, BlockReader] = {
 """What reads a file as a whole -> what reads it block by block, where the format allows it."""
 
 
+SEGMENT_READERS: dict[Reader, Callable[[Path, Sequence[Column], int], list[Iterator[Table]]]] = {
+    lvm.read_tables: lvm.read_segments,
+    uff.read_tables: uff.read_segments,
+}
+"""The same for formats whose files may hold several segments."""
+
+
 def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.Dataset]:
     """Read the records of a file.
 

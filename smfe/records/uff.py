@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from smfe.records.memory import refuse_larger
 from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, guarded, slices
 from smfe.records.words import did_you_mean, listed
 
@@ -28,6 +29,9 @@ Body = bytes | memoryview
 """Samples of a dataset; of a binary one a view of the mapped file."""
 
 _KIND = "a universal file"
+_TIMES = 4.5
+"""Peak of the memory over the size of a file of text (measured: docs/records.md)."""
+
 _CLOSES_TEXT = re.compile(rb"^ {4}-1[ ]*\r?$", re.MULTILINE)
 _CLOSES_BINARY = re.compile(rb" {4}-1[ ]*\r?$", re.MULTILINE)
 _DIRECTIONS = ("", "+X", "+Y", "+Z", "+RX", "+RY", "+RZ")
@@ -117,14 +121,28 @@ def _tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     return [_table(path, first, columns, wanted) for first, columns in chosen]
 
 
-def _columns(segment: Sequence[Function]) -> tuple[Function, dict[str, NDArray[np.float64]]]:
-    columns: dict[str, NDArray[np.float64]] = {segment[0].abscissa: segment[0].axis()}
+class _Steps:
+    """Abscissae of even steps, computed where they are wanted: of a long record they would be another channel."""
+
+    def __init__(self, function: Function) -> None:
+        self.first, self.step, self.size = function.first, function.step, function.y.size
+
+    def __getitem__(self, part: slice) -> NDArray[np.float64]:
+        return np.asarray(self.first + self.step * np.arange(*part.indices(self.size)))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return self[:].astype(dtype or np.float64)
+
+
+def _columns(segment: Sequence[Function]) -> tuple[Function, dict[str, Any]]:
+    first = segment[0]
+    columns: dict[str, Any] = {first.abscissa: _Steps(first) if first.x is None else first.x}
     for function in segment:
         columns |= function.columns()
-    return segment[0], columns
+    return first, columns
 
 
-def _table(path: Path, first: Function, columns: dict[str, NDArray[np.float64]], wanted: Sequence[Column]) -> Table:
+def _table(path: Path, first: Function, columns: dict[str, Any], wanted: Sequence[Column]) -> Table:
     names = list(columns)
     at = find_columns(path.name, names, wanted, len(names))
     rate = _rate(first.step) if first.x is None and first.step > 0.0 else None
@@ -264,6 +282,8 @@ def _ordinates(header: Sequence[str]) -> tuple[int, int, bool]:
 
 def _function(path: Path, header: Sequence[str], body: Body, binary: bytes) -> Function:
     kind, count, even = _ordinates(header)
+    if not binary:
+        refuse_larger(path, _TIMES)
     first, step = (_float(header[6][k : k + 13]) for k in (30, 43))
     numbers = _binary_numbers(body, binary, kind, even, count) if binary else _text_numbers(body, kind, even)
     width = (2 if kind in (5, 6) else 1) + (0 if even else 1)
