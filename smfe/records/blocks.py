@@ -1,6 +1,6 @@
 """Long records, block by block: a few blocks are in memory and never the whole file.
 
-CSV, Parquet, HDF5, NetCDF, MAT 7.3, TDMS, WAV, LVM and binary universal files are read lazily; of MAT 4 to 7, NumPy and
+CSV, Parquet, HDF5, NetCDF, MAT 5 to 7.3, TDMS, WAV, LVM and binary universal files are read lazily; of MAT 4, NumPy and
 universal files as text the channels wanted are read at once and handed out in blocks.
 """
 

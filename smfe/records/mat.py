@@ -1,4 +1,4 @@
-"""MATLAB files: version 4 to 7 through scipy, version 7.3 (which is HDF5) through h5py."""
+"""MATLAB files: plain numbers of version 5 to 7 as a stream, else through scipy, version 7.3 (HDF5) through h5py."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from scipy import io
 from process.errors import InputError
 from smfe.records import hdf5_watch
 from smfe.records.hdf5 import Place, open_file, read_places
+from smfe.records.mat_stream import plain_variables
 from smfe.records.memory import refuse_larger
-from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, join, same_length, slices
+from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, guarded, join, same_length, slices
 
 _KIND = "a MATLAB file"
 _WHOLE = 1 << 62
@@ -34,7 +35,7 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
 
 
 def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
-    """Yield the wanted variables, `block` samples at a time; of version 4 to 7 whole variables are in memory."""
+    """Yield the wanted variables, `block` at a time; version 4, and files with structures or text, are read whole."""
     with path.open("rb") as stream:
         head = stream.read(520)
     if not head:
@@ -42,7 +43,28 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
     with damaged(path, _KIND):
         if head[512:] == b"\x89HDF\r\n\x1a\n":
             return _read_hdf5(path, wanted, block)
-        return slices(_read_mat(path, wanted), block)
+        _refuse_truncated(path)
+        streamed = _stream(path, wanted, block)
+        return slices(_read_mat(path, wanted), block) if streamed is None else guarded(path, _KIND, streamed)
+
+
+def _stream(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table] | None:
+    """Return the blocks of a file that holds plain numbers and nothing else; None where it has to be read whole."""
+    found = plain_variables(path)
+    places = [] if found is None else list(_places((name, variable.shape) for name, variable in found.items()))
+    names = [name for name, _, _ in places]
+    if found is None or any(isinstance(w, str) and names.count(w) != 1 for w in wanted):
+        return None
+    at = find_columns(path.name, names, wanted, len(places))
+    parts, lengths = {}, {}
+    for column, index in at.items():
+        _, name, k = places[index]
+        rows, columns = found[name].shape
+        lengths[column] = rows * columns if k is None else rows
+        first = 0 if k is None else k * rows
+        parts[column] = found[name].blocks(path, first, lengths[column], block)
+    same_length(path.name, lengths)
+    return (Table(dict(zip(parts, arrays, strict=True))) for arrays in zip(*parts.values(), strict=True))
 
 
 def _refuse_truncated(path: Path) -> None:
@@ -71,7 +93,6 @@ def _refuse_truncated(path: Path) -> None:
 
 
 def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
-    _refuse_truncated(path)
     kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path)}
     shapes = {n: shape for n, (shape, kind) in kinds.items() if kind not in ("char", "cell", "struct", "object")}
     structures = [name for name, (_, kind) in kinds.items() if kind == "struct"]

@@ -106,9 +106,9 @@ def slices(table: Table, block: int) -> Iterator[Table]:
         yield Table(columns, table.sample_rate, table.start)
 
 
-def same_length(source: str, columns: Mapping[Column, NDArray[np.float64]]) -> None:
-    """Refuse columns of different length."""
-    lengths = {column: values.size for column, values in columns.items()}
+def same_length(source: str, columns: Mapping[Column, NDArray[np.float64]] | Mapping[Column, int]) -> None:
+    """Refuse columns, or lengths of them, that differ in length."""
+    lengths = {column: values if isinstance(values, int) else values.size for column, values in columns.items()}
     if len(set(lengths.values())) > 1:
         found = ", ".join(f"'{column}' {size}" for column, size in lengths.items())
         raise InputError(

@@ -11,6 +11,8 @@ from scipy import io
 from process.errors import InputError
 from process.labels import make_record
 from smfe.records import Channel, memory, read_blocks, read_records, uff_columns, write_record_uff
+from smfe.records.blocks import streams
+from smfe.records.mat_stream import plain_variables
 
 RATE = 51200.0
 
@@ -45,6 +47,43 @@ def uff(folder: Path, size: int) -> tuple[Path, dict[str, Channel]]:
     return write_record_uff(record, folder / "r.uff"), uff_columns(record)
 
 
+def mat(folder: Path, size: int, packed: bool = False) -> tuple[Path, dict[str, Channel]]:
+    """A vector down, one across, and a matrix of which the second column is wanted."""
+    force, x, y = samples(size)
+    content = {"Fx": force[:, None], "ax": x, "both": np.column_stack([x, y])}
+    io.savemat(folder / "r.mat", content, do_compression=packed)
+    channels = {"force_x": Channel("Fx", "N"), "acceleration_x": Channel("ax", "m/s^2")}
+    channels |= {"acceleration_y": Channel("both(:,2)", "m/s^2"), "time": Channel(sample_rate=RATE)}
+    return folder / "r.mat", channels
+
+
+def mat_packed(folder: Path, size: int) -> tuple[Path, dict[str, Channel]]:
+    return mat(folder, size, packed=True)
+
+
+@pytest.mark.parametrize("make", [mat, mat_packed])
+def test_a_matlab_file_in_blocks_is_what_was_written(
+    tmp_path: Path, make: Callable[[Path, int], tuple[Path, dict[str, Channel]]]
+) -> None:
+    path, channels = make(tmp_path, 10_000)
+    assert plain_variables(path) is not None  # it is streamed
+    pieces = list(read_blocks(path, channels, 999))
+    force, x, y = samples(10_000)
+    for parts in (pieces, read_records(path, channels)):
+        np.testing.assert_array_equal(np.concatenate([p["force"].values[0] for p in parts]), force)
+        np.testing.assert_array_equal(np.concatenate([p["acceleration"].values for p in parts], axis=1), [x, y])
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int16, np.uint8, np.int64, bool])
+def test_every_kind_of_number_is_streamed_as_scipy_reads_it(tmp_path: Path, kind: type) -> None:
+    values = (50.0 * np.abs(samples(3000)[0])).astype(kind)
+    io.savemat(tmp_path / "r.mat", {"F": values, "i": 1j * values}, do_compression=True)
+    assert plain_variables(tmp_path / "r.mat") is None  # complex numbers are left to scipy
+    io.savemat(tmp_path / "r.mat", {"F": values}, do_compression=True)
+    (record,) = read_records(tmp_path / "r.mat", {"force_x": Channel("F", "N"), "time": Channel(sample_rate=RATE)})
+    np.testing.assert_array_equal(record["force"].values[0], io.loadmat(tmp_path / "r.mat")["F"].ravel().astype(float))
+
+
 def test_an_lvm_file_in_blocks_is_what_was_written(tmp_path: Path) -> None:
     path, channels = lvm(tmp_path, 1000)
     first, second = read_records(path, channels)
@@ -57,13 +96,11 @@ def test_an_lvm_file_in_blocks_is_what_was_written(tmp_path: Path) -> None:
         read_blocks(path, channels)
 
 
-@pytest.mark.parametrize("make", [lvm, uff])
+@pytest.mark.parametrize("make", [lvm, uff, mat, mat_packed])
 def test_memory_of_blocks_does_not_grow_with_the_file(
     tmp_path: Path, make: Callable[[Path, int], tuple[Path, dict[str, Channel]]]
 ) -> None:
     """Ten times the samples, blocks of 2000: the peak of what is allocated grows by less than a tenth of the record."""
-    from smfe.records.blocks import streams
-
     peaks = {}
     for size in (6000, 60000):
         path, channels = make(tmp_path, size)
@@ -81,7 +118,7 @@ def test_what_is_read_whole_is_refused_where_the_memory_does_not_do(
 ) -> None:
     """100 000 free bytes: a file of 80 000 that is read whole needs 280 000; in pieces it needs none of that."""
     t, x = np.arange(5000) / RATE, np.ones(5000)
-    io.savemat(tmp_path / "r.mat", {"t": t, "Fx": x}, do_compression=True)
+    io.savemat(tmp_path / "r.mat", {"t": t, "Fx": x}, format="4")
     np.save(tmp_path / "r.npy", np.column_stack([t, x]))
     columns = {"r.mat": ("t", "Fx"), "r.npy": ("[:,0]", "[:,1]")}
     monkeypatch.setattr(memory, "available", lambda: 1e5)
