@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smfe.report import conditions, diagnosis, explained, figures, interactive, interactive_compliance, tables
+from smfe.report import conditions, diagnosis, explained, figures, interactive, interactive_compliance, loops, tables
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
 from smfe.report.results import Lobes, Measurement, Results, bands, read_results
@@ -78,6 +78,7 @@ def render(results: Results, looks: dict[str, Line]) -> str:
         "lobes": _lobes(results, looks, plots),
         "spectra": _spectra(results, plots),
         "compliance": _compliance(results, looks, plots),
+        "loops": loops.section(results.loops, plots),
         "comparison": _comparison(results),
         "diagnosis": diagnosis.section(results.finding, plots),
         "details": [tables.hits(f, f"{m}: {t}") for (m, t), f in results.tables.items()],

@@ -194,6 +194,7 @@ class Results:
     provenance: Mapping[str, Any]
     finding: Mapping[str, Any]
     conditions: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    loops: Mapping[str, xr.Dataset] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -242,6 +243,7 @@ def read_results(folder: Path) -> Results:
         _read_json(folder / "provenance.json"),
         _read_json(folder / "finding.json"),
         _read_conditions(folder / "conditions.nc"),
+        _read_loops(folder / "loops.nc"),
     )
 
 
@@ -310,6 +312,14 @@ def _read_conditions(path: Path) -> dict[str, xr.Dataset]:
         further = [str(d) for d in dims if d not in ("frequency", "response", "excitation")]
         if not further or any(d not in UNITS for d in further):
             raise InputError(f"{path}, group '{name}' has no compliance over a force level or feed; write it again")
+    return groups
+
+
+def _read_loops(path: Path) -> dict[str, xr.Dataset]:
+    """Read loops.nc: responses of drive loops over feed and frequency."""
+    groups = _groups(path)
+    for name, dataset in groups.items():
+        _require(path, name, dataset, {"loop_response": ("feed", "frequency")})
     return groups
 
 

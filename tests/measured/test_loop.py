@@ -195,7 +195,9 @@ def test_what_is_known_of_the_speed_loop_is_found_through_its_campaign(trace: Pa
     assert "one period a record" in text
     assert not (audit["level"] == "fault").any()
     page = (tmp_path / "results" / "report.html").read_text(encoding="utf-8")
-    assert "speed_loop" in page
+    assert "speed loop of x at 40 mm/min: bandwidth 46." in page
+    assert 'id="plot-loop-1"' in page
+    assert (tmp_path / "results" / "figures" / "loop_1.png").stat().st_size > 10_000
 
 
 def test_a_truncated_trace_ends_with_a_sentence(trace: Path, tmp_path: Path) -> None:
