@@ -14,9 +14,10 @@ narrower than three lines for noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -40,6 +41,10 @@ _WEAK = 1e-4
 _NEIGHBOURS = 21
 _BAND = 2.0
 """Directions are compared up to so many bandwidths."""
+
+_SURROUNDINGS = 101
+_STANDS_OUT = 10.0
+"""Gain over that of its surroundings from which a line beyond the bandwidth is told of: 20 dB."""
 
 _SINGLE = (
     "one period a record: the standard deviation is read from how rough the response is from line to line, and "
@@ -241,8 +246,26 @@ def _row(response: xr.Dataset, feed: float, runs: Sequence[_Run]) -> dict[str, o
         "phase_minus_90_Hz": _falls_below(f, phase, -0.5 * np.pi),
         "peak_dB": 20.0 * np.log10(size[top]),
         "peak_Hz": f[top],
+        **_resonance(f, size, ~shown),
         "lag_ms": -1e3 * float(np.sum(f[slow] * phase[slow]) / (2.0 * np.pi * np.sum(f[slow] ** 2))),
         "std_at_lowest": float(response["loop_response_std"].values[0]),
+    }
+
+
+def _resonance(f: Real, size: Real, beyond: NDArray[np.bool_]) -> dict[str, float]:
+    """Return the line beyond the bandwidth that stands out most of its surroundings, where any does by 20 dB.
+
+    Surroundings are the median of the gain over `_SURROUNDINGS` lines. What a loop lets through so far up is a
+    resonance, or the noise of one: its gain there says how much margin is left.
+    """
+    k = -1
+    if beyond.sum() > _SURROUNDINGS:
+        ratio = np.where(beyond, size / ndimage.median_filter(size, _SURROUNDINGS, mode="nearest"), 0.0)
+        k = int(np.argmax(ratio))
+        k = k if ratio[k] >= _STANDS_OUT else -1
+    return {
+        "resonance_Hz": float(f[k]) if k >= 0 else float("nan"),
+        "resonance_dB": 20.0 * float(np.log10(size[k])) if k >= 0 else float("nan"),
     }
 
 
@@ -297,6 +320,12 @@ def _judged(differs: float, std: float, single: bool) -> str:
     return text
 
 
+def _above(row: Mapping[Hashable, Any]) -> str:
+    if not np.isfinite(row["resonance_Hz"]):
+        return ""
+    return f", and {row['resonance_dB']:.2g} dB far above it, at {row['resonance_Hz']:.4g} Hz"
+
+
 def summary(found: LoopResponse) -> list[str]:
     """Return what was found as sentences."""
     out = []
@@ -304,7 +333,7 @@ def summary(found: LoopResponse) -> list[str]:
         out.append(
             f"{row['loop']} loop of {row['axis']} at {row['feed_mm_min']:g} mm/min: bandwidth "
             f"{row['bandwidth_Hz']:.4g} Hz (-3 dB), -90 deg at {row['phase_minus_90_Hz']:.4g} Hz, lag "
-            f"{row['lag_ms']:.3g} ms, largest gain {row['peak_dB']:.2g} dB; setpoint {row['setpoint']}, period "
-            f"{row['period_s']:.6g} s"
+            f"{row['lag_ms']:.3g} ms, largest gain {row['peak_dB']:.2g} dB{_above(row)}; setpoint "
+            f"{row['setpoint']}, period {row['period_s']:.6g} s"
         )
     return out

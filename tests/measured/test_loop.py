@@ -105,6 +105,23 @@ def test_the_period_of_a_setpoint_is_found(order: int) -> None:
     assert (find_period(slow, 1e-3).samples, find_period(slow, 1e-3).kind) == (175, "periodic")
 
 
+def test_a_resonance_far_above_the_bandwidth_is_told_of() -> None:
+    """A lag of 40 Hz, and beside it a mode at 2000 Hz of 0.2 % damping with a gain of 0.5; without it, silence."""
+    one = 0.002 * prbs(11)
+    y, _ = first_order(one, 40.0)
+    pole = np.exp(2.0 * np.pi * 2000.0 / RATE * (-0.002 + 1j))
+    a = np.poly([pole, np.conj(pole)])
+    top = abs(signal.freqz([1.0, -1.0], a, [2000.0], fs=RATE)[1][0])
+    more = 0.5 / top * signal.lfilter([1.0, -1.0], a, np.tile(one, 6))
+    for extra, said in ((more, True), (0.0, False)):
+        row = identify_loop("r", [record(np.tile(one, 6), y + extra)]).table.iloc[0]
+        assert np.isfinite(row["resonance_Hz"]) == said
+    row = identify_loop("r", [record(np.tile(one, 6), y + more)]).table.iloc[0]
+    assert row["resonance_Hz"] == pytest.approx(2000.0, abs=5.0)
+    assert row["resonance_dB"] == pytest.approx(-6.0, abs=1.0)
+    assert row["bandwidth_Hz"] == pytest.approx(40.0, rel=0.05)
+
+
 def test_what_does_not_repeat_itself_is_refused() -> None:
     random = np.random.default_rng(1).standard_normal(2047)
     for setpoint in (random, np.sign(random), prbs(11)[:-1]):
@@ -191,6 +208,10 @@ def test_what_is_known_of_the_speed_loop_is_found_through_its_campaign(trace: Pa
     text = "\n".join(audit["evidence"])
     assert "PRBS of order 11, period 0.255875 s" in text  # 2047 samples of 0.125 ms
     assert "bandwidth 46." in text
+    for feed in (-40.0, 40.0):  # a resonance that both directions show, where nothing should pass
+        top = 180 + int(np.argmax(np.abs(t.sel(feed=feed).values[180:])))
+        assert 2230.0 < float(t["frequency"][top]) < 2250.0
+    assert text.count("dB far above it, at 223") == 2
     assert "-30.7 dB" in text  # the difference of the directions
     assert "one period a record" in text
     assert not (audit["level"] == "fault").any()
