@@ -68,6 +68,6 @@ def _sums(centre: Real, shift: Real, energy: Complex, compliance: Complex, order
     # conj(F_j) F_k is the transpose of F F^H.
     gram = np.einsum("bsp,bsq,bskj->bpjqk", powers, powers, energy, optimize=True)
     cross = np.einsum("bsp,bsrk,bskj->bpjr", powers, compliance, energy, optimize=True)
-    power = np.einsum("bsrk,bskj,bsrj->br", compliance, energy, compliance.conj(), optimize=True).real
+    joint = np.einsum("bsik,bskj,bslj->bil", compliance, energy, compliance.conj(), optimize=True)
     moment = np.einsum("bsp,bsq->bpq", powers, powers) * lines / shift.shape[1]
-    return Equations(centre, STEP, gram[:, None], cross[:, None], power[:, None], moment[:, None])
+    return Equations(centre, STEP, gram[:, None], cross[:, None], joint[:, None], moment[:, None])

@@ -112,7 +112,8 @@ def test_the_demo_tells_feed_from_method_and_says_what_it_cannot_tell(demo: Path
     feed = table[table["factor"] == "feed"]
     assert len(feed) > 20
     assert (feed["aliased_with"] == "").all()
-    assert feed["effect_percent"].astype(float).median() < 1.0
+    # Frequency, damping and amplitude together have no size.
+    assert pd.to_numeric(feed["effect_percent"]).median() < 1.0
     assert not (feed["significant"] == "True").any()
 
 
