@@ -67,10 +67,10 @@ def _one_line_each(at: Real, compliance: Complex, step: float) -> Equations:
     gram[:, 0, 0, :, 0, :] = np.eye(3)
     cross = np.zeros((at.size, 1, TERMS, 3, 3), dtype=complex)
     cross[:, 0, 0] = compliance.swapaxes(1, 2)
-    power = np.sum(np.abs(compliance) ** 2, axis=2)[:, None]
+    joint = (compliance @ compliance.conj().swapaxes(1, 2))[:, None]
     moment = np.zeros((at.size, 1, TERMS, TERMS))
     moment[:, 0, 0, 0] = 3.0
-    return Equations(at, step, gram, cross, power, moment)
+    return Equations(at, step, gram, cross, joint, moment)
 
 
 def _variance(source: xr.Dataset, known: NDArray[np.bool_], compliance: Complex) -> Real:
