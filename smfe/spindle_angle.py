@@ -24,6 +24,12 @@ WINDOW = 1.0
 HARMONICS = 4
 """Harmonics of the tooth passing frequency that are looked at together."""
 
+_TURNS = 6.0
+"""Turns over which an order is told from the noise halfway to the next."""
+
+_SEEN, _RUN_OUT, _LIKE_TEETH = 3.0, 0.003, 0.25
+"""Run-out over noise, run-out over the first harmonic of what was found, and the harmonic that may be the teeth's."""
+
 
 def spindle_angle(record: xr.Dataset, teeth: int | None = None) -> tuple[Real, str]:
     """Return the angle [rad] of the spindle at each sample, and which of `SOURCES` it comes from.
@@ -113,7 +119,9 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
     """Return the angle [rad] from the tooth passing that the forces show.
 
     A path of the tooth passing frequency through a spectrogram (the comb with most amplitude, dynamic programming)
-    gives a first angle; the phase of the harmonics against it corrects it. The offset is arbitrary.
+    gives a first angle; the phase of the harmonics against it corrects it. The offset is arbitrary. Teeth of which one
+    cuts most are one tooth to the force: where nothing is seen at the orders between those of the teeth, the period may
+    be that of the whole tool, and the record is refused.
 
     Parameters
     ----------
@@ -123,6 +131,11 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
         Of the tool.
     lowest, highest : float, optional
         Tooth passing frequencies [Hz] that are looked for.
+
+    Raises
+    ------
+    InputError
+        For forces that are too short, or that may repeat once a tooth or once a turn.
     """
     dt = sample_interval(record)
     keep = max(1, int(1.0 / (dt * 5.0 * HARMONICS * highest)))
@@ -138,8 +151,32 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
     angle = _integral(np.interp(clock, times, path), step)
     for length in (0.5 * WINDOW, WINDOW):
         angle = _corrected(force, angle, step, length)
+    if teeth > 1:
+        _refuse_ambiguous(force, angle, step, teeth)
     fine = np.arange(record.sizes["time"]) * dt
     return np.asarray(interpolate.make_interp_spline(clock, angle, k=3)(np.minimum(fine, clock[-1])) / teeth)
+
+
+def _refuse_ambiguous(force: Real, angle: Real, step: float, teeth: int) -> None:
+    """Refuse forces whose period may be that of the tool: no run-out between strong harmonics of the found period."""
+    rate = float(np.median(np.diff(angle))) / (2.0 * np.pi * step)
+    size = min(round(_TURNS * teeth / (rate * step)), force.shape[1] // 2) | 1
+    window = signal.windows.hann(size) / (0.5 * size)
+
+    def strength(order: float) -> float:
+        turned = force * np.exp(-1j * order * angle)
+        slow = signal.oaconvolve(turned, window[None, :], mode="valid", axes=1)[:, :: max(1, size // 4)]
+        return float(np.sqrt(np.median(np.sum(np.abs(slow) ** 2, axis=0))))
+
+    between = [k for k in range(1, 2 * teeth) if k % teeth]
+    found = max(strength(k / teeth) for k in between)
+    floor = float(np.median([strength((k + 0.5) / teeth) for k in between]))
+    first, of_turn = strength(1.0), strength(float(teeth))
+    if found < max(_SEEN * floor, _RUN_OUT * first) and of_turn > _LIKE_TEETH * first:
+        raise InputError(
+            f"the forces repeat at about {rate:.3g} Hz and show no run-out: they do not tell whether one of {teeth} "
+            "teeth passes then or the whole tool turns; declare spindle_angle, tacho or spindle_speed in [channels]"
+        )
 
 
 def _integral(frequency: Real, step: float) -> Real:

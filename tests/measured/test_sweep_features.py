@@ -213,6 +213,30 @@ def test_tacho_pulses_and_the_force_tell_the_angle() -> None:
     )
 
 
+def turning_force(run_out: float) -> xr.Dataset:
+    """Two teeth at 6 to 12 turns a second: 100 N at their passing, each multiple 0.6 of the one before, run-out."""
+    t = np.arange(20_000) * 1e-3
+    turn = 2.0 * math.pi * (6.0 * t + 0.15 * t**2)
+    passing = sum(100.0 * 0.6**k * np.cos(2.0 * (k + 1) * (turn + 0.3)) for k in range(4))
+    force = passing + 100.0 * run_out * (np.cos(turn + 0.5) + np.cos(3.0 * turn) / 3.0)
+    noise = np.random.default_rng(0).normal(scale=1.5, size=(2, t.size))
+    return make_record(t, {"force": {"x": force + noise[0], "y": 0.7 * force + noise[1]}})
+
+
+def test_a_little_run_out_tells_a_tooth_from_a_turn() -> None:
+    inside = slice(1000, -1000)
+    t = np.arange(20_000)[inside] * 1e-3
+    angle = force_angle(turning_force(0.05), 2)[inside]
+    assert np.ptp(angle) == pytest.approx(np.ptp(2.0 * math.pi * (6.0 * t + 0.15 * t**2)), rel=1e-5)
+
+
+@pytest.mark.parametrize("run_out", [0.0, 0.5, 1.0, 2.0])
+def test_a_period_that_may_be_of_a_tooth_or_of_a_turn_is_refused(run_out: float) -> None:
+    """Without run-out, and with so much that one tooth does most: half of the speed would fit as well."""
+    with pytest.raises(InputError, match="whether one of 2 teeth passes then or the whole tool turns"):
+        force_angle(turning_force(run_out), 2)
+
+
 def test_a_tacho_that_loses_a_pulse_or_stands_still_is_refused() -> None:
     t = np.arange(4000) / 1000.0
     level = (np.mod(10.0 * t, 1.0) < 0.5).astype(float)
