@@ -16,11 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smfe.diagnosis.calibration import DRAWS, FALSE_ALARM, PENALTY, products_of_noise, upper
+from smfe.diagnosis.calibration import DRAWS, PENALTY, products_of_noise, upper
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.signature import CONFOUNDED, Tangent, inside
 
 Real = NDArray[np.float64]
+
+CHANCE = 1e-4
+"""Of noise alone to make a parameter change: slow noise, which is known least, looks most like it."""
 
 _MOST_WORDS = 6
 """Words of a setting, such as names of controllers, that are told apart."""
@@ -49,7 +52,7 @@ class Change:
         return self.ratio > self.threshold
 
 
-def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: float = FALSE_ALARM) -> Change | None:
+def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: float = CHANCE) -> Change | None:
     """Return the parameter that differs most between the conditions; None where no setting contrasts them.
 
     Parameters

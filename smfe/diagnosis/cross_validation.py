@@ -186,7 +186,7 @@ def held_out(model: Model, target: Target, fit: Fit, chosen: Sequence[Scheme]) -
             for r in fold:
                 squares.setdefault(r, []).append(float(out[r] @ out[r]))
                 floors.setdefault(r, []).append(spread.square(r))
-        misfits.append(assess(groups, shrinks=False))
+        misfits.append(assess(groups, False, model.noise_freedom))
     worst = min(misfits, key=lambda m: m.chance, default=Misfit(1.0, 0.0, 0.0, {}))
     worst = replace(worst, chance=min(1.0, worst.chance * len(misfits)))
     values = {r: float(target.observed[r].size) for r in squares}
@@ -223,7 +223,7 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
     squares = {b: float(x @ x) for out_, _ in groups for b, x in out_.items()}
     floor = {b: spread.square(b) for _, spread in groups for b in spread.load}
     count = {b: float(x.size) for out_, _ in groups for b, x in out_.items()}
-    misfit = assess([(out_, spread.load) for out_, spread in groups], shrinks=False)
+    misfit = assess([(out_, spread.load) for out_, spread in groups], False, model.noise_freedom)
     by_row = {
         r: min(misfit.by_condition[b] for b in range(n * BLOCKS, (n + 1) * BLOCKS))
         for n, r in enumerate(target.observed)
@@ -266,7 +266,7 @@ def opened(model: Model, target: Target, fit: Fit, data: Mapping[int, Real]) -> 
     spread = _spread(model, target, fit, slope)
     squares, floors = {r: float(x @ x) for r, x in out.items()}, {r: spread.square(r) for r in data}
     values = {r: float(x.size) for r, x in out.items()}
-    return HeldOut(squares, floors, values, assess([(out, spread.load)], shrinks=False), fit.converged)
+    return HeldOut(squares, floors, values, assess([(out, spread.load)], False, model.noise_freedom), fit.converged)
 
 
 @dataclass(frozen=True)

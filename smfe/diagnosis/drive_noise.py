@@ -186,7 +186,7 @@ def reference(m: Motion) -> Real:
     """Return the regressors of the reference, shape (n, k): N for unit coefficients."""
     speed = np.abs(m.velocity) / np.abs(m.velocity).max()
     place = (m.position - m.position.min()) / max(float(np.ptp(m.position)), 1e-300)
-    columns = [m.acceleration, m.jerk, m.snap, *(presliding(m.place, m.rate, d) for d in _SLIDES)]
+    columns = [m.acceleration, m.jerk, m.snap, *(presliding(m.place, m.rate, d, m.step) for d in _SLIDES)]
     for way in (m.velocity > 0.0, m.velocity <= 0.0):
         columns += [way * hat for hat in _hats(speed, _SPEEDS)]
         columns += [way * hat for hat in _hats(place, np.linspace(0.0, 1.0, _POSITIONS))]

@@ -43,6 +43,9 @@ _WIDEST = 0.1
 _CUT_OFF = 0.5
 """Least share of the force beyond a limit that must be lost."""
 
+_CERTAIN = 1e-8
+"""Chance of a wave that is judged with a whitener that was learned without it: noise was given away to it."""
+
 _LOWEST_TONE = 3.0
 """Lowest frequency of a tone that is looked for [Hz]; the moves are slower."""
 
@@ -250,6 +253,12 @@ class DriveRecordFamily:
             through = draw.coloured_products(joined)
             found.append(rest + through.T @ through)
         return found
+
+    @property
+    def noise_freedom(self) -> float:
+        """Degrees of freedom with which the slowest noise is known: 2 over the variance of the log of its power."""
+        powers = [math.log(abs(float(np.sum(d.above) / np.sum(d.below)))) * 2.0 for d in self.model.draws]
+        return 2.0 / float(np.var(powers)) if len(powers) > 1 else math.inf
 
     def force_error(self, values: Values, conditions: Sequence[Condition] | None = None) -> float:
         """Return rms(measured - predicted force)/rms(measured force) [1], in the band, over moves (default: all)."""
@@ -480,9 +489,10 @@ def _wave(
     that was learned with the wave in the reference.
     """
     wave = noise.strongest_wave(phase, plain.left, _whitener(plain), lowest, highest)
-    if wave is not None and wave[1] >= FALSE_ALARM:
-        wave = noise.strongest_wave(phase, plain.left, _whitener(with_wave(wave[0])), lowest, highest)
-    return wave[0] if wave is not None and wave[1] < FALSE_ALARM else None
+    if wave is None or wave[1] < FALSE_ALARM:
+        return None if wave is None else wave[0]
+    again = noise.strongest_wave(phase, plain.left, _whitener(with_wave(wave[0])), lowest, highest)
+    return again[0] if again is not None and again[1] < _CERTAIN else None
 
 
 def _whitener(balance: _Balance) -> Whitener:

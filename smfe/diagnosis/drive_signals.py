@@ -141,6 +141,11 @@ class Motion:
     place: Real
     rate: Real
 
+    @property
+    def step(self) -> float:
+        """Sample interval [s]."""
+        return float(self.time[1] - self.time[0])
+
     def __getitem__(self, part: slice) -> Motion:
         """Return a part of the motion."""
         return Motion(*(getattr(self, f.name)[part] for f in fields(self)))

@@ -44,19 +44,24 @@ def direction(velocity: Real) -> Real:
     return np.tanh(velocity / _REST)
 
 
-def presliding(position: Real, velocity: Real, slide: float) -> Real:
+def presliding(position: Real, velocity: Real, slide: float, step: float = 0.0) -> Real:
     """Return the direction of sliding [1], which follows a reversal over a distance `slide` [m] (Dahl 1968).
 
-    ``dz/dx = (1 - z sign v)/slide``, in closed form between reversals; at the first sample it slides.
+    ``dz/dx = (1 - z sign v)/slide``, in closed form between reversals; at the first sample it slides. With the sample
+    interval `step` [s] a reversal is where the velocity passes zero between two samples: within a millisecond an axis
+    goes back by a good part of the distance over which its friction gives way.
     """
     forward = velocity >= 0.0
     turns = [*(np.flatnonzero(forward[1:] != forward[:-1]) + 1), velocity.size]
     out = np.where(forward, 1.0, -1.0)
-    before = out[0]
+    before, since = out[0], position[0]
     for a, b in pairwise(turns):
-        way = out[a]
-        out[a:b] = way - (way - before) * np.exp(-np.abs(position[a:b] - position[a]) / slide)
-        before = out[b - 1]
+        speed = velocity[a]
+        # Half of the speed times the share of the step that is left after the velocity was zero.
+        turn = position[a] - 0.5 * speed * step * speed / max(speed - velocity[a - 1], speed, key=abs)
+        before = -out[a] - (-out[a] - before) * np.exp(-abs(turn - since) / slide)
+        way, since = out[a], turn
+        out[a:b] = way - (way - before) * np.exp(-np.abs(position[a:b] - turn) / slide)
     return out
 
 
@@ -71,7 +76,7 @@ def coulomb() -> Term:
     damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, shown=1e3)
 
     def at(m: Motion, p: Values) -> Real:
-        z = presliding(m.place, m.rate, p["coulomb.slide"])
+        z = presliding(m.place, m.rate, p["coulomb.slide"], m.step)
         damped = p["coulomb.damping"]
         return np.asarray(p["coulomb.force"] * (z + damped * np.gradient(z, m.time) if damped else z))
 

@@ -372,7 +372,7 @@ def fitted_misfit(bench: Bench, at: Fit) -> Misfit:
     """Test the residuals of a fit on the data it was fitted to."""
     basis, ends = bench.tangent(at).basis, np.cumsum([r.size for r in at.residual.values()])
     parts = np.split(basis[: ends[-1]], ends[:-1])
-    return assess([(at.residual, dict(zip(at.residual, parts, strict=True)))], shrinks=True)
+    return assess([(at.residual, dict(zip(at.residual, parts, strict=True)))], True, bench.model.noise_freedom)
 
 
 def _products(options: Sequence[Sequence[Signature]]) -> list[tuple[Signature, ...]]:

@@ -8,6 +8,7 @@ little there, a missing effect much.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -53,7 +54,7 @@ Group = tuple[Mapping[int, Real], Mapping[int, Real]]
 """Whitened residuals of some conditions, (n,), and the rows of L, (n, p), that they share an error through."""
 
 
-def assess(groups: Sequence[Group], shrinks: bool) -> Misfit:
+def assess(groups: Sequence[Group], shrinks: bool, noise_freedom: float = math.inf) -> Misfit:
     """Test residuals whose covariance is ``I - L L^T`` (they were fitted) or ``I + L L^T`` (they were held out).
 
     Parameters
@@ -62,6 +63,9 @@ def assess(groups: Sequence[Group], shrinks: bool) -> Misfit:
         Conditions that were fitted, or held out, together.
     shrinks : bool
         Whether they were fitted.
+    noise_freedom : float, optional
+        Degrees of freedom with which the noise of one condition, or the slow noise of all, is known: Fisher's F in
+        place of chi-square.
     """
     sign = -1.0 if shrinks else 1.0
     whole = slow = np.zeros(2)
@@ -73,10 +77,10 @@ def assess(groups: Sequence[Group], shrinks: bool) -> Misfit:
         slow = slow + _square(*_joined(list(parts.values())), sign)
         for k in residual:
             both = _square(residual[k], load[k], sign), _square(*parts[k], sign)
-            own[k] = min(1.0, 2.0 * min(_chance(b) for b in both))
+            own[k] = min(1.0, 2.0 * min(_chance(b, noise_freedom) for b in both))
     if not own:
         return Misfit(1.0, 0.0, 0.0, {})
-    tests = (_chance(whole), _chance(slow), min(own.values()) * len(own))
+    tests = (_chance(whole), _chance(slow, noise_freedom), min(own.values()) * len(own))
     return Misfit(min(1.0, 3.0 * min(tests)), float(whole[0]), float(whole[1]), own)
 
 
@@ -84,8 +88,12 @@ def _joined(parts: Sequence[tuple[Real, Real]]) -> tuple[Real, Real]:
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
-def _chance(square: Real) -> float:
-    return float(stats.chi2.sf(square[0], square[1])) if square[1] > 0.0 else 1.0
+def _chance(square: Real, noise_freedom: float = math.inf) -> float:
+    if square[1] <= 0.0:
+        return 1.0
+    if math.isinf(noise_freedom):
+        return float(stats.chi2.sf(square[0], square[1]))
+    return float(stats.f.sf(square[0] / square[1], square[1], noise_freedom))
 
 
 def _square(r: Real, load: Real, sign: float) -> Real:

@@ -6,6 +6,7 @@ asked for condition by condition, because a fit that leaves a condition out need
 
 from __future__ import annotations
 
+import math
 import os
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -74,6 +75,11 @@ class Model:
     def free(self, causes: Sequence[int]) -> Index:
         """Indices of the parameters that a hypothesis fits: the nuisances first, then its causes in their order."""
         return np.concatenate([self.nuisance, *(self.of_cause[k] for k in sorted(causes))]).astype(np.int64)
+
+    @property
+    def noise_freedom(self) -> float:
+        """Degrees of freedom with which the family knows the noise of its data; infinite where it does not say."""
+        return float(getattr(self.family, "noise_freedom", math.inf))
 
     def null(self) -> Real:
         """Return the baseline at its most likely nuisances."""

@@ -76,6 +76,16 @@ def test_presliding_is_the_integral_of_its_differential_equation() -> None:
     assert presliding(x[:2000], np.abs(v[:2000]), 2e-5) == pytest.approx(1.0)
 
 
+def test_a_reversal_between_two_samples_is_where_the_velocity_is_zero() -> None:
+    """A thousand times fewer samples, the same direction after pre-sliding; without the step it is another."""
+    t = np.arange(0.0, 0.7, 1e-6)
+    x, v = 1e-3 * np.sin(20.0 * t + 0.123), 0.02 * np.cos(20.0 * t + 0.123)
+    coarse = slice(None, None, 1000)
+    exact = presliding(x, v, 8e-6)[coarse]
+    assert presliding(x[coarse], v[coarse], 8e-6, 1e-3) == pytest.approx(exact, abs=1e-5)
+    assert np.max(np.abs(presliding(x[coarse], v[coarse], 8e-6) - exact)) > 0.01
+
+
 def test_every_cause_nests_the_baseline(full: DriveRecordFamily) -> None:
     """At the null of what acts the prediction is the baseline's, wherever the shapes are; beyond the null it is not."""
     null = null_values(full)

@@ -177,6 +177,17 @@ def test_noise_has_uniform_chances_in_the_misfit_test_and_a_smooth_remainder_has
     assert assess([(dict(enumerate(np.split(z, 5))), load)], shrinks=True).chance < 1e-3
 
 
+def test_noise_that_is_itself_estimated_makes_a_misfit_of_one_condition_an_f_law():
+    """40 values, their standard deviation learned from 60 others: uniform chances; alarms without allowing for it."""
+    rng, plain, allowed = np.random.default_rng(0), [], []
+    for _ in range(2000):
+        sigma = sqrt(rng.chisquare(60) / 60.0)
+        residual = ({0: rng.standard_normal(40) / sigma}, {0: np.zeros((40, 0))})
+        plain.append(assess([residual], shrinks=True).by_condition[0] < 0.02)
+        allowed.append(assess([residual], True, 60.0).by_condition[0] < 0.02)
+    assert np.mean(allowed) < 0.025 < 0.03 < np.mean(plain)
+
+
 def test_folds_leave_out_what_contrasts_and_else_each_condition():
     found = schemes(FAMILY.conditions, range(6))
     assert ((0, 2, 4), (1, 3, 5)) in found
