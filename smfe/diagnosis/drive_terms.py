@@ -73,7 +73,8 @@ def coulomb() -> Term:
     """
     force = Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0)
     slide = Parameter("coulomb.slide", "um", 2e-6, 1e-6, 1e-7, 1e-4, shown=1e6)
-    damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, shown=1e3)
+    # Little friction says little of it: the prior keeps it where bristles of steel on steel or plastic have it.
+    damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3)
 
     def at(m: Motion, p: Values) -> Real:
         z = presliding(m.place, m.rate, p["coulomb.slide"], m.step)
