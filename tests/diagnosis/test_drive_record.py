@@ -267,13 +267,13 @@ def test_a_tone_is_named_with_its_frequency() -> None:
 @pytest.mark.slow
 def test_drift_is_told_from_direction_by_the_order_of_the_moves() -> None:
     """To and fro, both are found at once, each with its own size."""
-    axis = Axis(asymmetry=-24.0, drift=0.06)
+    axis = Axis(asymmetry=-24.0, drift=0.09)
     finding = diagnose(family(axis, delay=0.5 * STEP))
     assert finding.verdict == "named"
     assert {c.id for c in finding.causes} == {"friction_asymmetry", "drift"}
     found = {c.id: c.parameters[0] for c in finding.causes}
     assert found["friction_asymmetry"].value == pytest.approx(-24.0, rel=0.1)
-    assert found["drift"].value == pytest.approx(0.06 * axis.viscous / axis.seconds, rel=0.3)
+    assert found["drift"].value == pytest.approx(axis.drift * axis.viscous / axis.seconds, rel=0.3)
 
 
 def test_noise_alone_shows_a_wave_as_rarely_as_it_is_said_to() -> None:
