@@ -40,6 +40,9 @@ SMALL = 0.1
 
 ``(pi f/rate)^2/3`` is 0.05 % at 60 Hz and 5 kHz."""
 
+_FEWEST = 3
+"""Entries of which a median is judged."""
+
 ESTIMATORS = {"local_polynomial": ("relative_error", ""), "bands": ("bands_relative_error", "bands_")}
 """Estimators that are compared: variable of the prediction, and what their columns begin with."""
 
@@ -70,13 +73,14 @@ class Verification:
 
     @property
     def confirmed(self) -> bool:
-        """Whether each entry and their median lie where they must, of both estimators."""
+        """Whether each entry that can be judged and their median lie where they must, of both estimators."""
         for _, prefix in ESTIMATORS.values():
             ratio = self.table[f"{prefix}ratio"]
             small = self.table[[f"{prefix}predicted_percent", f"{prefix}measured_percent"]].max(axis=1) < SMALL
             if not (ratio.between(*ENTRY_RATIO) | small).all():
                 return False
-            if not MEDIAN_RATIO[0] <= float(ratio.median()) <= MEDIAN_RATIO[1]:
+            judged = ratio[~small]
+            if len(judged) >= _FEWEST and not MEDIAN_RATIO[0] <= float(judged.median()) <= MEDIAN_RATIO[1]:
                 return False
         return True
 
