@@ -276,8 +276,8 @@ def page(answers):
         "",
         "`make exam` hides effects in measurements of simulations that share no code with the packages and holds what",
         "the diagnosis says against the targets. First seeds: " + ", ".join(f"{k} {v}" for k, v in SEEDS.items()) + ".",
-        "The nulls were not seen while the diagnosis was built. Those of drive records and a third of their effects had",
-        "been sat once before its last change, which three effects of friction among them had asked for.",
+        "The nulls were not seen while the diagnosis was built. Those of drive records and a third of their effects",
+        "had been sat once before its last change, which three effects of friction among them had asked for.",
         "",
     ]
     for key, subject in SUBJECTS.items():
