@@ -10,7 +10,7 @@ ratio less two a parameter; the largest over the whole catalogue is calibrated, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -136,21 +136,31 @@ def products_of_noise(
         return []
     every = np.concatenate(columns, axis=1)
     size = np.linalg.norm(every, axis=0)  # an exchange of axes is a million times as large as others
-    covariances = _covariances(model, at, every / np.where(size > 0.0, size, 1.0))
+    covariances = covariances_of_noise(model, at.fit.residual, every / np.where(size > 0.0, size, 1.0))
     share = math.ceil(draws / len(covariances))
     noise = np.concatenate([rng.standard_normal((share, size.size)) @ _root(c).T for c in covariances]) * size
     return np.split(noise, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 
-def _covariances(model: Model, at: Tangent, unit: Real) -> Sequence[Real]:
+def covariances_of_noise(model: Model, residual: Mapping[int, Real], columns: Real) -> Sequence[Real]:
+    """Return the covariance of products of noise with columns X, (m, m): ``X^T X``, or one for each noise it may be.
+
+    Parameters
+    ----------
+    model : Model
+        With the family.
+    residual : mapping
+        Residuals of the conditions, in the order of the rows of X.
+    columns : ndarray, shape (N, m)
+        Rows of the data, then of the priors, whose noise is known.
+    """
     noises: Callable[[Sequence[tuple[Condition, Real]]], Sequence[Real]] | None = getattr(model.family, "noises", None)
     if noises is not None:
-        ends = np.cumsum([r.size for r in at.fit.residual.values()])
-        parts = np.split(unit, ends)
-        found = noises([(model.conditions[r], x) for r, x in zip(at.fit.residual, parts[:-1], strict=True)])
+        parts = np.split(columns, np.cumsum([r.size for r in residual.values()]))
+        found = noises([(model.conditions[r], x) for r, x in zip(residual, parts[:-1], strict=True)])
         if found:
             return [c + parts[-1].T @ parts[-1] for c in found]
-    return [unit.T @ unit]
+    return [columns.T @ columns]
 
 
 def _root(covariance: Real) -> Real:

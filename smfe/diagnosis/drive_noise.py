@@ -177,6 +177,8 @@ def _autoregression(lags: Real, values: int) -> Whitener:
 
 
 def _orthonormal(columns: Real) -> Real:
+    if columns.shape[1] == 0:
+        return columns
     scale = np.sqrt(np.mean(np.square(columns), axis=0))
     left, singular, _ = np.linalg.svd(columns[:, scale > 0.0] / scale[scale > 0.0], full_matrices=False)
     return np.asarray(left[:, singular > 1e-10 * singular[0]])

@@ -18,6 +18,7 @@ from smfe.diagnosis import drive_noise as noise
 from smfe.diagnosis.drive_channels import Channels
 from smfe.diagnosis.drive_record import DriveRecordFamily, ForceData, kind_of
 from smfe.diagnosis.drive_signals import Motion, Real, motion
+from smfe.diagnosis.noise_draws import noise_draws
 from smfe.diagnosis.problem import Condition, Values
 
 _FEWEST = 4
@@ -150,6 +151,8 @@ def since_first_half(record: xr.Dataset, axis: str, family: DriveRecordFamily, v
     if len(differences) < _FEWEST:
         raise InputError("the first half of the record does not repeat its moves; record them at least four times")
     whitener = noise.fit_whitener([d for _, d in differences])
+    kinds, none = [kind_of(c.settings) for c, _ in differences], np.zeros((sum(d.size for _, d in differences), 0))
+    draws = noise_draws(whitener, [d for _, d in differences], none, kinds)
     loud: dict[object, list[float]] = {}
     for c, d in differences:
         loud.setdefault(kind_of(c.settings), []).extend(np.square(whitener(d)))
@@ -162,4 +165,4 @@ def since_first_half(record: xr.Dataset, axis: str, family: DriveRecordFamily, v
             size = math.sqrt(float(np.mean(loud.get(kind_of(c.settings), every))))
             data = replace(c.data, noise=size)
             found.append(replace(c, observed=whitener(c.data.force - before) / size, data=data, source=""))
-    return replace(family, model=replace(family.model, whitener=whitener), conditions=tuple(found))
+    return replace(family, model=replace(family.model, whitener=whitener, draws=draws), conditions=tuple(found))

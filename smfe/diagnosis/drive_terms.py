@@ -58,7 +58,7 @@ def presliding(position: Real, velocity: Real, slide: float, step: float = 0.0) 
     for a, b in pairwise(turns):
         speed = velocity[a]
         # Half of the speed times the share of the step that is left after the velocity was zero.
-        turn = position[a] - 0.5 * speed * step * speed / max(speed - velocity[a - 1], speed, key=abs)
+        turn = position[a] - 0.5 * speed * step * speed / (speed - velocity[a - 1])
         before = -out[a] - (-out[a] - before) * np.exp(-abs(turn - since) / slide)
         way, since = out[a], turn
         out[a:b] = way - (way - before) * np.exp(-np.abs(position[a:b] - turn) / slide)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from smfe.diagnosis.blind_spots import revealing
 from smfe.diagnosis.by_condition import by_condition
-from smfe.diagnosis.calibration import PENALTY, parameters_of
+from smfe.diagnosis.calibration import PENALTY, covariances_of_noise, parameters_of
 from smfe.diagnosis.cross_validation import BAND, Gain, compare, opened
 from smfe.diagnosis.evidence import MOST_CAUSES, Bench, Step, search
 from smfe.diagnosis.finding import Estimate, Finding, FoundCause, Remainder, Rung
@@ -213,16 +213,18 @@ def estimates(bench: Bench, at: Fit, k: int, judged: Judgement) -> tuple[Estimat
 def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64]:
     """Return the standard deviations of the scaled fitted parameters.
 
-    They are those of white noise. Where more than that is left, the remainder is not white and not the same in all
-    conditions: the larger counts of the noise scaled to its size and of the scatter of what each condition by itself
-    does to the estimate (sandwich with the conditions as clusters; Liang and Zeger, Biometrika 73, 1986).
+    They are those of white noise, or the mean over the noises that the data could have come from. Where more than that
+    is left, the remainder is not white and not the same in all conditions: the larger counts of the noise scaled to its
+    size and of the scatter of what each condition by itself does to the estimate (sandwich with the conditions as
+    clusters; Liang and Zeger, Biometrika 73, 1986).
     """
     slope, _ = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)
     size = np.linalg.norm(slope, axis=0)
     moving = inside(bench.model, at) & (size > 0.0)
     inverse = np.linalg.pinv((slope / np.where(size > 0.0, size, 1.0))[:, moving], rcond=1e-9) / size[moving, None]
     sd = np.where(size > 0.0, 0.0, np.inf)
-    sd[moving] = np.linalg.norm(inverse, axis=1)
+    covariances = covariances_of_noise(bench.model, at.residual, inverse.T)
+    sd[moving] = np.sqrt(np.mean([np.diag(c) for c in covariances], axis=0))
     if left is not None and left.chance < BAND:
         ends = np.cumsum([r.size for r in at.residual.values()])
         data, prior = inverse[:, : ends[-1]], inverse[:, ends[-1] :]

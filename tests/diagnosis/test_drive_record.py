@@ -264,6 +264,14 @@ def test_a_tone_is_named_with_its_frequency() -> None:
     assert line.value == pytest.approx(axis_of(("hum",), 2).hum_frequency, abs=0.02)
 
 
+def test_intervals_widen_with_what_is_not_known_of_the_noise() -> None:
+    made = family(Axis(asymmetry=-37.0), seconds=12.0, delay=0.5 * STEP)
+    sure = replace(made, model=replace(made.model, draws=()))
+    wide, narrow = ({c.id: c.parameters[0] for c in diagnose(f).causes}["friction_asymmetry"] for f in (made, sure))
+    assert wide.value == pytest.approx(narrow.value, rel=1e-3)
+    assert 1.01 < (wide.high - wide.low) / (narrow.high - narrow.low) < 1.5
+
+
 @pytest.mark.slow
 def test_drift_is_told_from_direction_by_the_order_of_the_moves() -> None:
     """To and fro, both are found at once, each with its own size."""
