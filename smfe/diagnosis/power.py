@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import special, stats
 
 from smfe.diagnosis.calibration import PENALTY, parameters_of, score
 from smfe.diagnosis.model import Model
@@ -101,5 +101,4 @@ def noncentrality(level: float, freedom: int, one_sided: bool = False) -> float:
     """Return the noncentrality with which a chi-square statistic exceeds a level with 95 %."""
     if one_sided:
         return (math.sqrt(level) + float(stats.norm.ppf(SEEN))) ** 2
-    top = 4.0 * level + 100.0
-    return float(optimize.brentq(lambda x: float(stats.ncx2.sf(level, freedom, x)) - SEEN, 1e-9, top))
+    return float(special.chndtrinc(level, freedom, 1.0 - SEEN))
