@@ -404,7 +404,8 @@ def cached_identification(
 
 
 def _key(campaign: Campaign, measurement: Measurement) -> str:
-    settings = repr((__version__, campaign.tool, measurement))
+    # Which depth of cut a measurement has follows from its records, and not everybody asks for it.
+    settings = repr((__version__, campaign.tool, replace(measurement, depth_of_cut=None)))
     files = [f for entry in measurement.records for f in entry.all_files] + list(measurement.background)
     hashes = [file_hash(f) for f in files]
     return hashlib.sha256("\n".join([settings, *hashes]).encode()).hexdigest()[:16]

@@ -21,6 +21,7 @@ from smfe.measurements import cached_identification
 from smfe.modal import ModalFit, fit_modes
 from smfe.scenario.toml import table as toml_table
 from smfe.store import read_groups, write_atomically, write_csv
+from smfe.sweep_levels import with_levels
 
 KEPT = ".kept"
 
@@ -88,7 +89,7 @@ def _compliances(
     """Return the measured compliances of a campaign or of a compliance file."""
     if source.suffix == ".toml":
         campaign = load_campaign(source, licence)
-        wanted = {m.name: m for m in campaign.measurements if m.method in COMPLIANCE_METHODS}
+        wanted = {m.name: m for m in with_levels(campaign).measurements if m.method in COMPLIANCE_METHODS}
         _require(only, list(wanted), source)
         found = {}
         for done, (name, item) in enumerate(wanted.items()):

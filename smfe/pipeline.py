@@ -114,10 +114,11 @@ def run(
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     with notes.timed("identify"):
-        found, cubes = _identify_all(loaded, folder / KEPT, progress)
+        found, levels = _identify_all(loaded, folder / KEPT, progress)
         loops = loops_of(loaded)
     whole = with_levels(loaded)
     compliances = _compliances(whole, found)
+    cubes, unstacked = _conditions_of(loaded, compliances, levels, folder / KEPT)
     with notes.timed("compare"):
         progress("comparing", 0, 1)
         told = _told_apart({n: compliances[n] for n in found})
@@ -128,13 +129,10 @@ def run(
     with notes.timed("cutting tests"):
         verdicts = judge_all(loaded, compliances, progress)
     with notes.timed("diagnosis"):
-        measured = {m.name: found[m.name] for m in loaded.measurements if m.name in found}
-        finding = finding_of(loaded, measured, progress) if loaded.baseline is not None else None
+        finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found | loops]
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
     notes.warnings += _warnings(found, results, verdicts)
-    stacked, unstacked = condition_cubes(loaded.measurements, compliances)
-    cubes |= stacked | split_levels(loaded, folder / KEPT)
     notes.warnings += unstacked
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.
@@ -177,15 +175,17 @@ def identify(
 ) -> dict[str, Identification]:
     """Identify every measurement of a campaign and write the compliances to one NetCDF file.
 
-    A sweep at several depths of cut is identified at each of them, too; `conditions.nc` beside the file then holds it
-    with the depth as a dimension. Responses of drive loops, which are no compliances, stand in ``loops.nc`` beside it.
+    A sweep at several depths of cut is identified at each of them, too. As after `run`, `conditions.nc` beside the file
+    holds what was measured at several levels or feeds, and ``loops.nc`` the responses of drive loops, which are no
+    compliances; where the campaign has none, such a file of an earlier run is taken away.
     """
     loaded, path = load_campaign(Path(campaign), licence), Path(output)
-    found, cubes = _identify_all(loaded, path.parent / KEPT, progress)
-    write_loops(path.with_name(LOOP_FILE), loops_of(loaded))
-    write_groups(path, _groups(_compliances(with_levels(loaded), found), found))
-    if cubes:
-        _write_cubes(path.with_name("conditions.nc"), cubes)
+    found, levels = _identify_all(loaded, path.parent / KEPT, progress)
+    loops, compliances = loops_of(loaded), _compliances(with_levels(loaded), found)
+    cubes, _ = _conditions_of(loaded, compliances, levels, path.parent / KEPT)
+    write_groups(path, _groups(compliances, found))
+    write_loops(path.with_name(LOOP_FILE), loops)
+    _write_cubes(path.with_name("conditions.nc"), cubes)
     return found
 
 
@@ -288,6 +288,19 @@ def _identify_all(
         found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
     pooled, cubes = level_cubes(campaign, found)
     return found | pooled, cubes
+
+
+def _conditions_of(
+    campaign: Campaign, compliances: Mapping[str, xr.Dataset], levels: Mapping[str, xr.Dataset], kept: Path
+) -> tuple[dict[str, xr.Dataset], list[str]]:
+    """Return what ``conditions.nc`` holds, and what could not be stacked.
+
+    Measurements are stacked by the depth of cut of their records; levels of one sweep are stacked already.
+    """
+    names = {m.name for m in campaign.measurements}
+    whole = [m for m in with_levels(campaign).measurements if m.name in names]
+    stacked, notes = condition_cubes(whole, compliances)
+    return {**levels, **stacked, **split_levels(campaign, kept)}, notes
 
 
 def _told_apart(compliances: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
@@ -420,14 +433,12 @@ def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -
 
 
 def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
-    files = [f for m in campaign.measurements for entry in m.records for f in entry.all_files]
-    files = list(dict.fromkeys([campaign.path, *files, *(t.file for t in campaign.cutting_tests)]))
     packages = ("smfe", "numpy", "scipy", "numba", "xarray", "pandas", "h5netcdf")
     return {
         "campaign": campaign.name,
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "versions": {"smfe": __version__, **{p: importlib.metadata.version(p) for p in packages[1:]}},
-        "inputs": [{"file": f.name, "sha256": file_hash(f)} for f in files],
+        "inputs": [{"file": f.name, "sha256": file_hash(f)} for f in (campaign.path, *campaign.files)],
         "settings": {m.name: m.settings() for m in campaign.measurements},
         "seconds": notes.seconds,
         "warnings": notes.warnings,

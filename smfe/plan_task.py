@@ -26,6 +26,7 @@ from smfe.measurements import identify_measurement
 from smfe.plan_smooth import without_noise
 from smfe.scenario import load_scenario
 from smfe.sweep_estimators import LocalPolynomial
+from smfe.sweep_levels import with_levels
 from stability import SpindleRange
 
 Real = NDArray[np.float64]
@@ -194,7 +195,7 @@ def _estimate(campaign: Campaign, limits: PlanTable, raw: Mapping[str, Any], pro
     if limits.scenario is not None:
         return _of_scenario(campaign.path, limits)
     models = {m.name: m.modal for m in campaign.models}
-    measured = {m.name: m for m in campaign.measurements if m.method in COMPLIANCE_METHODS}
+    measured = {m.name: m for m in with_levels(campaign).measurements if m.method in COMPLIANCE_METHODS}
     name = limits.machine or next(iter([*models, *measured]), None)
     if name in models:
         table = next(t for t in raw["model"] if t["name"] == name)

@@ -152,6 +152,17 @@ def test_provenance_names_every_input_with_its_hash(demo: Path) -> None:
     assert all(len(entry["sha256"]) == 64 for entry in provenance["inputs"])
 
 
+def test_provenance_names_air_cuts(tmp_path: Path, demo: Path) -> None:
+    shutil.copytree(demo, tmp_path / "demo", ignore=shutil.ignore_patterns("results"))
+    path = tmp_path / "demo" / "campaign.toml"
+    text = path.read_text(encoding="utf-8")
+    assert text.count('method = "sweep"') > 1
+    shutil.copy(next((tmp_path / "demo" / "records").glob("sweep*")), tmp_path / "demo" / "air.csv")
+    path.write_text(text.replace('method = "sweep"', 'method = "sweep"\nbackground = "air.csv"', 1), encoding="utf-8")
+    named = {e["file"] for e in pipeline._provenance(pipeline.load_campaign(path), pipeline.Notes())["inputs"]}
+    assert "air.csv" in named
+
+
 def test_the_single_verbs_do_their_part(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign, frf = demo / "campaign.toml", demo / "results" / "frf.nc"
     assert (

@@ -19,6 +19,7 @@ from smfe.diagnosis.suspect import Suspect
 from smfe.identification import Identification, Progress, silent
 from smfe.measurements import cached_identification
 from smfe.store import write_json
+from smfe.sweep_levels import with_levels
 
 KEPT = ".kept"
 
@@ -97,7 +98,7 @@ def _identified(campaign: Campaign, kept: Path, progress: Progress) -> dict[str,
         return {}
     compared = () if isinstance(baseline, LimitsOf) else ("hammer", "actuator")
     source = "" if isinstance(baseline, AxisModel) else baseline.source
-    has_modes = [m for m in campaign.measurements if m.method in COMPLIANCE_METHODS]
+    has_modes = [m for m in with_levels(campaign).measurements if m.method in COMPLIANCE_METHODS]
     wanted = [m for m in has_modes if m.method in compared or m.name == source]
     if compared and not any(m.method in compared for m in wanted):
         raise InputError("the campaign has no hammer or actuator measurement; the baseline has nothing to compare with")

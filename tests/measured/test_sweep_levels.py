@@ -21,9 +21,12 @@ from process.errors import InputError
 from process.labels import make_compliance, make_record
 from smfe import LocalPolynomial, SweepPass
 from smfe.campaign import load_campaign
+from smfe.diagnosis.verbs import diagnose
 from smfe.intervals import interval
 from smfe.level_test import difference_of
-from smfe.pipeline import compare, identify, lobes
+from smfe.measurements import cached_identification
+from smfe.pipeline import compare, identify, lobes, modal
+from smfe.plan_task import load_task
 from smfe.records import write_record_netcdf
 from smfe.store import read_groups
 from smfe.sweep_levels import levels_of, sweep_levels, with_levels
@@ -293,6 +296,56 @@ def test_one_depth_stays_one_estimate_and_its_level_is_told(folder: Path, tmp_pa
     assert set(groups) == {"sweep"}
     assert '"depth_of_cut": "2 mm"' in groups["sweep"].attrs["conditions"]
     assert not (tmp_path / "conditions.nc").exists()
+    # Who asks for the measurement without its levels is given what was kept.
+    loaded = load_campaign(folder / "campaign.toml")
+    assert all(
+        cached_identification(loaded, m, tmp_path / ".kept")[1]
+        for m in (loaded.measurements[0], with_levels(loaded).measurements[0])
+    )
+
+
+TEST = """
+[[cutting_test]]
+file = "down_1 mm.nc"
+spindle_speed = "800 rpm"
+depth_of_cut = "1 mm"
+cut = "down"
+width_of_cut = "24 mm"
+feed_per_tooth = "0.1 mm"
+observed = "stable"
+"""
+
+
+@pytest.mark.slow
+def test_every_verb_knows_the_levels(folder: Path, tmp_path: Path) -> None:
+    depths, rest = {"1 mm": list(CUTS), "2 mm": list(CUTS)}, '[plan]\nmachine = "sweep, 2 mm"\n'
+    path = campaign(folder, depths, '[baseline]\nlimits = "sweep, 2 mm"\n' + TEST + rest)
+    assert load_task(path).estimate.name == "sweep, 2 mm"
+    (found,) = modal(path, tmp_path / "modes.toml", "sweep, 2 mm").values()
+    assert len(found.table()) >= 2
+    # A machine that stiffens has no modes; that the level was asked for them is what counts.
+    with pytest.raises(InputError, match="'sweep, 2 mm' does not give the modes of a simulation"):
+        diagnose(path, tmp_path / "finding.json")
+
+
+def test_levels_of_an_earlier_run_do_not_stay(folder: Path, tmp_path: Path) -> None:
+    depths = {"1 mm": list(CUTS), "2 mm": list(CUTS)}
+    (tmp_path / "conditions.nc").write_bytes(b"of an earlier run")
+    (tmp_path / "loops.nc").write_bytes(b"of an earlier run")
+    identify(campaign(folder, depths, "split_levels = false\n"), tmp_path / "frf.nc")
+    assert not (tmp_path / "conditions.nc").exists()
+    assert not (tmp_path / "loops.nc").exists()
+
+
+def test_sweeps_are_stacked_at_the_depth_of_their_records(folder: Path, tmp_path: Path) -> None:
+    """The measurement says 2 mm, and all its records 1 mm."""
+    path = campaign(folder, {"1 mm": list(CUTS)}, 'depth_of_cut = "2 mm"\n')
+    first = path.read_text(encoding="utf-8")
+    second = campaign(folder, {"2 mm": list(CUTS)}).read_text(encoding="utf-8").split("[[measurement]]")[1]
+    path.write_text(first + "[[measurement]]" + second.replace('"sweep"', '"deep"', 1), encoding="utf-8")
+    identify(path, tmp_path / "frf.nc")
+    cube = read_groups(tmp_path / "conditions.nc")["sweep"]
+    assert cube["depth_of_cut"].values.tolist() == [1.0, 2.0]
 
 
 def test_split_levels_false_keeps_one_estimate_of_all_passes(folder: Path) -> None:
