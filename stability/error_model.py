@@ -2,9 +2,15 @@
 
 A measured compliance has an error at every frequency, complex and circular. The errors of one response to the three
 excitations belong together (``compliance_covariance``, else ``compliance_std`` alone); those of two responses come from
-two sensors and do not. Neighbouring lines share an error: over ``attrs["error_lines"]`` lines, or in proportion to the
-``half_width`` of the band from which each was estimated. The correlation over a distance df is taken as ``exp(-pi (df
-/c)^2)``, whose integral c is the width that the lines share.
+two sensors and share what ``entry_covariance`` says, else nothing. Neighbouring lines share an error: over
+``attrs["error_lines"]`` lines, or in proportion to the ``half_width`` of the band from which each was estimated. The
+correlation over a distance df is taken as ``exp(-pi (df/c)^2)``, whose integral c is the width that the lines share.
+
+Row r has the error ``L_r z_r``; the z_r are one white noise of nine components, averaged over the width of each row.
+Averages over the widths c and d, df apart, have the correlation ``sqrt(2 c d/(c^2 + d^2)) exp(-2 pi df^2/(c^2 + d^2))``,
+which is 1 for c = d and df = 0. With ``B_r`` the Hermitian root of the covariance of row r, the only one that changes
+as slowly over frequency as the covariance does, and ``K_rs = B_r^-1 C_rs B_s^-1`` over that correlation, ``L_r = B_r
+(K^1/2)_r``.
 
 A machine given as modes has no such error; its frequencies, damping ratios and stiffnesses have.
 """
@@ -82,7 +88,7 @@ class ErrorModel(Protocol):
         """Return factors L of the errors of lines, (m, 3, 3, k): row r has the error ``L[r] z_r``; k may be 0."""
 
     def correlation(self, frequency: Real) -> Real:
-        """Return the correlation of ``z_r`` between frequencies (..., m): shape (..., m, m, 3)."""
+        """Return the correlation of ``z_r`` and ``z_s`` between frequencies (..., m): shape (..., m, m, 3, 3)."""
 
     def shared(self, frequency: Real) -> Complex:
         """Return what each shared factor of unit variance changes [m/N], shape (factors, m, 3, 3)."""
@@ -96,8 +102,9 @@ class MeasuredError:
     ----------
     frequency : ndarray, shape (n,)
         Frequencies [Hz].
-    factor : ndarray of complex, shape (n, 3, 3, 3)
-        ``factor[:, r]`` times its adjoint is the covariance of row r [m2/N2].
+    factor : ndarray of complex, shape (n, 3, 3, 9)
+        ``factor[:, r]`` times its adjoint is the covariance of row r [m2/N2]; times that of another row it is what the
+        two share, but for the correlation of their averages.
     width : ndarray, shape (n, 3)
         Width over which the lines of a response share an error [Hz].
     """
@@ -114,20 +121,19 @@ class MeasuredError:
     def draw(self, generator: np.random.Generator) -> Complex:
         """Return an error [m/N] at all frequencies, shape (n, 3, 3)."""
         n = self.frequency.size
-        white = generator.standard_normal((3, n, 6)).view(complex) * math.sqrt(0.5)
-        smooth = np.stack([self._average[r] @ white[r] for r in range(3)], axis=1)
+        white = generator.standard_normal((n, 18)).view(complex) * math.sqrt(0.5)
+        smooth = np.stack([average @ white for average in self._average], axis=1)
         return np.asarray((self.factor @ smooth[..., None])[..., 0])
 
     def line_factors(self, frequency: Real) -> Complex:
-        """Return the factor at the nearest line, shape (m, 3, 3, 3)."""
+        """Return the factor at the nearest line, shape (m, 3, 3, 9)."""
         return np.asarray(self.factor[_nearest(self.frequency, frequency)])
 
     def correlation(self, frequency: Real) -> Real:
-        """Return the correlation of ``z_r`` between frequencies (..., m): shape (..., m, m, 3)."""
+        """Return the correlation of ``z_r`` and ``z_s`` between frequencies (..., m): shape (..., m, m, 3, 3)."""
         width = self.width[_nearest(self.frequency, frequency)]
-        square = 0.5 * (width[..., :, None, :] ** 2 + width[..., None, :, :] ** 2)
         apart = frequency[..., :, None] - frequency[..., None, :]
-        return np.asarray(np.exp(-math.pi * apart[..., None] ** 2 / square))
+        return _alike(width[..., :, None, :, None], width[..., None, :, None, :], apart[..., None, None])
 
     def shared(self, frequency: Real) -> Complex:
         """Return nothing: the errors of lines far apart are independent."""
@@ -171,7 +177,7 @@ class ModalError:
 
     def correlation(self, frequency: Real) -> Real:
         """Return ones, which nothing depends on."""
-        return np.ones((*frequency.shape, frequency.shape[-1], 3))
+        return np.ones((*frequency.shape, frequency.shape[-1], 3, 3))
 
     def shared(self, frequency: Real) -> Complex:
         """Return the change with one parameter of one mode, shape (factors, m, 3, 3), by central differences."""
@@ -212,9 +218,10 @@ def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
     at = np.searchsorted(compliance["frequency"].values, frequency - 1e-9)
     rows = axis_index([str(a) for a in compliance["response"].values])
     columns = axis_index([str(a) for a in compliance["excitation"].values])
-    factor = np.zeros((frequency.size, 3, 3, 3), dtype=complex)
-    factor[np.ix_(range(frequency.size), rows, columns, columns)] = _factors(_covariance(compliance)[at])
-    return MeasuredError(frequency, factor, _width(compliance, frequency, at, rows))
+    covariance = np.zeros((frequency.size, 3, 3, 3, 3), dtype=complex)
+    covariance[np.ix_(range(frequency.size), rows, columns, rows, columns)] = _covariance(compliance)[at]
+    width = _width(compliance, frequency, at, rows)
+    return MeasuredError(frequency, _factors(covariance, width), width)
 
 
 def _missing(compliance: xr.Dataset) -> float:
@@ -228,14 +235,17 @@ def _missing(compliance: xr.Dataset) -> float:
 
 
 def _covariance(compliance: xr.Dataset) -> Complex:
-    """Return the covariance of each row at every frequency, (n, responses, excitations, excitations), smoothed."""
-    three = ("frequency", "response", "excitation")
-    if "compliance_covariance" in compliance:
-        values = compliance["compliance_covariance"].transpose(*three, "other_excitation").values.astype(complex)
+    """Return the covariance of all entries at every frequency, shape (n, r, e, r, e), smoothed."""
+    three, f = ("frequency", "response", "excitation"), compliance["frequency"].values
+    if "entry_covariance" in compliance:
+        five = (*three, "other_response", "other_excitation")
+        values = compliance["entry_covariance"].transpose(*five).values.astype(complex)
     else:
         variance = compliance["compliance_std"].transpose(*three).values ** 2
-        values = variance[..., None] * np.eye(variance.shape[-1]) + 0.0j
-    f = compliance["frequency"].values
+        rows = variance[..., None] * np.eye(variance.shape[-1]) + 0.0j
+        if "compliance_covariance" in compliance:
+            rows = compliance["compliance_covariance"].transpose(*three, "other_excitation").values.astype(complex)
+        values = np.einsum("frij,rs->frisj", rows, np.eye(rows.shape[1]))
     known = np.isfinite(values).reshape(f.size, -1).all(axis=1)
     flat = values.reshape(f.size, -1)
     for column in flat.T:
@@ -253,10 +263,32 @@ def _level(values: Complex, reach: int) -> Complex:
     return np.asarray((total[high] - total[low]) / (high - low)[:, None])
 
 
-def _factors(covariance: Complex) -> Complex:
-    """Return L with ``L L^H`` the covariance, which may be of deficient rank."""
-    size, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(size, 0.0))[..., None, :], dtype=complex)
+def _alike(one: Real, other: Real, apart: Real | float = 0.0) -> Real:
+    """Return the correlation of averages of one noise over two widths, `apart` from each other."""
+    square = one**2 + other**2
+    return np.asarray(np.sqrt(2.0 * one * other / square) * np.exp(-2.0 * math.pi * apart**2 / square))
+
+
+def _factors(covariance: Complex, width: Real) -> Complex:
+    """Return the factors L of covariances (n, 3, 3, 3, 3) of rows of these widths (n, 3), shape (n, 3, 3, 9)."""
+    n = width.shape[0]
+    value, vectors = np.linalg.eigh(np.stack([covariance[:, r, :, r] for r in range(3)], axis=1))
+    size = np.sqrt(np.maximum(value, 0.0))
+    root = (vectors * size[..., None, :]) @ vectors.conj().swapaxes(2, 3)
+    seen = size > 1e-6 * size[..., -1:]
+    turned = vectors * np.where(seen, 1.0 / np.where(seen, size, 1.0), 0.0)[..., None, :]
+    inverse = turned @ vectors.conj().swapaxes(2, 3)
+    k = np.einsum("nrab,nrbsc,nscd->nrasd", inverse, covariance, inverse, optimize=True)
+    k /= _alike(width[:, :, None], width[:, None, :])[:, :, None, :, None]
+    for r in range(3):
+        k[:, r, :, r] = 0.0
+    between = k.reshape(n, 9, 9)
+    lowest = np.linalg.eigvalsh(between)[:, 0]
+    # Averages over unlike widths cannot share more than all.
+    possible = np.eye(9) + between * np.minimum(1.0, -1.0 / np.minimum(lowest, -1e-12))[:, None, None]
+    value, vectors = np.linalg.eigh(possible)
+    mixed = (vectors * np.sqrt(np.maximum(value, 0.0))[..., None, :]) @ vectors.conj().swapaxes(1, 2)
+    return np.asarray(root @ mixed.reshape(n, 3, 3, 9))
 
 
 def _width(compliance: xr.Dataset, frequency: Real, at: NDArray[np.int64], rows: list[int]) -> Real:

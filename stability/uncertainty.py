@@ -107,8 +107,8 @@ def sampled_band(
     Parameters
     ----------
     compliance : xarray.Dataset or ModalModel
-        Measured, with ``compliance_std`` and, where known, ``compliance_covariance``, ``half_width``,
-        ``attrs["error_lines"]``; or a machine as modes, whose errors `spread` tells.
+        Measured, with ``compliance_std`` and, where known, ``compliance_covariance``, ``entry_covariance``,
+        ``half_width``, ``attrs["error_lines"]``; or a machine as modes, whose errors `spread` tells.
     tool, arc, coefficients
         The cut; any pitch.
     spindle_speed : array_like, shape (speeds,)
@@ -419,7 +419,7 @@ def _linear_errors(problem: _Problem, branches: Branches, at: _Crossings) -> tup
     own = force[:, 0, :, None] * np.einsum("me,mrek->mrk", right, problem.error.line_factors(f))
     own = own.reshape(*shape, 3, -1)
     alike = problem.error.correlation(at.frequency)
-    covariance = 0.5 * np.einsum("sark,sbrk,sabr->sab", own, own.conj(), alike).real
+    covariance = 0.5 * np.einsum("sark,sbtk,sabrt->sab", own, own.conj(), alike, optimize=True).real
     value = np.where(at.mu != 0.0, at.mu.real, -np.inf)
     return value, np.array(shared).reshape(len(shared), *shape).transpose(1, 2, 0), covariance
 

@@ -88,6 +88,98 @@ def test_drawn_errors_have_the_covariance_and_the_width_they_were_told():
         assert np.sum(lags) / lags[30] == pytest.approx(lines, rel=0.15)
 
 
+FIVE = (*THREE, "other_response", "other_excitation")
+
+
+def entries(frequency, generator):
+    """A covariance of all nine entries that has no structure, the same at all frequencies, (n, 3, 3, 3, 3)."""
+    mix = generator.standard_normal((9, 5)) + 1j * generator.standard_normal((9, 5))
+    whole = (mix @ mix.conj().T + np.eye(9)).reshape(3, 3, 3, 3)
+    return np.broadcast_to(whole, (frequency.size, 3, 3, 3, 3))
+
+
+def shared_by_rows(frequency, whole, **half):
+    std = np.sqrt(np.einsum("frere->fre", whole).real)
+    extra = {"entry_covariance": (FIVE, whole), **half}
+    return with_errors(frequency, 0.0j * std, std, 6.0, **extra)
+
+
+@pytest.mark.parametrize("widths", [(1.0, 1.0, 1.0), (0.8, 1.0, 1.2)])
+def test_drawn_errors_of_different_rows_share_what_they_were_told(widths):
+    """Seed 2, 400 draws of 200 lines: all 81 covariances of the nine entries, from bands of one width and of three."""
+    generator = np.random.default_rng(2)
+    frequency = np.arange(10.0, 110.0, 0.5)
+    whole = entries(frequency, generator)
+    half = {"half_width": (THREE[:2], np.broadcast_to(widths, (frequency.size, 3)))}
+    error = measured_error(shared_by_rows(frequency, whole, **half), frequency)
+    drawn = np.stack([error.draw(generator) for _ in range(400)])
+    found = np.einsum("dfij,dfkl->ijkl", drawn, drawn.conj()) / (400 * frequency.size)
+    np.testing.assert_allclose(found, whole[0], atol=0.03 * np.abs(whole[0]).max())
+    # Nothing is invented between rows that are told to be independent.
+    apart = np.einsum("frerh,rs->fresh", whole, np.eye(3))
+    error = measured_error(shared_by_rows(frequency, apart, **half), frequency)
+    drawn = np.stack([error.draw(generator) for _ in range(400)])
+    found = np.einsum("dfij,dfkl->ijkl", drawn, drawn.conj()) / (400 * frequency.size)
+    np.testing.assert_allclose(found, apart[0], atol=0.03 * np.abs(whole[0]).max())
+
+
+def test_neighbouring_lines_share_their_errors_where_the_covariance_turns():
+    """Principal axes that turn from 10 to 40 degrees and cross in size: neighbours are as alike as ever."""
+    frequency = np.arange(10.0, 60.0, 0.5)
+    turn, size = np.radians(np.linspace(10.0, 40.0, frequency.size)), np.linspace(1.0, 3.0, frequency.size)
+    axes = np.zeros((frequency.size, 3, 3))
+    axes[:, 0, 0], axes[:, 0, 1], axes[:, 1, 0], axes[:, 1, 1] = np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)
+    axes[:, 2, 2] = 1.0
+    values = np.stack([size, size[::-1], np.ones(frequency.size)], axis=1) ** 2
+    row = np.einsum("fab,fb,fcb->fac", axes, values, axes)
+    covariance = np.repeat(row[:, None], 3, axis=1).astype(complex)
+    std = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3).real)
+    extra = {"compliance_covariance": ((*THREE, "other_excitation"), covariance)}
+    error = measured_error(with_errors(frequency, 0.0j * std, std, 6.0, **extra), frequency)
+    generator = np.random.default_rng(5)
+    drawn = np.stack([error.draw(generator)[:, 0, 0] for _ in range(2000)])
+    near, far = (np.mean(drawn[:, :-k] * drawn[:, k:].conj(), axis=0).real for k in (1, 12))
+    power = np.mean(np.abs(drawn) ** 2, axis=0)
+    expected = np.exp(-np.pi / 36.0)
+    np.testing.assert_allclose((near / np.sqrt(power[:-1] * power[1:]))[5:-5], expected, atol=0.03)
+    assert np.abs(far / np.sqrt(power[:-12] * power[12:])).max() < 0.1
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_band_of_a_compliance_whose_rows_share_errors_is_that_of_measuring_again(authors, sign):
+    """Errors of all rows are 95 % the same noise, of y with this sign: limits of 500 measurements, seed 7.
+
+    They are made here, from white noise and a moving average of seven lines, and not with the model of the errors.
+    """
+    frequency = np.arange(15.0, 100.0, 0.5)
+    phi = authors.machine.matrix(frequency)
+    s = 0.005 * np.abs(phi).max()
+    rows = 0.95 * np.outer([1.0, sign, 1.0], [1.0, sign, 1.0]) + 0.05 * np.eye(3)
+    whole = np.einsum("rs,eh->resh", s**2 * rows, np.eye(3)).astype(complex)
+    told = with_errors(
+        frequency, phi, s, 7.0, entry_covariance=(FIVE, np.broadcast_to(whole, (frequency.size, *whole.shape)))
+    )
+    generator, root = np.random.default_rng(7), np.linalg.cholesky(rows)
+    kernel, speed = np.full(7, 1.0 / math.sqrt(7.0)), np.linspace(400.0, 1400.0, 24)
+    limits = []
+    for _ in range(500):
+        white = generator.standard_normal((3, 3, frequency.size + 6, 2)) @ [1.0, 1j] / math.sqrt(2.0)
+        smooth = np.apply_along_axis(np.convolve, 2, white, kernel, "valid")
+        again = make_compliance(frequency, phi + s * np.einsum("rs,sef->fre", root, smooth))
+        limits.append(zero_order(again, *authors.cut, speed)["limit_depth"].values)
+    width = np.ptp(np.quantile(limits, [0.05, 0.95], axis=0), axis=0)
+    for band in (linearised_band, partial(sampled_band, count=400, seed=1)):
+        q, apart = (
+            band(c, *authors.cut, speed)["limit_depth_quantile"].values
+            for c in (told, told.drop_vars("entry_covariance"))
+        )
+        print(
+            f"\nwidth over measuring again: {np.median((q[2] - q[0]) / width):.3f}, "
+            f"rows apart: {np.median((apart[2] - apart[0]) / width):.3f}"
+        )
+        assert np.median((q[2] - q[0]) / width) == pytest.approx(1.0, abs=0.07)
+
+
 def test_the_level_of_the_errors_is_averaged_over_lines_and_gaps_are_bridged():
     """Two repeats tell the variance of one line with a scatter of 100 %; noise is smooth over frequency."""
     frequency = np.arange(10.0, 60.0, 0.1)
