@@ -5,7 +5,8 @@ Two entries (i, j) and (j, i) that share their residues and remainders enter a l
     w1^2 |y1 - m|^2 + w2^2 |y2 - m|^2 = (w1^2 + w2^2) |y - m|^2 + |y1 - y2|^2 / (s1^2 + s2^2),
     y = (w1^2 y1 + w2^2 y2) / (w1^2 + w2^2),    w = 1/s.
 
-The last term does not depend on the model: it is the test of reciprocity, and it costs nothing.
+The last term does not depend on the model: it is the test of reciprocity, and it costs nothing. Where both share an
+error of covariance c, its denominator is ``s1^2 + s2^2 - 2 Re c``; the mean stays as it is, its variance grows.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ UNKNOWN_LINES = 150
 SMOOTHING = 9
 """Lines over which a mean square error is averaged: one from a few repeats scatters itself."""
 
+EQUAL = 1e-6
+"""Where less than this share of their variances is left in the difference of mirrored entries, they were made equal."""
+
 SMALLEST = 1e-9
 """No error is taken to be smaller than this share of the largest value: doubles hold no more after a fit."""
 
@@ -57,6 +61,8 @@ class ResponseMatrix:
         Root mean square of the complex error [m/N].
     covariance : ndarray of complex, shape (n, responses, excitations, excitations), optional
         ``E[d_j conj(d_k)]`` of the errors of one row [m2/N2].
+    between : ndarray of complex, shape (n, responses, excitations, responses, excitations), optional
+        The same of all entries, where rows share errors [m2/N2].
     error_lines : float, optional
         Number of neighbouring lines that share one error.
 
@@ -73,6 +79,7 @@ class ResponseMatrix:
     std: Real | None = field(default=None, repr=False)
     covariance: Complex | None = field(default=None, repr=False)
     error_lines: float = 1.0
+    between: Complex | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse what is not a matrix over frequency."""
@@ -116,6 +123,7 @@ class ResponseMatrix:
             None if self.std is None else self.std[at],
             None if self.covariance is None else self.covariance[at],
             self.error_lines,
+            None if self.between is None else self.between[at],
         )
 
 
@@ -134,11 +142,14 @@ def matrix_of(compliance: xr.Dataset) -> ResponseMatrix:
             f"the compliance depends on {', '.join(further)} as well; select one value, e.g. .sel({further[0]}=...)"
         )
     three = ("frequency", "response", "excitation")
-    std, rows = None, None
+    std, rows, between = None, None, None
     if "compliance_std" in compliance:
         std = compliance["compliance_std"].transpose(*three).values.astype(float)
     if "compliance_covariance" in compliance:
         rows = compliance["compliance_covariance"].transpose(*three, "other_excitation").values.astype(complex)
+    if "entry_covariance" in compliance:
+        five = (*three, "other_response", "other_excitation")
+        between = compliance["entry_covariance"].transpose(*five).values.astype(complex)
     return ResponseMatrix(
         compliance["frequency"].values.astype(float),
         array.transpose(*three).values.astype(complex),
@@ -147,6 +158,7 @@ def matrix_of(compliance: xr.Dataset) -> ResponseMatrix:
         std,
         rows,
         max(1.0, float(compliance.attrs.get("error_lines", 1.0))),
+        between,
     )
 
 
@@ -171,7 +183,8 @@ class Curves:
     noise_known : bool
         Whether `std` was measured; else it is a weight only.
     reciprocity : float
-        Mean of ``|y_ij - y_ji|^2 / (s_ij^2 + s_ji^2)``, 1 for a reciprocal machine; NaN when no entry has a mirror.
+        Mean of ``|y_ij - y_ji|^2`` over its variance, 1 for a reciprocal machine; NaN when no entry has a mirror, or
+        was made equal to it.
     """
 
     frequency: Real
@@ -249,6 +262,7 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
     for pair in entries:
         mirrored = pair[0] != pair[1] and (pair[1], pair[0]) in entries
         groups.setdefault(frozenset(pair) if mirrored else pair, []).append(pair)
+    whole = _whole(matrix) if known else None
     values, spread, share = [], [], []
     misfit, count = 0.0, 0
     for members in groups.values():
@@ -262,16 +276,21 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
             spread.append(np.where(total > 0.0, 1.0 / np.sqrt(total), np.inf))
         share.append(part)
         if len(members) == 2:
-            both = np.isfinite(s).all(axis=0)
-            misfit += float(np.sum(np.abs(each[0] - each[1])[both] ** 2 / (s[:, both] ** 2).sum(axis=0)))
-            count += int(both.sum())
+            first, second = (_place(matrix, pair) for pair in members)
+            common = np.zeros(matrix.frequency.size) if whole is None else whole[:, *first, *second].real
+            more = _asymmetry(each, s, common)
+            misfit, count = misfit + more[0], count + more[1]
+    joint = None if whole is None else _joint(matrix, whole, list(groups.values()), share)
+    level = np.stack(spread)
+    if matrix.between is not None and joint is not None:
+        power = np.diagonal(joint, axis1=1, axis2=2).real.T
+        level = np.where(np.isfinite(level), np.sqrt(np.maximum(power, (SMALLEST * np.abs(values).max()) ** 2)), np.inf)
     # A line that nobody knows weighs nothing anywhere: it is left out.
-    there = np.isfinite(np.stack(spread)).any(axis=0)
-    joint = None if matrix.covariance is None or not known else _joint(matrix, list(groups.values()), share)
+    there = np.isfinite(level).any(axis=0)
     return Curves(
         matrix.frequency[there],
         np.stack(values)[:, there],
-        np.stack(spread)[:, there],
+        level[:, there],
         tuple(members[0] for members in groups.values()),
         None if joint is None else joint[there],
         matrix.error_lines,
@@ -317,20 +336,41 @@ def _rough_level(h: Complex, accuracy: float) -> Real:
     return np.asarray(np.sqrt(np.pad(rough, 1, mode="edge") + accuracy**2 * size))
 
 
-def _joint(matrix: ResponseMatrix, groups: list[list[tuple[str, str]]], share: list[Real]) -> Complex:
-    """Return the covariance between curves, shape (n, g, g): errors within a row belong together, rows do not."""
-    assert matrix.covariance is not None
-    n, g = matrix.frequency.size, len(groups)
-    flat = matrix.covariance.reshape(n, -1)
+def _whole(matrix: ResponseMatrix) -> Complex | None:
+    """Return the smooth covariance of all entries, shape (n, r, e, r, e), or None where only their sizes are known."""
+    if matrix.between is not None:
+        whole = matrix.between
+    elif matrix.covariance is not None:
+        whole = np.asarray(np.einsum("nrij,rs->nrisj", matrix.covariance, np.eye(len(matrix.response)) + 0.0j))
+    else:
+        return None
+    flat = whole.reshape(matrix.frequency.size, -1)
     real = np.apply_along_axis(_mean_over_lines, 0, flat.real, SMOOTHING)
     imag = np.apply_along_axis(_mean_over_lines, 0, flat.imag, SMOOTHING)
-    rows = (real + 1j * imag).reshape(matrix.covariance.shape)
+    return np.asarray((real + 1j * imag).reshape(whole.shape))
+
+
+def _joint(matrix: ResponseMatrix, whole: Complex, groups: list[list[tuple[str, str]]], share: list[Real]) -> Complex:
+    """Return the covariance between curves, shape (n, g, g), from that of all entries."""
+    n, g = matrix.frequency.size, len(groups)
     out = np.zeros((n, g, g), dtype=complex)
     for a, members in enumerate(groups):
         for b, others in enumerate(groups):
-            for p, (r, e) in enumerate(members):
-                for q, (other_r, other_e) in enumerate(others):
-                    if r == other_r:
-                        i, j, k = matrix.response.index(r), matrix.excitation.index(e), matrix.excitation.index(other_e)
-                        out[:, a, b] += share[a][p] * share[b][q] * rows[:, i, j, k]
+            for p, pair in enumerate(members):
+                for q, other in enumerate(others):
+                    out[:, a, b] += share[a][p] * share[b][q] * whole[:, *_place(matrix, pair), *_place(matrix, other)]
     return out
+
+
+def _place(matrix: ResponseMatrix, pair: tuple[str, str]) -> tuple[int, int]:
+    return matrix.response.index(pair[0]), matrix.excitation.index(pair[1])
+
+
+def _asymmetry(each: Complex, s: Real, common: Real) -> tuple[float, int]:
+    """Return the sum of ``|y1 - y2|^2`` over its variance, and its lines; without those that were made equal."""
+    both = np.isfinite(s).all(axis=0)
+    power = (s[:, both] ** 2).sum(axis=0)
+    apart = power - 2.0 * common[both]
+    told = apart > EQUAL * power
+    square = np.abs(each[0] - each[1])[both] ** 2
+    return float(np.sum(square[told] / apart[told])), int(told.sum())

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from process.errors import InputError
+from process.labels import UNITS
 from smfe.entry_covariance import entry_covariance, with_entries
 
 Real = NDArray[np.float64]
@@ -131,13 +132,13 @@ def _replaced(compliance: xr.Dataset, axes: list[str], value: Complex, spread: C
         if "other_excitation" not in old.coords:
             new = new.drop_vars("other_excitation")
         out["compliance_covariance"] = new.assign_attrs(old.attrs)
-    if "entry_covariance" in out:
-        whole = np.full((finite.size, *spread.shape[1:]), np.nan, dtype=complex)
-        whole[finite] = spread
-        columns = [axes.index(str(a)) for a in out["excitation"].values]
-        rows = [axes.index(str(a)) for a in out["response"].values]
-        whole = whole[:, rows][:, :, columns][:, :, :, rows][..., columns]
-        out["entry_covariance"] = out["entry_covariance"].copy(data=whole)
+    whole = np.full((finite.size, *spread.shape[1:]), np.nan, dtype=complex)
+    whole[finite] = spread
+    columns = [axes.index(str(a)) for a in out["excitation"].values]
+    rows = [axes.index(str(a)) for a in out["response"].values]
+    whole = whole[:, rows][:, :, columns][:, :, :, rows][..., columns]
+    five = (*dims, "other_response", "other_excitation")
+    out["entry_covariance"] = (five, whole, {"units": UNITS["entry_covariance"]})
     return out.assign_attrs(reciprocal="constrained")
 
 

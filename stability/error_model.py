@@ -7,7 +7,7 @@ two sensors and share what ``entry_covariance`` says, else nothing. Neighbouring
 correlation over a distance df is taken as ``exp(-pi (df/c)^2)``, whose integral c is the width that the lines share.
 
 Row r has the error ``L_r z_r``; the z_r are one white noise of nine components, averaged over the width of each row.
-Averages over the widths c and d, df apart, have the correlation ``sqrt(2 c d/(c^2 + d^2)) exp(-2 pi df^2/(c^2 + d^2))``,
+Averages over the widths c and d, df apart, have the correlation ``sqrt(2 c d/q) exp(-2 pi df^2/q)``, ``q = c^2 + d^2``,
 which is 1 for c = d and df = 0. With ``B_r`` the Hermitian root of the covariance of row r, the only one that changes
 as slowly over frequency as the covariance does, and ``K_rs = B_r^-1 C_rs B_s^-1`` over that correlation, ``L_r = B_r
 (K^1/2)_r``.

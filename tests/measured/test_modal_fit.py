@@ -235,6 +235,66 @@ def test_errors_that_a_row_shares_widen_the_intervals():
     assert np.any(together.pole_std > 1.1 * apart.pole_std)
 
 
+FIVE = ("frequency", "response", "excitation", "other_response", "other_excitation")
+
+
+def with_rows_that_share(seed, whole, level=0.01):
+    """Compliance with errors of the covariance `whole` (9, 9) of all entries, in units of `level` of the largest."""
+    grid = np.arange(15.0, 110.0, 1.0)
+    clean = machine(grid)
+    s = level * np.abs(clean).max()
+    rng = np.random.default_rng(seed)
+    white = (rng.standard_normal((grid.size, 9)) + 1j * rng.standard_normal((grid.size, 9))) / np.sqrt(2.0)
+    value, vector = np.linalg.eigh(whole)
+    errors = s * (white * np.sqrt(np.maximum(value, 0.0))) @ vector.T
+    std = np.broadcast_to(s * np.sqrt(np.diag(whole)).reshape(3, 3), clean.shape)
+    told = np.broadcast_to((s**2 * whole).reshape(3, 3, 3, 3), (grid.size, 3, 3, 3, 3)).astype(complex)
+    extra = {
+        "compliance_std": (FIVE[:3], std),
+        "compliance_covariance": ((*FIVE[:3], FIVE[4]), np.einsum("frirj->frij", told)),
+        "entry_covariance": (FIVE, told),
+    }
+    return make_compliance(grid, clean + errors.reshape(clean.shape), AXES, AXES, extra)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_poles_scatter_as_errors_say_that_rows_share(sign):
+    """Rows with the same noise to 95 %, y with this sign: free poles and shapes of 60 seeds scatter as they say."""
+    whole = np.kron(0.05 * np.eye(3) + 0.95 * np.outer([1.0, sign, 1.0], [1.0, sign, 1.0]), np.eye(3))
+    start = [[f, z] for f, z, *_ in MACHINE]
+    found, claimed, apart, shaped, shaped_std = [], [], [], [], []
+    for seed in range(60):
+        data = with_rows_that_share(seed, whole)
+        fit, alone = (fit_poles(curves_of(matrix_of(d)), start) for d in (data, data.drop_vars("entry_covariance")))
+        found.append(fit.poles.ravel())
+        claimed.append(np.diag(fit.pole_covariance))
+        apart.append(np.diag(alone.pole_covariance))
+        shapes = fit_shapes(fit)
+        shaped.append(np.stack([*shapes.poles.T, shapes.stiffness]).ravel())
+        shaped_std.append(np.stack([shapes.std[n] for n in ("frequency", "damping", "stiffness")]).ravel())
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(claimed, axis=0))
+    without = np.std(found, axis=0) / np.sqrt(np.mean(apart, axis=0))
+    of_shapes = np.std(shaped, axis=0) / np.sqrt(np.mean(np.square(shaped_std), axis=0))
+    print(f"\nscatter over stated: {ratio.round(2)}, rows apart {without.round(2)}, shapes {of_shapes.round(2)}")
+    assert ratio == pytest.approx(np.ones(6), abs=0.3)
+    assert of_shapes == pytest.approx(np.ones(9), abs=0.3)
+
+
+def test_what_was_made_symmetric_is_known_no_better_for_being_averaged():
+    """Mirrored entries with one and the same error: their mean has it, too; and nothing is left to test."""
+    swap = np.eye(9).reshape(3, 3, 9).transpose(1, 0, 2).reshape(9, 9)
+    data = with_rows_that_share(3, 0.5 * (np.eye(9) + swap))
+    curves = curves_of(matrix_of(data))
+    s = data["compliance_std"].values[0]
+    for k, (r, e) in enumerate(curves.pairs):
+        assert curves.std[k] == pytest.approx(s[AXES.index(r), AXES.index(e)])
+    assert np.isnan(curves.reciprocity)
+    # Independent ones are known better by the root of two, and their difference is as large as their errors say.
+    curves = curves_of(matrix_of(with_rows_that_share(3, np.eye(9))))
+    assert curves.std[curves.pairs.index(("x", "y"))] == pytest.approx(curves.std[0] / np.sqrt(2.0))
+    assert curves.reciprocity == pytest.approx(1.0, abs=0.2)
+
+
 def test_lines_that_share_an_error_widen_the_intervals():
     one = measured(0.01, 1)
     start = [[f, z] for f, z, *_ in MACHINE]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from process.labels import make_record
+from process.labels import make_compliance, make_record
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.entry_covariance import entry_covariance
 from smfe.intervals import interval
-from smfe.reciprocity import reciprocity
+from smfe.reciprocity import reciprocity, symmetric
 from smfe.row_correlation import noise_between, possible, shared_noise
 
 RATE, N = 250.0, 6000
@@ -105,6 +105,24 @@ def test_reciprocity_is_not_doubted_because_of_common_noise_nor_believed_because
     assert reciprocity(found).chance < 1e-6
     blind = reciprocity(found.drop_vars("entry_covariance"))
     assert reciprocity(found).chance != blind.chance
+
+
+def test_a_constraint_says_what_entries_share_also_where_rows_shared_nothing() -> None:
+    """Standard deviations 1, 2 of xy, yx: both become the weighted mean of variance 4/5, with one error."""
+    std = np.ones((4, 3, 3))
+    std[:, 1, 0] = 2.0
+    value = np.arange(9.0).reshape(3, 3) + np.zeros((4, 1, 1)) + 0j
+    alone = make_compliance(
+        [1.0, 2.0, 3.0, 4.0], value, extra={"compliance_std": (("frequency", "response", "excitation"), std)}
+    )
+    tied = symmetric(alone)
+    assert tied["compliance"].values[:, 0, 1] == pytest.approx(0.8 * 1.0 + 0.2 * 3.0)
+    whole = entry_covariance(tied).reshape(4, 3, 3, 3, 3)
+    for r, e, other_r, other_e in ((0, 1, 0, 1), (0, 1, 1, 0), (1, 0, 1, 0)):
+        assert whole[:, r, e, other_r, other_e] == pytest.approx(0.8)
+    assert whole[:, 0, 2, 2, 0] == pytest.approx(0.5)
+    assert whole[:, 0, 0, 0, 1] == pytest.approx(0.0)
+    assert tied["entry_covariance"].attrs["units"] == "m^2/N^2"
 
 
 def test_the_coherence_of_rows_by_hand() -> None:
