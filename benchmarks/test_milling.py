@@ -56,22 +56,50 @@ def leave_surface(older, surface, start, end, arc):
             surface[node % nodes] = max(older[node % nodes], (1.0 - weight) * start[1] + weight * end[1])
 
 
+def cutting_force(cut, surfaces, angle, half, tip):
+    """Return the force on the tool: the sum over the teeth that are in the work; tip: with the advance, (x, y, z)."""
+    teeth, entry, leave, kappa, depth, _, cutting, edge, nodes = cut
+    spacing = 2.0 * math.pi / nodes
+    sin_k, cos_k = math.sin(kappa), math.cos(kappa)
+    fx = fy = fz = 0.0
+    for j in range(teeth):
+        turned = angle - 2.0 * math.pi * j / teeth
+        phi = turned % (2.0 * math.pi)
+        if phi > 1.5 * math.pi:
+            phi -= 2.0 * math.pi
+        share = (min(phi + half, leave) - max(phi - half, entry)) / (2.0 * half)
+        if share <= 0.0:
+            continue
+        s, c = math.sin(phi), math.cos(phi)
+        place = turned / spacing
+        node = math.floor(place)
+        weight = place - node
+        surface = surfaces[j - 1]
+        left = (1.0 - weight) * surface[node % nodes] + weight * surface[(node + 1) % nodes]
+        h = (tip[0] * s + tip[1] * c) * sin_k - tip[2] * cos_k - left
+        if h <= 0.0:
+            continue
+        ft, fr, fa = (share * depth / sin_k * (kc * h + ke) for kc, ke in zip(cutting, edge, strict=True))
+        fx += -c * ft - sin_k * s * fr - cos_k * s * fa
+        fy += s * ft - sin_k * c * fr - cos_k * c * fa
+        fz += cos_k * fr - sin_k * fa
+    return fx, fy, fz
+
+
 def mill(modes, cut, rotation, step, count):
     """Return force, displacement and acceleration of each step, each as (x, y, z).
 
     modes: (frequency, damping, mass, (x, y, z)) of each. cut: teeth, entry, leave, approach angle, depth, feed per
     tooth, (K_tc, K_rc, K_ac), (K_te, K_re, K_ae), nodes a turn.
     """
-    teeth, entry, leave, kappa, depth, feed, cutting, edge, nodes = cut
+    teeth, entry, leave, kappa, _, feed, _, _, nodes = cut
     laws = [discretised(f, zeta, m, step) for f, zeta, m, _ in modes]
     shapes = [shape for *_, shape in modes]
     omegas = [2.0 * math.pi * f for f, *_ in modes]
     state = [(0.0, 0.0) for _ in modes]
     modal = [0.0 for _ in modes]
     surfaces = [[0.0] * nodes for _ in range(teeth)]
-    spacing = 2.0 * math.pi / nodes
     sin_k, cos_k = math.sin(kappa), math.cos(kappa)
-    length = depth / sin_k
     half = 0.5 * rotation * step
     reached = [(0.0, 0.0)] * teeth
     force, displacement, acceleration = [], [], []
@@ -87,29 +115,7 @@ def mill(modes, cut, rotation, step, count):
             for (a, b0, b1), (q, v), f in zip(laws, state, modal, strict=True)
         ]
         x, y, z = (sum(shape[i] * q for shape, (q, _) in zip(shapes, predicted, strict=True)) for i in range(3))
-        # Sum the force of the teeth that are in the work.
-        fx = fy = fz = 0.0
-        for j in range(teeth):
-            turned = angle - 2.0 * math.pi * j / teeth
-            phi = turned % (2.0 * math.pi)
-            if phi > 1.5 * math.pi:
-                phi -= 2.0 * math.pi
-            share = (min(phi + half, leave) - max(phi - half, entry)) / (2.0 * half)
-            if share <= 0.0:
-                continue
-            s, c = math.sin(phi), math.cos(phi)
-            place = turned / spacing
-            node = math.floor(place)
-            weight = place - node
-            surface = surfaces[j - 1]
-            left = (1.0 - weight) * surface[node % nodes] + weight * surface[(node + 1) % nodes]
-            h = ((advance + x) * s + y * c) * sin_k - z * cos_k - left
-            if h <= 0.0:
-                continue
-            ft, fr, fa = (share * length * (kc * h + ke) for kc, ke in zip(cutting, edge, strict=True))
-            fx += -c * ft - sin_k * s * fr - cos_k * s * fa
-            fy += s * ft - sin_k * c * fr - cos_k * c * fa
-            fz += cos_k * fr - sin_k * fa
+        fx, fy, fz = cutting_force(cut, surfaces, angle, half, (advance + x, y, z))
         # Correct the motion with that force.
         new = [shape[0] * fx + shape[1] * fy + shape[2] * fz for shape in shapes]
         state = [

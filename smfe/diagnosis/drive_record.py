@@ -22,6 +22,15 @@ from process.errors import InputError
 from smfe.diagnosis import drive_noise as noise
 from smfe.diagnosis import drive_terms as terms
 from smfe.diagnosis.calibration import FALSE_ALARM
+from smfe.diagnosis.drive_causes import (
+    DELAY,
+    HIDDEN_COMMAND,
+    LONGEST_DELAY,
+    SENSOR_GAIN,
+    SERVO_GAINS,
+    excess,
+    saturation,
+)
 from smfe.diagnosis.drive_channels import Channels
 from smfe.diagnosis.drive_control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
 from smfe.diagnosis.drive_noise import Whitener
@@ -32,9 +41,6 @@ from smfe.diagnosis.problem import Cause, Condition, Parameter, Values
 
 _Kind = tuple[float | str, float | str]
 _ANY: _Kind = ("", "")
-
-LONGEST_DELAY = 5e-3
-"""Largest loop delay that is looked for [s]."""
 
 _FEWEST_MOVES = 4
 _WIDEST = 0.1
@@ -202,15 +208,15 @@ class DriveRecordFamily:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Everything that a rigid, viscous axis with a perfect loop leaves out."""
-        found = [t.cause for t in self.model.terms] + [_DELAY]
+        found = [t.cause for t in self.model.terms] + [DELAY]
         if self.model.limit is not None:
-            found.append(_saturation(self.model.peak, self.model.limit))
+            found.append(saturation(self.model.peak, self.model.limit))
         if self.model.mass_known:
-            found.append(_SENSOR_GAIN)
+            found.append(SENSOR_GAIN)
         if self.model.law is not None:
-            found.append(_SERVO_GAINS)
+            found.append(SERVO_GAINS)
             if self.pulses:
-                found.append(_HIDDEN_COMMAND)
+                found.append(HIDDEN_COMMAND)
         return tuple(c for c in found if c.key not in self.known)
 
     def with_terms(self, more: Sequence[Term]) -> DriveRecordFamily:
@@ -285,43 +291,6 @@ class DriveRecordFamily:
         if self.model.limit is None or cut == 0.0:
             return needed
         return needed + self.model.resampler(excess(data.drive, self.model.peak - cut))
-
-
-_DELAY = Cause(
-    "loop_delay",
-    "delay between command and force",
-    (Parameter("loop_delay.delay", "ms", 0.0, 1e-4, 0.0, LONGEST_DELAY, shown=1e3),),
-)
-
-
-def excess(drive: Real, limit: float) -> Real:
-    """Return what a drive force [N] has beyond a limit."""
-    return drive - np.clip(drive, -limit, limit)
-
-
-def _saturation(peak: float, limit: float) -> Cause:
-    """Return the cause that drive force beyond a limit never acts: what the limit is below the largest force [N]."""
-    cut = Parameter("saturation.cut", "N", 0.0, peak - limit, low=0.0, high=0.95 * peak)
-    return Cause("drive_saturation", "drive force that is cut off", (cut,), starts=((peak - limit,),))
-
-
-_SENSOR_GAIN = Cause(
-    "sensor_gain",
-    "gain of the force channel",
-    (Parameter("force_gain.error", "%", 0.0, 0.01, -0.5, 1.0, shown=100.0),),
-    kind="measurement",
-)
-_SERVO_GAINS = Cause(
-    "servo_gains",
-    "gains of the controller",
-    (
-        Parameter("servo_gains.position", "%", 0.0, 0.01, -0.9, 9.0, shown=100.0),
-        Parameter("servo_gains.velocity", "%", 0.0, 0.01, -0.9, 9.0, shown=100.0),
-    ),
-)
-_HIDDEN_COMMAND = Cause(
-    "hidden_input", "command that was not logged", (Parameter("hidden.command", "N", 0.0, 1.0),), "command"
-)
 
 
 @dataclass(frozen=True)
