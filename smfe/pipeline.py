@@ -50,6 +50,9 @@ from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, w
 from smfe.sweep_levels import level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table
 
+CONDITIONS = "conditions.nc"
+"""File of what was measured at several levels or feeds."""
+
 KEPT = ".kept"
 """Folder, inside the results, of what a second run reads back."""
 
@@ -138,7 +141,7 @@ def run(
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found)
     write_loops(folder / LOOP_FILE, loops, folder / "tables")
-    _write_cubes(folder / "conditions.nc", cubes)
+    _write_cubes(folder / CONDITIONS, cubes)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)
     write_csv(folder / "model_error.csv", errors)
@@ -178,14 +181,22 @@ def identify(
     A sweep at several depths of cut is identified at each of them, too. As after `run`, `conditions.nc` beside the file
     holds what was measured at several levels or feeds, and ``loops.nc`` the responses of drive loops, which are no
     compliances; where the campaign has none, such a file of an earlier run is taken away.
+
+    Raises
+    ------
+    InputError
+        When the campaign file or a record is wrong, or the output has the name of one of the files beside it.
     """
-    loaded, path = load_campaign(Path(campaign), licence), Path(output)
+    path = Path(output)
+    if path.name in (CONDITIONS, LOOP_FILE):
+        raise InputError(f"{path.name} is what another file beside the compliances is called; write to frf.nc")
+    loaded = load_campaign(Path(campaign), licence)
     found, levels = _identify_all(loaded, path.parent / KEPT, progress)
     loops, compliances = loops_of(loaded), _compliances(with_levels(loaded), found)
     cubes, _ = _conditions_of(loaded, compliances, levels, path.parent / KEPT)
     write_groups(path, _groups(compliances, found))
     write_loops(path.with_name(LOOP_FILE), loops)
-    _write_cubes(path.with_name("conditions.nc"), cubes)
+    _write_cubes(path.with_name(CONDITIONS), cubes)
     return found
 
 

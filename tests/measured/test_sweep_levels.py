@@ -337,6 +337,13 @@ def test_levels_of_an_earlier_run_do_not_stay(folder: Path, tmp_path: Path) -> N
     assert not (tmp_path / "loops.nc").exists()
 
 
+@pytest.mark.parametrize("name", ["conditions.nc", "loops.nc"])
+def test_compliances_are_not_written_where_other_results_stand(folder: Path, tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=rf"{name} is what another file .* write to frf.nc"):
+        identify(campaign(folder, {"2 mm": list(CUTS)}), tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
 def test_sweeps_are_stacked_at_the_depth_of_their_records(folder: Path, tmp_path: Path) -> None:
     """The measurement says 2 mm, and all its records 1 mm."""
     path = campaign(folder, {"1 mm": list(CUTS)}, 'depth_of_cut = "2 mm"\n')
