@@ -259,7 +259,7 @@ def at_rest(record: xr.Dataset) -> bool:
     """
     force, motion = end_pieces(record, "force"), end_pieces(record, motion_axes(record)[0])
     loud = np.quantile(force, 0.75, axis=1)
-    told = force[int(np.argmax(loud / np.maximum(force.min(axis=1), 1e-9 * loud.max())))]
+    told = force[int(np.argmax(loud / np.maximum(force.min(axis=1), max(1e-9 * loud.max(), 1e-300))))]
     air = told <= 0.3 * told.max()
     if not (air[0] and air[-1]) or air.all():
         return False

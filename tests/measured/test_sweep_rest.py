@@ -62,3 +62,9 @@ def test_units_and_gains_of_channels_change_nothing() -> None:
         scaled["force"].values *= np.array([[1e-3], [1.0], [50.0]])
         scaled["acceleration"].values *= np.array([[9.81], [1e-3], [1.0]])
         assert at_rest(scaled) == at_rest(record)
+
+
+def test_a_record_without_any_force_is_no_cut_and_no_division_by_zero() -> None:
+    record = sweep()
+    record["force"].values[:] = 0.0
+    assert not at_rest(record)
