@@ -52,3 +52,16 @@ def entry_covariance(compliance: xr.Dataset) -> Complex:
         else:
             out[:, row, :, row] = std[:, row, :, None] ** 2 * np.eye(e)
     return out.reshape(f, r * e, r * e)
+
+
+def scaled_inverse(covariance: Complex) -> Complex:
+    """Return the pseudo-inverse of covariances (..., n, n) whose entries may differ by orders of magnitude.
+
+    In units of the standard deviations: what is no more than 1e-10 of a variance then is counted as no error of its
+    own, as that of an entry which is the same as another.
+    """
+    own = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1).real, 0.0))
+    largest = own.max(axis=-1, keepdims=True)
+    size = np.where(own > 1e-15 * largest, own, np.where(largest > 0.0, 1e-15 * largest, 1.0))
+    sizes = size[..., :, None] * size[..., None, :]
+    return np.asarray(np.linalg.pinv(covariance / sizes, rcond=1e-10, hermitian=True) / sizes)

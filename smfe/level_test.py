@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from process.errors import InputError
-from smfe.entry_covariance import entry_covariance, with_entries
+from smfe.entry_covariance import entry_covariance, scaled_inverse, with_entries
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -107,10 +107,7 @@ def _row_weights(covariance: Complex, rows: int) -> Complex:
     """Return the inverse of the blocks of the rows, shape (f, r e, r e); zero between rows."""
     out = np.zeros_like(covariance)
     for part in np.split(np.arange(covariance.shape[1]), rows):
-        block = covariance[:, part[:, None], part]
-        scale = np.sqrt(np.maximum(np.diagonal(block, axis1=1, axis2=2).real, 1e-300))
-        sizes = scale[:, :, None] * scale[:, None, :]
-        out[:, part[:, None], part] = np.linalg.pinv(block / sizes, rcond=1e-10, hermitian=True) / sizes
+        out[:, part[:, None], part] = scaled_inverse(covariance[:, part[:, None], part])
     return out
 
 

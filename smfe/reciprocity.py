@@ -19,7 +19,7 @@ from scipy import stats
 
 from process.errors import InputError
 from process.labels import UNITS
-from smfe.entry_covariance import entry_covariance, with_entries
+from smfe.entry_covariance import entry_covariance, scaled_inverse, with_entries
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -99,10 +99,8 @@ def symmetric(compliance: xr.Dataset) -> xr.Dataset:
     for k, (i, j) in enumerate(zip(*np.tril_indices(n), strict=True)):
         expand[i * n + j, k] = expand[j * n + i, k] = 1.0
     scale = np.sqrt(np.trace(covariance, axis1=1, axis2=2).real / (n * n))[:, None, None]
-    own = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).real, 1e-30 * scale[:, 0] ** 2)) / scale[:, 0]
-    sizes = own[:, :, None] * own[:, None, :]
     # Entries that are the same already have a singular covariance.
-    weight = np.linalg.pinv(covariance / scale**2 / sizes, rcond=1e-10, hermitian=True) / sizes
+    weight = scaled_inverse(covariance / scale**2)
     inner = np.linalg.pinv(np.einsum("ak,fab,bl->fkl", expand, weight, expand), hermitian=True)
     theta = np.einsum("fkl,al,fab,fb->fk", inner, expand, weight, value.reshape(frequency.size, n * n))
     new = (theta @ expand.T).reshape(value.shape)
