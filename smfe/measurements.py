@@ -41,6 +41,9 @@ from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
+FORM = 2
+"""Raised where an estimator, or what it writes, changes within a version: what was kept is then not read back."""
+
 
 @cache
 def _hash(path: Path, size: int, modified: int) -> str:
@@ -405,7 +408,7 @@ def cached_identification(
 
 def _key(campaign: Campaign, measurement: Measurement) -> str:
     # Which depth of cut a measurement has follows from its records, and not everybody asks for it.
-    settings = repr((__version__, campaign.tool, replace(measurement, depth_of_cut=None)))
+    settings = repr((__version__, FORM, campaign.tool, replace(measurement, depth_of_cut=None)))
     files = [f for entry in measurement.records for f in entry.all_files] + list(measurement.background)
     hashes = [file_hash(f) for f in files]
     return hashlib.sha256("\n".join([settings, *hashes]).encode()).hexdigest()[:16]

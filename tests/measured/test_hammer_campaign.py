@@ -203,6 +203,11 @@ def test_levels_are_identified_once_and_read_back_the_same(tmp_path: Path, monke
     for name, dataset in plain.items():
         xr.testing.assert_identical(dataset, first[name])
         xr.testing.assert_identical(dataset, second[name])
+    # A program that identifies otherwise does not read back what an older one has kept.
+    with monkeypatch.context() as changed:
+        changed.setattr("smfe.measurements.FORM", -1)
+        with pytest.raises(AssertionError, match="identified again"):
+            split_levels(loaded, tmp_path / "kept")
     # Other records are other results.
     hits(tmp_path, "h400.nc", level=300.0)
     with pytest.raises(AssertionError, match="identified again"):
