@@ -130,7 +130,7 @@ def run(
     with notes.timed("lobes"):
         results = all_lobes(whole, compliances, progress)
     with notes.timed("cutting tests"):
-        verdicts = judge_all(loaded, compliances, progress)
+        verdicts = judge_all(whole, compliances, progress)
     with notes.timed("diagnosis"):
         finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found | loops]

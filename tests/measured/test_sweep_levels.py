@@ -25,7 +25,7 @@ from smfe.diagnosis.verbs import diagnose
 from smfe.intervals import interval
 from smfe.level_test import difference_of
 from smfe.measurements import cached_identification
-from smfe.pipeline import compare, identify, lobes, modal
+from smfe.pipeline import compare, identify, lobes, modal, run
 from smfe.plan_task import load_task
 from smfe.records import write_record_netcdf
 from smfe.store import read_groups
@@ -259,9 +259,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return where
 
 
-def test_a_campaign_with_two_depths_gives_levels_by_default_and_tables_name_them(folder: Path, tmp_path: Path) -> None:
-    depths = {"1 mm": list(CUTS), "2 mm": list(CUTS)}
-    lobe = """
+LOBE = """
 [[lobes]]
 measurements = ["sweep, 2 mm"]
 method = "zero_order"
@@ -270,7 +268,11 @@ width_of_cut = "60 mm"
 feed_per_tooth = "0.1 mm"
 spindle_speed = ["800 rpm", "1200 rpm"]
 """
-    path = campaign(folder, depths, lobe)
+
+
+def test_a_campaign_with_two_depths_gives_levels_by_default_and_tables_name_them(folder: Path, tmp_path: Path) -> None:
+    depths = {"1 mm": list(CUTS), "2 mm": list(CUTS)}
+    path = campaign(folder, depths, LOBE)
     identify(path, tmp_path / "frf.nc")
     groups = read_groups(tmp_path / "frf.nc")
     assert set(groups) == {"sweep", "sweep, 1 mm", "sweep, 2 mm"}
@@ -326,6 +328,20 @@ def test_every_verb_knows_the_levels(folder: Path, tmp_path: Path) -> None:
     # A machine that stiffens has no modes; that the level was asked for them is what counts.
     with pytest.raises(InputError, match="'sweep, 2 mm' does not give the modes of a simulation"):
         diagnose(path, tmp_path / "finding.json")
+
+
+@pytest.mark.slow
+def test_an_operating_point_over_the_depths_predicts_a_cutting_test(folder: Path, tmp_path: Path) -> None:
+    lobe = LOBE.replace('["sweep, 2 mm"]', '["sweep, 1 mm", "sweep, 2 mm"]').replace("zero_order", "operating_point")
+    t = np.arange(round(10.0 * RATE)) / RATE
+    tooth = np.cos(2.0 * np.pi * 800.0 / 30.0 * t) + 1e-3 * np.random.default_rng(1).standard_normal(t.size)
+    cut = make_record(t, {"acceleration": dict.fromkeys("xyz", tooth)})
+    cut["spindle_speed"] = ("time", np.full(t.size, 800.0), {"units": "rpm"})
+    write_record_netcdf(cut, folder / "cut.nc")
+    test = TEST.replace("down_1 mm.nc", "cut.nc")
+    run(campaign(folder, {"1 mm": list(CUTS), "2 mm": list(CUTS)}, lobe + test), tmp_path)
+    table = pd.read_csv(tmp_path / "chatter.csv")
+    assert table["predicted_sweep, 1 mm + sweep, 2 mm"].isin(["stable", "chatter"]).all()
 
 
 def test_levels_of_an_earlier_run_do_not_stay(folder: Path, tmp_path: Path) -> None:
