@@ -2,7 +2,8 @@
 
 Every force is a function of the motion alone and is zero at the null values of its parameters, and every admissible
 friction opposes the motion (it is passive). Causes that can act together have ids of their own; the Stribeck boost and
-its opposite are variants of one. ``s(v) = tanh(v/v0)`` stands for the sign of the velocity.
+its opposite are variants of one. ``s`` stands for the direction of sliding, which the bristles of the guideway follow
+within micrometres (`direction`): all friction goes through the same bristles.
 """
 
 from __future__ import annotations
@@ -17,8 +18,6 @@ import numpy as np
 from smfe.diagnosis.drive_signals import Motion, Real
 from smfe.diagnosis.problem import Cause, Parameter, Values
 
-_REST = 2e-4
-"""v0 where Coulomb friction is not fitted [m/s]."""
 _SPEEDS = ((0.0, 0.005), (0.0, 0.02), (0.0, 0.05))
 """No force, and speeds [m/s] over which it may change."""
 
@@ -39,9 +38,11 @@ class Term:
     force: Callable[[Motion, Values], Real]
 
 
-def direction(velocity: Real) -> Real:
-    """Return the smooth sign s(v) [1]."""
-    return np.tanh(velocity / _REST)
+def direction(m: Motion, p: Values) -> Real:
+    """Return the direction of sliding [1]: that of the bristles, ``z + tau dz/dt`` (`presliding`, `coulomb`)."""
+    z = presliding(m.place, m.rate, p["coulomb.slide"], m.step)
+    damped = p["coulomb.damping"]
+    return np.asarray(z + damped * np.gradient(z, m.time) if damped else z)
 
 
 def presliding(position: Real, velocity: Real, slide: float, step: float = 0.0) -> Real:
@@ -77,9 +78,7 @@ def coulomb() -> Term:
     damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3)
 
     def at(m: Motion, p: Values) -> Real:
-        z = presliding(m.place, m.rate, p["coulomb.slide"], m.step)
-        damped = p["coulomb.damping"]
-        return np.asarray(p["coulomb.force"] * (z + damped * np.gradient(z, m.time) if damped else z))
+        return np.asarray(p["coulomb.force"] * direction(m, p))
 
     start = (0.0, 2e-6, 0.0)
     return Term(Cause("guideway_friction", "Coulomb friction", (force, slide, damping), "coulomb", starts=(start,)), at)
@@ -91,8 +90,8 @@ def stribeck() -> Term:
     speed = Parameter("stribeck.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3)
 
     def force(m: Motion, p: Values) -> Real:
-        fall = np.exp(-np.abs(m.velocity) / p["stribeck.speed"])
-        return np.asarray(p["stribeck.boost"] * fall * direction(m.velocity))
+        fall = np.exp(-np.abs(m.rate) / p["stribeck.speed"])
+        return np.asarray(p["stribeck.boost"] * fall * direction(m, p))
 
     title = "Stribeck friction: higher near rest"
     return Term(Cause("low_speed_friction", title, (boost, speed), "stribeck", starts=_SPEEDS), force)
@@ -107,8 +106,8 @@ def shear() -> Term:
     speed = Parameter("shear.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3)
 
     def force(m: Motion, p: Values) -> Real:
-        build = -np.expm1(-np.abs(m.velocity) / p["shear.speed"])
-        return np.asarray(p["shear.force"] * build * direction(m.velocity))
+        build = -np.expm1(-np.abs(m.rate) / p["shear.speed"])
+        return np.asarray(p["shear.force"] * build * direction(m, p))
 
     title = "lubricant friction: lower near rest"
     return Term(Cause("low_speed_friction", title, (amount, speed), "shear", starts=_SPEEDS), force)
@@ -130,7 +129,7 @@ def position_slope(centre: float) -> Term:
     friction = Parameter("position.friction", "N/m", 0.0, 1.0)
 
     def force(m: Motion, p: Values) -> Real:
-        slope = p["position.offset"] + p["position.friction"] * direction(m.velocity)
+        slope = p["position.offset"] + p["position.friction"] * direction(m, p)
         return np.asarray(slope * (m.position - centre))
 
     cause = Cause("position_friction", "force that changes along the stroke", (both, friction))
@@ -145,7 +144,7 @@ def position_bend(centre: float, stroke: float) -> Term:
     def force(m: Motion, p: Values) -> Real:
         x = 2.0 * (m.position - centre) / stroke
         a, b, c, d = (p[q.name] for q in numbers)
-        return np.asarray(a * x + b * x * x + direction(m.velocity) * (c * x + d * x * x))
+        return np.asarray(a * x + b * x * x + direction(m, p) * (c * x + d * x * x))
 
     title = "force that changes and bends along the stroke"
     return Term(Cause("position_friction", title, numbers, "bent"), force)
