@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from smfe.diagnosis.agreement import agrees
 from smfe.diagnosis.calibration import DRAWS, FALSE_ALARM, PENALTY, parameters_of
 from smfe.diagnosis.cross_validation import BAND, Gain
 from smfe.diagnosis.evidence import Bench, Step, fitted_misfit, on_bound, rivals
@@ -56,10 +57,6 @@ class Judgement:
     misfit: Misfit | None = None
     carriers: tuple[int, ...] = ()
     gain: Gain | None = None
-
-
-AGREED = 0.99
-"""Joint region within which sources agree: one of 95 % would take the name from one right cause in twenty."""
 
 
 def judge(
@@ -128,35 +125,6 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
     if not any(p.admissible for p in power):
         return Judgement("insufficient_data", "no cause of the catalogue would be seen in these conditions", {}, left)
     return Judgement("consistent", "the baseline leaves nothing but noise", {}, left)
-
-
-def agrees(bench: Bench, at: Fit, k: int) -> bool:
-    """Whether a cause has the same parameters in all sources, within their joint 99 % region.
-
-    One step of each source by itself from the joint optimum, its own nuisances free, gives its estimate and
-    information; the weighted squares of the differences have a chi-square law.
-    """
-    model, target = bench.model, bench.target
-    sources = sorted({model.conditions[r].source for r in target.observed} - {""})
-    own = np.isin(at.free, model.of_cause[k])
-    informations, vectors = [], []
-    for source in sources:
-        rows = [r for r in target.observed if model.conditions[r].source == source]
-        slope, residual = stacked(model, target.only(rows), at.free, at.u, at.residual, at.slope)
-        basis = orthonormal(slope[:, ~own])
-        mine = slope[:, own] - basis @ (basis.T @ slope[:, own])
-        mine[:, np.linalg.norm(mine, axis=0) < 1e-4 * np.linalg.norm(slope[:, own], axis=0)] = 0.0
-        informations.append(mine.T @ mine)
-        vectors.append(-(mine.T @ residual))
-    if len(sources) < 2:
-        return True
-    pooled = np.linalg.pinv(np.sum(informations, axis=0), rcond=1e-8, hermitian=True) @ np.sum(vectors, axis=0)
-    square, freedom = 0.0, -int(np.linalg.matrix_rank(np.sum(informations, axis=0), rtol=1e-8, hermitian=True))
-    for information, vector in zip(informations, vectors, strict=True):
-        away = vector - information @ pooled
-        square += float(away @ np.linalg.pinv(information, rcond=1e-8, hermitian=True) @ away)
-        freedom += int(np.linalg.matrix_rank(information, rtol=1e-8, hermitian=True))
-    return freedom < 1 or square <= float(stats.chi2.ppf(AGREED, freedom))
 
 
 def _open(bench: Bench, at: Fit, k: int, left: Misfit) -> list[Fit]:
