@@ -52,6 +52,9 @@ _CUT_OFF = 0.5
 _CERTAIN = 1e-8
 """Chance of a wave that is judged with a whitener that was learned without it: noise was given away to it."""
 
+_CLOCK = 0.004
+"""Standard deviation of the known delay, in samples."""
+
 _LOWEST_TONE = 3.0
 """Lowest frequency of a tone that is looked for [Hz]; the moves are slower."""
 
@@ -202,7 +205,7 @@ class DriveRecordFamily:
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Mass, viscous friction and offset."""
+        """Mass, viscous friction, offset and what the known delay is off by."""
         return self.model.nuisances
 
     @property
@@ -286,7 +289,8 @@ class DriveRecordFamily:
                 total = total + term.force(m, values)
         if self.model.mass_known:
             total = total * (1.0 + values["force_gain.error"])
-        needed = self.model.resampler(total, self.model.delay + values["loop_delay.delay"])
+        delay = self.model.delay + values["timing"] + values["loop_delay.delay"]
+        needed = self.model.resampler(total, delay)
         cut = values.get("saturation.cut", 0.0)
         if self.model.limit is None or cut == 0.0:
             return needed
@@ -372,7 +376,7 @@ def _learn(
     law = None
     if gains is not None and raw.reference is not None:
         law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
-    nuisances = _nuisances(full, mass)
+    nuisances = (*_nuisances(full, mass), _timing(raw.step))
     place = plain.seen(plain.motion.position)
     centre, stroke = float(np.mean(place)), float(np.ptp(place))
     catalogue = [
@@ -499,6 +503,15 @@ def _nuisances(balance: _Balance, mass: tuple[float, float] | None) -> tuple[Par
         Parameter("viscous", "N s/m", viscous, max(0.01 * viscous, 1e-3 * heavy), low=0.0),
         Parameter("offset", "N", float(found[2]), 0.01 * float(np.sqrt(np.mean(np.square(force))))),
     )
+
+
+def _timing(step: float) -> Parameter:
+    """Return what the known delay is off by, a few thousandths of a sample.
+
+    No record would tell: the controller answers the disturbances that the balance takes for noise, which shifts the
+    delay by as much (bias of the direct method in closed loop; Forssell and Ljung, Automatica 35, 1999).
+    """
+    return Parameter("timing", "ms", 0.0, _CLOCK * step, prior=_CLOCK * step, shown=1e3)
 
 
 def _spans(moving: Motion, filter_: Resampler) -> list[tuple[int, int]]:

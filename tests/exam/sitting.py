@@ -32,6 +32,9 @@ from smfe.diagnosis.engine import diagnose
 SEEDS = {"null": 510_000, "effect": 420_000, "unknown": 430_000, "noisy": 440_000, "two": 450_000, "ladder": 460_000}
 """First seed of each part; the diagnosis was not tuned on any of them."""
 
+AGAIN = 100_000
+"""What is added to them for each sitting before, after which the diagnosis was changed."""
+
 NULLS, EACH = 300, 40
 """A full exam: how often nothing is hidden, and seeds of each effect."""
 
@@ -282,14 +285,16 @@ def page(answers):
     for key, subject in SUBJECTS.items():
         mine = [a for a in answers if a.case.subject == key]
         if mine:
-            lines += _section(subject.title, mine)
+            lines += _section(subject, mine)
     return "\n".join(lines) + "\n"
 
 
-def _section(title, answers):
+def _section(subject, answers):
     nulls = sum(a.case.part == "null" for a in answers)
     seeds = max(Counter(a.case.hidden for a in answers if a.case.part == "effect").values(), default=0)
-    lines = [f"## {title}", ""]
+    lines = [f"## {subject.title}", ""]
+    if subject.sitting:
+        lines += [f"All seeds are {subject.sitting * AGAIN} higher: what was missed with the first led to changes.", ""]
     if nulls < NULLS or seeds < EACH:
         lines += [f"Sat so far: {nulls} of {NULLS} nulls, {seeds} of {EACH} seeds of an effect.", ""]
     lines += ["| item | target | measured | met |", "| --- | --- | --- | --- |"]
@@ -318,20 +323,21 @@ def _word(score):
 def cases(name, nulls, seeds, rungs=0):
     """Every case of a subject; all parts mixed, so that an exam that is cut short has some of each."""
     subject = SUBJECTS[name]
+    seeds_of = {part: first + subject.sitting * AGAIN for part, first in SEEDS.items()}
     levels = (40.0, 30.0, 20.0) if subject.noisy else (LOUD,) * 3
-    found = [(i / max(nulls, 1), Case(name, (), "null", SEEDS["null"] + i, levels[i % 3])) for i in range(nulls)]
+    found = [(i / max(nulls, 1), Case(name, (), "null", seeds_of["null"] + i, levels[i % 3])) for i in range(nulls)]
     fewer = -(-seeds // 4)
     parts = [("effect", seeds, LOUD, 1.0), ("unknown", fewer, LOUD, 1.0)]
     parts += [("noisy", fewer, NOISY, 1.0)] if subject.noisy else []
     parts += [("ladder", rungs, LOUD, size) for size in SIZES] if subject.sized else []
     for k, effect in enumerate(subject.effects):
         for part, count, snr, size in parts:
-            first = SEEDS[part] + 100 * k
+            first = seeds_of[part] + 100 * k
             found += [(i / count, Case(name, (effect,), part, first + i, snr, size)) for i in range(count)]
-    rng = np.random.default_rng(SEEDS["two"])
+    rng = np.random.default_rng(seeds_of["two"])
     for i in range(seeds if subject.pairs else 0):
         pair = subject.pairs[rng.integers(len(subject.pairs))]
-        found.append((i / seeds, Case(name, pair, "two", SEEDS["two"] + i, LOUD)))
+        found.append((i / seeds, Case(name, pair, "two", seeds_of["two"] + i, LOUD)))
     return [case for _, case in sorted(found, key=lambda x: x[0])]
 
 

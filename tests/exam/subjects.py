@@ -53,6 +53,8 @@ class Subject:
         Effects of which no two can be hidden together; a set of one: it is never hidden with another.
     several : bool, optional
         Whether it can hide two at once.
+    sitting : int, optional
+        How many times it was sat before with other seeds, after which the diagnosis was changed.
     """
 
     title: str
@@ -62,6 +64,7 @@ class Subject:
     sized: bool = True
     several: bool = True
     apart: tuple[frozenset[str], ...] = ()
+    sitting: int = 0
 
     def causes(self, effects):
         """Cause ids that must be named."""
@@ -124,7 +127,7 @@ RUBBING = tuple(frozenset({"friction", other}) for other in drive.SLIDING)
 
 SUBJECTS = {
     "axis": Subject("Compliances of a feed axis", AXIS, _axis, apart=(frozenset(AXIS_DESIGN),)),
-    "drive": Subject("Records of a moving axis", drive.EXPECTED, _drive, noisy=False, apart=RUBBING),
+    "drive": Subject("Records of a moving axis", drive.EXPECTED, _drive, noisy=False, apart=RUBBING, sitting=1),
     "modal": Subject("Compliances against a modal model", modal.NAMES, _modal),
     "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _limits, False, False, False),
 }
