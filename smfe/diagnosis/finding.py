@@ -302,7 +302,7 @@ def _remainder(finding: Finding) -> list[str]:
     if left is None or not (left.beyond_noise and left.carriers):
         return []
     share = "" if left.share is None else f", {100.0 * left.share:.2g} % of the repeatable error of the baseline"
-    found = [f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {', '.join(left.carriers)}."]
+    found = [f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {'; '.join(left.carriers)}."]
     if finding.causes:
         found.append("The intervals include its scatter; a cause that is not in the catalogue may still shift them.")
     return found

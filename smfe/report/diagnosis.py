@@ -22,7 +22,7 @@ _WORDS = {
 
 
 MOST = 30
-"""Conditions that are shown, at most: those that the baseline misses most."""
+"""Conditions that are shown, at most: those of which the extended model leaves most."""
 
 _GREY, _BLUE = "#999999", "#0072B2"
 
@@ -126,8 +126,8 @@ def _shown(finding: Mapping[str, Any]) -> tuple[list[Mapping[str, Any]], str]:
     every = [c for c in finding.get("conditions", []) if c["before_db"] is not None and c["after_db"] is not None]
     if not finding.get("causes"):
         return [], ""
-    worst = sorted(every, key=lambda c: -c["before_db"])[:MOST]
-    few = f" (the {len(worst)} worst of {len(every)})" if len(every) > len(worst) else ""
+    worst = sorted(every, key=lambda c: (-c["after_db"], -c["before_db"]))[:MOST]
+    few = f" (the {len(worst)} of {len(every)} with most left)" if len(every) > len(worst) else ""
     return [c for c in every if c in worst], f"misfit of each condition over noise [dB]{few}"
 
 
