@@ -16,7 +16,7 @@ from smfe.diagnosis.verdict import Verdict
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter of a cause with its 95 % interval, in the unit shown."""
+    """A parameter of a cause with its 95 % interval, in the unit shown; infinite where no interval can be given."""
 
     name: str
     value: float
@@ -255,14 +255,16 @@ def _misfit(finding: Finding) -> list[str]:
 
 
 def _cause(cause: FoundCause) -> str:
-    values = "; ".join(
-        f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({e.low:.4g} to {e.high:.4g})" for e in cause.parameters
-    )
+    values = "; ".join(f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({_interval(e)})" for e in cause.parameters)
     proof = f"likelihood ratio {cause.ratio:.0f}"
     if cause.gain_db is None:
         return f"Not proven on conditions it was not fitted to: {cause.title}: {values} ({proof})."
     gain = f"worth {cause.gain_db:.1f} dB there"
     return f"Accepted on conditions it was not fitted to: {cause.title}: {values}; {gain} ({proof})."
+
+
+def _interval(e: Estimate) -> str:
+    return f"{e.low:.4g} to {e.high:.4g}" if math.isfinite(e.high - e.low) else "not told from others by these data"
 
 
 def unit_of(unit: str) -> str:

@@ -63,7 +63,7 @@ def _causes(finding: Mapping[str, Any]) -> Table | None:
                 cause["title"] if i == 0 else "",
                 p["name"],
                 _n(p["value"]),
-                f"{_n(p['low'])} to {_n(p['high'])}",
+                "not told from others" if None in (p["low"], p["high"]) else f"{_n(p['low'])} to {_n(p['high'])}",
                 _unit(p),
             )
         )
