@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smfe.diagnosis.finding import Finding, ForceError, Remainder, StableDepth, explain
+from smfe.diagnosis.finding import Finding, ForceError, Own, Remainder, StableDepth, explain
 from smfe.report import write_report
 from smfe.report.diagnosis import MOST, draw, pictured, section
 
@@ -55,6 +55,26 @@ def test_of_many_conditions_those_with_most_left_are_shown_in_their_order() -> N
     layout = shown(content)[1]["plot-conditions"]["layout"]
     assert layout["yaxis"]["categoryarray"] == [f"cut {k}" for k in range(10, MOST + 10)]
     assert f"the {MOST} of {MOST + 10} with most left" in layout["xaxis"]["title"]["text"]
+
+
+def test_where_something_is_wrong_but_has_no_name_the_conditions_are_shown_with_the_baseline_alone() -> None:
+    content = finding(verdict="unknown", causes=[], ladder=[])
+    plots = shown(content)[1]
+    assert set(plots) == {"plot-conditions"}
+    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {"baseline", "baseline, set aside"}
+    assert pictured(content)
+    assert len(draw(content).axes) == 1
+
+
+def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_moved() -> None:
+    """Fitted along it hides in every verdict, "consistent" included."""
+    own = (Own("damping_1", 3.0, 4.99, 0.9, "%"), Own("frequency_1", 62.0, 62.1, 1.2, "Hz"))
+    found = Finding("consistent", "it is", baseline=own)
+    text = explain(found)
+    assert "damping_1 4.99 % in place of 3." in text
+    assert "frequency_1" not in text
+    (table,) = shown(found.as_dict())[0]["tables"]
+    assert [row.cells[:3] for row in table.rows] == [("damping_1", "3", "4.99"), ("frequency_1", "62", "62.1")]
 
 
 def test_a_finding_alone_says_nothing_of_what_the_campaign_may_hold_besides(tmp_path: Path) -> None:
