@@ -280,7 +280,7 @@ def _draw_conditions(axes: Axes, finding: Mapping[str, Any]) -> None:
                 label=f"{word}, set aside" if held_out else word,
             )
     axes.set_yticks(range(len(rows)), [literal(str(c["name"])) for c in rows], fontsize="small")
-    axes.invert_yaxis()
+    axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.grid(axis="y", color="0.93")
     axes.set_axisbelow(True)

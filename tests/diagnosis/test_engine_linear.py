@@ -460,6 +460,14 @@ def test_an_offset_that_creeps_is_unknown_though_no_condition_shows_it():
     assert finding.reason.startswith("offset changes with order")
 
 
+def test_what_creeps_beyond_all_noise_is_still_said_to_creep():
+    """Ten times as much shows in the misfit alone, which says that something is wrong, but not what."""
+    finding = diagnose(measured(CREEPING, {"creep": 0.4}, 3))
+    assert finding.verdict == "unknown"
+    assert finding.remainder.beyond_noise
+    assert finding.reason.endswith("what differs most between the conditions is offset, with order")
+
+
 def test_the_catalogue_goes_first():
     assert diagnose(measured(CREEPING, {"gain.0": 0.8}, 3)).verdict == "named"
 
