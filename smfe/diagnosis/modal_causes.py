@@ -190,4 +190,4 @@ def _gain(axis: str, title: str) -> Cause:
 
 def _switch(title: str, name: str) -> Cause:
     """Return a cause that is there or not: above one half it is; nothing lies between."""
-    return _measured("sensor_axis", title, (Parameter(name, "1", 0.0, 1.0, 0.0, 1.5),), name)
+    return _measured("sensor_axis", title, (Parameter(name, "0/1", 0.0, 1.0, 0.0, 1.5),), name)
