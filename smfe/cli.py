@@ -240,7 +240,9 @@ def diagnose(
     with bar(console) as progress:
         finding = verbs.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show)
     out.print(explain(finding), markup=False, highlight=False, soft_wrap=True)
-    out.print(f"written: {output}", highlight=False)
+    # `smfe report` looks for this name.
+    then = f"; next: smfe report {output.parent}" if output.name == "finding.json" else ""
+    out.print(f"written: {output}{then}", highlight=False, soft_wrap=True)
 
 
 @app.command()

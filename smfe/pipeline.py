@@ -46,7 +46,7 @@ from smfe.loops import loops_of, write_loops
 from smfe.measurements import cached_identification, check_sweeps, file_hash, split_levels
 from smfe.modal_verb import modal as modal
 from smfe.records import Channel, read_records
-from smfe.store import pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
+from smfe.store import check_target, pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
 from smfe.sweep_levels import level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table
 
@@ -114,6 +114,7 @@ def run(
         When the campaign file or a record is wrong; no result is then written or touched.
     """
     loaded, folder, notes = load_campaign(Path(campaign), licence), Path(out), Notes()
+    check_target(folder / "report.html")
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     with notes.timed("identify"):

@@ -15,8 +15,24 @@ from process.errors import InputError
 from smfe.records import hdf5_watch
 
 
+def check_target(path: Path) -> None:
+    """Refuse a file of results that cannot be written where it is asked for; long work asks before it begins.
+
+    Raises
+    ------
+    InputError
+        When a folder has its name, or a file the name of one of its folders.
+    """
+    if path.is_dir():
+        raise InputError(f"'{path}' is a folder; name the file to write, '{path}/NAME'")
+    for folder in path.parents:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"'{folder}' is a file, so that '{path}' cannot be written; name another folder")
+
+
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     """Call ``write(temporary path)`` and move the result to `path`; leave nothing behind when it fails."""
+    check_target(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.part")
     try:

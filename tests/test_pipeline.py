@@ -509,3 +509,27 @@ def test_dependent_sweeps_are_refused_before_any_record_is_read(
     assert "add up to the slot" in said
     assert "identifying" not in said
     assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("command", [("run", "--out"), ("diagnose", "-o")])
+def test_a_target_that_cannot_be_written_is_refused_before_the_work(
+    command: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file where a folder is needed, a folder where a file is: said at once, with what to do, and left as it was."""
+    records = "records = [{ file = 'moved.csv' }]\n"
+    (tmp_path / "moved.csv").write_text("t,x,f\n" + "".join(f"{0.001 * k},0,0\n" for k in range(50)))
+    (tmp_path / "campaign.toml").write_text(
+        "[campaign]\nname = 'axis'\n[channels]\ntime = { column = 't', unit = 's' }\n"
+        "encoder_position_x = { column = 'x', unit = 'mm' }\ndrive_force_x = { column = 'f', unit = 'N' }\n"
+        f"[[measurement]]\nname = 'moved'\nmethod = 'drive'\n{records}[baseline]\ndrive = 'rigid'\naxis = 'x'\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "taken").write_text("mine")
+    verb, option = command
+    target = tmp_path / "taken" if verb == "run" else tmp_path / "taken" / "finding.json"
+    assert smfe(monkeypatch, verb, tmp_path / "campaign.toml", option, target) == 1
+    assert "is a file, so that" in capsys.readouterr().err
+    assert (tmp_path / "taken").read_text() == "mine"
+    if verb == "diagnose":
+        assert smfe(monkeypatch, verb, tmp_path / "campaign.toml", option, tmp_path) == 1
+        assert "is a folder; name the file to write" in capsys.readouterr().err

@@ -248,6 +248,12 @@ def _baseline(raw: Raw) -> Iterator[Complaint]:
         yield from _named(raw, ("baseline", "limits"), table["limits"])
     elif "from" in table:
         yield from _named(raw, ("baseline", "from"), table["from"])
+    elif not {"tip_mass", "stiffness", "damping"} & set(table):
+        yield (
+            ("baseline",),
+            "is taken for an axis of two masses, which these keys do not make; for another simulation give "
+            'drive = "rigid", forces = "mechanistic", or a name with from or limits',
+        )
 
 
 def _compared(raw: Raw, key: str, what: str, methods: Sequence[str] = ()) -> Iterator[Complaint]:

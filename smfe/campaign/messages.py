@@ -43,12 +43,17 @@ def keys_at(where: Loc, root: type[BaseModel] = CampaignFile) -> list[str]:
     for part in where:
         annotation = _below(_table(annotation), part)
     table = _table(annotation)
-    return list(table.model_fields) if isinstance(table, type) and issubclass(table, BaseModel) else []
+    if not (isinstance(table, type) and issubclass(table, BaseModel)):
+        return []
+    return [field.alias or name for name, field in table.model_fields.items()]
 
 
 def _below(annotation: Any, part: str | int) -> Any:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation.model_fields[str(part)].annotation
+        # A key that is a word of Python ("from", "with") is a field of another name.
+        return next(
+            field.annotation for name, field in annotation.model_fields.items() if (field.alias or name) == part
+        )
     arguments = typing.get_args(annotation)
     return arguments[-1] if typing.get_origin(annotation) is dict else arguments[0]
 

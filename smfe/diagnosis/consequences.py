@@ -13,7 +13,7 @@ from smfe.campaign import Campaign
 from smfe.diagnosis.axis_baseline import AxisBaseline
 from smfe.diagnosis.cutting_limits import CuttingLimits, Limit
 from smfe.diagnosis.drive_record import DriveRecordFamily
-from smfe.diagnosis.finding import Finding, ForceError, StableDepth
+from smfe.diagnosis.finding import Finding, ForceError, Own, StableDepth
 from smfe.diagnosis.machine_frf import MachineFrfs
 from smfe.diagnosis.problem import Condition, Family, Values
 from stability import zero_order
@@ -25,7 +25,8 @@ _STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
 
 
 def with_consequences(campaign: Campaign, family: Family, finding: Finding, aside: Sequence[str]) -> Finding:
-    """Return a finding with the stable depths of a repaired machine, or the force errors of a repaired drive."""
+    """Return a finding with what became of the baseline, and stable depths or force errors where it is repaired."""
+    finding = replace(finding, baseline=tuple(_own(family, finding)))
     if not finding.causes:
         return finding
     if isinstance(family, DriveRecordFamily):
@@ -35,6 +36,14 @@ def with_consequences(campaign: Campaign, family: Family, finding: Finding, asid
     if isinstance(family, CuttingLimits):
         return replace(finding, stable_depth=tuple(_limits(campaign, family, finding)))
     return finding
+
+
+def _own(family: Family, finding: Finding) -> Iterator[Own]:
+    """The baseline's parameters that something outside of these records says; the others are found from them."""
+    for p in family.nuisances:
+        if math.isfinite(p.prior) and p.name in finding.values:
+            fitted = finding.values[p.name]
+            yield Own(p.name, p.start * p.shown, fitted * p.shown, p.prior * p.shown, p.unit)
 
 
 def _limits(campaign: Campaign, family: CuttingLimits, finding: Finding) -> Iterator[StableDepth]:

@@ -115,7 +115,12 @@ class Gain:
     @property
     def proven(self) -> bool:
         """At least 1 dB, 3 dB of blocks of values, and a gain however what was held out is drawn again."""
-        return self.db >= (1.0 if self.held_out == "conditions" else LEAST_WITHIN) and self.low > 0.0
+        return self.db >= self.needed and self.low > 0.0
+
+    @property
+    def needed(self) -> float:
+        """Least gain [dB] that proves something."""
+        return 1.0 if self.held_out == "conditions" else LEAST_WITHIN
 
 
 def schemes(conditions: Sequence[Condition], rows: Sequence[int]) -> list[Scheme]:

@@ -31,7 +31,7 @@ from smfe.diagnosis.drive_causes import (
     excess,
     saturation,
 )
-from smfe.diagnosis.drive_channels import Channels
+from smfe.diagnosis.drive_channels import Channels, check_balance
 from smfe.diagnosis.drive_control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
 from smfe.diagnosis.drive_noise import Whitener
 from smfe.diagnosis.drive_signals import Motion, Real, Resampler, half_width, motion, moves
@@ -491,12 +491,9 @@ def _nuisances(balance: _Balance, mass: tuple[float, float] | None) -> tuple[Par
     """Start the baseline at its least squares."""
     m, force = balance.motion, balance.force
     columns = [balance.seen(x) for x in (m.acceleration, m.velocity, np.ones_like(m.velocity))]
+    check_balance(force, columns[0], columns[1], None if mass is None else mass[0])
     found = np.linalg.lstsq(np.stack(columns, axis=1), force, rcond=None)[0]
     heavy, prior = (float(found[0]), math.inf) if mass is None else mass
-    if not heavy > 0.0:
-        raise InputError(
-            f"the force accelerates a mass of {heavy:g} kg; check the sign of drive force and encoder, or move faster"
-        )
     viscous = max(float(found[1]), 0.0)
     return (
         Parameter("mass", "kg", heavy, 0.01 * heavy, low=0.0, prior=prior),

@@ -29,6 +29,9 @@ from smfe.identification import Progress, silent
 
 _INTERVAL = 1.959964
 
+_TOLD, _SHARED = 1e-9, 1e-3
+"""Singular value, relative, below which the data say nothing of a direction; its share in a parameter that counts."""
+
 
 def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_out: Sequence[str] = ()) -> Finding:
     """Diagnose a baseline.
@@ -198,14 +201,14 @@ def _remainder(bench: Bench, judged: Judgement) -> Remainder | None:
 
 
 def estimates(bench: Bench, at: Fit, k: int, judged: Judgement) -> tuple[Estimate, ...]:
-    """Return parameters of a cause with 95 % intervals."""
+    """Return parameters of a cause with 95 % intervals, infinite where the data do not tell a parameter from others."""
     model = bench.model
     sd = deviations(bench, at, judged.misfit)
     found = []
     for j in model.of_cause[k]:
         place, p = int(np.flatnonzero(at.free == j)[0]), model.parameters[j]
         value, half = p.start + p.scale * float(at.u[j]), _INTERVAL * p.scale * float(sd[place])
-        low, high = max(value - half, p.low), min(value + half, p.high)
+        low, high = (max(value - half, p.low), min(value + half, p.high)) if half < math.inf else (-half, half)
         found.append(Estimate(p.name, value * p.shown, low * p.shown, high * p.shown, p.unit))
     return tuple(found)
 
@@ -221,7 +224,9 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64
     slope, _ = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)
     size = np.linalg.norm(slope, axis=0)
     moving = inside(bench.model, at) & (size > 0.0)
-    inverse = np.linalg.pinv((slope / np.where(size > 0.0, size, 1.0))[:, moving], rcond=1e-9) / size[moving, None]
+    rotated, singular, right = np.linalg.svd((slope / np.where(size > 0.0, size, 1.0))[:, moving], full_matrices=False)
+    told = singular > _TOLD * singular.max(initial=0.0)
+    inverse = (right[told].T / singular[told]) @ rotated[:, told].T / size[moving, None]
     sd = np.where(size > 0.0, 0.0, np.inf)
     covariances = covariances_of_noise(bench.model, at.residual, inverse.T)
     sd[moving] = np.sqrt(np.mean([np.diag(c) for c in covariances], axis=0))
@@ -232,6 +237,8 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64
         scatter = np.sum(np.square(pulls), axis=0) * len(pulls) / max(len(pulls) - 1, 1)
         robust = np.sqrt(scatter + np.sum(np.square(prior), axis=1))
         sd[moving] = np.maximum(sd[moving] * math.sqrt(max(left.ratio, 1.0)), robust)
+    # What is seen of several only together says nothing of each: its variance would come out as zero.
+    sd[moving] = np.where(1.0 - np.sum(np.square(right[told]), axis=0) > _SHARED**2, np.inf, sd[moving])
     return sd
 
 

@@ -492,7 +492,10 @@ def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit
     elif gain is None:
         reason = "no condition can be held out that would test it"
     elif not gain.proven:
-        reason = f"gain on held-out conditions {gain.db:.1f} dB, {gain.low:.1f} dB at the least"
+        reason = (
+            f"gain on held-out conditions {gain.db:.1f} dB, {gain.low:.1f} dB at the least; needed are "
+            f"{gain.needed:g} dB, and more than 0 dB at the least"
+        )
     passed = limit + PENALTY * parameters_of(bench.model, added)
     ladder.append(
         Step(

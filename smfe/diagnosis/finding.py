@@ -16,7 +16,7 @@ from smfe.diagnosis.verdict import Verdict
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter of a cause with its 95 % interval, in the unit shown."""
+    """A parameter of a cause with its 95 % interval, in the unit shown; infinite where no interval can be given."""
 
     name: str
     value: float
@@ -121,6 +121,36 @@ class ForceError:
 
 
 @dataclass(frozen=True)
+class Own:
+    """A parameter of the baseline that the campaign gives, and what the fit makes of it, in the unit shown.
+
+    Attributes
+    ----------
+    name, unit : str
+        Of the parameter.
+    given, fitted : float
+        As the campaign has it (or the data sheet), and in the best model.
+    spread : float
+        Standard deviation with which `given` is trusted: within it the fit may move it without blame.
+    """
+
+    name: str
+    given: float
+    fitted: float
+    spread: float
+    unit: str
+
+    @property
+    def blamed(self) -> bool:
+        """Whether the data put it further away than is trusted."""
+        return abs(self.fitted - self.given) > TRUSTED * self.spread
+
+
+TRUSTED = 2.0
+"""Standard deviations of what is given within which a baseline counts as what the campaign says."""
+
+
+@dataclass(frozen=True)
 class Finding:
     """A diagnosis.
 
@@ -165,6 +195,8 @@ class Finding:
         Where the finding repairs the machine of a campaign that asks for stable depths.
     force_error : tuple of ForceError
         Where it repairs the model of a drive.
+    baseline : tuple of Own
+        The baseline's own parameters, as given and as fitted: a verdict is about what is beyond them.
     """
 
     verdict: Verdict
@@ -187,6 +219,7 @@ class Finding:
     values_before: Mapping[str, float] = field(default_factory=dict)
     stable_depth: tuple[StableDepth, ...] = ()
     force_error: tuple[ForceError, ...] = ()
+    baseline: tuple[Own, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for ``finding.json``; numbers that are not finite become None."""
@@ -216,7 +249,7 @@ def explain(finding: Finding) -> str:
         From `smfe.diagnosis.engine.diagnose`.
     """
     opening = _PARTLY if finding.verdict == "unknown" and finding.causes else _OPENING[finding.verdict]
-    parts = [f"{opening}: {finding.reason}.", *_misfit(finding)]
+    parts = [f"{opening}: {finding.reason}.", *_misfit(finding), *_own(finding.baseline)]
     parts += [_cause(c) for c in finding.causes]
     parts += [f"The data do not tell apart: {', '.join(c.title for c in s)}." for s in finding.alternatives]
     parts += _gains(finding)
@@ -254,15 +287,24 @@ def _misfit(finding: Finding) -> list[str]:
     return [text + "."]
 
 
+def _own(baseline: Sequence[Own]) -> list[str]:
+    moved = [f"{p.name} {p.fitted:.4g}{unit_of(p.unit)} in place of {p.given:.4g}" for p in baseline if p.blamed]
+    if not moved:
+        return []
+    return [f"These data give the baseline other values than the campaign does: {'; '.join(moved)}."]
+
+
 def _cause(cause: FoundCause) -> str:
-    values = "; ".join(
-        f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({e.low:.4g} to {e.high:.4g})" for e in cause.parameters
-    )
+    values = "; ".join(f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({_interval(e)})" for e in cause.parameters)
     proof = f"likelihood ratio {cause.ratio:.0f}"
     if cause.gain_db is None:
         return f"Not proven on conditions it was not fitted to: {cause.title}: {values} ({proof})."
     gain = f"worth {cause.gain_db:.1f} dB there"
     return f"Accepted on conditions it was not fitted to: {cause.title}: {values}; {gain} ({proof})."
+
+
+def _interval(e: Estimate) -> str:
+    return f"{e.low:.4g} to {e.high:.4g}" if math.isfinite(e.high - e.low) else "not told from others by these data"
 
 
 def unit_of(unit: str) -> str:
@@ -302,7 +344,7 @@ def _remainder(finding: Finding) -> list[str]:
     if left is None or not (left.beyond_noise and left.carriers):
         return []
     share = "" if left.share is None else f", {100.0 * left.share:.2g} % of the repeatable error of the baseline"
-    found = [f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {', '.join(left.carriers)}."]
+    found = [f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {'; '.join(left.carriers)}."]
     if finding.causes:
         found.append("The intervals include its scatter; a cause that is not in the catalogue may still shift them.")
     return found

@@ -102,7 +102,7 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
         chance = chance_to_settle(worst.chi2)
         words = (
             f"there the predictions of {title or 'the hypotheses'} differ by {apart:.2g} times the noise (rms) at "
-            f"least; it settles the question with {100.0 * chance:.0f} %"
+            f"least; the chance that it settles the question is {100.0 * chance:.0f} %"
         )
         found.append(Proposal(model.conditions[row].name, worst.chi2, chance, words, _minutes(model, row)))
     return sorted(found, key=lambda p: ((p.minutes or MINUTES) / max(p.chance, 1e-9), -p.discrimination))

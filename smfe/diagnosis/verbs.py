@@ -18,7 +18,7 @@ from smfe.diagnosis.finding import Finding, explain
 from smfe.diagnosis.suspect import Suspect
 from smfe.identification import Identification, Progress, silent
 from smfe.measurements import cached_identification
-from smfe.store import write_json
+from smfe.store import check_target, write_json
 from smfe.sweep_levels import with_levels
 
 KEPT = ".kept"
@@ -61,6 +61,7 @@ def diagnose(
         When the campaign file or a record is wrong, there is no baseline, or nothing to compare it with.
     """
     loaded, path = load_campaign(Path(campaign), licence), Path(output)
+    check_target(path)
     if loaded.baseline is None:
         case_of(loaded, {})  # says what is missing, before any record is read
     suspects = audit(loaded, progress)
@@ -83,7 +84,7 @@ def _questioned(
     aside = case.set_aside(held_out)
     finding = diagnose_family(case.family, seed, progress, aside)
     finding = with_consequences(campaign, case.family, finding, aside)
-    return finding, as_dict(finding, [*suspects, *case.suspects])
+    return finding, {"campaign": campaign.name, **as_dict(finding, [*suspects, *case.suspects])}
 
 
 def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:

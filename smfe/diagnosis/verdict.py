@@ -114,9 +114,12 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
             and refused.gain is not None
             and refused.gain.db >= 1.0
         )
+        reason += _differing(bench, at)
         return Judgement("insufficient_data" if weak else "unknown", reason, {}, left, tuple(carriers(left)))
     if left.chance < FALSE_ALARM:
-        reason = "the baseline leaves more than noise, and no cause of the catalogue explains it"
+        reason = "the baseline leaves more than noise, and no cause of the catalogue explains it" + _differing(
+            bench, at
+        )
         return Judgement("unknown", reason, {}, left, tuple(carriers(left)))
     change = bench.changing(at)
     if change is not None and change.certain:
@@ -125,6 +128,14 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
     if not any(p.admissible for p in power):
         return Judgement("insufficient_data", "no cause of the catalogue would be seen in these conditions", {}, left)
     return Judgement("consistent", "the baseline leaves nothing but noise", {}, left)
+
+
+def _differing(bench: Bench, at: Fit) -> str:
+    """Say which parameter of the baseline differs most between the conditions, a trace of what has no name."""
+    change = bench.changing(at)
+    if change is None or not change.certain:
+        return ""
+    return f"; what differs most between the conditions is {change.parameter}, with {change.setting}"
 
 
 def _open(bench: Bench, at: Fit, k: int, left: Misfit) -> list[Fit]:

@@ -22,7 +22,7 @@ _WORDS = {
 
 
 MOST = 30
-"""Conditions that are shown, at most: those that the baseline misses most."""
+"""Conditions that are shown, at most: those of which the extended model leaves most."""
 
 _GREY, _BLUE = "#999999", "#0072B2"
 
@@ -31,7 +31,7 @@ def section(finding: Mapping[str, Any], plots: dict[str, Any]) -> dict[str, Any]
     """Return what the page shows of ``finding.json``, its figures added to `plots`; empty when there is none."""
     if not finding:
         return {}
-    tables = [_causes(finding), _ladder(finding), _power(finding), _audit(finding)]
+    tables = [_causes(finding), _own(finding), _ladder(finding), _power(finding), _audit(finding)]
     figures = {"plot-ladder": _ladder_plot, "plot-conditions": _condition_plot, "plot-stable-depth": _depth_plot}
     partly = finding.get("verdict") == "unknown" and finding.get("causes")
     found = {name: figure for name, make in figures.items() if (figure := make(finding)) is not None}
@@ -63,7 +63,7 @@ def _causes(finding: Mapping[str, Any]) -> Table | None:
                 cause["title"] if i == 0 else "",
                 p["name"],
                 _n(p["value"]),
-                f"{_n(p['low'])} to {_n(p['high'])}",
+                "not told from others" if None in (p["low"], p["high"]) else f"{_n(p['low'])} to {_n(p['high'])}",
                 _unit(p),
             )
         )
@@ -72,6 +72,15 @@ def _causes(finding: Mapping[str, Any]) -> Table | None:
     ]
     heads = ("cause", "parameter", "value", "95 % interval", "unit")
     return _table(heads, (False, False, True, True, False), rows, "What the best model adds to the baseline")
+
+
+def _own(finding: Mapping[str, Any]) -> Table | None:
+    rows = [
+        Row((p["name"], _n(p["given"]), _n(p["fitted"]), _n(p["spread"]), _unit(p)))
+        for p in finding.get("baseline", [])
+    ]
+    heads = ("parameter", "given", "fitted", "sd with which it is trusted", "unit")
+    return _table(heads, (False, True, True, True, False), rows, "The baseline's own parameters")
 
 
 def _ladder(finding: Mapping[str, Any]) -> Table | None:
@@ -124,11 +133,17 @@ def _steps(finding: Mapping[str, Any]) -> tuple[list[str], list[float]]:
 def _shown(finding: Mapping[str, Any]) -> tuple[list[Mapping[str, Any]], str]:
     """Return the conditions that are shown, in the order of the campaign, and what to call them."""
     every = [c for c in finding.get("conditions", []) if c["before_db"] is not None and c["after_db"] is not None]
-    if not finding.get("causes"):
+    if finding.get("verdict") in ("consistent", None):
         return [], ""
-    worst = sorted(every, key=lambda c: -c["before_db"])[:MOST]
-    few = f" (the {len(worst)} worst of {len(every)})" if len(every) > len(worst) else ""
+    worst = sorted(every, key=lambda c: (-c["after_db"], -c["before_db"]))[:MOST]
+    few = f" (the {len(worst)} of {len(every)} with most left)" if len(every) > len(worst) else ""
     return [c for c in every if c in worst], f"misfit of each condition over noise [dB]{few}"
+
+
+def _models(finding: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Return key, colour and name of the models whose misfit is shown: where nothing was found there is but one."""
+    extended = [("after_db", _BLUE, "extended model")] if finding.get("causes") else []
+    return [("before_db", _GREY, "baseline"), *extended]
 
 
 def _depths(finding: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
@@ -169,7 +184,7 @@ def _condition_plot(finding: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     names = [plain(str(c["name"])) for c in rows]
     data: list[dict[str, Any]] = []
-    for key, colour, word in (("before_db", _GREY, "baseline"), ("after_db", _BLUE, "extended model")):
+    for key, colour, word in _models(finding):
         for held_out in sorted({bool(c["held_out"]) for c in rows}):
             pick = [i for i, c in enumerate(rows) if bool(c["held_out"]) == held_out]
             data.append(
@@ -219,18 +234,19 @@ def _depth_plot(finding: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def pictured(finding: Mapping[str, Any]) -> bool:
     """Return whether there is anything to draw."""
-    return len(_steps(finding)[0]) > 1
+    return len(_steps(finding)[0]) > 1 or bool(_shown(finding)[0])
 
 
 def draw(finding: Mapping[str, Any]) -> Figure:
     """Draw the ladder, what is left of each condition and the stable depth, one above the other."""
     names, _ = _steps(finding)
     rows, _ = _shown(finding)
-    heights = [0.9 + 0.32 * len(names)]
+    climbed = len(names) > 1
+    heights = [0.9 + 0.32 * len(names)] * climbed
     heights += [1.1 + 0.22 * len(rows)] * bool(rows) + [3.0] * bool(_depths(finding))
     figure = Figure(figsize=(8.0, sum(heights)), layout="constrained")
     panels = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-    painters = [_draw_ladder] + [_draw_conditions] * bool(rows) + [_draw_depths] * bool(_depths(finding))
+    painters = [_draw_ladder] * climbed + [_draw_conditions] * bool(rows) + [_draw_depths] * bool(_depths(finding))
     for axes, paint in zip(panels, painters, strict=True):
         paint(axes, finding)
         axes.spines[["top", "right"]].set_visible(False)
@@ -252,7 +268,7 @@ def _draw_ladder(axes: Axes, finding: Mapping[str, Any]) -> None:
 
 def _draw_conditions(axes: Axes, finding: Mapping[str, Any]) -> None:
     rows, title = _shown(finding)
-    for key, colour, word in (("before_db", _GREY, "baseline"), ("after_db", _BLUE, "extended model")):
+    for key, colour, word in _models(finding):
         for held_out in sorted({bool(c["held_out"]) for c in rows}):
             pick = [i for i, c in enumerate(rows) if bool(c["held_out"]) == held_out]
             axes.plot(
@@ -264,7 +280,7 @@ def _draw_conditions(axes: Axes, finding: Mapping[str, Any]) -> None:
                 label=f"{word}, set aside" if held_out else word,
             )
     axes.set_yticks(range(len(rows)), [literal(str(c["name"])) for c in rows], fontsize="small")
-    axes.invert_yaxis()
+    axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.grid(axis="y", color="0.93")
     axes.set_axisbelow(True)

@@ -86,6 +86,7 @@ def render(results: Results, looks: dict[str, Line]) -> str:
     }
     return environment.get_template("report.html.j2").render(
         title=results.title,
+        alone=results.diagnosis_alone,
         warnings=results.warnings,
         keep=round(100 * KEEP),
         **sections,

@@ -199,7 +199,23 @@ class Results:
     @property
     def title(self) -> str:
         """Name of the campaign, else of the folder."""
-        return str(self.provenance.get("campaign") or self.folder.resolve().name)
+        known = self.provenance.get("campaign") or self.finding.get("campaign")
+        return str(known or self.folder.resolve().name)
+
+    @property
+    def diagnosis_alone(self) -> bool:
+        """Whether the folder holds a finding and nothing else: then nothing is known of the rest of the campaign."""
+        frames = (self.chatter, self.comparison, self.explained, self.model_error)
+        others = (
+            self.measurements,
+            self.lobes,
+            self.spectra,
+            self.tables,
+            self.provenance,
+            self.conditions,
+            self.loops,
+        )
+        return bool(self.finding) and not any(others) and all(frame is None for frame in frames)
 
     @property
     def requests(self) -> dict[str, list[Lobes]]:

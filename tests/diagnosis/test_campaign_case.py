@@ -90,7 +90,8 @@ def to_and_fro(**channels: np.ndarray) -> xr.Dataset:
     ("lost", "said"),
     [
         ({"encoder_position": None}, "measurement 'moved': the record has no encoder_position_x"),
-        ({"encoder_position": np.zeros(6000)}, "measurement 'moved': .* at least 4 are needed"),
+        ({"encoder_position": np.zeros(6000)}, "measurement 'moved': encoder_position_x is 0 m in all samples"),
+        ({}, "measurement 'moved': drive_force_x is 1 N in all samples"),
     ],
 )
 def test_a_drive_record_that_lacks_something_is_told_so(tmp_path: Path, lost: dict, said: str) -> None:

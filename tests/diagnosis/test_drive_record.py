@@ -11,6 +11,7 @@ from truth.drive import STEP, Axis, simulate
 
 from process.errors import InputError
 from process.labels import make_record
+from smfe.diagnosis.drive_channels import check_balance
 from smfe.diagnosis.drive_control_law import Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive_ladder import force_ladder
 from smfe.diagnosis.drive_noise import Whitener, strongest_wave
@@ -180,6 +181,21 @@ def test_what_a_record_needs_is_said() -> None:
         family(Axis(), seconds=12.0, cutoff=300.0)
     with pytest.raises(InputError, match="known delay"):
         family(Axis(), seconds=12.0, delay=-1.0)
+
+
+def test_a_force_of_the_wrong_sign_or_unit_is_refused_by_mass_and_energy() -> None:
+    """F = M x'' + sigma x' with one of both wrong; friction alone says nothing of the mass, but gives out no energy."""
+    t = np.arange(30_000) * STEP
+    v, a = 0.8 * np.cos(8.0 * t), -6.4 * np.sin(8.0 * t)
+    check_balance(MASS * a + 200.0 * v, a, v, MASS)
+    for wrong, said in ((-1.0, "a mass of -95 kg; check the sign"), (1e-3, "check the unit"), (1e3, "check the unit")):
+        with pytest.raises(InputError, match=said):
+            check_balance(wrong * (MASS * a + 200.0 * v), a, v, MASS)
+    rubbing = 600.0 * np.sign(v) + 0.01 * MASS * a
+    check_balance(rubbing, 0.01 * a, v, MASS)
+    with pytest.raises(InputError, match="gives out energy while it moves"):
+        check_balance(-rubbing, 0.01 * a, v, MASS)
+    check_balance(-20.0 + 0.1 * rubbing, 0.01 * a, v + 0.2, MASS)
 
 
 def test_motion_is_that_of_the_axis() -> None:

@@ -14,7 +14,7 @@ from smfe.diagnosis.constancy import most_changing
 from smfe.diagnosis.cross_validation import HeldOut, compare, schemes
 from smfe.diagnosis.engine import deviations, diagnose, estimates
 from smfe.diagnosis.evidence import Bench, fitted_misfit
-from smfe.diagnosis.finding import explain
+from smfe.diagnosis.finding import Estimate, Finding, FoundCause, explain
 from smfe.diagnosis.fit import Target, bounded_step
 from smfe.diagnosis.isolability import isolability
 from smfe.diagnosis.misfit import Misfit, assess
@@ -160,6 +160,19 @@ def test_intervals_cover_the_truth_in_95_of_100_cases():
         for e in estimates(b, found, 2, Judgement("named", "")):
             inside.append(e.low <= 1000.0 * truth[e.name] <= e.high)
     assert 0.93 <= np.mean(inside) <= 0.97
+
+
+def test_of_two_parameters_that_are_seen_only_as_their_sum_neither_has_an_interval():
+    """The pseudo-inverse gives the direction that nobody sees no variance at all."""
+    truth = {"both.0": 0.4, "both.1": -0.7}
+    together = replace(FAMILY, effects=FAMILY.effects | {"both.1": FAMILY.effects["both.0"]})
+    for family, told in ((FAMILY, True), (together, False)):
+        b = bench(measured(family, truth, 7))
+        half = [e.high - e.low for e in estimates(b, b.confirmed(b.extend(b.null(), (2,))), 2, Judgement("named", ""))]
+        assert np.isfinite(half).tolist() == [told, told]
+    found = FoundCause("a", "", "A", "physics", (Estimate("a.x", 0.4, -np.inf, np.inf, "N"),), 9.0, 3.0, 0.1)
+    text = explain(Finding("named", "it is", (found,)))
+    assert "a.x 0.4 N (not told from others by these data)" in text
 
 
 def test_noise_has_uniform_chances_in_the_misfit_test_and_a_smooth_remainder_has_none():
@@ -445,6 +458,14 @@ def test_an_offset_that_creeps_is_unknown_though_no_condition_shows_it():
     finding = diagnose(family)
     assert finding.verdict == "unknown"
     assert finding.reason.startswith("offset changes with order")
+
+
+def test_what_creeps_beyond_all_noise_is_still_said_to_creep():
+    """Ten times as much shows in the misfit alone, which says that something is wrong, but not what."""
+    finding = diagnose(measured(CREEPING, {"creep": 0.4}, 3))
+    assert finding.verdict == "unknown"
+    assert finding.remainder.beyond_noise
+    assert finding.reason.endswith("what differs most between the conditions is offset, with order")
 
 
 def test_the_catalogue_goes_first():

@@ -2,13 +2,14 @@
 
 import base64
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from smfe.diagnosis.finding import Finding, ForceError, StableDepth, explain
+from smfe.diagnosis.finding import Finding, ForceError, Own, Remainder, StableDepth, explain
 from smfe.report import write_report
 from smfe.report.diagnosis import MOST, draw, pictured, section
 
@@ -46,10 +47,54 @@ def test_what_no_fit_has_seen_is_marked_and_every_condition_is_there_twice() -> 
         assert ("cut 1" in trace["y"]) == ("set aside" in trace["name"]) == (trace["marker"]["symbol"] == "circle-open")
 
 
-def test_of_many_conditions_the_worst_are_shown_in_their_order() -> None:
-    layout = shown(finding(MOST + 10))[1]["plot-conditions"]["layout"]
+def test_of_many_conditions_those_with_most_left_are_shown_in_their_order() -> None:
+    """What carries the remainder is in the picture, however well the baseline did there."""
+    content = finding(MOST + 10)
+    for k, condition in enumerate(content["conditions"]):
+        condition["before_db"] = float(-k)
+    layout = shown(content)[1]["plot-conditions"]["layout"]
     assert layout["yaxis"]["categoryarray"] == [f"cut {k}" for k in range(10, MOST + 10)]
-    assert f"the {MOST} worst of {MOST + 10}" in layout["xaxis"]["title"]["text"]
+    assert f"the {MOST} of {MOST + 10} with most left" in layout["xaxis"]["title"]["text"]
+
+
+def test_where_something_is_wrong_but_has_no_name_the_conditions_are_shown_with_the_baseline_alone() -> None:
+    content = finding(verdict="unknown", causes=[], ladder=[])
+    plots = shown(content)[1]
+    assert set(plots) == {"plot-conditions"}
+    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {"baseline", "baseline, set aside"}
+    assert pictured(content)
+    assert len(draw(content).axes) == 1
+
+
+def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_moved() -> None:
+    """Fitted along it hides in every verdict, "consistent" included."""
+    own = (Own("damping_1", 3.0, 4.99, 0.9, "%"), Own("frequency_1", 62.0, 62.1, 1.2, "Hz"))
+    found = Finding("consistent", "it is", baseline=own)
+    text = explain(found)
+    assert "damping_1 4.99 % in place of 3." in text
+    assert "frequency_1" not in text
+    (table,) = shown(found.as_dict())[0]["tables"]
+    assert [row.cells[:3] for row in table.rows] == [("damping_1", "3", "4.99"), ("frequency_1", "62", "62.1")]
+
+
+def test_a_finding_alone_says_nothing_of_what_the_campaign_may_hold_besides(tmp_path: Path) -> None:
+    """Without `smfe run` nobody knows of lobes and cutting tests; with it the verdict stands at the top too."""
+    (tmp_path / "finding.json").write_text(json.dumps(finding(campaign="Slots & feeds")), encoding="utf-8")
+    page = write_report(tmp_path).read_text(encoding="utf-8")
+    assert "<h1>Slots &amp; feeds</h1>" in page
+    assert "What the simulation gets wrong: named</h2>" in page
+    assert not re.search("No lobes|No cutting tests|No compliances|No tables|provenance.json is absent", page)
+    (tmp_path / "provenance.json").write_text(json.dumps({"campaign": "Slots"}), encoding="utf-8")
+    page = write_report(tmp_path).read_text(encoding="utf-8")
+    assert "No cutting tests in this campaign" in page
+    assert page.index("It is the run-out.") < page.index("No cutting tests in this campaign")
+
+
+def test_what_carries_the_remainder_is_told_apart() -> None:
+    """Names of conditions hold commas themselves."""
+    left = Remainder(3.5, 1e-9, True, 0.1, ("moves, move 8, forward", "moves, move 24, forward"))
+    text = explain(Finding("unknown", "it is", remainder=left))
+    assert "carried by moves, move 8, forward; moves, move 24, forward." in text
 
 
 def test_no_limit_is_a_gap_in_the_stable_depth() -> None:

@@ -91,3 +91,25 @@ class TestBaseline:
         text = self.AXIS.replace("law = 'viscous', sigma = '168 N s/m'", "law = 'andersson', coulomb = '40 N'")
         with pytest.raises(InputError, match=r"friction law 'andersson': .* missing"):
             self.load(tmp_path, text + self.SERVO)
+
+    @pytest.mark.parametrize(
+        ("text", "said"),
+        [
+            ("[baseline]\naxis = 'x'\n", 'for another simulation give drive = "rigid"'),
+            ("[baseline]\nfrom = 'idle'\nmass = '3 kg'\n", "this key is not known; known here: from"),
+        ],
+    )
+    def test_what_a_baseline_may_be_is_said_in_the_words_of_the_file(
+        self, tmp_path: Path, text: str, said: str
+    ) -> None:
+        with pytest.raises(InputError, match=re.escape(said)):
+            self.load(tmp_path, text)
+
+    def test_a_key_of_a_second_recorder_that_is_not_known_is_told_so(self, tmp_path: Path) -> None:
+        """`with` is a word of Python, so its field has another name."""
+        recorder = "[[measurement]]\nname = 'two'\nmethod = 'hammer'\n[[measurement.records]]\nfile = 'hit.csv'\n"
+        recorder += "excitation = 'x'\n[[measurement.records.with]]\nfile = 'hit.csv'\nsharde = 'force_x'\n"
+        with pytest.raises(
+            InputError, match=re.escape("records[0].with[0].sharde: this key is not known (did you mean")
+        ):
+            self.load(tmp_path, recorder)
