@@ -132,6 +132,28 @@ def learned_again(
         yield _autoregression(lags + taken, _values(residuals, kept)), moves
 
 
+def freedom_left(found: Whitener, residuals: Sequence[Real], regressors: Real) -> list[float]:
+    """Return the sum of squares that white noise of one unit leaves of each move behind least squares, whitened.
+
+    It is the number of whitened values less what the least squares takes, most of it from slow noise and from moves
+    that few others are like.
+
+    Parameters
+    ----------
+    found : Whitener
+        Whose noise is drawn.
+    residuals : sequence of ndarray
+        What the least squares has left of each move; only their sizes count.
+    regressors : ndarray, shape (n, k)
+        Of the least squares.
+    """
+    sizes = [r.size for r in residuals]
+    white = np.random.default_rng(2).standard_normal((_DRAWN, _SETTLES + sum(sizes)))
+    left = _split(_projected(_coloured(found, white), _orthonormal(regressors)), sizes)
+    squares = [[float(np.sum(np.square(found(move)))) for move in moves] for moves in left]
+    return [float(x) for x in np.mean(squares, axis=0)]
+
+
 def _coloured(found: Whitener, white: Real) -> Real:
     return np.asarray(found.sigma * signal.lfilter([1.0], [1.0, *found.coefficients], white, axis=1)[:, _SETTLES:])
 
@@ -220,8 +242,24 @@ def usable_band(force: Real, left: Real, step: float, highest: float) -> float:
     return float(min(f[1:-1][low[0]] if low.size else highest, highest))
 
 
+def unbroken(runs: Sequence[int], order: int) -> Real:
+    """Return 1 for each whitened value whose `order` values before are of its own run, else 0.
+
+    Parameters
+    ----------
+    runs : sequence of int
+        Numbers of values that follow each other without a gap.
+    order : int
+        Of the whitener.
+    """
+    found = np.ones(sum(runs) - order)
+    for joint in np.cumsum(runs)[:-1]:
+        found[max(joint - order, 0) : joint] = 0.0
+    return found
+
+
 def strongest_wave(
-    phase: Real, left: Real, whitener: Whitener, lowest: float, highest: float
+    phase: Real, left: Real, whitener: Whitener, lowest: float, highest: float, runs: Sequence[int] = ()
 ) -> tuple[float, float] | None:
     """Return the wave over time or position that explains most of a residual, and how likely noise alone is as good.
 
@@ -239,6 +277,8 @@ def strongest_wave(
         Of the residual.
     lowest, highest : float
         Cycles per second or per metre.
+    runs : sequence of int, optional
+        Numbers of values that follow each other without a gap; default: all do.
 
     Returns
     -------
@@ -248,10 +288,11 @@ def strongest_wave(
     waves = np.arange(lowest, highest, 0.2 / max(float(np.ptp(phase)), 1e-300))
     if waves.size == 0:
         return None
-    white = whitener(left)
-    white = white / float(np.sqrt(np.mean(np.square(white))))
+    used = unbroken(runs or (left.size,), whitener.order)
+    white = whitener(left) * used
+    white = white / math.sqrt(float(np.sum(np.square(white)) / np.sum(used)))
     power = np.concatenate(
-        [_powers(part, phase, white, whitener) for part in np.array_split(waves, waves.size // 200 + 1)]
+        [_powers(part, phase, white, whitener, used) for part in np.array_split(waves, waves.size // 200 + 1)]
     )
     best = int(np.argmax(power))
     z = max(0.5 * float(power[best]), 1.0)
@@ -259,25 +300,37 @@ def strongest_wave(
     return float(waves[best]), min(1.0, max(width * math.sqrt(z), 1.0) * math.exp(-z))
 
 
-def _powers(waves: Real, phase: Real, white: Real, whitener: Whitener) -> Real:
+def _powers(waves: Real, phase: Real, white: Real, whitener: Whitener, used: Real) -> Real:
     """Decrease of the squares of a white residual by cosine and sine of each wave."""
     wave = signal.oaconvolve(
         np.exp(2j * math.pi * np.outer(waves, phase)), whitener.taps[None, :], mode="valid", axes=1
     )
-    cosine, sine = wave.real, wave.imag
+    cosine, sine = wave.real * used, wave.imag * used
     cc, ss, cs = (np.einsum("kn,kn->k", a, b) for a, b in ((cosine, cosine), (sine, sine), (cosine, sine)))
     c, s = cosine @ white, sine @ white
     return np.asarray((ss * c * c - 2.0 * cs * c * s + cc * s * s) / np.maximum(cc * ss - cs * cs, 1e-300))
 
 
-def boxes(left: Real, whitener: Whitener, step: float) -> tuple[tuple[float, float, float], ...]:
-    """Return begin, end [s from the first sample] and sign of the boxes that noise does not explain; none as a rule.
+def boxes(left: Real, whitener: Whitener, time: Real, runs: Sequence[int]) -> tuple[tuple[float, float, float], ...]:
+    """Return begin, end [s] and sign of the boxes that noise does not explain; none as a rule.
 
     Boxes of 50, 100, 200 and 400 ms are moved over the residual; of the width that stands out most, all beyond 5.5
     standard deviations that do not overlap, as noise of a hundred thousand places has but once in a hundred times.
+
+    Parameters
+    ----------
+    left : ndarray, shape (n,)
+        Residual [N].
+    whitener : Whitener
+        Of the residual.
+    time : ndarray, shape (n,)
+        Of its values [s].
+    runs : sequence of int
+        Numbers of values that follow each other without a gap.
     """
-    white = whitener(left)
-    white = white / float(np.sqrt(np.mean(np.square(white))))
+    step, used = float(time[1] - time[0]), unbroken(runs, whitener.order)
+    white = whitener(left) * used
+    white = white / math.sqrt(float(np.sum(np.square(white)) / np.sum(used)))
     score = np.correlate(white, whitener.taps[::-1], mode="full")
     best, found, width = _STANDS_OUT, np.zeros(0), 0
     for seconds in (0.05, 0.1, 0.2, 0.4):
@@ -290,6 +343,6 @@ def boxes(left: Real, whitener: Whitener, step: float) -> tuple[tuple[float, flo
     out = []
     while found.size and np.max(np.abs(found)) > _STANDS_OUT:
         k = int(np.argmax(np.abs(found)))
-        out.append((k * step, (k + width) * step, math.copysign(1.0, found[k])))
+        out.append((float(time[k]), float(time[k + width - 1]) + step, math.copysign(1.0, found[k])))
         found[max(k - width + 1, 0) : k + width] = 0.0
     return tuple(sorted(out))

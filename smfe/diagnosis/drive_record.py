@@ -12,8 +12,9 @@ independent balance for each move (`drive_control_law`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -54,6 +55,12 @@ _CERTAIN = 1e-8
 
 _CLOCK = 0.004
 """Standard deviation of the known delay, in samples."""
+
+_VALUES_EACH = 10
+"""Fewest values for each regressor of the reference."""
+
+_LIKE_ALL = 50.0
+"""Values that the noise of a kind of move is held to be that of all moves for."""
 
 _LOWEST_TONE = 3.0
 """Lowest frequency of a tone that is looked for [Hz]; the moves are slower."""
@@ -299,12 +306,14 @@ class DriveRecordFamily:
 
 @dataclass(frozen=True)
 class _Balance:
-    """Both sides of the force balance in a band, over all moves, with what the reference leaves."""
+    """Both sides of the force balance in a band, over all moves, with what the reference leaves.
+
+    `runs` are moves that follow each other without a gap, each with the moves (first sample, end) that it has.
+    """
 
     filter: Resampler
     motion: Motion
-    spans: Sequence[tuple[int, int]]
-    part: slice
+    runs: Sequence[Sequence[tuple[int, int]]]
     force: Real
     left: Real
     regressors: Real
@@ -315,10 +324,22 @@ class _Balance:
         return self.filter.step * self.filter.every
 
     @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First sample and end of each move."""
+        return [span for run in self.runs for span in run]
+
+    @property
+    def sizes(self) -> list[int]:
+        """How many values each run has."""
+        return [(run[-1][1] - run[0][0] - 1) // self.filter.every + 1 for run in self.runs]
+
+    @property
     def moves(self) -> list[Real]:
         """What the reference leaves in each move."""
-        first, every = self.spans[0][0], self.filter.every
-        return np.split(self.left, [(a - first) // every for a, _ in self.spans[1:]])
+        found = []
+        for run, left in zip(self.runs, np.split(self.left, np.cumsum(self.sizes)[:-1]), strict=True):
+            found += np.split(left, [(a - run[0][0]) // self.filter.every for a, _ in run[1:]])
+        return found
 
     @property
     def kinds(self) -> list[_Kind]:
@@ -327,7 +348,13 @@ class _Balance:
 
     def seen(self, samples: Real) -> Real:
         """Pass a signal of the motion, full rate, through the filter."""
-        return self.filter(samples[self.part])
+        return _seen(self.filter, self.runs, samples)
+
+
+def _seen(filter_: Resampler, runs: Sequence[Sequence[tuple[int, int]]], samples: Real) -> Real:
+    """Return a signal behind the filter, run after run."""
+    margin = filter_.margin
+    return np.concatenate([filter_(samples[run[0][0] - margin : run[-1][1] + margin]) for run in runs])
 
 
 def _balance(
@@ -342,16 +369,25 @@ def _balance(
     filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * LONGEST_DELAY / raw.step))
     moving = motion(raw.position, raw.step, 2.0 * cutoff)
     spans = _spans(moving, filter_)
-    part = slice(spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin)
-    columns = list(noise.reference(moving[part]).T)
+    runs = [list(run) for run in _without_gaps(spans)]
+    first, last = spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin
+    columns = list(noise.reference(moving[first:last]).T)
     if limit is not None:
-        columns.append(excess(raw.force[part], limit))
-    for phase, period in ((moving.position[part], lead), (moving.time[part], line and 1.0 / line)):
+        columns.append(excess(raw.force[first:last], limit))
+    for phase, period in ((moving.position[first:last], lead), (moving.time[first:last], line and 1.0 / line)):
         if period:
             columns += [np.cos(2.0 * math.pi * phase / period), np.sin(2.0 * math.pi * phase / period)]
-    force = filter_(raw.force[part])
-    regressors = np.stack([filter_(c) for c in columns], axis=1)
-    return _Balance(filter_, moving, spans, part, force, noise.residual(regressors, force), regressors)
+    before = np.zeros(first)  # the reference takes its measures from what is used of the record
+    force = _seen(filter_, runs, raw.force)
+    regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c])) for c in columns], axis=1)
+    return _Balance(filter_, moving, runs, force, noise.residual(regressors, force), regressors)
+
+
+def _without_gaps(spans: Sequence[tuple[int, int]]) -> Iterator[Sequence[tuple[int, int]]]:
+    """Group moves of which each begins where the one before ends."""
+    breaks = [k for k in range(1, len(spans)) if spans[k][0] != spans[k - 1][1]]
+    for a, b in pairwise([0, *breaks, len(spans)]):
+        yield spans[a:b]
 
 
 def _learn(
@@ -372,6 +408,7 @@ def _learn(
     plain = _balance(raw, cutoff, limit)
     known, (lead, line) = lead is not None, _periodic(raw, plain, limit, lead)
     full = _balance(raw, cutoff, limit, lead, line)
+    _refuse_too_few(full)
     whitener = _whitener(full)
     law = None
     if gains is not None and raw.reference is not None:
@@ -394,10 +431,9 @@ def _learn(
         catalogue.append(terms.ripple(lead, centre, known))
     if line is not None:
         catalogue.append(terms.tone(line, raw.step * raw.force.size))
-    boxes = noise.boxes(full.left, whitener, full.interval)
+    boxes = noise.boxes(full.left, whitener, full.seen(full.motion.time), full.sizes)
     if boxes:
-        first = float(full.motion.time[full.spans[0][0]])
-        catalogue.append(terms.hidden_force([(first + a, first + b, sign) for a, b, sign in boxes]))
+        catalogue.append(terms.hidden_force(boxes))
     return DriveModel(
         resampler=full.filter,
         whitener=whitener,
@@ -413,6 +449,18 @@ def _learn(
     )
 
 
+def _refuse_too_few(balance: _Balance) -> None:
+    """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
+    values, columns = balance.regressors.shape
+    if values < _VALUES_EACH * columns:
+        seconds = values * balance.interval
+        raise InputError(
+            f"{seconds:.3g} s of motion in a band of {balance.filter.cutoff:.3g} Hz are {values} values, too few to "
+            f"tell noise from friction; {_VALUES_EACH * columns} are needed: record {_VALUES_EACH * columns / values:.1f} "
+            "times as many moves, or moves that accelerate faster, which widens the band"
+        )
+
+
 def _limit(raw: Channels, balance: _Balance) -> float | None:
     """Return the limit beyond which drive force that is lost explains most; None where noise explains as much.
 
@@ -420,13 +468,14 @@ def _limit(raw: Channels, balance: _Balance) -> float | None:
     is cut off: some other force bends with the load.
     """
     whitener = noise.fit_whitener([balance.left])
-    white = whitener(balance.left)
+    used = noise.unbroken(balance.sizes, whitener.order)
+    white = whitener(balance.left) * used
     limits = np.arange(0.95, 0.095, -0.01) * float(np.max(np.abs(raw.force)))
     columns = np.stack([balance.seen(excess(raw.force, limit)) for limit in limits], axis=1)
     columns -= balance.regressors @ np.linalg.lstsq(balance.regressors, columns, rcond=1e-10)[0]
-    shapes = np.stack([whitener(c) for c in columns.T], axis=1)
+    shapes = np.stack([whitener(c) * used for c in columns.T], axis=1)
     product, square = white @ shapes, np.sum(np.square(shapes), axis=0)
-    spread = 1.4826 * float(np.median(np.abs(white)))
+    spread = 1.4826 * float(np.median(np.abs(white[used > 0.0])))
     share = product / np.maximum(square, 1e-300)
     gain = np.where(share > _CUT_OFF, share * product / spread**2, 0.0)
     best = int(np.argmax(gain))
@@ -461,10 +510,10 @@ def _wave(
     A strong one is learned as noise by the whitener: where it does not stand out, it is judged once more by a whitener
     that was learned with the wave in the reference.
     """
-    wave = noise.strongest_wave(phase, plain.left, _whitener(plain), lowest, highest)
+    wave = noise.strongest_wave(phase, plain.left, _whitener(plain), lowest, highest, plain.sizes)
     if wave is None or wave[1] < FALSE_ALARM:
         return None if wave is None else wave[0]
-    again = noise.strongest_wave(phase, plain.left, _whitener(with_wave(wave[0])), lowest, highest)
+    again = noise.strongest_wave(phase, plain.left, _whitener(with_wave(wave[0])), lowest, highest, plain.sizes)
     return again[0] if again is not None and again[1] < _CERTAIN else None
 
 
@@ -473,13 +522,18 @@ def _whitener(balance: _Balance) -> Whitener:
 
 
 def _noise(balance: _Balance, whitener: Whitener) -> dict[_Kind, float]:
-    """Return the noise of each kind of move: a screw, a belt, a bearing is louder one way, or fast."""
-    squares: dict[_Kind, list[float]] = {}
-    for own, left in zip(balance.kinds, balance.moves, strict=True):
+    """Return the noise of each kind of move: a screw, a belt, a bearing is louder one way, or fast.
+
+    Kinds of which the reference leaves little to judge by are taken for as loud as all.
+    """
+    squares, freedom = dict[_Kind, float](), dict[_Kind, float]()
+    left = noise.freedom_left(whitener, balance.moves, balance.regressors)
+    for own, move, values in zip(balance.kinds, balance.moves, left, strict=True):
         for kind in (own, _ANY):
-            squares.setdefault(kind, []).extend(np.square(whitener(left)))
-    fitted = balance.regressors.shape[1] / balance.left.size
-    return {kind: math.sqrt(float(np.mean(values)) / (1.0 - fitted)) for kind, values in squares.items()}
+            squares[kind] = squares.get(kind, 0.0) + float(np.sum(np.square(whitener(move))))
+            freedom[kind] = freedom.get(kind, 0.0) + values
+    typical = squares[_ANY] / freedom[_ANY]
+    return {k: math.sqrt((squares[k] + _LIKE_ALL * typical) / (freedom[k] + _LIKE_ALL)) for k in squares}
 
 
 def kind_of(settings: Mapping[str, float | str]) -> _Kind:

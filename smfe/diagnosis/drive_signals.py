@@ -14,7 +14,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -27,6 +26,7 @@ _REACH = 1.25
 _REST = 0.02
 _LONGEST, _SHORTEST = 2.0, 0.2
 _WIDE = 0.2
+_SETTLING = 0.05
 
 FINEST_SLIDE = 1e-6
 """Shortest distance [m] over which friction is taken to give way."""
@@ -179,17 +179,18 @@ def _widest(position: Real, step: float, cutoff: float) -> tuple[Real, Real]:
 def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[int, int]]:
     """Yield the moves of a record as (first sample, end): from rest to rest, cut where they last over 2 s.
 
-    Rest is a speed below 2 % of the greatest. What lasts less than 0.2 s is left out.
+    Rest is a speed below 2 % of the greatest; what lasts less than 0.2 s is left out. Of a rest of 0.2 s or longer only
+    50 ms at either end belong to the moves: an axis that stands still shows its controller and no property of its own.
     """
     speed = np.abs(velocity[first:last])
     resting = speed < _REST * speed.max()
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], resting.astype(np.int8), [0]))))
-    middles = [first + int(a + np.argmin(speed[a:b])) for a, b in edges.reshape(-1, 2) if b - a < _SHORTEST / step] + [
-        first + int(k) for a, b in edges.reshape(-1, 2) if b - a >= _SHORTEST / step for k in (a, b)
-    ]
-    cuts = sorted({first, last, *middles})
-    for begin, end in pairwise(cuts):
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], resting.astype(np.int8), [0])))).reshape(-1, 2)
+    pad, begin = round(_SETTLING / step), first
+    for a, b in [*(edges + first).tolist(), [last, last]]:
+        standing = b - a >= _SHORTEST / step
+        end = min(a + pad, b) if standing else a + int(np.argmin(speed[a - first : b - first])) if b > a else last
         pieces = max(math.ceil((end - begin) * step / _LONGEST), 1)
         if (end - begin) * step >= _SHORTEST:
             ends = np.linspace(begin, end, pieces + 1).astype(int)
             yield from zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+        begin = max(b - pad, a) if standing else end

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-from smfe.diagnosis.drive_noise import Whitener, learned_again
+from smfe.diagnosis.drive_noise import Whitener, freedom_left, learned_again
 from smfe.diagnosis.drive_signals import Real
 
 _DRAWS = 40
@@ -64,15 +64,17 @@ def noise_draws(
         Kind of each move.
     """
     below = np.concatenate(([1.0], whitener.coefficients))
+    expected: dict[object, float] = {}
+    for kind, freedom in zip(kinds, freedom_left(whitener, residuals, regressors), strict=True):
+        expected[kind] = expected.get(kind, 0.0) + freedom
     found = []
     for again, moves in learned_again(whitener, residuals, regressors, _DRAWS):
         if not again.stable:
             continue
-        squares: dict[object, list[float]] = {}
+        squares = dict.fromkeys(expected, 0.0)
         for kind, left in zip(kinds, moves, strict=True):
-            squares.setdefault(kind, []).extend(np.square(again(left)))
-        left_over = 1.0 - regressors.shape[1] / regressors.shape[0]
-        size = {kind: float(np.sqrt(left_over / np.mean(values))) for kind, values in squares.items()}
+            squares[kind] += float(np.sum(np.square(again(left))))
+        size = {kind: float(np.sqrt(expected[kind] / squares[kind])) for kind in expected}
         above = np.concatenate(([1.0], again.coefficients)) * whitener.sigma / again.sigma
         found.append(NoiseDraw(above, below, size))
     return tuple(found)

@@ -31,7 +31,7 @@ SLIDING = ("stribeck", "thinning")
 def axis_of(effects, seed, size=1.0):
     """The axis of a seed with effects hidden, `size` times as large as must be found; half of the axes rub."""
     rng = np.random.default_rng([seed, 7])
-    axis = Axis().with_nuisances(rng)
+    axis = _paced(Axis().with_nuisances(rng), np.random.default_rng([seed, 8]))
     rubs = bool(rng.integers(2))
     every = DRIVE_EFFECTS | DRIVE_OUTSIDE
     signs = rng.choice([-1.0, 1.0], len(every))
@@ -41,6 +41,13 @@ def axis_of(effects, seed, size=1.0):
         if name in effects:
             axis = effect.plant(axis, size * effect.size * (sign if effect.signed else 1.0))
     return axis
+
+
+def _paced(axis, rng):
+    """The axis with moves that follow each other at once or after a rest; half as long again where it rests."""
+    rest = float(rng.choice([0.0, 0.0, 0.3, 0.8]))
+    acceleration = float(rng.uniform(0.7, 1.4))
+    return replace(axis, rest=rest, acceleration=acceleration, seconds=24.0 if rest == 0.0 else 36.0)
 
 
 def record_of(axis, seed):
