@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from scipy import linalg, signal
 
 from smfe.diagnosis.drive_signals import FINEST_SLIDE, Motion, Real
-from smfe.diagnosis.drive_terms import presliding
 
 ORDER = 10
 _SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 1.0)
@@ -105,6 +104,12 @@ def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> W
             break
         found = better
     return found
+
+
+def without_memory(residuals: Sequence[Real]) -> Whitener:
+    """Return the whitener of first order, which cannot have learned a wave."""
+    kept = _kept(residuals)
+    return _autoregression(_covariances(residuals, kept)[:2], _values(residuals, kept))
 
 
 def learned_again(
@@ -210,7 +215,7 @@ def reference(m: Motion) -> Real:
     """Return the regressors of the reference, shape (n, k): N for unit coefficients."""
     speed = np.abs(m.velocity) / np.abs(m.velocity).max()
     place = (m.position - m.position.min()) / max(float(np.ptp(m.position)), 1e-300)
-    columns = [m.acceleration, m.jerk, m.snap, *(presliding(m.place, m.rate, d, m.step) for d in _SLIDES)]
+    columns = [m.acceleration, m.jerk, m.snap, *(m.sliding(d) for d in _SLIDES)]
     for way in (m.velocity > 0.0, m.velocity <= 0.0):
         columns += [way * hat for hat in _hats(speed, _SPEEDS)]
         columns += [way * hat for hat in _hats(place, np.linspace(0.0, 1.0, _POSITIONS))]
@@ -230,14 +235,18 @@ def residual(regressors: Real, response: Real) -> Real:
     return np.asarray(response - (regressors / scale) @ solution)
 
 
-def usable_band(force: Real, left: Real, step: float, highest: float) -> float:
+def usable_band(force: Real, left: Real, step: float, highest: float, runs: Sequence[int]) -> float:
     """Return the frequency [Hz] up to which the force stands 23 dB above what the reference leaves, at most `highest`.
 
-    Power densities with a resolution of 5 Hz, each the median of three neighbours.
+    Power densities with a resolution of 5 Hz, the mean over runs of values without a gap, each the median of three
+    neighbours.
     """
-    size = min(round(1.0 / (_RESOLUTION * step)), force.size)
-    f, (whole, rest) = signal.welch(np.stack([force, left]), 1.0 / step, nperseg=size)
-    ratio = signal.medfilt(whole / np.maximum(rest, 1e-300), 3)[1:-1]
+    size = min(round(1.0 / (_RESOLUTION * step)), *runs)
+    total = np.zeros((2, size // 2 + 1))
+    for values in np.split(np.stack([force, left]), np.cumsum(runs)[:-1], axis=1):
+        f, density = signal.welch(values, 1.0 / step, nperseg=size)
+        total += values.shape[1] * density
+    ratio = signal.medfilt(total[0] / np.maximum(total[1], 1e-300), 3)[1:-1]
     low = np.flatnonzero(ratio < _ABOVE)
     return float(min(f[1:-1][low[0]] if low.size else highest, highest))
 

@@ -59,7 +59,7 @@ _CLOCK = 0.004
 _VALUES_EACH = 10
 """Fewest values for each regressor of the reference."""
 
-_LIKE_ALL = 50.0
+_LIKE_ALL = 10.0
 """Values that the noise of a kind of move is held to be that of all moves for."""
 
 _LOWEST_TONE = 3.0
@@ -403,7 +403,7 @@ def _learn(
         wide = _balance(raw, _WIDEST / raw.step, None)
         cut = _limit(raw, wide)
         wide = wide if cut is None else _balance(raw, _WIDEST / raw.step, cut)
-        cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff)
+        cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff, wide.sizes)
     limit = _limit(raw, _balance(raw, cutoff, None))
     plain = _balance(raw, cutoff, limit)
     known, (lead, line) = lead is not None, _periodic(raw, plain, limit, lead)
@@ -453,10 +453,10 @@ def _refuse_too_few(balance: _Balance) -> None:
     """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
     values, columns = balance.regressors.shape
     if values < _VALUES_EACH * columns:
-        seconds = values * balance.interval
+        seconds, needed = values * balance.interval, _VALUES_EACH * columns
         raise InputError(
             f"{seconds:.3g} s of motion in a band of {balance.filter.cutoff:.3g} Hz are {values} values, too few to "
-            f"tell noise from friction; {_VALUES_EACH * columns} are needed: record {_VALUES_EACH * columns / values:.1f} "
+            f"tell noise from friction; {needed} are needed: record {needed / values:.1f} "
             "times as many moves, or moves that accelerate faster, which widens the band"
         )
 
@@ -507,14 +507,18 @@ def _wave(
 ) -> float | None:
     """Return the wave that stands out of what the reference leaves, if one does.
 
-    A strong one is learned as noise by the whitener: where it does not stand out, it is judged once more by a whitener
-    that was learned with the wave in the reference.
+    A strong one is learned as noise by the whitener: it is looked for with one that has no memory as well, and judged
+    by one that was learned with the wave in the reference.
     """
-    wave = noise.strongest_wave(phase, plain.left, _whitener(plain), lowest, highest, plain.sizes)
-    if wave is None or wave[1] < FALSE_ALARM:
-        return None if wave is None else wave[0]
-    again = noise.strongest_wave(phase, plain.left, _whitener(with_wave(wave[0])), lowest, highest, plain.sizes)
-    return again[0] if again is not None and again[1] < _CERTAIN else None
+    found = noise.strongest_wave(phase, plain.left, _whitener(plain), lowest, highest, plain.sizes)
+    hidden = noise.strongest_wave(phase, plain.left, noise.without_memory(plain.moves), lowest, highest, plain.sizes)
+    for wave in (hidden, found):
+        if wave is not None:
+            own = _whitener(with_wave(wave[0]))
+            again = noise.strongest_wave(phase, plain.left, own, lowest, highest, plain.sizes)
+            if again is not None and again[1] < _CERTAIN:
+                return again[0]
+    return None if found is None or found[1] >= FALSE_ALARM else found[0]
 
 
 def _whitener(balance: _Balance) -> Whitener:

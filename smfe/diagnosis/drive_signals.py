@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
+
+from smfe.diagnosis.bristles import Path
 
 Real = NDArray[np.float64]
 
@@ -27,6 +29,7 @@ _REST = 0.02
 _LONGEST, _SHORTEST = 2.0, 0.2
 _WIDE = 0.2
 _SETTLING = 0.05
+_TREMBLES = 4.0
 
 FINEST_SLIDE = 1e-6
 """Shortest distance [m] over which friction is taken to give way."""
@@ -126,10 +129,10 @@ def _weights(cutoff: float, step: float, every: int, reach: int, advance: float)
 
 @dataclass(frozen=True)
 class Motion:
-    """What the encoder says, sample by sample (SI), and the time; every field has shape (n,).
+    """What the encoder says, sample by sample (SI), and the time; every array has shape (n,).
 
-    `place` and `rate` are position and velocity in the widest band that the encoder allows: friction gives way within
-    micrometres after a reversal, which the band of the force balance would smear.
+    `path` is the whole record, of which `first` is the first sample here, in the widest band that the encoder allows:
+    friction gives way within micrometres after a reversal, which the band of the force balance would smear.
     """
 
     time: Real
@@ -138,8 +141,17 @@ class Motion:
     acceleration: Real
     jerk: Real
     snap: Real
-    place: Real
-    rate: Real
+    path: Path = field(repr=False)
+    first: int = 0
+
+    @property
+    def rate(self) -> Real:
+        """Velocity in the wide band [m/s]."""
+        return self.path.velocity[self.first : self.first + self.time.size]
+
+    def sliding(self, slide: float, damping: float = 0.0) -> Real:
+        """Return the direction of sliding of bristles of a length [m] and a damping [s] (`bristles.Path`)."""
+        return self.path.direction(slide, damping)[self.first : self.first + self.time.size]
 
     @property
     def step(self) -> float:
@@ -148,7 +160,10 @@ class Motion:
 
     def __getitem__(self, part: slice) -> Motion:
         """Return a part of the motion."""
-        return Motion(*(getattr(self, f.name)[part] for f in fields(self)))
+        first = self.first + range(self.time.size)[part].start
+        own = (self.time, self.position, self.velocity, self.acceleration, self.jerk, self.snap)
+        time, position, velocity, acceleration, jerk, snap = (x[part] for x in own)
+        return Motion(time, position, velocity, acceleration, jerk, snap, self.path, first)
 
 
 def motion(position: Real, step: float, cutoff: float) -> Motion:
@@ -161,19 +176,24 @@ def motion(position: Real, step: float, cutoff: float) -> Motion:
         acceleration,
         filtered(acceleration, step, cutoff, 1),
         filtered(acceleration, step, cutoff, 2),
-        *_widest(position, step, cutoff),
+        _path(position, step, cutoff),
     )
 
 
-def _widest(position: Real, step: float, cutoff: float) -> tuple[Real, Real]:
-    """Position and velocity up to a fifth of the sample rate, where the encoder is finer than friction gives way."""
-    wide = max(_WIDE / step, cutoff)
-    rough = position - filtered(position, step, wide)
-    edge = math.ceil(half_width(wide) / step)
-    inner = rough[edge : rough.size - edge]
-    if inner.size == 0 or 6.0 * float(np.std(inner)) > FINEST_SLIDE:
-        wide = cutoff
-    return filtered(position, step, wide), filtered(position, step, wide, 1)
+def _path(position: Real, step: float, cutoff: float) -> Path:
+    """Follow a record up to a fifth of the sample rate, where the encoder is finer than friction gives way.
+
+    What the encoder has above tells its noise within the band, which must not pass for reversals.
+    """
+    for wide in (max(_WIDE / step, cutoff), cutoff):
+        rough = position - filtered(position, step, wide)
+        edge = math.ceil(half_width(wide) / step)
+        inner = rough[edge : rough.size - edge]
+        noise = float(np.std(inner)) if inner.size else math.inf
+        if 6.0 * noise <= FINEST_SLIDE:
+            break
+    least = _TREMBLES * noise * math.sqrt(wide / max(0.5 / step - wide, wide)) if inner.size else 0.0
+    return Path(filtered(position, step, wide), filtered(position, step, wide, 1), step, least)
 
 
 def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[int, int]]:

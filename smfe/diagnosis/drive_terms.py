@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -39,31 +38,8 @@ class Term:
 
 
 def direction(m: Motion, p: Values) -> Real:
-    """Return the direction of sliding [1]: that of the bristles, ``z + tau dz/dt`` (`presliding`, `coulomb`)."""
-    z = presliding(m.place, m.rate, p["coulomb.slide"], m.step)
-    damped = p["coulomb.damping"]
-    return np.asarray(z + damped * np.gradient(z, m.time) if damped else z)
-
-
-def presliding(position: Real, velocity: Real, slide: float, step: float = 0.0) -> Real:
-    """Return the direction of sliding [1], which follows a reversal over a distance `slide` [m] (Dahl 1968).
-
-    ``dz/dx = (1 - z sign v)/slide``, in closed form between reversals; at the first sample it slides. With the sample
-    interval `step` [s] a reversal is where the velocity passes zero between two samples: within a millisecond an axis
-    goes back by a good part of the distance over which its friction gives way.
-    """
-    forward = velocity >= 0.0
-    turns = [*(np.flatnonzero(forward[1:] != forward[:-1]) + 1), velocity.size]
-    out = np.where(forward, 1.0, -1.0)
-    before, since = out[0], position[0]
-    for a, b in pairwise(turns):
-        speed = velocity[a]
-        # Half of the speed times the share of the step that is left after the velocity was zero.
-        turn = position[a] - 0.5 * speed * step * speed / (speed - velocity[a - 1])
-        before = -out[a] - (-out[a] - before) * np.exp(-abs(turn - since) / slide)
-        way, since = out[a], turn
-        out[a:b] = way - (way - before) * np.exp(-np.abs(position[a:b] - turn) / slide)
-    return out
+    """Return the direction of sliding [1], that of the bristles: ``z + tau dz/dt`` (`bristles.Path`, `coulomb`)."""
+    return m.sliding(p["coulomb.slide"], p["coulomb.damping"])
 
 
 def coulomb() -> Term:

@@ -11,13 +11,13 @@ from truth.drive import STEP, Axis, simulate
 
 from process.errors import InputError
 from process.labels import make_record
+from smfe.diagnosis.bristles import Path, presliding
 from smfe.diagnosis.drive_channels import check_balance
 from smfe.diagnosis.drive_control_law import Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive_ladder import force_ladder
 from smfe.diagnosis.drive_noise import Whitener, strongest_wave
 from smfe.diagnosis.drive_record import DriveRecordFamily
 from smfe.diagnosis.drive_signals import Motion, Resampler, filtered, kernel, motion
-from smfe.diagnosis.drive_terms import presliding
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.problem import Condition, Values
 
@@ -110,7 +110,7 @@ def test_admissible_friction_never_drives_the_axis(full: DriveRecordFamily) -> N
     """
     v = np.concatenate([np.linspace(-0.1, 0.1, 4001)])
     x = np.cumsum(v) * 1e-3
-    m = Motion(v * 0.0, x, v, v * 0.0, v * 0.0, v * 0.0, x, v)
+    m = Motion(v * 0.0, x, v, v * 0.0, v * 0.0, v * 0.0, Path(x, v, 1e-3))
     for term in full.model.terms:
         if term.cause.id == "low_speed_friction":
             low, (speed_low, speed_high) = term.cause.parameters[0].low, (1e-3, 0.1)

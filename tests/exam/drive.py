@@ -46,8 +46,7 @@ def axis_of(effects, seed, size=1.0):
 def _paced(axis, rng):
     """The axis with moves that follow each other at once or after a rest; half as long again where it rests."""
     rest = float(rng.choice([0.0, 0.0, 0.3, 0.8]))
-    acceleration = float(rng.uniform(0.7, 1.4))
-    return replace(axis, rest=rest, acceleration=acceleration, seconds=24.0 if rest == 0.0 else 36.0)
+    return replace(axis, rest=rest, seconds=24.0 if rest == 0.0 else 36.0)
 
 
 def record_of(axis, seed):
