@@ -12,9 +12,8 @@ independent balance for each move (`drive_control_law`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -22,7 +21,21 @@ import xarray as xr
 from process.errors import InputError
 from smfe.diagnosis import drive_noise as noise
 from smfe.diagnosis import drive_terms as terms
-from smfe.diagnosis.calibration import FALSE_ALARM
+from smfe.diagnosis.drive_balance import (
+    ANY,
+    WIDEST,
+    Balance,
+    Kind,
+    balance_of,
+    kind_of,
+    lost_beyond,
+    noise_of,
+    periodic,
+    refuse_too_few,
+    settings_of,
+    spans_of,
+    whitener_of,
+)
 from smfe.diagnosis.drive_causes import (
     DELAY,
     HIDDEN_COMMAND,
@@ -35,35 +48,13 @@ from smfe.diagnosis.drive_causes import (
 from smfe.diagnosis.drive_channels import Channels, check_balance
 from smfe.diagnosis.drive_control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
 from smfe.diagnosis.drive_noise import Whitener
-from smfe.diagnosis.drive_signals import Motion, Real, Resampler, half_width, motion, moves
+from smfe.diagnosis.drive_signals import Motion, Real, Resampler, motion
 from smfe.diagnosis.drive_terms import Term
 from smfe.diagnosis.noise_draws import NoiseDraw, noise_draws
 from smfe.diagnosis.problem import Cause, Condition, Parameter, Values
 
-_Kind = tuple[float | str, float | str]
-_ANY: _Kind = ("", "")
-
-_FEWEST_MOVES = 4
-_WIDEST = 0.1
-"""Widest band, in units of the sample rate."""
-
-_CUT_OFF = 0.5
-"""Least share of the force beyond a limit that must be lost."""
-
-_CERTAIN = 1e-8
-"""Chance of a wave that is judged with a whitener that was learned without it: noise was given away to it."""
-
 _CLOCK = 0.004
 """Standard deviation of the known delay, in samples."""
-
-_VALUES_EACH = 10
-"""Fewest values for each regressor of the reference."""
-
-_LIKE_ALL = 10.0
-"""Values that the noise of a kind of move is held to be that of all moves for."""
-
-_LOWEST_TONE = 3.0
-"""Lowest frequency of a tone that is looked for [Hz]; the moves are slower."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +87,7 @@ class DriveModel:
     whitener : Whitener
         Of the residual force.
     noise : mapping
-        Kind of move (direction, speed) -> its noise in units of the whitener's; `_ANY`: of all moves together.
+        Kind of move (direction, speed) -> its noise in units of the whitener's; `ANY`: of all moves together.
     nuisances : tuple of Parameter
         Of the baseline.
     terms : tuple of Term
@@ -117,7 +108,7 @@ class DriveModel:
 
     resampler: Resampler
     whitener: Whitener
-    noise: Mapping[_Kind, float]
+    noise: Mapping[Kind, float]
     nuisances: tuple[Parameter, ...]
     terms: tuple[Term, ...]
     delay: float
@@ -304,92 +295,6 @@ class DriveRecordFamily:
         return needed + self.model.resampler(excess(data.drive, self.model.peak - cut))
 
 
-@dataclass(frozen=True)
-class _Balance:
-    """Both sides of the force balance in a band, over all moves, with what the reference leaves.
-
-    `runs` are moves that follow each other without a gap, each with the moves (first sample, end) that it has.
-    """
-
-    filter: Resampler
-    motion: Motion
-    runs: Sequence[Sequence[tuple[int, int]]]
-    force: Real
-    left: Real
-    regressors: Real
-
-    @property
-    def interval(self) -> float:
-        """Time between two values that are kept [s]."""
-        return self.filter.step * self.filter.every
-
-    @property
-    def spans(self) -> list[tuple[int, int]]:
-        """First sample and end of each move."""
-        return [span for run in self.runs for span in run]
-
-    @property
-    def sizes(self) -> list[int]:
-        """How many values each run has."""
-        return [(run[-1][1] - run[0][0] - 1) // self.filter.every + 1 for run in self.runs]
-
-    @property
-    def moves(self) -> list[Real]:
-        """What the reference leaves in each move."""
-        found = []
-        for run, left in zip(self.runs, np.split(self.left, np.cumsum(self.sizes)[:-1]), strict=True):
-            found += np.split(left, [(a - run[0][0]) // self.filter.every for a, _ in run[1:]])
-        return found
-
-    @property
-    def kinds(self) -> list[_Kind]:
-        """Kind of each move."""
-        return [kind_of(_settings(self.motion, begin, end)) for begin, end in self.spans]
-
-    def seen(self, samples: Real) -> Real:
-        """Pass a signal of the motion, full rate, through the filter."""
-        return _seen(self.filter, self.runs, samples)
-
-
-def _seen(filter_: Resampler, runs: Sequence[Sequence[tuple[int, int]]], samples: Real) -> Real:
-    """Return a signal behind the filter, run after run."""
-    margin = filter_.margin
-    return np.concatenate([filter_(samples[run[0][0] - margin : run[-1][1] + margin]) for run in runs])
-
-
-def _balance(
-    raw: Channels, cutoff: float, limit: float | None, lead: float | None = None, line: float | None = None
-) -> _Balance:
-    every = int(0.5 / (cutoff * raw.step) * (1.0 + 1e-9))
-    if every < 2:
-        raise InputError(
-            f"a band of {cutoff:g} Hz of a record at {1.0 / raw.step:g} Hz; the encoder is differentiated up to twice "
-            "the band, so that the rate must be at least four times the band: lower the cutoff"
-        )
-    filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * LONGEST_DELAY / raw.step))
-    moving = motion(raw.position, raw.step, 2.0 * cutoff)
-    spans = _spans(moving, filter_)
-    runs = [list(run) for run in _without_gaps(spans)]
-    first, last = spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin
-    columns = list(noise.reference(moving[first:last]).T)
-    if limit is not None:
-        columns.append(excess(raw.force[first:last], limit))
-    for phase, period in ((moving.position[first:last], lead), (moving.time[first:last], line and 1.0 / line)):
-        if period:
-            columns += [np.cos(2.0 * math.pi * phase / period), np.sin(2.0 * math.pi * phase / period)]
-    before = np.zeros(first)  # the reference takes its measures from what is used of the record
-    force = _seen(filter_, runs, raw.force)
-    regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c])) for c in columns], axis=1)
-    return _Balance(filter_, moving, runs, force, noise.residual(regressors, force), regressors)
-
-
-def _without_gaps(spans: Sequence[tuple[int, int]]) -> Iterator[Sequence[tuple[int, int]]]:
-    """Group moves of which each begins where the one before ends."""
-    breaks = [k for k in range(1, len(spans)) if spans[k][0] != spans[k - 1][1]]
-    for a, b in pairwise([0, *breaks, len(spans)]):
-        yield spans[a:b]
-
-
 def _learn(
     raw: Channels,
     mass: tuple[float, float] | None,
@@ -400,16 +305,16 @@ def _learn(
 ) -> DriveModel:
     """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
     if cutoff is None:
-        wide = _balance(raw, _WIDEST / raw.step, None)
-        cut = _limit(raw, wide)
-        wide = wide if cut is None else _balance(raw, _WIDEST / raw.step, cut)
+        wide = balance_of(raw, WIDEST / raw.step, None)
+        cut = lost_beyond(raw, wide)
+        wide = wide if cut is None else balance_of(raw, WIDEST / raw.step, cut)
         cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff, wide.sizes)
-    limit = _limit(raw, _balance(raw, cutoff, None))
-    plain = _balance(raw, cutoff, limit)
-    known, (lead, line) = lead is not None, _periodic(raw, plain, limit, lead)
-    full = _balance(raw, cutoff, limit, lead, line)
-    _refuse_too_few(full)
-    whitener = _whitener(full)
+    limit = lost_beyond(raw, balance_of(raw, cutoff, None))
+    plain = balance_of(raw, cutoff, limit)
+    known, (lead, line) = lead is not None, periodic(raw, plain, limit, lead)
+    full = balance_of(raw, cutoff, limit, lead, line)
+    refuse_too_few(full)
+    whitener = whitener_of(full)
     law = None
     if gains is not None and raw.reference is not None:
         law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
@@ -437,7 +342,7 @@ def _learn(
     return DriveModel(
         resampler=full.filter,
         whitener=whitener,
-        noise=_noise(full, whitener),
+        noise=noise_of(full, whitener),
         nuisances=nuisances,
         terms=tuple(catalogue),
         delay=delay,
@@ -449,103 +354,7 @@ def _learn(
     )
 
 
-def _refuse_too_few(balance: _Balance) -> None:
-    """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
-    values, columns = balance.regressors.shape
-    if values < _VALUES_EACH * columns:
-        seconds, needed = values * balance.interval, _VALUES_EACH * columns
-        raise InputError(
-            f"{seconds:.3g} s of motion in a band of {balance.filter.cutoff:.3g} Hz are {values} values, too few to "
-            f"tell noise from friction; {needed} are needed: record {needed / values:.1f} "
-            "times as many moves, or moves that accelerate faster, which widens the band"
-        )
-
-
-def _limit(raw: Channels, balance: _Balance) -> float | None:
-    """Return the limit beyond which drive force that is lost explains most; None where noise explains as much.
-
-    Limits from 95 to 10 % of the largest drive force are tried, which is paid for. Where less than half is lost nothing
-    is cut off: some other force bends with the load.
-    """
-    whitener = noise.fit_whitener([balance.left])
-    used = noise.unbroken(balance.sizes, whitener.order)
-    white = whitener(balance.left) * used
-    limits = np.arange(0.95, 0.095, -0.01) * float(np.max(np.abs(raw.force)))
-    columns = np.stack([balance.seen(excess(raw.force, limit)) for limit in limits], axis=1)
-    columns -= balance.regressors @ np.linalg.lstsq(balance.regressors, columns, rcond=1e-10)[0]
-    shapes = np.stack([whitener(c) * used for c in columns.T], axis=1)
-    product, square = white @ shapes, np.sum(np.square(shapes), axis=0)
-    spread = 1.4826 * float(np.median(np.abs(white[used > 0.0])))
-    share = product / np.maximum(square, 1e-300)
-    gain = np.where(share > _CUT_OFF, share * product / spread**2, 0.0)
-    best = int(np.argmax(gain))
-    return float(limits[best]) if gain[best] > 2.0 * math.log(limits.size / FALSE_ALARM) else None
-
-
-def _periodic(
-    raw: Channels, plain: _Balance, limit: float | None, lead: float | None
-) -> tuple[float | None, float | None]:
-    """Return the wavelength of a ripple [m] and the frequency of a tone [Hz] in what the reference leaves, if any.
-
-    The ripple first: a screw that turns at few speeds makes lines in time as well.
-    """
-    cutoff = plain.filter.cutoff
-    if lead is None:
-        place = plain.seen(plain.motion.position)
-        slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
-        stroke = float(np.ptp(place))
-        wave = _wave(place, plain, 5.0 / stroke, cutoff / slowest, lambda w: _balance(raw, cutoff, limit, 1.0 / w))
-        if wave is not None:
-            lead = 1.0 / wave
-            plain = _balance(raw, cutoff, limit, lead)
-    time = plain.seen(plain.motion.time)
-    return lead, _wave(time, plain, _LOWEST_TONE, cutoff, lambda w: _balance(raw, cutoff, limit, lead, w))
-
-
-def _wave(
-    phase: Real, plain: _Balance, lowest: float, highest: float, with_wave: Callable[[float], _Balance]
-) -> float | None:
-    """Return the wave that stands out of what the reference leaves, if one does.
-
-    A strong one is learned as noise by the whitener: it is looked for with one that has no memory as well, and judged
-    by one that was learned with the wave in the reference.
-    """
-    found = noise.strongest_wave(phase, plain.left, _whitener(plain), lowest, highest, plain.sizes)
-    hidden = noise.strongest_wave(phase, plain.left, noise.without_memory(plain.moves), lowest, highest, plain.sizes)
-    for wave in (hidden, found):
-        if wave is not None:
-            own = _whitener(with_wave(wave[0]))
-            again = noise.strongest_wave(phase, plain.left, own, lowest, highest, plain.sizes)
-            if again is not None and again[1] < _CERTAIN:
-                return again[0]
-    return None if found is None or found[1] >= FALSE_ALARM else found[0]
-
-
-def _whitener(balance: _Balance) -> Whitener:
-    return noise.fit_whitener(balance.moves, balance.regressors)
-
-
-def _noise(balance: _Balance, whitener: Whitener) -> dict[_Kind, float]:
-    """Return the noise of each kind of move: a screw, a belt, a bearing is louder one way, or fast.
-
-    Kinds of which the reference leaves little to judge by are taken for as loud as all.
-    """
-    squares, freedom = dict[_Kind, float](), dict[_Kind, float]()
-    left = noise.freedom_left(whitener, balance.moves, balance.regressors)
-    for own, move, values in zip(balance.kinds, balance.moves, left, strict=True):
-        for kind in (own, _ANY):
-            squares[kind] = squares.get(kind, 0.0) + float(np.sum(np.square(whitener(move))))
-            freedom[kind] = freedom.get(kind, 0.0) + values
-    typical = squares[_ANY] / freedom[_ANY]
-    return {k: math.sqrt((squares[k] + _LIKE_ALL * typical) / (freedom[k] + _LIKE_ALL)) for k in squares}
-
-
-def kind_of(settings: Mapping[str, float | str]) -> _Kind:
-    """Return the kind of a move: direction and speed."""
-    return settings["direction"], settings["speed"]
-
-
-def _nuisances(balance: _Balance, mass: tuple[float, float] | None) -> tuple[Parameter, ...]:
+def _nuisances(balance: Balance, mass: tuple[float, float] | None) -> tuple[Parameter, ...]:
     """Start the baseline at its least squares."""
     m, force = balance.motion, balance.force
     columns = [balance.seen(x) for x in (m.acceleration, m.velocity, np.ones_like(m.velocity))]
@@ -569,39 +378,12 @@ def _timing(step: float) -> Parameter:
     return Parameter("timing", "ms", 0.0, _CLOCK * step, prior=_CLOCK * step, shown=1e3)
 
 
-def _spans(moving: Motion, filter_: Resampler) -> list[tuple[int, int]]:
-    """Return moves (first sample, end) with all their margins inside the record."""
-    step = filter_.step
-    lost = math.ceil(3.0 * half_width(2.0 * filter_.cutoff) / step) + filter_.margin + noise.ORDER * filter_.every
-    last = moving.time.size - lost
-    if last - lost < filter_.every:
-        raise InputError(
-            f"the record lasts {moving.time.size * step:g} s; the filters alone need {2.0 * lost * step:.2g} s"
-        )
-    found = list(moves(moving.velocity, step, lost, last))
-    if len(found) < _FEWEST_MOVES:
-        raise InputError(
-            f"{len(found)} moves of 0.2 s or longer in the record; at least {_FEWEST_MOVES} are needed, so that one "
-            "can be held out: record more moves, with other speeds and both directions"
-        )
-    return found
-
-
-def _settings(moving: Motion, begin: int, end: int) -> Mapping[str, float | str]:
-    velocity = moving.velocity[begin:end]
-    return {
-        "direction": "forward" if float(np.mean(velocity)) > 0.0 else "backward",
-        "speed": float(f"{np.median(np.abs(velocity)):.1g}"),
-        "quarter": float(4 * (begin + end) // (2 * moving.time.size)),
-    }
-
-
 def _named(moving: Motion, shared: DriveModel, name: str) -> list[tuple[str, Mapping[str, float | str], str, int, int]]:
     """Return name, settings, source, first sample and end of each move."""
     found = []
-    spans = _spans(moving, shared.resampler)
+    spans = spans_of(moving, shared.resampler)
     for k, (begin, end) in enumerate(spans):
-        settings = _settings(moving, begin, end)
+        settings = settings_of(moving, begin, end)
         way, speed = settings["direction"], 1e3 * float(np.median(np.abs(moving.velocity[begin:end])))
         half = "first half" if moving.time[(begin + end) // 2] < 0.0 else "second half"
         text = f"{name + ' ' if name else ''}move {k + 1}, {way}, {speed:.0f} mm/s"
@@ -616,7 +398,7 @@ def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: s
     for text, settings, half, begin, end in _named(moving, shared, name):
         part = slice(begin - before, end + filter_.margin)
         force = filter_(raw.force[part])
-        data = ForceData(moving[part], force, shared.noise.get(kind_of(settings), shared.noise[_ANY]), raw.force[part])
+        data = ForceData(moving[part], force, shared.noise.get(kind_of(settings), shared.noise[ANY]), raw.force[part])
         found.append(Condition(text, settings, shared.whitener(force) / data.noise, half, data))
     return found
 

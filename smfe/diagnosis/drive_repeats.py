@@ -15,8 +15,9 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.diagnosis import drive_noise as noise
+from smfe.diagnosis.drive_balance import kind_of
 from smfe.diagnosis.drive_channels import Channels
-from smfe.diagnosis.drive_record import DriveRecordFamily, ForceData, kind_of
+from smfe.diagnosis.drive_record import DriveRecordFamily, ForceData
 from smfe.diagnosis.drive_signals import Motion, Real, motion
 from smfe.diagnosis.noise_draws import noise_draws
 from smfe.diagnosis.problem import Condition, Values

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exam.drive import EXPECTED, axis_of, record_of
+from exam.drive import EXPECTED, axis_of, family_of, record_of
 from exam.drive import family as hidden
 from truth.drive import STEP, Axis, simulate
 
@@ -17,7 +17,7 @@ from smfe.diagnosis.drive_control_law import Gains, fit_control_law, unlogged_co
 from smfe.diagnosis.drive_ladder import force_ladder
 from smfe.diagnosis.drive_noise import Whitener, strongest_wave
 from smfe.diagnosis.drive_record import DriveRecordFamily
-from smfe.diagnosis.drive_signals import Motion, Resampler, filtered, kernel, motion
+from smfe.diagnosis.drive_signals import Motion, Resampler, filtered, kernel, motion, moves
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.problem import Condition, Values
 
@@ -86,6 +86,40 @@ def test_a_reversal_between_two_samples_is_where_the_velocity_is_zero() -> None:
     exact = presliding(x, v, 8e-6)[coarse]
     assert presliding(x[coarse], v[coarse], 8e-6, 1e-3) == pytest.approx(exact, abs=1e-5)
     assert np.max(np.abs(presliding(x[coarse], v[coarse], 8e-6) - exact)) > 0.01
+
+
+def test_an_encoder_that_trembles_at_rest_does_not_turn_the_bristles() -> None:
+    """Bristles that hold 0.9 of their force keep it through a second of rest; the next move begins from there."""
+    stop = 8e-6 * math.log(20.0)
+    x = np.concatenate([np.linspace(-1e-3, 0.0, 500), np.linspace(0.0, -stop / 20.0, 20), np.full(1000, -stop / 20.0)])
+    trembling = x + np.where(np.arange(x.size) > 520, 2e-8 * np.random.default_rng(0).standard_normal(x.size), 0.0)
+    held = presliding(x, np.gradient(x, STEP), 8e-6)[-1]
+    assert held == pytest.approx(2.0 * math.exp(-stop / 20.0 / 8e-6) - 1.0, abs=0.03)
+    calm = Path(trembling, np.gradient(trembling, STEP), STEP, 1.5e-7).direction(8e-6)
+    assert calm[-1] == pytest.approx(held, abs=0.02)
+    assert abs(Path(trembling, np.gradient(trembling, STEP), STEP).direction(8e-6)[-1]) < 0.5 * held
+
+
+def test_moves_leave_standstill_out_but_for_its_edges() -> None:
+    """Two moves of 1 s with a rest of 0.5 s between them: 50 ms of the rest belong to either."""
+    v = np.concatenate([np.sin(np.linspace(0.0, np.pi, 1000)), np.zeros(500), -np.sin(np.linspace(0.0, np.pi, 1000))])
+    (a, b), (c, d) = moves(v, STEP, 0, v.size)
+    assert a == 0
+    assert d == pytest.approx(v.size, abs=10)
+    assert b == pytest.approx(1050, abs=10)
+    assert c == pytest.approx(1450, abs=10)
+
+
+@pytest.mark.parametrize(("rest", "coulomb"), [(0.5, 0.0), (0.3, 20.0), (0.8, 20.0)])
+def test_a_healthy_axis_that_pauses_is_consistent(rest: float, coulomb: float) -> None:
+    """At rest an axis shows its controller and, where it sticks, any force; a viscous one and one that rubs."""
+    axis = replace(axis_of((), 5), rest=rest, coulomb=coulomb, seconds=36.0)
+    assert diagnose(family_of(axis, 5)).verdict == "consistent"
+
+
+def test_a_record_that_cannot_tell_its_noise_is_refused() -> None:
+    with pytest.raises(InputError, match="values, too few to tell noise from friction; 400 are needed: record"):
+        family(replace(Axis(), acceleration=0.2, rest=1.0), seconds=24.0, delay=0.5 * STEP)
 
 
 def test_every_cause_nests_the_baseline(full: DriveRecordFamily) -> None:
