@@ -17,6 +17,8 @@ import numpy as np
 from smfe.diagnosis.drive_signals import Motion, Real
 from smfe.diagnosis.problem import Cause, Parameter, Values
 
+_REST = 2e-4
+"""v0 [m/s]."""
 _SPEEDS = ((0.0, 0.005), (0.0, 0.02), (0.0, 0.05))
 """No force, and speeds [m/s] over which it may change."""
 
@@ -38,7 +40,13 @@ class Term:
 
 
 def direction(m: Motion, p: Values) -> Real:
-    """Return the direction of sliding [1], that of the bristles: ``z + tau dz/dt`` (`bristles.Path`, `coulomb`)."""
+    """Return the direction of sliding [1], that of the bristles: ``z + tau dz/dt`` (`bristles.Path`, `coulomb`).
+
+    Without Coulomb friction nothing tells how long they are: the smooth sign ``tanh(v/v0)``. A friction that builds up
+    within the slowest speeds would be Coulomb friction by another name, and cheaper.
+    """
+    if p["coulomb.force"] == 0.0:
+        return np.tanh(m.rate / _REST)
     return m.sliding(p["coulomb.slide"], p["coulomb.damping"])
 
 
@@ -54,7 +62,7 @@ def coulomb() -> Term:
     damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3)
 
     def at(m: Motion, p: Values) -> Real:
-        return np.asarray(p["coulomb.force"] * direction(m, p))
+        return np.asarray(p["coulomb.force"] * m.sliding(p["coulomb.slide"], p["coulomb.damping"]))
 
     start = (0.0, 2e-6, 0.0)
     return Term(Cause("guideway_friction", "Coulomb friction", (force, slide, damping), "coulomb", starts=(start,)), at)

@@ -152,7 +152,9 @@ def test_admissible_friction_never_drives_the_axis(full: DriveRecordFamily) -> N
             for speed in (speed_low, speed_high):
                 names = [p.name for p in term.cause.parameters]
                 values = dict(zip(names, (5.0, speed), strict=True))
-                power = v * term.force(m, values | {"coulomb.slide": 2e-6, "coulomb.damping": 0.0})
+                assert np.all(v * term.force(m, values | {"coulomb.force": 0.0}) >= 0.0)
+                bristles = {"coulomb.force": 1.0, "coulomb.slide": 2e-6, "coulomb.damping": 0.0}
+                power = v * term.force(m, values | bristles)
                 assert np.all(power[np.abs(x - x.min()) > 2e-6 * math.log(2.0)] >= 0.0)
                 assert np.sum(power) > 0.0
         if term.cause.id in ("guideway_friction", "missing_mode"):
