@@ -45,7 +45,7 @@ def direction(m: Motion, p: Values) -> Real:
     Without Coulomb friction nothing tells how long they are: the smooth sign ``tanh(v/v0)``. A friction that builds up
     within the slowest speeds would be Coulomb friction by another name, and cheaper.
     """
-    if p["coulomb.force"] == 0.0:
+    if p.get("coulomb.force", 0.0) == 0.0:
         return np.tanh(m.rate / _REST)
     return m.sliding(p["coulomb.slide"], p["coulomb.damping"])
 
@@ -87,7 +87,8 @@ def shear() -> Term:
     The opposite of a Stribeck boost: grease that thins under shear, a lubricant film that forms.
     """
     amount = Parameter("shear.force", "N", 0.0, 1.0, low=0.0)
-    speed = Parameter("shear.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3)
+    # What builds up within less is Coulomb friction.
+    speed = Parameter("shear.speed", "mm/s", 0.02, 0.01, 5e-3, 0.1, shown=1e3)
 
     def force(m: Motion, p: Values) -> Real:
         build = -np.expm1(-np.abs(m.rate) / p["shear.speed"])

@@ -306,9 +306,18 @@ def test_one_depth_stays_one_estimate_and_its_level_is_told(folder: Path, tmp_pa
     )
 
 
+def write_steady_cut(folder: Path) -> None:
+    """Ten seconds of the tooth passing and a little noise, at 800 rpm."""
+    t = np.arange(round(10.0 * RATE)) / RATE
+    tooth = np.cos(2.0 * np.pi * 800.0 / 30.0 * t) + 1e-3 * np.random.default_rng(1).standard_normal(t.size)
+    cut = make_record(t, {"acceleration": dict.fromkeys("xyz", tooth)})
+    cut["spindle_speed"] = ("time", np.full(t.size, 800.0), {"units": "rpm"})
+    write_record_netcdf(cut, folder / "cut.nc")
+
+
 TEST = """
 [[cutting_test]]
-file = "down_1 mm.nc"
+file = "cut.nc"
 spindle_speed = "800 rpm"
 depth_of_cut = "1 mm"
 cut = "down"
@@ -320,6 +329,7 @@ observed = "stable"
 
 @pytest.mark.slow
 def test_every_verb_knows_the_levels(folder: Path, tmp_path: Path) -> None:
+    write_steady_cut(folder)
     depths, rest = {"1 mm": list(CUTS), "2 mm": list(CUTS)}, '[plan]\nmachine = "sweep, 2 mm"\n'
     path = campaign(folder, depths, '[baseline]\nlimits = "sweep, 2 mm"\n' + TEST + rest)
     assert load_task(path).estimate.name == "sweep, 2 mm"
@@ -333,13 +343,8 @@ def test_every_verb_knows_the_levels(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_an_operating_point_over_the_depths_predicts_a_cutting_test(folder: Path, tmp_path: Path) -> None:
     lobe = LOBE.replace('["sweep, 2 mm"]', '["sweep, 1 mm", "sweep, 2 mm"]').replace("zero_order", "operating_point")
-    t = np.arange(round(10.0 * RATE)) / RATE
-    tooth = np.cos(2.0 * np.pi * 800.0 / 30.0 * t) + 1e-3 * np.random.default_rng(1).standard_normal(t.size)
-    cut = make_record(t, {"acceleration": dict.fromkeys("xyz", tooth)})
-    cut["spindle_speed"] = ("time", np.full(t.size, 800.0), {"units": "rpm"})
-    write_record_netcdf(cut, folder / "cut.nc")
-    test = TEST.replace("down_1 mm.nc", "cut.nc")
-    run(campaign(folder, {"1 mm": list(CUTS), "2 mm": list(CUTS)}, lobe + test), tmp_path)
+    write_steady_cut(folder)
+    run(campaign(folder, {"1 mm": list(CUTS), "2 mm": list(CUTS)}, lobe + TEST), tmp_path)
     table = pd.read_csv(tmp_path / "chatter.csv")
     assert table["predicted_sweep, 1 mm + sweep, 2 mm"].isin(["stable", "chatter"]).all()
 
