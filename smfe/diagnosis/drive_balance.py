@@ -133,7 +133,20 @@ def balance_of(
     before = np.zeros(first)  # the reference takes its measures from what is used of the record
     force = _seen(filter_, runs, raw.force)
     regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c])) for c in columns], axis=1)
+    _refuse_too_few(*regressors.shape, filter_)
     return Balance(filter_, moving, runs, force, noise.residual(regressors, force), regressors)
+
+
+def _refuse_too_few(values: int, columns: int, filter_: Resampler) -> None:
+    """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
+    needed = _VALUES_EACH * columns
+    if values < needed:
+        seconds = values * filter_.step * filter_.every
+        raise InputError(
+            f"{seconds:.3g} s of motion in a band of {filter_.cutoff:.3g} Hz are {values} values, too few to "
+            f"tell noise from friction; {needed} are needed: record {needed / values:.1f} "
+            "times as many moves, or moves that accelerate faster, which widens the band"
+        )
 
 
 def _without_gaps(spans: Sequence[tuple[int, int]]) -> Iterator[Sequence[tuple[int, int]]]:
@@ -169,18 +182,6 @@ def settings_of(moving: Motion, begin: int, end: int) -> Mapping[str, float | st
         "speed": float(f"{np.median(np.abs(velocity)):.1g}"),
         "quarter": float(4 * (begin + end) // (2 * moving.time.size)),
     }
-
-
-def refuse_too_few(balance: Balance) -> None:
-    """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
-    values, columns = balance.regressors.shape
-    if values < _VALUES_EACH * columns:
-        seconds, needed = values * balance.interval, _VALUES_EACH * columns
-        raise InputError(
-            f"{seconds:.3g} s of motion in a band of {balance.filter.cutoff:.3g} Hz are {values} values, too few to "
-            f"tell noise from friction; {needed} are needed: record {needed / values:.1f} "
-            "times as many moves, or moves that accelerate faster, which widens the band"
-        )
 
 
 def lost_beyond(raw: Channels, balance: Balance) -> float | None:

@@ -34,7 +34,7 @@ ORDER = 10
 _SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 1.0)
 _POSITIONS = 8
 _SLIDES = (FINEST_SLIDE, 5e-6, 2.5e-5)
-_ABOVE = 200.0
+ABOVE = 200.0
 """Force over what the reference leaves, in power, where a record can be used."""
 _RESOLUTION = 5.0
 _STANDS_OUT = 5.5
@@ -247,7 +247,7 @@ def usable_band(force: Real, left: Real, step: float, highest: float, runs: Sequ
         f, density = signal.welch(values, 1.0 / step, nperseg=size)
         total += values.shape[1] * density
     ratio = signal.medfilt(total[0] / np.maximum(total[1], 1e-300), 3)[1:-1]
-    low = np.flatnonzero(ratio < _ABOVE)
+    low = np.flatnonzero(ratio < ABOVE)
     return float(min(f[1:-1][low[0]] if low.size else highest, highest))
 
 

@@ -31,7 +31,6 @@ from smfe.diagnosis.drive_balance import (
     lost_beyond,
     noise_of,
     periodic,
-    refuse_too_few,
     settings_of,
     spans_of,
     whitener_of,
@@ -53,8 +52,8 @@ from smfe.diagnosis.drive_terms import Term
 from smfe.diagnosis.noise_draws import NoiseDraw, noise_draws
 from smfe.diagnosis.problem import Cause, Condition, Parameter, Values
 
-_CLOCK = 0.004
-"""Standard deviation of the known delay, in samples."""
+_CLOSED_LOOP = 1.0 / 6.0
+"""Share of the angle by which noise turns the force at the end of the band that the loop makes of it, one sigma."""
 
 
 @dataclass(frozen=True)
@@ -287,7 +286,7 @@ class DriveRecordFamily:
                 total = total + term.force(m, values)
         if self.model.mass_known:
             total = total * (1.0 + values["force_gain.error"])
-        delay = self.model.delay + values["timing"] + values["loop_delay.delay"]
+        delay = self.model.delay + values["delay.error"] + values["loop_delay.delay"]
         needed = self.model.resampler(total, delay)
         cut = values.get("saturation.cut", 0.0)
         if self.model.limit is None or cut == 0.0:
@@ -313,12 +312,11 @@ def _learn(
     plain = balance_of(raw, cutoff, limit)
     known, (lead, line) = lead is not None, periodic(raw, plain, limit, lead)
     full = balance_of(raw, cutoff, limit, lead, line)
-    refuse_too_few(full)
     whitener = whitener_of(full)
     law = None
     if gains is not None and raw.reference is not None:
         law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
-    nuisances = (*_nuisances(full, mass), _timing(raw.step))
+    nuisances = (*_nuisances(full, mass), _timing(cutoff))
     place = plain.seen(plain.motion.position)
     centre, stroke = float(np.mean(place)), float(np.ptp(place))
     catalogue = [
@@ -369,13 +367,16 @@ def _nuisances(balance: Balance, mass: tuple[float, float] | None) -> tuple[Para
     )
 
 
-def _timing(step: float) -> Parameter:
-    """Return what the known delay is off by, a few thousandths of a sample.
+def _timing(cutoff: float) -> Parameter:
+    """Return what the known delay is off by, 4 us in a band of 33 Hz.
 
-    No record would tell: the controller answers the disturbances that the balance takes for noise, which shifts the
-    delay by as much (bias of the direct method in closed loop; Forssell and Ljung, Automatica 35, 1999).
+    No record would tell: the controller answers the disturbances that the balance takes for noise (bias of the direct
+    method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung, Automatica 35,
+    1999). At the end of the band that share is one in `noise.ABOVE`, an angle that a delay makes of it by its frequency;
+    less of it comes from the loop, as was measured by linearisation at the truth.
     """
-    return Parameter("timing", "ms", 0.0, _CLOCK * step, prior=_CLOCK * step, shown=1e3)
+    off = _CLOSED_LOOP / (noise.ABOVE * 2.0 * math.pi * cutoff)
+    return Parameter("delay.error", "ms", 0.0, off, prior=off, shown=1e3)
 
 
 def _named(moving: Motion, shared: DriveModel, name: str) -> list[tuple[str, Mapping[str, float | str], str, int, int]]:

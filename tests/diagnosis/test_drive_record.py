@@ -122,6 +122,11 @@ def test_a_record_that_cannot_tell_its_noise_is_refused() -> None:
         family(replace(Axis(), acceleration=0.2, rest=1.0), seconds=24.0, delay=0.5 * STEP)
 
 
+def test_a_band_in_which_a_move_has_fewer_values_than_noise_remembers_is_refused_with_what_is_needed() -> None:
+    with pytest.raises(InputError, match="in a band of 4 Hz are .* values, too few"):
+        family(replace(Axis(), rest=1.0), seconds=30.0, delay=0.5 * STEP, cutoff=4.0)
+
+
 def test_every_cause_nests_the_baseline(full: DriveRecordFamily) -> None:
     """At the null of what acts the prediction is the baseline's, wherever the shapes are; beyond the null it is not."""
     null = null_values(full)

@@ -154,6 +154,14 @@ def test_a_healthy_axis_hit_at_rest_and_in_motion_is_consistent():
 
 
 @pytest.mark.slow
+def test_a_healthy_axis_whose_noise_one_cause_follows_is_consistent():
+    """Servo gains beat their threshold by little here; held-out conditions do not bear them out, and noise is all."""
+    sealed = draw(510_024, effects=(None,))
+    found = diagnose(family(sealed.records))
+    sealed.require(found.verdict == "consistent" and not found.causes, found.reason)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("effect", "seed", "cause"), [("gain", 11_900, "sensor_gain"), ("posture", 11_500, "posture")])
 def test_an_effect_of_the_size_that_must_be_found_is_named(effect, seed, cause):
     sealed = draw(seed, effects=(effect,))
