@@ -133,12 +133,13 @@ def balance_of(
     before = np.zeros(first)  # the reference takes its measures from what is used of the record
     force = _seen(filter_, runs, raw.force)
     regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c])) for c in columns], axis=1)
-    _refuse_too_few(*regressors.shape, filter_)
+    _refuse_too_few(regressors, filter_)
     return Balance(filter_, moving, runs, force, noise.residual(regressors, force), regressors)
 
 
-def _refuse_too_few(values: int, columns: int, filter_: Resampler) -> None:
+def _refuse_too_few(regressors: Real, filter_: Resampler) -> None:
     """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
+    values, columns = regressors.shape
     needed = _VALUES_EACH * columns
     if values < needed:
         seconds = values * filter_.step * filter_.every

@@ -372,8 +372,8 @@ def _timing(cutoff: float) -> Parameter:
 
     No record would tell: the controller answers the disturbances that the balance takes for noise (bias of the direct
     method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung, Automatica 35,
-    1999). At the end of the band that share is one in `noise.ABOVE`, an angle that a delay makes of it by its frequency;
-    less of it comes from the loop, as was measured by linearisation at the truth.
+    1999). At the end of the band that share is one in `noise.ABOVE`: by so large an angle noise may turn the force
+    there. A sixth of it was measured to come from the loop, by linearisation at the truth.
     """
     off = _CLOSED_LOOP / (noise.ABOVE * 2.0 * math.pi * cutoff)
     return Parameter("delay.error", "ms", 0.0, off, prior=off, shown=1e3)

@@ -123,7 +123,7 @@ def test_a_record_that_cannot_tell_its_noise_is_refused() -> None:
 
 
 def test_a_band_in_which_a_move_has_fewer_values_than_noise_remembers_is_refused_with_what_is_needed() -> None:
-    with pytest.raises(InputError, match="in a band of 4 Hz are .* values, too few"):
+    with pytest.raises(InputError, match=r"in a band of 4 Hz are .* values, too few"):
         family(replace(Axis(), rest=1.0), seconds=30.0, delay=0.5 * STEP, cutoff=4.0)
 
 
