@@ -22,7 +22,7 @@ from smfe.diagnosis.campaign_limits import limit_case
 from smfe.diagnosis.campaign_menu import menu
 from smfe.diagnosis.campaign_modes import NamedModes, modes_named
 from smfe.diagnosis.machine_frf import MachineFrfs, condition_of, excitation_of
-from smfe.diagnosis.modal_frf import ModalFrfs
+from smfe.diagnosis.modal_frf import SPREAD, ModalFrfs
 from smfe.diagnosis.modal_proposals import modal_proposals
 from smfe.diagnosis.problem import Condition
 from smfe.identification import Identification, Progress, silent
@@ -152,7 +152,8 @@ def modal_family(campaign: Campaign, modes: NamedModes, found: Mapping[str, Iden
             "no hammer or actuator measurement has an uncertainty (three hits or more); the baseline has nothing to be "
             "compared with"
         )
-    return ModalFrfs(modes.modal, tuple(conditions), modal_proposals(conditions))
+    spread = {**SPREAD, **modes.spread}
+    return ModalFrfs(modes.modal, tuple(conditions), modal_proposals(conditions), spread=spread)
 
 
 def _ordered(campaign: Campaign) -> list[tuple[Measurement, float]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from process.compliance import ModalModel
 from process.errors import InputError
@@ -25,11 +25,14 @@ class NamedModes:
         Lowest and highest natural frequency that count as modes of the machine [Hz].
     suspects : tuple of Suspect
         What the fit warns of.
+    spread : mapping
+        What a ``[[model]]`` states as its ``uncertainty``, relative; empty where it states none.
     """
 
     modal: ModalModel
     band: tuple[float, float]
     suspects: tuple[Suspect, ...] = ()
+    spread: Mapping[str, float] = field(default_factory=dict)
 
 
 def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification]) -> NamedModes:
@@ -52,7 +55,8 @@ def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identificatio
     for model in campaign.models:
         if model.name == name:
             low, high = float(model.modal.frequency.min()), float(model.modal.frequency.max())
-            return NamedModes(model.modal, (low, high))
+            given = {n: getattr(model.spread, n) for n in ("frequency", "damping", "stiffness")}
+            return NamedModes(model.modal, (low, high), spread={n: s for n, s in given.items() if s > 0.0})
     if name not in found:
         raise InputError(f"baseline: measurement '{name}' is no compliance, so it has no modes; name one that is")
     try:

@@ -1,5 +1,6 @@
 """Claims: the modes of a measurement are a baseline like those of a model, and what is no compliance is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ from truth.modal_machine import Hidden, Setting, at_tool, modes, nominal
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance
-from smfe.campaign import Campaign, Measurement, ModesOf
+from smfe.campaign import Campaign, Measurement, Model, ModesOf
 from smfe.diagnosis.campaign_family import case_of
 from smfe.diagnosis.campaign_modes import modes_named
 from smfe.diagnosis.engine import diagnose
+from smfe.diagnosis.modal_frf import SPREAD
 from smfe.identification import Identification
+from stability import Spread
 
 F = np.arange(14.0, 150.0, 0.5)
 NOISE = 0.01
@@ -52,6 +55,22 @@ def test_the_modes_of_a_measurement_are_those_of_the_machine() -> None:
 def test_a_measurement_like_the_one_that_gave_the_modes_is_consistent_with_them() -> None:
     alike = {name: measured(name, k, level=level) for k, (name, level) in enumerate((("a", 100.0), ("b", 50.0)), 1)}
     assert diagnose(case_of(campaign(alike, "a"), alike).family).verdict == "consistent"
+
+
+def test_a_model_is_trusted_as_far_as_it_says() -> None:
+    """Without an uncertainty of its own a mode has that of the house; both are priors of the fit."""
+    found = {"first": measured("first", 1)}
+    bare = modes_named(campaign(found, "first"), "first", found).modal
+    declared = replace(
+        campaign(found, "sure"), models=(Model("sure", bare, Spread(frequency=0.004)), Model("plain", bare))
+    )
+    priors = {}
+    for name in ("sure", "plain"):
+        family = case_of(replace(declared, baseline=ModesOf(name)), found).family
+        priors[name] = {p.name: p.prior / p.start for p in family.nuisances}
+    assert priors["sure"]["frequency_1"] == pytest.approx(0.004)
+    assert priors["plain"]["frequency_1"] == pytest.approx(SPREAD["frequency"])
+    assert priors["sure"]["damping_1"] == priors["plain"]["damping_1"] == pytest.approx(SPREAD["damping"])
 
 
 def test_what_has_no_modes_is_refused_with_what_to_do() -> None:
