@@ -39,6 +39,9 @@ ROUGH = 3.0
 OPTIMISM = 3.0
 """How many times what a linear step promises a fit may still come down: more than that from a goal it is hopeless."""
 
+_FORETOLD = 0.3
+"""Share of a step that its slopes may have missed to be kept, corrected."""
+
 _CYCLES = 8
 _STEPS = 12
 _FRACTIONS = (1.0, 0.5, 0.2, 0.05)
@@ -333,7 +336,10 @@ def refit(model: Model, target: Target, near: Fit) -> Fit:
 
 
 def _trust_region(state: _State) -> None:
-    """Let scipy's bounded trust region work where plain steps do not."""
+    """Let scipy's bounded trust region work where plain steps do not.
+
+    Slopes that foretold a step are corrected by it (Broyden 1965) in place of being taken anew, one-sided.
+    """
     model, target, free = state.model, state.target, state.free
     rows = list(target.observed)
     flat = dict.fromkeys(rows, np.zeros((0, free.size)))
@@ -348,11 +354,22 @@ def _trust_region(state: _State) -> None:
         found = residuals(model, target, place(x))
         return np.full(values, np.nan) if found is None else stacked(model, target, free, place(x), found, flat)[1]
 
+    kept: list[tuple[Real, Real, Real]] = []
+
     def slope(x: Real) -> Real:
-        found, slopes = residuals(model, target, place(x)), model.slopes(rows, place(x), free)
+        now = value(x)
+        if kept:
+            at, then, known = kept.pop()
+            step = x - at
+            missed = now - then - known @ step
+            if np.linalg.norm(missed) < _FORETOLD * np.linalg.norm(known @ step):
+                kept.append((x.copy(), now, known + np.outer(missed, step / (step @ step))))
+                return kept[0][2]
+        found, slopes = residuals(model, target, place(x)), model.slopes(rows, place(x), free, rough=True)
         if found is None or slopes is None:
             return np.zeros((values, free.size))
-        return stacked(model, target, free, place(x), found, slopes)[0]
+        kept.append((x.copy(), now, stacked(model, target, free, place(x), found, slopes)[0]))
+        return kept[0][2]
 
     # A parameter that does nothing here has a slope of zero, which scipy divides by before it drops it.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -362,7 +379,7 @@ def _trust_region(state: _State) -> None:
             jac=slope,
             bounds=(model.low[free], model.high[free]),
             method="trf",
-            ftol=1e-9,
+            ftol=max(1e-9, 0.1 * state.tolerance / state.chi2),
             xtol=1e-9,
             gtol=None,
             max_nfev=8,

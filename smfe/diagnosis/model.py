@@ -137,13 +137,14 @@ class Model:
             return None
         return found
 
-    def slopes(self, rows: Sequence[int], u: Real, free: Index) -> dict[int, Real] | None:
+    def slopes(self, rows: Sequence[int], u: Real, free: Index, rough: bool = False) -> dict[int, Real] | None:
         """Return the derivatives of each condition with the scaled parameters `free`: central differences, (n, p).
 
-        On a bound the difference is one-sided and of second order. None where the family predicts neither way.
+        On a bound the difference is one-sided and of second order; rough ones are one-sided and of first order
+        everywhere, for half of the predictions. None where the family predicts neither way.
         """
-        self.prepare([(row, at) for j in free for at in self._beside(u, int(j)) for row in rows])
-        columns = [self._slope(rows, u, int(j)) for j in free]
+        self.prepare([(row, at) for j in free for at in self._beside(u, int(j), rough) for row in rows])
+        columns = [self._slope(rows, u, int(j), rough) for j in free]
         if any(c is None for c in columns):
             return None
         return {
@@ -158,20 +159,22 @@ class Model:
         found = self.predict(row, u)
         return 0 if found is None else int(found.size)
 
-    def _beside(self, u: Real, j: int) -> list[Real]:
-        """Return the values at which a central difference is taken, where both are within the bounds."""
-        steps = [step for step in (-STEP, STEP) if self.low[j] <= u[j] + step <= self.high[j]]
+    def _beside(self, u: Real, j: int, rough: bool) -> list[Real]:
+        """Return the values at which a difference is taken, where all are within the bounds."""
+        wanted = (STEP,) if rough else (-STEP, STEP)
+        steps = [step for step in wanted if self.low[j] <= u[j] + step <= self.high[j]]
         unit = np.eye(u.size)[j]
-        return [u + step * unit for step in (steps if len(steps) == 2 else ())]
+        return [u + step * unit for step in (steps if len(steps) == len(wanted) else ())]
 
-    def _slope(self, rows: Sequence[int], u: Real, j: int) -> dict[int, Real] | None:
+    def _slope(self, rows: Sequence[int], u: Real, j: int, rough: bool) -> dict[int, Real] | None:
         room = (self.low[j] - u[j], self.high[j] - u[j])
         central = ((-STEP, -0.5 / STEP), (STEP, 0.5 / STEP))
         forward, backward = (
             tuple((s * step, s * c / STEP) for step, c in ((0.0, -1.5), (STEP, 2.0), (2.0 * STEP, -0.5)))
             for s in (1.0, -1.0)
         )
-        for stencil in (central, forward, backward):
+        onward, back = (((0.0, -s / STEP), (s * STEP, s / STEP)) for s in (1.0, -1.0))
+        for stencil in (onward, back) if rough else (central, forward, backward):
             if all(room[0] <= step <= room[1] for step, _ in stencil):
                 found = self._difference(rows, u, j, stencil)
                 if found is not None:
