@@ -1,6 +1,8 @@
 """The direction of sliding along a record: bristles that follow a reversal over micrometres.
 
-``dz/dx = (1 - z sign v)/slide`` (Dahl 1968), in closed form between reversals. A reversal is where the axis comes back
+``dz/dx = (1 - z sign v)/slide`` (Dahl 1968), in closed form between reversals. Friction that changes with speed,
+g(|v|), goes through the same bristles (LuGre; Canudas de Wit et al., IEEE Transactions on Automatic Control 40, 1995):
+it follows ``g sign v`` over the same distance, in place of at once. A reversal is where the axis comes back
 by more than the encoder trembles: at rest bristles keep what they hold until the axis moves on. What they hold at the
 beginning of a move comes from the move before, so that a record is followed as a whole.
 """
@@ -8,10 +10,12 @@ beginning of a move comes from the move before, so that a record is followed as 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 
 Real = NDArray[np.float64]
 
@@ -87,7 +91,40 @@ class Path:
     def __init__(self, position: Real, velocity: Real, step: float, least: float = 0.0) -> None:
         self.position, self.velocity, self.step = position, velocity, step
         self._turns = reversals(position, velocity, least)
-        self._kept: dict[tuple[float, float], Real] = {}
+        self._kept: dict[tuple[float, ...], Real] = {}
+
+    def built(self, speed: float, slide: float, damping: float = 0.0) -> Real:
+        """Return what bristles make of ``[1 - exp(-|v|/speed)] sign v`` [1], shape (n,); parameters as `direction`."""
+        key = (slide, damping, speed)
+        found = self._kept.get(key)
+        if found is None:
+            ahead, way = self._ahead
+            middle = 0.5 * (np.abs(self.velocity[1:]) + np.abs(self.velocity[:-1]))
+            kept = np.exp(-ahead / slide)
+            # z[k+1] = kept[k] z[k] + (1 - kept[k]) target[k], a bidiagonal system.
+            bands = np.stack([np.ones(way.size), np.append(-kept, 0.0)])
+            begin = -way[0] * np.expm1(-abs(self.velocity[0]) / speed)
+            z = solve_banded((1, 0), bands, np.append(begin, (1.0 - kept) * -np.expm1(-middle / speed) * way[1:]))
+            found = self._keep(key, z + damping * np.gradient(z, self.step) if damping else z)
+        return found
+
+    @cached_property
+    def _ahead(self) -> tuple[Real, Real]:
+        """Way made good in each step [m], not counting what the encoder trembles, (n - 1,), and its direction, (n,)."""
+        way, found = self._turns
+        direction, made = np.full(self.position.size, way), np.zeros(self.position.size)
+        for a, b in pairwise([0, *found, self.position.size]):
+            direction[a:b] = way
+            reached = np.maximum.accumulate(way * (self.position[a:b] - self.position[max(a - 1, 0)]))
+            made[a:b] = np.maximum(np.diff(reached, prepend=0.0), 0.0)
+            way = -way
+        return made[1:], direction
+
+    def _keep(self, key: tuple[float, ...], found: Real) -> Real:
+        if len(self._kept) >= _KEPT:
+            self._kept.clear()
+        self._kept[key] = found
+        return found
 
     def direction(self, slide: float, damping: float = 0.0) -> Real:
         """Return the direction of sliding ``z + damping dz/dt`` [1], shape (n,), of bristles of a length [m], [s]."""
@@ -95,8 +132,5 @@ class Path:
         found = self._kept.get(key)
         if found is None:
             z = presliding(self.position, self.velocity, slide, self.step, self._turns)
-            found = z + damping * np.gradient(z, self.step) if damping else z
-            if len(self._kept) >= _KEPT:
-                self._kept.clear()
-            self._kept[key] = found
+            found = self._keep(key, z + damping * np.gradient(z, self.step) if damping else z)
         return found

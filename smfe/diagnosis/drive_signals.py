@@ -153,6 +153,10 @@ class Motion:
         """Return the direction of sliding of bristles of a length [m] and a damping [s] (`bristles.Path`)."""
         return self.path.direction(slide, damping)[self.first : self.first + self.time.size]
 
+    def built(self, speed: float, slide: float, damping: float = 0.0) -> Real:
+        """Return what bristles make of a direction that builds up over a speed [m/s] (`bristles.Path`)."""
+        return self.path.built(speed, slide, damping)[self.first : self.first + self.time.size]
+
     @property
     def step(self) -> float:
         """Sample interval [s]."""

@@ -50,6 +50,13 @@ def direction(m: Motion, p: Values) -> Real:
     return m.sliding(p["coulomb.slide"], p["coulomb.damping"])
 
 
+def built(m: Motion, p: Values, speed: float) -> Real:
+    """Return the direction of sliding of a friction that builds up over a speed [m/s], ``1 - exp(-|v|/speed)`` [1]."""
+    if p.get("coulomb.force", 0.0) == 0.0:
+        return np.asarray(-np.expm1(-np.abs(m.rate) / speed) * direction(m, p))
+    return m.built(speed, p["coulomb.slide"], p["coulomb.damping"])
+
+
 def coulomb() -> Term:
     """Return Coulomb friction, ``F (z + tau dz/dt)`` with z the direction after pre-sliding.
 
@@ -74,8 +81,7 @@ def stribeck() -> Term:
     speed = Parameter("stribeck.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3)
 
     def force(m: Motion, p: Values) -> Real:
-        fall = np.exp(-np.abs(m.rate) / p["stribeck.speed"])
-        return np.asarray(p["stribeck.boost"] * fall * direction(m, p))
+        return np.asarray(p["stribeck.boost"] * (direction(m, p) - built(m, p, p["stribeck.speed"])))
 
     title = "Stribeck friction: higher near rest"
     return Term(Cause("low_speed_friction", title, (boost, speed), "stribeck", starts=_SPEEDS), force)
@@ -91,8 +97,7 @@ def shear() -> Term:
     speed = Parameter("shear.speed", "mm/s", 0.02, 0.01, 5e-3, 0.1, shown=1e3)
 
     def force(m: Motion, p: Values) -> Real:
-        build = -np.expm1(-np.abs(m.rate) / p["shear.speed"])
-        return np.asarray(p["shear.force"] * build * direction(m, p))
+        return np.asarray(p["shear.force"] * built(m, p, p["shear.speed"]))
 
     title = "lubricant friction: lower near rest"
     return Term(Cause("low_speed_friction", title, (amount, speed), "shear", starts=_SPEEDS), force)
