@@ -337,7 +337,7 @@ def true_axis(kind: str, share: float, feed: float, rms: float) -> Distortion:
     return distortion(records, 1.0, COARSE, start=1.0, periods=3)
 
 
-@pytest.mark.parametrize("kind", ["lugre", "stick", "gms"])
+@pytest.mark.parametrize("kind", ["lugre", "stick", pytest.param("gms", marks=pytest.mark.slow)])
 def test_truth_guideway_friction_is_even_in_motion_only(kind: str) -> None:
     # At 20 N not all elements of Maxwell slip slide: what the start left in them is even (-56 dB) and goes slowly.
     assert level(true_axis(kind, 0.0, 0.0, 60.0), "even") < -85.0

@@ -319,7 +319,8 @@ RELIABLE = [n for n in NAMES if n not in ("scale", "mass")]
 
 
 class TestConfounded:
-    @pytest.mark.parametrize("which", [0, pytest.param(1, marks=pytest.mark.slow)])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("which", [0, 1])
     def test_posture_and_drift_are_a_set_until_the_first_position_is_measured_again(self, which: int) -> None:
         fam, truth = pair("posture or drift", which, 2, False)
         before = diagnose(fam, 0)

@@ -88,6 +88,7 @@ def test_the_published_setup_gives_no_suspect() -> None:
 SHAKEN = 100.0
 
 
+@pytest.mark.slow
 def test_what_shakes_the_machine_comes_back_through_the_cut() -> None:
     # The same vibration twice: felt by the cut, and added to the record of a cut that does not feel it.
     closed = plain(SHAKEN)

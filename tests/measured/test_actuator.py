@@ -246,6 +246,7 @@ def test_settling_can_be_given() -> None:
     assert errors(long.compliance).max() < 0.1 * errors(short.compliance).max()
 
 
+@pytest.mark.slow
 def test_standard_deviation_is_calibrated() -> None:
     """Over 150 seeds, noise on force and response: root mean square error over claim within 15 % at every step."""
     steps = np.array([15.0, 22.0, 24.0, 27.0, 40.0])

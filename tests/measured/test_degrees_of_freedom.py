@@ -73,6 +73,7 @@ def sweeps(rng: np.random.Generator, count: int = 1, n: int = 800) -> list[Sweep
     return out
 
 
+@pytest.mark.slow
 def test_a_sweep_with_few_lines_states_intervals_that_hold() -> None:
     """A band of 2 Hz in a record of 4 s: 8 lines, 3 unknowns, 10 degrees of freedom."""
     rng, narrow, inside = np.random.default_rng(3), LocalPolynomial(4.0, (1.0,), rational=False), []

@@ -153,6 +153,7 @@ def test_half_immersion_up_and_down_with_a_slot_is_refused(tmp_path: Path) -> No
         recommend(load_task(written(tmp_path, dependent)))
 
 
+@pytest.mark.slow
 def test_repeats_are_cut_where_one_is_not_enough(tmp_path: Path) -> None:
     once = recommend(load_task(written(tmp_path)))
     strict = QUICK.replace('"60 %"', f'"{70.0 * once.worst:.3g} %"')

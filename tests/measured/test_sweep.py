@@ -86,6 +86,7 @@ def test_without_noise_the_local_polynomial_is_exact_to_its_order() -> None:
     assert entry_errors(identify_sweep("s", data, BAND, narrow).compliance).max() < 0.005
 
 
+@pytest.mark.slow
 def test_a_record_that_ends_in_the_cut_is_solved_with_its_transient(monkeypatch: pytest.MonkeyPatch) -> None:
     records = sweep_passes(seed=1, sensors=Sensors())
     cut_short = {k: r.isel(time=slice(1500, -8000)) for k, r in records.items()}

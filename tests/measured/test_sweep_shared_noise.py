@@ -76,7 +76,9 @@ def test_independent_noise_stays_independent() -> None:
     assert np.mean(outside == 0.0) > 0.9
 
 
-@pytest.mark.parametrize("estimator", [BANDS, LocalPolynomial(2.0)], ids=["bands", "model"])
+@pytest.mark.parametrize(
+    "estimator", [BANDS, pytest.param(LocalPolynomial(2.0), marks=pytest.mark.slow)], ids=["bands", "model"]
+)
 def test_a_symmetric_compliance_from_common_noise_is_better_and_its_intervals_hold(estimator: LocalPolynomial) -> None:
     inside, with_it, without = [], [], []
     for seed in range(12):
