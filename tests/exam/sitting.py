@@ -379,14 +379,15 @@ def main():
     parser.add_argument("--rungs", type=int, default=EACH, help="seeds of each rung of the ladder of sizes")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--subjects", default=",".join(SUBJECTS))
+    parser.add_argument("--parts", default=",".join(SEEDS), help="those that are sat now")
     parser.add_argument("--afresh", action="store_true")
     arguments = parser.parse_args()
     kept = Path(".cache/exam/answers.jsonl")
     if arguments.afresh:
         kept.unlink(missing_ok=True)
-    every = [
-        c for s in arguments.subjects.split(",") for c in cases(s, arguments.nulls, arguments.seeds, arguments.rungs)
-    ]
+    subjects, parts = arguments.subjects.split(","), arguments.parts.split(",")
+    each = [cases(s, arguments.nulls, arguments.seeds, arguments.rungs) for s in subjects]
+    every = [case for own in each for case in own if case.part in parts]
     arguments.out.write_text(page(sit(every, kept, arguments.jobs)))
 
 
