@@ -373,7 +373,8 @@ def _timing(cutoff: float) -> Parameter:
     No record would tell: the controller answers the disturbances that the balance takes for noise (bias of the direct
     method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung, Automatica 35,
     1999). At the end of the band that share is one in `noise.ABOVE`: by so large an angle noise may turn the force
-    there. A sixth of it was measured to come from the loop, by linearisation at the truth.
+    there. What comes from the loop is taken for a sixth of it, one sigma, as linearisation at the truth showed for
+    Coulomb friction at 1 kHz; at other rates and bands it is an extrapolation.
     """
     off = _CLOSED_LOOP / (noise.ABOVE * 2.0 * math.pi * cutoff)
     return Parameter("delay.error", "ms", 0.0, off, prior=off, shown=1e3)
