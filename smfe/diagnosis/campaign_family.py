@@ -21,6 +21,7 @@ from smfe.diagnosis.campaign_drive import drive_case
 from smfe.diagnosis.campaign_limits import limit_case
 from smfe.diagnosis.campaign_menu import menu
 from smfe.diagnosis.campaign_modes import NamedModes, modes_named
+from smfe.diagnosis.frf_noise import freedom_of
 from smfe.diagnosis.machine_frf import MachineFrfs, condition_of, excitation_of
 from smfe.diagnosis.modal_frf import SPREAD, ModalFrfs
 from smfe.diagnosis.modal_proposals import modal_proposals
@@ -203,6 +204,9 @@ def _condition(
         feed=feed,
         controller=controller,
     )
+    hits = _fewest_hits(measurement, found, axes)
+    if hits > 1:
+        excited = replace(excited, noise_freedom=freedom_of(hits, excited.std.size))
     return condition_of(measurement.name, compliance, excited, settings, measurement.name)
 
 
@@ -252,6 +256,14 @@ def _level(measurement: Measurement, found: Identification, axis: str) -> tuple[
     used = hits[(hits["excitation"] == axis) & hits["used"].astype(bool)]
     # A half sine stays above a tenth of its peak for 93.6 % of its duration.
     return float(used["impulse_Ns"].abs().mean()), float(used["duration_ms"].mean()) * 1e-3 / 0.936
+
+
+def _fewest_hits(measurement: Measurement, found: Identification, axes: Sequence[str]) -> int:
+    """Hits that the scatter of the worst column comes from; 0 where it does not come from hits."""
+    if measurement.method != "hammer":
+        return 0
+    hits = found.tables["hits"]
+    return min(int(hits["used"][hits["excitation"] == a].sum()) for a in axes)
 
 
 def _orders(measurements: Sequence[Measurement]) -> list[float]:

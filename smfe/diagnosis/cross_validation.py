@@ -228,7 +228,8 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
     squares = {b: float(x @ x) for out_, _ in groups for b, x in out_.items()}
     floor = {b: spread.square(b) for _, spread in groups for b in spread.load}
     count = {b: float(x.size) for out_, _ in groups for b, x in out_.items()}
-    misfit = assess([(out_, spread.load) for out_, spread in groups], False, model.noise_freedom)
+    rows = {n * BLOCKS + b: r for n, r in enumerate(target.observed) for b in range(BLOCKS)}
+    misfit = assess([(out_, spread.load) for out_, spread in groups], False, model.noise_freedom.parted(rows, BLOCKS))
     by_row = {
         r: min(misfit.by_condition[b] for b in range(n * BLOCKS, (n + 1) * BLOCKS))
         for n, r in enumerate(target.observed)

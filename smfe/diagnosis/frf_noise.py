@@ -8,6 +8,7 @@ noise two simulations of one machine differ a little, smoothly over frequency: t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -85,6 +86,8 @@ class Excited:
         Time after a hit that was transformed [s].
     hits : Hits, optional
         The hits one by one, where they are known.
+    noise_freedom : float, optional
+        Degrees of freedom with which `std` is known over all lines (`freedom_of`); infinite: it is known.
     """
 
     frequency: Real
@@ -98,6 +101,7 @@ class Excited:
     shared: Complex | None = None
     window: float = 2.0
     hits: Hits | None = field(default=None, repr=False, compare=False)
+    noise_freedom: float = math.inf
 
     def __post_init__(self) -> None:
         """Keep the directions in which the errors are shared, and how much less counts there."""
@@ -185,7 +189,7 @@ def excitation_of(
     floor : float, optional
         Least standard deviation relative to the compliance: what no model is expected to do better.
     **more : object
-        ``duration``, ``feed``, ``controller``, ``window`` of `Excited`.
+        ``duration``, ``feed``, ``controller``, ``window``, ``noise_freedom`` of `Excited`.
     """
     f = compliance["frequency"].values
     lines = chosen_lines(f, band, float(compliance.attrs.get("error_lines", 1.0)))
@@ -249,6 +253,22 @@ def scatter_of(hits: Complex, impulse: Real) -> tuple[Real, Complex]:
     # from a few lines only: a mean square of n complex values divides by n/(n - 1) of itself on average.
     known = (count - 1) * _SMOOTH / _CORRELATED
     return np.sqrt(smooth / count * known / (known - 1.0)), away * np.sqrt(SHARED / (freedom * count))
+
+
+def freedom_of(repeats: int, values: int) -> float:
+    """Return the degrees of freedom with which a scatter over some repeats is known over many lines.
+
+    Values that are compared, not all that the scatter was smoothed over: what those between them add is lost again
+    where noise is taken for that of a few neighbours.
+
+    Parameters
+    ----------
+    repeats : int
+        Hits or records that were averaged.
+    values : int
+        Independent complex values that are compared.
+    """
+    return 2.0 * (repeats - 1) * values
 
 
 def smooth_errors(frequency: Real, compliance: Complex, share: float) -> Complex:

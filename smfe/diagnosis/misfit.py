@@ -1,7 +1,8 @@
 """Whether residuals are more than noise: in all, smooth along a condition, or gathered in one condition.
 
 Every test is of squares of residuals over the covariance that they have when the model is right, so that each has a
-chi-square law; the smallest of their chances counts, times the number of tests (Bonferroni). The smooth part is the
+chi-square law, or Fisher's F where the noise was measured itself; the smallest of their chances counts, times the
+number of tests (Bonferroni). The smooth part is the
 slowest cosines of every second value, which are smooth too where real and imaginary parts alternate: white noise has
 little there, a missing effect much.
 """
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,40 @@ Group = tuple[Mapping[int, Real], Mapping[int, Real]]
 """Whitened residuals of some conditions, (n,), and the rows of L, (n, p), that they share an error through."""
 
 
-def assess(groups: Sequence[Group], shrinks: bool, noise_freedom: float = math.inf) -> Misfit:
+@dataclass(frozen=True)
+class NoiseFreedom:
+    """Degrees of freedom with which the noise that residuals are whitened by is known.
+
+    Attributes
+    ----------
+    common : float
+        Of what all conditions have in common: their slow noise.
+    own : mapping
+        Of each condition by itself, whose noise was measured with it; none: it is known.
+    """
+
+    common: float = math.inf
+    own: Mapping[int, float] = field(default_factory=dict)
+
+    def of(self, row: int) -> float:
+        """Of one condition."""
+        return min(self.common, self.own.get(row, math.inf))
+
+    def together(self, sizes: Mapping[int, int]) -> float:
+        """Of the sum over conditions of some sizes, by their own: ``(sum n)^2 / sum(n^2/freedom)`` (Satterthwaite)."""
+        spread = sum(n**2 / self.own.get(row, math.inf) for row, n in sizes.items())
+        return float(sum(sizes.values()) ** 2 / spread) if spread > 0.0 else math.inf
+
+    def parted(self, rows: Mapping[int, int], parts: int) -> NoiseFreedom:
+        """Of parts of the conditions, one of `parts` equal ones each: part -> its condition."""
+        return NoiseFreedom(self.common, {k: self.own[r] / parts for k, r in rows.items() if r in self.own})
+
+
+KNOWN = NoiseFreedom()
+"""Of noise that is known."""
+
+
+def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseFreedom = KNOWN) -> Misfit:
     """Test residuals whose covariance is ``I - L L^T`` (they were fitted) or ``I + L L^T`` (they were held out).
 
     Parameters
@@ -63,13 +97,13 @@ def assess(groups: Sequence[Group], shrinks: bool, noise_freedom: float = math.i
         Conditions that were fitted, or held out, together.
     shrinks : bool
         Whether they were fitted.
-    noise_freedom : float, optional
-        Degrees of freedom with which the noise of one condition, or the slow noise of all, is known: Fisher's F in
-        place of chi-square.
+    noise : NoiseFreedom, optional
+        How well the noise is known: Fisher's F in place of chi-square.
     """
     sign = -1.0 if shrinks else 1.0
     whole = slow = np.zeros(2)
     own: dict[int, float] = {}
+    sizes: dict[int, int] = {}
     for residual, load in groups:
         filters = {k: _slow(residual[k].size) for k in residual}
         parts = {k: (f @ residual[k], f @ load[k]) for k, f in filters.items()}
@@ -77,10 +111,12 @@ def assess(groups: Sequence[Group], shrinks: bool, noise_freedom: float = math.i
         slow = slow + _square(*_joined(list(parts.values())), sign)
         for k in residual:
             both = _square(residual[k], load[k], sign), _square(*parts[k], sign)
-            own[k] = min(1.0, 2.0 * min(_chance(b, noise_freedom) for b in both))
+            own[k] = min(1.0, 2.0 * min(_chance(b, noise.of(k)) for b in both))
+            sizes[k] = residual[k].size
     if not own:
         return Misfit(1.0, 0.0, 0.0, {})
-    tests = (_chance(whole), _chance(slow, noise_freedom), min(own.values()) * len(own))
+    known = noise.together(sizes)
+    tests = (_chance(whole, known), _chance(slow, min(noise.common, known)), min(own.values()) * len(own))
     return Misfit(min(1.0, 3.0 * min(tests)), float(whole[0]), float(whole[1]), own)
 
 

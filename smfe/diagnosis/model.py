@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from smfe.diagnosis.misfit import NoiseFreedom
 from smfe.diagnosis.problem import Cause, Condition, Family, Parameter
 
 Real = NDArray[np.float64]
@@ -77,9 +78,10 @@ class Model:
         return np.concatenate([self.nuisance, *(self.of_cause[k] for k in sorted(causes))]).astype(np.int64)
 
     @property
-    def noise_freedom(self) -> float:
-        """Degrees of freedom with which the family knows the noise of its data; infinite where it does not say."""
-        return float(getattr(self.family, "noise_freedom", math.inf))
+    def noise_freedom(self) -> NoiseFreedom:
+        """How well the noise of the data is known: by the family, and by what it was measured with."""
+        own = {row: float(getattr(c.data, "noise_freedom", math.inf)) for row, c in enumerate(self.conditions)}
+        return NoiseFreedom(float(getattr(self.family, "noise_freedom", math.inf)), own)
 
     def null(self) -> Real:
         """Return the baseline at its most likely nuisances."""

@@ -17,7 +17,7 @@ from smfe.diagnosis.evidence import Bench, fitted_misfit
 from smfe.diagnosis.finding import Estimate, Finding, FoundCause, explain
 from smfe.diagnosis.fit import Target, bounded_step
 from smfe.diagnosis.isolability import isolability
-from smfe.diagnosis.misfit import Misfit, assess
+from smfe.diagnosis.misfit import Misfit, NoiseFreedom, assess
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.next_experiment import chance_to_settle
 from smfe.diagnosis.power import noncentrality
@@ -197,8 +197,25 @@ def test_noise_that_is_itself_estimated_makes_a_misfit_of_one_condition_an_f_law
         sigma = sqrt(rng.chisquare(60) / 60.0)
         residual = ({0: rng.standard_normal(40) / sigma}, {0: np.zeros((40, 0))})
         plain.append(assess([residual], shrinks=True).by_condition[0] < 0.02)
-        allowed.append(assess([residual], True, 60.0).by_condition[0] < 0.02)
+        allowed.append(assess([residual], True, NoiseFreedom(60.0)).by_condition[0] < 0.02)
     assert np.mean(allowed) < 0.025 < 0.03 < np.mean(plain)
+
+
+def test_noise_that_each_condition_measured_itself_is_known_better_over_all_of_them():
+    """24 conditions of 40 values, each with a standard deviation of its own from 60: one in a hundred in doubt."""
+    rng, plain, allowed = np.random.default_rng(2), [], []
+    known = NoiseFreedom(own=dict.fromkeys(range(24), 60.0))
+    assert known.together(dict.fromkeys(range(24), 40)) == pytest.approx(24 * 60.0)
+    assert known.together({0: 10, 99: 10}) == pytest.approx(4 * 60.0)
+    for _ in range(600):
+        sigma = np.sqrt(rng.chisquare(60, 24) / 60.0)
+        residual = (
+            {k: rng.standard_normal(40) / sigma[k] for k in range(24)},
+            dict.fromkeys(range(24), np.zeros((40, 0))),
+        )
+        plain.append(assess([residual], shrinks=True).chance < 0.01)
+        allowed.append(assess([residual], True, known).chance < 0.01)
+    assert np.mean(allowed) <= 0.02 < 0.1 < np.mean(plain)
 
 
 def test_folds_leave_out_what_contrasts_and_else_each_condition():

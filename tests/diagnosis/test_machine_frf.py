@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from exam.records import baseline, condition_of, family
+from scipy import stats
 from truth.axis import MM_MIN, Truth
 from truth.blind import draw
 from truth.campaign import Condition as Plan
@@ -12,7 +13,7 @@ from truth.chain import Chain
 from process.servo import Servo
 from smfe.diagnosis.axis_baseline import sampled
 from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.frf_noise import Excited, scatter_of, smooth_errors
+from smfe.diagnosis.frf_noise import Excited, freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.machine_frf import MachineFrfs, as_hit, compliance_under
 from smfe.diagnosis.problem import Condition
 
@@ -99,6 +100,22 @@ def test_scatter_is_smooth_noise_and_what_the_hits_share():
     assert np.median(std / (sigma / 2.0)) == pytest.approx(1.0, abs=0.1)
     spread = np.sqrt(np.sum(np.abs(shared) ** 2, axis=0))
     assert spread.max() == pytest.approx(2e-6 * np.sqrt(4.0 * 2.0 / (2.0 * 4.0)), rel=0.1)
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+def test_squares_over_the_scatter_of_a_few_hits_follow_fishers_law(count):
+    """240 lines of noise, every third compared: 1 in 100 beyond its bound; with noise taken as known up to 3."""
+    rng, chances, known = np.random.default_rng(count), [], []
+    for _ in range(1500):
+        noise = rng.standard_normal((count, 240)) + 1j * rng.standard_normal((count, 240))
+        std, _ = scatter_of(noise, np.linspace(1.0, 1.1, count))
+        z = 2.0 * np.abs(noise.mean(axis=0) / std)[::3] ** 2
+        freedom = freedom_of(count, z.size)
+        chances.append(stats.f.sf(z.sum() / (2 * z.size), 2 * z.size, freedom))
+        known.append(stats.chi2.sf(z.sum(), 2 * z.size))
+    assert np.mean(np.array(chances) < 0.01) <= 0.015
+    assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.09, abs=0.03)
+    assert np.mean(np.array(known) < 0.01) > np.mean(np.array(chances) < 0.01)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from truth.modal_machine import (
 )
 
 from process.compliance import ModalModel
-from smfe.diagnosis.frf_noise import Excited
+from smfe.diagnosis.frf_noise import Excited, freedom_of
 from smfe.diagnosis.modal_frf import ModalFrfs
 from smfe.diagnosis.problem import Condition
 
@@ -77,7 +77,8 @@ def excited_by(record: Record, entries=ALL, floor=FLOOR) -> tuple[Excited, np.nd
     pick = [(AXES.index(r), AXES.index(e)) for r, e in entries]
     std = np.stack([np.hypot(size[i, j] / f, floor * np.abs(mean[:, i, j])) for i, j in pick], axis=1)
     seen = np.stack([mean[:, i, j] for i, j in pick], axis=1)
-    return Excited(f, tuple(entries), std, "actuator", record.setting.level), seen
+    freedom = freedom_of(len(value), std.size)
+    return Excited(f, tuple(entries), std, "actuator", record.setting.level, noise_freedom=freedom), seen
 
 
 def condition_of(record: Record, entries=ALL, measured=True) -> Condition:

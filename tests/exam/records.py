@@ -10,7 +10,7 @@ from truth.campaign import PRETRIGGER, SAMPLE_RATE, reduce
 from process.drive import Drive
 from process.servo import Servo
 from smfe.diagnosis.axis_baseline import AxisBaseline, sampled
-from smfe.diagnosis.frf_noise import Excited, Hits, chosen_lines, scatter_of, smooth_errors
+from smfe.diagnosis.frf_noise import Excited, Hits, chosen_lines, freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.machine_frf import MachineFrfs, as_hit
 from smfe.diagnosis.problem import Condition
 
@@ -82,6 +82,7 @@ def excited_by(record):
     level, duration = (float(np.sum(impulse**2 * x) / np.sum(impulse**2)) for x in (impulse, width))
     hits = replace(hits, compliance=hits.compliance[:, pick])
     more = {"shared": shared, "window": WINDOW, "hits": hits, **common}
+    more["noise_freedom"] = freedom_of(len(hits.force), f.size)
     return Excited(f, (("x", "x"),), std, "hammer", level, duration, **more), h
 
 
