@@ -33,7 +33,6 @@ from process._machine_parts import (
 )
 
 _LOOK = 16
-_NIL = 1e-12
 _SOLVED = 0.01
 
 
@@ -337,7 +336,7 @@ def _keep(el, work, i, states, inputs):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _settled(work, i):
+def _settled(work, i, rest):
     """Say whether all has been at rest for longer than servos look back: states and forces, next to their largest."""
     if i % _LOOK:
         return False
@@ -345,20 +344,20 @@ def _settled(work, i):
     for k in range(largest.size):
         now = abs(work.z[k]) if k < size else abs(work.force[0, k - size])
         largest[k] = max(largest[k], now)
-        moving = moving or now > _NIL * largest[k]
+        moving = moving or now > rest * largest[k]
     work.mode[STILL] = 0 if moving else work.mode[STILL] + _LOOK
     return work.mode[STILL] > work.ring.shape[1]
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def march(lin, el, servos, given, work, step, accuracy, cut, states, inputs):
+def march(lin, el, servos, given, work, step, accuracy, rest, cut, states, inputs):
     """March the machine; return what happened and the steps done.
 
     states (steps, N) and inputs (steps, u + e) receive the state, the inputs and the forces of the elements at the
     start of each step. `accuracy` is the largest error of an element's force, over the largest force so far. work.tally
     tells the largest difference between the energy in masses and springs and the integral of the power (Simpson). With
-    a cut the first three inputs are the forces on the tool. Once all is at rest and nothing will excite it, it stays
-    so: the rest of states and inputs, which must be zero before, is left as it is.
+    a cut the first three inputs are the forces on the tool. Once all is below a share `rest` of its largest and nothing
+    will excite it, it stays there: what follows of states and inputs, which must be zero before, is left as it is.
     """
     steps, milling = states.shape[0], cut.leave > cut.entry
     work.tally[SCALE] = given.peak
@@ -380,8 +379,8 @@ def march(lin, el, servos, given, work, step, accuracy, cut, states, inputs):
             result = _advance(lin, el, servos, work, i, step, accuracy)
             if result != DONE:
                 return result, i
-            if i >= given.values.shape[1] and servos.every == 0 and not milling and _settled(work, i):
-                break
+            if i >= given.values.shape[1] and servos.every == 0 and not milling and _settled(work, i, rest):
+                return DONE, i + 1
         if milling:
             pose = _leave_surface(lin, cut, work, int(lin.places[max(i, 0)] + 0.5), t, before, pose)
     return DONE, steps

@@ -49,8 +49,9 @@ class DelayEquation:
         """Return A as it is without its dead times."""
         return np.asarray(sum((np.outer(e, k) for _, e, k in self.delayed), self.a))
 
+    @cached_property
     def scales(self) -> Real:
-        """Return the frequencies [rad/s] at which the characteristic function changes quickly."""
+        """Frequencies [rad/s] at which the characteristic function changes quickly."""
         roots = np.concatenate([np.linalg.eigvals(self.a), np.linalg.eigvals(self.prompt())])
         sizes = np.abs(np.concatenate([roots, roots.imag]))
         return np.unique(sizes[sizes > 1e-9 * sizes.max()])
@@ -79,7 +80,7 @@ class DelayEquation:
         With ``A_0 = A + sum E K`` it is ``det(s I - A_0) det(I + (1 - exp(-s tau)) K (s I - A_0)^-1 E)``: as large a
         determinant as there are dead times, where the poles of A_0 are apart.
         """
-        w0 = float(self.scales().max())
+        w0 = float(self.scales.max())
         if self.delayed and self._prompt_modes is not None:
             poles, residues = self._prompt_modes
             away, count = s[:, None] - poles, len(self.delayed)

@@ -171,14 +171,24 @@ def pack_forces(p: Problem, step: float, steps: int) -> tuple[machine_parts.Give
     fine = {a: _sampled(e, step, steps) for a, e in p.forces.items()}
     pushes = [_sampled(e, step, steps) for e in p.drive_forces.values()]
     target = [tools.index(a) for a in fine] + [len(tools) + axes.index(a) for a in p.drive_forces]
-    both = [*fine.values(), *pushes]
+    return _given([*fine.values(), *pushes], target), fine
+
+
+@lru_cache(maxsize=512)
+def pack_blow(blow: Excitation, step: float, steps: int) -> machine_parts.Given:
+    """Pack the force of one blow, the only input that is given; kept for machines that are struck alike."""
+    return _given([_sampled(blow, step, steps)], [0])
+
+
+def _given(both: list[Real], target: list[int]) -> machine_parts.Given:
+    """Forces as sampled, made parabolas of each step."""
     longest = max([(f.size - 1) // SUB for f in both], default=0)
     values = np.zeros((len(both), longest, 3))
     for row, f in zip(values, both, strict=True):
         windows = np.lib.stride_tricks.sliding_window_view(f, SUB + 1)[::SUB]
         row[: windows.shape[0]] = windows @ _projection(SUB)
     peak = max([float(np.abs(f).max()) for f in both], default=0.0)
-    return machine_parts.Given(np.array(target, dtype=np.int64), values, peak), fine
+    return machine_parts.Given(np.array(target, dtype=np.int64), values, peak)
 
 
 def pack_linear(

@@ -31,7 +31,10 @@ _NIL = 1e-12
 
 
 class Run(NamedTuple):
-    """Inputs and states at the start of each step, what there is of forces on the tool, and how it went."""
+    """Inputs and states at the start of each step, what there is of forces on the tool, and how it went.
+
+    After `done` steps all was at rest, and is.
+    """
 
     states: Real
     inputs: Real
@@ -42,6 +45,7 @@ class Run(NamedTuple):
     energy_error: float
     lost: float
     thickest: float
+    done: int
 
 
 class Motion(NamedTuple):
@@ -152,6 +156,14 @@ def _push_directly(p: Problem, force: Real, acceleration: Real, axes: list[int])
         if share.any():
             prompt = structure.tool[axes] @ np.linalg.solve(structure.mass, structure.tool[pushed].T)
             acceleration += prompt @ (share * given)
+
+
+def displacement_of(p: Problem, run: Run) -> Real:
+    """Displacement of the tool (3, done) at the start of each step until all is at rest."""
+    n = p.structures[0].size
+    seen = run._replace(states=run.states[: run.done], inputs=run.inputs[: run.done], places=run.places[: run.done])
+    rows = [np.hstack([s.tool, np.zeros((3, run.states.shape[1] + run.inputs.shape[1] - n))]) for s in p.structures]
+    return _channels(seen, rows)
 
 
 def as_motion(p: Problem, system: System, run: Run, sample_rate: float) -> Motion:

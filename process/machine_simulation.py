@@ -14,23 +14,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from process import _machine_kernels as kernels
-from process import _machine_parts as machine_parts
 from process.errors import InputError
 from process.excitation import Excitation
 from process.machine import Machine
 from process.machine_linear import System, fastest_pole, system_of
-from process.machine_packing import (
-    HALVINGS,
-    pack_cut,
-    pack_elements,
-    pack_forces,
-    pack_linear,
-    pack_servos,
-    scratch,
-)
+from process.machine_march import made_ready, march
+from process.machine_packing import pack_forces
 from process.machine_problem import Problem, problem
 from process.machine_problem import SampledControl as SampledControl
 from process.machine_records import MARGIN, Motion, Run, as_motion, as_record
@@ -50,46 +40,6 @@ It goes with the fourth power of the step: 1.25e-4 at half of it.
 """
 
 _COARSEST = 20
-
-
-def _march(p: Problem, system: System, fastest: float, sample_rate: float, keep: int, accuracy: float) -> Run:
-    """March with `keep` steps a sample; fastest pole [rad/s]; accuracy: see `ACCURACY`."""
-    step = 1.0 / (sample_rate * keep)
-    # The low-pass looks ahead: march beyond the end of the record.
-    steps = (round(p.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
-    elements, state = pack_elements(p, system)
-    servos, ring = pack_servos(p, system, step)
-    given, force = pack_forces(p, step, steps)
-    # A mode rings after an impulse with a force of its frequency times that.
-    given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.impulse)))
-    linear = pack_linear(p, system, elements, step, steps)
-    inputs = np.zeros((steps, linear.reach.shape[0] + elements.kind.size))
-    states = np.zeros((steps, system.size))
-    work = scratch(linear, elements, servos, ring, state)
-    end, done = kernels.march(linear, elements, servos, given, work, step, accuracy, pack_cut(p, step), states, inputs)
-    if end == machine_parts.NOT_SOLVED:
-        raise InputError(
-            f"friction and joints cannot be solved for at {done * step:.4g} s even with steps of "
-            f"{step / 2**HALVINGS * 1e6:.3g} us; give a shorter step, or a law that is less steep"
-        )
-    _require_near(p, states[: min(done + 1, steps), : system.n], end, done, step)
-    worst, largest = work.tally[machine_parts.WORST], work.tally[machine_parts.LARGEST]
-    share = float(worst / largest) if largest > 0.0 else 0.0
-    lost, thickest = float(work.cutting[machine_parts.LOST]), float(work.cutting[machine_parts.THICKEST])
-    return Run(states, inputs, force, step, keep, linear.places, share, lost, thickest)
-
-
-def _require_near(p: Problem, coordinates: NDArray[np.float64], end: int, done: int, step: float) -> None:
-    """Refuse a tool that left the range of 1 m."""
-    # Coordinates that are small enough bound the tool without its path.
-    farthest = np.abs(p.structures[0].tool).sum(axis=1).max() * np.abs(coordinates).max(initial=0.0)
-    if end == machine_parts.DONE and farthest < 1.0:
-        return
-    tip = np.abs(coordinates @ p.structures[0].tool.T)
-    if end == machine_parts.RAN_AWAY or not tip.max(initial=0.0) < 1.0:
-        late = np.flatnonzero(~(tip.max(axis=1) < 1.0))
-        when = (late[0] if late.size else done) * step
-        raise InputError(f"the tool left the range of 1 m after {when:.3g} s; it is hit too hard, or unstable")
 
 
 def _default_step(p: Problem, fastest: float) -> float:
@@ -128,12 +78,18 @@ def _prepared(p: Problem, sample_rate: float, step: float | None, accuracy: floa
     fastest = fastest_pole(p, system)
     usual = _default_step(p, fastest)
     if step is not None:
-        _require_fine(p, fastest, step)
+        require_fine(p, fastest, step)
     half = usual if usual * sample_rate >= 4.0 else 0.5 / sample_rate
     keep = _keep(p, sample_rate, min(usual, half) if step is None else step)
     if accuracy is None:
         accuracy = min(1e-2, ACCURACY / (sample_rate * keep * usual) ** 4)
-    return system, _march(p, system, fastest, sample_rate, keep, accuracy)
+    h = 1.0 / (sample_rate * keep)
+    # The low-pass looks ahead: march beyond the end of the record.
+    steps = (round(p.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
+    given, force = pack_forces(p, h, steps)
+    # A mode rings after an impulse with a force of its frequency times that.
+    given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.impulse)))
+    return system, march(made_ready(p, system, h, steps), given, force, keep=keep, accuracy=accuracy)
 
 
 def simulate_machine(
@@ -284,7 +240,8 @@ def step_error(machine: Machine, *, step: float | None = None, **arguments: Any)
     return float(np.abs(coarse[:, :n] - fine[:, ::2][:, :n]).max() / np.abs(fine).max())
 
 
-def _require_fine(p: Problem, fastest: float, step: float) -> None:
+def require_fine(p: Problem, fastest: float, step: float) -> None:
+    """Refuse a step that does not follow the fastest pole [rad/s] and the dead times."""
     largest = min([2.0 * math.pi / fastest / _COARSEST, *p.delays])
     if not 0.0 < step <= largest * (1.0 + 1e-12):
         raise InputError(

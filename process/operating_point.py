@@ -161,7 +161,7 @@ class OperatingPoint:
         equation = self.delay_equation
         prompt = np.abs(np.linalg.eigvals(equation.prompt()))
         if prompt.min(initial=math.inf) > _ORIGIN * prompt.max(initial=0.0):
-            return right_half_plane_zeros(equation.characteristic, equation.scales(), equation.longest)
+            return right_half_plane_zeros(equation.characteristic, equation.scales, equation.longest)
         s = self.poles()
         largest = np.abs(s).max(initial=0.0)
         return int(np.sum((s.real > 1e-9 * largest) & (np.abs(s) > _ORIGIN * largest)))
