@@ -32,6 +32,12 @@ STEP = 0.02
 Small enough for what is curved over a scale, large enough for a time simulation, whose steps change with the values.
 """
 
+LARGEST_STEP = 0.5
+"""The same where predictions are rough."""
+
+ABOVE = 20.0
+"""How far a step takes a prediction that is rough, over how rough it is."""
+
 WORTH_A_THREAD = 0.002
 """Mean time of a prediction [s] from which several are made side by side; short ones would wait for each other."""
 
@@ -69,6 +75,8 @@ class Model:
         ends = np.cumsum([len(family.nuisances), *(len(c.parameters) for c in self.causes)])
         self.of_cause = tuple(np.arange(a, b) for a, b in pairwise(ends.tolist()))
         self.trouble = ""
+        self._roughness = float(getattr(family, "roughness", 0.0))
+        self._step = np.full(len(parameters), STEP)
         self._kept: OrderedDict[tuple[int, bytes], Real | None] = OrderedDict()
         self._stored = 0
         self._spent, self._asked = 0.0, 0
@@ -144,9 +152,17 @@ class Model:
 
         On a bound the difference is one-sided and of second order; rough ones are one-sided and of first order
         everywhere, for half of the predictions. None where the family predicts neither way.
+
+        Where the family says that its predictions are rough, the steps of parameters that do little are longer: hits
+        that break a guideway away depend on them as on a fine saw besides.
         """
         self.prepare([(row, at) for j in free for at in self._beside(u, int(j), rough) for row in rows])
         columns = [self._slope(rows, u, int(j), rough) for j in free]
+        short = [n for n, c in enumerate(columns) if c is not None and self._too_short(int(free[n]), c)]
+        if short:
+            self.prepare([(row, at) for n in short for at in self._beside(u, int(free[n]), rough) for row in rows])
+            for n in short:
+                columns[n] = self._slope(rows, u, int(free[n]), rough)
         if any(c is None for c in columns):
             return None
         return {
@@ -156,6 +172,14 @@ class Model:
             for row in rows
         }
 
+    def _too_short(self, j: int, column: Mapping[int, Real]) -> bool:
+        """Set the step of a parameter by what it does; say whether it was taken much too short."""
+        if self._roughness == 0.0:
+            return False
+        does, before = math.sqrt(sum(float(x @ x) for x in column.values())), self._step[j]
+        self._step[j] = np.clip(ABOVE * self._roughness / max(does, 1e-300), STEP, LARGEST_STEP)
+        return bool(does > 0.0 and self._step[j] > 3.0 * before)
+
     def size(self, row: int, u: Real) -> int:
         """Return how many values a condition has."""
         found = self.predict(row, u)
@@ -163,19 +187,19 @@ class Model:
 
     def _beside(self, u: Real, j: int, rough: bool) -> list[Real]:
         """Return the values at which a difference is taken, where all are within the bounds."""
-        wanted = (STEP,) if rough else (-STEP, STEP)
+        h = self._step[j]
+        wanted = (h,) if rough else (-h, h)
         steps = [step for step in wanted if self.low[j] <= u[j] + step <= self.high[j]]
         unit = np.eye(u.size)[j]
         return [u + step * unit for step in (steps if len(steps) == len(wanted) else ())]
 
     def _slope(self, rows: Sequence[int], u: Real, j: int, rough: bool) -> dict[int, Real] | None:
-        room = (self.low[j] - u[j], self.high[j] - u[j])
-        central = ((-STEP, -0.5 / STEP), (STEP, 0.5 / STEP))
+        room, h = (self.low[j] - u[j], self.high[j] - u[j]), float(self._step[j])
+        central = ((-h, -0.5 / h), (h, 0.5 / h))
         forward, backward = (
-            tuple((s * step, s * c / STEP) for step, c in ((0.0, -1.5), (STEP, 2.0), (2.0 * STEP, -0.5)))
-            for s in (1.0, -1.0)
+            tuple((s * step, s * c / h) for step, c in ((0.0, -1.5), (h, 2.0), (2.0 * h, -0.5))) for s in (1.0, -1.0)
         )
-        onward, back = (((0.0, -s / STEP), (s * STEP, s / STEP)) for s in (1.0, -1.0))
+        onward, back = (((0.0, -s / h), (s * h, s / h)) for s in (1.0, -1.0))
         for stencil in (onward, back) if rough else (central, forward, backward):
             if all(room[0] <= step <= room[1] for step, _ in stencil):
                 found = self._difference(rows, u, j, stencil)
