@@ -217,8 +217,8 @@ def test_between_coulomb_and_stribeck_it_asks_for_a_feed_of_the_transition() -> 
         )
     assert pair[0].chi2 < 6.0
     found = rank(model, target, pair, range(2, 5))
-    assert [p.name for p in found] == ["at 50", "at 250", "at 1000"]
-    assert found[0].chance > 0.99
+    assert found[0].name == "at 50"
+    assert found[0].chance > 0.99 > 0.05 > max(p.chance for p in found[1:])
 
 
 def test_of_two_experiments_that_tell_the_same_the_shorter_comes_first() -> None:
