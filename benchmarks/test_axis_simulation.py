@@ -16,6 +16,7 @@ from process.excitation import Excitation, HalfSine, SteppedSine
 from process.friction import Andersson, LuGre, Viscous
 from process.joints import Iwan
 from process.machine import FeedAxis, Machine, MountedJoint
+from process.machine_blows import Struck
 from process.machine_simulation import machine_motion
 from process.servo import Servo
 from process.structure import two_mass_axes
@@ -153,3 +154,29 @@ def test_one_hit_of_two_seconds_at_half_a_millisecond(benchmark, law, feed, join
     benchmark.extra_info.update(error=error)
     print(f"\n{law}, {feed:g} mm/min: {1e3 * benchmark.stats.stats.min:.2f} ms, error {error:.1e}")
     assert error < 1e-3
+
+
+@pytest.mark.benchmark(group="hit")
+@pytest.mark.parametrize("feed", [500.0, 0.0])
+def test_two_hits_on_a_machine_made_ready_once_against_two_simulations(benchmark, feed) -> None:  # type: ignore[no-untyped-def]
+    assert BENCH.servo is not None
+    machine = Machine(two_mass_axes({"x": BENCH}), {"x": FeedAxis(replace(BENCH.servo, delay=1e-3), LUGRE)})
+    common = {"duration": 2.0, "feed": feed * MM_MIN, "accuracy": 1e-4}
+    blows = [HalfSine.from_peak(peak, start=0.0) for peak in (50.0, 100.0)]
+
+    def once() -> list[np.ndarray]:
+        ready = Struck(machine, "x", **common)
+        return [ready.displacement(blow, rest=1e-7)[0] for blow in blows]
+
+    def each() -> list[np.ndarray]:
+        return [
+            machine_motion(machine, forces={"x": blow}, step=5e-4, **common).displacement[0]  # type: ignore[arg-type]
+            for blow in blows
+        ]
+
+    found, whole = benchmark(once), each()
+    error = max(float(np.abs(a - b[: a.size]).max() / np.abs(b).max()) for a, b in zip(found, whole, strict=True))
+    ratio = fastest(each, 20) / benchmark.stats.stats.min
+    benchmark.extra_info.update(times_faster=round(ratio, 2), error=error)
+    print(f"\n{feed:g} mm/min: {ratio:.1f} times faster")
+    assert error < 1e-9

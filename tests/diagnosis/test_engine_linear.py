@@ -218,6 +218,29 @@ def test_noise_that_each_condition_measured_itself_is_known_better_over_all_of_t
     assert np.mean(allowed) <= 0.02 < 0.1 < np.mean(plain)
 
 
+@dataclass(frozen=True)
+class Sawn(Linear):
+    """The same, with a fine saw on the weak parameter, one standard deviation of all values together."""
+
+    roughness: float = 0.0
+
+    def predict(self, condition, values):
+        saw = (values["weak.0"] / 0.03) % 1.0 - 0.5
+        return super().predict(condition, values) + saw * BASIS[5] / np.linalg.norm(BASIS[5])
+
+
+def test_slopes_of_rough_predictions_are_taken_over_steps_that_see_more_than_the_saw():
+    true = np.array([2.0 * BASIS[3], 0.0 * X])
+    found = {}
+    for roughness in (0.0, 1.0):
+        sawn = Sawn(grid()[:1], (cause("weak"),), {"weak.0": lambda s: true[0]}, roughness=roughness)
+        model = Model(sawn, sawn.conditions)
+        slope = model.slopes([0], model.null(), np.arange(3))[0]
+        assert slope[:, 0] == pytest.approx(BASIS[0], rel=1e-9)
+        found[roughness] = np.linalg.norm(slope[:, 2] - true[0]) / np.linalg.norm(true[0])
+    assert found[1.0] < 0.4 < 1.0 < found[0.0]
+
+
 def test_folds_leave_out_what_contrasts_and_else_each_condition():
     found = schemes(FAMILY.conditions, range(6))
     assert ((0, 2, 4), (1, 3, 5)) in found
