@@ -156,9 +156,18 @@ class AxisBaseline:
         shortest = min((s.delay for s in self.servos.values()), default=0.0)
         delay = Parameter("extra_delay", "ms", 0.0, 1e-4, -shortest, 5e-3, shown=1e3)
         return (
-            Cause("servo_gains", "servo gains other than recorded", gains),
+            Cause("servo_gains", "servo gains other than recorded", gains, twin=self._exchanged),
             Cause("loop_delay", "a dead time in the control loop", (delay,)),
         )
+
+    def _exchanged(self, values: Values) -> tuple[float, ...]:
+        """Return the gains whose 1/Ti is the Kv and whose Kv the 1/Ti of others: P and PI in cascade know no order.
+
+        ``Kp (s + Kv) (1 + 1/(Ti s))``; exact where all controllers have the same Kv Ti.
+        """
+        product = np.exp(np.mean([np.log(s.Kv * s.Ti) for s in self.servos.values() if s.Kv > 0.0] or [0.0]))
+        later, faster = 1.0 + values["Ti_error"], 1.0 + values["Kv_error"]
+        return values["Kp_error"], 1.0 / (product * faster) - 1.0, 1.0 / (product * later) - 1.0
 
     def _other_causes(self) -> tuple[Cause, ...]:
         m = self.drive.tip_mass

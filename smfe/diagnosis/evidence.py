@@ -44,6 +44,8 @@ _ASTRAY = 3.0
 _HALFWAY = 0.5
 _NAMED = 2
 _LITTLE = 0.005
+_TWIN = 2.0
+"""Chi-square that a twin may fit worse."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,26 @@ class Bench:
             again = self._follow(causes, self.known[causes].u, self.known[causes].slope, most)
             if again.converged:
                 return self._keep(again)
+        return self._keep(self._nearest(self._extended(at, causes, added, most), added))
+
+    def _nearest(self, found: Fit, added: Sequence[int]) -> Fit:
+        """Return the twin of a fit where it fits as well and is nearer to the null: no more is wrong than need be."""
+        for k in added:
+            mine = self.model.of_cause[k]
+            twin = self.model.causes[k].twin
+            if twin is None:
+                continue
+            values = self.model.values(found.u)
+            start = found.u.copy()
+            start[mine] = (np.array(twin(values)) - self.model.start[mine]) / self.model.scale[mine]
+            if np.linalg.norm(start[mine]) < np.linalg.norm(found.u[mine]):
+                other = fit(self.model, self.target, found.causes, start)
+                if other.converged and other.chi2 < found.chi2 + _TWIN:
+                    found = other
+        return found
+
+    def _extended(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit:
+        """Fit a hypothesis that has causes more, from all its starts."""
         at_ = self.tangent(at)
         combinations_ = _products([[s for s in at_.signatures if s.cause == k] for k in added])
         gains = [combined_gain(self.model, at_, c) for c in combinations_]
@@ -198,13 +220,13 @@ class Bench:
             near = self._near(at, causes, combinations_[n], most)
             linear = near.converged and abs(at.chi2 - near.chi2 - gains[n]) < _NONLINEAR * gains[n] + 1.0
             if linear and not thorough:
-                return self._keep(min([*found, near], key=lambda f: (not f.converged, f.chi2)))
+                return min([*found, near], key=lambda f: (not f.converged, f.chi2))
             found.append(near)
             if self._explains(at, near):
                 break
         first = min(found, key=lambda f: (not f.converged, f.chi2), default=None)
         if first is not None and first.converged and not self.far(added):
-            return self._keep(first)
+            return first
         known = {} if first is None else first.slope
         if first is not None and self._explains(at, first):
             # It has explained what there was: others must do better still.
@@ -217,7 +239,7 @@ class Bench:
         best = min(trials, key=lambda f: f.chi2, default=None)
         if best is not None and best.provisional and self._worth_following(at, best, most):
             trials.append(fit(self.model, self.target, causes, best.u))
-        return self._keep(min([*found, *trials], key=lambda f: (not f.converged, f.chi2)))
+        return min([*found, *trials], key=lambda f: (not f.converged, f.chi2))
 
     def _worth_following(self, at: Fit, found: Fit, most: float) -> bool:
         """Whether a fit that has not come below `most` has gone a part of the way, or may get there."""

@@ -7,7 +7,7 @@ engine (`smfe.diagnosis.engine`) knows nothing else about the physics.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -79,6 +79,9 @@ class Cause:
         A measurement fault is excluded before physics is blamed.
     starts : tuple of tuple of float, optional
         More values to start a fit from (SI), besides what the linearised score suggests.
+    twin : callable, optional
+        From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
+        fit alike the nearer to the null is told.
     """
 
     id: str
@@ -87,6 +90,7 @@ class Cause:
     variant: str = ""
     kind: str = "physics"
     starts: tuple[tuple[float, ...], ...] = ()
+    twin: Callable[[Mapping[str, float]], tuple[float, ...]] | None = None
 
     @property
     def key(self) -> str:

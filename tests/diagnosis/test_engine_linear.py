@@ -15,7 +15,7 @@ from smfe.diagnosis.cross_validation import HeldOut, compare, schemes
 from smfe.diagnosis.engine import deviations, diagnose, estimates
 from smfe.diagnosis.evidence import Bench, fitted_misfit
 from smfe.diagnosis.finding import Estimate, Finding, FoundCause, explain
-from smfe.diagnosis.fit import Target, bounded_step
+from smfe.diagnosis.fit import Target, bounded_step, fit
 from smfe.diagnosis.isolability import isolability
 from smfe.diagnosis.misfit import Misfit, NoiseFreedom, assess
 from smfe.diagnosis.model import Model
@@ -239,6 +239,28 @@ def test_slopes_of_rough_predictions_are_taken_over_steps_that_see_more_than_the
         assert slope[:, 0] == pytest.approx(BASIS[0], rel=1e-9)
         found[roughness] = np.linalg.norm(slope[:, 2] - true[0]) / np.linalg.norm(true[0])
     assert found[1.0] < 0.4 < 1.0 < found[0.0]
+
+
+@dataclass(frozen=True)
+class Exchangeable(Linear):
+    """Two gains, 2 and 1 as recorded, of which the sum and the product are seen."""
+
+    def predict(self, condition, values):
+        one, two = 2.0 + values.get("gains.0", 0.0), 1.0 + values.get("gains.1", 0.0)
+        return (
+            super().predict(condition, values) + 9.0 * (one + two - 3.0) * BASIS[3] + 9.0 * (one * two - 2.0) * BASIS[4]
+        )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_two_values_that_fit_alike_the_nearer_to_what_was_recorded_is_told(seed):
+    gains = replace(cause("gains", 2), twin=lambda v: (v["gains.1"] - 1.0, v["gains.0"] + 1.0))
+    b = bench(measured(Exchangeable(grid(), (gains,), {}), {"gains.0": 0.3}, seed))
+    twin = fit(b.model, b.target, (0,), np.array([0.0, 0.0, -1.0, 1.3]))
+    assert b.model.values(twin.u)["gains.1"] == pytest.approx(1.3, abs=0.2)
+    told = b._nearest(twin, (0,))
+    assert told.chi2 == pytest.approx(twin.chi2, abs=0.1)
+    assert b.model.values(told.u)["gains.0"] == pytest.approx(0.3, abs=0.2)
 
 
 def test_folds_leave_out_what_contrasts_and_else_each_condition():

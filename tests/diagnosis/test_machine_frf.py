@@ -1,5 +1,7 @@
 """Compliances of one axis: predictions against closed forms and the independent generator, and what is concluded."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exam.records import baseline, condition_of, family
@@ -153,6 +155,20 @@ def test_a_hit_that_breaks_the_guideway_away_changes_smoothly_with_the_machine(l
     every = np.array([compliance_under(m, excited)[:, 0] for m in machines])
     bend = np.linalg.norm(np.diff(every, 2, axis=0), axis=1) / np.linalg.norm(every[0])
     assert bend.max() < 2.5 * np.median(bend)
+
+
+@pytest.mark.parametrize("feed", [0.0, MOVING])
+def test_a_position_gain_and_an_integral_time_may_be_exchanged(feed):
+    """The twin of recorded gains, and of others, predicts the same of a controller."""
+    condition = nominal(feed)
+    found = MachineFrfs(replace(baseline("viscous"), servos={"K2": baseline().servos["K2"]}), (condition,))
+    (gains,) = (c for c in found.causes if c.id == "servo_gains")
+    for errors in (0.0, 0.0, 0.0), (0.05, 0.1, -0.07):
+        values = values_of(found) | dict(zip((p.name for p in gains.parameters), errors, strict=True))
+        twin = values | dict(zip((p.name for p in gains.parameters), gains.twin(values), strict=True))
+        assert abs(twin["Ti_error"] - values["Ti_error"]) > 0.5
+        plain = found.predict(condition, values)
+        assert np.abs(found.predict(condition, twin) - plain).max() < 1e-7 * np.abs(plain).max()
 
 
 def test_smooth_errors_have_the_stated_size_and_are_smooth():
