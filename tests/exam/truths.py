@@ -18,7 +18,7 @@ AXIS = {
     "gap": ("gap", 1e6),
     "gain": ("gain_error", 100.0),
     "skew": ("skew", 1e6),
-    "mass_loading": ("sensor_mass", Truth().tip_mass),
+    "mass_loading": ("sensor_mass", None),  # goes with the mass of the tip, which is drawn
     "drift": ("stiffness_over_session", 100.0),
 }
 """Effect -> parameter, and its shown value for a size of one."""
@@ -46,5 +46,7 @@ def true_values(case):
     if case.subject == "axis":
         rng = np.random.default_rng([seed_of(case.seed), 1])
         sizes = chosen(rng, case.hidden, len(case.hidden), (case.size, case.size))
-        return {AXIS[e][0]: AXIS[e][1] * size for e, size in sizes.items()}
+        tip = Truth().with_nuisances(rng).tip_mass
+        values = ((size, *AXIS[effect]) for effect, size in sizes.items())
+        return {name: size * (tip if unit is None else unit) for size, name, unit in values}
     return {}
