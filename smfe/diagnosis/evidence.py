@@ -22,6 +22,7 @@ from smfe.diagnosis.fit import OPTIMISM, SEVERAL, Fit, Target, approach, fit, mi
 from smfe.diagnosis.misfit import Misfit, assess
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.signature import Signature, Tangent, tangent
+from smfe.diagnosis.twin import nearest
 from smfe.identification import Progress
 
 Real = NDArray[np.float64]
@@ -44,8 +45,6 @@ _ASTRAY = 3.0
 _HALFWAY = 0.5
 _NAMED = 2
 _LITTLE = 0.005
-_TWIN = 2.0
-"""Chi-square that a twin may fit worse."""
 
 
 @dataclass(frozen=True)
@@ -190,23 +189,7 @@ class Bench:
             again = self._follow(causes, self.known[causes].u, self.known[causes].slope, most)
             if again.converged:
                 return self._keep(again)
-        return self._keep(self._nearest(self._extended(at, causes, added, most), added))
-
-    def _nearest(self, found: Fit, added: Sequence[int]) -> Fit:
-        """Return the twin of a fit where it fits as well and is nearer to the null: no more is wrong than need be."""
-        for k in added:
-            mine = self.model.of_cause[k]
-            twin = self.model.causes[k].twin
-            if twin is None:
-                continue
-            values = self.model.values(found.u)
-            start = found.u.copy()
-            start[mine] = (np.array(twin(values)) - self.model.start[mine]) / self.model.scale[mine]
-            if np.linalg.norm(start[mine]) < np.linalg.norm(found.u[mine]):
-                other = fit(self.model, self.target, found.causes, start)
-                if other.converged and other.chi2 < found.chi2 + _TWIN:
-                    found = other
-        return found
+        return self._keep(nearest(self.model, self.target, self._extended(at, causes, added, most), added))
 
     def _extended(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit:
         """Fit a hypothesis that has causes more, from all its starts."""

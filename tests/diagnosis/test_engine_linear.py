@@ -23,6 +23,7 @@ from smfe.diagnosis.next_experiment import chance_to_settle
 from smfe.diagnosis.power import noncentrality
 from smfe.diagnosis.problem import Cause, Condition, Parameter
 from smfe.diagnosis.signature import tangent
+from smfe.diagnosis.twin import nearest
 from smfe.diagnosis.verdict import Judgement
 from smfe.identification import silent
 
@@ -258,7 +259,7 @@ def test_of_two_values_that_fit_alike_the_nearer_to_what_was_recorded_is_told(se
     b = bench(measured(Exchangeable(grid(), (gains,), {}), {"gains.0": 0.3}, seed))
     twin = fit(b.model, b.target, (0,), np.array([0.0, 0.0, -1.0, 1.3]))
     assert b.model.values(twin.u)["gains.1"] == pytest.approx(1.3, abs=0.2)
-    told = b._nearest(twin, (0,))
+    told = nearest(b.model, b.target, twin, (0,))
     assert told.chi2 == pytest.approx(twin.chi2, abs=0.1)
     assert b.model.values(told.u)["gains.0"] == pytest.approx(0.3, abs=0.2)
 
