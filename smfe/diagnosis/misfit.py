@@ -2,9 +2,8 @@
 
 Every test is of squares of residuals over the covariance that they have when the model is right, so that each has a
 chi-square law, or Fisher's F where the noise was measured itself; the smallest of their chances counts, times the
-number of tests (Bonferroni). The smooth part is the
-slowest cosines of every second value, which are smooth too where real and imaginary parts alternate: white noise has
-little there, a missing effect much.
+number of tests (Bonferroni). The smooth part is the slowest cosines of every second value, which are smooth too where
+real and imaginary parts alternate: white noise has little there, a missing effect much.
 """
 
 from __future__ import annotations

@@ -158,10 +158,10 @@ class Model:
         """
         self.prepare([(row, at) for j in free for at in self._beside(u, int(j), rough) for row in rows])
         columns = [self._slope(rows, u, int(j), rough) for j in free]
-        short = [n for n, c in enumerate(columns) if c is not None and self._too_short(int(free[n]), c)]
-        if short:
-            self.prepare([(row, at) for n in short for at in self._beside(u, int(free[n]), rough) for row in rows])
-            for n in short:
+        again = [n for n, c in enumerate(columns) if c is not None and self._unfit(int(free[n]), c)]
+        if again:
+            self.prepare([(row, at) for n in again for at in self._beside(u, int(free[n]), rough) for row in rows])
+            for n in again:
                 columns[n] = self._slope(rows, u, int(free[n]), rough)
         if any(c is None for c in columns):
             return None
@@ -172,13 +172,13 @@ class Model:
             for row in rows
         }
 
-    def _too_short(self, j: int, column: Mapping[int, Real]) -> bool:
-        """Set the step of a parameter by what it does; say whether it was taken much too short."""
-        if self._roughness == 0.0:
-            return False
+    def _unfit(self, j: int, column: Mapping[int, Real]) -> bool:
+        """Set the step of a parameter by what it does; say whether it was taken much too short or too long."""
         does, before = math.sqrt(sum(float(x @ x) for x in column.values())), self._step[j]
-        self._step[j] = np.clip(ABOVE * self._roughness / max(does, 1e-300), STEP, LARGEST_STEP)
-        return bool(does > 0.0 and self._step[j] > 3.0 * before)
+        if self._roughness == 0.0 or does == 0.0:
+            return False
+        self._step[j] = np.clip(ABOVE * self._roughness / does, STEP, LARGEST_STEP)
+        return bool(max(self._step[j] / before, before / self._step[j]) > 3.0)
 
     def size(self, row: int, u: Real) -> int:
         """Return how many values a condition has."""

@@ -242,6 +242,22 @@ def test_slopes_of_rough_predictions_are_taken_over_steps_that_see_more_than_the
     assert found[1.0] < 0.4 < 1.0 < found[0.0]
 
 
+def test_a_step_that_has_grown_where_a_parameter_did_little_is_not_kept_where_it_does_much():
+    """A cube does little near zero; far from it a central difference over half a scale is 8 % off."""
+
+    class Cubed(Linear):
+        roughness = 0.05
+
+        def predict(self, condition, values):
+            return super().predict(condition, values) + 5.0 * values["weak.0"] ** 3 * BASIS[3]
+
+    cubed = Cubed(grid()[:1], (cause("weak"),), {})
+    model, at = Model(cubed, cubed.conditions), np.array([0.0, 0.0, 1.0])
+    model.slopes([0], np.array([0.0, 0.0, 0.01]), np.arange(3))
+    assert model._step[2] > 0.1
+    assert model.slopes([0], at, np.arange(3))[0][:, 2] == pytest.approx(15.0 * BASIS[3], rel=1e-2)
+
+
 @dataclass(frozen=True)
 class Exchangeable(Linear):
     """Two gains, 2 and 1 as recorded, of which the sum and the product are seen."""

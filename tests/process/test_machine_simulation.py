@@ -22,7 +22,6 @@ from process.excitation import Chirp, HalfSine, SteppedSine
 from process.friction import Andersson, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
 from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
 from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_blows import Struck
 from process.machine_simulation import SampledControl, machine_motion, simulate_machine, step_error
 from process.machine_stability import count_unstable
 from process.preload import DoublePinion
@@ -459,30 +458,6 @@ def test_plain_arrays_hold_the_numbers_of_the_record() -> None:
     for name in ("force", "displacement", "acceleration"):
         np.testing.assert_array_equal(getattr(motion, name)[0], record[name].sel(axis="x"))
         assert not getattr(motion, name)[1:].any()
-
-
-@pytest.mark.parametrize("feed", [0.0, 500.0, -1000.0])
-def test_a_machine_made_ready_for_any_blow_moves_as_one_that_is_simulated(feed: float) -> None:
-    machine = bench(friction=LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0))
-    common = {"duration": 1.9, "feed": feed * MM_MIN, "accuracy": 1e-4}
-    ready = Struck(machine, "x", **common)
-    for blow in (HalfSine.from_peak(50.0, start=0.0), HalfSine.from_peak(400.0, 3e-3, 0.0)):
-        whole = machine_motion(machine, forces={"x": blow}, step=1.0 / 2000.0, **common).displacement  # type: ignore[arg-type]
-        found = ready.displacement(blow)
-        np.testing.assert_array_equal(found, whole[:, : found.shape[1]])
-        assert not whole[:, found.shape[1] :].any()
-
-
-def test_a_hit_in_motion_that_is_followed_to_rest_has_the_spectrum_of_one_followed_to_the_end() -> None:
-    # In less than a third of the time; the transform of what is left out is below 1e-5 of that of the whole.
-    machine = bench(friction=LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0))
-    ready = Struck(machine, "x", duration=1.9, feed=500 * MM_MIN, accuracy=1e-4)
-    blow = HalfSine.from_peak(100.0, start=0.0)
-    whole, found = ready.displacement(blow)[0], ready.displacement(blow, rest=1e-7)[0]
-    assert found.size < 0.3 * 1.9 * 2000.0
-    kernel = np.exp(-2j * np.pi * np.outer(np.arange(8.0, 128.0), np.arange(whole.size) / 2000.0))
-    missing = np.abs(kernel[:, found.size :] @ whole[found.size :]) / np.abs(kernel @ whole)
-    assert missing.max() < 1e-5
 
 
 def moving_mode(frequency: float) -> Structure:
