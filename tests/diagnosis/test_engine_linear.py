@@ -12,10 +12,11 @@ from process.errors import InputError
 from smfe.diagnosis.calibration import PENALTY, Score, threshold
 from smfe.diagnosis.constancy import most_changing
 from smfe.diagnosis.cross_validation import HeldOut, compare, schemes
-from smfe.diagnosis.engine import deviations, diagnose, estimates
+from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.evidence import Bench, fitted_misfit
 from smfe.diagnosis.finding import Estimate, Finding, FoundCause, explain
 from smfe.diagnosis.fit import Target, bounded_step, fit
+from smfe.diagnosis.intervals import deviations, estimates
 from smfe.diagnosis.isolability import isolability
 from smfe.diagnosis.misfit import Misfit, NoiseFreedom, assess
 from smfe.diagnosis.model import Model
