@@ -129,6 +129,13 @@ class Excited:
         less: Real = self._less  # type: ignore[attr-defined]
         return np.asarray(flat - rows.T @ (less * (rows @ flat)))
 
+    def unwhitened(self, values: Real) -> Complex:
+        """Return complex values, columns of shape (entries f, n), from real ones, (2 f entries, n), of `whitened`."""
+        rows: Real = self._rows  # type: ignore[attr-defined]
+        less: Real = self._less  # type: ignore[attr-defined]
+        flat = values + rows.T @ ((less / (1.0 - less))[:, None] * (rows @ values))
+        return np.asarray((flat[0::2] + 1j * flat[1::2]) * self.std.T.reshape(-1, 1) / np.sqrt(2.0))
+
 
 def _scaled(values: Complex, std: Real) -> Real:
     scaled = (np.sqrt(2.0) * values / std).T

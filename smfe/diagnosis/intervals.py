@@ -1,4 +1,11 @@
-"""Intervals of the fitted parameters: from noise, and from what the best model leaves unexplained."""
+"""Intervals of the fitted parameters: from noise, from what the best model leaves, and from what it may do wrong.
+
+Two simulations of one machine differ a little, and not at random from line to line: a servo that is simulated as a
+continuous one is off like a gain of the servo. With the slopes ``s_i`` of the predictions over the predictions
+themselves and ``G_ij = mean Re(conj(s_i) s_j)`` over all N lines, the error ``d = sum a_i s_i`` with ``a ~ N(0, delta^2
+G^-1/p)`` has the root mean square delta, and no fit can tell it from the change ``a`` of the p parameters: their
+covariance grows by ``delta^2 G^-1/p`` however many lines and conditions there are.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +20,7 @@ from smfe.diagnosis.evidence import Bench
 from smfe.diagnosis.finding import Estimate
 from smfe.diagnosis.fit import Fit, stacked
 from smfe.diagnosis.misfit import Misfit
+from smfe.diagnosis.model import Model
 from smfe.diagnosis.signature import inside
 from smfe.diagnosis.verdict import Judgement
 
@@ -41,7 +49,7 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64
     They are those of white noise, or the mean over the noises that the data could have come from. Where more than that
     is left, the remainder is not white and not the same in all conditions: the larger counts of the noise scaled to its
     size and of the scatter of what each condition by itself does to the estimate (sandwich with the conditions as
-    clusters; Liang and Zeger, Biometrika 73, 1986).
+    clusters; Liang and Zeger, Biometrika 73, 1986). What the family says that its predictions may be off comes on top.
     """
     slope, _ = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)
     size = np.linalg.norm(slope, axis=0)
@@ -59,6 +67,25 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64
         scatter = np.sum(np.square(pulls), axis=0) * len(pulls) / max(len(pulls) - 1, 1)
         robust = np.sqrt(scatter + np.sum(np.square(prior), axis=1))
         sd[moving] = np.maximum(sd[moving] * math.sqrt(max(left.ratio, 1.0)), robust)
+    sd[moving] = np.hypot(sd[moving], _off(bench.model, at, moving))
     # What is seen of several only together says nothing of each: its variance would come out as zero.
     sd[moving] = np.where(1.0 - np.sum(np.square(right[told]), axis=0) > _SHARED**2, np.inf, sd[moving])
     return sd
+
+
+def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the standard deviations that errors of the predictions add to some scaled fitted parameters."""
+    share = float(getattr(model.family, "model_error", 0.0))
+    if share == 0.0 or not np.any(moving):
+        return np.zeros(int(moving.sum()))
+    slope = np.concatenate(
+        [
+            model.family.relative(model.conditions[r], model.predict(r, at.u), x[:, moving])  # type: ignore[attr-defined]
+            for r, x in at.slope.items()
+        ]
+    )
+    lines, slope = len(slope), np.concatenate([slope.real, slope.imag])
+    size = np.linalg.norm(slope, axis=0)
+    size[size == 0.0] = 1.0
+    inverse = np.linalg.pinv(slope / size, rcond=_TOLD)
+    return np.asarray(share * np.sqrt(lines / moving.sum() * np.sum(np.square(inverse), axis=1)) / size)

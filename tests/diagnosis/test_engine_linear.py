@@ -164,6 +164,33 @@ def test_intervals_cover_the_truth_in_95_of_100_cases():
     assert 0.93 <= np.mean(inside) <= 0.97
 
 
+def test_intervals_hold_where_the_model_is_off_by_what_looks_like_its_parameters():
+    """White errors, as far as the parameters can follow them; their size is a third of the prediction."""
+
+    class Off(Linear):
+        model_error = 0.3
+
+        def relative(self, condition, predicted, slopes):
+            return slopes[0::2] + 1j * slopes[1::2]
+
+    truth, off = {"both.0": 0.4, "both.1": -0.7}, Off(FAMILY.conditions, FAMILY.causes, FAMILY.effects)
+    model = Model(off, off.conditions)
+    slope = np.concatenate([*model.slopes(range(6), model.null(), model.free((2,))).values()])
+    inside = {True: [], False: []}
+    for seed in range(150):
+        data = measured(off, truth, 2000 + seed)
+        white = np.random.default_rng(seed).standard_normal(len(slope)) / sqrt(2.0)
+        wrong = 0.3 * sqrt(len(slope) / slope.shape[1]) * slope @ np.linalg.lstsq(slope, white)[0]
+        told = [replace(c, observed=c.observed + d) for c, d in zip(data.conditions, np.split(wrong, 6), strict=True)]
+        for allowed in inside:
+            b = bench(replace(data if allowed else FAMILY, conditions=tuple(told)))
+            found = b.confirmed(b.extend(b.null(), (2,)))
+            for e in estimates(b, found, 2, Judgement("named", "")):
+                inside[allowed].append(e.low <= 1000.0 * truth[e.name] <= e.high)
+    assert 0.92 <= np.mean(inside[True]) <= 0.98
+    assert np.mean(inside[False]) < 0.85
+
+
 def test_of_two_parameters_that_are_seen_only_as_their_sum_neither_has_an_interval():
     """The pseudo-inverse gives the direction that nobody sees no variance at all."""
     truth = {"both.0": 0.4, "both.1": -0.7}

@@ -92,6 +92,15 @@ def test_whitened_errors_have_unit_variance_where_lines_share_an_error():
     assert np.linalg.eigvalsh(covariance)[-1] < 2.0  # Marchenko-Pastur: 1.4
 
 
+def test_what_was_whitened_can_be_made_compliance_again():
+    rng = np.random.default_rng(4)
+    phi, shared = (rng.standard_normal(n) + 1j * rng.standard_normal(n) for n in ((LINES.size, 2), (3, LINES.size, 2)))
+    entries, std = (("x", "x"), ("y", "x")), rng.uniform(0.5, 2.0, (LINES.size, 2))
+    excited = Excited(LINES, entries, std, "hammer", 0.3, shared=20.0 * shared)
+    again = excited.unwhitened(np.column_stack([excited.whitened(phi), excited.whitened(2j * phi)]))
+    assert again == pytest.approx(np.column_stack([phi.T.ravel(), 2j * phi.T.ravel()]), rel=1e-9)
+
+
 def test_scatter_is_smooth_noise_and_what_the_hits_share():
     rng = np.random.default_rng(1)
     frequency = np.linspace(8.0, 200.0, 385)

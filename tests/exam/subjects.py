@@ -126,7 +126,7 @@ RUBBING = tuple(frozenset({"friction", other}) for other in drive.SLIDING)
 """Friction cannot be hidden in an axis that is known to rub."""
 
 SUBJECTS = {
-    "axis": Subject("Compliances of a feed axis", AXIS, _axis, apart=(frozenset(AXIS_DESIGN),), sitting=2),
+    "axis": Subject("Compliances of a feed axis", AXIS, _axis, apart=(frozenset(AXIS_DESIGN),), sitting=3),
     "drive": Subject("Records of a moving axis", drive.EXPECTED, _drive, noisy=False, apart=RUBBING, sitting=3),
     "modal": Subject("Compliances against a modal model", modal.NAMES, _modal, sitting=1),
     "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _limits, False, False, False),
