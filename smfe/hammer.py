@@ -22,6 +22,7 @@ from smfe.attached_mass import without_mass
 from smfe.averaging import ESTIMATORS, average, degrees_of_freedom, deviations, noise_ratio
 from smfe.background import Background, remove_background
 from smfe.background_doubt import doubts, shared_doubt, side_by_side
+from smfe.blows import single_hits
 from smfe.decay import leakage, leakage_by_line
 from smfe.error_factors import error_variables
 from smfe.hit_direction import HitSpectra, wrong_directions
@@ -131,7 +132,7 @@ def identify_hammer(
         `smfe.intervals.interval`), ``compliance_covariance``, ``deviation`` (see `smfe.error_factors`) and
         ``coherence(frequency, response, excitation)``; attributes ``usable_from_Hz`` and ``usable_to_Hz`` (one value
         an excitation), ``block_length_s`` and ``estimator``; tables "hits" and, where a background was removed,
-        "background".
+        "background"; the hits one by one, unless a window was asked for.
 
     Raises
     ------
@@ -167,7 +168,12 @@ def identify_hammer(
     notes += [note for column in averages for note in column.warnings]
     notes += [*_exclusion_notes(hits), *_cut_notes(averages, frequency_range), *said]
     tables = {"hits": hit_table(hits), **tables}
-    return Identification(name, "hammer", compliance, tables, tuple(notes))
+    blows: dict[str, xr.Dataset] = {}
+    if averaging.exponential_window is None:
+        after = duration * (1.0 - rules.pre_trigger)
+        for axis, c in gathered.items():
+            blows[axis] = single_hits(columns[axis], c.hits, c.frequency, c.motion, c.force, after)
+    return Identification(name, "hammer", compliance, tables, tuple(notes), blows)
 
 
 @dataclass(frozen=True)

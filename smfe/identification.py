@@ -32,6 +32,8 @@ class Identification:
         What the engineer wants to look through: hits, steps, passes. Column names end in their unit.
     warnings : tuple of str
         Sentences for the report.
+    blows : mapping of str to xarray.Dataset
+        Excitation -> its hits one by one (`smfe.blows.single_hits`), where hits are behind the compliance.
     """
 
     name: str
@@ -39,3 +41,4 @@ class Identification:
     compliance: xr.Dataset
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    blows: Mapping[str, xr.Dataset] = field(default_factory=dict)

@@ -41,7 +41,7 @@ from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
-FORM = 2
+FORM = 3
 """Raised where an estimator, or what it writes, changes within a version: what was kept is then not read back."""
 
 
@@ -402,7 +402,7 @@ def cached_identification(
         old.unlink()
     tables = {name: frame.to_csv(index=False) for name, frame in found.tables.items()}
     dataset = pack_warnings(found.compliance, found.warnings).assign_attrs(tables=json.dumps(tables))
-    write_groups(path, {"identification": dataset})
+    write_groups(path, {"identification": dataset, **{f"blows_{a}": hits for a, hits in found.blows.items()}})
     return found, False
 
 
@@ -415,11 +415,13 @@ def _key(campaign: Campaign, measurement: Measurement) -> str:
 
 
 def _load(path: Path, measurement: Measurement) -> Identification:
-    dataset = read_groups(path)["identification"]
+    groups = read_groups(path)
+    dataset = groups["identification"]
     tables: Mapping[str, str] = json.loads(dataset.attrs.pop("tables"))
     frames = {
         name: pd.read_csv(io.StringIO(text), keep_default_na=False, na_values=[""]) for name, text in tables.items()
     }
     warnings = tuple(unpack_warnings(dataset))
     del dataset.attrs["warnings"]
-    return Identification(measurement.name, measurement.method, dataset, frames, warnings)
+    blows = {name[-1]: hits for name, hits in groups.items() if name.startswith("blows_")}
+    return Identification(measurement.name, measurement.method, dataset, frames, warnings, blows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,14 +18,16 @@ from smfe.diagnosis.axis_baseline import AxisBaseline
 from smfe.diagnosis.campaign_case import Case
 from smfe.diagnosis.campaign_cuts import cutting_case
 from smfe.diagnosis.campaign_drive import drive_case
+from smfe.diagnosis.campaign_hits import DISCREPANCY, FEWEST, compared
 from smfe.diagnosis.campaign_limits import limit_case
 from smfe.diagnosis.campaign_menu import menu
 from smfe.diagnosis.campaign_modes import NamedModes, modes_named
 from smfe.diagnosis.frf_noise import freedom_of
-from smfe.diagnosis.machine_frf import MachineFrfs, condition_of, excitation_of
+from smfe.diagnosis.machine_frf import MachineFrfs, as_hit, condition_of, excitation_of
 from smfe.diagnosis.modal_frf import SPREAD, ModalFrfs
 from smfe.diagnosis.modal_proposals import modal_proposals
 from smfe.diagnosis.problem import Condition
+from smfe.diagnosis.suspect import Suspect
 from smfe.identification import Identification, Progress, silent
 
 _LOWEST = 5.0
@@ -90,16 +92,35 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: P
         return cutting_case(campaign)
     if isinstance(baseline, LimitsOf):
         return limit_case(campaign, baseline, found, progress)
-    modes = modes_named(campaign, baseline.source, found) if isinstance(baseline, ModesOf) else None
-    family = _with_menu(campaign, found) if modes is None else modal_family(campaign, modes, found)
+    family: MachineFrfs | ModalFrfs
+    if isinstance(baseline, ModesOf):
+        modes = modes_named(campaign, baseline.source, found)
+        family, suspects = modal_family(campaign, modes, found), modes.suspects
+    else:
+        family = machine_family(campaign, found)
+        family, suspects = replace(family, proposals=menu(family)), tuple(_too_few(campaign, found, baseline.axis))
     names = [c.name for c in family.conditions]
     held_out = tuple(m.name for m in campaign.measurements if m.held_out and m.name in names)
-    return Case(family, {n: (n,) for n in names}, held_out, () if modes is None else modes.suspects)
+    return Case(family, {n: (n,) for n in names}, held_out, suspects)
 
 
-def _with_menu(campaign: Campaign, found: Mapping[str, Identification]) -> MachineFrfs:
-    family = machine_family(campaign, found)
-    return replace(family, proposals=menu(family))
+def _too_few(campaign: Campaign, found: Mapping[str, Identification], axis: str) -> Iterator[Suspect]:
+    """Name the hammer measurements that are not compared because few hits are left of them."""
+    for m in campaign.measurements:
+        if m.method == "hammer" and _shows(found.get(m.name), axis) and not _tells(m, found[m.name], axis):
+            yield Suspect(
+                "few_hits",
+                "warning",
+                m.name,
+                f"{_fewest_hits(m, found[m.name], (axis,))} hits are used: what they have in common, a level or a "
+                "state at rest, cannot be told from the machine",
+                f"left out of the comparison; hit {FEWEST} times or more",
+            )
+
+
+def _tells(measurement: Measurement, found: Identification, axis: str) -> bool:
+    """Whether there are enough hits for their scatter."""
+    return measurement.method != "hammer" or _fewest_hits(measurement, found, (axis,)) >= FEWEST
 
 
 def machine_family(campaign: Campaign, found: Mapping[str, Identification]) -> MachineFrfs:
@@ -122,16 +143,16 @@ def machine_family(campaign: Campaign, found: Mapping[str, Identification]) -> M
     baseline = axis_baseline(campaign.baseline)
     axis, band = baseline.axis, (_LOWEST, _REACH * baseline.drive.locked_frequency)
     conditions = [
-        _condition(m, found[m.name], (axis,), band, order, _controller(m, baseline))
+        _condition(m, found[m.name], (axis,), band, order, _controller(m, baseline), DISCREPANCY)
         for m, order in _ordered(campaign)
-        if _shows(found.get(m.name), axis)
+        if _shows(found.get(m.name), axis) and _tells(m, found[m.name], axis)
     ]
     if not conditions:
         raise InputError(
             f"no hammer or actuator measurement shows {axis} under a force along {axis} with its "
             "uncertainty (three hits or more); the baseline has nothing to be compared with"
         )
-    return MachineFrfs(baseline, tuple(conditions))
+    return as_hit(MachineFrfs(baseline, tuple(conditions)), DISCREPANCY)
 
 
 def modal_family(campaign: Campaign, modes: NamedModes, found: Mapping[str, Identification]) -> ModalFrfs:
@@ -180,6 +201,7 @@ def _condition(
     band: tuple[float, float],
     order: float,
     controller: str | None,
+    discrepancy: float = 0.0,
 ) -> Condition:
     compliance = found.compliance.sel(response=list(axes), excitation=list(axes))
     if measurement.method == "hammer":
@@ -207,6 +229,8 @@ def _condition(
     hits = _fewest_hits(measurement, found, axes)
     if hits > 1:
         excited = replace(excited, noise_freedom=freedom_of(hits, excited.std.size))
+    if discrepancy > 0.0:
+        excited = compared(excited, found.compliance, found.blows.get(axes[0]), discrepancy)
     return condition_of(measurement.name, compliance, excited, settings, measurement.name)
 
 

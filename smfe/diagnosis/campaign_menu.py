@@ -110,8 +110,8 @@ def _proposal(base: Condition, change: _Change, axis: str) -> Condition:
     data = replace(
         excited,
         feed={**excited.feed, axis: float(settings["feed"])},
-        level=level,
-        std=excited.std * (excited.level / level),
+        level=math.copysign(level, excited.level),
+        std=excited.std * (abs(excited.level) / level),
         controller=str(settings["controller"]) or excited.controller,
         hits=None,
     )

@@ -283,7 +283,7 @@ class Recorded(Excitation):
     @property
     def shortest(self) -> float:
         """Mean width of the pulse [s]: its impulse over its peak."""
-        return float(sum(self.samples) / max(self.samples) / self.rate)
+        return float(abs(sum(self.samples)) / max(map(abs, self.samples)) / self.rate)
 
     @property
     def end(self) -> float:
