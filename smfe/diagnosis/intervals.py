@@ -1,15 +1,17 @@
 """Intervals of the fitted parameters: from noise, from what the best model leaves, and from what it may do wrong.
 
 Two simulations of one machine differ a little, and not at random from line to line: a servo that is simulated as a
-continuous one is off like a gain of the servo. With the slopes ``s_i`` of the predictions over the predictions
-themselves and ``G_ij = mean Re(conj(s_i) s_j)`` over all N lines, the error ``d = sum a_i s_i`` with ``a ~ N(0, delta^2
-G^-1/p)`` has the root mean square delta, and no fit can tell it from the change ``a`` of the p parameters: their
-covariance grows by ``delta^2 G^-1/p`` however many lines and conditions there are.
+continuous one is off like a gain of the servo. Let R be the slopes of all N lines over their predictions, and P the
+mean over conditions that are the same to a simulation (other places, other times): it is wrong alike there. The error
+``P R a`` with ``a ~ N(0, delta^2 N/p B^-1)``, ``B = (P R)^T P R``, has the root mean square delta. Least squares take
+it for ``A^-1 B a`` with ``A = R^T R``: the covariance of the p parameters grows by ``delta^2 N/p A^-1 B A^-1``, however
+many lines and conditions there are; ``delta^2 N/p A^-1`` where no two conditions are alike.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,17 +77,26 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64
 
 def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the standard deviations that errors of the predictions add to some scaled fitted parameters."""
-    share = float(getattr(model.family, "model_error", 0.0))
-    if share == 0.0 or not np.any(moving):
-        return np.zeros(int(moving.sum()))
-    slope = np.concatenate(
-        [
-            model.family.relative(model.conditions[r], model.predict(r, at.u), x[:, moving])  # type: ignore[attr-defined]
-            for r, x in at.slope.items()
-        ]
-    )
-    lines, slope = len(slope), np.concatenate([slope.real, slope.imag])
+    family, count = model.family, int(moving.sum())
+    share = float(getattr(family, "model_error", 0.0))
+    if share == 0.0 or count == 0:
+        return np.zeros(count)
+    rows = list(at.slope)
+    each = [
+        family.relative(model.conditions[r], model.predict(r, at.u), at.slope[r][:, moving])  # type: ignore[attr-defined]
+        for r in rows
+    ]
+    labels = family.alike([model.conditions[r] for r in rows])  # type: ignore[attr-defined]
+    shared = {k: np.mean([x for x, label in zip(each, labels, strict=True) if label == k], axis=0) for k in set(labels)}
+    slope, wrong = (_real(x) for x in (each, [shared[k] for k in labels]))
     size = np.linalg.norm(slope, axis=0)
     size[size == 0.0] = 1.0
-    inverse = np.linalg.pinv(slope / size, rcond=_TOLD)
-    return np.asarray(share * np.sqrt(lines / moving.sum() * np.sum(np.square(inverse), axis=1)) / size)
+    inverse = np.linalg.pinv(slope / size, rcond=_TOLD) / size[:, None]
+    taken = inverse @ inverse.T @ wrong.T
+    return np.asarray(share * np.sqrt(len(slope) / 2.0 / count * np.sum(np.square(taken), axis=1)))
+
+
+def _real(each: Sequence[NDArray[np.complex128]]) -> NDArray[np.float64]:
+    """Complex rows of several conditions as real ones: real parts, then imaginary ones."""
+    whole = np.concatenate(list(each))
+    return np.concatenate([whole.real, whole.imag])

@@ -8,6 +8,7 @@ the difference off the data, and what the differences between the hits explain o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -31,6 +32,7 @@ from smfe.diagnosis.problem import Cause, Condition, Parameter, Real, Values
 _RATE = 2000.0  # samples and steps a second of a simulated hit
 _ACCURACY = 1e-4  # of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters
 _REST = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
+_SAME_LEVEL = 0.2  # relative difference of levels of hits that are meant to be the same
 _KEPT = 20000
 _MACHINES = 200
 
@@ -149,6 +151,22 @@ class MachineFrfs:
         """Return slopes of a prediction, (n, p), over the prediction itself, each line by itself, (n/2, p)."""
         assert isinstance(condition.data, Excited)
         return condition.data.unwhitened(slopes) / condition.data.unwhitened(predicted[:, None])
+
+    def alike(self, conditions: Sequence[Condition]) -> list[int]:
+        """Return a number for each condition, the same for those that a simulation without causes cannot tell apart."""
+        keys: list[tuple[object, float]] = []
+        numbers: list[int] = []
+        for condition in conditions:
+            d = condition.data
+            assert isinstance(d, Excited)
+            mass = float(condition.settings.get("added_mass", 0.0))
+            how = (d.method, tuple(d.feed.items()), d.controller, mass, d.entries, d.frequency.tobytes())
+            level = math.log(abs(d.level))
+            found = [n for n, (one, other) in enumerate(keys) if how == one and abs(level - other) < _SAME_LEVEL]
+            if not found:
+                keys.append((how, level))
+            numbers.append(found[0] if found else len(keys) - 1)
+        return numbers
 
     def _machine(self, found: Effective) -> Machine:
         """Build a machine once: what is made ready for a hit is found by it."""

@@ -164,15 +164,39 @@ def test_intervals_cover_the_truth_in_95_of_100_cases():
     assert 0.93 <= np.mean(inside) <= 0.97
 
 
+class Off(Linear):
+    """The same by a simulation that is wrong by a third, and knows of conditions no more than the keys of `knows`."""
+
+    model_error = 0.3
+    knows = ("feed", "direction")
+
+    def relative(self, condition, predicted, slopes):
+        return slopes[0::2] + 1j * slopes[1::2]
+
+    def alike(self, conditions):
+        keys = [tuple(c.settings[k] for k in self.knows) for c in conditions]
+        return [keys.index(k) for k in keys]
+
+
+def test_a_simulation_is_not_wrong_about_a_contrast_that_it_does_not_know():
+    """It may be wrong about a parameter of its own, and alike forth and back where it knows of no direction."""
+
+    class Blind(Off):
+        knows = ("feed",)
+
+    effects = {"turns.0": lambda s: s["direction"] * BASIS[3], "own.0": lambda s: BASIS[4]}
+    sds = {}
+    for kind in (Linear, Off, Blind):
+        family = measured(kind(grid(), (cause("turns"), cause("own")), effects), {"turns.0": 1.0, "own.0": 1.0}, 3)
+        b = bench(family)
+        sds[kind] = deviations(b, b.confirmed(b.extend(b.null(), (0, 1))), None)[-2:]
+    assert np.all(sds[Off] > 1.5 * sds[Linear])
+    assert sds[Blind][0] == pytest.approx(sds[Linear][0], rel=1e-9)
+    assert sds[Blind][1] > 1.5 * sds[Linear][1]
+
+
 def test_intervals_hold_where_the_model_is_off_by_what_looks_like_its_parameters():
     """White errors, as far as the parameters can follow them; their size is a third of the prediction."""
-
-    class Off(Linear):
-        model_error = 0.3
-
-        def relative(self, condition, predicted, slopes):
-            return slopes[0::2] + 1j * slopes[1::2]
-
     truth, off = {"both.0": 0.4, "both.1": -0.7}, Off(FAMILY.conditions, FAMILY.causes, FAMILY.effects)
     model = Model(off, off.conditions)
     slope = np.concatenate([*model.slopes(range(6), model.null(), model.free((2,))).values()])

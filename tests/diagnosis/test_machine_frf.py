@@ -101,6 +101,13 @@ def test_what_was_whitened_can_be_made_compliance_again():
     assert again == pytest.approx(np.column_stack([phi.T.ravel(), 2j * phi.T.ravel()]), rel=1e-9)
 
 
+def test_places_and_times_are_nothing_that_a_simulation_knows_of():
+    here, there, late = nominal(), nominal(position=0.5), nominal(order=0.7)
+    others = nominal(feed=MOVING), nominal(level=0.6), nominal(controller="K3"), nominal(added_mass=1.0)
+    family = MachineFrfs(baseline(), (here,))
+    assert family.alike((here, there, late, *others, nominal(level=0.31))) == [0, 0, 0, 1, 2, 3, 4, 0]
+
+
 def test_scatter_is_smooth_noise_and_what_the_hits_share():
     rng = np.random.default_rng(1)
     frequency = np.linspace(8.0, 200.0, 385)
