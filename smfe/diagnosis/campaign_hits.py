@@ -47,6 +47,10 @@ def compared(
         return replace(excited, shared=smooth)
     f = hits["frequency"].values
     pick = np.searchsorted(f, excited.frequency - 1e-9)
+    # A sensor that roves is not along this axis in every hit.
+    hits = hits.isel(hit=np.isfinite(hits["compliance"].sel(response=response).values[:, pick]).all(axis=1))
+    if hits.sizes["hit"] < FEWEST:
+        return replace(excited, shared=smooth)
     each = hits["compliance"].sel(response=response).values
     force, rate = hits["force"].values, 1.0 / float(np.diff(hits["contact_time"].values[:2])[0])
     impulse = force.sum(axis=1) / rate

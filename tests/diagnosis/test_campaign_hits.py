@@ -16,6 +16,8 @@ from truth.chain import Chain
 from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.diagnosis.campaign_family import case_of
+from smfe.diagnosis.campaign_hits import DISCREPANCY, compared
+from smfe.diagnosis.frf_noise import excitation_of
 from smfe.diagnosis.machine_frf import MachineFrfs
 from smfe.diagnosis.verbs import diagnose
 from smfe.hammer import Averaging, identify_hammer
@@ -59,6 +61,19 @@ def test_the_mean_of_single_hits_weighted_by_their_power_is_h1(sign: float) -> N
 
 def test_hits_under_a_window_are_not_told_one_by_one() -> None:
     assert identify_hammer("hit", {"x": [struck()]}, averaging=Averaging(exponential_window=0.3)).blows == {}
+
+
+@pytest.mark.parametrize(("lost", "told"), [([], 4), ([1], 3), ([0, 1], None)])
+def test_hits_whose_sensor_was_elsewhere_tell_nothing_of_this_axis(lost: list[int], told: int | None) -> None:
+    found = identify_hammer("hit", {"x": [struck()]})
+    hits = found.blows["x"].copy(deep=True)
+    hits["compliance"][{"hit": lost}] = np.nan
+    excited = compared(
+        excitation_of(found.compliance, "hammer", 0.3, (20.0, 60.0)), found.compliance, hits, DISCREPANCY
+    )
+    assert (excited.hits and len(excited.hits.force)) == told
+    assert np.all(np.isfinite(excited.std))
+    assert np.all(np.isfinite(excited.shared))
 
 
 AXIS = replace(
