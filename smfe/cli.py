@@ -235,10 +235,13 @@ def diagnose(
     held_out: Annotated[
         list[str] | None, typer.Option("--held-out", help="Measurement to open once, at the very end.")
     ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes; default: one a core on Linux, else one.")
+    ] = None,
 ) -> None:
     """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains."""
     with bar(console) as progress:
-        finding = verbs.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show)
+        finding = verbs.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show, workers)
     out.print(explain(finding), markup=False, highlight=False, soft_wrap=True)
     # `smfe report` looks for this name.
     then = f"; next: smfe report {output.parent}" if output.name == "finding.json" else ""

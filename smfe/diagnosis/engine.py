@@ -17,6 +17,7 @@ from smfe.diagnosis.cross_validation import BAND, Gain, compare, opened
 from smfe.diagnosis.evidence import MOST_CAUSES, Bench, Step, search
 from smfe.diagnosis.finding import Finding, FoundCause, Remainder, Rung
 from smfe.diagnosis.fit import Fit, Target
+from smfe.diagnosis.helpers import Helpers
 from smfe.diagnosis.intervals import estimates
 from smfe.diagnosis.isolability import cosines, groups
 from smfe.diagnosis.model import Model
@@ -27,7 +28,13 @@ from smfe.diagnosis.verdict import Judgement, judge
 from smfe.identification import Progress, silent
 
 
-def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_out: Sequence[str] = ()) -> Finding:
+def diagnose(
+    family: Family,
+    seed: int = 0,
+    progress: Progress = silent,
+    held_out: Sequence[str] = (),
+    workers: int | None = None,
+) -> Finding:
     """Diagnose a baseline.
 
     Where the data of a family rest on a simulation (its method ``as_found``: values to conditions) and a cause was
@@ -44,6 +51,9 @@ def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_ou
         Told what is being done.
     held_out : sequence of str, optional
         Names of measured conditions that are set aside and opened once, at the very end.
+    workers : int, optional
+        Processes that predict where that takes long; default: one a core on Linux, elsewhere one. The finding is the
+        same with any number.
 
     Returns
     -------
@@ -53,13 +63,18 @@ def diagnose(family: Family, seed: int = 0, progress: Progress = silent, held_ou
     Raises
     ------
     InputError
-        For a family that contradicts itself, or a condition to be held out that was not measured.
+        For a family that contradicts itself, a condition to be held out that was not measured, or no worker.
     """
+    with Helpers(workers) as helpers:
+        return _diagnosed(family, seed, progress, held_out, helpers)
+
+
+def _diagnosed(family: Family, seed: int, progress: Progress, held_out: Sequence[str], helpers: Helpers) -> Finding:
     again: Callable[[Values], Sequence[Condition]] | None = getattr(family, "as_found", None)
     conditions: Sequence[Condition] = family.conditions
     known, prepared = dict[tuple[int, ...], Fit](), tuple[int, ...]()
     for last in (again is None, False, True):
-        laid = _laid_out(family, conditions, seed, progress, held_out)
+        laid = _laid_out(family, conditions, seed, progress, held_out, helpers)
         laid.bench.known = known
         refused = _refused(laid.bench)
         if refused is not None:
@@ -82,13 +97,18 @@ class _Laid:
 
 
 def _laid_out(
-    family: Family, conditions: Sequence[Condition], seed: int, progress: Progress, held_out: Sequence[str]
+    family: Family,
+    conditions: Sequence[Condition],
+    seed: int,
+    progress: Progress,
+    held_out: Sequence[str],
+    helpers: Helpers,
 ) -> _Laid:
     measured = [c for c in conditions if c.observed is not None]
     missing = sorted(set(held_out) - {c.name for c in measured})
     if missing:
         raise InputError(f"{missing[0]!r} cannot be held out: it is not one of the measured conditions")
-    model = Model(family, [*measured, *family.proposals])
+    model = Model(family, [*measured, *family.proposals], helpers)
     data = {r: np.asarray(c.observed, dtype=float) for r, c in enumerate(measured)}
     _refuse_gaps(model, data)
     aside = {r: y for r, y in data.items() if measured[r].name in held_out}

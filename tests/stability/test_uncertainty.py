@@ -347,8 +347,8 @@ def test_the_linearised_band_covers_two_hundred_campaigns(authors):
 
 
 @pytest.mark.slow
-def test_the_sampled_band_covers_two_hundred_campaigns(authors):
-    inside, safe = coverage(authors, sampled_band, 200, count=200)
+def test_the_sampled_band_covers_eighty_campaigns(authors):
+    inside, safe = coverage(authors, sampled_band, 80, count=200)
     assert 0.86 < inside < 0.94
     assert safe > 0.93
 

@@ -1,0 +1,119 @@
+"""Predictions made by several processes, where they take long.
+
+A third of a time simulation is a kernel that runs beside others; what is around it is Python, which threads do one
+after the other: two cores with threads took as long as one. A process that is forked has the family as it is, closures
+and all, and starts in a few hundredths of a second. Where processes cannot be forked safely (macOS, Windows), all is
+done by one.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from itertools import groupby
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+
+Real = NDArray[np.float64]
+Wanted = tuple[int, Real]
+"""Number of a condition and all scaled values."""
+Answer = tuple[Real | None, str]
+"""A prediction, or None and why there is none."""
+Ask = Callable[[int, Real], Answer]
+
+
+def cores() -> int:
+    """Return how many cores this process may use; 1 where processes cannot be forked safely."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
+
+
+class Helpers:
+    """Processes that predict for one model at a time.
+
+    Parameters
+    ----------
+    count : int, optional
+        How many; default: one a core. With one, nobody helps.
+
+    Raises
+    ------
+    InputError
+        For fewer than one.
+    """
+
+    def __init__(self, count: int | None = None) -> None:
+        if count is not None and count < 1:
+            raise InputError(f"{count} workers; give at least 1, or none for all cores")
+        self.count = min(cores() if count is None else count, cores())
+        self._ask: Ask | None = None
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Helpers:
+        """Return itself; processes start when they are first asked."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Send the processes home."""
+        self._dismiss()
+
+    def answers(self, ask: Ask, wanted: Sequence[Wanted]) -> list[Answer]:
+        """Return what `ask` says to each, in their order; asked here where nobody can help."""
+        if self.count > 1 and self._ask != ask:
+            self._employ(ask)
+        if self._pool is None:
+            return [ask(*w) for w in wanted]
+        try:
+            return [a for part in self._pool.map(_answered, _parts(wanted, self.count)) for a in part]
+        except BrokenProcessPool:
+            # Killed from outside, short of memory most likely: go on alone.
+            self._dismiss()
+            self.count = 1
+            return [ask(*w) for w in wanted]
+
+    def _employ(self, ask: Ask) -> None:
+        self._dismiss()
+        with warnings.catch_warnings():
+            # Later Pythons warn of forks beside threads; the children touch no lock that a thread of ours may hold.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self._pool = ProcessPoolExecutor(self.count, multiprocessing.get_context("fork"), _begin, (ask,))
+            self._pool.submit(int).result()
+        self._ask = ask
+
+    def _dismiss(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+        self._pool, self._ask = None, None
+
+
+def _parts(wanted: Sequence[Wanted], count: int) -> list[list[Wanted]]:
+    """Keep the same values together, for which a machine is made ready once; share them out where they are few."""
+    alike = [list(group) for _, group in groupby(wanted, key=lambda w: w[1].tobytes())]
+    shares = -(-count // len(alike))
+    sizes = [-(-len(part) // shares) for part in alike]
+    return [part[k : k + n] for part, n in zip(alike, sizes, strict=True) for k in range(0, len(part), n)]
+
+
+_asked: Ask
+
+
+def _begin(ask: Ask) -> None:
+    """In a new process: know what to ask, and leave an interruption to the one that started it."""
+    global _asked
+    _asked = ask
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _answered(part: Sequence[Wanted]) -> list[Answer]:
+    return [_asked(*w) for w in part]

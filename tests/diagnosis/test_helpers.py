@@ -1,0 +1,118 @@
+"""Processes that predict: the same answers as one process gives, in order, whatever becomes of them."""
+
+import os
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from process.errors import InputError
+from smfe.diagnosis import model as model_module
+from smfe.diagnosis.engine import diagnose
+from smfe.diagnosis.helpers import Helpers, _parts, cores
+from smfe.diagnosis.model import Model
+from smfe.diagnosis.problem import Cause, Condition, Parameter
+
+SEVERAL = pytest.mark.skipif(cores() < 2, reason="one core, or a system on which processes are not forked")
+PLACES = np.linspace(-1.0, 1.0, 30)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight line with noise 1, and a bend that may be in it; notes in which processes it was asked."""
+
+    conditions: tuple
+    seen: str = ""
+    causes: tuple = (
+        Cause("bend", "Bend", (Parameter("bend.size", "1", 0.0, 1.0, 0.0, 50.0),)),
+        Cause("step", "Step", (Parameter("step.size", "1", 0.0, 1.0, -50.0, 50.0),)),
+    )
+    proposals: tuple = ()
+    nuisances: tuple = (Parameter("slope", "1", 1.0, 0.3, prior=5.0),)
+
+    def predict(self, condition, values):
+        if self.seen:
+            with open(self.seen, "a") as file:
+                print(os.getpid(), file=file)
+        if values["slope"] > 5.0:
+            raise InputError("too steep")
+        x = condition.settings["feed"] + PLACES
+        bent = values.get("bend.size", 0.0) * x**2
+        return values["slope"] * x + bent + values.get("step.size", 0.0) * (x > 0.0)
+
+
+def measured(bend, seen=""):
+    rng = np.random.default_rng(5)
+    empty = [Condition(f"run {k}", {"feed": k - 2.0}) for k in range(5)]
+    line, truth = Line(tuple(empty), seen), {"slope": 1.2, "bend.size": bend}
+    return Line(
+        tuple(Condition(c.name, c.settings, observed=line.predict(c, truth) + rng.standard_normal(30)) for c in empty),
+        seen,
+    )
+
+
+@pytest.fixture
+def eager(monkeypatch):
+    """Ask helpers at once: a line is predicted in no time."""
+    monkeypatch.setattr(model_module, "WORTH_HELP", 0.0)
+    monkeypatch.setattr(model_module, "WORTH_A_START", 0.0)
+
+
+@SEVERAL
+@pytest.mark.parametrize("bend", [0.0, 3.0])
+def test_the_finding_is_the_same_to_the_last_digit(eager, tmp_path, bend):
+    alone = diagnose(measured(bend), workers=1)
+    helped = diagnose(measured(bend, str(tmp_path / "seen")), workers=2)
+    assert repr(helped) == repr(alone)
+    assert (alone.verdict, [c.id for c in alone.causes]) == (("named", ["bend"]) if bend else ("consistent", []))
+    asked = (tmp_path / "seen").read_text().split()
+    assert len(set(asked)) == 3
+    assert asked.count(str(os.getpid())) < 0.5 * len(asked)
+
+
+@SEVERAL
+def test_why_nothing_is_predicted_comes_back(eager):
+    family = measured(0.0)
+    with Helpers(2) as helpers:
+        model = Model(family, family.conditions, helpers)
+        steep = model.null()
+        steep[0] = 100.0
+        model.prepare([(row, steep) for row in range(5)])
+        assert "too steep" in model.trouble
+        assert model.predict(0, steep) is None
+
+
+@SEVERAL
+def test_when_a_helper_is_killed_the_rest_is_done_alone(eager):
+    family, here = measured(0.0), os.getpid()
+    with Helpers(2) as helpers:
+
+        def ask(row, u):
+            if os.getpid() != here and row == 3:
+                os._exit(9)
+            return u * row, ""
+
+        wanted = [(row, np.arange(3.0)) for row in range(5)]
+        answers = helpers.answers(ask, wanted)
+        assert helpers.count == 1
+        assert [a.tolist() for a, _ in answers] == [(u * row).tolist() for row, u in wanted]
+        assert Model(family, family.conditions, helpers).predict(0, np.zeros(3)).shape == (30,)
+
+
+def test_no_more_help_than_cores_and_none_where_forks_are_not_safe(monkeypatch):
+    assert Helpers(10_000).count == Helpers().count == cores()
+    with pytest.raises(InputError, match="give at least 1"):
+        Helpers(0)
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert Helpers(4).count == 1
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+@pytest.mark.parametrize("values", [1, 2, 7])
+def test_everything_wanted_is_in_one_part_in_its_order_and_no_part_mixes_values(count, values):
+    wanted = [(row, np.full(2, float(v))) for v in range(values) for row in range(24)]
+    parts = _parts(wanted, count)
+    assert [w for part in parts for w in part] == wanted
+    assert all(len({u.tobytes() for _, u in part}) == 1 for part in parts)
+    assert len(parts) >= min(count, len(wanted))
