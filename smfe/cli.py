@@ -236,7 +236,7 @@ def diagnose(
         list[str] | None, typer.Option("--held-out", help="Measurement to open once, at the very end.")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes; default: one a core on Linux, else one.")
+        int | None, typer.Option(min=1, help="Processes; default: one a core, at most 8, on Linux; else one.")
     ] = None,
 ) -> None:
     """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains."""

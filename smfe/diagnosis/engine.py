@@ -52,8 +52,8 @@ def diagnose(
     held_out : sequence of str, optional
         Names of measured conditions that are set aside and opened once, at the very end.
     workers : int, optional
-        Processes that predict where that takes long; default: one a core on Linux, elsewhere one. The finding is the
-        same with any number.
+        Processes that predict where that takes long; default: one a core, at most 8, on Linux, elsewhere one. The
+        finding is the same with any number.
 
     Returns
     -------

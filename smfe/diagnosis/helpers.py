@@ -32,6 +32,10 @@ Answer = tuple[Real | None, str]
 Ask = Callable[[int, Real], Answer]
 
 
+MOST = 8
+"""Processes, unless more are asked for: a step of a fit asks for ten to forty sets of values at a time."""
+
+
 def cores() -> int:
     """Return how many cores this process may use; 1 where processes cannot be forked safely."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
@@ -43,7 +47,7 @@ class Helpers:
     Parameters
     ----------
     count : int, optional
-        How many; default: one a core. With one, nobody helps.
+        How many; default: one a core, no more than `MOST`. With one, nobody helps.
 
     Raises
     ------
@@ -54,7 +58,7 @@ class Helpers:
     def __init__(self, count: int | None = None) -> None:
         if count is not None and count < 1:
             raise InputError(f"{count} workers; give at least 1, or none for all cores")
-        self.count = min(cores() if count is None else count, cores())
+        self.count = min(MOST if count is None else count, cores())
         self._ask: Ask | None = None
         self._pool: ProcessPoolExecutor | None = None
 

@@ -51,7 +51,7 @@ def diagnose(
     licence : callable, optional
         Called with the licence of a public data set before it is fetched.
     workers : int, optional
-        Processes that predict where that takes long; default: one a core on Linux, elsewhere one.
+        Processes that predict where that takes long; default: one a core, at most 8, on Linux, elsewhere one.
 
     Returns
     -------
