@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -138,14 +139,19 @@ def _antiderivative(power: int, phi: ArrayLike) -> NDArray[np.complex128]:
 _TRIG = {1: np.array([-0.5j, 0.5, 0.0]), -1: np.array([0.5j, 0.5, 0.0]), 0: np.array([0.0, 0.0, 1.0])}
 
 
+@lru_cache(maxsize=256)
 def gram_matrix(arc: AnyEngagement, order: int = 0) -> NDArray[np.complex128]:
-    """Return ``integral (s, c, 1)(s, c, 1)^T exp(-j order phi) dphi`` over all arcs, in closed form, shape (3, 3)."""
+    """Return ``integral (s, c, 1)(s, c, 1)^T exp(-j order phi) dphi`` over all arcs, in closed form, shape (3, 3).
+
+    Kept from call to call and therefore read-only: a fit of coefficients asks for the same arcs thousands of times.
+    """
     total = np.zeros((3, 3), dtype=complex)
     for n, a in _TRIG.items():
         for m, b in _TRIG.items():
             power = order - n - m
             span = sum(_antiderivative(power, part.exit) - _antiderivative(power, part.entry) for part in arc.arcs)
             total += np.outer(a, b) * span
+    total.flags.writeable = False
     return total
 
 

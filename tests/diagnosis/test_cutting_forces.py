@@ -175,9 +175,9 @@ def test_run_out_is_named_with_its_size() -> None:
 
 
 @pytest.mark.slow
-def test_no_alarm_in_thirty_healthy_campaigns() -> None:
-    verdicts = [hidden(None, seed)[0].verdict for seed in range(100, 130)]
-    assert verdicts == ["consistent"] * 30
+def test_no_alarm_in_twelve_healthy_campaigns() -> None:
+    verdicts = [hidden(None, seed)[0].verdict for seed in range(100, 112)]
+    assert verdicts == ["consistent"] * 12
 
 
 @pytest.mark.slow

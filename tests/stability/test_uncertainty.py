@@ -348,7 +348,7 @@ def test_the_linearised_band_covers_two_hundred_campaigns(authors):
 
 @pytest.mark.slow
 def test_the_sampled_band_covers_eighty_campaigns(authors):
-    inside, safe = coverage(authors, sampled_band, 80, count=200)
+    inside, safe = coverage(authors, sampled_band, 80, count=100)
     assert 0.86 < inside < 0.94
     assert safe > 0.93
 
