@@ -288,7 +288,7 @@ def test_healthy_axes_are_consistent() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", sorted(set(EXPECTED) - {"saturation"}))
 def test_effects_of_the_least_size_are_named(effect: str) -> None:
-    """Two of three, and never another cause alone; the exam has 40. A limit that cuts deep is not always found: it stays unknown."""
+    """Two of three, never another cause alone; the exam has 40. A limit that cuts deep may stay unknown."""
     right = 0
     for seed in range(2000, 2003):
         made, expected = hidden(effect, seed)
