@@ -39,6 +39,9 @@ class Engagement:
                 f"engagement from {math.degrees(self.entry):g} to {math.degrees(self.exit):g} deg; "
                 "0 <= entry < exit <= 180 deg is needed"
             )
+        # Plain numbers: arcs are keys of what is kept.
+        object.__setattr__(self, "entry", float(self.entry))
+        object.__setattr__(self, "exit", float(self.exit))
 
     @property
     def arc(self) -> float:
@@ -70,6 +73,7 @@ class Engagements:
 
     def __post_init__(self) -> None:
         """Refuse no arc and arcs that overlap."""
+        object.__setattr__(self, "arcs", tuple(self.arcs))
         if not self.arcs:
             raise InputError("the cut has no arc of engagement; give at least one")
         for before, after in pairwise(self.arcs):

@@ -2,16 +2,18 @@
 
 A third of a time simulation is a kernel that runs beside others; what is around it is Python, which threads do one
 after the other: two cores with threads took as long as one. A process that is forked has the family as it is, closures
-and all, and starts in a few hundredths of a second. Where processes cannot be forked safely (macOS, Windows), all is
-done by one.
+and all, and starts in a few hundredths of a second. Where processes cannot be forked safely (macOS, Windows, a thread
+beside the main one) or not at all (a daemonic process, a limit of the system), all is done by one.
 """
 
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -38,7 +40,11 @@ MOST = 8
 
 def cores() -> int:
     """Return how many cores this process may use; 1 where processes cannot be forked safely."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
+    # A fork copies the locks that other threads hold. Beside the main thread there are those that draw a bar or wait.
+    main = threading.current_thread() is threading.main_thread()
+    if sys.platform != "linux" or not main or multiprocessing.current_process().daemon:
+        return 1
+    return len(os.sched_getaffinity(0))
 
 
 class Helpers:
@@ -88,12 +94,27 @@ class Helpers:
 
     def _employ(self, ask: Ask) -> None:
         self._dismiss()
-        with warnings.catch_warnings():
-            # Later Pythons warn of forks beside threads; the children touch no lock that a thread of ours may hold.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            self._pool = ProcessPoolExecutor(self.count, multiprocessing.get_context("fork"), _begin, (ask,))
-            self._pool.submit(int).result()
-        self._ask = ask
+        try:
+            with warnings.catch_warnings():
+                # Later Pythons warn of forks beside threads.
+                warnings.simplefilter("ignore", DeprecationWarning)
+                self._pool = ProcessPoolExecutor(self.count, multiprocessing.get_context("fork"), _begin, (ask,))
+                self._pool.submit(int).result()
+            self._ask = ask
+        except (OSError, ImportError, NotImplementedError, BrokenProcessPool):
+            # No more processes, no semaphores, no memory: go on alone.
+            self._abandon()
+            self.count = 1
+        except BaseException:
+            self._abandon()
+            raise
+
+    def _abandon(self) -> None:
+        """End what has started of processes that did not all start: nobody would ever tell them to go."""
+        for process in list((getattr(self._pool, "_processes", None) or {}).values()):
+            process.terminate()
+            process.join()
+        self._dismiss()
 
     def _dismiss(self) -> None:
         if self._pool is not None:
@@ -113,10 +134,18 @@ _asked: Ask
 
 
 def _begin(ask: Ask) -> None:
-    """In a new process: know what to ask, and leave an interruption to the one that started it."""
+    """In a new process: know what to ask; end without a word with an interruption, or with who started it."""
     global _asked
     _asked = ask
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    multiprocessing.connection.wait([parent.sentinel])
+    os._exit(1)
 
 
 def _answered(part: Sequence[Wanted]) -> list[Answer]:

@@ -85,7 +85,7 @@ class Model:
         self.trouble = ""
         self._roughness = float(getattr(family, "roughness", 0.0))
         self._step = np.full(len(parameters), STEP)
-        self._kept: OrderedDict[tuple[int, bytes], Real | None] = OrderedDict()
+        self._kept: OrderedDict[tuple[int, bytes], Answer] = OrderedDict()
         self._stored = 0
         self._spent, self._asked = 0.0, 0
 
@@ -112,8 +112,11 @@ class Model:
         key = (row, u.tobytes())
         if key in self._kept:
             self._kept.move_to_end(key)
-            return self._kept[key]
-        return self._keep(key, *self._ask(row, u))
+        else:
+            self._keep(key, self._ask(row, u))
+        found, why = self._kept[key]
+        self.trouble = why or self.trouble
+        return found
 
     def prepare(self, wanted: Sequence[tuple[int, Real]]) -> None:
         """Predict several conditions side by side, to have them at hand, where a prediction takes long."""
@@ -122,16 +125,13 @@ class Model:
         new = {(row, u.tobytes()): (row, u) for row, u in wanted if (row, u.tobytes()) not in self._kept}
         if len(new) > 1:
             for key, answer in zip(new, self.helpers.answers(self._ask, list(new.values())), strict=True):
-                self._keep(key, *answer)
+                self._keep(key, answer)
 
-    def _keep(self, key: tuple[int, bytes], found: Real | None, trouble: str) -> Real | None:
-        self.trouble = trouble or self.trouble
-        self._kept[key] = found
-        self._stored += 1 if found is None else found.size
+    def _keep(self, key: tuple[int, bytes], answer: Answer) -> None:
+        self._kept[key] = answer
+        self._stored += _numbers(answer)
         while self._stored > KEPT and len(self._kept) > 1:
-            _, old = self._kept.popitem(last=False)
-            self._stored -= 1 if old is None else old.size
-        return found
+            self._stored -= _numbers(self._kept.popitem(last=False)[1])
 
     def _ask(self, row: int, u: Real) -> Answer:
         condition = self.conditions[row]
@@ -224,6 +224,10 @@ class Model:
                     return None
                 total[row] = total[row] + coefficient * found if row in total else coefficient * found
         return total
+
+
+def _numbers(answer: Answer) -> int:
+    return 1 if answer[0] is None else answer[0].size
 
 
 def _refuse_twins(what: str, names: Sequence[str]) -> None:

@@ -1,13 +1,21 @@
 """Processes that predict: the same answers as one process gives, in order, whatever becomes of them."""
 
+import multiprocessing
 import os
+import signal
+import subprocess
 import sys
-from dataclasses import dataclass
+import textwrap
+import time
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from process.errors import InputError
+from smfe.diagnosis import helpers as helpers_module
 from smfe.diagnosis import model as model_module
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.helpers import MOST, Helpers, _parts, cores
@@ -24,6 +32,7 @@ class Line:
 
     conditions: tuple
     seen: str = ""
+    refused: bool = False
     causes: tuple = (
         Cause("bend", "Bend", (Parameter("bend.size", "1", 0.0, 1.0, 0.0, 50.0),)),
         Cause("step", "Step", (Parameter("step.size", "1", 0.0, 1.0, -50.0, 50.0),)),
@@ -37,6 +46,8 @@ class Line:
                 print(os.getpid(), file=file)
         if values["slope"] > 5.0:
             raise InputError("too steep")
+        if abs(values.get("step.size", 0.0)) > 0.0 and self.refused:
+            raise InputError(f"no step at {condition.settings['feed']}")
         x = condition.settings["feed"] + PLACES
         bent = values.get("bend.size", 0.0) * x**2
         return values["slope"] * x + bent + values.get("step.size", 0.0) * (x > 0.0)
@@ -79,8 +90,16 @@ def test_why_nothing_is_predicted_comes_back(eager):
         steep = model.null()
         steep[0] = 100.0
         model.prepare([(row, steep) for row in range(5)])
-        assert "too steep" in model.trouble
-        assert model.predict(0, steep) is None
+        assert model.predict(1, steep) is None
+        assert model.trouble == "run 1: too steep"
+
+
+@SEVERAL
+def test_a_cause_that_cannot_be_predicted_is_reported_alike(eager):
+    family = replace(measured(3.0), refused=True)
+    alone, helped = (diagnose(family, workers=n) for n in (1, 2))
+    assert "no step at" in str(alone.unconverged)
+    assert repr(helped) == repr(alone)
 
 
 @SEVERAL
@@ -98,6 +117,79 @@ def test_when_a_helper_is_killed_the_rest_is_done_alone(eager):
         assert helpers.count == 1
         assert [a.tolist() for a, _ in answers] == [(u * row).tolist() for row, u in wanted]
         assert Model(family, family.conditions, helpers).predict(0, np.zeros(3)).shape == (30,)
+
+
+@SEVERAL
+@pytest.mark.parametrize("problem", [BlockingIOError("no more processes"), BrokenProcessPool("killed")])
+def test_where_no_process_starts_all_is_done_alone(monkeypatch, problem):
+    class Refused:
+        def __init__(self, *_):
+            raise problem
+
+    monkeypatch.setattr(helpers_module, "ProcessPoolExecutor", Refused)
+    with Helpers(2) as helpers:
+        (answer,) = helpers.answers(lambda row, u: (u + row, ""), [(1, np.zeros(2))])
+        assert answer[0].tolist() == [1.0, 1.0]
+        assert helpers.count == 1
+
+
+@SEVERAL
+def test_what_started_ends_when_another_does_not_start(monkeypatch):
+    context, started = multiprocessing.get_context("fork"), []
+    begin = context.Process.start
+
+    def start(self):
+        if started:
+            raise BlockingIOError("no more processes")
+        begin(self)
+        started.append(self)
+
+    monkeypatch.setattr(context.Process, "start", start)
+    with Helpers(2) as helpers:
+        assert helpers.answers(lambda row, u: (u, ""), [(1, np.zeros(2))])[0][0].size == 2
+    assert [p.is_alive() for p in started] == [False]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there processes are forked")
+def test_helpers_end_with_who_started_them_however_it_ends():
+    script = textwrap.dedent("""
+        import os, time
+        import numpy as np
+        from smfe.diagnosis import helpers
+        os.sched_getaffinity = lambda _: {0, 1}
+        with helpers.Helpers(2) as two:
+            two.answers(lambda row, u: (u, ""), [(0, np.zeros(1)), (1, np.ones(1))])
+            print(*(p.pid for p in two._pool._processes.values()), flush=True)
+            time.sleep(60.0)
+    """)
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        children = [int(n) for n in running.stdout.readline().split()]
+        assert len(children) == 2
+        assert all(os.path.exists(f"/proc/{n}") for n in children)
+        running.send_signal(signal.SIGKILL)
+        running.wait()
+    deadline = time.monotonic() + 20.0
+    while any(_runs(n) for n in children) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(_runs(n) for n in children)
+
+
+def _runs(pid):
+    """Whether a process is there and not a zombie that nobody has collected."""
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_nobody_is_forked_beside_the_main_thread_or_in_a_daemonic_process():
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(cores).result() == 1
+    if sys.platform == "linux":
+        with multiprocessing.get_context("fork").Pool(1) as daemons:
+            assert daemons.apply(cores) == 1
 
 
 def test_no_more_help_than_cores_and_none_where_forks_are_not_safe(monkeypatch):
