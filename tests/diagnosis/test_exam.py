@@ -48,3 +48,14 @@ def test_two_effects_that_are_hidden_together_have_two_causes(subject):
     assert len(two) == 20
     assert all(len(set(case.expected)) == 2 for case in two)
     assert not any("mass_loading" in case.hidden for case in two if subject == "axis")
+
+
+def test_times_by_the_clock_are_told_from_times_of_one_process():
+    asked = [truthful(case) for case in cases("axis", 0, 2) if case.part == "effect"]
+    busy = [replace(a, seconds=70.0) for a in asked]
+    (score,) = (s for s in scores(busy) if "ime of a diagnosis" in s.item)
+    assert (score.item, score.met) == ("CPU time of a diagnosis", False)
+    clocked = [replace(a, seconds=40.0, cores=2) for a in asked[:5]] + busy[5:]
+    (score,) = (s for s in scores(clocked) if "ime of a diagnosis" in s.item)
+    assert (score.item, score.met) == ("Time of a diagnosis on 2 cores", True)
+    assert "of 5" in score.measured
