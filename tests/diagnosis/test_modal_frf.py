@@ -298,7 +298,7 @@ class TestHidden:
 
     @pytest.mark.slow
     def test_without_the_true_cause_the_answer_is_unknown(self) -> None:
-        for k, hidden in enumerate(RELIABLE[::8]):
+        for k, hidden in enumerate(RELIABLE[::12]):
             verdict, _ = named(family(hidden, 400 + k, without=(NAMES[hidden],))[0], k)
             assert verdict in ("unknown", "insufficient_data")
 
