@@ -118,10 +118,15 @@ class ModalFrfs:
         plain = unchanged(self.model)
         return float(np.median([amplitude(plain, d.method, d.level) for d in self._data])) or 1.0
 
+    @cached_property
+    def _first_place(self) -> float:
+        """Position of the first condition that gives one [m]."""
+        return next((float(c.settings["position"]) for c in self._every if "position" in c.settings), 0.0)
+
     def _place(self, condition: Condition) -> float:
         """Position from that of the first condition that gives one [m]."""
-        known = [float(c.settings["position"]) for c in self._every if "position" in c.settings]
-        return float(condition.settings["position"]) - known[0] if "position" in condition.settings else 0.0
+        settings = condition.settings
+        return float(settings["position"]) - self._first_place if "position" in settings else 0.0
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the compliance that a set of values predicts, whitened like the data.
