@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from process.errors import InputError
 from smfe.diagnosis.blind_spots import revealing
@@ -65,7 +66,8 @@ def diagnose(
     InputError
         For a family that contradicts itself, a condition to be held out that was not measured, or no worker.
     """
-    with Helpers(workers) as helpers:
+    # Many small matrices: threads of the algebra wait for each other, and sum in another order each time.
+    with threadpool_limits(1, "blas"), Helpers(workers) as helpers:
         return _diagnosed(family, seed, progress, held_out, helpers)
 
 

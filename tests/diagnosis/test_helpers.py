@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from process.errors import InputError
 from smfe.diagnosis import helpers as helpers_module
@@ -182,6 +183,26 @@ def _runs(pid):
             return file.read().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
         return False
+
+
+@dataclass(frozen=True)
+class Counting(Line):
+    """Notes how many threads the linear algebra has."""
+
+    threads: tuple = (set(),)
+
+    def predict(self, condition, values):
+        self.threads[0].update(lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas")
+        return super().predict(condition, values)
+
+
+@pytest.mark.skipif(cores() < 2, reason="one core has one thread")
+def test_linear_algebra_has_one_thread_while_something_is_diagnosed_and_its_own_again_afterwards():
+    family = Counting(measured(0.0).conditions)
+    with threadpool_limits(2, "blas"):
+        diagnose(family, workers=1)
+        assert family.threads[0] == {1}
+        assert {lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"} == {2}
 
 
 def test_nobody_is_forked_beside_the_main_thread_or_in_a_daemonic_process():
