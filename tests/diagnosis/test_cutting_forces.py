@@ -181,7 +181,7 @@ def test_no_alarm_in_twelve_healthy_campaigns() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     ("effect", "cause"),
     [
@@ -198,7 +198,7 @@ def test_an_effect_of_the_size_that_must_be_found_is_named(effect: str, cause: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_worn_insert_is_not_in_the_catalogue(seed: int) -> None:
     assert hidden("dull_tooth", seed)[0].verdict == "unknown"
 

@@ -175,9 +175,9 @@ def test_a_machine_that_stiffens_with_the_level_is_found_out() -> None:
 
 @pytest.mark.slow
 def test_noise_alone_seldom_makes_levels_of_a_linear_machine_differ() -> None:
-    p = [sweep_levels("s", study(0.0, k, (1e-3, 2e-3)), BAND, COARSE).tables["level_test"]["p"][0] for k in range(20)]
-    # 5 % in 20, and their scatter; the level of the verdict is 1 %.
-    assert np.sum(np.array(p) < 0.05) <= 3
+    p = [sweep_levels("s", study(0.0, k, (1e-3, 2e-3)), BAND, COARSE).tables["level_test"]["p"][0] for k in range(12)]
+    # 5 % in 12, and their scatter; the level of the verdict is 1 %.
+    assert np.sum(np.array(p) < 0.05) <= 2
     assert np.sum(np.array(p) < 0.01) <= 1
 
 
