@@ -49,3 +49,11 @@ def test_a_simulation_takes_one_arc():
     machine = ModalModel([50.0], [0.02], [1e7], [[1.0, 0.0, 0.0]])
     with pytest.raises(InputError, match="2 arcs of engagement; one is needed"):
         simulate_milling(machine, cut, Spindle(50.0), 0.5, 1000.0)
+
+
+def test_arcs_given_as_a_list_or_as_arrays_are_those_of_plain_numbers():
+    plain = Engagements((Engagement(0.1, 0.5), Engagement(1.0, 1.5)))
+    other = Engagements([Engagement(np.array(0.1), np.float64(0.5)), Engagement(np.array(1.0), 1.5)])
+    assert other == plain
+    assert hash(other) == hash(plain)
+    np.testing.assert_array_equal(gram_matrix(other, 1), gram_matrix(plain, 1))
