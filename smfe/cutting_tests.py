@@ -20,6 +20,7 @@ from smfe.limits import SEVERAL, limits_of, sources_of
 from smfe.records import read_records
 from smfe.store import write_csv, write_groups
 from stability import ChatterVerdict, chatter_verdict
+from stability.criterion import FREQUENCY_RANGE
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,21 @@ def judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
     """
     assert campaign.tool is not None
     record = read_records(test.file, test.channels)[0]
+    quantity = test.quantity or (None if test.floor is None else test.floor[1])
+    if test.floor is not None and test.floor[1] != quantity:
+        raise InputError(f"cutting test '{test.file.name}': floor is one of {test.floor[1]}, {quantity} is judged")
     try:
-        return chatter_verdict(record, test.spindle_speed * math.pi / 30.0, campaign.tool.teeth)
+        return chatter_verdict(
+            record,
+            test.spindle_speed * math.pi / 30.0,
+            campaign.tool.teeth,
+            quantity=quantity,
+            axes=test.axes,
+            frequency_range=test.frequency_range or FREQUENCY_RANGE,
+            floor=None if test.floor is None else test.floor[0],
+            interval=test.interval,
+            half_order_reference=test.half_order_reference,
+        )
     except InputError as error:
         raise InputError(f"cutting test '{test.file.name}': {error}") from error
 
@@ -98,6 +112,17 @@ def _chatter_row(
         "chatter_frequency_Hz": verdict.chatter_frequency_Hz,
         "tooth_passing_harmonic_Hz": verdict.tooth_passing_harmonic_Hz,
         "observed": test.observed or "",
+        "controller": test.controller or "",
+        "feed_mm_min": math.nan if test.feed is None else round(max(map(abs, test.feed.values())) * 6e4, 9),
+        "quantity": verdict.quantity,
+        "axes": " ".join(verdict.axes),
+        "interval_start_s": verdict.interval_s[0],
+        "interval_end_s": verdict.interval_s[1],
+        "frequency_low_Hz": verdict.frequency_range_Hz[0],
+        "frequency_high_Hz": verdict.frequency_range_Hz[1],
+        "floor": f"{verdict.floor:g} {verdict.unit}",
+        "half_order_ratio": verdict.half_order_ratio,
+        "half_order_reference": math.nan if test.half_order_reference is None else test.half_order_reference,
         "lobes": _matching_request(campaign, test),
         "reason": verdict.reason,
     }

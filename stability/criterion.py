@@ -47,6 +47,9 @@ DEFAULT_FLOOR: dict[str, float] = {"acceleration": 0.1, "displacement": 1e-6, "f
 SPEEDS_SEARCHED = (60.0, 60000.0)
 """Spindle speeds among which an unknown one is looked for [rpm]."""
 
+FREQUENCY_RANGE: tuple[float, float | None] = (5.0, None)
+"""Default band [Hz]; the lower end keeps servo and table motion out."""
+
 FEWEST_TURNS = 6
 """Below this number of turns the masks of neighbouring orders meet."""
 
@@ -93,6 +96,10 @@ class ChatterVerdict:
         That part of the record.
     half_order_ratio : float
         Highest odd multiple of order Z/2 over the highest tooth harmonic; NaN for an odd number of teeth.
+    frequency_range_Hz : (float, float)
+        Band that has been judged.
+    floor, unit : float, str
+        Least amplitude that counts as tooth harmonic, and the unit of the amplitudes.
     """
 
     verdict: Verdict
@@ -109,6 +116,9 @@ class ChatterVerdict:
     resolution_Hz: float
     interval_s: tuple[float, float]
     half_order_ratio: float
+    frequency_range_Hz: tuple[float, float]
+    floor: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -129,7 +139,7 @@ def chatter_verdict(
     quantity: str | None = None,
     axes: Sequence[str] | None = None,
     threshold: float = 0.5,
-    frequency_range: tuple[float, float | None] = (5.0, None),
+    frequency_range: tuple[float, float | None] = FREQUENCY_RANGE,
     speed_tolerance: float = 0.005,
     floor: float | None = None,
     interval: tuple[float, float] | None = None,
@@ -216,6 +226,9 @@ def chatter_verdict(
         resolution_Hz=evidence.spectrum.resolution,
         interval_s=part.interval,
         half_order_ratio=evidence.half[1] / evidence.denominator,
+        frequency_range_Hz=band,
+        floor=least,
+        unit=UNITS[chosen],
     )
 
 

@@ -357,6 +357,22 @@ class CuttingTest:
         "down", "up" or "central".
     observed : str, optional
         "stable" or "chatter": the engineer's own verdict.
+    controller : str, optional
+        Tuning of the controller during the cut.
+    feed : mapping of str to float, optional
+        Axis -> feed [m/s].
+    quantity : str, optional
+        What is judged: "acceleration", "displacement", "force", "sound". None: the first of them that was recorded.
+    interval : (float, float), optional
+        Part of the record to judge [s]. None: the cut that is found in it.
+    axes : tuple of str, optional
+        Axes to judge. None: all that were recorded.
+    frequency_range : (float, float), optional
+        Band that is judged [Hz].
+    floor : (float, str), optional
+        Least amplitude that counts (SI), and the quantity it is one of.
+    half_order_reference : float, optional
+        ``half_order_ratio`` of a stable cut with the same tool.
     held_out : bool
         Set aside by a diagnosis, and opened once at its very end.
     """
@@ -369,6 +385,14 @@ class CuttingTest:
     width_of_cut: float
     feed_per_tooth: float
     observed: str | None = None
+    controller: str | None = None
+    feed: Mapping[str, float] | None = None
+    quantity: str | None = None
+    interval: tuple[float, float] | None = None
+    axes: tuple[str, ...] | None = None
+    frequency_range: tuple[float, float] | None = None
+    floor: tuple[float, str] | None = None
+    half_order_reference: float | None = None
     held_out: bool = False
 
 
@@ -596,5 +620,13 @@ def _cutting_test(table: schema.CuttingTestTable, base: Declared) -> CuttingTest
         width_of_cut=table.width_of_cut,
         feed_per_tooth=table.feed_per_tooth,
         observed=table.observed,
+        controller=table.controller,
+        feed=table.feed,
+        quantity=table.quantity,
+        interval=table.interval,
+        axes=table.axes,
+        frequency_range=table.frequency_range,
+        floor=table.floor,
+        half_order_reference=table.half_order_reference,
         held_out=table.held_out,
     )

@@ -98,6 +98,16 @@ def _ratio(value: Any) -> float:
 Ratio = Annotated[float, BeforeValidator(_ratio)]
 
 
+def _not_negative(value: Any) -> float:
+    ratio = _ratio(value)
+    if not 0.0 <= ratio < math.inf:
+        raise InputError(f"{value!r} is no ratio of two amplitudes; write one of zero or more, e.g. 0.3")
+    return ratio
+
+
+at_least_zero = BeforeValidator(_not_negative)
+
+
 def _damping(value: Any) -> float:
     ratio = _ratio(value)
     if not 0.0 < ratio < 1.0:
@@ -155,6 +165,36 @@ def _frequency_range(value: Any) -> tuple[float, float]:
 
 
 FrequencyRange = Annotated[tuple[float, float], BeforeValidator(_frequency_range)]
+
+
+def _interval(value: Any) -> tuple[float, float]:
+    begin, end = _list_of(value, "time", (2,), '["2 s", "6 s"]')
+    if not begin < end:
+        raise InputError(f"from {value[0]} to {value[1]} is no interval; the first must be before the second")
+    return begin, end
+
+
+Interval = Annotated[tuple[float, float], BeforeValidator(_interval)]
+
+FLOORS = {"acceleration": "acceleration", "displacement": "length", "force": "force", "sound": "pressure"}
+"""Quantity that a cut is judged by -> dimension of the least amplitude that counts."""
+
+
+def _floor(value: Any) -> tuple[float, str]:
+    """An amplitude of one of the quantities a cut is judged by -> SI, and the quantity."""
+    for name, dimension in FLOORS.items():
+        try:
+            number = units.parse(value, dimension)
+        except InputError:
+            continue
+        if number > 0.0:
+            return number, name
+    raise InputError(
+        f"{value!r} is no amplitude of {', '.join(FLOORS)}; write e.g. '0.05 m/s^2', '1 um', '5 N' or '0.002 Pa'"
+    )
+
+
+Floor = Annotated[tuple[float, str], BeforeValidator(_floor)]
 
 _MOST_SPEEDS = 100_000
 

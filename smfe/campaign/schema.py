@@ -22,6 +22,7 @@ from smfe.campaign.tables import Table
 from smfe.dynamometer import Dynamometer
 from smfe.records.channels import check_channel_name
 from stability import SpindleRange
+from stability.criterion import QUANTITIES
 
 
 class CampaignTable(Table):
@@ -326,6 +327,14 @@ class CuttingTestTable(Table):
     width_of_cut: q.PositiveLength
     feed_per_tooth: q.PositiveLength
     observed: Annotated[str, q.one_of(("stable", "chatter"), "verdict")] | None = None
+    controller: StrictStr | None = None
+    feed: q.Feed | None = None
+    quantity: Annotated[str, q.one_of(QUANTITIES, "quantity")] | None = None
+    interval: q.Interval | None = None
+    axes: Annotated[tuple[q.Axis, ...], q.NotEmpty] | None = None
+    frequency_range: q.FrequencyRange | None = None
+    floor: q.Floor | None = None
+    half_order_reference: Annotated[float, q.at_least_zero] | None = None
     held_out: StrictBool = False
     channels: Annotated[Channels, Field(default_factory=dict)]
 

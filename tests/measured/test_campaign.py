@@ -136,6 +136,22 @@ class TestWhatItSays:
         assert (test.file, test.observed) == (folder / "cut_500_3.csv", "chatter")
         assert (test.spindle_speed, test.depth_of_cut) == pytest.approx((500.0, 0.003))
 
+    def test_a_cutting_test_says_how_it_is_judged_and_under_what_it_was_cut(self, folder: Path) -> None:
+        says = """observed = "chatter"
+controller = "K2"
+feed = { x = "600 mm/min" }
+interval = ["500 ms", "3 s"]
+axes = ["x", "z"]
+frequency_range = ["20 Hz", "0.4 kHz"]
+floor = "2 um"
+half_order_reference = "30 %"
+"""
+        (test,) = load(folder, EXAMPLE.replace('observed = "chatter"\n', says)).cutting_tests
+        assert (test.controller, test.interval, test.axes) == ("K2", (0.5, 3.0), ("x", "z"))
+        assert test.feed == pytest.approx({"x": 0.01, "y": 0.0, "z": 0.0})
+        assert test.floor == (pytest.approx(2e-6), "displacement")
+        assert (test.frequency_range, test.half_order_reference) == ((20.0, 400.0), 0.3)
+
     def test_patterns_become_sorted_files(self, folder: Path) -> None:
         hammer = load(folder, EXAMPLE).measurements[0]
         assert [f.name for f in hammer.records[0].files] == ["hx_1.csv", "hx_10.csv", "hx_2.csv"]
@@ -412,6 +428,21 @@ ONE_FAULT = [
         'observed = "chatter"',
         'observed = "loud"',
         "cutting_test[0].observed: verdict 'loud' is not known; available: stable",
+    ),
+    (
+        'observed = "chatter"',
+        'interval = ["3 s", "1 s"]',
+        "cutting_test[0].interval: from 3 s to 1 s is no interval; the first must be before the second",
+    ),
+    (
+        'observed = "chatter"',
+        'floor = "3 mm/min"',
+        "cutting_test[0].floor: '3 mm/min' is no amplitude of acceleration, displacement, force, sound; write e.g.",
+    ),
+    (
+        'observed = "chatter"',
+        "half_order_reference = -1",
+        "cutting_test[0].half_order_reference: -1 is no ratio of two amplitudes",
     ),
 ]
 
