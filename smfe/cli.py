@@ -256,7 +256,10 @@ def convert(
 ) -> None:
     """Write a record in another format, in SI units and with the corrections of its channels."""
     with bar(console) as progress:
-        written = convert_file(source, target, campaign, progress)
+        left: list[str] = []
+        written = convert_file(source, target, campaign, progress, left.append)
+    for text in left:
+        console.print(f"warning, {text}", markup=False, highlight=False, soft_wrap=True)
     for path in written:
         out.print(f"written: {path}", highlight=False, soft_wrap=True)
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import xarray as xr
 
 from process.errors import InputError
-from smfe.campaign import load_campaign
+from smfe.campaign import load_channels
 from smfe.identification import Progress, silent
-from smfe.pipeline import read_default_channels
+from smfe.pipeline import default_channels
 from smfe.records import (
-    own_layout,
+    Channel,
+    column_names,
+    names_itself,
     read_blocks,
     read_records,
     write_pieces_csv,
@@ -20,6 +23,7 @@ from smfe.records import (
     write_record_mat,
     write_record_uff,
 )
+from smfe.records.words import listed
 
 PIECEWISE: dict[str, Callable[[Iterable[xr.Dataset], Path], Path]] = {
     ".nc": write_pieces_netcdf,
@@ -35,8 +39,16 @@ WHOLE: dict[str, Callable[[xr.Dataset, Path], Path]] = {
 """Suffix -> what writes a record that is in memory."""
 
 
+def _warned(text: str) -> None:
+    warnings.warn(text, UserWarning, stacklevel=3)
+
+
 def convert(
-    source: str | Path, target: str | Path, campaign: str | Path | None = None, progress: Progress = silent
+    source: str | Path,
+    target: str | Path,
+    campaign: str | Path | None = None,
+    progress: Progress = silent,
+    say: Callable[[str], None] = _warned,
 ) -> list[Path]:
     """Write the records of a file in another format, in SI units and with the corrections of its channels.
 
@@ -50,10 +62,13 @@ def convert(
         File to write: .nc, .csv, .mat, .uff or .unv. Of several segments each gets a file, with ``_0``, ``_1``, ...
         before the suffix.
     campaign : path, optional
-        Campaign file whose [channels] tell the columns; default: `smfe.pipeline.DEFAULT_CHANNELS`. A NetCDF file in our
-        own layout needs none.
+        Campaign file whose [channels] say which column is which; default: `smfe.pipeline.DEFAULT_CHANNELS`. A NetCDF
+        file in our own layout needs none.
     progress : callable, optional
         Called with (what, done, of).
+    say : callable, optional
+        Called with a sentence for what is left out of the target: columns of the source that are no channel. Default:
+        `warnings.warn`.
 
     Returns
     -------
@@ -74,10 +89,16 @@ def convert(
         )
     if target.exists() and source.exists() and target.samefile(source):
         raise InputError(f"{target.name}: the source itself would be overwritten; name another file")
-    channels = {} if campaign is None else load_campaign(Path(campaign)).channels
-    if suffix in PIECEWISE and (_one_segment(source) if channels else _own_layout(source)):
-        return [PIECEWISE[suffix](_told(read_blocks(source, channels), source, progress), target)]
-    records = read_records(source, channels) if channels else read_default_channels(source)
+    channels = default_channels(source) if campaign is None else load_channels(Path(campaign))
+    if campaign is not None and not channels and not names_itself(source):
+        raise InputError(f"{Path(campaign).name}: it declares no [channels]; say there which column is which")
+    if left := _left_out(source, channels):
+        say(left)
+    if suffix in PIECEWISE and _one_segment(source):
+        return [PIECEWISE[suffix](_counted(_noted(read_blocks(source, channels), say), source, progress), target)]
+    records = read_records(source, channels)
+    for record in records:
+        _note(record, say)
     written = []
     for number, record in enumerate(records):
         progress(f"writing {target.name}", number, len(records))
@@ -91,13 +112,37 @@ def _one_segment(source: Path) -> bool:
     return source.suffix.lower() not in (".lvm", ".uff", ".unv")
 
 
-def _own_layout(source: Path) -> bool:
-    """Whether a file says itself which channels it holds."""
-    return source.suffix.lower() in (".nc", ".h5", ".hdf5") and source.is_file() and own_layout(source)
+def _left_out(source: Path, channels: Mapping[str, Channel]) -> str:
+    """Return the sentence that names the columns which no channel stands in; nothing where there is none."""
+    if not channels or names_itself(source):
+        return ""
+    names = column_names(source)
+    used = {channel.column for channel in channels.values()}
+    # A TDMS channel may be called by its name without that of its group.
+    left = [n for k, n in enumerate(names, 1) if not {n, k, str(n).rpartition("/")[2]} & used]
+    if not left:
+        return ""
+    return (
+        f"{source.name}: {len(left)} of {len(names)} columns are left out because they are no channel: {listed(left)}; "
+        "declare those that are needed in the [channels] of a campaign file and name it with --campaign"
+    )
 
 
-def _told(pieces: Iterator[xr.Dataset], source: Path, progress: Progress) -> Iterator[xr.Dataset]:
-    """Pass pieces on and tell how far they are; how many will come is not known."""
+def _note(record: xr.Dataset, say: Callable[[str], None]) -> None:
+    for line in record.attrs.get("notes", "").splitlines():
+        say(line)
+
+
+def _noted(pieces: Iterator[xr.Dataset], say: Callable[[str], None]) -> Iterator[xr.Dataset]:
+    """Pass pieces on, and say what was noticed while the first was read."""
+    for number, piece in enumerate(pieces):
+        if number == 0:
+            _note(piece, say)
+        yield piece
+
+
+def _counted(pieces: Iterator[xr.Dataset], source: Path, progress: Progress) -> Iterator[xr.Dataset]:
+    """Pass pieces on and say how far they are; how many will come is not known."""
     for number, piece in enumerate(pieces):
         progress(f"converting {source.name}", number, number + 1)
         yield piece

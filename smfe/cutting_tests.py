@@ -140,7 +140,7 @@ def predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str,
             request,
             cut=test.cut,
             width_of_cut=test.width_of_cut,
-            feed_per_tooth=test.feed_per_tooth,
+            feed_per_tooth=test.stated_feed_per_tooth,
             spindle_speed=np.array([test.spindle_speed]),
         )
         for names in sources_of(request):

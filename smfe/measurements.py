@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -161,8 +161,15 @@ def _per_axis(measurement: Measurement) -> Identification:
     """Hammer or actuator: one excitation axis a record."""
     records = _records_by_axis(measurement)
     if measurement.method == "hammer":
-        return identify_hammer(measurement.name, records, **hammer_settings(measurement))
-    return _actuator(measurement, records)
+        found = identify_hammer(measurement.name, records, **hammer_settings(measurement))
+    else:
+        found = _actuator(measurement, records)
+    return replace(found, warnings=(*found.warnings, *_notes(r for same in records.values() for r in same)))
+
+
+def _notes(records: Iterable[xr.Dataset]) -> tuple[str, ...]:
+    """Return what was noticed while records were read."""
+    return tuple(line for record in records for line in record.attrs.get("notes", "").splitlines())
 
 
 def _records_by_axis(measurement: Measurement) -> dict[str, list[xr.Dataset]]:

@@ -17,7 +17,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from process.errors import InputError
 from process.labels import AXES, full_matrix, make_compliance
 from process.units import parse, show
 from smfe import __version__
-from smfe.campaign import Campaign, Measurement, Model, load_campaign
+from smfe.campaign import Campaign, Measurement, Model, load_campaign, load_channels
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.compare import compare as compare_compliances
 from smfe.conditions import condition_cubes
@@ -45,7 +45,9 @@ from smfe.loops import FILE as LOOP_FILE
 from smfe.loops import loops_of, write_loops
 from smfe.measurements import cached_identification, check_sweeps, file_hash, split_levels
 from smfe.modal_verb import modal as modal
-from smfe.records import Channel, read_records
+from smfe.records import OWN_COLUMNS, Channel, column_names, names_itself, read_records
+from smfe.records.contents import has_no_clock, stated_units
+from smfe.records.words import listed
 from smfe.store import check_target, pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
 from smfe.sweep_levels import level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table
@@ -56,14 +58,9 @@ CONDITIONS = "conditions.nc"
 KEPT = ".kept"
 """Folder, inside the results, of what a second run reads back."""
 
-DEFAULT_CHANNELS: dict[str, Channel] = {
-    "time": Channel("t", "s"),
-    **{f"force_{a}": Channel(f"F{a}", "N") for a in AXES},
-    **{f"acceleration_{a}": Channel(f"a{a}", "m/s^2") for a in AXES},
-    "spindle_speed": Channel("n", "rpm"),
-    "sound": Channel("p", "Pa"),
-}
-"""Columns that `smfe chatter` looks for in a file when no campaign declares others."""
+DEFAULT_CHANNELS: tuple[tuple[str, Channel], ...] = (*OWN_COLUMNS.items(), ("sound", Channel("p", "Pa")))
+"""Columns that are looked for in a file when no campaign declares others: those that `smfe convert` and `smfe simulate`
+write. A unit that the file states itself takes the place of the one here."""
 
 
 @dataclass
@@ -255,33 +252,42 @@ def chatter(record: Path | str, speed: str | None, teeth: int, campaign: Path | 
     if campaign is None:
         records = read_default_channels(Path(record))
     else:
-        records = read_records(Path(record), load_campaign(Path(campaign)).channels)
+        records = read_records(Path(record), load_channels(Path(campaign)))
     return chatter_verdict(records[0], rotation, teeth)
 
 
 def read_default_channels(path: Path) -> list[xr.Dataset]:
     """Read those of `DEFAULT_CHANNELS` that a file has; anything else that is wrong with it stays an error."""
-    channels = dict(DEFAULT_CHANNELS)
-    while len(channels) > ("time" in channels):
-        try:
-            return read_records(path, channels)
-        except InputError as error:
-            # The readers look for all columns before they read one, so that asking again costs little.
-            absent = [name for name, channel in channels.items() if f"no column '{channel.column}'" in str(error)]
-            if not absent and "time" in channels:
-                raise
-            if not absent:
-                raise InputError(_no_default_channels(path)) from error
-            for name in absent:
-                del channels[name]
-    raise InputError(_no_default_channels(path))
+    return read_records(path, default_channels(path))
+
+
+def default_channels(path: Path) -> dict[str, Channel]:
+    """Return those of `DEFAULT_CHANNELS` that a file has, in the units that it states, where it does.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or has the time alone or none of them.
+    """
+    if names_itself(path):
+        return {}
+    names = column_names(path)
+    units = stated_units(path, names)
+    found: dict[str, Channel] = {}
+    for name, channel in DEFAULT_CHANNELS:
+        if channel.column in names and name not in found:
+            found[name] = replace(channel, unit=units.get(channel.column, channel.unit))
+    if not found.keys() - {"time"} or ("time" not in found and has_no_clock(path)):
+        raise InputError(_no_default_channels(path))
+    return found
 
 
 def _no_default_channels(path: Path) -> str:
-    time, *rest = (f"{channel.column} [{channel.unit}]" for channel in DEFAULT_CHANNELS.values())
+    time, *rest = (f"{channel.column} [{channel.unit}]" for _, channel in DEFAULT_CHANNELS)
     return (
         f"{path.name}: looked for the columns {time}, {', '.join(rest)}; the time and at least one of the others are "
-        "needed: rename the columns, or give the campaign file whose [channels] declare them"
+        f"needed, and the file has {listed(column_names(path))}: rename the columns, or give the campaign file whose "
+        f"[channels] declare them (smfe look {path.name} writes one)"
     )
 
 

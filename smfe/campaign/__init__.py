@@ -16,6 +16,7 @@ from smfe.campaign.campaign import (
     RecordEntry,
     RigidDrive,
     load_campaign,
+    load_channels,
 )
 
 __all__ = [
@@ -34,4 +35,5 @@ __all__ = [
     "RecordEntry",
     "RigidDrive",
     "load_campaign",
+    "load_channels",
 ]

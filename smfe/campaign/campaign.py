@@ -22,7 +22,7 @@ from process.labels import RECORD_SCALARS
 from process.servo import Servo
 from process.tool import Tool
 from smfe.campaign import schema
-from smfe.campaign.checks import check, merge, path
+from smfe.campaign.checks import channel_complaints, check, merge, path
 from smfe.campaign.messages import complaints
 from smfe.campaign.plan_table import PlanTable
 from smfe.datasets import Show
@@ -351,8 +351,10 @@ class CuttingTest:
         Campaign's and the test's declarations merged.
     spindle_speed : float
         [rpm].
-    depth_of_cut, width_of_cut, feed_per_tooth : float
+    depth_of_cut, width_of_cut : float
         [m].
+    feed_per_tooth : float, optional
+        [m]; None where only a verdict is asked.
     cut : str
         "down", "up" or "central".
     observed : str, optional
@@ -383,7 +385,7 @@ class CuttingTest:
     depth_of_cut: float
     cut: str
     width_of_cut: float
-    feed_per_tooth: float
+    feed_per_tooth: float | None = None
     observed: str | None = None
     controller: str | None = None
     feed: Mapping[str, float] | None = None
@@ -394,6 +396,13 @@ class CuttingTest:
     floor: tuple[float, str] | None = None
     half_order_reference: float | None = None
     held_out: bool = False
+
+    @property
+    def stated_feed_per_tooth(self) -> float:
+        """The feed per tooth [m], where it is needed."""
+        if self.feed_per_tooth is None:
+            raise InputError(f"cutting test '{self.file.name}' has no feed_per_tooth; add feed_per_tooth = \"0.1 mm\"")
+        return self.feed_per_tooth
 
 
 @dataclass(frozen=True)
@@ -481,6 +490,40 @@ def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
     if found:
         raise InputError(report(path, found))
     return _build(path, file)
+
+
+def load_channels(path: str | Path) -> dict[str, Channel]:
+    """Read the ``[channels]`` of a campaign file, which may hold nothing else yet.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file.
+
+    Returns
+    -------
+    dict of str to Channel
+        As a record sees them; empty where the file declares none.
+
+    Raises
+    ------
+    InputError
+        With every error of the file at once, each with its place; where it asks for more than channels, also with
+        those of the rest.
+    """
+    path = Path(path).absolute()
+    raw = read_toml(path)
+    if set(raw) - {"channels", "campaign"}:
+        return dict(load_campaign(path).channels)
+    whole: dict[str, Any] = {"campaign": {"name": path.stem}, **raw}
+    found, table = channel_complaints(whole), schema.file_table(whole)
+    try:
+        file = table.model_validate(whole, context={"path": path, "show": None})
+    except ValidationError as error:
+        found = complaints(error, table) + found
+    if found:
+        raise InputError(report(path, found))
+    return _channels("cutting", _declared(file.channels))
 
 
 def read_toml(file: Path, kind: str = "campaign") -> dict[str, object]:

@@ -226,7 +226,17 @@ def _cutting_tests(raw: Raw) -> Iterator[Complaint]:
     diameter = _quantity(raw.get("tool"), "diameter", "length")
     for where, table in _tables(raw, "cutting_test"):
         yield from _needs(raw, where, ("tool",), "a cutting test")
+        if "feed_per_tooth" not in table and (what := _feed_needed(raw)):
+            yield (*where, "feed_per_tooth"), f'is missing; {what} need the feed per tooth, feed_per_tooth = "0.1 mm"'
         yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
+
+
+def _feed_needed(raw: Raw) -> str:
+    """Return for what the feed of a cutting test is needed; nothing where only a verdict is asked."""
+    baseline = raw.get("baseline")
+    if isinstance(baseline, dict) and {"forces", "limits"} & set(baseline):
+        return "the forces and limits of a [baseline]"
+    return "the predictions of [[lobes]]" if "lobes" in raw else ""
 
 
 def _baseline(raw: Raw) -> Iterator[Complaint]:
@@ -299,6 +309,11 @@ def _level_names(raw: Raw) -> Iterator[str]:
         if table.get("method") == "sweep" and table.get("split_levels") is not False:
             depths = {d for d in depths_of(table, [r for _, r in _records(table)]) if d is not None}
             yield from (level_name(str(table.get("name")), d) for d in sorted(depths) if len(depths) > 1)
+
+
+def channel_complaints(raw: Raw) -> list[Complaint]:
+    """Return the errors of the channels that a file declares."""
+    return list(_channels(raw))
 
 
 def _channels(raw: Raw) -> Iterator[Complaint]:

@@ -325,7 +325,7 @@ class CuttingTestTable(Table):
     depth_of_cut: q.PositiveLength
     cut: q.CutName
     width_of_cut: q.PositiveLength
-    feed_per_tooth: q.PositiveLength
+    feed_per_tooth: q.PositiveLength | None = None
     observed: Annotated[str, q.one_of(("stable", "chatter"), "verdict")] | None = None
     controller: StrictStr | None = None
     feed: q.Feed | None = None

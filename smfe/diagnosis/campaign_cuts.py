@@ -48,7 +48,7 @@ def cutting_case(campaign: Campaign) -> Case:
 
 def _setting(test: CuttingTest, diameter: float) -> SteadyCut:
     arc = engagement(test.cut, test.width_of_cut, diameter)
-    return SteadyCut(test.spindle_speed * math.pi / 30.0, test.feed_per_tooth, test.depth_of_cut, arc)
+    return SteadyCut(test.spindle_speed * math.pi / 30.0, test.stated_feed_per_tooth, test.depth_of_cut, arc)
 
 
 def _words(cut: SteadyCut) -> str:

@@ -84,5 +84,5 @@ def _trials(campaign: Campaign, progress: Progress) -> Mapping[Cut, Sequence[tup
             heard = judged.chatter_frequency_Hz if verdict == judged.verdict == "chatter" else math.nan
             frequency = heard if math.isfinite(heard) else None
             trial = Trial(test.spindle_speed, test.depth_of_cut, verdict == "chatter", frequency)
-            found.setdefault((test.cut, test.width_of_cut, test.feed_per_tooth), []).append((test, trial))
+            found.setdefault((test.cut, test.width_of_cut, test.stated_feed_per_tooth), []).append((test, trial))
     return found

@@ -48,7 +48,8 @@ def channel_suspects(record: xr.Dataset, where: str, pulsed: bool = False) -> li
     pulsed : bool, optional
         The force is a series of hits: it rests most of the time, and its hits are judged one by one elsewhere.
     """
-    out: list[Suspect] = []
+    kept = "the record is used as it is; export it again, whole, if that is not meant"
+    out = [Suspect("record", "warning", where, line, kept) for line in record.attrs.get("notes", "").splitlines()]
     named = list(channels_of(record))
     for name, samples in named:
         place = f"{where}, {name}"

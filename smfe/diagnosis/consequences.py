@@ -101,8 +101,8 @@ def _asked(campaign: Campaign) -> Iterator[tuple[str, str, float, float, Sequenc
         pick = np.unique(np.linspace(0, request.spindle_speed.size - 1, SPEEDS).round().astype(int))
         speeds = request.spindle_speed[pick].tolist()
         yield f"lobes_{number}", request.cut, request.width_of_cut, request.feed_per_tooth, speeds
-    for test in campaign.cutting_tests:
-        yield test.file.name, test.cut, test.width_of_cut, test.feed_per_tooth, [test.spindle_speed]
+    for test in (t for t in campaign.cutting_tests if t.feed_per_tooth is not None):
+        yield test.file.name, test.cut, test.width_of_cut, test.stated_feed_per_tooth, [test.spindle_speed]
 
 
 def _limit(

@@ -3,10 +3,11 @@
 from smfe.records.blocks import read_blocks
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.clocks import put_on_clock
-from smfe.records.netcdf import own_layout
+from smfe.records.contents import column_names, contents, names_itself
 from smfe.records.read import READERS, read_frf, read_records
 from smfe.records.reduce import read_reduced
 from smfe.records.write import (
+    OWN_COLUMNS,
     record_columns,
     write_pieces_csv,
     write_pieces_netcdf,
@@ -19,10 +20,13 @@ from smfe.records.write_uff import uff_columns, write_compliance_uff, write_reco
 __all__ = [
     "CHANNELS",
     "COMPLIANCE_CHANNELS",
+    "OWN_COLUMNS",
     "READERS",
     "RECORD_CHANNELS",
     "Channel",
-    "own_layout",
+    "column_names",
+    "contents",
+    "names_itself",
     "put_on_clock",
     "read_blocks",
     "read_frf",

@@ -26,6 +26,7 @@ from smfe.records.read import (
     SEGMENT_READERS,
     columns_of,
     named,
+    notes_of,
     own_table,
     reader_of,
     sources_of,
@@ -150,15 +151,22 @@ def _own_stream(source: str, own: Iterator[xr.Dataset], declared: Mapping[str, C
 
 def _stream(source: str, parts: Iterator[Table], channels: Mapping[str, Channel]) -> Stream:
     delay = {name: channel.delay for name, channel in channels.items() if name != "time" and channel.delay != 0.0}
-    samples = _corrected(source, parts, channels)
-    return Stream(source, channels, _aligned(source, samples, delay) if delay else samples)
+    attrs: dict[str, Any] = {}
+    samples = _corrected(source, parts, channels, attrs)
+    return Stream(source, channels, _aligned(source, samples, delay) if delay else samples, attrs)
 
 
-def _corrected(source: str, parts: Iterator[Table], channels: Mapping[str, Channel]) -> Iterator[Samples]:
-    """Yield the blocks in the units of their labels, with their times, on a clock that does not jump."""
+def _corrected(
+    source: str, parts: Iterator[Table], channels: Mapping[str, Channel], attrs: dict[str, Any]
+) -> Iterator[Samples]:
+    """Yield the blocks in the units of their labels, with their times, on a clock that does not jump.
+
+    What the reader notices goes to `attrs` with the first block.
+    """
     before = 0
     last: dict[str, float] = {}
     for table in parts:
+        attrs.update(notes_of(table))
         samples = {n: values_of(source, n, c, table, before) for n, c in channels.items() if n != "time"}
         samples["time"] = time_of(source, table, channels.get("time"), before)
         size = samples["time"].size

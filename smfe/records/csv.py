@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from process.errors import InputError
+from process.units import UNITS, known
 from smfe.records.table import Column, Table, find_columns, guarded, join
 
 # In the order of preference where several fit. "12,5" with whitespace around it has a decimal comma; "12,5" in a
@@ -218,7 +219,30 @@ def _header(dialect: Dialect, wanted: Sequence[Column]) -> tuple[str, ...]:
     """Return the header line that holds the names; a line of units below it holds fewer of those wanted."""
     if not dialect.names:
         return ()
+    if not any(name in line for line in dialect.names for name in wanted):
+        return name_line(dialect)
     return max(dialect.names, key=lambda line: sum(name in line for name in wanted))
+
+
+def name_line(dialect: Dialect) -> tuple[str, ...]:
+    """Return the last header line that is no line of units or numbers; nothing where there is none."""
+    texts = [line for line in dialect.names if not _of_units(line) and not all(_is_number(f, ".") for f in line)]
+    return texts[-1] if texts else ()
+
+
+def stated_units(path: Path) -> dict[str, str]:
+    """Return name of a column -> unit, where a header line of units stands below the names."""
+    dialect = sniff(path)
+    names = name_line(dialect)
+    units = next((line for line in reversed(dialect.names) if _of_units(line)), ())
+    return {name: unit.strip("[]() ") for name, unit in zip(names, units, strict=False) if unit.strip("[]() ")}
+
+
+def _of_units(line: Sequence[str]) -> bool:
+    """Whether most fields of a header line are units."""
+    fields = [field.strip("[]() ") for field in line]
+    hits = sum(any(unit and known(unit, d) for d in UNITS) for unit in fields)
+    return 2 * hits > sum(map(bool, fields)) > 0
 
 
 def _parsed(path: Path, dialect: Dialect, indices: Sequence[int], block: int) -> Iterator[pd.DataFrame]:

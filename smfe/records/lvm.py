@@ -49,6 +49,18 @@ def read_segments(path: Path, wanted: Sequence[Column], block: int) -> list[Iter
         return [_segment(path, header, part, number, wanted, block) for number, part in enumerate(parts)]
 
 
+def stated_units(path: Path) -> dict[str, str]:
+    """Return name of a column -> unit after ``Y_Unit_Label``; the X column is in seconds where it says "Time"."""
+    with damaged(path, _KIND):
+        header, parts = _layout(path)
+        segment = _parsed("".join([*header, *parts[0].header]), _lines(path, parts[0].begin, 1))
+        names = [name for name in segment["Channel names"] if name not in ("Comment", "X_Value")]
+        found = dict(zip(names, segment.get("Y_Unit_Label", []), strict=False))
+        if "Time" in segment.get("X_Dimension", ["Time"]):
+            found["X_Value"] = "s"
+    return found
+
+
 def _opened(path: Path) -> TextIO:
     return path.open(encoding="utf-8", errors="ignore")
 
@@ -84,17 +96,60 @@ def _segment(
     source = f"{path.name}, segment {number}"
     stated = [int(samples) for samples in segment.get("Samples", []) if samples == samples]
     stated_rows = max(stated, default=1)
-    if part.rows < stated_rows:
-        raise InputError(
-            f"{source}: {part.rows} of the {stated_rows} samples that its header states; the file is truncated"
-        )
     names = [name for name in segment["Channel names"] if name != "Comment"]
     at = find_columns(source, names, wanted, min(len(names), np.atleast_2d(segment["data"]).shape[1]))
-    return guarded(path, _KIND, _blocks(path, prefix, part, at, _clock(segment), block))
+    clock: tuple[float | None, float, tuple[str, ...]] = (*_clock(segment), ())
+    if part.rows < stated_rows:
+        clock = _thinned(path, prefix, part, stated_rows, names, source)
+    return guarded(path, _KIND, _blocks(path, prefix, part, at, clock, block))
+
+
+def _thinned(
+    path: Path, prefix: str, part: _Part, stated: int, names: Sequence[str], source: str
+) -> tuple[float | None, float, tuple[str, ...]]:
+    """Return the clock of a segment with fewer rows than its header states, and what is to be said of it.
+
+    Of an export of every k-th sample the X column says the times: they are k ``Delta_X`` apart, which is still that of
+    the recorder. Without an X column the clock is not known, and the campaign has to declare it.
+
+    Raises
+    ------
+    InputError
+        When the rows are no export of every k-th sample: the file is truncated.
+    """
+    said = f"{source}: {part.rows} of the {stated} samples that its header states"
+    lines = _lines(path, part.begin, part.rows)
+    segment = _parsed(prefix, lines)
+    data: NDArray[np.float64] = np.atleast_2d(segment["data"])
+    complete = bool(lines) and lines[-1].endswith("\n") and bool(np.all(np.isfinite(data[-1, : len(names)])))
+    factor = _whole(stated / max(part.rows, 1))
+    recorded, _ = _clock(segment)
+    timed, step = names[:1] == ["X_Value"], 0.0
+    if timed and part.rows > 1 and recorded is not None:
+        step = float(data[-1, 0] - data[0, 0]) / (part.rows - 1)
+        factor = _whole(step * recorded) if step > 0.0 else 0
+    if not complete or factor < 2 or abs(part.rows - stated / factor) > 1.0:
+        raise InputError(f"{said}; the file is truncated")
+    if step > 0.0:
+        note = f"{said}: an export of every {factor}. sample by the times of its X column, which is the clock"
+        return 1.0 / step, float(data[0, 0]), (f"{note}; frequencies above half that rate are folded",)
+    rate = "" if recorded is None else f' (sample_rate = "{recorded / factor:g} Hz" if Delta_X is the recorder\'s)'
+    note = f"{said}, and no column of times: the file is truncated, or an export of every {factor}. sample"
+    return None, 0.0, (f"{note}, whose clock is then to be declared{rate}",)
+
+
+def _whole(ratio: float) -> int:
+    """Return a ratio as a whole number; 0 where it is none within 2 %."""
+    return round(ratio) if abs(ratio - round(ratio)) <= 0.02 * ratio else 0
 
 
 def _blocks(
-    path: Path, prefix: str, part: _Part, at: dict[Column, int], clock: tuple[float | None, float], block: int
+    path: Path,
+    prefix: str,
+    part: _Part,
+    at: dict[Column, int],
+    clock: tuple[float | None, float, tuple[str, ...]],
+    block: int,
 ) -> Iterator[Table]:
     with _opened(path) as stream:
         rows = islice(stream, part.begin, part.begin + part.rows)

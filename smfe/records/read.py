@@ -78,7 +78,8 @@ def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.D
     -------
     list of xarray.Dataset
         One record; of a file with several segments, one a segment. ``attrs["source"]`` is the name of the file, with
-        ", segment 0" and so on behind it where there are several. A spindle angle is unwrapped.
+        ", segment 0" and so on behind it where there are several. A spindle angle is unwrapped. ``attrs["notes"]``,
+        where there is one, says a line each what was noticed while reading.
 
     Raises
     ------
@@ -215,8 +216,13 @@ def _record(
             vectors.setdefault(vector[0], {})[vector[1]] = values
     time = time_of(source, table, channels.get("time"))
     with named(source):
-        record = make_record(time, vectors, scalars, {**(attrs or {}), "source": source})
+        record = make_record(time, vectors, scalars, {**(attrs or {}), **notes_of(table), "source": source})
         return finish(record, channels)
+
+
+def notes_of(table: Table) -> dict[str, str]:
+    """Return the attribute that holds what is to be said of a record; nothing where all is well."""
+    return {"notes": "\n".join(table.notes)} if table.notes else {}
 
 
 def time_of(source: str, table: Table, channel: Channel | None, before: int = 0) -> NDArray[np.float64]:
@@ -228,8 +234,9 @@ def time_of(source: str, table: Table, channel: Channel | None, before: int = 0)
         return np.arange(before, before + size) / channel.sample_rate
     if table.sample_rate is not None:
         return table.start + np.arange(before, before + size) / table.sample_rate
+    said = "".join(f"{note}; " for note in table.notes) or f"{source}: "
     raise InputError(
-        f'{source}: no time; declare time = {{ column = "t", unit = "s" }}, or time = {{ sample_rate = "51200 Hz" }} '
+        f'{said}no time; declare time = {{ column = "t", unit = "s" }}, or time = {{ sample_rate = "51200 Hz" }} '
         "for a file without a time column"
     )
 

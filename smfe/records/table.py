@@ -30,11 +30,33 @@ class Table:
         Sample rate the file itself states [Hz].
     start : float, optional
         Time of the first sample where the file states a sample rate [s].
+    notes : tuple of str, optional
+        What the user should know of the file although it can be read.
     """
 
     columns: Mapping[Column, NDArray[np.float64]]
     sample_rate: float | None = None
     start: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+class UnknownColumn(InputError):
+    """A file lacks a column that was asked for.
+
+    Parameters
+    ----------
+    message : str
+        The sentence.
+    names : sequence of str
+        Names of the columns that it has; empty where it does not name them.
+    count : int
+        Number of columns.
+    """
+
+    def __init__(self, message: str, names: Sequence[str], count: int) -> None:
+        super().__init__(message)
+        self.names = tuple(names)
+        self.count = count
 
 
 def find_columns(source: str, names: Sequence[str], wanted: Sequence[Column], count: int) -> dict[Column, int]:
@@ -53,8 +75,10 @@ def find_columns(source: str, names: Sequence[str], wanted: Sequence[Column], co
 
     Raises
     ------
+    UnknownColumn
+        When a column is not there.
     InputError
-        When a column is not there, or a name occurs twice.
+        When a name occurs twice.
     """
     return {column: _find_column(source, names, column, count) for column in wanted}
 
@@ -62,14 +86,18 @@ def find_columns(source: str, names: Sequence[str], wanted: Sequence[Column], co
 def _find_column(source: str, names: Sequence[str], column: Column, count: int) -> int:
     if isinstance(column, int):
         if not 1 <= column <= count:
-            raise InputError(
-                f"{source}: column {column} is asked for but the file has {count} (positions count from 1)"
+            raise UnknownColumn(
+                f"{source}: column {column} is asked for but the file has {count} (positions count from 1)",
+                names,
+                count,
             )
         return column - 1
     if not names:
-        raise InputError(
+        raise UnknownColumn(
             f"{source}: column '{column}' is asked for but no line of the file names its {count} columns; "
-            "give positions that count from 1, e.g. column = 1"
+            "give positions that count from 1, e.g. column = 1",
+            (),
+            count,
         )
     hits = [i for i, name in enumerate(names) if name == column]
     if len(hits) > 1:
@@ -78,7 +106,8 @@ def _find_column(source: str, names: Sequence[str], column: Column, count: int) 
             f"{source}: the name '{column}' is that of columns {at}; give the position instead, column = {at[0]}"
         )
     if not hits:
-        raise InputError(f"{source}: no column '{column}'{did_you_mean(column, names)}; the file has {listed(names)}")
+        text = f"{source}: no column '{column}'{did_you_mean(column, names)}; the file has {listed(names)}"
+        raise UnknownColumn(text, names, count)
     return hits[0]
 
 
@@ -95,7 +124,7 @@ def join(parts: Iterable[Table]) -> list[Table]:
     found = list(parts)
     first = found[0]
     columns = {column: np.concatenate([part.columns[column] for part in found]) for column in first.columns}
-    return [Table(columns, first.sample_rate, first.start)]
+    return [Table(columns, first.sample_rate, first.start, first.notes)]
 
 
 def slices(table: Table, block: int) -> Iterator[Table]:
@@ -103,7 +132,7 @@ def slices(table: Table, block: int) -> Iterator[Table]:
     size = next(iter(table.columns.values())).size
     for begin in range(0, size, block):
         columns = {column: values[begin : begin + block] for column, values in table.columns.items()}
-        yield Table(columns, table.sample_rate, table.start)
+        yield Table(columns, table.sample_rate, table.start, table.notes)
 
 
 def same_length(source: str, columns: Mapping[Column, NDArray[np.float64]] | Mapping[Column, int]) -> None:

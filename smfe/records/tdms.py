@@ -59,6 +59,17 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
     return guarded(path, _KIND, _blocks(path, at, block))
 
 
+def stated_units(path: Path) -> dict[str, str]:
+    """Return ``group/channel`` -> unit after the property ``unit_string`` (or ``Unit``, ``NI_UnitDescription``)."""
+    keys = ("unit_string", "Unit", "unit", "NI_UnitDescription")
+    found = {}
+    with damaged(path, _KIND), _opened(path) as file:
+        for channel in (c for group in file.groups() for c in group.channels()):
+            text = next((str(channel.properties[key]) for key in keys if channel.properties.get(key)), "")
+            found[f"{channel.group_name}/{channel.name}"] = text
+    return found
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open a file as a stream: npTDMS leaves its own open when it fails, and would read an index file beside it."""

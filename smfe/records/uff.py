@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from smfe.records.memory import refuse_larger
-from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, guarded, slices
+from smfe.records.table import Column, Table, UnknownColumn, as_numbers, damaged, find_columns, guarded, slices
 from smfe.records.words import did_you_mean, listed
 
 Body = bytes | memoryview
@@ -115,9 +115,8 @@ def _tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
         absent = next((w for w in wanted if w not in names and not isinstance(w, int)), None)
         if absent is None:
             raise InputError(f"{path.name}: the functions wanted do not share an abscissa; read them one by one")
-        raise InputError(
-            f"{path.name}: no column '{absent}'{did_you_mean(str(absent), names)}; the file has {listed(names)}"
-        )
+        text = f"{path.name}: no column '{absent}'{did_you_mean(str(absent), names)}; the file has {listed(names)}"
+        raise UnknownColumn(text, names, len(names))
     return [_table(path, first, columns, wanted) for first, columns in chosen]
 
 

@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import io
 
-from process.labels import UNITS, axis_present, check_record
+from process.labels import AXES, UNITS, axis_present, check_record
 from smfe.records.channels import Channel
 
 _VECTOR_HEADERS = {
@@ -31,6 +31,13 @@ _VECTOR_HEADERS = {
     "reference_speed": "vref",
 }
 _SCALAR_HEADERS = {"spindle_angle": "angle", "spindle_speed": "n", "tacho": "tacho", "sound": "sound"}
+
+OWN_COLUMNS: dict[str, Channel] = {
+    "time": Channel("t", "s"),
+    **{f"{name}_{a}": Channel(header + a, UNITS[name]) for name, header in _VECTOR_HEADERS.items() for a in AXES},
+    **{name: Channel(header, UNITS[name]) for name, header in _SCALAR_HEADERS.items()},
+}
+"""Every channel of a record -> its column in a file that we write."""
 
 
 def write_record_netcdf(record: xr.Dataset, path: str | Path) -> Path:

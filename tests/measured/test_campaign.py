@@ -136,6 +136,20 @@ class TestWhatItSays:
         assert (test.file, test.observed) == (folder / "cut_500_3.csv", "chatter")
         assert (test.spindle_speed, test.depth_of_cut) == pytest.approx((500.0, 0.003))
 
+    def test_a_verdict_alone_needs_no_feed_per_tooth(self, folder: Path) -> None:
+        fed = 'width_of_cut = "100 mm"\nfeed_per_tooth = "0.2 mm"\nobserved'
+        without = EXAMPLE.replace(fed, 'width_of_cut = "100 mm"\nobserved')
+        assert without != EXAMPLE
+        with pytest.raises(
+            InputError, match=r"cutting_test\[0\]\.feed_per_tooth: is missing; the predictions of \[\[lobes"
+        ):
+            load(folder, without)
+        judged = re.sub(r"\[\[lobes\]\].*?(?=\[\[cutting_test)", "", without, flags=re.DOTALL)
+        (test,) = load(folder, judged).cutting_tests
+        assert test.feed_per_tooth is None
+        with pytest.raises(InputError, match="has no feed_per_tooth"):
+            _ = test.stated_feed_per_tooth
+
     def test_a_cutting_test_says_how_it_is_judged_and_under_what_it_was_cut(self, folder: Path) -> None:
         says = """observed = "chatter"
 controller = "K2"

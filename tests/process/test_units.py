@@ -27,6 +27,13 @@ from process.units import UNITS, factor, from_si, parse, show
         ("1e3 N", "force", 1000.0),
         ("9.8 m/s²", "acceleration", 9.8),
         (".5 Hz", "frequency", 0.5),
+        ("60 in/min", "speed", 0.0254),
+        ("60 ipm", "speed", 0.0254),
+        ("100 psi", "pressure", 689475.729316836),
+        ("1 lb", "mass", 0.45359237),
+        ("1 lbf/in", "stiffness", 175.126835246476),
+        ("1 in/lbf", "compliance", 1.0 / 175.126835246476),
+        ("1 hp", "power", 745.69987158227),
     ],
 )
 def test_field_units_become_si(text: str, dimension: str, value: float) -> None:
