@@ -19,6 +19,7 @@ from smfe.conversion import convert as convert_file
 from smfe.demo_campaign import DEMO_SEED
 from smfe.diagnosis import audit, verbs
 from smfe.diagnosis.finding import explain
+from smfe.failures import Failures, unpack
 from smfe.loops import FILE as LOOP_FILE
 from smfe.loops import loop_lines
 from smfe.plan_verify import explain as explain_verification
@@ -64,8 +65,7 @@ def demo(
     """Simulate a whole measuring campaign and run it."""
     with bar(console) as progress:
         report = pipeline.demo(folder, seed, progress)
-    _warn(report.parent)
-    _done(report)
+    _finish(report)
 
 
 @app.command()
@@ -73,12 +73,12 @@ def run(
     campaign: CampaignFile,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the results.")] = Path("results"),
     fresh: Annotated[bool, typer.Option("--fresh", help="Read nothing back from an earlier run.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print report, warnings and failures as JSON.")] = False,
 ) -> None:
     """Do everything a campaign asks for: compliances, comparison, lobes, verdicts, report."""
     with bar(console) as progress:
         report = pipeline.run(campaign, folder, fresh, progress, _show)
-    _warn(report.parent)
-    _done(report)
+    _finish(report, as_json)
 
 
 @app.command()
@@ -87,8 +87,9 @@ def identify(
     output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file of the compliances.")] = Path("frf.nc"),
 ) -> None:
     """Identify the compliances of a campaign."""
+    failures: Failures = []
     with bar(console) as progress:
-        found = pipeline.identify(campaign, output, progress, _show)
+        found = pipeline.identify(campaign, output, progress, _show, failures)
     for name, item in found.items():
         sizes = " x ".join(str(item.compliance.sizes[d]) for d in ("frequency", "response", "excitation"))
         out.print(f"{name}: {item.method}, {sizes} (frequencies x responses x excitations)", highlight=False)
@@ -97,6 +98,7 @@ def identify(
     for line in loop_lines(output.with_name(LOOP_FILE)):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output}", highlight=False)
+    _fail(failures)
 
 
 @app.command()
@@ -123,8 +125,9 @@ def modal(
     ] = None,
 ) -> None:
     """Fit modes to measured compliances and write them as models for a campaign file."""
+    failures: Failures = []
     with bar(console) as progress:
-        fits = pipeline.modal(source, output, measurement, band, progress, _show)
+        fits = pipeline.modal(source, output, measurement, band, progress, _show, failures)
     for name, fit in fits.items():
         for row in fit.table().to_dict("records"):
             stiffness = f", {row['stiffness_N_um']:.4g} N/um" if "stiffness_N_um" in row else ""
@@ -132,6 +135,7 @@ def modal(
         for warning in fit.warnings:
             console.print(f"warning, {name}: {warning}", markup=False, highlight=False)
     out.print(f"written: {output}", highlight=False)
+    _fail(failures)
 
 
 @app.command()
@@ -142,8 +146,9 @@ def lobes(
     table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
 ) -> None:
     """Compute the stability lobes that a campaign asks for."""
+    failures: Failures = []
     with bar(console) as progress:
-        results = pipeline.lobes(campaign, output, table, frf, progress)
+        results = pipeline.lobes(campaign, output, table, frf, progress, failures)
     heads = ("lobes", "source", "smallest limit [mm]", "at [rpm]", "largest limit [mm]", "at [rpm]")
     shown = Table(*map(escape, heads))
     for r in results:
@@ -156,6 +161,7 @@ def lobes(
             console.print(f"warning, {r.request}, {r.source}: {warning}", markup=False, highlight=False)
     out.print(shown)
     out.print(f"written: {output}, {table}", highlight=False)
+    _fail(failures)
 
 
 @app.command()
@@ -277,10 +283,24 @@ def _show(text: str) -> None:
     console.print(text, markup=False, highlight=False)
 
 
-def _warn(folder: Path) -> None:
-    """Print the warnings of a run; the report has them too."""
-    for warning in json.loads((folder / "provenance.json").read_text(encoding="utf-8"))["warnings"]:
-        console.print(f"warning, {warning}", markup=False, highlight=False, soft_wrap=True)
+def _finish(report_file: Path, as_json: bool = False) -> None:
+    """Print the warnings and failures of a run, which the report has too, and where it is; 3 where a part failed."""
+    kept = json.loads((report_file.parent / "provenance.json").read_text(encoding="utf-8"))
+    if as_json:
+        typer.echo(json.dumps({"report": str(report_file), **{k: kept[k] for k in ("warnings", "failures")}}, indent=2))
+    else:
+        for warning in kept["warnings"]:
+            console.print(f"warning, {warning}", markup=False, highlight=False, soft_wrap=True)
+        _done(report_file)
+    _fail(unpack(kept))
+
+
+def _fail(failures: Failures) -> None:
+    """Print what failed and leave with exit code 3, if anything did."""
+    for failure in failures:
+        console.print(f"failed, {failure.sentence}", markup=False, highlight=False, soft_wrap=True)
+    if failures:
+        raise typer.Exit(3)
 
 
 def _done(report_file: Path) -> None:
@@ -288,7 +308,10 @@ def _done(report_file: Path) -> None:
 
 
 def app_entry() -> None:
-    """Run the command line; wrong input ends with one message and exit code 1, wrong usage with 2."""
+    """Run the command line.
+
+    Wrong input ends with one message and exit code 1, wrong usage with 2; 3 where a part of what was asked for failed.
+    """
     try:
         app()
     except InputError as error:

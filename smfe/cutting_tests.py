@@ -15,8 +15,9 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest
+from smfe.failures import FAILED, PREDICTION, TEST, Failure, Failures, attempt, failure_of
 from smfe.identification import Progress
-from smfe.limits import SEVERAL, limits_of, sources_of
+from smfe.limits import SEVERAL, check_sources, limits_of, sources_of
 from smfe.records import read_records
 from smfe.store import write_csv, write_groups
 from stability import ChatterVerdict, chatter_verdict
@@ -32,14 +33,19 @@ class Verdicts:
     rows : list of dict
         Rows of chatter.csv, one a cutting test.
     spectra : mapping of str to xarray.Dataset
-        "test_1", "test_2", ... -> spectrum with the verdict in its attributes.
+        "test_1", "test_2", ... -> spectrum with the verdict in its attributes, of those that could be judged.
     """
 
     rows: list[dict[str, Any]]
     spectra: Mapping[str, xr.Dataset]
 
 
-def judge_all(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progress: Progress) -> Verdicts:
+def judge_all(
+    campaign: Campaign,
+    compliances: Mapping[str, xr.Dataset],
+    progress: Progress,
+    failures: Failures | None = None,
+) -> Verdicts:
     """Judge every cutting test, with what each source of lobes predicts for it.
 
     Parameters
@@ -50,15 +56,41 @@ def judge_all(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progres
         Measurement or model -> compliance.
     progress : callable
         Called with (what, done, of).
+    failures : list of Failure, optional
+        Collects tests that cannot be judged, whose row then has the verdict "failed" and the reason, and sources that
+        predict nothing for a test. None: the first one is raised.
     """
     rows, spectra = [], {}
+    unpredicted: Failures | None = None if failures is None else []
     for i, test in enumerate(campaign.cutting_tests):
         progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
-        verdict = judge(campaign, test)
-        rows.append(_chatter_row(campaign, test, verdict, compliances))
+        predicted = predictions(campaign, test, compliances, unpredicted, failures)
+        try:
+            verdict = judge(campaign, test)
+        except Exception as error:
+            if failures is None:
+                raise
+            failures.append(failure_of(TEST, test.file.name, error))
+            rows.append(_row(campaign, test, {"verdict": FAILED, "reason": failures[-1].reason}) | predicted)
+            continue
+        rows.append(_row(campaign, test, vars(verdict)) | predicted)
         assert campaign.tool is not None
         spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1])
+    if failures is not None:
+        failures += _once(unpredicted or [])
     return Verdicts(rows, spectra)
+
+
+def _once(failures: Failures) -> Failures:
+    """Return what a source cannot predict once for all tests of which the same is said."""
+    files: dict[tuple[str, str], list[str]] = {}
+    for f in failures:
+        source, _, file = f.name.partition("\n")
+        files.setdefault((source, f.reason), []).append(file)
+    return [
+        Failure(PREDICTION, f"{source} for {tests[0] if len(tests) == 1 else f'{len(tests)} cutting tests'}", reason)
+        for (source, reason), tests in files.items()
+    ]
 
 
 def write_verdicts(folder: Path, verdicts: Verdicts) -> None:
@@ -100,17 +132,15 @@ def judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
         raise InputError(f"cutting test '{test.file.name}': {error}") from error
 
 
-def _chatter_row(
-    campaign: Campaign, test: CuttingTest, verdict: ChatterVerdict, compliances: Mapping[str, xr.Dataset]
-) -> dict[str, Any]:
-    row: dict[str, Any] = {
+def _row(campaign: Campaign, test: CuttingTest, judged: Mapping[str, Any]) -> dict[str, Any]:
+    return {
         "file": test.file.name,
         "spindle_speed_rpm": round(test.spindle_speed, 6),
         "depth_of_cut_mm": round(test.depth_of_cut * 1e3, 9),
-        "verdict": verdict.verdict,
-        "ratio": verdict.ratio,
-        "chatter_frequency_Hz": verdict.chatter_frequency_Hz,
-        "tooth_passing_harmonic_Hz": verdict.tooth_passing_harmonic_Hz,
+        "verdict": judged["verdict"],
+        "ratio": judged.get("ratio", math.nan),
+        "chatter_frequency_Hz": judged.get("chatter_frequency_Hz", math.nan),
+        "tooth_passing_harmonic_Hz": judged.get("tooth_passing_harmonic_Hz", math.nan),
         "observed": test.observed or "",
         "controller": test.controller or "",
         "feed_mm_min": math.nan if test.feed is None else round(max(map(abs, test.feed.values())) * 6e4, 9),
@@ -124,15 +154,33 @@ def _chatter_row(
         "half_order_ratio": verdict.half_order_ratio,
         "half_order_reference": math.nan if test.half_order_reference is None else test.half_order_reference,
         "lobes": _matching_request(campaign, test),
-        "reason": verdict.reason,
+        "reason": judged["reason"],
     }
-    return row | predictions(campaign, test, compliances)
 
 
-def predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str, xr.Dataset]) -> dict[str, Any]:
+def predictions(
+    campaign: Campaign,
+    test: CuttingTest,
+    compliances: Mapping[str, xr.Dataset],
+    failures: Failures | None = None,
+    known: Failures | None = None,
+) -> dict[str, Any]:
     """Return limit, verdict and chatter frequency that each source of lobes predicts for a test, by their own method.
 
     Without lobes there is none, and no work material is needed.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With its ``[[lobes]]``.
+    test : CuttingTest
+        The cut.
+    compliances : mapping of str to xarray.Dataset
+        Measurement or model -> compliance.
+    failures : list of Failure, optional
+        Collects sources that fail, as "SOURCE, newline, FILE"; their prediction is "failed". None: raised.
+    known : list of Failure, optional
+        What has failed before: a source whose measurement failed is not said once more.
     """
     row: dict[str, Any] = {}
     for request in campaign.lobes:
@@ -147,11 +195,16 @@ def predictions(campaign: Campaign, test: CuttingTest, compliances: Mapping[str,
             source = SEVERAL.join(names)
             if f"limit_{source}_mm" in row:
                 continue
-            found = limits_of(campaign, here, names, compliances)
-            limit = float(found["limit_depth"].values[0])
-            row[f"limit_{source}_mm"] = limit
-            row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
-            row[f"frequency_{source}_Hz"] = float(found["chatter_frequency"].values[0])
+            row |= {f"limit_{source}_mm": math.nan, f"predicted_{source}": FAILED, f"frequency_{source}_Hz": math.nan}
+            if known is not None and not set(names) <= set(compliances):
+                continue  # said by the lobes of this source
+            with attempt(failures, PREDICTION, f"{source}\n{test.file.name}"):
+                check_sources(names, compliances, known)
+                found = limits_of(campaign, here, names, compliances)
+                limit = float(found["limit_depth"].values[0])
+                row[f"limit_{source}_mm"] = limit
+                row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
+                row[f"frequency_{source}_Hz"] = float(found["chatter_frequency"].values[0])
     return row
 
 

@@ -14,6 +14,7 @@ from process.compliance import ModalModel
 from process.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import Campaign, LobeRequest
+from smfe.failures import LOBES, MEASUREMENT, Failures, attempt, pack
 from smfe.identification import Progress
 from smfe.modal import fit_modes, model_error
 from smfe.store import pack_warnings, write_csv, write_groups
@@ -79,7 +80,12 @@ class LobeResult:
     maximum_depth: float | None = None
 
 
-def all_lobes(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progress: Progress) -> list[LobeResult]:
+def all_lobes(
+    campaign: Campaign,
+    compliances: Mapping[str, xr.Dataset],
+    progress: Progress,
+    failures: Failures | None = None,
+) -> list[LobeResult]:
     """Compute every lobe that a campaign asks for.
 
     Parameters
@@ -90,6 +96,9 @@ def all_lobes(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progres
         Measurement or model -> compliance.
     progress : callable
         Called with (what, done, of).
+    failures : list of Failure, optional
+        Collects requests that fail, by "lobes_1, SOURCE", and is asked which measurements have failed already. None:
+        the first one is raised.
 
     Raises
     ------
@@ -101,20 +110,27 @@ def all_lobes(campaign: Campaign, compliances: Mapping[str, xr.Dataset], progres
     for done, (number, request, names) in enumerate(jobs):
         source = SEVERAL.join(names)
         progress(f"lobes {number}: {source}", done, len(jobs))
-        for name in names:
-            if name not in compliances:
-                raise InputError(
-                    f"lobes {number} ask for '{name}', which the compliances do not hold: {', '.join(compliances)}"
-                )
-        try:
-            limits = limits_of(campaign, request, names, compliances)
-            if len(names) == 1:
-                limits = _banded(campaign, request, names[0], compliances[names[0]], limits)
-                limits = _with_curves(campaign, request, compliances[names[0]], limits)
-        except InputError as error:
-            raise InputError(f"lobes {number}, {source}: {error}") from error
-        out.append(_result(campaign, request, f"lobes_{number}", source, limits))
+        with attempt(failures, LOBES, f"lobes_{number}, {source}"):
+            check_sources(names, compliances, failures)
+            try:
+                limits = limits_of(campaign, request, names, compliances)
+                if len(names) == 1:
+                    limits = _banded(campaign, request, names[0], compliances[names[0]], limits)
+                    limits = _with_curves(campaign, request, compliances[names[0]], limits)
+            except InputError as error:
+                raise InputError(f"lobes {number}, {source}: {error}" if failures is None else str(error)) from error
+            out.append(_result(campaign, request, f"lobes_{number}", source, limits))
     return out
+
+
+def check_sources(names: Sequence[str], compliances: Mapping[str, xr.Dataset], failures: Failures | None) -> None:
+    """Refuse sources that are not among the compliances, and say why where that is known."""
+    failed = {f.name for f in failures or () if f.part == MEASUREMENT}
+    for name in names:
+        if name in failed:
+            raise InputError(f"measurement '{name}' failed; its own reason says what to do")
+        if name not in compliances:
+            raise InputError(f"'{name}' is asked for, and the compliances do not hold it: {', '.join(compliances)}")
 
 
 def sources_of(request: LobeRequest) -> list[tuple[str, ...]]:
@@ -286,13 +302,21 @@ def joined(results: Sequence[LobeResult]) -> pd.DataFrame:
     return pd.concat([r.table for r in results], ignore_index=True)
 
 
-def write_lobes(folder: Path, results: Sequence[LobeResult], campaign: Campaign) -> None:
-    """Write the files of `MADE`, or remove those of an earlier run when there are no lobes."""
+def write_lobes(
+    folder: Path, results: Sequence[LobeResult], campaign: Campaign, failures: Failures | None = None
+) -> None:
+    """Write the files of `MADE`, or remove those of an earlier run when there are no lobes.
+
+    The attribute ``failures`` of ``lobes.nc`` says which requests failed; where all did, this is all that it holds.
+    """
+    missing = pack(f for f in failures or () if f.part == LOBES)
     if not results:
         for name in MADE:
             (folder / name).unlink(missing_ok=True)
+        if missing:
+            write_groups(folder / "lobes.nc", {}, missing)
         return
-    write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results})
+    write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results}, missing)
     write_table(joined(results), folder / "lobe_table.csv")
     found = [(r, pockets_of(r, campaign)) for r in results]
     write_csv(folder / "pockets.csv", pd.concat([p.assign(request=r.request) for r, p in found], ignore_index=True))

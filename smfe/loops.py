@@ -8,6 +8,7 @@ from pathlib import Path
 
 from process.errors import InputError
 from smfe.campaign import Campaign, Measurement
+from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.loop import LoopResponse, identify_loop, summary
 from smfe.measurements import records_of
 from smfe.store import pack_warnings, read_groups, write_csv, write_groups
@@ -15,15 +16,27 @@ from smfe.store import pack_warnings, read_groups, write_csv, write_groups
 FILE = "loops.nc"
 
 
-def loops_of(campaign: Campaign) -> dict[str, LoopResponse]:
+def loops_of(campaign: Campaign, failures: Failures | None = None) -> dict[str, LoopResponse]:
     """Identify every measurement of method "loop".
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    failures : list of Failure, optional
+        Collects measurements whose records do not allow it. None: the first one is raised.
 
     Raises
     ------
     InputError
         With the measurement's name, when its records do not allow it.
     """
-    return {m.name: loop_of(m) for m in campaign.measurements if m.method == "loop"}
+    out = {}
+    for m in campaign.measurements:
+        if m.method == "loop":
+            with attempt(failures, MEASUREMENT, m.name):
+                out[m.name] = loop_of(m)
+    return out
 
 
 def loop_of(m: Measurement) -> LoopResponse:

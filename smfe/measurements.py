@@ -30,6 +30,7 @@ from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.conditions import hammer_levels
 from smfe.dynamometer import compensate
+from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
@@ -91,21 +92,20 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
         raise InputError(named) from error
 
 
-def check_sweeps(campaign: Campaign) -> None:
-    """Refuse sweeps whose passes are dependent by geometry, before any record is read.
+def check_sweep(campaign: Campaign, measurement: Measurement) -> None:
+    """Refuse a sweep whose passes are dependent by geometry, before any record is read.
 
     Raises
     ------
     InputError
         With the name of the measurement.
     """
-    for measurement in campaign.measurements:
-        if measurement.method != "sweep" or campaign.tool is None:
-            continue
-        try:
-            check_independent([_pass_of(campaign.tool, entry) for entry in measurement.records])
-        except InputError as error:
-            raise InputError(f"measurement '{measurement.name}': {error}") from error
+    if measurement.method != "sweep" or campaign.tool is None:
+        return
+    try:
+        check_independent([_pass_of(campaign.tool, entry) for entry in measurement.records])
+    except InputError as error:
+        raise InputError(f"measurement '{measurement.name}': {error}") from error
 
 
 def _pass_of(tool: Tool, entry: RecordEntry) -> tuple[str, Engagement]:
@@ -195,7 +195,9 @@ def hammer_settings(m: Measurement) -> dict[str, Any]:
     }
 
 
-def split_levels(campaign: Campaign, folder: Path | None = None) -> dict[str, xr.Dataset]:
+def split_levels(
+    campaign: Campaign, folder: Path | None = None, failures: Failures | None = None
+) -> dict[str, xr.Dataset]:
     """Identify the hammer measurements that ask for it once more, each force level for itself.
 
     Parameters
@@ -204,6 +206,8 @@ def split_levels(campaign: Campaign, folder: Path | None = None) -> dict[str, xr
         The campaign.
     folder : path, optional
         Where results are kept, and found again while neither records nor settings have changed.
+    failures : list of Failure, optional
+        Collects measurements for which it fails, by their level; those that have failed already are left out.
 
     Returns
     -------
@@ -215,8 +219,14 @@ def split_levels(campaign: Campaign, folder: Path | None = None) -> dict[str, xr
     InputError
         With the measurement's name and the level.
     """
-    wanted = (m for m in campaign.measurements if m.method == "hammer" and m.split_levels)
-    return {f"{m.name}, by level": _by_level(campaign, m, folder) for m in wanted}
+    failed = {f.name for f in failures or () if f.part == MEASUREMENT}
+    out = {}
+    for m in campaign.measurements:
+        if m.method == "hammer" and m.split_levels and m.name not in failed:
+            name = f"{m.name}, by level"
+            with attempt(failures, MEASUREMENT, name):
+                out[name] = _by_level(campaign, m, folder)
+    return out
 
 
 def _by_level(campaign: Campaign, m: Measurement, folder: Path | None) -> xr.Dataset:

@@ -16,6 +16,7 @@ from process.units import parse, show
 from smfe.campaign import load_campaign
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
+from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.identification import Progress, silent
 from smfe.measurements import cached_identification
 from smfe.modal import ModalFit, fit_modes
@@ -33,6 +34,7 @@ def modal(
     band: tuple[str, str] | None = None,
     progress: Progress = silent,
     licence: Show | None = None,
+    failures: Failures | None = None,
 ) -> dict[str, ModalFit]:
     """Fit modes to measured compliances; write ``[[model]]`` tables, intervals and a stabilisation diagram.
 
@@ -51,6 +53,8 @@ def modal(
         Called with (what, done, of).
     licence : callable, optional
         Called with the licence of a public data set before it is fetched.
+    failures : list of Failure, optional
+        Collects measurements that cannot be identified, or whose modes cannot be found; both stand in the file, too.
 
     Returns
     -------
@@ -68,23 +72,24 @@ def modal(
     limits = None if band is None else (parse(band[0], "frequency"), parse(band[1], "frequency"))
     if limits is not None and not limits[0] < limits[1]:
         raise InputError(f"the band runs from {limits[0]:g} to {limits[1]:g} Hz; give the lower frequency first")
-    compliances = _compliances(Path(source), path.parent / KEPT, measurement, progress, licence)
-    fits, refused = {}, {}
+    refused: Failures = []
+    compliances = _compliances(Path(source), path.parent / KEPT, measurement, progress, licence, refused)
+    fits = {}
     for done, (name, compliance) in enumerate(compliances.items()):
         progress(f"fitting modes to {name}", done, len(compliances))
-        try:
+        with attempt(refused, "modes of", name):
             fits[name] = fit_modes(compliance, band=limits)
-        except InputError as error:
-            refused[name] = str(error)
     if not fits:
-        told = "; ".join(f"{name}: {reason}" for name, reason in refused.items())
+        told = "; ".join(f"{f.name}: {f.reason}" for f in refused)
         raise InputError(f"no modes could be fitted: {told}")
-    _write(path, fits, refused)
+    _write(path, fits, {f.name: f.reason for f in refused})
+    if failures is not None:
+        failures += refused
     return fits
 
 
 def _compliances(
-    source: Path, kept: Path, only: str | None, progress: Progress, licence: Show | None
+    source: Path, kept: Path, only: str | None, progress: Progress, licence: Show | None, failures: Failures
 ) -> dict[str, xr.Dataset]:
     """Return the measured compliances of a campaign or of a compliance file."""
     if source.suffix == ".toml":
@@ -95,7 +100,8 @@ def _compliances(
         for done, (name, item) in enumerate(wanted.items()):
             if only in (None, name):
                 progress(f"identifying {name}", done, len(wanted))
-                found[name] = cached_identification(campaign, item, kept, progress)[0].compliance
+                with attempt(failures, MEASUREMENT, name):
+                    found[name] = cached_identification(campaign, item, kept, progress)[0].compliance
         return found
     groups = {n: d for n, d in read_groups(source).items() if d.attrs.get("method") != "model"}
     _require(only, list(groups), source)

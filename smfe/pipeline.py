@@ -3,8 +3,9 @@
 Each verb here is a command of the same name: `run`, `demo`, `identify`, `modal`, `compare`, `lobes`, `chatter`,
 `report`.
 Everything is computed before the first result is written, and every file is written to a temporary name and moved into
-place: a folder of results belongs together, also when a later run fails. Only identified measurements are kept at once,
-so that a second run continues where the first stopped.
+place: a folder of results belongs together. Only identified measurements are kept at once, so that a second run
+continues where the first stopped. Each part (a measurement, the lobes of one source, a cutting test, ...) fails alone:
+what is asked of it is missing, every output says so in its place, and the rest is as it would have been.
 """
 
 from __future__ import annotations
@@ -39,11 +40,12 @@ from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.verbs import finding_of
 from smfe.explained import explain
+from smfe.failures import MEASUREMENT, Failures, as_rows, attempt, pack
 from smfe.identification import Identification, Progress, silent
 from smfe.limits import LobeResult, all_lobes, joined, write_lobes
 from smfe.loops import FILE as LOOP_FILE
 from smfe.loops import loops_of, write_loops
-from smfe.measurements import cached_identification, check_sweeps, file_hash, split_levels
+from smfe.measurements import cached_identification, check_sweep, file_hash, split_levels
 from smfe.modal_verb import modal as modal
 from smfe.records import OWN_COLUMNS, Channel, column_names, names_itself, read_records
 from smfe.records.contents import has_no_clock, stated_units
@@ -65,10 +67,11 @@ write. A unit that the file states itself takes the place of the one here."""
 
 @dataclass
 class Notes:
-    """What happened on the way: seconds a stage and warnings."""
+    """What happened on the way: seconds a stage, warnings, and what failed."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    failures: Failures = field(default_factory=list)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -103,47 +106,56 @@ def run(
     Returns
     -------
     Path
-        The report.
+        The report. What failed stands in ``provenance.json`` beside it, as a list ``failures`` of objects with part,
+        name and reason, and in its place in every other file; the rest is as it would have been without.
 
     Raises
     ------
     InputError
-        When the campaign file or a record is wrong; no result is then written or touched.
+        When the campaign file is wrong or the results cannot be written; no result is then written or touched.
     """
     loaded, folder, notes = load_campaign(Path(campaign), licence), Path(out), Notes()
+    failures = notes.failures
     check_target(folder / "report.html")
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     with notes.timed("identify"):
-        found, levels = _identify_all(loaded, folder / KEPT, progress)
-        loops = loops_of(loaded)
+        found, levels = _identify_all(loaded, folder / KEPT, progress, failures)
+        loops = loops_of(loaded, failures)
     whole = with_levels(loaded)
     compliances = _compliances(whole, found)
-    cubes, unstacked = _conditions_of(loaded, compliances, levels, folder / KEPT)
+    cubes, unstacked = _conditions_of(loaded, compliances, levels, folder / KEPT, failures)
+    comparison, explained, errors = _comparison({}), explain({}), model_errors({}, ())
     with notes.timed("compare"):
         progress("comparing", 0, 1)
         told = _told_apart({n: compliances[n] for n in found})
-        comparison, explained = _comparison(told), explain(told)
-        errors = model_errors(found, loaded.models)
+        with attempt(failures, "comparison"):
+            comparison = _comparison(told)
+        with attempt(failures, "comparison", "what feed, level and method explain"):
+            explained = explain(told)
+        with attempt(failures, "comparison", "with the models"):
+            errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):
-        results = all_lobes(whole, compliances, progress)
+        results = all_lobes(whole, compliances, progress, failures)
     with notes.timed("cutting tests"):
-        verdicts = judge_all(whole, compliances, progress)
-    with notes.timed("diagnosis"):
+        verdicts = judge_all(whole, compliances, progress, failures)
+    finding = None
+    with notes.timed("diagnosis"), attempt(failures, "diagnosis"):
         finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
-    notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in found | loops]
+    gone = {f.name for f in failures if f.part == MEASUREMENT}
+    notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *gone}]
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
     notes.warnings += _warnings(found, results, verdicts)
     notes.warnings += unstacked
     provenance = _provenance(loaded, notes)
     # From here on nothing depends on the input any more.
-    _write_identifications(folder, compliances, found)
+    _write_identifications(folder, compliances, found, failures)
     write_loops(folder / LOOP_FILE, loops, folder / "tables")
     _write_cubes(folder / CONDITIONS, cubes)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)
     write_csv(folder / "model_error.csv", errors)
-    write_lobes(folder, results, loaded)
+    write_lobes(folder, results, loaded, failures)
     write_verdicts(folder, verdicts)
     if finding is None:
         (folder / "finding.json").unlink(missing_ok=True)
@@ -172,7 +184,11 @@ def report(folder: Path | str, progress: Progress = silent) -> Path:
 
 
 def identify(
-    campaign: Path | str, output: Path | str, progress: Progress = silent, licence: Show | None = None
+    campaign: Path | str,
+    output: Path | str,
+    progress: Progress = silent,
+    licence: Show | None = None,
+    failures: Failures | None = None,
 ) -> dict[str, Identification]:
     """Identify every measurement of a campaign and write the compliances to one NetCDF file.
 
@@ -180,19 +196,34 @@ def identify(
     holds what was measured at several levels or feeds, and ``loops.nc`` the responses of drive loops, which are no
     compliances; where the campaign has none, such a file of an earlier run is taken away.
 
+    Parameters
+    ----------
+    campaign, output : path
+        Campaign file; file to write.
+    progress : callable, optional
+        Called with (what, done, of).
+    licence : callable, optional
+        Called with the licence of a public data set before it is fetched.
+    failures : list of Failure, optional
+        Collects measurements that cannot be identified, which the file names in its attribute ``failures``; the rest
+        is written. None: the first one is raised, and nothing is written.
+
     Raises
     ------
     InputError
-        When the campaign file or a record is wrong, or the output has the name of one of the files beside it.
+        When the campaign file is wrong, the output has the name of one of the files beside it, or nothing at all can
+        be identified.
     """
     path = Path(output)
     if path.name in (CONDITIONS, LOOP_FILE):
         raise InputError(f"{path.name} is what another file beside the compliances is called; write to frf.nc")
     loaded = load_campaign(Path(campaign), licence)
-    found, levels = _identify_all(loaded, path.parent / KEPT, progress)
-    loops, compliances = loops_of(loaded), _compliances(with_levels(loaded), found)
-    cubes, _ = _conditions_of(loaded, compliances, levels, path.parent / KEPT)
-    write_groups(path, _groups(compliances, found))
+    check_target(path)
+    found, levels = _identify_all(loaded, path.parent / KEPT, progress, failures)
+    loops, compliances = loops_of(loaded, failures), _compliances(with_levels(loaded), found)
+    cubes, _ = _conditions_of(loaded, compliances, levels, path.parent / KEPT, failures)
+    _require_something([*found, *loops], failures)
+    write_groups(path, _groups(compliances, found), pack(failures or ()))
     write_loops(path.with_name(LOOP_FILE), loops)
     _write_cubes(path.with_name(CONDITIONS), cubes)
     return found
@@ -218,17 +249,41 @@ def lobes(
     table: Path | str | None = None,
     frf: Path | str | None = None,
     progress: Progress = silent,
+    failures: Failures | None = None,
 ) -> list[LobeResult]:
-    """Compute the lobes that a campaign asks for, from its records or from a compliance file."""
+    """Compute the lobes that a campaign asks for, from its records or from a compliance file.
+
+    Parameters
+    ----------
+    campaign, output : path
+        Campaign file; file of the lobes.
+    table : path, optional
+        CSV lobe table.
+    frf : path, optional
+        Compliances of an earlier run.
+    progress : callable, optional
+        Called with (what, done, of).
+    failures : list of Failure, optional
+        Collects measurements and requests that fail, which the file names in its attribute ``failures``; the rest is
+        written. None: the first one is raised, and nothing is written.
+
+    Raises
+    ------
+    InputError
+        When the campaign file is wrong, or no lobes at all can be computed.
+    """
     loaded, path = load_campaign(Path(campaign)), Path(output)
     if not loaded.lobes:
         raise InputError(f"{campaign}: it asks for no lobes; add a [[lobes]] table")
+    check_target(path)
     if frf is not None:
         compliances = read_groups(Path(frf))
     else:
-        compliances = _compliances(with_levels(loaded), _identify_all(loaded, path.parent / KEPT, progress)[0])
-    results = all_lobes(with_levels(loaded), compliances, progress)
-    write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results})
+        found, _ = _identify_all(loaded, path.parent / KEPT, progress, failures)
+        compliances = _compliances(with_levels(loaded), found)
+    results = all_lobes(with_levels(loaded), compliances, progress, failures)
+    _require_something(results, failures)
+    write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results}, pack(failures or ()))
     if table is not None:
         write_table(joined(results), Path(table))
     return results
@@ -291,25 +346,43 @@ def _no_default_channels(path: Path) -> str:
     )
 
 
+def _require_something(found: Sequence[object], failures: Failures | None) -> None:
+    """Refuse to write a file in which everything failed: an older one says more."""
+    if failures and not found:
+        raise InputError("\n  ".join(["nothing could be computed", *(f.sentence for f in failures)]))
+
+
 def _identify_all(
-    campaign: Campaign, kept: Path, progress: Progress
+    campaign: Campaign, kept: Path, progress: Progress, failures: Failures | None = None
 ) -> tuple[dict[str, Identification], dict[str, xr.Dataset]]:
     """Return all measurements and levels of sweeps, and the latter as arrays over the depth of cut."""
     whole = with_levels(campaign)
-    check_sweeps(whole)
+    possible = []
+    for measurement in whole.measurements:
+        with attempt(failures, MEASUREMENT, measurement.name):
+            check_sweep(whole, measurement)
+            possible.append(measurement)
     found = {}
-    for i, measurement in enumerate(whole.measurements):
+    for i, measurement in enumerate(possible):
         if measurement.method not in COMPLIANCE_METHODS:
-            progress(_left_out(measurement), i, len(whole.measurements))
+            progress(_left_out(measurement), i, len(possible))
             continue
-        progress(f"identifying {measurement.name}", i, len(whole.measurements))
-        found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
-    pooled, cubes = level_cubes(campaign, found)
+        progress(f"identifying {measurement.name}", i, len(possible))
+        with attempt(failures, MEASUREMENT, measurement.name):
+            found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
+    pooled: dict[str, Identification] = {}
+    cubes: dict[str, xr.Dataset] = {}
+    with attempt(failures, "levels of the sweeps"):
+        pooled, cubes = level_cubes(campaign, found)
     return found | pooled, cubes
 
 
 def _conditions_of(
-    campaign: Campaign, compliances: Mapping[str, xr.Dataset], levels: Mapping[str, xr.Dataset], kept: Path
+    campaign: Campaign,
+    compliances: Mapping[str, xr.Dataset],
+    levels: Mapping[str, xr.Dataset],
+    kept: Path,
+    failures: Failures | None,
 ) -> tuple[dict[str, xr.Dataset], list[str]]:
     """Return what ``conditions.nc`` holds, and what could not be stacked.
 
@@ -318,7 +391,7 @@ def _conditions_of(
     names = {m.name for m in campaign.measurements}
     whole = [m for m in with_levels(campaign).measurements if m.name in names]
     stacked, notes = condition_cubes(whole, compliances)
-    return {**levels, **stacked, **split_levels(campaign, kept)}, notes
+    return {**levels, **stacked, **split_levels(campaign, kept, failures)}, notes
 
 
 def _told_apart(compliances: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
@@ -394,9 +467,10 @@ def _write_cubes(path: Path, cubes: Mapping[str, xr.Dataset]) -> None:
 
 
 def _write_identifications(
-    folder: Path, compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification]
+    folder: Path, compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification], failures: Failures
 ) -> None:
-    write_groups(folder / "frf.nc", _groups(compliances, found))
+    missing = pack(f for f in failures if f.part == MEASUREMENT)
+    write_groups(folder / "frf.nc", _groups(compliances, found), missing)
     shutil.rmtree(folder / "tables", ignore_errors=True)
     for name, item in found.items():
         for table, frame in item.tables.items():
@@ -460,4 +534,5 @@ def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
         "settings": {m.name: m.settings() for m in campaign.measurements},
         "seconds": notes.seconds,
         "warnings": notes.warnings,
+        "failures": as_rows(notes.failures),
     }

@@ -43,9 +43,10 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
-def write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> Path:
-    """Write datasets as the groups of one NetCDF-4 file (complex numbers natively)."""
-    tree = xr.DataTree.from_dict({f"/{name}": dataset for name, dataset in groups.items()})
+def write_groups(path: Path, groups: Mapping[str, xr.Dataset], attrs: Mapping[str, str] | None = None) -> Path:
+    """Write datasets as the groups of one NetCDF-4 file (complex numbers natively), with attributes of the file."""
+    root = {"/": xr.Dataset(attrs=attrs)} if attrs else {}
+    tree = xr.DataTree.from_dict({**root, **{f"/{name}": dataset for name, dataset in groups.items()}})
     return write_atomically(path, lambda p: tree.to_netcdf(p, engine="h5netcdf"))
 
 

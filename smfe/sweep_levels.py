@@ -197,7 +197,7 @@ def level_cubes(
     campaign : Campaign
         As its file says, without `with_levels`.
     found : mapping of str to Identification
-        Measurements and levels.
+        Measurements and levels; those that could not be identified are not among them.
 
     Returns
     -------
@@ -209,10 +209,13 @@ def level_cubes(
     """
     pooled, cubes = {}, {}
     for measurement in campaign.measurements:
-        levels = {d: m.name for d, m in levels_of(measurement).items()}
+        levels = {d: m.name for d, m in levels_of(measurement).items() if m.name in found}
         if not levels:
             continue
         whole = by_level(measurement.name, {d: found[n] for d, n in levels.items()})
+        cubes[f"{measurement.name}, {BY_LEVEL}"] = whole.compliance
+        if measurement.name not in found:
+            continue
         one = found[measurement.name]
         pooled[measurement.name] = replace(
             one,
@@ -220,5 +223,4 @@ def level_cubes(
             tables={**one.tables, **whole.tables},
             warnings=(*one.warnings, *_differ(whole.tables["level_test"])),
         )
-        cubes[f"{measurement.name}, {BY_LEVEL}"] = whole.compliance
     return pooled, cubes

@@ -126,10 +126,11 @@ def test_a_second_run_reads_back_what_the_first_has_identified(demo: Path, monke
     before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
     compliance = read_groups(results / "frf.nc")["sweep"]
     pipeline.run(demo / "campaign.toml", results)
+    assert json.loads((results / "provenance.json").read_text())["failures"] == []
     assert {p.name: p.stat().st_mtime_ns for p in kept.iterdir()} == before
     assert read_groups(results / "frf.nc")["sweep"].identical(compliance)
     with pytest.raises(AssertionError, match="identified again"):
-        pipeline.run(demo / "campaign.toml", demo / "elsewhere")
+        pipeline.identify(demo / "campaign.toml", demo / "elsewhere" / "frf.nc")
 
 
 def test_a_changed_record_is_identified_again(demo: Path, tmp_path: Path) -> None:
@@ -342,8 +343,12 @@ BAD_INPUT = {
 }
 
 
+FILE_IS_WRONG = ("missing file", "missing campaign", "wrong unit", "unknown key", "only two sweeps", "broken TOML")
+"""What is wrong with the campaign file itself; everything else costs the part that needs it."""
+
+
 @pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_is_one_clear_message_and_exit_code_1(
+def test_bad_input_is_one_clear_message_and_exit_code_1_or_3(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change, write, words = BAD_INPUT[case]
@@ -351,13 +356,20 @@ def test_bad_input_is_one_clear_message_and_exit_code_1(
         (tmp_path / "campaign.toml").write_text(change(CAMPAIGN))
     write(tmp_path)  # type: ignore[operator]
     out = tmp_path / "results"
-    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", out) == 1
+    code = 1 if case in FILE_IS_WRONG else 3
+    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", out) == code
     said = capsys.readouterr()
     assert "Traceback" not in said.err + said.out
     for word in words:
         assert word in said.err, f"{case}: {said.err}"
     assert not list(tmp_path.rglob("*.part"))
-    assert not [p.name for p in out.glob("*") if p.name != pipeline.KEPT]
+    if code == 1:
+        assert not out.exists()
+    else:
+        failed = json.loads((out / "provenance.json").read_text())["failures"]
+        assert len(failed) == 1
+        for word in words:
+            assert word in failed[0]["reason"]
 
 
 def test_good_input_of_the_same_kind_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -372,15 +384,15 @@ def contents(folder: Path) -> dict[Path, bytes]:
     return {p: p.read_bytes() for p in files if pipeline.KEPT not in p.relative_to(folder).parts}
 
 
-def test_a_run_that_fails_leaves_an_older_folder_of_results_as_it_was(tmp_path: Path) -> None:
+def test_a_campaign_file_that_is_wrong_leaves_an_older_folder_of_results_as_it_was(tmp_path: Path) -> None:
     campaign, out = tmp_path / "campaign.toml", tmp_path / "results"
     with_cut(tmp_path)
     campaign.write_text(CAMPAIGN + CUTTING_TEST)
     pipeline.run(campaign, out)
     before = contents(out)
     assert {"frf.nc", "chatter.csv", "provenance.json"} <= {p.name for p in before}
-    campaign.write_text(CAMPAIGN.replace('name = "hammer"', 'name = "other"') + CUTTING_TEST + WRONG_COLUMN)
-    with pytest.raises(InputError, match="no column 'az'"):
+    campaign.write_text(CAMPAIGN.replace('name = "hammer"', 'name = "other"') + CUTTING_TEST + "teeth = 4\n")
+    with pytest.raises(InputError, match="teeth"):
         pipeline.run(campaign, out)
     assert contents(out) == before
 
@@ -501,14 +513,15 @@ def test_dependent_sweeps_are_refused_before_any_record_is_read(
     demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = (demo / "campaign.toml").read_text().replace('"records/', f'"{demo}/records/')
+    first, start = text.index("[[measurement]]"), text.index('[[measurement]]\nname = "sweep"')
+    text = text[:first] + text[start : text.index("[[measurement]]", start + 1)]
     for cut, width in (("down", 40), ("up", 40), ("central", 80)):
         text = text.replace(f'cut = "{cut}", width_of_cut = "12 mm"', f'cut = "{cut}", width_of_cut = "{width} mm"')
     (tmp_path / "campaign.toml").write_text(text)
-    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 1
+    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 3
     said = capsys.readouterr().err
     assert "add up to the slot" in said
     assert "identifying" not in said
-    assert not (tmp_path / "results").exists()
 
 
 @pytest.mark.parametrize("command", [("run", "--out"), ("diagnose", "-o")])

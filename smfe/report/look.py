@@ -28,7 +28,7 @@ METHODS = {
     "model": "model, not measured",
 }
 
-OUTCOMES = {"stable": "●", "chatter": "✕", "undecided": "▲"}
+OUTCOMES = {"stable": "●", "chatter": "✕", "undecided": "▲", "failed": "–"}
 """Outcome of a cutting test -> its mark; the shape says it, not the colour."""
 
 

@@ -13,6 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from smfe.failures import FAILED, LOBES, MEASUREMENT, PREDICTION, TEST
 from smfe.report import conditions, diagnosis, explained, figures, interactive, interactive_compliance, loops, tables
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
@@ -88,6 +89,7 @@ def render(results: Results, looks: dict[str, Line]) -> str:
         title=results.title,
         alone=results.diagnosis_alone,
         warnings=results.warnings,
+        failures=_failures(results),
         keep=round(100 * KEEP),
         **sections,
         css=Markup((_HERE / "static" / "report.css").read_text(encoding="utf-8")),
@@ -113,6 +115,23 @@ def _embedded(plots: dict[str, Any]) -> str:
     content["arrays"] = [json.loads(text) for text in arrays]
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _failures(results: Results) -> dict[str, list[dict[str, str]]]:
+    """Return what failed by the section in which it would have stood."""
+    section = {
+        MEASUREMENT: "compliance",
+        LOBES: "lobes",
+        TEST: "tests",
+        PREDICTION: "tests",
+        "comparison": "comparison",
+    }
+    out: dict[str, list[dict[str, str]]] = {name: [] for name in ("all", *section.values(), "other")}
+    for f in results.failures:
+        row = {"what": f"{f.part} {f.name}".strip(), "reason": f.reason}
+        out["all"].append(row)
+        out[section.get(f.part, "other")].append(row)
+    return out
 
 
 def _headline(results: Results) -> list[dict[str, Any]]:
@@ -180,10 +199,12 @@ def _unlimited(item: Lobes) -> str:
 def _spectra(results: Results, plots: dict[str, Any]) -> dict[str, Any]:
     tests = []
     end = interactive.common_end(list(results.spectra.values()))
-    for position, dataset in enumerate(results.spectra.values(), 1):
+    for position, (key, dataset) in enumerate(results.spectra.items(), 1):
         name = f"plot-spectrum-{position}"
         plots[name] = interactive.spectrum_figure(dataset, end)
-        observed = _observed(results.chatter, position - 1)
+        # A test that failed has a row in chatter.csv and no spectrum; the number says which row is meant.
+        number_of = key.rpartition("_")[2]
+        observed = _observed(results.chatter, int(number_of) - 1 if number_of.isdigit() else position - 1)
         tests.append({"plot": name, "attrs": {**_NO_TEST, **dataset.attrs}, "observed": observed})
     found = []
     if results.chatter is not None:
@@ -209,7 +230,7 @@ _NO_TEST: dict[str, Any] = {
 
 
 def _observed(chatter: pd.DataFrame | None, row: int) -> str:
-    """Return what the engineer observed; spectra and rows of chatter.csv stand in the same order."""
+    """Return what the engineer observed in the test of a row of chatter.csv."""
     if chatter is None or "observed" not in chatter or row >= len(chatter):
         return ""
     value = chatter["observed"].iloc[row]
@@ -229,7 +250,7 @@ def _disagreeing(chatter: pd.DataFrame | None) -> list[str]:
     if chatter is None:
         return []
     happened = outcomes(chatter)
-    other = (happened != chatter["verdict"]) & (chatter["verdict"] != "undecided")
+    other = (happened != chatter["verdict"]) & ~chatter["verdict"].isin(["undecided", FAILED])
     return [str(f) for f in chatter["file"][other]]
 
 

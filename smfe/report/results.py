@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, check_compliance
+from smfe.failures import Failures, of_file, unpack
 from smfe.store import read_groups, unpack_warnings
 
 BAD_CONDITION = 30.0
@@ -216,6 +217,13 @@ class Results:
             self.loops,
         )
         return bool(self.finding) and not any(others) and all(frame is None for frame in frames)
+
+    @property
+    def failures(self) -> Failures:
+        """What failed, as provenance.json says; without it as the files of compliances and lobes say."""
+        if self.provenance:
+            return unpack(self.provenance)
+        return [f for name in ("frf.nc", "lobes.nc") for f in of_file(self.folder / name)]
 
     @property
     def requests(self) -> dict[str, list[Lobes]]:

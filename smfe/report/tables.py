@@ -148,7 +148,7 @@ def _predictions(frame: pd.DataFrame, source: str, happened: pd.Series[str]) -> 
     limits = frame.get(f"limit_{source}_mm", pd.Series(np.nan, index=frame.index))
     out = []
     for limit, predicted, outcome in zip(limits, frame[f"predicted_{source}"], happened, strict=True):
-        wrong = " (wrong)" if outcome in ("stable", "chatter") and predicted != outcome else ""
+        wrong = " (wrong)" if {outcome, predicted} == {"stable", "chatter"} else ""
         out.append(f"{number(limit)}, {predicted}{wrong}")
     return out
 

@@ -1,0 +1,197 @@
+"""Nothing is lost because one thing fails: every part alone, and every output says what is missing in it."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from process.errors import InputError
+from smfe import cli, failures, pipeline
+from smfe.failures import Failure, attempt, of_file, unpack
+from smfe.store import read_groups
+
+CAMPAIGN = """
+[campaign]
+name = "Small"
+[tool]
+diameter = "80 mm"
+teeth = 2
+[material]
+Ktc = "1900 N/mm^2"
+Krc = "800 N/mm^2"
+Kac = "300 N/mm^2"
+[channels]
+time = { column = "t", unit = "s" }
+force_x = { column = "Fx", unit = "N" }
+acceleration_x = { column = "ax", unit = "m/s^2" }
+[[measurement]]
+name = "hammer"
+method = "hammer"
+records = [ { file = "hit.csv", excitation = "x" } ]
+"""
+
+MODEL = """
+[[model]]
+name = "m"
+modes = [ { frequency = "50 Hz", damping = 0.03, stiffness = "20 N/um", direction = [0.6, 0.7, 0.4] } ]
+"""
+
+CUTTING_TEST = """
+[[cutting_test]]
+file = "cut.csv"
+spindle_speed = "1500 rpm"
+depth_of_cut = "1 mm"
+cut = "down"
+width_of_cut = "40 mm"
+feed_per_tooth = "0.1 mm"
+"""
+
+WRONG_COLUMN = '[cutting_test.channels]\nacceleration_x = { column = "az", unit = "m/s^2" }\n'
+
+
+def hits() -> pd.DataFrame:
+    """Three hits on a mode of 50 Hz."""
+    t = np.arange(12000) / 2000.0
+    force, motion = np.zeros(t.size), np.zeros(t.size)
+    for start in (0.1, 2.1, 4.1):
+        u = t - start
+        force += np.where((u > 0) & (u < 4e-3), 1000 * np.sin(np.pi * np.clip(u, 0, 4e-3) / 4e-3), 0.0)
+        motion += np.where(u > 4e-3, -np.exp(-10 * u) * np.sin(2 * np.pi * 50 * u), 0.0)
+    noise = np.random.default_rng(1).standard_normal((2, t.size))
+    return pd.DataFrame({"t": t, "Fx": force + 0.1 * noise[0], "ax": motion + 1e-3 * noise[1]})
+
+
+def cut() -> pd.DataFrame:
+    """A stable cut with 2 teeth at 1500 rpm."""
+    t = np.arange(16000) / 2000.0
+    motion = 10 * np.cos(2 * np.pi * 50.0 * t) + 0.02 * np.random.default_rng(2).standard_normal(t.size)
+    return pd.DataFrame({"t": t, "Fx": 10 * motion, "ax": motion})
+
+
+def smfe(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run the command line in this process and return its exit code."""
+    monkeypatch.setattr(sys, "argv", ["smfe", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        cli.app_entry()
+    return int(stop.value.code or 0)
+
+
+SECOND = """
+[[measurement]]
+name = "broken"
+method = "hammer"
+records = [ { file = "broken.csv", excitation = "x" } ]
+"""
+
+LOBES = """
+[[lobes]]
+measurements = ["hammer", "broken", "m"]
+method = "{method}"
+cut = "down"
+width_of_cut = "40 mm"
+feed_per_tooth = "0.1 mm"
+spindle_speed = ["900 rpm", "1000 rpm", "10 rpm"]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign with a measurement, a request, a prediction and a cutting test that cannot be had; run."""
+    folder = tmp_path_factory.mktemp("parts")
+    broken = hits()
+    broken.loc[77, "ax"] = np.nan
+    for name, table in {"hit": hits(), "broken": broken, "cut": cut(), "other": cut()}.items():
+        table.to_csv(folder / f"{name}.csv", index=False)
+    # The hammer shows 1 x 1 of the compliance from 0 to 1000 Hz: zero order can be had of it, an operating point not.
+    requests = LOBES.format(method="zero_order") + LOBES.format(method="operating_point").replace(', "broken"', "")
+    tests = CUTTING_TEST.replace("cut.csv", "other.csv") + WRONG_COLUMN + CUTTING_TEST
+    (folder / "campaign.toml").write_text(CAMPAIGN + SECOND + MODEL + requests + tests)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> Path:
+    return pipeline.run(folder / "campaign.toml", folder / "results").parent
+
+
+def test_what_does_not_fail_is_as_it_would_have_been(folder: Path, results: Path) -> None:
+    text = (folder / "campaign.toml").read_text().replace(SECOND, "").replace(', "broken"', "")
+    text = text[: text.rindex("[[lobes]]")] + CUTTING_TEST
+    (folder / "healthy.toml").write_text(text)
+    alone = pipeline.run(folder / "healthy.toml", folder / "alone").parent
+    assert set(read_groups(results / "frf.nc")) == {"hammer", "m"}
+    assert read_groups(results / "frf.nc")["hammer"].identical(read_groups(alone / "frf.nc")["hammer"])
+    for source in ("hammer", "m"):
+        one, two = (read_groups(f / "lobes.nc")[f"lobes_1/{source}"]["limit_depth"] for f in (results, alone))
+        np.testing.assert_array_equal(one, two)
+    rows = [pd.read_csv(f / "chatter.csv").iloc[-1] for f in (results, alone)]
+    for column in ("file", "verdict", "ratio", "predicted_hammer", "limit_m_mm"):
+        assert rows[0][column] == rows[1][column]
+
+
+def test_every_output_says_in_its_place_what_failed(results: Path) -> None:
+    kept = json.loads((results / "provenance.json").read_text())["failures"]
+    parts = {(f["part"], f["name"]) for f in kept}
+    assert parts == {
+        ("measurement", "broken"),
+        ("lobes", "lobes_1, broken"),
+        ("lobes", "lobes_2, hammer + m"),
+        ("prediction", "hammer + m for 2 cutting tests"),
+        ("cutting test", "other.csv"),
+    }
+    assert of_file(results / "frf.nc") == [f for f in unpack({"failures": kept}) if f.part == "measurement"]
+    assert {f.name for f in of_file(results / "lobes.nc")} == {"lobes_1, broken", "lobes_2, hammer + m"}
+    chatter = pd.read_csv(results / "chatter.csv", keep_default_na=False).set_index("file")
+    assert chatter.loc["other.csv", "verdict"] == "failed"
+    assert "no column 'az'" in chatter.loc["other.csv", "reason"]
+    assert chatter.loc["cut.csv", "verdict"] == "stable"
+    assert set(chatter["predicted_broken"]) == set(chatter["predicted_hammer + m"]) == {"failed"}
+    assert set(chatter["predicted_m"]) <= {"stable", "chatter"}
+    page = (results / "report.html").read_text()
+    assert "5 parts of what was asked for failed" in page
+    for name in ("measurement broken", "lobes lobes_1, broken", "cutting test other.csv"):
+        assert f"<strong>{name} failed</strong>" in page
+    assert "acceleration_x" in page[page.index("measurement broken failed") :]
+
+
+def test_exit_code_3_and_what_failed_in_the_terminal(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert smfe(monkeypatch, "run", folder / "campaign.toml", "--out", folder / "again", "--json") == 3
+    said = capsys.readouterr()
+    assert {f["name"] for f in json.loads(said.out)["failures"]} >= {"broken", "other.csv"}
+    assert "failed, cutting test other.csv: " in said.err
+    frf, lobes = folder / "single.nc", folder / "lobes.nc"
+    assert smfe(monkeypatch, "identify", folder / "campaign.toml", "-o", frf) == 3
+    assert [f.name for f in of_file(frf)] == ["broken"]
+    assert smfe(monkeypatch, "lobes", folder / "campaign.toml", "-o", lobes, "--table", folder / "t.csv") == 3
+    assert set(read_groups(lobes)) == {"lobes_1/hammer", "lobes_1/m"}
+    assert "failed, lobes lobes_2, hammer + m: " in capsys.readouterr().err
+
+
+def test_a_command_of_which_nothing_is_left_writes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = CAMPAIGN.replace("hit.csv", "broken.csv")
+    (folder / "nothing.toml").write_text(text)
+    assert smfe(monkeypatch, "identify", folder / "nothing.toml", "-o", folder / "nothing.nc") == 1
+    assert not (folder / "nothing.nc").exists()
+    assert smfe(monkeypatch, "run", folder / "nothing.toml", "--out", folder / "nothing") == 3
+    assert "measurement hammer failed" in (folder / "nothing" / "report.html").read_text()
+
+
+def test_a_mistake_of_ours_costs_its_part_and_an_interruption_everything() -> None:
+    kept: list[Failure] = []
+    with attempt(kept, "lobes", "a"):
+        raise InputError("give more")
+    with attempt(kept, "lobes", "b"):
+        np.zeros(2)[5]
+    assert [f.name for f in kept] == ["a", "b"]
+    assert kept[0].reason == "give more"
+    assert "a mistake in smfe (IndexError in test_failures.py, line" in kept[1].reason
+    with pytest.raises(KeyboardInterrupt), attempt(kept, "lobes", "c"):
+        raise KeyboardInterrupt
+    with pytest.raises(InputError), attempt(None, "lobes", "c"):
+        raise InputError("no collector")
+    assert failures.unpack({}) == []
