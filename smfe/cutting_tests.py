@@ -71,9 +71,9 @@ def judge_all(
             if failures is None:
                 raise
             failures.append(failure_of(TEST, test.file.name, error))
-            rows.append(_row(campaign, test, {"verdict": FAILED, "reason": failures[-1].reason}) | predicted)
+            rows.append(_row(campaign, test, None, failures[-1].reason) | predicted)
             continue
-        rows.append(_row(campaign, test, vars(verdict)) | predicted)
+        rows.append(_row(campaign, test, verdict, verdict.reason) | predicted)
         assert campaign.tool is not None
         spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1])
     if failures is not None:
@@ -132,18 +132,32 @@ def judge(campaign: Campaign, test: CuttingTest) -> ChatterVerdict:
         raise InputError(f"cutting test '{test.file.name}': {error}") from error
 
 
-def _row(campaign: Campaign, test: CuttingTest, judged: Mapping[str, Any]) -> dict[str, Any]:
-    return {
+def _row(campaign: Campaign, test: CuttingTest, verdict: ChatterVerdict | None, reason: str) -> dict[str, Any]:
+    """Return what the criterion says of a test; without a verdict the test failed, and the reason says why."""
+    head = {
         "file": test.file.name,
         "spindle_speed_rpm": round(test.spindle_speed, 6),
         "depth_of_cut_mm": round(test.depth_of_cut * 1e3, 9),
-        "verdict": judged["verdict"],
-        "ratio": judged.get("ratio", math.nan),
-        "chatter_frequency_Hz": judged.get("chatter_frequency_Hz", math.nan),
-        "tooth_passing_harmonic_Hz": judged.get("tooth_passing_harmonic_Hz", math.nan),
+    }
+    given = {
         "observed": test.observed or "",
         "controller": test.controller or "",
         "feed_mm_min": math.nan if test.feed is None else round(max(map(abs, test.feed.values())) * 6e4, 9),
+    }
+    end = {
+        "half_order_reference": math.nan if test.half_order_reference is None else test.half_order_reference,
+        "lobes": _matching_request(campaign, test),
+        "reason": reason,
+    }
+    if verdict is None:
+        return {**head, "verdict": FAILED, "ratio": math.nan, "chatter_frequency_Hz": math.nan, **given, **end}
+    return {
+        **head,
+        "verdict": verdict.verdict,
+        "ratio": verdict.ratio,
+        "chatter_frequency_Hz": verdict.chatter_frequency_Hz,
+        "tooth_passing_harmonic_Hz": verdict.tooth_passing_harmonic_Hz,
+        **given,
         "quantity": verdict.quantity,
         "axes": " ".join(verdict.axes),
         "interval_start_s": verdict.interval_s[0],
@@ -152,9 +166,7 @@ def _row(campaign: Campaign, test: CuttingTest, judged: Mapping[str, Any]) -> di
         "frequency_high_Hz": verdict.frequency_range_Hz[1],
         "floor": f"{verdict.floor:g} {verdict.unit}",
         "half_order_ratio": verdict.half_order_ratio,
-        "half_order_reference": math.nan if test.half_order_reference is None else test.half_order_reference,
-        "lobes": _matching_request(campaign, test),
-        "reason": judged["reason"],
+        **end,
     }
 
 
