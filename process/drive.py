@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -24,8 +25,16 @@ from process.errors import InputError
 from process.labels import axis_present, label, make_compliance, sample_interval
 from process.servo import Plant, QuasiPolynomial, Servo, position_characteristic, require_stable
 
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
 _EXCITED = 1e-3
 _NEIGHBOURS = 9
+_DIFFERENCE = 5
+_WIDE = 41
+
+LARGEST_MISFIT = 3.0
+"""Misfit above which `fit_open_loop` refuses: Eq. (2) is then not what was measured."""
 
 
 @dataclass(frozen=True)
@@ -263,6 +272,11 @@ def open_loop_response(
     not touch. Then ``H = <X>/<F>`` with the Fourier coefficients averaged over whole periods: free of leakage, and free
     of the bias that noise in a closed loop gives to cross spectra, as that averages out before the division.
 
+    What friction and play distort repeats with the period: the scatter of the periods does not have it. It acts like a
+    force d beside the drive force, different from line to line, so that the relative error of H is ``d/|F|``. Its
+    size is read off the lines: a fourth difference of ``w^2 H`` over five neighbours removes the smooth response and
+    leaves ``d``, whose median over 41 lines is taken where it exceeds what the noise makes by three standard errors.
+
     Parameters
     ----------
     record : xarray.Dataset
@@ -284,8 +298,9 @@ def open_loop_response(
     -------
     xarray.Dataset
         Over ``frequency`` [Hz], the excited lines: ``response`` [m/N]; ``std`` [m/N], the root mean square of its
-        complex error, from the scatter ``X_p - H F_p`` of the P periods, its power averaged over nine lines;
-        ``coherence`` [1] over the periods. `fit_open_loop` takes the first three. Attribute ``periods``: P.
+        complex error, of noise and distortion; ``noise_std`` [m/N], of noise alone, from the scatter ``X_p - H F_p``
+        of the P periods, its power averaged over nine lines; ``coherence`` [1] over the periods. `fit_open_loop` takes
+        the first three. Attribute ``periods``: P.
 
     Raises
     ------
@@ -315,14 +330,43 @@ def open_loop_response(
     h = x / f
     scatter = np.sum(np.abs(x_p - h * f_p) ** 2, axis=0) / (count * (count - 1))
     std = np.sqrt(ndimage.uniform_filter1d(scatter, min(_NEIGHBOURS, scatter.size), mode="nearest")) / np.abs(f)
+    distortion = _distortion(frequency, h, np.abs(f), std)
     cross = np.abs(np.sum(x_p * np.conj(f_p), axis=0)) ** 2
     coherence = cross / (np.sum(np.abs(x_p) ** 2, axis=0) * np.sum(np.abs(f_p) ** 2, axis=0))
     data = {
         "response": ("frequency", h, {"units": "m/N"}),
-        "std": ("frequency", std, {"units": "m/N"}),
+        "std": ("frequency", np.hypot(std, distortion), {"units": "m/N"}),
+        "noise_std": ("frequency", std, {"units": "m/N"}),
         "coherence": ("frequency", coherence, {"units": "1"}),
     }
     return label(xr.Dataset(data, coords={"frequency": frequency}, attrs={"axis": axis, "periods": count}))
+
+
+def _distortion(frequency: Real, response: Complex, force: Real, noise: Real) -> Real:
+    """Root mean square error of a response that repeats with the period [m/N]; zero where noise explains all."""
+    if frequency.size < 4 * _DIFFERENCE:
+        return np.zeros(frequency.size)
+    square = (2.0 * np.pi * frequency) ** 2
+    places = np.lib.stride_tricks.sliding_window_view(frequency, _DIFFERENCE)
+    apart = places[:, :, None] - places[:, None, :] + np.eye(_DIFFERENCE)
+    share = 1.0 / np.prod(apart / np.abs(apart).max(axis=(1, 2), keepdims=True), axis=2)
+
+    def over(values: NDArray[Any]) -> NDArray[Any]:
+        return np.lib.stride_tricks.sliding_window_view(values, _DIFFERENCE)
+
+    left = np.abs(np.sum(share * over(square * response), axis=1)) ** 2
+    unit = np.sum((share * over(square * np.abs(response) / force)) ** 2, axis=1)
+    of_noise = np.sum((share * over(square * noise)) ** 2, axis=1) / unit
+    # The median of an exponential distribution is ln 2 of its mean.
+    of_all = left / unit / math.log(2.0)
+    independent = of_all.size / (0.5 * _DIFFERENCE)
+    excess = 1.0 + 3.0 / (math.log(2.0) * math.sqrt(independent))
+    if not np.median(of_all / np.maximum(of_noise, 1e-300)) > excess:
+        return np.zeros(frequency.size)
+    size = min(_WIDE, of_all.size)
+    smooth = ndimage.median_filter(of_all, size, mode="nearest") - ndimage.median_filter(of_noise, size, mode="nearest")
+    at = np.clip(np.arange(frequency.size) - _DIFFERENCE // 2, 0, smooth.size - 1)
+    return np.asarray(np.abs(response) / force * np.sqrt(np.maximum(smooth[at], 0.0)))
 
 
 def _periods_of(
@@ -372,7 +416,8 @@ class OpenLoopFit:
     covariance : ndarray, shape (6, 6)
         Of the parameters, in the order of `PARAMETERS` (SI).
     misfit : float
-        Root mean square of the weighted complex residual; with the default weight, relative to the response.
+        Root mean square of the complex residual over its standard deviation, 1 where Eq. (2) is what was measured;
+        relative to the response where no standard deviation is given.
     """
 
     drive: Drive
@@ -390,7 +435,8 @@ def fit_open_loop(
     Least squares of ``(model - response)/std``, or of the complex ``ln(model/response)`` where no std is given: for
     noise in proportion to the response that is unbiased, which ``model/response - 1`` is not. Masses, stiffness and
     damping are fitted as logarithms, so they stay positive. The uncertainty is ``s^2 (J^T J)^-1`` with s^2 from the
-    residual, 2 n - 6 degrees of freedom.
+    residual, 2 n - 6 degrees of freedom. A misfit above `LARGEST_MISFIT` is refused, and so are masses or a stiffness
+    that the response does not determine.
 
     Parameters
     ----------
@@ -399,7 +445,8 @@ def fit_open_loop(
     response : array_like of complex, shape (n,)
         Position over force [m/N].
     std : array_like, shape (n,), optional
-        Standard deviation of the response [m/N], on any common scale; default in proportion to its magnitude.
+        Root mean square of the complex error of the response [m/N], that of `open_loop_response`; default in proportion
+        to its magnitude, of unknown size.
     start : Drive, optional
         First guess; default read off the anti-resonance, the resonance and the low-frequency mass line.
 
@@ -411,12 +458,17 @@ def fit_open_loop(
     Raises
     ------
     InputError
-        With fewer than 4 lines, or when the least squares do not converge.
+        With fewer than 4 lines, a standard deviation that is not positive, when the least squares do not converge, when
+        the misfit is large, when the anti-resonance is not in the band, or when a mass or the stiffness is uncertain by
+        more than half of itself.
     """
     f, h = np.asarray(frequency, dtype=float), np.asarray(response, dtype=np.complex128)
     if f.size < 4 or f.shape != h.shape or not np.all(f > 0.0):
         raise InputError(f"{f.size} frequencies and {h.size} values; at least 4 lines above 0 Hz are needed")
-    weight = None if std is None else 1.0 / np.asarray(std, dtype=float)
+    scatter = np.ones(f.size) if std is None else np.broadcast_to(np.asarray(std, dtype=float), f.shape)
+    if not np.all((scatter > 0.0) & np.isfinite(scatter)):
+        raise InputError("a standard deviation of the response is not a positive number; give that of each line [m/N]")
+    weight = None if std is None else 1.0 / scatter
     first = _first_guess(f, h) if start is None else start
     # Logarithms for what is positive; the other two in units that make them of order one.
     theta0 = np.array([*np.log([first.moving_mass, first.tip_mass, first.stiffness, first.damping]), 0.0, 0.0])
@@ -436,16 +488,49 @@ def fit_open_loop(
     if not found.success:
         raise InputError("the fit of Eq. (2) did not converge; check the band, or give a start")
     drive, delay = model(found.x)
-    return _with_uncertainty(drive, delay, np.asarray(found.jac), found.fun, unit)
+    fit = _with_uncertainty(drive, delay, np.asarray(found.jac), found.fun, unit)
+    _require_sound(fit, f, weight is not None)
+    return fit
+
+
+def _require_sound(fit: OpenLoopFit, frequency: Real, weighted: bool) -> None:
+    """Refuse a fit that is not what was measured, or does not determine what it names."""
+    if weighted and not fit.misfit <= LARGEST_MISFIT:
+        raise InputError(
+            f"Eq. (2) misses the response by {fit.misfit:.3g} times its standard deviation (root mean square), more "
+            f"than {LARGEST_MISFIT:g}: the parameters would be wrong by more than they state. Either the axis has more "
+            "than two masses in the band (narrow it), or friction distorts the response (move the axis faster than it "
+            "vibrates, or excite it less), or the standard deviation is too small"
+        )
+    anti_resonance = fit.drive.locked_frequency
+    if not (frequency.min() <= anti_resonance <= frequency.max() and 1e-5 < fit.drive.locked_damping < 1.0):
+        raise InputError(
+            f"the fit of Eq. (2) has its anti-resonance at {anti_resonance:.3g} Hz with a damping ratio of "
+            f"{fit.drive.locked_damping:.3g}, for lines from {frequency.min():.4g} to {frequency.max():.4g} Hz: no tip "
+            "vibrates so on a carriage; give a band that holds the anti-resonance and the resonance"
+        )
+    for name in ("moving_mass", "tip_mass", "stiffness"):
+        value, std = getattr(fit.drive, name), fit.std[name]
+        if not std < 0.5 * value:
+            raise InputError(
+                f"the {name.replace('_', ' ')} comes out as {value:.3g} with a standard deviation of {std:.2g}: the "
+                "response does not determine it; the band must hold the anti-resonance and the resonance, with lines "
+                "between them that stand above noise and distortion"
+            )
 
 
 def _with_uncertainty(
     drive: Drive, delay: float, jacobian: NDArray[np.float64], residual: NDArray[np.float64], unit: NDArray[np.float64]
 ) -> OpenLoopFit:
     variance = float(residual @ residual) / max(1, residual.size - len(PARAMETERS))
-    # d parameter/d theta: a logarithm's is the parameter itself.
+    # d parameter/d theta: a logarithm's is the parameter itself. A direction that changes nothing is uncertain without
+    # end, which a pseudo-inverse would call certain.
+    norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-100)
+    _, values, right = np.linalg.svd(jacobian / norm, full_matrices=False)
+    root = right.T / np.maximum(values, 1e-15 * values[0]) / norm[:, None]
     scale = np.array([drive.moving_mass, drive.tip_mass, drive.stiffness, drive.damping, *unit[4:]])
-    covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian) * np.outer(scale, scale), dtype=float)
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance = np.asarray(variance * (root @ root.T) * np.outer(scale, scale), dtype=float)
     std = dict(zip(PARAMETERS, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     misfit = math.sqrt(2.0 * float(residual @ residual) / residual.size)
     return OpenLoopFit(drive, delay, std, covariance, misfit)

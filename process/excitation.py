@@ -53,6 +53,13 @@ class Excitation(ABC):
     def end(self) -> float:
         """Time [s] after which there is no force."""
 
+    def jumps(self) -> tuple[Real, Real]:
+        """Return the times [s], rising, at which a force that is held changes, and by how much [N]; by default none.
+
+        From a jump on, `force` has its later value.
+        """
+        return np.zeros(0), np.zeros(0)
+
 
 @dataclass(frozen=True)
 class HalfSine(Excitation):
@@ -217,6 +224,12 @@ class Sum(Excitation):
     def force(self, time: Real) -> Real:
         """Return the force [N] at times [s]."""
         return _total(self.parts, time)
+
+    def jumps(self) -> tuple[Real, Real]:
+        """Return the times [s] of the jumps of all parts, and their heights [N]."""
+        times, heights = (np.concatenate(v) for v in zip(*(part.jumps() for part in self.parts), strict=True))
+        order = np.argsort(times)
+        return times[order], heights[order]
 
     @property
     def shortest(self) -> float:
@@ -503,6 +516,13 @@ class PseudoRandom(Excitation):
         tick = np.floor((np.asarray(time, dtype=float) - self.start) * self.clock + 1e-6).astype(int)
         inside = (tick >= 0) & (tick < self.periods * self.length)
         return np.where(inside, self.sequence()[tick % self.length], 0.0)
+
+    def jumps(self) -> tuple[Real, Real]:
+        """Return the ticks [s] at which the force changes, with the first and the last, and by how much [N]."""
+        held = np.concatenate([[0.0], np.tile(self.sequence(), self.periods), [0.0]])
+        change = np.diff(held)
+        at = np.flatnonzero(change)
+        return self.start + at / self.clock, change[at]
 
     @property
     def shortest(self) -> float:

@@ -84,5 +84,5 @@ class Struck:
             When friction and joints cannot be solved for, or the tool leaves the range of 1 m.
         """
         r = self._ready
-        run = march(r, pack_blow(blow, r.step, r.steps), {}, keep=1, accuracy=self._accuracy, rest=rest)
+        run = march(r, pack_blow(blow, r.step, r.steps), [], keep=1, accuracy=self._accuracy, rest=rest)
         return displacement_of(r.problem, run)

@@ -13,6 +13,7 @@ from process.errors import InputError
 from process.machine_linear import System
 from process.machine_packing import (
     HALVINGS,
+    Sampled,
     pack_cut,
     pack_elements,
     pack_linear,
@@ -53,7 +54,7 @@ def made_ready(p: Problem, system: System, step: float, steps: int) -> Ready:
 def march(
     r: Ready,
     given: machine_parts.Given,
-    force: dict[str, Real],
+    forces: list[Sampled],
     *,
     keep: int,
     accuracy: float,
@@ -65,7 +66,7 @@ def march(
     ----------
     r : Ready
         The machine.
-    given, force
+    given, forces
         From `process.machine_packing.pack_forces`.
     keep : int
         Steps a sample.
@@ -93,7 +94,12 @@ def march(
     worst, largest = work.tally[machine_parts.WORST], work.tally[machine_parts.LARGEST]
     share = float(worst / largest) if largest > 0.0 else 0.0
     lost, thickest = float(work.cutting[machine_parts.LOST]), float(work.cutting[machine_parts.THICKEST])
-    return Run(states, inputs, force, r.step, keep, r.linear.places, share, lost, thickest, done)
+    # Within a step forces over time are not what their parabolas are at its start: `as_record` adds them as sampled.
+    pushes = list(zip(given.target.tolist(), forces, strict=False))
+    for (target, _), values in zip(pushes, given.values, strict=False):
+        n = min(values.shape[0], done)
+        inputs[:n, target] -= values[:n, 0]
+    return Run(states, inputs, pushes, r.step, keep, r.linear.places, share, lost, thickest, done)
 
 
 def _require_near(p: Problem, coordinates: Real, end: int, done: int, step: float) -> None:

@@ -13,8 +13,8 @@ from scipy import signal
 
 from process import _machine_kernels as kernels
 from process.labels import AXES, UNITS, axis_index
-from process.machine_linear import System, gains
-from process.machine_packing import SUB
+from process.machine_linear import System, gains, reach
+from process.machine_packing import SUB, Sampled, stairs
 from process.machine_problem import Problem
 from process.structure import Structure
 from process.units import from_si
@@ -31,14 +31,14 @@ _NIL = 1e-12
 
 
 class Run(NamedTuple):
-    """Inputs and states at the start of each step, what there is of forces on the tool, and how it went.
+    """Inputs and states at the start of each step, forces over time (input, as sampled) apart, and how it went.
 
     After `done` steps all was at rest, and is.
     """
 
     states: Real
     inputs: Real
-    force: dict[str, Real]
+    forces: list[tuple[int, Sampled]]
     step: float
     keep: int
     places: Real
@@ -90,10 +90,7 @@ def moving_axes(p: Problem) -> list[int]:
 
 
 def _tool_rows(p: Problem, system: System, at: int, axes: list[int]) -> Real:
-    """Rows of displacement and acceleration of the tool along axes, for (state, inputs, elements) of a structure.
-
-    Forces that are given act on the acceleration later, as sampled; that of a cut does here.
-    """
+    """Rows of displacement and acceleration of the tool along axes, for (state, inputs, elements) of a structure."""
     n, tools, (a, b) = system.n, len(p.tools), system.matrices[at]
     tool = p.structures[at].tool[axes]
     targets = [tools + i for i in system.rubbing] + [tools + len(p.servos) + k for k in range(len(p.machine.joints))]
@@ -101,8 +98,6 @@ def _tool_rows(p: Problem, system: System, at: int, axes: list[int]) -> Real:
     place = np.zeros((len(axes), system.size + direct.shape[1] + len(targets)))
     place[:, :n] = tool
     push = np.hstack([tool @ a[n : 2 * n], direct, direct[:, targets]])
-    if p.cut is None:
-        push[:, system.size : system.size + tools] = 0.0
     return np.vstack([place, push])
 
 
@@ -135,27 +130,52 @@ def _shares(places: Real, points: int) -> list[Real]:
     return [np.clip(1.0 - np.abs(places - k), 0.0, 1.0) for k in range(points)]
 
 
-def _tool_force(p: Problem, run: Run, samples: int) -> Real:
-    """Force on the tool, (3, samples)."""
-    if p.cut is not None:
-        return _slow(run.inputs[:, :3].T, run.keep, samples)
-    force = np.zeros((3, samples))
-    for row, fine in zip(axis_index(list(run.force)), run.force.values(), strict=True):
-        plain = fine[None, ::SUB] if run.keep == 1 else fine[None]
-        force[row] = _slow(plain, 1 if run.keep == 1 else run.keep * SUB, samples)[0]
-    return force
+def _pushes(run: Run, samples: int) -> Real:
+    """Forces over time as the record has them, (forces, samples)."""
+    parts = 1 if run.keep == 1 else SUB
+    out = np.zeros((len(run.forces), samples))
+    for row, (_, force) in zip(out, run.forces, strict=True):
+        plain = force.smooth[:: SUB // parts]
+        if force.at.size:
+            plain = plain + stairs(force.at * parts, force.height, plain.size)
+        row[:] = _slow(plain[None], run.keep * parts if parts > 1 else 1, samples)[0]
+    return out
 
 
-def _push_directly(p: Problem, force: Real, acceleration: Real, axes: list[int]) -> None:
-    """Add to the acceleration of the tool what forces that are given do to it."""
-    pushed, samples = axis_index(list(p.forces)), force.shape[1]
-    if p.cut is not None or not pushed:
+def _add_pushes(p: Problem, run: Run, axes: list[int], slow: Real, force: Real) -> None:
+    """Add forces over time to the force on the tool (3, samples), the drive forces, and the acceleration of the tool.
+
+    slow: displacement and acceleration of the tool along axes, positions and drive forces of the slides.
+    """
+    m, tools, samples = len(axes), len(p.tools), force.shape[1]
+    targets, pushes = [target for target, _ in run.forces], _pushes(run, samples)
+    if not targets:
         return
-    place, given = np.arange(samples) / samples * (len(p.structures) - 1.0), force[pushed]
+    rows = axis_index(p.tools)
+    for target, push in zip(targets, pushes, strict=True):
+        if target < tools:
+            force[rows[target]] += push
+        elif slow.shape[0] > 2 * m:
+            slow[2 * m + len(p.servos) + target - tools] += push
+    place = np.arange(samples) / samples * (len(p.structures) - 1.0)
     for share, structure in zip(_shares(place, len(p.structures)), p.structures, strict=True):
         if share.any():
-            prompt = structure.tool[axes] @ np.linalg.solve(structure.mass, structure.tool[pushed].T)
-            acceleration += prompt @ (share * given)
+            prompt = structure.tool[axes] @ np.linalg.solve(structure.mass, reach(p, structure)[targets].T)
+            slow[m : 2 * m] += prompt @ (share * pushes)
+
+
+def _hold(drive_forces: Real, every: int) -> None:
+    """Weigh drive forces (slides, steps) that sampled servos hold for so many steps as integrals do."""
+    ticks = np.arange(0, drive_forces.shape[1], every)
+    for row in drive_forces:
+        row[:] = stairs(ticks.astype(float), np.diff(row[ticks], prepend=0.0), row.size)
+
+
+def _cutting_force(p: Problem, run: Run, samples: int) -> Real:
+    """Force of the cut on the tool, (3, samples)."""
+    if p.cut is None:
+        return np.zeros((3, samples))
+    return _slow(run.inputs[:, :3].T, run.keep, samples)
 
 
 def displacement_of(p: Problem, run: Run) -> Real:
@@ -169,9 +189,9 @@ def displacement_of(p: Problem, run: Run) -> Real:
 def as_motion(p: Problem, system: System, run: Run, sample_rate: float) -> Motion:
     """Low-pass the motion of the tool."""
     samples, axes = round(p.total * sample_rate), moving_axes(p)
-    m, force = len(axes), _tool_force(p, run, samples)
+    m, force = len(axes), _cutting_force(p, run, samples)
     slow = _slow(_channels(run, [_tool_rows(p, system, k, axes) for k in range(len(p.structures))]), run.keep, samples)
-    _push_directly(p, force, slow[m:], axes)
+    _add_pushes(p, run, axes, slow, force)
     out = np.zeros((2, 3, samples))
     out[:, axes] = slow.reshape(2, m, samples)
     return Motion(np.arange(samples) / sample_rate, force, out[0], out[1])
@@ -185,8 +205,10 @@ def as_record(p: Problem, system: System, run: Run, sample_rate: float, poles: i
         tool = _tool_rows(p, system, k, axes)
         rows.append(np.vstack([tool, _slide_rows(p, system, structure, axes, tool.shape[1])]))
     every, m, count = _channels(run, rows), len(axes), len(p.servos)
-    slow, force = _slow(every[: 2 * (m + count)], run.keep, samples), _tool_force(p, run, samples)
-    _push_directly(p, force, slow[m : 2 * m], axes)
+    if p.control is not None and run.keep > 1:
+        _hold(every[2 * m + count : 2 * (m + count)], max(1, round(p.control.period / run.step)))
+    slow, force = _slow(every[: 2 * (m + count)], run.keep, samples), _cutting_force(p, run, samples)
+    _add_pushes(p, run, axes, slow, force)
     record = _labelled(p, sample_rate, axes, force[axes], slow)
     record.attrs.update(_attributes(p, run))
     at_steps = every[:, : samples * run.keep]

@@ -86,10 +86,10 @@ def _prepared(p: Problem, sample_rate: float, step: float | None, accuracy: floa
     h = 1.0 / (sample_rate * keep)
     # The low-pass looks ahead: march beyond the end of the record.
     steps = (round(p.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
-    given, force = pack_forces(p, h, steps)
+    given, forces = pack_forces(p, h, steps)
     # A mode rings after an impulse with a force of its frequency times that.
     given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.impulse)))
-    return system, march(made_ready(p, system, h, steps), given, force, keep=keep, accuracy=accuracy)
+    return system, march(made_ready(p, system, h, steps), given, forces, keep=keep, accuracy=accuracy)
 
 
 def simulate_machine(
@@ -160,13 +160,16 @@ def simulate_machine(
     xarray.Dataset
         ``force``, ``displacement`` and ``acceleration`` of the tool (deviations from the ramp) along the axes in which
         it can move; ``encoder_position`` and ``reference_position`` (with the ramp) and ``drive_force`` (with the
-        steady friction) of each slide; with a cut ``spindle_angle`` and ``spindle_speed``. Attributes: ``feed_mm_min``
-        (one value, or one a slide); ``step_s``; ``energy_error`` (largest error of the energy balance over the largest
-        energy; NaN where the structure changes on the way); ``unstable_poles`` of uniform motion with the local
-        friction; of the last quarter second, ``residual_m`` (half the swing of the tool) and ``standstill_share``
-        (slide slower than a tenth of its feed, or going back; the largest); ``motion``: "settled", "excited to the
-        end", "still decaying", or a sentence that begins with "self-excited": not at rest without excitation; with a
-        cut ``lost_contact`` and ``largest_chip_thickness_m`` as in `process.simulate.simulate_milling`.
+        steady friction) of each slide. A force that is held between jumps (`PseudoRandom`, a sampled servo where the
+        record is low-passed) has samples around each jump that weigh it as integrals do, so that the spectrum of the
+        record is that of the force that acted, without dead time. With a cut ``spindle_angle`` and ``spindle_speed``.
+        Attributes: ``feed_mm_min`` (one value, or one a slide); ``step_s``; ``energy_error`` (largest error of the
+        energy balance over the largest energy; NaN where the structure changes on the way); ``unstable_poles`` of
+        uniform motion with the local friction; of the last quarter second, ``residual_m`` (half the swing of the tool)
+        and ``standstill_share`` (slide slower than a tenth of its feed, or going back; the largest); ``motion``:
+        "settled", "excited to the end", "still decaying", or a sentence that begins with "self-excited": not at rest
+        without excitation; with a cut ``lost_contact`` and ``largest_chip_thickness_m`` as in
+        `process.simulate.simulate_milling`.
 
     Raises
     ------
