@@ -274,7 +274,8 @@ def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[
         name, arc = _pass_of(campaign.tool, entry)
         for number, record in enumerate(_sweep_records(measurement, entry)):
             force = _compensated(measurement, record)
-            passes.append(SweepPass(force, name + (f" ({number + 1})" if number else ""), arc))
+            label = name + (f" ({number + 1})" if number else "")
+            passes.append(SweepPass(force, label, arc, entry.spindle_speed))
     return passes, measurement.frequency_range or tooth_passing_band(passes, campaign.tool.teeth)
 
 
@@ -336,6 +337,7 @@ def _sweep(campaign: Campaign, measurement: Measurement, progress: Progress) -> 
         axes=measurement.axes,
         background=subtracted,
         reciprocal=measurement.reciprocal,
+        teeth=campaign.tool.teeth if campaign.tool else None,
     )
     if len(subtracted) == len(background):
         return found

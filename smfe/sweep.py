@@ -28,6 +28,7 @@ from smfe.local_polynomial import solve_local
 from smfe.reciprocity import reciprocity, symmetric
 from smfe.spectra import motion_axes
 from smfe.spindle_orders import Orders, solve_orders
+from smfe.sweep_clock import changed_by_clock, judge_clock
 from smfe.sweep_estimate import Estimate, in_words
 from smfe.sweep_estimators import (
     HANN_ERROR_LINES,
@@ -61,6 +62,7 @@ def identify_sweep(
     axes: Sequence[str] = ("x", "y", "z"),
     background: Sequence[SweepPass] = (),
     reciprocal: bool = False,
+    teeth: int | None = None,
 ) -> Identification:
     """Identify the compliance from sweep passes.
 
@@ -83,6 +85,9 @@ def identify_sweep(
         the noise of the forces is taken from them.
     reciprocal : bool, optional
         Constrain the compliance to be symmetric.
+    teeth : int, optional
+        Of the tool. The speeds that records and passes state are compared with the passing of the teeth; without it,
+        with all lines that repeat with the spindle.
 
     Returns
     -------
@@ -99,7 +104,8 @@ def identify_sweep(
     ------
     InputError
         Too few passes; a record without the forces or without motion; a band that the records do not hold; records too
-        short for the estimator; passes that are not independent, by their arcs or by the measured forces in more than
+        short for the estimator; a speed that the passing of the teeth contradicts (`smfe.sweep_clock`); passes that are
+        not independent, by their arcs or by the measured forces in more than
         half of the band.
     """
     chosen = LocalPolynomial() if estimator is None else estimator
@@ -108,6 +114,7 @@ def identify_sweep(
     _check_band(passes, frequency_range)
     if len(axes) == 3:
         check_independent([(p.label, p.arc) for p in passes])
+    clock = judge_clock(name, passes, teeth)
     frequency = chosen.axis(frequency_range, passes)
     found = _estimate(chosen, passes, frequency, axes, response, background, progress)
     refused = ~(found.condition <= REFUSE_CONDITION)
@@ -120,9 +127,13 @@ def identify_sweep(
     found.compliance[refused], found.covariance[refused] = np.nan, np.nan
     if found.between is not None:
         found.between[refused] = np.nan
+    if clock.difference:
+        acceleration = motion_axes(passes[0].record)[0] == "acceleration"
+        moved = changed_by_clock(found.compliance, frequency, clock.difference, acceleration)
+        found = replace(found, covariance=found.covariance + moved[..., :, None] * moved[..., None, :].conj())
     attrs = {"method": "sweep", "estimator": repr(chosen), "error_lines": found.error_lines}
     dataset = _labelled(frequency, found, response, axes, attrs)
-    warnings = (*_condition_warnings(frequency, found.condition), *found.warnings, *_fewer_axes(axes))
+    warnings = (*clock.warnings, *_condition_warnings(frequency, found.condition), *found.warnings, *_fewer_axes(axes))
     if reciprocal:
         test = reciprocity(dataset)
         dataset = symmetric(dataset)

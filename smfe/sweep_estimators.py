@@ -41,11 +41,14 @@ class SweepPass:
         What the pass is called in messages, e.g. "down, 12 mm".
     arc : Engagement, optional
         Its arc of engagement, for the check of independence before anything is solved.
+    speeds : (float, float), optional
+        Stated spindle rotation where the cut begins and ends [rad/s], to compare the clock of the record with.
     """
 
     record: xr.Dataset = field(repr=False)
     label: str
     arc: Engagement | None = None
+    speeds: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -107,6 +107,8 @@ class RecordEntry(Conditions):
         "down", "up" or "central" (sweep).
     width_of_cut : float, optional
         [m] (sweep).
+    spindle_speed : (float, float), optional
+        Stated where the cut begins and ends [rad/s] (sweep).
     others : tuple of OtherRecorder
         Files of other recorders that belong to the one file of the entry; often empty.
     """
@@ -117,6 +119,7 @@ class RecordEntry(Conditions):
     response: str | None = None
     cut: str | None = None
     width_of_cut: float | None = None
+    spindle_speed: tuple[float, float] | None = None
     others: tuple[OtherRecorder, ...] = ()
 
     @property
@@ -610,7 +613,7 @@ def _measurement(table: schema.MeasurementTable, base: Declared) -> Measurement:
 def _record(table: schema.RecordTable, method: str, inherited: Declared, common: Mapping[str, Any]) -> RecordEntry:
     own: dict[str, Any] = {name: getattr(table, name) for name in common}
     conditions = {name: common[name] if value is None else value for name, value in own.items()}
-    rest = ("excitation", "response", "cut", "width_of_cut")
+    rest = ("excitation", "response", "cut", "width_of_cut", "spindle_speed")
     return RecordEntry(
         **conditions,
         **{name: getattr(table, name) for name in rest},

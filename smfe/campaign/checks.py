@@ -143,6 +143,8 @@ def _keys(method: str, where: Loc, record: Raw) -> Iterator[Complaint]:
             yield (*where, key), f"is missing; a record of method '{method}' needs {_EXAMPLES[key]}"
         if method not in readers and key in record:
             yield (*where, key), f"method '{method}' does not read it ({', '.join(readers)} does); take it out"
+    if "spindle_speed" in record and method != "sweep":
+        yield (*where, "spindle_speed"), f"method '{method}' does not read it (sweep does); take it out"
 
 
 def _sweeps(raw: Raw) -> Iterator[Complaint]:

@@ -215,6 +215,17 @@ def _speeds(value: Any) -> tuple[float, ...]:
 SpeedRange = Annotated[tuple[float, ...], BeforeValidator(_speeds)]
 
 
+def _ramp(value: Any) -> tuple[float, float]:
+    """[from, to] -> rad/s, rising or falling."""
+    first, last = _list_of(value, "rotation", (2,), '["600 rpm", "1500 rpm"]')
+    if not (first > 0.0 and last > 0.0):
+        raise InputError(f"from {value[0]} to {value[1]} is no sweep; both speeds must be positive")
+    return first, last
+
+
+Ramp = Annotated[tuple[float, float], BeforeValidator(_ramp)]
+
+
 def _files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
     """A name, a pattern or ``dataset:NAME/FILE`` -> files, sorted. The context holds `path` and `show`."""
     if not isinstance(value, str) or not value:

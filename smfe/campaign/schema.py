@@ -134,6 +134,7 @@ class RecordTable(ConditionsTable):
     response: q.Axis | None = None
     cut: q.CutName | None = None
     width_of_cut: q.PositiveLength | None = None
+    spindle_speed: q.Ramp | None = None
     channels: Annotated[Channels, Field(default_factory=dict)]
     others: tuple[OtherRecorderTable, ...] = Field(default=(), alias="with")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -23,6 +24,8 @@ from smfe.loop import summary
 from smfe.loops import loop_of
 from smfe.measurements import hammer_settings, identify_measurement, passes_and_band, records_of, sign_warnings
 from smfe.records import read_records
+from smfe.sweep_clock import ADVICE, judge_clock
+from smfe.sweep_estimators import SweepPass
 
 
 def check(campaign: Path | str, progress: Progress = silent, show: Show | None = None) -> pd.DataFrame:
@@ -137,7 +140,17 @@ def _loop_suspects(measurement: Measurement) -> list[Suspect]:
 
 
 def _sweep(campaign: Campaign, measurement: Measurement) -> list[Suspect]:
-    if measurement.method != "sweep" or campaign.tool is None or measurement.references != "all":
+    if measurement.method != "sweep" or campaign.tool is None:
         return []
     passes, band = passes_and_band(campaign, measurement)
-    return sweep_suspects(measurement.name, passes, campaign.tool.teeth, band)
+    out = _stated_speeds(measurement.name, passes, campaign.tool.teeth)
+    if measurement.references == "all":
+        out += sweep_suspects(measurement.name, passes, campaign.tool.teeth, band)
+    return out
+
+
+def _stated_speeds(name: str, passes: Sequence[SweepPass], teeth: int) -> list[Suspect]:
+    """Compare the stated speeds alone: those of channels are said with their record."""
+    bare = [replace(p, record=p.record[["force"]]) for p in passes]
+    clock = judge_clock(name, bare, teeth)
+    return [Suspect("time_skew", "warning", name, text, ADVICE["stated"]) for text in clock.warnings]

@@ -12,6 +12,7 @@ from scipy import ndimage
 from process.labels import axis_present, sample_interval
 from smfe.diagnosis.suspect import Suspect
 from smfe.hits import flat_top, runs
+from smfe.sweep_clock import ADVICE, REFUSED, compare_speeds
 
 Real = NDArray[np.float64]
 
@@ -204,34 +205,15 @@ def tone_suspects(record: xr.Dataset, where: str, most: int = 3) -> list[Suspect
 
 
 def clock_suspects(record: xr.Dataset, where: str, teeth: int | None) -> list[Suspect]:
-    """Compare the tooth passing line of the force with the recorded spindle speed: clocks, teeth, pulses.
-
-    Only where the speed is steady within 0.2 %.
-    """
-    if teeth is None or "spindle_speed" not in record or "force" not in record:
-        return []
-    speed = record["spindle_speed"].values
-    mean = float(np.mean(speed))
-    if not mean > 0.0 or float(np.ptp(speed)) > 2e-3 * mean:
-        return []
-    dt, expected = sample_interval(record), teeth * mean / 60.0
-    axis = max(axis_present(record, "force"), key=lambda a: float(record["force"].sel(axis=a).std()))
-    lines = tones(record["force"].sel(axis=axis).values, dt)
-    resolution = 1.0 / (dt * speed.size)
-    near = [f for f, _, _ in lines[:10] if abs(f / expected - 1.0) < 0.03]
-    if not near:
-        return []
-    frequency = near[0]
-    error = frequency / expected - 1.0
-    if abs(frequency - expected) > 2.0 * resolution:
-        return [
-            Suspect(
-                "time_skew",
-                "warning",
-                f"{where}, spindle_speed",
-                f"the tooth passing line is at {frequency:.5g} Hz, {100 * error:+.2f} % from {expected:.5g} Hz of the "
-                "recorded speed",
-                "two clocks disagree, or the speed channel is a nominal value: use an encoder or a tacho",
-            )
-        ]
-    return []
+    """Compare the passing of the teeth with all channels of the speed, steady or not: clocks, teeth, pulses."""
+    return [
+        Suspect(
+            "time_skew",
+            "fault" if found.source == "spindle_speed" and abs(found.difference) > REFUSED else "warning",
+            f"{where}, {found.source}",
+            found.in_words(),
+            ADVICE[found.source],
+        )
+        for found in compare_speeds(record, teeth)
+        if found.real
+    ]
