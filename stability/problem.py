@@ -227,8 +227,9 @@ def _partial_warning(compliance: xr.Dataset) -> list[str]:
     if not missing:
         return []
     return [
-        f"the compliance is a partial matrix (no {'; no '.join(missing)}): cross terms and directions that "
-        "were not measured are taken as rigid, which can change the limit by 30 to 60 %"
+        f"the compliance is a partial matrix (no {'; no '.join(missing)}): what was not measured is taken as rigid. "
+        "The limit with the rest can be several times lower or higher, and no measured entry bounds by how much; "
+        "excite and measure the missing directions, at least x and y"
     ]
 
 

@@ -250,6 +250,27 @@ def test_a_partial_matrix_is_said_to_be_rigid_elsewhere(authors):
     assert any("partial matrix" in w and "rigid" in w and "response z" in w for w in warnings)
 
 
+def test_no_share_bounds_what_an_unmeasured_direction_does_to_the_limit(authors):
+    """With a softer and softer y the limit falls without end while xx stays as it is: the warning states no figure."""
+    full = authors.machine.compliance(np.arange(2, 250, 0.25))
+    alone = full.sel(response=["x"], excitation=["x"])
+    speeds = np.linspace(500.0, 1500.0, 21)
+    measured = zero_order(alone, *authors.cut, speeds)
+    ratios = []
+    for softer in (1.0, 10.0, 100.0):
+        matrix = full["compliance"].values.copy()
+        matrix[:, 1, 1] *= softer
+        true = zero_order(make_compliance(full["frequency"], matrix), *authors.cut, speeds)
+        ratios.append(float(np.max(measured.limit_depth / true.limit_depth)))
+    # Past 1.6 times, which "30 to 60 %" would have been, from the start; soon past any figure.
+    assert ratios[0] > 1.6
+    assert ratios[1] > 2.0 * ratios[0]
+    assert ratios[2] > 2.0 * ratios[1]
+    (warning,) = (w for w in measured.attrs["warnings"] if "partial matrix" in w)
+    assert "no measured entry bounds by how much" in warning
+    assert "%" not in warning
+
+
 def test_data_that_end_on_a_lobe_are_said_to_cut_it_off(lab_slot):
     short = lab_slot.compliance(20, 64.0, 0.25)
     lobes = zero_order(short, *lab_slot.cut, np.linspace(1100, 2000, 91))
