@@ -460,41 +460,45 @@ def _hill(share, f, slope, step, order, frequency, admittance):
 
 
 @njit(cache=True, nogil=True)
-def hill_turns(points, angular, u, grid, order, frequency, admittance, out):
-    """Fill out (n,) with the turns of det D about zero while the disturbance runs over one interval of w.
+def point_slopes(points, angular, u, grid, slope):
+    """Fill slope (n, P, 2 lags) with the Fourier coefficients of the local slope of each point, real then imaginary."""
+    n = grid.orders.size
+    force = np.empty(u.shape[1:], dtype=np.complex128)
+    tangent = np.empty((u.shape[1], 2 * n, 2 * n))
+    for i in range(angular.size):
+        forces(points, gains(points, angular[i]), u[i], grid, force, tangent, slope[i])
+
+
+@njit(cache=True, nogil=True)
+def hill_turns(f, slope, step, order, frequency, admittance):
+    """Return the turns of det D about zero while the disturbance runs over one interval of f.
 
     Real signals: half the interval does; its ends, where det D is real, are approached. Steps of phase are halved until
     they are below 0.6 rad.
     """
-    n, lags = grid.orders.size, grid.lag_cosine.shape[1]
-    force = np.empty(u.shape[1:], dtype=np.complex128)
-    tangent, slope = np.empty((u.shape[1], 2 * n, 2 * n)), np.empty((u.shape[1], 2 * lags))
     begin, end = np.empty(64), np.empty(64)
     first, last = np.empty(64, dtype=np.complex128), np.empty(64, dtype=np.complex128)
-    for i in range(angular.size):
-        forces(points, gains(points, angular[i]), u[i], grid, force, tangent, slope)
-        f = angular[i] / (2.0 * math.pi)
-        edge = np.linspace(1e-3, 0.5, 9)
-        turn, left = 0.0, 0.0j
-        for e in range(edge.size):
-            here = _hill(edge[e], f, slope, grid.step, order, frequency, admittance)
-            if e == 0 or e == edge.size - 1:
-                real = here if here.real >= 0.0 else -here
-                turn += math.atan2(real.imag, real.real) * (1.0 if e == 0 else -1.0)
-            if e > 0:
-                begin[0], end[0], first[0], last[0], open_ = edge[e - 1], edge[e], left, here, 1
-                while open_:
-                    open_ -= 1
-                    a, b, fa, fb = begin[open_], end[open_], first[open_], last[open_]
-                    ratio = fb * fa.conjugate()
-                    phase = math.atan2(ratio.imag, ratio.real)
-                    if abs(phase) < 0.6 or b - a < 1e-5 or open_ > 60:
-                        turn += phase
-                        continue
-                    middle = 0.5 * (a + b)
-                    fm = _hill(middle, f, slope, grid.step, order, frequency, admittance)
-                    begin[open_], end[open_], first[open_], last[open_] = a, middle, fa, fm
-                    begin[open_ + 1], end[open_ + 1], first[open_ + 1], last[open_ + 1] = middle, b, fm, fb
-                    open_ += 2
-            left = here
-        out[i] = turn / math.pi
+    edge = np.linspace(1e-3, 0.5, 9)
+    turn, left = 0.0, 0.0j
+    for e in range(edge.size):
+        here = _hill(edge[e], f, slope, step, order, frequency, admittance)
+        if e == 0 or e == edge.size - 1:
+            real = here if here.real >= 0.0 else -here
+            turn += math.atan2(real.imag, real.real) * (1.0 if e == 0 else -1.0)
+        if e > 0:
+            begin[0], end[0], first[0], last[0], open_ = edge[e - 1], edge[e], left, here, 1
+            while open_:
+                open_ -= 1
+                a, b, fa, fb = begin[open_], end[open_], first[open_], last[open_]
+                ratio = fb * fa.conjugate()
+                phase = math.atan2(ratio.imag, ratio.real)
+                if abs(phase) < 0.6 or b - a < 1e-5 or open_ > 60:
+                    turn += phase
+                    continue
+                middle = 0.5 * (a + b)
+                fm = _hill(middle, f, slope, step, order, frequency, admittance)
+                begin[open_], end[open_], first[open_], last[open_] = a, middle, fa, fm
+                begin[open_ + 1], end[open_ + 1], first[open_ + 1], last[open_ + 1] = middle, b, fm, fb
+                open_ += 2
+        left = here
+    return turn / math.pi

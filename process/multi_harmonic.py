@@ -25,6 +25,8 @@ _CONTINUATION_STEPS = 7
 _NEWTON_STEPS = 40
 _DIRECT_STEPS = 15  # from a guess, before the continuation is tried
 _INTERPOLATION = 1e-3
+_NYQUIST = (1e-4, 1e5)  # [Hz]
+_PHASE_STEP = 0.5  # [rad]
 
 
 def multi_harmonic(
@@ -209,10 +211,15 @@ def as_many_as_needed(
 def unstable_multipliers(network: Network, balance: Balance, order: int = 8) -> NDArray[np.int64]:
     """Count the ways in which a periodic response is unstable: Floquet multipliers outside the unit circle.
 
-    A disturbance ``sum_k u_k exp(j (k w + n) t)`` lives where ``det D(n) = 0``, ``D = 1 + A(k w + n) G_{k-m}``, with
-    G the Fourier coefficients of the local slope of each point (Hill). The turns of det D about zero while n runs over
-    one interval of w count the unstable multipliers, as Nyquist's curve counts poles. Such a response is a solution of
+    A disturbance ``sum_k u_k exp(j (k w + n) t)`` lives where ``det(1 + A(k w + n) G_{k-m}) = 0``, with G the Fourier
+    coefficients of the local slope of each point (Hill). The turns of the determinant about zero while n runs over one
+    interval of w count the unstable multipliers, as Nyquist's curve counts poles. Such a response is a solution of
     the balance, but the machine does not stay on it.
+
+    A guideway that sticks has a slope G_0 so large that ``A G_0`` is not small at any harmonic that is kept: the curve
+    of the determinant as it stands does not close. Its mean slope is therefore made part of the linear machine,
+    ``B = (1 + A G_0)^-1 A``, whose own unstable poles Nyquist's curve counts over all frequencies, and the determinant
+    taken of ``1 + B(k w + n) (G_{k-m} - G_0)``, which follows it around zero.
 
     Parameters
     ----------
@@ -237,24 +244,56 @@ def unstable_multipliers(network: Network, balance: Balance, order: int = 8) -> 
     good = np.flatnonzero(balance.converged)
     if not good.size:
         return out
-    f, turns = balance.frequency[good], np.empty(good.size)
+    f = balance.frequency[good]
     grid = network.grid(max(int(balance.orders[-1]), order))
-    scale = np.where(network.displaced, 2.0 * np.pi * f[:, None], 1.0)
+    angular = 2.0 * np.pi * f
+    scale = np.where(network.displaced, angular[:, None], 1.0)
     motion = np.zeros((good.size, scale.shape[1], grid.orders.size), dtype=complex)
     _, here, there = np.intersect1d(grid.orders, balance.orders, return_indices=True)
     motion[:, :, here] = balance.motion[good][:, :, there] * scale[:, :, None]
-    at, admittance = _tabulated(network, 0.9e-3 * float(f.min()), (order + 0.5) * float(f.max()))
-    kernels.hill_turns(network.packed(), 2.0 * np.pi * f, motion, grid, order, at, admittance, turns)
-    out[good] = network.unstable_poles - np.round(turns).astype(np.int64)
+    slope = np.empty((good.size, scale.shape[1], 2 * grid.lag_cosine.shape[1]))
+    kernels.point_slopes(network.packed(), angular, motion, grid, slope)
+    for i, line in enumerate(good):
+        mean = slope[i, :, 0].copy()
+        slope[i, :, 0] = 0.0
+        at, admittance = _tabulated(network, mean, 0.9e-3 * f[i], (order + 0.5) * f[i])
+        turns = kernels.hill_turns(f[i], slope[i], grid.step, order, at, admittance)
+        out[line] = _unstable_with(network, mean) - round(turns)
     return out
 
 
-def _tabulated(network: Network, lowest: float, highest: float) -> tuple[Real, Complex]:
-    """Admittance (m, P, P) at frequencies (m,) so dense that straight lines between them are right to one per mille."""
+def _unstable_with(network: Network, mean: Real) -> int:
+    """Count the unstable poles of the linear machine whose points have constant slopes (P,) (Nyquist)."""
+    t = network.directions
+
+    def determinant(f: Real) -> Complex:
+        a = network.admittance(f, network.matrix(f)[:, t:, t:])
+        return np.asarray(np.linalg.det(np.eye(mean.size) + a * mean))
+
+    f = np.geomspace(_NYQUIST[0], _NYQUIST[1], 600)
+    d = determinant(f)
+    for _ in range(20):
+        wide = np.flatnonzero(np.abs(np.angle(d[1:] / d[:-1])) > _PHASE_STEP)
+        if not wide.size:
+            break
+        middle = 0.5 * (f[wide] + f[wide + 1])
+        f, d = np.insert(f, wide + 1, middle), np.insert(d, wide + 1, determinant(middle))
+    # Both ends are real in the limit; what is left of their phases is not turned.
+    ends = [float(np.angle(v if v.real >= 0.0 else -v)) for v in (d[0], d[-1])]
+    turned = float(np.sum(np.angle(d[1:] / d[:-1]))) + ends[0] - ends[1]
+    return network.unstable_poles - round(turned / np.pi)
+
+
+def _tabulated(network: Network, mean: Real, lowest: float, highest: float) -> tuple[Real, Complex]:
+    """Admittance (m, P, P) with the mean slopes (P,) of the points, at frequencies (m,).
+
+    They are so dense that straight lines between them are right to one per mille.
+    """
     t = network.directions
 
     def at(f: Real) -> Complex:
-        return network.admittance(f, network.matrix(f)[:, t:, t:])
+        a = network.admittance(f, network.matrix(f)[:, t:, t:])
+        return np.asarray(np.linalg.solve(np.eye(mean.size) + a * mean, a))
 
     f = np.geomspace(lowest, highest, 400)
     a = at(f)

@@ -8,16 +8,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from process._balance_kernels import forces, gains
+from process.compliance import ModalModel
 from process.drive import Drive
 from process.errors import InputError
+from process.excitation import SteppedSine
 from process.friction import Andersson, CoulombViscous, LuGre, Viscous
 from process.harmonic_balance import SlidingAxis, balanced, quasi_frf, two_mass_compliance
 from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
 from process.machine import FeedAxis, Machine, MountedJoint
 from process.machine_balance import compliance_map, network, quasi_compliance
+from process.machine_simulation import simulate_machine
 from process.nonlinear_points import FrictionPoint, JointPoint, Network
 from process.servo import Servo
-from process.structure import Posture, Structure, free_modes, two_mass_axes
+from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
@@ -335,3 +338,30 @@ def test_several_responses_to_one_force_are_said() -> None:
     assert "several responses" in found.attrs["status"]
     weak = quasi_compliance(machine, np.linspace(1.0, 1.9, 31) * f0, 0.01, excitation=["x"], response=["x"])
     assert weak.attrs["status"] == "ok"
+
+
+@pytest.mark.parametrize("jointed", [False, True])
+def test_heavy_slides_that_stick_at_rest_have_the_periodic_response_of_a_simulation_in_time(jointed: bool) -> None:
+    """A ram on three axes: its guideways hardly move, with a slope that no mass limits at the harmonics of a sine."""
+    ram = ModalModel(
+        [24.0, 29.0, 33.5],
+        [0.022, 0.026, 0.03],
+        [4e7, 6e7, 5e7],
+        [[0.1, 0.7, 0.6], [0.6, -0.5, 0.2], [0.9, 0.1, -0.3]],
+    )
+    mass = {"x": 9000.0, "y": 6000.0, "z": 3000.0}
+    law = Andersson(400.0, 600.0, 300.0 * MM_MIN, 3000.0, 15000.0)
+    axes = {a: FeedAxis(Servo(m * 2.0 * math.pi * 12.0, 0.02, 20.0), law) for a, m in mass.items()}
+    joints = [MountedJoint(Jenkins(5e6, 300.0), np.eye(6)[3 + k]) for k in range(3 * jointed)]
+    machine = Machine(released_modes(ram, mass), axes, joints)
+    f = np.linspace(18.0, 42.0, 13)
+    found = quasi_compliance(machine, f, 150.0, excitation=["x"])
+    assert found.attrs["status"] == "ok"
+    assert set(np.unique(found["method"])) == {0, 1}
+    for i in (3, 8):
+        sine = SteppedSine((f[i],), 150.0, 50.0 / f[i], 0.0)
+        record = simulate_machine(machine, duration=sine.end, forces={"x": sine}, sample_rate=64.0 * f[i])
+        last = record["displacement"].values[:, -64:]
+        measured = last @ np.exp(-2j * np.pi * np.arange(64) / 64) / 32.0 * 1j / 150.0
+        expected = found["compliance"].values[i, :, 0]
+        assert np.abs(measured - expected).max() < 2e-3 * np.abs(expected).max()
