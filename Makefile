@@ -27,7 +27,7 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo test slow exam accuracy lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo test slow exam accuracy strangers lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
@@ -35,6 +35,7 @@ help:
 	@echo "make slow    the slow tests"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
+	@echo "make strangers  records that nobody prepared, drawn at random: writes the tables in docs/ (an hour)"
 	@echo "make lint    ruff, mypy, import-linter, file checks"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"
@@ -58,6 +59,9 @@ exam: $(READY)
 accuracy: $(READY)
 	$(RUN) $(BIN)/python tests/accuracy/table.py docs/accuracy_table.md $(ARGS)
 	$(RUN) $(BIN)/python tests/accuracy/theory_table.py docs/sweep_table.md
+
+strangers: $(READY)
+	$(RUN) $(BIN)/python tests/exam/frf_files.py docs/frf_files_table.md --jobs $(JOBS) $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

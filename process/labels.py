@@ -96,6 +96,45 @@ def axis_index(names: Sequence[str]) -> list[int]:
     return [AXES.index(name) for name in names]
 
 
+def place_text(text: str) -> str:
+    """Return a place and direction in its usual form: ``" 21 : +X"`` -> ``"21:x"``, ``"-X"`` -> ``"-x"``.
+
+    Raises
+    ------
+    InputError
+        When it is neither an axis nor ``NODE:axis``.
+    """
+    node, colon, direction = (part.strip() for part in text.rpartition(":"))
+    axis = direction.lower().removeprefix("+")
+    if axis.removeprefix("-") not in AXES or "/" in node or bool(node) != bool(colon):
+        if not colon:
+            raise InputError(f"axis {text!r} is not known; available: {', '.join(AXES)}, or a node and an axis, '21:x'")
+        raise InputError(
+            f"{text!r} is no place; write an axis at the tool tip, 'x', or a node and an axis, '21:x' or '21:-x'"
+        )
+    return f"{node}:{axis}" if node else axis
+
+
+def at_tool(compliance: xr.Dataset) -> xr.Dataset:
+    """Return the part of a compliance that is between axes at the tool tip, without places that have a node.
+
+    Raises
+    ------
+    InputError
+        When nothing is left.
+    """
+    names = {dim: [str(a) for a in compliance[dim].values] for dim in ("response", "excitation")}
+    if all(name in AXES for every in names.values() for name in every):
+        return compliance
+    here = {dim: [name for name in every if name in AXES] for dim, every in names.items()}
+    if not all(here.values()):
+        raise InputError(
+            f"this compliance is between {', '.join(dict.fromkeys(names['response'] + names['excitation']))}; a "
+            "stability limit needs the tool tip: call its motions and forces x, y and z"
+        )
+    return compliance.sel(here)
+
+
 def make_record(
     time: ArrayLike,
     vectors: Mapping[str, Mapping[str, ArrayLike]],
@@ -235,7 +274,8 @@ def make_compliance(
     compliance : ndarray of complex, shape (n, responses, excitations)
         Displacement over force [m/N].
     response, excitation : sequence of str
-        Axis names of the last two dimensions; a part of `AXES` is a legitimate measurement.
+        Names of the last two dimensions: axes at the tool tip (a part of `AXES` is a legitimate measurement), or
+        places ``NODE:axis``.
     extra : mapping, optional
         More variables, name -> (dimensions, values).
     attrs : mapping, optional
@@ -268,7 +308,8 @@ def check_compliance(dataset: xr.Dataset) -> xr.Dataset:
     if f.size < 1 or np.any(np.diff(f) <= 0.0) or f[0] < 0.0:
         raise InputError("the frequencies of a compliance must be non-negative and rise")
     for dim in ("response", "excitation"):
-        axis_index([str(a) for a in dataset[dim].values])
+        for name in map(str, dataset[dim].values):
+            place_text(name)
     if array.attrs.get("units") != UNITS["compliance"]:
         raise InputError(f"the compliance has units {array.attrs.get('units')!r}; 'm/N' is needed")
     return dataset
@@ -281,7 +322,7 @@ def full_matrix(dataset: xr.Dataset) -> NDArray[np.complex128]:
     -----
     Zero means rigid. A caller that computes a limit from a partial matrix must say so.
     """
-    array = check_compliance(dataset)["compliance"].transpose("frequency", "response", "excitation")
+    array = at_tool(check_compliance(dataset))["compliance"].transpose("frequency", "response", "excitation")
     full = np.zeros((array.sizes["frequency"], 3, 3), dtype=np.complex128)
     rows = axis_index([str(a) for a in array["response"].values])
     columns = axis_index([str(a) for a in array["excitation"].values])

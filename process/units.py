@@ -19,7 +19,7 @@ _PSI = _POUND_FORCE / 0.0254**2
 UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9, "in": 0.0254, "ft": 0.3048, "thou": 25.4e-6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0},
-    "frequency": {"Hz": 1.0, "1/s": 1.0, "kHz": 1e3},
+    "frequency": {"Hz": 1.0, "1/s": 1.0, "kHz": 1e3, "rad/s": 1.0 / _REVOLUTION},
     "speed": {
         "m/s": 1.0,
         "mm/s": 1e-3,
@@ -41,9 +41,30 @@ UNITS: dict[str, dict[str, float]] = {
     "torque": {"N m": 1.0, "Nm": 1.0, "lbf ft": _POUND_FORCE * 0.3048, "lbf in": _POUND_FORCE * 0.0254},
     "mass": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
     "stiffness": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "lbf/in": _POUND_FORCE / 0.0254},
-    "compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6, "µm/N": 1e-6, "in/lbf": 0.0254 / _POUND_FORCE},
-    "mobility": {"m/s/N": 1.0, "mm/s/N": 1e-3, "in/s/lbf": 0.0254 / _POUND_FORCE},
-    "accelerance": {"m/s^2/N": 1.0, "mm/s^2/N": 1e-3, "g/N": 9.80665, "g/lbf": 9.80665 / _POUND_FORCE},
+    "compliance": {
+        **{"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6, "µm/N": 1e-6, "nm/N": 1e-9},
+        **{"m/kN": 1e-3, "mm/kN": 1e-6, "um/kN": 1e-9, "µm/kN": 1e-9, "in/lbf": 0.0254 / _POUND_FORCE},
+    },
+    "mobility": {
+        **{"m/s/N": 1.0, "mm/s/N": 1e-3, "(m/s)/N": 1.0, "(mm/s)/N": 1e-3, "m/(N s)": 1.0, "m/(s N)": 1.0},
+        **{"in/s/lbf": 0.0254 / _POUND_FORCE, "(in/s)/lbf": 0.0254 / _POUND_FORCE},
+    },
+    "accelerance": {
+        **{"m/s^2/N": 1.0, "mm/s^2/N": 1e-3, "g/N": 9.80665, "(m/s^2)/N": 1.0, "(mm/s^2)/N": 1e-3, "m/(N s^2)": 1.0},
+        **{"m/(s^2 N)": 1.0, "1/kg": 1.0, "kg^-1": 1.0, "g/kN": 9.80665e-3, "g/lbf": 9.80665 / _POUND_FORCE},
+    },
+    "dynamic_stiffness": {
+        **{"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "N/nm": 1e9, "kN/m": 1e3, "kN/mm": 1e6},
+        **{"lbf/in": _POUND_FORCE / 0.0254},
+    },
+    "impedance": {
+        **{"N s/m": 1.0, "Ns/m": 1.0, "N s/mm": 1e3, "Ns/mm": 1e3, "N/(m/s)": 1.0, "N/(mm/s)": 1e3},
+        **{"kg/s": 1.0, "lbf s/in": _POUND_FORCE / 0.0254, "lbf/(in/s)": _POUND_FORCE / 0.0254},
+    },
+    "apparent_mass": {
+        **{"kg": 1.0, "N/(m/s^2)": 1.0, "N s^2/m": 1.0, "Ns^2/m": 1.0, "N/g": 1.0 / 9.80665},
+        **{"kN/g": 1e3 / 9.80665, "lbf/g": _POUND_FORCE / 9.80665},
+    },
     "cubic_stiffness": {"N/m^3": 1.0, "N/mm^3": 1e9},
     "viscosity": {"N s/m": 1.0, "Ns/m": 1.0, "N s/mm": 1e3},
     "steepness": {"s/m": 1.0, "s/mm": 1e3},

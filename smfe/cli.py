@@ -115,7 +115,7 @@ def compare(
 
 @app.command()
 def modal(
-    source: Annotated[Path, typer.Argument(help="Campaign file, or compliance file (frf.nc).", show_default=False)],
+    source: Annotated[Path, typer.Argument(help="Campaign file, frf.nc, or universal file.", show_default=False)],
     output: Annotated[Path, typer.Option("-o", "--output", help="Modes as TOML or JSON.")] = Path("modal.toml"),
     measurement: Annotated[
         str | None, typer.Option(help="Only this measurement; default: all.", show_default=False)

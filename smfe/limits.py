@@ -13,6 +13,7 @@ import xarray as xr
 from process.compliance import ModalModel
 from process.engagement import engagement
 from process.errors import InputError
+from process.labels import at_tool
 from smfe.campaign import Campaign, LobeRequest
 from smfe.failures import LOBES, MEASUREMENT, Failures, attempt, pack
 from smfe.identification import Progress
@@ -178,7 +179,7 @@ def _by_fitted_modes(
 ) -> xr.Dataset:
     """Return the limits of the modes that fit a measured compliance, and say how well they do."""
     try:
-        fit = fit_modes(compliance)
+        fit = fit_modes(at_tool(compliance))
         modal = fit.modal_model()
     except InputError as error:
         raise InputError(

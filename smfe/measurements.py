@@ -21,11 +21,12 @@ import xarray as xr
 
 from process.engagement import Engagement, engagement
 from process.errors import InputError
-from process.labels import make_compliance, sample_interval
+from process.labels import sample_interval
 from process.tool import Tool
 from smfe import __version__
 from smfe.actuator import identify_actuator
 from smfe.attached_mass import without_mass
+from smfe.averaged_responses import identify_averaged, rising_phase, turned_text
 from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.conditions import hammer_levels
@@ -35,14 +36,14 @@ from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
 from smfe.periodic import identify_periodic
-from smfe.records import put_on_clock, read_frf, read_records, read_reduced
+from smfe.records import put_on_clock, read_records, read_reduced
 from smfe.spindle_orders import Orders
 from smfe.steps import StepRules
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
-FORM = 3
+FORM = 4
 """Raised where an estimator, or what it writes, changes within a version: what was kept is then not read back."""
 
 
@@ -82,7 +83,7 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
         if measurement.method == "sweep":
             found = _sweep(campaign, measurement, progress)
         elif measurement.method == "frf":
-            found = _frf(measurement)
+            found = identify_averaged(measurement)
         else:
             found = _per_axis(measurement)
         return replace(found, warnings=(*found.warnings, *sign_warnings(found.compliance)))
@@ -126,6 +127,9 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
     array = compliance["compliance"]
     for axis in (a for a in array["response"].values if a in array["excitation"].values):
         phi = array.sel(response=axis, excitation=axis).values
+        if compliance.attrs.get("method") == "frf" and rising_phase(compliance["frequency"].values, phi):
+            out.append(turned_text([axis + axis]))
+            continue
         clear = np.abs(phi.imag) > 0.1 * np.abs(phi)
         if "compliance_std" in compliance:
             std = compliance["compliance_std"].sel(response=axis, excitation=axis).values
@@ -377,33 +381,6 @@ def tooth_passing_band(passes: list[SweepPass], teeth: int) -> tuple[float, floa
             f"second harmonic ends below {high:g} Hz in another; sweep all passes over the same speeds"
         )
     return low, high
-
-
-def _frf(measurement: Measurement) -> Identification:
-    """A compliance that another program has averaged: entries from files, put together into one matrix."""
-    entries = {}
-    for entry in measurement.records:
-        assert entry.response is not None
-        assert entry.excitation is not None
-        pair = entry.response, entry.excitation
-        if len(entry.files) > 1 or pair in entries:
-            raise InputError(f"several files for the entry {pair[0]}{pair[1]}; an averaged compliance has one: name it")
-        entries[pair] = read_frf(entry.files[0], entry.channels, *pair)
-    first = next(iter(entries.values()))
-    frequency = first["frequency"].values
-    keep = np.ones(frequency.size, bool)
-    if measurement.frequency_range is not None:
-        keep = (frequency >= measurement.frequency_range[0]) & (frequency <= measurement.frequency_range[1])
-    rows = [a for a in "xyz" if any(r == a for r, _ in entries)]
-    columns = [a for a in "xyz" if any(e == a for _, e in entries)]
-    values = np.full((frequency.size, len(rows), len(columns)), np.nan, dtype=complex)
-    for (r, e), dataset in entries.items():
-        if not np.array_equal(dataset["frequency"].values, frequency):
-            raise InputError("its files have different frequency axes; average them on one axis first")
-        values[:, rows.index(r), columns.index(e)] = dataset["compliance"].values[:, 0, 0]
-    dataset = make_compliance(frequency[keep], values[keep], rows, columns, attrs={"method": "frf"})
-    warning = "averaged by another program: no uncertainty and no coherence are known"
-    return Identification(measurement.name, "frf", dataset, {}, (warning,))
 
 
 def cached_identification(

@@ -131,7 +131,7 @@ class ModalFit:
         return float(np.max(energy_given(matrix)[size > 0.1 * size.max()]))
 
     def modal_model(self) -> ModalModel:
-        """Return the modes in x, y and z as a modal model, the upper remainder as stiff modes above the band.
+        """Return the modes of the tool tip in x, y and z as a modal model, the upper remainder as stiff modes above.
 
         Raises
         ------
@@ -139,10 +139,11 @@ class ModalFit:
             When the shapes are not known, or the places are not axes.
         """
         shapes = self._require_shapes()
-        if not set(self.curves.places) <= set(AXES):
+        if not set(self.curves.places) & set(AXES):
             raise InputError(
-                f"the places of this matrix are {', '.join(self.curves.places)}; a modal model needs motions along "
-                "x, y and z: name responses and excitations so"
+                f"the places of this matrix are {', '.join(self.curves.places)}; a modal model needs motions of the "
+                "tool "
+                "tip along x, y and z: name responses and excitations so"
             )
         rows = [*_mode_rows(shapes, _modes_of_band(shapes)), *_upper_rows(shapes)]
         return ModalModel(*(np.array([row[k] for row in rows]) for k in range(4)))
@@ -255,9 +256,16 @@ def _modes_of_band(shapes: ShapeFit) -> NDArray[np.bool_]:
 
 
 def _in_axes(curves: Curves, vector: Real) -> Real:
+    """Return the components of the tool tip; other places are left out."""
     out = np.zeros(3)
-    out[[AXES.index(p) for p in curves.places]] = vector
+    for place, value in zip(curves.places, vector, strict=True):
+        if place in AXES:
+            out[AXES.index(place)] = value
     return out
+
+
+def _at_tool(curves: Curves) -> NDArray[np.bool_]:
+    return np.array([place in AXES for place in curves.places])
 
 
 def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[tuple[float, float, float, Real]]:
@@ -268,6 +276,7 @@ def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[tuple[float, f
         for part in parts:
             v = np.zeros(shapes.shape.shape[1])
             v[part] = shapes.shape[k, part]
+            v[~_at_tool(shapes.curves)] = 0.0
             size = float(v @ v)
             if size > 1e-4 * float(np.sum(shapes.shape[k] ** 2)):
                 unit = v / np.sqrt(size)
@@ -286,7 +295,8 @@ def _upper_rows(shapes: ShapeFit) -> list[tuple[float, float, float, Real]]:
     matrix = np.zeros((len(places),) * 2)
     for value, (r, e) in zip(shapes.coefficient[:, -1], curves.pairs, strict=True):
         matrix[places.index(r), places.index(e)] = matrix[places.index(e), places.index(r)] = value
-    size, vectors = np.linalg.eigh(matrix)
+    there = _at_tool(curves)
+    size, vectors = np.linalg.eigh(np.where(np.outer(there, there), matrix, 0.0))
     largest = float(np.abs(curves.values).max())
     return [
         (natural, damping, 1.0 / float(s), _in_axes(curves, v))

@@ -20,6 +20,7 @@ from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.identification import Progress, silent
 from smfe.measurements import cached_identification
 from smfe.modal import ModalFit, fit_modes
+from smfe.records import read_universal_frfs
 from smfe.scenario.toml import table as toml_table
 from smfe.store import read_groups, write_atomically, write_csv
 from smfe.sweep_levels import with_levels
@@ -41,7 +42,7 @@ def modal(
     Parameters
     ----------
     source : path
-        Campaign file, or a compliance file (frf.nc).
+        Campaign file, a compliance file (frf.nc), or a universal file whose responses say what they are.
     output : path, optional
         ``.toml``: one ``[[model]]`` a measurement, to be pasted into a campaign file; ``.json``: the same as JSON with
         intervals and warnings. Beside it, under its name: a ``.csv`` with a row a mode, a ``.png`` a measurement.
@@ -91,7 +92,7 @@ def modal(
 def _compliances(
     source: Path, kept: Path, only: str | None, progress: Progress, licence: Show | None, failures: Failures
 ) -> dict[str, xr.Dataset]:
-    """Return the measured compliances of a campaign or of a compliance file."""
+    """Return the measured compliances of a campaign, of a compliance file or of a universal file."""
     if source.suffix == ".toml":
         campaign = load_campaign(source, licence)
         wanted = {m.name: m for m in with_levels(campaign).measurements if m.method in COMPLIANCE_METHODS}
@@ -103,6 +104,9 @@ def _compliances(
                 with attempt(failures, MEASUREMENT, name):
                     found[name] = cached_identification(campaign, item, kept, progress)[0].compliance
         return found
+    if source.suffix.lower() in (".uff", ".unv"):
+        _require(only, [source.stem], source)
+        return {source.stem: read_universal_frfs(source)}
     groups = {n: d for n, d in read_groups(source).items() if d.attrs.get("method") != "model"}
     _require(only, list(groups), source)
     return {n: d for n, d in groups.items() if only in (None, n)}
@@ -150,7 +154,7 @@ def as_toml(name: str, fit: ModalFit) -> str:
     """
     head = [f"# modes of {name}, misfit {fit.free.misfit:.3g} (1: as good as the noise allows)"]
     head += [f"# {warning}" for warning in fit.warnings]
-    if fit.shapes is None or not set(fit.curves.places) <= set(AXES):
+    if fit.shapes is None or not set(fit.curves.places) & set(AXES):
         head += [f"# {row.frequency_Hz:.6g} Hz, damping {row.damping:.4g}" for row in fit.table().itertuples()]
         return "\n".join(head) + "\n"
     model, band = fit.modal_model(), float(fit.curves.frequency[-1])

@@ -30,7 +30,7 @@ from scipy import sparse
 from process.compliance import HIGHEST_DAMPING, ModalModel
 from process.cutting import CuttingCoefficients
 from process.errors import InputError
-from process.labels import AXES, axis_index
+from process.labels import AXES, at_tool, axis_index
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -215,6 +215,7 @@ def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
             f"the standard deviation of the compliance is missing at {100.0 * _missing(compliance):.0f} % of its "
             "frequencies; repeats (three hits or more, a longer record) are needed for a band"
         )
+    compliance = at_tool(compliance)
     at = np.searchsorted(compliance["frequency"].values, frequency - 1e-9)
     rows = axis_index([str(a) for a in compliance["response"].values])
     columns = axis_index([str(a) for a in compliance["excitation"].values])
@@ -226,7 +227,7 @@ def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
 
 def _missing(compliance: xr.Dataset) -> float:
     """Return the share of the frequencies with a compliance that have no standard deviation."""
-    three = ("frequency", "response", "excitation")
+    three, compliance = ("frequency", "response", "excitation"), at_tool(compliance)
     there, known = (
         np.isfinite(compliance[name].transpose(*three).values).all(axis=(1, 2))
         for name in ("compliance", "compliance_std")

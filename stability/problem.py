@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from process.cutting import CuttingCoefficients, directional_matrix
 from process.engagement import AnyEngagement
 from process.errors import InputError
-from process.labels import AXES, check_compliance, full_matrix
+from process.labels import AXES, at_tool, check_compliance, full_matrix
 from process.tool import Tool
 
 EDGE_SIZE = 0.15
@@ -122,7 +122,8 @@ def complete_samples(compliance: xr.Dataset) -> Samples:
         When the dataset holds no compliance, holds more than one (a condition such as ``feed`` is still a
         dimension), or has fewer than two complete frequencies.
     """
-    array = check_compliance(compliance)["compliance"]
+    compliance = at_tool(check_compliance(compliance))
+    array = compliance["compliance"]
     extra = [str(d) for d in array.dims if d not in ("frequency", "response", "excitation")]
     if extra:
         values = ", ".join(f"{v}" for v in array[extra[0]].values)

@@ -102,7 +102,7 @@ class RecordEntry(Conditions):
     channels : mapping of str to Channel
         Campaign's, measurement's and the record's own declarations merged.
     excitation, response : str, optional
-        Axes (hammer, actuator, frf; response: frf).
+        Axes at the tool tip (hammer, actuator, frf; response: frf), or places "NODE:axis" (frf).
     cut : str, optional
         "down", "up" or "central" (sweep).
     width_of_cut : float, optional
@@ -155,6 +155,10 @@ class Processing:
         Of a force or setpoint that repeats itself [s] (actuator, loop). None: a stepped sine; found (loop).
     settling : float, optional
         Dropped at the beginning of each step, or of a periodic record [s] (actuator, loop).
+    averages : int, optional
+        Independent averages behind a response and its coherence (frf).
+    conjugate : bool, optional
+        Whether the response was written with ``exp(-j w t)`` (frf).
     """
 
     estimator: str | None = None
@@ -167,6 +171,8 @@ class Processing:
     frame_mass: float | None = None
     period: float | None = None
     settling: float | None = None
+    averages: int | None = None
+    conjugate: bool | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

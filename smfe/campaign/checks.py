@@ -11,6 +11,7 @@ from typing import Any
 
 from process import units
 from process.errors import InputError
+from process.labels import AXES
 from smfe.campaign.depth_levels import depth_complaints, depths_of, level_name
 from smfe.campaign.quantities import ESTIMATORS, METHODS
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, unit_factor
@@ -45,6 +46,8 @@ _PROCESSING = {
     "frame_mass": ("actuator",),
     "period": ("actuator", "loop"),
     "settling": ("actuator", "loop"),
+    "averages": ("frf",),
+    "conjugate": ("frf",),
 }
 """Key of a measurement -> methods that read it."""
 
@@ -143,6 +146,9 @@ def _keys(method: str, where: Loc, record: Raw) -> Iterator[Complaint]:
             yield (*where, key), f"is missing; a record of method '{method}' needs {_EXAMPLES[key]}"
         if method not in readers and key in record:
             yield (*where, key), f"method '{method}' does not read it ({', '.join(readers)} does); take it out"
+        named = isinstance(record.get(key), str) and (":" in record[key] or record[key].strip().startswith("-"))
+        if key == "excitation" and method in ("hammer", "actuator") and named:
+            yield (*where, key), f"{record[key]!r} is no axis ({', '.join(AXES)}); only method 'frf' knows other places"
     if "spindle_speed" in record and method != "sweep":
         yield (*where, "spindle_speed"), f"method '{method}' does not read it (sweep does); take it out"
 
@@ -356,8 +362,8 @@ def merge(base: Mapping[str, Raw], own: Mapping[str, Raw]) -> dict[str, Raw]:
     """Merge declarations of channels key by key; a sample rate takes the place of a column and the other way round."""
     merged = dict(base)
     for name, entry in own.items():
-        excluded = {"sample_rate": "column", "column": "sample_rate"}
-        lost = {excluded[key] for key in entry if key in excluded} - set(entry)
+        excluded = {"sample_rate": ("column",), "spacing": ("column",), "column": ("sample_rate", "spacing")}
+        lost = {other for key in entry for other in excluded.get(key, ())} - set(entry)
         merged[name] = {**{key: value for key, value in merged.get(name, {}).items() if key not in lost}, **entry}
     return merged
 
@@ -371,7 +377,10 @@ def _channel_tables(where: Loc, table: Raw, merged: Mapping[str, Raw]) -> Iterat
 def _channel_entry(name: str, entry: Raw, merged: Raw) -> Iterator[Complaint]:
     if "column" in entry and "sample_rate" in entry:
         yield (), "gives a column and a sample_rate; a clock comes from one of them"
-    for key, owner in (("sample_rate", "time"), ("pulses_per_revolution", "tacho")):
+    if "column" in entry and "spacing" in entry:
+        yield (), "gives a column and a spacing; the frequencies come from one of them"
+    owners = (("sample_rate", "time"), ("pulses_per_revolution", "tacho"), ("spacing", "frequency"))
+    for key, owner in (*owners, ("start", "frequency")):
         if key in entry and name != owner:
             yield (key,), f"belongs to the channel {owner} only; take it out"
     if "delay" in entry and (name == "time" or name in COMPLIANCE_CHANNELS):

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, ValidationInfo
 from process import units
 from process.engagement import CUTS
 from process.errors import InputError
-from process.labels import AXES
+from process.labels import AXES, place_text
 from process.plausible import FASTEST_FEED
 from smfe import datasets
 from smfe.records.read import READERS
@@ -71,6 +71,7 @@ PositiveLength = Annotated[float, quantity("length", above=0.0)]
 Length = Annotated[float, quantity("length")]
 Time = Annotated[float, quantity("time")]
 NoTime = Annotated[float, quantity("time", low=0.0)]
+Frequency = Annotated[float, quantity("frequency", low=0.0)]
 PositiveFrequency = Annotated[float, quantity("frequency", above=0.0)]
 Angle = Annotated[float, quantity("angle")]
 Force = Annotated[float, quantity("force", low=0.0)]
@@ -83,6 +84,16 @@ Temperature = Annotated[float, quantity("temperature")]
 Rotation = Annotated[float, quantity("rotation", above=0.0)]
 
 Axis = Annotated[str, one_of(AXES, "axis")]
+
+
+def _place(value: Any) -> str:
+    """An axis at the tool tip, or "NODE:axis"; a minus before the axis turns the direction round."""
+    if not isinstance(value, str):
+        raise InputError(f"{value!r} is no place; write an axis at the tool tip, 'x', or a node and an axis, '21:x'")
+    return place_text(value)
+
+
+Place = Annotated[str, BeforeValidator(_place)]
 CutName = Annotated[str, one_of(CUTS, "cut")]
 
 

@@ -83,6 +83,8 @@ class ChannelTable(Table):
     delay: q.Time = 0.0
     sample_rate: q.PositiveFrequency | None = None
     pulses_per_revolution: Annotated[float, Field(gt=0.0)] | None = None
+    spacing: q.PositiveFrequency | None = None
+    start: q.Frequency | None = None
 
 
 Channels = dict[Annotated[str, BeforeValidator(check_channel_name)], ChannelTable]
@@ -124,14 +126,16 @@ class ProcessingTable(ConditionsTable):
     frame_mass: PositiveMass | None = None
     period: PositiveTime | None = None
     settling: q.NoTime | None = None
+    averages: Annotated[StrictInt, Field(ge=1)] | None = None
+    conjugate: StrictBool | None = None
 
 
 class RecordTable(ConditionsTable):
     """One entry of ``records``."""
 
     file: q.Files
-    excitation: q.Axis | None = None
-    response: q.Axis | None = None
+    excitation: q.Place | None = None
+    response: q.Place | None = None
     cut: q.CutName | None = None
     width_of_cut: q.PositiveLength | None = None
     spindle_speed: q.Ramp | None = None

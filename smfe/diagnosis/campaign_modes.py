@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from process.compliance import ModalModel
 from process.errors import InputError
+from process.labels import at_tool
 from smfe.campaign import Campaign
 from smfe.diagnosis.suspect import Suspect
 from smfe.identification import Identification
@@ -60,7 +61,7 @@ def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identificatio
     if name not in found:
         raise InputError(f"baseline: measurement '{name}' is no compliance, so it has no modes; name one that is")
     try:
-        fit = fit_modes(found[name].compliance)
+        fit = fit_modes(at_tool(found[name].compliance))
         modal = fit.modal_model()
     except InputError as error:
         raise InputError(

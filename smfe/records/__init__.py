@@ -4,7 +4,8 @@ from smfe.records.blocks import read_blocks
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.clocks import put_on_clock
 from smfe.records.contents import column_names, contents, names_itself
-from smfe.records.read import READERS, read_frf, read_records
+from smfe.records.frf import read_frf, read_universal_frfs
+from smfe.records.read import READERS, read_records
 from smfe.records.reduce import read_reduced
 from smfe.records.write import (
     OWN_COLUMNS,
@@ -32,6 +33,7 @@ __all__ = [
     "read_frf",
     "read_records",
     "read_reduced",
+    "read_universal_frfs",
     "record_columns",
     "uff_columns",
     "write_compliance_uff",

@@ -62,6 +62,13 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     return join(read_blocks(path, wanted, _WHOLE))
 
 
+def _last_line(path: Path, encoding: str) -> str:
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size // 2 * 2 - 8192))
+        lines = stream.read().decode(encoding, errors="ignore").splitlines()
+    return next((line for line in reversed(lines) if line.strip()), "")
+
+
 def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
     """Yield the wanted columns of a text file, `block` rows at a time."""
     dialect = sniff(path)
@@ -72,7 +79,9 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
         columns = {index: frame[index].to_numpy() for index in indices}
         before += len(frame)
         last = len(frame) < block
-        if last and before > 1 and any(np.isnan(c[-1]) and not np.isnan(c[:-1]).any() for c in columns.values()):
+        odd = last and any(np.isnan(c[-1]) and not np.isnan(c[:-1]).any() for c in columns.values())
+        # A response that is divided by zero at its last line says so itself.
+        if odd and before > 1 and "nan" not in _last_line(path, dialect.encoding).lower():
             raise InputError(f"{path.name}: the last row ({before}) is incomplete; the file is truncated")
         yield Table({column: columns[index] for column, index in at.items()})
 

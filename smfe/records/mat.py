@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,11 @@ from smfe.records.mat_stream import plain_variables
 from smfe.records.memory import refuse_larger
 from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, guarded, join, same_length, slices
 
+Place_ = tuple[str, str, int | tuple[int | slice, ...] | None]
+"""Name of a column, its variable, and where in it: everything, a column, or an index."""
+
 _KIND = "a MATLAB file"
+_PARTS = (" real", " imag")
 _WHOLE = 1 << 62
 _TIMES = 3.5
 """Peak of the memory over the unpacked samples, of version 4 to 7 (measured: docs/records.md)."""
@@ -28,8 +33,9 @@ _TIMES = 3.5
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     """Read the wanted variables of a MATLAB file; see `smfe.records.read_records`.
 
-    A matrix of several columns is offered column by column, as ``data(:,2)``, a structure field by field, as
-    ``data.Fx``.
+    A matrix of several columns is offered column by column, as ``data(:,2)`` (one that is wider than long also row by
+    row, ``data(2,:)``), an array of more dimensions along its longest, ``H(:,1,2)``, a structure field by field, as
+    ``data.Fx``, a cell array as ``data{2}``. Of complex numbers ``H real`` and ``H imag`` are columns.
     """
     return join(read_blocks(path, wanted, _WHOLE))
 
@@ -95,24 +101,49 @@ def _refuse_truncated(path: Path) -> None:
 def _read_mat(path: Path, wanted: Sequence[Column]) -> Table:
     kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path)}
     shapes = {n: shape for n, (shape, kind) in kinds.items() if kind not in ("char", "cell", "struct", "object")}
-    structures = [name for name, (_, kind) in kinds.items() if kind == "struct"]
+    structures = [name for name, (_, kind) in kinds.items() if kind in ("struct", "cell")]
     fields: dict[str, Any] = {}
-    if any(isinstance(w, int) or w not in shapes for w in wanted) and structures:
+    if any(isinstance(w, int) or _bare(w, shapes) not in shapes for w in wanted) and structures:
         # What a structure holds is known only when it has been read.
         refuse_larger(path, _TIMES)
         content = io.loadmat(path, variable_names=structures)
         fields = {
-            name: value for s in structures for name, value in _fields(s, content[s]) if value.dtype.kind in "biuf"
+            name: value for s in structures for name, value in _fields(s, content[s]) if value.dtype.kind in "biufc"
         }
-    places = list(_places((shapes | {name: value.shape for name, value in fields.items()}).items()))
-    at = find_columns(path.name, [name for name, _, _ in places], wanted, len(places))
-    needed = sorted({places[index][1] for index in at.values()} - set(fields))
+    every = shapes | {name: value.shape for name, value in fields.items()}
+    at, places = _found(path, every, wanted)
+    needed = sorted({places[index][1] for index, _ in at.values()} - set(fields))
     refuse_larger(path, _TIMES, sum(8 * math.prod(shapes[name]) for name in needed))
     return _table(path, at, places, fields | io.loadmat(path, variable_names=needed) if needed else fields)
 
 
+def _bare(name: Column, known: Iterable[str]) -> Column:
+    """Return the array that "H real" and "H imag" are parts of, and any other name as it is."""
+    if isinstance(name, str) and name not in known:
+        for part in _PARTS:
+            if name.endswith(part):
+                return name.removesuffix(part)
+    return name
+
+
+Found = dict[Column, tuple[int, str]]
+
+
+def _found(path: Path, shapes: Mapping[str, tuple[int, ...]], wanted: Sequence[Column]) -> tuple[Found, list[Place_]]:
+    """Return for each wanted column which place it is and which part of its numbers, and the places."""
+    places = [*_places(shapes.items()), *_further_places(shapes.items())]
+    names = [name for name, _, _ in places]
+    bare = {w: _bare(w, names) for w in wanted}
+    at = find_columns(path.name, names, list(bare.values()), len(places))
+    return {w: (at[b], str(w)[-5:] if w != b else "") for w, b in bare.items()}, places
+
+
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the arrays in a structure, named as in MATLAB: ``data.Fx``, ``record.Y(2).Data``."""
+    """Yield the arrays in a structure or cell, named as in MATLAB: ``data.Fx``, ``record.Y(2).Data``, ``H{2}``."""
+    if value.dtype.kind == "O":
+        for k, element in enumerate(value.ravel(order="F")):
+            yield from _fields(f"{name}{{{k + 1}}}", np.asarray(element))
+        return
     if value.dtype.names is None:
         yield name, value
         return
@@ -127,12 +158,23 @@ def _read_hdf5(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Tab
     with open_file(path) as file:
         # MATLAB stores by column, HDF5 by row: a matrix comes out transposed.
         shapes: dict[str, tuple[int, ...]] = {}
+        further: dict[str, tuple[int, ...]] = {}
 
         def visit(name: str, item: object) -> None:
-            if isinstance(item, h5py.Dataset) and item.ndim == 2 and item.dtype.kind in "biuf" and name[0] != "#":
-                shapes[name.replace("/", ".")] = item.shape[::-1]
+            if isinstance(item, h5py.Dataset) and item.ndim >= 2 and name[0] != "#":
+                # MATLAB writes complex numbers as pairs of real ones.
+                if item.dtype.kind in "biuf" and item.ndim == 2:
+                    shapes[name.replace("/", ".")] = item.shape[::-1]
+                elif item.dtype.kind in "biufc" or item.dtype.names == ("real", "imag"):
+                    further[name.replace("/", ".")] = item.shape[::-1]
 
         file.visititems(visit)
+        names = [name for name, _, _ in _places(shapes.items())]
+        if any(isinstance(w, str) and w not in names for w in wanted):
+            among, whole = _found(path, shapes | further, wanted)
+            needed = {whole[index][1] for index, _ in among.values()}
+            content = {name: _complex(file[name.replace(".", "/")][()]).T for name in needed}
+            return iter(slices(_table(path, among, whole, content), block))
     found = list(_places(shapes.items()))
     at = find_columns(path.name, [name for name, _, _ in found], wanted, len(found))
     places = {}
@@ -152,13 +194,35 @@ def _places(shapes: Iterable[tuple[str, tuple[int, ...]]]) -> Iterable[tuple[str
             yield name, name, None
 
 
-def _table(
-    path: Path, at: dict[Column, int], places: Sequence[tuple[str, str, int | None]], content: dict[str, Any]
-) -> Table:
+def _further_places(shapes: Iterable[tuple[str, tuple[int, ...]]]) -> Iterable[Place_]:
+    """Yield rows of matrices that are wider than long, and the vectors of arrays of more dimensions."""
+    for name, shape in shapes:
+        if len(shape) < 2 or (len(shape) == 2 and (min(shape) < 2 or shape[0] >= shape[1])):
+            continue
+        along = int(np.argmax(shape))
+        for index in itertools.product(*(range(1 if axis == along else size) for axis, size in enumerate(shape))):
+            place = tuple(slice(None) if axis == along else k for axis, k in enumerate(index))
+            text = ",".join(":" if isinstance(k, slice) else str(k + 1) for k in place)
+            yield f"{name}({text})", name, place
+
+
+def _complex(values: Any) -> Any:
+    """Return pairs of real numbers as complex ones, and any other array as it is."""
+    return values["real"] + 1j * values["imag"] if values.dtype.names == ("real", "imag") else values
+
+
+def _table(path: Path, at: Found, places: Sequence[Place_], content: dict[str, Any]) -> Table:
     columns = {}
-    for column, index in at.items():
-        _, variable, k = places[index]
+    for column, (index, part) in at.items():
+        name, variable, k = places[index]
         values = np.asarray(content[variable])
-        columns[column] = as_numbers(path.name, column, values if k is None else values[:, k])
+        vector = values if k is None else values[k] if isinstance(k, tuple) else values[:, k]
+        if part:
+            if vector.dtype.kind != "c":
+                raise InputError(
+                    f"{path.name}: '{name}' is not complex and has no part '{part.strip()}'; name it alone"
+                )
+            vector = vector.real if part == _PARTS[0] else vector.imag
+        columns[column] = as_numbers(path.name, column, vector)
     same_length(path.name, columns)
     return Table(columns)

@@ -1,4 +1,4 @@
-"""The funnel: whatever the format, columns become a record (or a compliance) here and only here."""
+"""The funnel: whatever the format, columns become a record here and only here (a compliance: `smfe.records.frf`)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from process.labels import UNITS, axis_present, make_compliance, make_record
+from process.labels import UNITS, axis_present, make_record
 from smfe.records import csv, lvm, mat, netcdf, npy, parquet, sinumerik, tdms, uff, wav
 from smfe.records.align import align
-from smfe.records.channels import COMPLIANCE_CHANNELS, Channel, motion_of, record_channels, split_vector
+from smfe.records.channels import Channel, record_channels, split_vector
 from smfe.records.table import Column, Table
 
 Reader = Callable[[Path, Sequence[Column]], list[Table]]
@@ -94,66 +94,6 @@ def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.D
         return [_record(path.name, *own_table(record, used), record.attrs)]
     tables = reader(path, columns_of(path.name, used))
     return [_record(source, table, used) for source, table in zip(sources_of(path, tables), tables, strict=True)]
-
-
-def read_frf(path: str | Path, channels: Mapping[str, Channel], response: str, excitation: str) -> xr.Dataset:
-    """Read one entry of a compliance that another program has averaged.
-
-    A mobility (``m/s/N``) or accelerance (``m/s^2/N``, ``g/N``) becomes a compliance by its unit.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file with one of the suffixes in `READERS`.
-    channels : mapping of str to Channel
-        "frequency", "compliance_real" and "compliance_imag"; others are left alone.
-    response, excitation : str
-        Axes of the entry.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``compliance(frequency, response, excitation)`` with one response and one excitation.
-
-    Raises
-    ------
-    InputError
-        For anything that is wrong with the file or its channels.
-    """
-    path = Path(path)
-    reader = reader_of(path)
-    missing = [name for name in COMPLIANCE_CHANNELS if name not in channels]
-    if missing:
-        raise InputError(
-            f"{path.name}: channel {missing[0]} is not declared; a compliance needs {', '.join(COMPLIANCE_CHANNELS)}"
-        )
-    used = {name: channels[name] for name in COMPLIANCE_CHANNELS}
-    tables = reader(path, columns_of(path.name, used))
-    if len(tables) > 1:
-        raise InputError(f"{path.name}: has {len(tables)} segments; a compliance needs one")
-    values = {name: values_of(path.name, name, channel, tables[0]) for name, channel in used.items()}
-    frequency, complex_values = _displacement(path.name, values, used)
-    with named(path.name):
-        compliance = complex_values[:, None, None]
-        return make_compliance(frequency, compliance, [response], [excitation], attrs={"source": path.name})
-
-
-def _displacement(
-    source: str, values: Mapping[str, NDArray[np.float64]], channels: Mapping[str, Channel]
-) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    """Return frequencies [Hz] and displacement over force [m/N] of an averaged response.
-
-    A mobility is divided by ``j w``, an accelerance by ``(j w)^2``; the line at 0 Hz, where neither says anything of
-    the displacement, is left out then.
-    """
-    orders = {motion_of(channels[name].unit) for name in ("compliance_real", "compliance_imag")}
-    if len(orders) > 1:
-        raise InputError(f"{source}: real and imaginary part are of different motions; give both a unit of one kind")
-    order = orders.pop()
-    frequency = values["frequency"]
-    response = values["compliance_real"] + 1j * values["compliance_imag"]
-    keep = frequency > 0.0 if order else np.ones(frequency.size, bool)
-    return frequency[keep], response[keep] / (2j * np.pi * frequency[keep]) ** order
 
 
 def reader_of(path: Path) -> Reader:

@@ -114,6 +114,11 @@ def _find_column(source: str, names: Sequence[str], column: Column, count: int) 
 def as_numbers(source: str, column: Column, values: object) -> NDArray[np.float64]:
     """Return an array of a file as real numbers, shape (n,), or say that it holds none."""
     array = np.asarray(values)
+    if array.dtype.kind == "c":
+        raise InputError(
+            f"{source}: '{column}' is complex; its columns are '{column} real' and '{column} imag', and a frequency "
+            "response may be declared as a whole, e.g. accelerance"
+        )
     if array.dtype.kind not in "biuf":
         raise InputError(f"{source}: '{column}' holds no real numbers (its type is {array.dtype})")
     return np.ascontiguousarray(array.reshape(-1), dtype=np.float64)

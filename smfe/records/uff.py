@@ -36,6 +36,9 @@ _CLOSES_TEXT = re.compile(rb"^ {4}-1[ ]*\r?$", re.MULTILINE)
 _CLOSES_BINARY = re.compile(rb" {4}-1[ ]*\r?$", re.MULTILINE)
 _DIRECTIONS = ("", "+X", "+Y", "+Z", "+RX", "+RY", "+RZ")
 _ABSCISSA = {17: "time", 18: "frequency"}
+FRF, _COHERENCE, _MULTIPLE_COHERENCE = 4, 6, 20
+"""Types of functions."""
+
 EXACT = "smfe abscissa: first "
 """Begin of an identification line that says the abscissa in all digits, which the fields of the header cannot."""
 
@@ -56,6 +59,12 @@ class Function:
         Abscissae of a function of uneven step.
     y : ndarray, real or complex
         Ordinates.
+    kind : int, optional
+        Type of the function: 1 time response, 4 frequency response, 6 coherence, ...
+    response, reference : (str, str), optional
+        Node and direction ("+X", or "").
+    numerator, denominator : (int, str), optional
+        Type of the quantity (8 displacement, 11 velocity, 12 acceleration, 13 force, ...) and its unit as written.
     """
 
     name: str
@@ -64,6 +73,11 @@ class Function:
     step: float
     x: NDArray[np.float64] | None
     y: NDArray[Any]
+    kind: int = 0
+    response: tuple[str, str] = ("", "")
+    reference: tuple[str, str] = ("", "")
+    numerator: tuple[int, str] = (0, "")
+    denominator: tuple[int, str] = (0, "")
 
     def axis(self) -> NDArray[np.float64]:
         """Return the abscissae."""
@@ -80,9 +94,9 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
     """Read the wanted functions of a universal file.
 
     A real function is the column ``1:+X`` (node and direction of the response) or ``1:+X/2:+Z`` (with the reference), a
-    complex one the columns ``1:+X/2:+Z real`` and ``1:+X/2:+Z imag``; ``time`` or ``frequency`` is their abscissa. A
-    name that occurs again begins another segment, as do functions over another abscissa; segments without the columns
-    wanted are left out.
+    complex one the columns ``1:+X/2:+Z real`` and ``1:+X/2:+Z imag``, a coherence has `` coherence`` behind;
+    ``time`` or ``frequency`` is their abscissa. A name that occurs again begins another segment, as do
+    functions over another abscissa; segments without the columns wanted are left out.
     """
     return [_loaded(path, table) for table in _tables(path, wanted)]
 
@@ -179,6 +193,19 @@ def _rate(step: float) -> float:
         if round_rate > 0.0 and abs(round_rate - rate) <= spread:
             return round_rate
     return rate
+
+
+def _even_step(step: float) -> float:
+    """Return a step of frequencies; where six digits hide a short period, one over that.
+
+    1.95313E-01 Hz is one over 5.12 s. A step that has digits to spare is what it says.
+    """
+    if f"{step:.5e}".split("e")[0].endswith("0"):
+        return step
+    period = 1.0 / step
+    spread = period * 0.6 * 10.0 ** (math.floor(math.log10(step)) - 5) / step
+    near = (round(period, digits) for digits in range(8))
+    return next((1.0 / p for p in near if p > 0.0 and abs(p - period) <= spread), step)
 
 
 # --- the file, dataset by dataset ------------------------------------------------------------------------------------
@@ -301,9 +328,33 @@ def _function(path: Path, header: Sequence[str], body: Body, binary: bytes) -> F
     x = None if even else rows[:, 0].copy()
     values = rows if even else rows[:, 1:]
     y = values[:, 0] + 1j * values[:, 1] if kind in (5, 6) else values[:, 0]
+    abscissa = _ABSCISSA.get(_integer(header[7][:10]), "abscissa")
     if even:
+        step = _even_step(step) if abscissa == "frequency" and step > 0.0 else step
         first, step = _exact(header, first, step)
-    return Function(_name(header[5]), _ABSCISSA.get(_integer(header[7][:10]), "abscissa"), first, step, x, y)
+    response, reference = (
+        (str(_integer(header[5][k : k + 10])), _direction(header[5][k + 10 : k + 14])) for k in (41, 66)
+    )
+    numerator, denominator = (_quantity(line) for line in header[8:10])
+    return Function(
+        name=_name(header[5]),
+        abscissa=abscissa,
+        first=first,
+        step=step,
+        x=x,
+        y=y,
+        kind=_integer(header[5][:5]),
+        response=response,
+        reference=reference,
+        numerator=numerator,
+        denominator=denominator,
+    )
+
+
+def _quantity(line: str) -> tuple[int, str]:
+    """Return type and unit of an ordinate, record 9 or 10: I10, 3I5, 1X, 20A1, 1X, 20A1."""
+    code = line[:10].strip()
+    return (int(code) if code.isdigit() else 0), line[47:67].strip()
 
 
 def _integer(text: str) -> int:
@@ -330,15 +381,22 @@ def _name(line: str) -> str:
     response = _degree(line[41:51], line[51:55])
     reference = _degree(line[66:76], line[76:80])
     # A function of time has a reference only where it is a response to something: FRFs, spectra, correlations.
-    return response if function in (0, 1) or not reference else f"{response}/{reference}"
+    name = response if function in (0, 1) or not reference else f"{response}/{reference}"
+    # A coherence stands beside the response that it belongs to, between the same degrees of freedom.
+    return f"{name} coherence" if function in (_COHERENCE, _MULTIPLE_COHERENCE) else name
 
 
 def _degree(node: str, direction: str) -> str:
-    code = _integer(direction)
+    name = _direction(direction)
+    return f"{_integer(node)}" + (f":{name}" if name else "")
+
+
+def _direction(text: str) -> str:
+    code = _integer(text)
     if abs(code) >= len(_DIRECTIONS):
         raise ValueError(f"direction {code}")
     name = _DIRECTIONS[abs(code)]
-    return f"{_integer(node)}" + (f":{name.replace('+', '-') if code < 0 else name}" if name else "")
+    return name.replace("+", "-") if code < 0 else name
 
 
 def _binary_numbers(body: Body, line: bytes, kind: int, even: bool, count: int) -> NDArray[np.float64]:
