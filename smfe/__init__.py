@@ -20,6 +20,7 @@ from smfe.actuator import identify_actuator
 from smfe.identification import Identification
 from smfe.intervals import interval
 from smfe.limits import LobeResult
+from smfe.first_look import Look, look
 from smfe.pipeline import chatter, demo, identify, lobes, run
 from smfe.records import read_blocks, read_records, read_reduced
 from smfe.scenario import simulate
@@ -32,6 +33,7 @@ __all__ = [
     "InputError",
     "LobeResult",
     "LocalPolynomial",
+    "Look",
     "Segments",
     "SingleReference",
     "SweepPass",
@@ -46,6 +48,7 @@ __all__ = [
     "interval",
     "load_campaign",
     "lobes",
+    "look",
     "read_blocks",
     "read_records",
     "read_reduced",

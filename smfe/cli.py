@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from process.errors import InputError
-from smfe import __version__, pipeline
+from smfe import __version__, first_look, pipeline
 from smfe import plan as planner
 from smfe.conversion import convert as convert_file
 from smfe.demo_campaign import DEMO_SEED
@@ -268,6 +268,23 @@ def convert(
         console.print(f"warning, {text}", markup=False, highlight=False, soft_wrap=True)
     for path in written:
         out.print(f"written: {path}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def look(
+    record: Annotated[Path, typer.Argument(help="Any file of measured data.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for the picture and the campaign file.")
+    ] = Path("."),
+) -> None:
+    """Say what a file holds and what it seems to be; draw it; write a campaign file to start from."""
+    target = output / f"{record.name}.look.toml"
+    kept = target.exists()
+    found = first_look.look(record, output)
+    out.print(first_look.summary(found), markup=False, highlight=False, soft_wrap=True)
+    out.print(f"written: {output / f'{record.name}.look.png'}", highlight=False, soft_wrap=True)
+    state = "kept as it was" if kept else "written"
+    out.print(f"{state}: {target}; next: smfe check {target}", highlight=False, soft_wrap=True)
 
 
 @app.command()
