@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.units import UNITS, known
-from smfe.records import csv, lvm, mat, netcdf, npy, parquet, tdms
+from smfe.records import controls, lvm, mat, netcdf, npy, parquet, tdms, text
 from smfe.records.read import Reader, reader_of
 from smfe.records.table import Column, UnknownColumn, damaged
 
@@ -86,13 +86,11 @@ def names_itself(path: str | Path) -> bool:
 
 def has_no_clock(path: str | Path) -> bool:
     """Whether a file is of a format that states no sample rate, so that a column of times is needed."""
-    return reader_of(Path(path)) in (
-        csv.read_tables,
-        mat.read_tables,
-        netcdf.read_tables,
-        npy.read_tables,
-        parquet.read_tables,
-    )
+    path = Path(path)
+    reader = reader_of(path)
+    if reader is text.read_tables:
+        return not controls.kind_of_text(path)
+    return reader in (mat.read_tables, netcdf.read_tables, npy.read_tables, parquet.read_tables)
 
 
 def contents(path: str | Path) -> list[Contents]:
@@ -123,8 +121,8 @@ def contents(path: str | Path) -> list[Contents]:
                 sizes.append(size)
                 groups.append([])
             groups[sizes.index(size)].append(name)
-        # The longest columns are the record: scalars and short tables beside them are settings.
-        order = np.argsort(sizes)[::-1]
+        # The columns of one length that hold most numbers are the record: scalars and short tables are settings.
+        order = np.argsort([size * len(group) for size, group in zip(sizes, groups, strict=True)])[::-1]
         kept = groups[order[0]] if groups else []
         for k in order[1:]:
             unread.update({name: f"it has {sizes[k]} values where others have {sizes[order[0]]}" for name in groups[k]})
@@ -169,7 +167,7 @@ def without_unit(name: str) -> tuple[str, str | None]:
     """Return a header without its unit, and the unit: ``"Fx [N]"``, ``"t (s)"``, ``"Fx/kN"``."""
     for pattern in (_IN_BRACKETS, _AFTER_A_SLASH):
         match = pattern.match(name)
-        if match and (unit := plain_unit(match[2])) is not None:
+        if match and (unit := plain_unit(match[2])) is not None and not known(unit, "dimensionless"):
             return match[1].strip(), unit
     return name.strip(), None
 
@@ -205,7 +203,7 @@ def _hdf5_units(path: Path) -> dict[str, str]:
 
 
 _STATED: dict[Reader, Callable[[Path], Mapping[Any, str]]] = {
-    csv.read_tables: csv.stated_units,
+    text.read_tables: text.stated_units,
     lvm.read_tables: lvm.stated_units,
     netcdf.read_tables: _hdf5_units,
     tdms.read_tables: tdms.stated_units,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, make_record
-from smfe.records import csv, lvm, mat, netcdf, npy, parquet, sinumerik, tdms, uff, wav
+from smfe.records import controls, lvm, mat, netcdf, npy, parquet, sinumerik, tdms, text, uff, wav
 from smfe.records.align import align
 from smfe.records.channels import Channel, record_channels, split_vector
 from smfe.records.table import Column, Table
@@ -22,10 +22,12 @@ from smfe.records.table import Column, Table
 Reader = Callable[[Path, Sequence[Column]], list[Table]]
 
 READERS: dict[str, Reader] = {
-    ".csv": csv.read_tables,
-    ".txt": csv.read_tables,
-    ".dat": csv.read_tables,
-    ".frf": csv.read_tables,
+    ".csv": text.read_tables,
+    ".txt": text.read_tables,
+    ".dat": text.read_tables,
+    ".frf": text.read_tables,
+    ".log": text.read_tables,
+    ".json": controls.read_capture,
     ".parquet": parquet.read_tables,
     ".nc": netcdf.read_tables,
     ".h5": netcdf.read_tables,
@@ -45,7 +47,7 @@ READERS: dict[str, Reader] = {
 BlockReader = Callable[[Path, Sequence[Column], int], Iterator[Table]]
 
 BLOCK_READERS: dict[Reader, BlockReader] = {
-    csv.read_tables: csv.read_blocks,
+    text.read_tables: text.read_blocks,
     mat.read_tables: mat.read_blocks,
     netcdf.read_tables: netcdf.read_blocks,
     parquet.read_tables: parquet.read_blocks,

@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy import io
 from scipy.io import wavfile
+from truth.controls import write_capture, write_halscope, write_twincat
 
 from process.errors import InputError
 from process.labels import make_record
@@ -60,16 +61,29 @@ FORMATS = [
     "npy_list",
     "xml",
     "lvm",
+    "json",
+    "log",
+    "dat_twincat",
 ]
 
 
-def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
+CONTROLS = {
+    "json": write_capture,
+    "log": partial(write_halscope, named=False),
+    "dat_twincat": write_twincat,
+}
+
+
+def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:  # noqa: C901 (a branch a format)
     """Write a short record in a format; return it with its channels."""
     rng = np.random.default_rng(5)
     t = np.arange(N) / RATE
     record = make_record(t, {"force": {"x": rng.standard_normal(N)}, "acceleration": {"x": rng.standard_normal(N)}})
     columns = {"t": t, "Fx": record["force"].values[0], "ax": record["acceleration"].values[0]}
     path = folder / f"r.{kind.split('_')[0].removesuffix('73')}"
+    if kind in CONTROLS:
+        CONTROLS[kind](path, {"Fx": record["force"].values[0], "ax": record["acceleration"].values[0]}, 1.0 / RATE)
+        return path, FORCE
     if kind in ("csv", "nc", "mat"):
         write = {"csv": write_record_csv, "nc": write_record_netcdf, "mat": write_record_mat}[kind]
         return write(record, path), CLOCK | FORCE
@@ -258,7 +272,7 @@ class TestDamage:
         for size in np.unique(np.linspace(1, len(whole.rstrip()) - 1, 15, dtype=int)):
             path.write_bytes(whole[:size])
             # Half of the last number of a text is a number.
-            unseen = kind == "csv" or (kind == "lvm" and size > len(whole) - 20)
+            unseen = kind in ("csv", "dat_twincat") or (kind == "lvm" and size > len(whole) - 20)
             assert said(path, channels) or unseen, f"{size} of {len(whole)} bytes"
 
     @given(st.data())
