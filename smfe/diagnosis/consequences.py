@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from process.engagement import engagement
+from process.plausible import implausible
 from smfe.campaign import Campaign
 from smfe.diagnosis.axis_baseline import AxisBaseline
 from smfe.diagnosis.cutting_limits import CuttingLimits, Limit
@@ -26,7 +27,7 @@ _STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
 
 def with_consequences(campaign: Campaign, family: Family, finding: Finding, aside: Sequence[str]) -> Finding:
     """Return a finding with what became of the baseline, and stable depths or force errors where it is repaired."""
-    finding = replace(finding, baseline=tuple(_own(family, finding)))
+    finding = _plausible(replace(finding, baseline=tuple(_own(family, finding))))
     if not finding.causes:
         return finding
     if isinstance(family, DriveRecordFamily):
@@ -36,6 +37,22 @@ def with_consequences(campaign: Campaign, family: Family, finding: Finding, asid
     if isinstance(family, CuttingLimits):
         return replace(finding, stable_depth=tuple(_limits(campaign, family, finding)))
     return finding
+
+
+def _plausible(finding: Finding) -> Finding:
+    """Return a finding whose fitted parameters are possible: with one that is not, the data are not consistent.
+
+    A parameter that is free to follow the data can make any model fit them: forces of turning, declared as those of
+    milling, are "explained" by coefficients of 5 N/mm^2.
+    """
+    wrong = implausible(finding.values)
+    if not wrong:
+        return finding
+    said = "; ".join(wrong)
+    if finding.verdict != "consistent":
+        return replace(finding, reason=f"{finding.reason}. Of the fitted parameters, {said}")
+    reason = f"it fits only with parameters that are not possible: {said}. Check cut, channels, units, signs"
+    return replace(finding, verdict="unknown", reason=reason)
 
 
 def _own(family: Family, finding: Finding) -> Iterator[Own]:

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from process.engagement import Engagement
 from process.errors import InputError
 from process.labels import make_record
 from process.tool import Tool
+from smfe.campaign import Campaign
+from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.cutting_forces import CuttingForces, KnownForce, cutting_family
 from smfe.diagnosis.cutting_orders import SteadyCut, cutting_orders, find_rotation, rigid_orders
 from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.finding import Finding
+from smfe.diagnosis.finding import Finding, explain
 from smfe.diagnosis.problem import Condition
 
 MILL = Mill()
@@ -260,3 +263,16 @@ def test_proposals_are_predicted_without_data() -> None:
     assert np.linalg.norm(deep) > 10.0
     np.testing.assert_allclose(weight, 100.0)
     np.testing.assert_allclose(family.predict(family.proposals[1], values | {"gain_x": 0.05})[0], 105.0)
+
+
+def test_forces_that_need_an_impossible_material_are_not_consistent() -> None:
+    """Forces of another process, small and without the orders of teeth, let the coefficients fall to nearly nothing."""
+    records = measure_cuts(Mill(helix=0.1), list(FEEDS[:3]), 3)
+    for record in records:
+        record["force"] = [0.004 * np.asarray(f) for f in record["force"]]
+    family = family_of(records)
+    plain = diagnose(family, 3)
+    found = with_consequences(Campaign(Path(), "turning"), family, plain, ())
+    assert 1e-6 * found.values["Ktc"] < 30.0
+    assert found.verdict != "consistent"
+    assert "N/mm^2, outside of 30 to" in explain(found)

@@ -11,6 +11,7 @@ from process.engagement import engagement
 from process.errors import InputError
 from process.friction import Andersson, LuGre, Viscous
 from process.machine import FeedAxis, Machine
+from process.plausible import implausible
 from process.servo import Servo
 from process.simulate import MillingCut
 from process.structure import two_mass_axes
@@ -55,3 +56,23 @@ def test_a_tool_in_millimetres_is_refused() -> None:
     with pytest.raises(InputError, match=r"tool diameter is 125 m, larger than any .* so that 125 mm are 0.125"):
         Tool(125.0, 8)
     assert Tool(0.63, 20).diameter == 0.63
+
+
+class TestFittedParameters:
+    def test_coefficients_of_every_material_pass(self) -> None:
+        """From acrylic to hardened steel, with thin chips, worn edges and negative axial coefficients."""
+        for ktc, krc, kac in (
+            (120, 40, 10),
+            (796, 169, 222),
+            (2100, 900, 300),
+            (6500, 5000, -700),
+        ):
+            values = {"Ktc": 1e6 * ktc, "Krc": 1e6 * krc, "Kac": 1e6 * kac, "Kte": 27.7e3, "Kre": 30.8e3, "Kae": 1.4e3}
+            assert implausible(values) == []
+
+    def test_what_no_work_material_has_is_said(self) -> None:
+        (said,) = implausible({"Ktc": 5.25e6, "helix": 0.3})
+        assert said.startswith("Ktc is 5.25 N/mm^2, outside of 30 to 2e+04 N/mm^2")
+        (said,) = implausible({"Ktc": 100e6, "Krc": 700e6})
+        assert said.startswith("Krc is 7 times Ktc")
+        assert len(implausible({"moving_mass": 9e-8})) == 1
