@@ -215,6 +215,8 @@ def plan(
             result = verify_plan(found, output, tuple(range(1, seeds + 1)), progress)
         out.print(explain_verification(result), markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output / 'plan.html'}; next: cut {output / 'plan.csv'}", highlight=False, soft_wrap=True)
+    if verified and not result.confirmed:
+        raise typer.Exit(3)
 
 
 @app.command()

@@ -7,7 +7,8 @@ recorded. The noise of the forces is taken out of the normal equations, the nois
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,6 +60,10 @@ An entry known to a thousandth must not keep the rest of its row, which is not, 
 
 LARGEST_SHARE = 0.7
 """Share of noise in the weakest direction of the forces above which a frequency is not solved."""
+
+
+FALSE_ALARM = 0.01
+"""Probability with which noise makes a row of a rational model that is right disagree with a band anywhere."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +147,7 @@ def solve_local(
     assert found.half_width is not None
     found = replace(found, between=noise_between(found.covariance, shared, level, found.half_width))
     if model:
-        found = _with_rational(estimator, data, weight, solved, found, (shared, level))
+        found = _with_rational(estimator, data, weight, dict(zip(widths, solved, strict=True)), found, (shared, level))
     assert found.between is not None
     found = replace(found, between=possible(found.covariance, found.between))
     if progress is not None:
@@ -514,25 +519,27 @@ def _with_rational(
     estimator: LocalPolynomial,
     data: _Data,
     weight: Real,
-    solved: Sequence[Estimate],
+    solved: Mapping[float, Estimate],
     found: Estimate,
     noise: tuple[Complex, Real],
 ) -> Estimate:
-    """Take the rational model where it agrees with what was chosen and with all narrower bands.
+    """Take the rational model where it agrees with what was chosen and with all narrower bands (half width -> band).
 
     Rows that share noise share errors, and rows of the model share its poles as well.
     """
     assert found.half_width is not None
     assert found.freedom is not None
     e, f = data.excitations, data.frequency
-    fit = fit_rational(data.clean, data.raw, weight, (float(f[0]) - 1.0, float(f[-1]) + 1.0), f, e)
+    band = (float(f[0]) - 1.0, float(f[-1]) + 1.0)
+    fit = fit_rational(data.clean, data.raw, weight, band, f, e, known=data.noise_spread)
     scale = max(1.0, fit.misfit)
     covariance = fit.covariance * scale
     model = replace(found, compliance=fit.value, covariance=covariance)
     agrees = np.ones(found.half_width.shape, dtype=bool)
-    for width, s in zip(sorted(estimator.half_widths), solved, strict=False):
+    limit = model_agreement(estimator, list(solved), e, float(f[-1] - f[0]))
+    for width, s in solved.items():
         narrower = found.half_width >= width - 1e-12
-        agrees &= ~narrower | (difference(model, s) <= estimator.agreement)
+        agrees &= ~narrower | (difference(model, s) <= limit)
     agrees = ndimage.median_filter(agrees, size=(5, 1), mode="mirror")
     covariance = covariance + _lack_of_fit(model, found, estimator)
     narrower_std = np.sum(np.diagonal(covariance, axis1=2, axis2=3).real, axis=2) < np.sum(found.std**2, axis=2)
@@ -554,6 +561,18 @@ def _with_rational(
         between=between,
         freedom=np.where(take, 2.0 * fit.freedom / found.compliance.shape[1], found.freedom),
     )
+
+
+def model_agreement(estimator: LocalPolynomial, widths: Sequence[float], excitations: int, span: float) -> float:
+    """Return the largest difference of a row of the model from the bands, in standard deviations.
+
+    The square of a circular difference over its variance has the distribution ``exp(-x)``; the largest of n exceeds
+    ``ln(n/p)`` with a probability of at most p. Over the band there are ``span/(2 w)`` independent estimates of half
+    width w for each entry. A band that takes the place of a model that is right has several times its variance over
+    hertz, so that false alarms would rule the error.
+    """
+    looks = excitations * sum(max(1.0, span / (2.0 * w)) for w in widths)
+    return max(estimator.agreement, math.sqrt(math.log(looks / FALSE_ALARM)))
 
 
 def _lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial, reach: float = 4.0) -> Complex:

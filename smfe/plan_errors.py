@@ -9,7 +9,9 @@ records. With the energy ``G(f) = sum over records of F F^H`` the normal matrix 
 - beats: harmonics that pass a frequency at different times beat over the band; as far as they do, what the polynomial
   misses of one entry is noise to the others of its row;
 - forces: their noise is in the regressors, too, and is taken out of M; the residual keeps it, so that ``M^-1`` becomes
-  ``M^-1 (M + N) M^-1``, N over all lines, the air included.
+  ``M^-1 (M + N) M^-1``, N over all lines, the air included. Records whose air does not show N keep it in M, and the
+  compliance comes out too small by ``Phi (1 - M (M + N)^-1)``. Where N is most of the weakest direction of the forces
+  the estimator solves nothing.
 
 The estimator takes, row by row, the widest band that agrees with all narrower ones, in units of the standard deviation
 that it states: that of its residual, where the bend counts as noise. Two bands differ by their difference in bend plus
@@ -17,9 +19,14 @@ noise of variance ``V_narrow - V_wide``, so that they agree with the probability
 square errors of the bands are added with the probabilities that they are taken.
 
 **Model.** The default estimator takes its rational model (`smfe.plan_rational`) where no entry of a row differs from
-the band by more than `agreement` standard deviations, else the band. An efficient model and its difference d to the
-band are independent, so that falling back adds ``E[|d_j|^2; any |d_k|^2 > a_k]`` of exponentially distributed
-squares: the band is taken exactly where it is far off.
+the band by more than `smfe.local_polynomial.model_agreement` standard deviations, else the band. An efficient model and
+its difference d to the band are independent, so that falling back adds ``E[|d_j|^2; any |d_k|^2 > a_k]`` of
+exponentially distributed squares: the band is taken exactly where it is far off.
+
+**Scatter.** The errors of a model are those of a few poles and amplitudes, shared by all frequencies: what one sweep
+will err by scatters about its root mean square as the root of a chi-square over its degrees of freedom does
+(`RationalFit.entry_freedom`); a systematic error b beside a noise n does not scatter, which leaves
+``(n^2 + b^2)^2/(n^4 + 2 n^2 b^2)`` times the degrees of freedom.
 """
 
 from __future__ import annotations
@@ -35,9 +42,9 @@ from scipy import ndimage, stats
 from process.cutting import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
-from smfe.local_polynomial import SAME
-from smfe.plan_forces import Forces, SweepPlan
-from smfe.plan_rational import expected_model
+from smfe.local_polynomial import LARGEST_SHARE, SAME, model_agreement
+from smfe.plan_forces import Forces, ForceSensor, SweepPlan, force_sensor
+from smfe.plan_rational import ExpectedModel, expected_model
 from smfe.plan_task import Estimate
 from smfe.sweep import REFUSE_CONDITION
 from smfe.sweep_estimators import BANDS, LocalPolynomial
@@ -75,9 +82,9 @@ class Instruments:
 
 @dataclass(frozen=True)
 class _Band:
-    """One half width: noise, all that varies, what differences count in, systematic error, condition.
+    """One half width: noise, all that varies, what differences count in, systematic error, shapes (f, 3, 3).
 
-    Shapes (f, 3, 3), last (f,).
+    Condition number, and noise of the forces over the greatest that can be solved, (f,).
     """
 
     noise: Real
@@ -85,6 +92,7 @@ class _Band:
     stated: Real
     bias: Complex
     condition: Real
+    drowned: Real
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,7 @@ class _Ground:
 
     forces: Forces
     estimate: Estimate
-    instruments: Instruments
+    sensor: ForceSensor
     frequency: Real
     truth: Complex
     noise: Real
@@ -131,8 +139,10 @@ def expected(
     xarray.Dataset
         ``compliance`` of the estimate, ``compliance_std`` (root mean square of the error to be expected, noise and
         systematic), ``noise_std`` (noise alone), ``force_condition``, ``half_width`` (mean of what will be taken [Hz]);
-        with a rational model also ``bands_std``, what `smfe.sweep_estimators.BANDS` would err by, and the number of
-        its ``poles`` as an attribute.
+        with a rational model also ``bands_std``, what `smfe.sweep_estimators.BANDS` would err by, ``error_freedom``
+        (response, excitation), by which the error of one sweep scatters, and the number of its ``poles`` as an
+        attribute. ``force_condition`` is infinite where the noise of the forces leaves nothing to solve; the attribute
+        ``force_noise_ratio`` is that noise over the greatest with which all frequencies are solved.
 
     Raises
     ------
@@ -145,24 +155,35 @@ def expected(
     forces = Forces(plan, coefficients, float(frequency[-1]) + max(chosen.half_widths))
     beats = forces.beat_share(frequency)
     widths = _usable(chosen, plan)
-    ground = _Ground(forces, estimate, instruments, frequency, truth, noise, beats, chosen.order)
+    band = (float(frequency[0]), float(frequency[-1]))
+    sensor = force_sensor(plan, coefficients, instruments.force_noise, instruments.sample_rate, band)
+    ground = _Ground(forces, estimate, sensor, frequency, truth, noise, beats, chosen.order)
     bands = [_band(ground, w) for w in widths]
     taken = _taken(bands, chosen)
     alone = np.einsum("kfi,kfij->fij", taken, np.array([b.variance + np.abs(b.bias) ** 2 for b in bands]))
     noisy = np.einsum("kfi,kfij->fij", taken, np.array([b.noise for b in bands]))
     likely = taken.argmax(axis=0)
-    condition = np.array([b.condition for b in bands])[likely, np.arange(frequency.size)[:, None]].max(axis=1)
+    condition, drowned = (
+        np.array(of_bands)[likely, np.arange(frequency.size)[:, None]].max(axis=1)
+        for of_bands in ([b.condition for b in bands], [b.drowned for b in bands])
+    )
     three = ("frequency", "response", "excitation")
     extra = {
         "force_condition": (three[:1], condition),
         "half_width": (three[:2], np.einsum("kfi,k->fi", taken, np.asarray(widths))),
     }
-    attrs: dict[str, object] = {"method": "plan", "estimator": repr(chosen)}
+    attrs: dict[str, object] = {
+        "method": "plan",
+        "estimator": repr(chosen),
+        "force_noise_ratio": float(min(drowned.max(), 1e3)),
+    }
     if chosen.rational:
         extra["bands_std"] = (three, np.sqrt(_of_narrow_bands(dict(zip(widths, bands, strict=True)))))
-        noisy, systematic, poles = expected_model(forces, estimate, noise, frequency, chosen.order)
-        alone = _with_model(noisy, systematic, bands, taken, chosen.agreement)
-        attrs["poles"] = poles
+        model = expected_model(forces, estimate, noise, sensor, frequency, chosen.order)
+        noisy = model.variance
+        alone = _with_model(noisy, model.bias, bands, taken, model_agreement(chosen, widths, 3, band[1] - band[0]))
+        attrs["poles"] = model.poles
+        extra["error_freedom"] = (three[1:], _freedom(model, alone))
     extra |= {"compliance_std": (three, np.sqrt(alone)), "noise_std": (three, np.sqrt(noisy))}
     found = make_compliance(frequency, truth, AXES, extra=extra, attrs=attrs)
     for name in {"noise_std", "bands_std"} & set(extra):
@@ -172,9 +193,41 @@ def expected(
 
 
 def relative_error(found: xr.Dataset, scale: Real, name: str = "compliance_std") -> Real:
-    """Return the rms over frequency of a standard deviation as a fraction of `scale`, shape (3, 3)."""
+    """Return the rms over frequency of a standard deviation as a fraction of `scale`, shape (3, 3).
+
+    Frequencies that the estimator will not solve do not count, where it solves any.
+    """
     std = found[name].transpose("frequency", "response", "excitation").values
+    solved = found["force_condition"].values <= REFUSE_CONDITION
+    std = std[solved] if solved.any() else std
     return np.asarray(np.sqrt(np.mean(std**2, axis=0)) / scale)
+
+
+def error_interval(freedom: Real, probability: float, sweeps: int = 1) -> tuple[Real, Real]:
+    """Return between which multiples of the expected error that of some sweeps lies, with a probability.
+
+    Roots of the quantiles of a chi-square over its degrees of freedom.
+
+    Parameters
+    ----------
+    freedom : ndarray
+        ``error_freedom`` of `expected`.
+    probability : float
+        Within the interval; the rest is as likely below as above.
+    sweeps : int, optional
+        Whose mean square is taken.
+    """
+    n = sweeps * np.asarray(freedom, dtype=float)
+    low, high = (np.sqrt(stats.chi2.ppf(q, n) / n) for q in (0.5 - 0.5 * probability, 0.5 + 0.5 * probability))
+    return np.asarray(low), np.asarray(high)
+
+
+def _freedom(model: ExpectedModel, total: Real) -> Real:
+    """Return the degrees of freedom of what an entry will err by, shape (3, 3)."""
+    whole = np.mean(total, axis=0)
+    fixed = np.minimum(np.mean(np.abs(model.bias) ** 2, axis=0), 0.99 * whole)
+    scatters = whole - fixed
+    return np.asarray(model.freedom * whole**2 / (scatters * (scatters + 2.0 * fixed)))
 
 
 def _of_narrow_bands(bands: dict[float, _Band]) -> Real:
@@ -229,15 +282,17 @@ def _band(ground: _Ground, width: float) -> _Band:
     right = np.einsum("bs,fsik,fskj->fibj", powers, compliance, energy, optimize=True).reshape(f, 3, size)
     lines = 2.0 * width * plan.record * plan.records
     # Noise is in every line of every record; the energy of a chirp does not grow with the record.
-    added = np.square(ground.instruments.force_noise) / ground.instruments.sample_rate * lines / points
-    noisy = np.kron(powers @ powers.T, np.diag(added))
-    condition = _condition(exact[:, :3, :3])
+    added = ground.sensor.density * lines / points
+    noisy = np.kron(powers @ powers.T, np.diag(added)).astype(np.float64)
+    normal = exact if ground.sensor.subtracted else exact + noisy
+    taken_out = noisy[:3, :3] if ground.sensor.subtracted else np.zeros((3, 3))
+    condition, drowned = _condition(normal[:, :3, :3], taken_out, lines)
     solved = condition <= 10.0 * REFUSE_CONDITION
     # What cannot be solved is wrong by ten times the largest compliance.
     noise = np.full((f, 3, 3), 100.0 * float(np.abs(ground.truth).max()) ** 2)
     stated, bias = noise.copy(), np.zeros((f, 3, 3), dtype=complex)
-    inverse = np.linalg.inv(exact[solved])
-    spread = np.diagonal(inverse + inverse @ noisy @ inverse, axis1=1, axis2=2).real[:, None, :3]
+    inverse = np.linalg.inv(normal[solved])
+    spread = np.diagonal(inverse @ (exact[solved] + noisy) @ inverse, axis1=1, axis2=2).real[:, None, :3]
     noise[solved] = ground.noise[solved][:, :, None] * spread
     bias[solved] = (right[solved] @ inverse)[:, :, :3] - ground.truth[solved]
     # What the polynomial misses is in the residual, and the estimator takes that for noise.
@@ -245,13 +300,22 @@ def _band(ground: _Ground, width: float) -> _Band:
     missed = _missed(whole, right[solved], exact[solved]) / max(lines - size, 1.0)
     stated[solved] = (ground.noise[solved] + missed)[:, :, None] * spread
     varies = noise + ground.beats[:, None, None] * (stated - noise)
-    return _Band(noise, varies, stated + (SAME * np.abs(ground.truth)) ** 2, bias, condition)
+    return _Band(noise, varies, stated + (SAME * np.abs(ground.truth)) ** 2, bias, condition, drowned)
 
 
-def _condition(energy: Complex) -> Real:
-    """Return the condition number of forces whose ``F F^H`` is given, shape (f, 3, 3)."""
-    values = np.linalg.eigvalsh(energy)
-    return np.asarray(np.sqrt(values[:, -1] / np.maximum(values[:, 0], 1e-30 * values[:, -1])))
+def _condition(energy: Complex, noise: Real, lines: float) -> tuple[Real, Real]:
+    """Return the condition number of forces whose ``F F^H`` is given (f, 3, 3), and how far their noise drowns them.
+
+    The estimator solves nothing where a noise n^2 that is taken out is more than a share q of the weakest direction e
+    with it: from ``n = sqrt(q e/(1 - q))`` on. What it sees of e over L lines scatters by ``sqrt((n^4 + 2 e n^2)/L)``;
+    two of these below e it must still be seen, or every fortieth frequency is lost.
+    """
+    clean, whole = np.linalg.eigvalsh(energy), np.linalg.eigvalsh(energy + noise)
+    floor = 1e-30 * clean[:, -1]
+    smallest, power = np.maximum(clean[:, 0], floor), whole[:, 0] - clean[:, 0]
+    seen = np.maximum(smallest - 2.0 * np.sqrt(power * (power + 2.0 * smallest) / lines), np.maximum(floor, 1e-300))
+    drowned = np.sqrt(power / seen * (1.0 - LARGEST_SHARE) / LARGEST_SHARE)
+    return np.where(drowned <= 1.0, np.sqrt(whole[:, -1] / smallest), np.inf), drowned
 
 
 def _missed(whole: Real, right: Complex, normal: Complex) -> Real:

@@ -24,6 +24,7 @@ from scipy import special
 from process.cutting import CuttingCoefficients, force_harmonics, force_projection
 from process.engagement import Engagement, engagement
 from process.tool import Tool
+from smfe.force_noise import MARGIN, SHORTEST
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -306,6 +307,64 @@ def force_level(
         float(torque.mean()),
         float(torque.max()),
     )
+
+
+@dataclass(frozen=True)
+class ForceSensor:
+    """Noise of the forces, and what the estimator will know of it.
+
+    Parameters
+    ----------
+    density : ndarray, shape (3,)
+        ``sigma_F^2 dt``, two-sided [N2 s].
+    subtracted : bool
+        Whether the air shows it, so that it is taken out of the normal equations.
+    known : float
+        Relative standard deviation of what the air shows.
+    """
+
+    density: Real
+    subtracted: bool
+    known: float
+
+
+def force_sensor(
+    plan: SweepPlan,
+    coefficients: CuttingCoefficients,
+    noise: Sequence[float],
+    sample_rate: float,
+    band: tuple[float, float],
+) -> ForceSensor:
+    """Return what the records of a plan will tell of the noise of their forces (`smfe.force_noise`).
+
+    The air is seen where the force is less than half of that in the cut; its lines within the band, two thirds of them
+    independent, give the relative standard deviation ``1/sqrt(lines)``.
+
+    Parameters
+    ----------
+    plan : SweepPlan
+        The sweep.
+    coefficients : CuttingCoefficients
+        Work material.
+    noise : sequence of float
+        Root mean square of x, y, z in the record [N].
+    sample_rate : float
+        [Hz].
+    band : (float, float)
+        Of the identification [Hz].
+    """
+    square = np.square(noise)
+    levels = [
+        force_level(plan.tool, one.arc(plan.tool.diameter), coefficients, plan.depth, plan.feed_per_tooth)
+        for one in plan.passes
+    ]
+    # A noise n is in the cut too: n < sqrt(F^2 + n^2)/2.
+    loud = [float(level.rms @ level.rms) > 3.0 * float(square.sum()) for level in levels]
+    pieces = [t - MARGIN for t in (plan.lead, plan.tail) if t - MARGIN >= SHORTEST]
+    lines = plan.repeats * sum(loud) * sum(pieces) * (band[1] - band[0])
+    # Two thirds of the lines of a Hann window are independent.
+    known = 1.0 / math.sqrt(max(lines / 1.5, 1.0)) if lines else 0.0
+    return ForceSensor(square / sample_rate, bool(lines), known)
 
 
 def with_inserts(tool: Tool, count: int) -> Tool:

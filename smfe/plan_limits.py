@@ -15,6 +15,9 @@ from smfe.sweep import REFUSE_CONDITION
 SHORTEST_PASS = 10.0
 """A pass in less time [s] is no sweep: the resonances would not rise."""
 
+WORKED = ("chatter", "noise", "error")
+"""Limits that are asked of the alternatives that are worked through, not of all."""
+
 
 @dataclass(frozen=True)
 class Limit:
@@ -52,7 +55,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("power", "more power", "plan.power"),
     Limit("error", "a larger error", "plan.largest_error"),
 )
-"""In the order in which they are asked: the first that fails is the reason of a rejection."""
+"""In the order in which they are asked."""
 
 KEYS = tuple(limit.key for limit in LIMITS)
 

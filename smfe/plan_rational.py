@@ -2,17 +2,20 @@
 
 With the energy ``G(f) = sum over records of F F^H`` and noise of density ``s_i^2`` the lines of a bin sum up to
 ``integral conj(t^p) t^q G df`` and ``integral Phi G df``, whatever the length of the records. The estimator itself is
-fitted to these sums: where it ends beside the truth is its systematic error, and its linearised covariance is the bound
-of Cramer and Rao for a model of as many poles, which efficient estimates reach.
+fitted to these sums: where it ends beside the truth is its systematic error. Its linearised covariance is the bound of
+Cramer and Rao where the forces are known; their noise N is in the lines that are summed, which adds N to the middle of
+the covariance, and how well N is known from the air adds what is wrong with it (`smfe.rational_fit`).
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smfe.local_equations import Equations
-from smfe.plan_forces import Forces
+from smfe.plan_forces import Forces, ForceSensor
 from smfe.plan_task import Estimate
 from smfe.rational_fit import fit_rational
 
@@ -29,10 +32,32 @@ BEYOND = 1.0
 """How far beyond the band the estimator takes lines for its model [Hz]."""
 
 
+@dataclass(frozen=True)
+class ExpectedModel:
+    """What the rational model will be.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (f, 3, 3)
+        Of the noise [m2/N2].
+    bias : ndarray of complex, shape (f, 3, 3)
+        Systematic error [m/N].
+    freedom : ndarray, shape (3, 3)
+        Degrees of freedom of the mean square error over the frequencies.
+    poles : int
+        Number of poles.
+    """
+
+    variance: Real
+    bias: Complex
+    freedom: Real
+    poles: int
+
+
 def expected_model(
-    forces: Forces, estimate: Estimate, noise: Real, frequency: Real, order: int
-) -> tuple[Real, Complex, int]:
-    """Return variance [m2/N2] and systematic error [m/N] of the rational model, shapes (f, 3, 3), and its poles.
+    forces: Forces, estimate: Estimate, noise: Real, force_noise: ForceSensor, frequency: Real, order: int
+) -> ExpectedModel:
+    """Work the rational model out on the sums to be expected.
 
     Parameters
     ----------
@@ -42,6 +67,8 @@ def expected_model(
         The machine.
     noise : ndarray, shape (f, 3)
         ``s_i^2`` of each row [m2 s].
+    force_noise : ForceSensor
+        Noise of the forces, and what the air says of it.
     frequency : ndarray, shape (f,)
         Frequencies of the evaluation [Hz].
     order : int
@@ -55,11 +82,14 @@ def expected_model(
     plan = forces.plan
     energy = plan.repeats * np.sum(forces.energy(points), axis=0) * (0.5 * STEP * share)[:, None, None]
     lines = STEP * plan.record * plan.records
-    equations = _sums(centre, points - centre[:, None], energy, compliance, order, lines)
+    without = _sums(centre, points - centre[:, None], energy, compliance, order, lines)
+    power = np.diag(force_noise.density).astype(complex)
+    raw = without.without_input_noise(-np.broadcast_to(power, (centre.size, 1, 3, 3)))
     weight = np.stack([1.0 / np.interp(centre, frequency, row) for row in noise.T], axis=1)[:, None, :]
-    fit = fit_rational(equations, equations, weight, band, frequency, 3)
+    clean = without if force_noise.subtracted else raw
+    fit = fit_rational(clean, raw, weight, band, frequency, 3, known=force_noise.known)
     variance = np.diagonal(fit.covariance, axis1=2, axis2=3).real
-    return np.asarray(variance), np.asarray(fit.value - truth), fit.poles.size
+    return ExpectedModel(np.asarray(variance), np.asarray(fit.value - truth), fit.entry_freedom, fit.poles.size)
 
 
 def _sums(centre: Real, shift: Real, energy: Complex, compliance: Complex, order: int, lines: float) -> Equations:

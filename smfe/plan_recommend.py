@@ -3,39 +3,46 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 
 from process.compliance import ModalModel
 from process.errors import InputError
 from smfe.identification import Progress, silent
-from smfe.plan_errors import expected, relative_error
+from smfe.plan_errors import error_interval, expected, relative_error
 from smfe.plan_forces import Forces, Pass, SweepPlan, force_level
 from smfe.plan_limits import KEYS, no_plan, rejections
 from smfe.plan_search import DEPTH_STEP, Search
 from smfe.plan_task import Task
 from smfe.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
-from stability import semi_discretization, zero_order
+from stability import multi_frequency, semi_discretization, zero_order
+
+Real = NDArray[np.float64]
 
 REFINED = 10
 """Alternatives that are worked through as the estimator will."""
 
-CONFIRMED_SPEEDS = 5
-"""Spindle speeds at which the limit depth of the recommended sweep is confirmed by semi-discretisation."""
+MOST_REFINED = 40
+"""The same where none of the first keeps what is asked."""
+
+LIMIT_SPEEDS = {semi_discretization: 15, multi_frequency: 7}
+"""Spindle speeds of a sweep at which a converged method gives its limit depth: of modes in milliseconds, of a measured
+compliance in a third of a second."""
 
 DRAWN_DEPTHS = 9
 """Depths of cut at which the prediction holds the force level."""
 
+CONFIDENCE = 0.95
+"""Probability of the interval in which the error of an entry will lie."""
+
 THIN_CHIP = 10e-6
 """Chips thinner than this [m], about the radius of a sharp edge, are not cut as the coefficients say."""
-
-DRAWN_SPEEDS = 101
-"""Spindle speeds of the limit depths in the prediction."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,8 @@ class Plan:
     sweep : SweepPlan
         What to cut.
     prediction : xarray.Dataset
-        `smfe.plan_errors.expected`, with ``relative_error(response, excitation)`` of the default estimator,
+        `smfe.plan_errors.expected`, with ``relative_error(response, excitation)`` of the default estimator, between
+        ``relative_error_low`` and ``relative_error_high`` with a probability of `CONFIDENCE`,
         ``bands_relative_error`` of ``estimator = "bands"``, ``force_spectrum(pass, axis, frequency)`` [N s],
         ``limit_depth(pass, spindle_speed)`` [mm], and ``peak_force`` and ``mean_force`` [N] over
         the depth of cut.
@@ -88,12 +96,15 @@ def summary(found: Plan) -> str:
     slow, fast = (w * 30.0 / math.pi for w in (sweep.start, sweep.end))
     passes = ", ".join(f"{p.cut} {1e3 * p.width:g} mm" for p in sweep.passes)
     times = "once each" if sweep.repeats == 1 else f"{sweep.repeats} times each"
+    at = int(found.prediction["relative_error"].values.argmax())
+    low, high = (found.prediction[f"relative_error_{end}"].values.ravel()[at] for end in ("low", "high"))
     lines = [
         f"cut {passes}, {times}: {sweep.tool.teeth} inserts, {1e3 * sweep.depth:.3g} mm deep, spindle {slow:.5g} to "
         f"{fast:.5g} rpm in {sweep.duration:g} s, feed {6e4 * sweep.feed_rate:.4g} mm/min "
         f"({1e3 * sweep.feed_per_tooth:.3g} mm per tooth at the start), {1e3 * sweep.length_of_cut:.4g} mm long",
         f"expected error of the rms compliance: at most {100.0 * found.worst:.2g} %, "
-        f"median {100.0 * found.median:.2g} % (narrow bands alone: at most "
+        f"median {100.0 * found.median:.2g} % (95 % of sweeps: worst entry {100.0 * low:.2g} to {100.0 * high:.2g} %; "
+        "narrow bands alone: at most "
         f"{100.0 * float(found.prediction['bands_relative_error'].max()):.2g} %)",
         f"{found.examined} alternatives looked at",
     ]
@@ -129,47 +140,94 @@ def recommend(task: Task, progress: Progress = silent) -> Plan:
     search = Search(task)
     table = search.table(progress)
     choices = search.choices()
-    fails = (table[list(KEYS)].to_numpy() > 1.0 + 1e-9).any(axis=1)
-    if fails.all():
+    possible = table[(table[list(KEYS)] <= 1.0 + 1e-9).all(axis=1)]
+    if possible.empty:
         raise InputError(no_plan(task, table))
-    rows = _shortlist(table.iloc[np.flatnonzero(~fails)])
-    refined = []
-    for done, row in enumerate(rows.index):
-        progress("working through the best alternatives", done, len(rows))
-        refined.append(_refined(search, table, choices, row))
-    # Of those that are good enough, the ones that are cut least often; of these, the best.
-    ranked = sorted(refined, key=lambda r: (r.worst > task.limits.largest_error, r.sweep.repeats, r.worst))
-    notes: dict[int, str] = {}
-    for one in ranked:
-        progress("confirming the chatter margin", 0, 1)
-        if one.worst > task.limits.largest_error:
-            notes[one.row] = "expected error too large once the bend of the resonances is in it"
-            table.loc[one.row, "error"] = one.worst / task.limits.largest_error
-            continue
-        confirmed, note = _confirmed(search, one)
-        if confirmed is not None:
-            return _plan(task, table, ranked, notes, confirmed, note)
-        notes[one.row] = note
-        table.loc[one.row, "chatter"] = 2.0
-    raise InputError(no_plan(task, table.loc[[r.row for r in ranked]]))
+    refined: list[_Refined] = []
+    kinds = _kinds(possible)
+    for done, row in enumerate(kinds.index):
+        if done >= REFINED and any(one.good for one in refined):
+            break
+        progress("working through the best alternatives", min(done, REFINED - 1), REFINED)
+        one = _refined(search, table, choices, row)
+        refined.append(one)
+        table.loc[row, list(one.needs)] = list(one.needs.values())
+    progress("confirming the limit depths", 0, 1)
+    ranked = sorted(refined, key=_rank)
+    while ranked[0].good and not ranked[0].converged:
+        # Of a measured compliance only for what is to be recommended: a converged limit takes seconds.
+        ranked[0] = _confirmed(search, ranked[0])
+        table.loc[ranked[0].row, list(ranked[0].needs)] = list(ranked[0].needs.values())
+        ranked.sort(key=_rank)
+    if not ranked[0].good:
+        raise InputError(no_plan(task, table.loc[[r.row for r in ranked]]))
+    return _plan(task, table, ranked)
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Limit depths [m] over spindle speeds [rpm], shape (passes, speeds), and whether they are converged."""
+
+    speed: Real
+    depth: Real
+    converged: bool
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class _Refined:
-    """An alternative worked through: its row in the table, the sweep, the prediction and its errors."""
+    """An alternative worked through: its row in the table, the sweep, the prediction, limit depths, and its needs."""
 
     row: int
     sweep: SweepPlan
     prediction: xr.Dataset
-    worst: float
-    median: float
+    limits: _Limits
+    needs: dict[str, float]
+    deepest: float
+
+    @property
+    def worst(self) -> float:
+        """Largest expected error."""
+        return float(self.prediction["relative_error"].max())
+
+    @property
+    def median(self) -> float:
+        """Median expected error."""
+        return float(self.prediction["relative_error"].median())
+
+    @property
+    def good(self) -> bool:
+        """Whether it keeps what is asked."""
+        return max(self.needs.values()) <= 1.0 + 1e-9
+
+    @property
+    def converged(self) -> bool:
+        """Whether its limit depths are those of a converged method, or that was tried."""
+        return self.limits.converged or bool(self.limits.note)
+
+    @property
+    def note(self) -> str:
+        """What is wrong with it."""
+        said = {
+            "chatter": f"only {1e3 * float(self.limits.depth.min()):.3g} mm are stable",
+            "noise": "the noise of the forces leaves frequencies unsolved",
+            "error": "expected error too large",
+        }
+        return "; ".join(said[key] for key, ratio in self.needs.items() if ratio > 1.0 + 1e-9)
 
 
-def _shortlist(possible: pd.DataFrame) -> pd.DataFrame:
-    """Return the best of each kind, the best first: kinds differ in inserts, speeds or feed per tooth."""
-    kinds = possible.sort_values(["worst", "median"], kind="stable")
-    best = kinds.drop_duplicates(["inserts", "start", "end", "feed_per_tooth"])
-    return best.head(REFINED)
+def _rank(one: _Refined) -> tuple[bool, int, float]:
+    """Of those that are good enough come first the ones that are cut least often; of these, the best."""
+    return not one.good, one.sweep.repeats, one.worst
+
+
+def _kinds(possible: pd.DataFrame) -> pd.DataFrame:
+    """Return the best of each kind, the best first: kinds differ in inserts, speeds or feed per tooth.
+
+    What the zero-order method finds unstable comes last.
+    """
+    kinds = possible.sort_values(["unstable", "worst", "median"], kind="stable")
+    return kinds.drop_duplicates(["inserts", "start", "end", "feed_per_tooth"]).head(MOST_REFINED)
 
 
 def _refined(search: Search, table: pd.DataFrame, choices: list[tuple[Pass, ...]], row: int) -> _Refined:
@@ -188,72 +246,92 @@ def _refined(search: Search, table: pd.DataFrame, choices: list[tuple[Pass, ...]
         task.limits.lead,
         task.limits.tail,
     )
+    modal = isinstance(task.estimate.source, ModalModel)
+    return _at_depth(search, row, sweep, _converged(task, sweep) if modal else _zero_order(task, sweep), one["deepest"])
+
+
+def _at_depth(search: Search, row: int, sweep: SweepPlan, limits: _Limits, deepest: float) -> _Refined:
+    """Work a sweep through at the greatest depth that is safe, with as many repeats as its error needs."""
+    asked = search.task.limits
+    least = asked.depth_of_cut[0]
+    safe = asked.chatter_margin * float(limits.depth.min())
+    depth = math.floor(min(deepest, safe) / DEPTH_STEP * (1.0 + 1e-9)) * DEPTH_STEP
+    sweep = replace(sweep, depth=min(max(depth, least), asked.depth_of_cut[1]), repeats=1)
     most = search.most_repeats(sweep, len(sweep.passes))
-    found = _worked(search, row, sweep)
-    while found.worst > task.limits.largest_error and found.sweep.repeats < most:
+    prediction = _worked(search, sweep)
+    error = float(prediction["relative_error"].max()) / asked.largest_error
+    while error > 1.0 and sweep.repeats < most:
         # Noise falls with the root of the repeats, bend does not.
-        wanted = math.ceil(found.sweep.repeats * min(4.0, (found.worst / task.limits.largest_error) ** 2))
-        repeats = min(most, max(found.sweep.repeats + 1, wanted))
-        found = _worked(search, row, replace(sweep, repeats=repeats))
-    return found
+        wanted = math.ceil(sweep.repeats * min(4.0, error**2))
+        sweep = replace(sweep, repeats=min(most, max(sweep.repeats + 1, wanted)))
+        prediction = _worked(search, sweep)
+        error = float(prediction["relative_error"].max()) / asked.largest_error
+    noise = float(prediction.attrs["force_noise_ratio"])
+    needs = {"chatter": least / max(safe, 1e-12), "noise": noise if noise > 1.0 else 0.0, "error": error}
+    return _Refined(row, sweep, prediction, limits, needs, deepest)
 
 
-def _worked(search: Search, row: int, sweep: SweepPlan) -> _Refined:
+def _worked(search: Search, sweep: SweepPlan) -> xr.Dataset:
     task = search.task
     prediction = expected(sweep, task.coefficients, task.estimate, search.instruments, task.frequency)
     error = relative_error(prediction, search.scale)
     prediction["relative_error"] = (("response", "excitation"), error, {"units": "1"})
     of_bands = relative_error(prediction, search.scale, "bands_std")
     prediction["bands_relative_error"] = (("response", "excitation"), of_bands, {"units": "1"})
-    return _Refined(row, sweep, prediction, float(error.max()), float(np.median(error)))
+    low, high = error_interval(prediction["error_freedom"].values, CONFIDENCE)
+    for name, factor in (("relative_error_low", low), ("relative_error_high", high)):
+        prediction[name] = (("response", "excitation"), factor * error, {"units": "1"})
+    return prediction
 
 
 # --- chatter --------------------------------------------------------------------------------------------------------
 
 
-def _confirmed(search: Search, one: _Refined) -> tuple[_Refined | None, str]:
-    """Return the alternative at a depth that a converged method also finds safe, or the reason why there is none."""
-    task = search.task
-    if not isinstance(task.estimate.source, ModalModel):
-        return one, "the limit depths are those of the zero-order method, which a measured compliance allows"
+def _limits(task: Task, sweep: SweepPlan, method: Callable[..., xr.Dataset], count: int, **settings: float) -> _Limits:
+    """Return the limit depths of all passes over the speeds of a sweep; passes that are alike are asked once."""
+    speeds = np.linspace(sweep.start, sweep.end, count) * 30.0 / math.pi
+    known = {
+        one: 1e-3
+        * method(task.estimate.source, sweep.tool, one.arc(sweep.tool.diameter), task.coefficients, speeds, **settings)[
+            "limit_depth"
+        ].values
+        for one in dict.fromkeys(sweep.passes)
+    }
+    return _Limits(speeds, np.array([known[one] for one in sweep.passes]), method is not zero_order)
+
+
+def _zero_order(task: Task, sweep: SweepPlan, note: str = "") -> _Limits:
+    return replace(_limits(task, sweep, zero_order, LIMIT_SPEEDS[semi_discretization]), note=note)
+
+
+def _converged(task: Task, sweep: SweepPlan) -> _Limits:
+    """Return the limit depths by semi-discretisation of modes, by multi-frequency of a compliance that was measured.
+
+    Where neither can be had, those of the zero-order method, and why.
+    """
+    modal = isinstance(task.estimate.source, ModalModel)
+    method = semi_discretization if modal else multi_frequency
     try:
-        smallest = min(_converged(task, one.sweep))
+        return _limits(task, sweep, method, LIMIT_SPEEDS[method], tolerance=1e-2)
     except InputError as error:
         reason = str(error).split(";")[0].split(". ")[0]
-        return one, f"the limit depths are those of the zero-order method; semi-discretisation cannot be had: {reason}"
-    safe = task.limits.chatter_margin * smallest
-    if one.sweep.depth <= safe * (1.0 + 1e-9):
-        return one, ""
-    depth = math.floor(safe / DEPTH_STEP) * DEPTH_STEP
-    if depth < task.limits.depth_of_cut[0]:
-        return None, f"semi-discretisation finds only {1e3 * smallest:.3g} mm stable, {1e3 * safe:.3g} mm with margin"
-    shallow = _worked(search, one.row, replace(one.sweep, depth=depth))
-    if shallow.worst > task.limits.largest_error:
-        return None, f"at the {1e3 * depth:.3g} mm that semi-discretisation finds safe its error is too large"
-    return shallow, ""
+        return _zero_order(task, sweep, f"the limit depths are those of the zero-order method: {reason}")
 
 
-def _converged(task: Task, sweep: SweepPlan) -> Iterator[float]:
-    """Yield the smallest converged limit [m] of each kind of pass over a few speeds of the sweep."""
-    speeds = np.linspace(sweep.start, sweep.end, CONFIRMED_SPEEDS) * 30.0 / math.pi
-    assert isinstance(task.estimate.source, ModalModel)
-    for one in dict.fromkeys(sweep.passes):
-        arc = one.arc(sweep.tool.diameter)
-        found = semi_discretization(task.estimate.source, sweep.tool, arc, task.coefficients, speeds, tolerance=1e-2)
-        yield 1e-3 * float(found["limit_depth"].min())
+def _confirmed(search: Search, one: _Refined) -> _Refined:
+    """Return the alternative at the depth that a converged method finds safe."""
+    return _at_depth(search, one.row, one.sweep, _converged(search.task, one.sweep), one.deepest)
 
 
 # --- the result -----------------------------------------------------------------------------------------------------
 
 
-def _plan(
-    task: Task, table: pd.DataFrame, ranked: list[_Refined], notes: dict[int, str], chosen: _Refined, note: str
-) -> Plan:
-    others = [r for r in ranked if r.row != chosen.row]
-    frame = pd.DataFrame([_row(task, r, notes.get(r.row, "")) for r in [chosen, *others]])
+def _plan(task: Task, table: pd.DataFrame, ranked: list[_Refined]) -> Plan:
+    chosen = ranked[0]
+    frame = pd.DataFrame([_row(r) for r in ranked])
     warnings = [
         *task.estimate.warnings,
-        *([note] if note else []),
+        *([chosen.limits.note] if chosen.limits.note else []),
         *_condition_warning(chosen),
         *thin_chips(chosen.sweep),
     ]
@@ -268,7 +346,7 @@ def _plan(
     )
 
 
-def _row(task: Task, one: _Refined, note: str) -> dict[str, object]:
+def _row(one: _Refined) -> dict[str, object]:
     s = one.sweep
     return {
         "inserts": s.tool.teeth,
@@ -282,7 +360,7 @@ def _row(task: Task, one: _Refined, note: str) -> dict[str, object]:
         "worst_error_percent": 100.0 * one.worst,
         "median_error_percent": 100.0 * one.median,
         "largest_condition": float(one.prediction["force_condition"].max()),
-        "note": note,
+        "note": one.note,
     }
 
 
@@ -320,18 +398,12 @@ def _completed(task: Task, one: _Refined) -> xr.Dataset:
     labels = [f"{p.cut} {1e3 * p.width:g} mm" for p in sweep.passes]
     energy = np.array(Forces(sweep, task.coefficients, task.frequency[-1] + 1.0).energy(task.frequency))
     spectrum = np.sqrt(np.diagonal(energy, axis1=2, axis2=3).real).transpose(0, 2, 1)
-    speeds = np.linspace(sweep.start, sweep.end, DRAWN_SPEEDS) * 30.0 / math.pi
-    limits = [
-        zero_order(task.estimate.source, sweep.tool, p.arc(sweep.tool.diameter), task.coefficients, speeds)
-        for p in sweep.passes
-    ]
-    out = out.assign_coords({"pass": labels, "axis": list("xyz"), "spindle_speed": ("spindle_speed", speeds)})
+    out = out.assign_coords({"pass": labels, "axis": list("xyz"), "spindle_speed": ("spindle_speed", one.limits.speed)})
     out["force_spectrum"] = (("pass", "axis", "frequency"), spectrum, {"units": "N s"})
-    out["limit_depth"] = (
-        ("pass", "spindle_speed"),
-        np.array([found["limit_depth"].values for found in limits]),
-        {"units": "mm"},
-    )
+    method = "zero order" if not one.limits.converged else "semi-discretisation"
+    if one.limits.converged and not isinstance(task.estimate.source, ModalModel):
+        method = "multi-frequency"
+    out["limit_depth"] = (("pass", "spindle_speed"), 1e3 * one.limits.depth, {"units": "mm", "method": method})
     out["spindle_speed"].attrs["units"] = "rpm"
     out = xr.merge([out, _levels(task, sweep, labels)], combine_attrs="override")
     return out.assign_attrs(

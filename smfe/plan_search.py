@@ -3,7 +3,8 @@
 The grid runs over inserts, speed ranges, feed per tooth and the widths of the three passes. Two quantities need no
 grid, because the error falls with both: the sweep lasts as long as stroke, stock and time allow, and the depth is the
 greatest that chatter margin, force, torque and power allow (all are proportional to it). Alternatives are ranked by the
-noise alone, in one band; the best of each group are then worked through as the estimator will (`smfe.plan_errors`).
+noise alone, in one band, at the depth that the zero-order method allows; neither refuses anything. The best of each
+group are then worked through as the estimator will (`smfe.plan_errors`), at the depth that a converged method allows.
 """
 
 from __future__ import annotations
@@ -59,9 +60,6 @@ BEYOND = 1.0
 
 DEPTH_STEP = 0.1e-3
 """Depths are rounded down to this [m]."""
-
-QUIET_AIR = 0.3
-"""Share of the force in the cut below which the estimator takes a record to begin and end in air."""
 
 CHATTER_SPEEDS = 25
 """Spindle speeds of a sweep at which the limit depth is asked."""
@@ -183,8 +181,10 @@ class Search:
     def table(self, progress: Progress = silent) -> pd.DataFrame:
         """Return all alternatives: what they are, their expected error by noise alone, and what they need.
 
-        Columns: inserts, start, end [rad/s], feed_per_tooth [m], duration [s], depth [m], passes (number in `choices`),
-        worst, median (expected error), condition, and needed over available for each of `KEYS`.
+        Columns: inserts, start, end [rad/s], feed_per_tooth [m], duration [s], depth [m], deepest (that force, torque
+        and power allow [m]), unstable (too deep by the zero-order method), passes (number in `choices`), worst, median
+        (expected error), condition, and needed over available for each of `KEYS`; what only an alternative that is
+        worked through tells is 0: chatter, noise, error.
         """
         choices = self.choices()
         frames = []
@@ -224,16 +224,17 @@ class Search:
         )
         duration, needs = self._duration(base, len(choices[0]))
         plan = replace(base, duration=duration)
-        loads, rms = self._loads(plan, cuts)
+        loads = self._loads(plan, cuts)
         peaks = {k: v[rows].max(axis=1) for k, v in loads.items()}
         slow, fast = (w * 30.0 / math.pi for w in (ramp.start, ramp.end))
         inside = (cuts.speed >= slow * (1 - 1e-9)) & (cuts.speed <= fast * (1 + 1e-9))
         safe = limits.chatter_margin * cuts.limit[:, inside].min(axis=1)[rows].min(axis=1)
         least, greatest = limits.depth_of_cut
         # Loads are proportional to the depth, for straight edges exactly.
-        bounds = [np.full(rows.shape[0], greatest), safe]
+        bounds = [np.full(rows.shape[0], greatest)]
         bounds += [allowed(self.task, k) / v for k, v in peaks.items() if allowed(self.task, k) is not None]
-        depth = np.floor(np.min(bounds, axis=0) / DEPTH_STEP * (1.0 + 1e-9)) * DEPTH_STEP
+        deepest = np.min(bounds, axis=0)
+        depth = np.floor(np.minimum(deepest, safe) / DEPTH_STEP * (1.0 + 1e-9)) * DEPTH_STEP
         depth = np.clip(np.where(depth < least, least, depth), least, greatest)
         worst, median, condition = self._errors(plan, cuts, rows, depth)
         columns: dict[str, Any] = {
@@ -243,6 +244,8 @@ class Search:
             "feed_per_tooth": ramp.feed_per_tooth,
             "duration": duration,
             "depth": depth,
+            "deepest": deepest,
+            "unstable": safe < least * (1.0 - 1e-9),
             "passes": np.arange(rows.shape[0]),
             "worst": worst,
             "median": median,
@@ -251,12 +254,9 @@ class Search:
         needed = dict.fromkeys(KEYS, 0.0) | needs
         columns |= {key: np.full(rows.shape[0], needed[key]) for key in KEYS}
         columns["condition"] = condition / REFUSE_CONDITION
-        columns["noise"] = self._drowned(rms[rows] * depth[:, None, None])
-        columns["chatter"] = least / np.maximum(safe, 1e-12)
         for k, v in peaks.items():
             given = allowed(self.task, k)
             columns[k] = np.zeros(rows.shape[0]) if given is None else least * v / given
-        columns["error"] = worst / math.sqrt(self.most_repeats(plan, len(choices[0]))) / limits.largest_error
         return pd.DataFrame(columns)
 
     def _duration(self, plan: SweepPlan, passes: int) -> tuple[float, dict[str, float]]:
@@ -294,37 +294,19 @@ class Search:
             return limits.repeats
         return min(limits.repeats, max(1, math.floor(limits.time / (passes * plan.record) + 1e-9)))
 
-    def _drowned(self, rms: Real) -> Real:
-        """Return the noise of the force sensor over the greatest that lets the estimator tell the air from the cut.
-
-        Parameters
-        ----------
-        rms : ndarray, shape (alternatives, passes, 3)
-            Root mean square of the cutting force [N].
-        """
-        # Noise n is in the cut too: n <= q sqrt(rms^2 + n^2).
-        greatest = QUIET_AIR / math.sqrt(1.0 - QUIET_AIR**2) * np.maximum(rms, 1e-12)
-        return np.asarray((np.asarray(self.instruments.force_noise) / greatest).max(axis=(1, 2)))
-
-    def _loads(self, plan: SweepPlan, cuts: Cuts) -> tuple[dict[str, Real], Real]:
-        """Return the loads of each pass of unit depth.
-
-        The largest force [N/m], torque [N] and power [W/m] over the sweep, and the rms of the force at its start [N/m],
-        shape (choices, 3).
-        """
+    def _loads(self, plan: SweepPlan, cuts: Cuts) -> dict[str, Real]:
+        """Return the largest force [N/m], torque [N] and power [W/m] of each pass of unit depth over the sweep."""
         last = plan.feed_rate / plan.tooth_passing[1]
         loads: dict[str, list[float]] = {"force": [], "torque": [], "power": []}
-        rms = []
         for one in cuts.choices:
             arc = one.arc(plan.tool.diameter)
             begin, end = (
                 force_level(plan.tool, arc, self.task.coefficients, 1.0, f) for f in (plan.feed_per_tooth, last)
             )
-            rms.append(begin.rms)
             loads["force"].append(max(begin.peak, end.peak))
             loads["torque"].append(max(begin.peak_torque, end.peak_torque))
             loads["power"].append(max(begin.torque * plan.start, end.torque * plan.end))
-        return {key: np.array(values) for key, values in loads.items()}, np.array(rms)
+        return {key: np.array(values) for key, values in loads.items()}
 
     def _harmonics(self, tool: Tool, one: Pass, count: int) -> tuple[Complex, Complex]:
         """Return `unit_harmonics` at the depth in the middle of what is asked; a helix makes others not quite alike."""

@@ -70,6 +70,8 @@ class RationalFit:
         Between rows whose noise is independent: their poles are the same. Zero within a row.
     terms : int
         Functions of frequency an entry has.
+    entry_freedom : ndarray, shape (r, e)
+        Degrees of freedom of the mean square error of an entry over the frequencies: how much it scatters.
     """
 
     poles: Complex
@@ -80,6 +82,7 @@ class RationalFit:
     linear: Complex
     between: Complex
     terms: int
+    entry_freedom: Real
 
 
 @dataclass
@@ -122,6 +125,7 @@ def fit_rational(
     frequency: Real,
     excitations: int,
     order: int = 2,
+    known: float = 0.0,
 ) -> RationalFit:
     """Fit a rational model to the bins of a band.
 
@@ -141,6 +145,8 @@ def fit_rational(
         How many of the first inputs are forces.
     order : int, optional
         Order of the smooth remainder, raised where that is worth it.
+    known : float, optional
+        Relative standard deviation of the noise power that was taken out of the inputs.
 
     Returns
     -------
@@ -164,8 +170,7 @@ def fit_rational(
         together = 1
         problem = _problem(equations, weight, band, problem.order, 1)
         best = _polished(problem, best.poles)
-    left = _residual(_problem(raw, weight, band, problem.order, together), best)
-    return _result(problem, best, left, frequency, excitations)
+    return _result(problem, _problem(raw, weight, band, problem.order, together), best, known, frequency, excitations)
 
 
 def _one_order_more(problem: _Problem, at: _Linear) -> tuple[_Problem, _Linear]:
@@ -334,32 +339,75 @@ def _residual(raw: _Problem, at: _Linear) -> float:
     return total
 
 
-def _result(problem: _Problem, at: _Linear, left: float, frequency: Real, excitations: int) -> RationalFit:
-    """Evaluate the model and its covariance; poles and amplitudes share their errors."""
+def _result(
+    problem: _Problem, raw: _Problem, at: _Linear, known: float, frequency: Real, excitations: int
+) -> RationalFit:
+    """Evaluate the model and its covariance; poles and amplitudes share their errors.
+
+    With C the clean sums, R the raw ones and J what the poles (shared) and amplitudes (of a row) change, an error is
+    ``(J^H C J)^-1 J^H e``. The lines hold the noise of the inputs, ``E[J^H e e^H J] = J^H R J``; a noise power that is
+    wrong by a share of itself adds ``J^H (R - C) Theta`` of each input.
+    """
     rows, n, j, m = problem.gram.shape[0], at.basis.shape[2], problem.inputs, at.poles.size
     plain = _basis(problem, frequency, at.poles, 1)[:, 0]
     size = np.linalg.norm(_basis(problem, problem.centre, at.poles, problem.terms).reshape(-1, n), axis=0)
     shape = plain / size
     value = np.einsum("fn,rnj->frj", shape, at.amplitude)[..., :excitations]
-    covariance = np.empty((frequency.size, rows, excitations, excitations), dtype=complex)
-    moved = np.zeros((frequency.size, rows, excitations, m), dtype=complex)
-    poles = np.zeros((m, m), dtype=complex)
+    slopes = _slopes(frequency, at.poles, 1)[:, 0]
+    steep = _slopes(problem.centre, at.poles, problem.terms)
+    wide = _spread(at.basis, j)
+    own = n * j
+    poles, couplings = np.zeros((m, m), dtype=complex), [np.zeros((own, m), dtype=complex)] * rows
     if m:
         curvature, _, couplings = _curvature(problem, at)
         poles = np.linalg.pinv(curvature, rcond=1e-12, hermitian=True)
-    slopes = _slopes(frequency, at.poles, 1)[:, 0]
+    # What lines do to amplitudes and poles (reach), and how these scores vary, alone and together.
+    reach = np.zeros((rows, frequency.size, excitations, own + m), dtype=complex)
+    spread = np.zeros((rows, own + m, own + m), dtype=complex)
+    wrong = np.zeros((rows, own + m, j), dtype=complex)
     for i in range(rows):
-        whole = at.inverse[i].reshape(n, j, n, j)[:, :excitations, :, :excitations]
-        covariance[:, i] = np.einsum("fm,mjnk,fn->fjk", shape, whole, shape.conj(), optimize=True)
-        if not m:
-            continue
-        follow = (at.inverse[i] @ couplings[i]).reshape(n, j, m)
-        direct = slopes[:, None, :] * (at.amplitude[i, :m].T / size[:m])[None]
-        moved[:, i] = (direct - np.einsum("fn,njm->fjm", shape, follow))[:, :excitations]
-    by_poles = np.einsum("frjm,ml,fskl->frjsk", moved, poles, moved.conj(), optimize=True)
-    within = np.stack([by_poles[:, i, :, i] for i in range(rows)], axis=1)
+        by_poles = at.inverse[i] @ couplings[i]
+        change = (steep[:, :, None, :] * (at.amplitude[i, :m].T / size[:m])).reshape(*wide.shape[:2], m)
+        change = change - wide @ by_poles
+        both = np.concatenate([wide, change], axis=2)
+        turned = both.reshape(-1, own + m).conj().T
+        spread[i] = turned @ (raw.gram[i] @ both).reshape(-1, own + m)
+        extra = (raw.gram[i] - problem.gram[i]) @ (wide @ at.amplitude[i].ravel())[..., None]
+        wrong[i] = turned @ (extra * np.tile(np.eye(j), (problem.terms, 1))).reshape(-1, j)
+        amplitudes = at.inverse[i].reshape(n, j, own)[:, :excitations]
+        reach[i, :, :, :own] = np.einsum("fn,njx->fjx", shape, amplitudes)
+        direct = slopes[:, None, :] * (at.amplitude[i, :m].T / size[:m])
+        moved = direct - np.einsum("fn,njm->fjm", shape, by_poles.reshape(n, j, m))
+        reach[i, :, :, own:] = moved[:, :excitations] @ poles
+    spread[:, own:, own:] = spread[:, own:, own:].sum(axis=0)
+    wrong[:, own:] = wrong[:, own:].sum(axis=0)
+    within = spread + known**2 * wrong @ wrong.conj().swapaxes(1, 2)
+    covariance = np.einsum("rfex,rxy,rfgy->freg", reach, within, reach.conj(), optimize=True)
+    alone = reach[..., :own]
+    linear = np.einsum("rfex,rxy,rfgy->freg", alone, within[:, :own, :own], alone.conj(), optimize=True)
+    between = np.zeros((frequency.size, rows, excitations, rows, excitations), dtype=complex)
     for i in range(rows):
-        by_poles[:, i, :, i] = 0.0
-    freedom = problem.lines - rows * n * j - m
-    misfit = left / max(freedom, 1.0)
-    return RationalFit(at.poles, misfit, freedom, value, covariance + within, covariance, by_poles, n)
+        for k in range(rows):
+            if i == k:
+                continue
+            shared = known**2 * wrong[i] @ wrong[k].conj().T
+            shared[:own, own:] += spread[i][:own, own:]
+            shared[own:, :own] += spread[k][own:, :own]
+            shared[own:, own:] += spread[i][own:, own:]
+            between[:, i, :, k] = np.einsum("fex,xy,fgy->feg", reach[i], shared, reach[k].conj(), optimize=True)
+    left = problem.lines - rows * own - m
+    misfit = _residual(raw, at) / max(left, 1.0)
+    return RationalFit(at.poles, misfit, left, value, covariance, linear, between, n, _entry_freedom(reach, within))
+
+
+def _entry_freedom(reach: Complex, spread: Complex | Real) -> Real:
+    """Return the degrees of freedom of the mean square error of each entry over all frequencies, shape (r, e).
+
+    An error of covariance C has a mean square of mean ``tr C`` and variance ``tr C^2`` (circular): that of a chi-square
+    with ``2 (tr C)^2/tr C^2`` degrees of freedom (Satterthwaite 1946).
+    """
+    products = np.einsum("rfex,rfey->rexy", reach.conj(), reach)
+    turned = spread[:, None] @ products
+    mean = np.trace(turned, axis1=2, axis2=3).real
+    square = np.einsum("rexy,reyx->re", turned, turned).real
+    return np.asarray(2.0 * mean**2 / np.maximum(square, 1e-300))

@@ -70,7 +70,7 @@ class LocalPolynomial:
     agreement : float, optional
         Largest accepted difference, in standard deviations.
     rational : bool, optional
-        Fit a rational model to the whole band, too, and take it where it agrees (`smfe.rational_fit`).
+        Fit a rational model to the whole band, too, and take it but where a band contradicts it (`smfe.rational_fit`).
     instrument_teeth : int, optional
         Teeth of the tool, to use the passing of the teeth as instrument: only the part of the forces that goes with
         harmonics of the spindle angle counts. Against bias by regeneration.

@@ -39,7 +39,7 @@ CAPTIONS = {
     "plan_forces.png": "Transform of the force of each pass: what the sweep puts at each frequency.",
     "plan_condition.png": "Condition number of the forces; above 30 badly conditioned, above 200 not solved.",
     "plan_level.png": "Force level over the depth of cut at the start of the sweep: largest resultant and mean.",
-    "plan_chatter.png": "Limit depth of each pass at all speeds of the sweep (zero order), and the planned depth.",
+    "plan_chatter.png": "Limit depth of each pass at the speeds of the sweep, and the planned depth.",
 }
 """Picture -> what it shows, in the order of the page."""
 

@@ -15,9 +15,10 @@ from smfe.plan import Plan, plan, recommend
 from smfe.plan_limits import KEYS
 from smfe.plan_search import Search
 from smfe.plan_task import load_task
-from smfe.plan_verify import ENTRY_RATIO, MEDIAN_RATIO, verify
+from smfe.plan_verify import Verification, explain, verify
 from smfe.scenario import load_scenario
 from smfe.store import read_groups
+from stability import semi_discretization, zero_order
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "datasets" / "plans" / "milling_machine.toml"
 
@@ -34,6 +35,9 @@ passes = [
     { cut = "central", width_of_cut = "12 mm" },
 ]
 """
+
+
+LOUD = f'{QUICK}\nacceleration_noise = "0.3 m/s^2"\nforce_noise = "5 N"'
 
 
 def written(folder: Path, settings: str = QUICK, change: tuple[str, str] = ("", "")) -> Path:
@@ -75,6 +79,13 @@ def test_the_passes_are_in_field_units_and_agree_with_each_other(found: tuple[Pl
     np.testing.assert_allclose(feed, table["feed_mm_min"], rtol=1e-6)
     np.testing.assert_allclose(table["feed_mm_min"] / 60.0 * table["duration_s"], table["length_of_cut_mm"], rtol=1e-6)
     assert (table["depth_of_cut_mm"] <= 0.5 * table["smallest_limit_depth_mm"]).all()
+    arc = sweep.passes[0].arc(sweep.tool.diameter)
+    speeds = result.prediction["spindle_speed"].values
+    machine, material = result.task.estimate.source, result.task.coefficients
+    found = semi_discretization(machine, sweep.tool, arc, material, speeds)["limit_depth"].values
+    # Not the zero-order method, which is 40 % too deep here.
+    np.testing.assert_allclose(table["smallest_limit_depth_mm"][0], found.min(), rtol=0.02)
+    assert zero_order(machine, sweep.tool, arc, material, speeds)["limit_depth"].values.min() > 1.1 * found.min()
     assert table["depth_of_cut_mm"][0] == pytest.approx(1e3 * sweep.depth)
 
 
@@ -118,10 +129,7 @@ def test_the_recommended_sweep_keeps_every_limit_and_the_rejected_break_one(tmp_
         ('spindle_acceleration = "1 rpm/s"', r"a faster spindle acceleration: .* instead of 1 rpm/s"),
         ('time = "20 s"', r"more time: .* s instead of 20 s"),
         ('feed = ["10 mm/min", "20 mm/min"]', r"a higher feed: .* mm/min instead of 20 mm/min"),
-        (
-            'force_noise = "200 N"',
-            r"a quieter force sensor or a deeper cut: .* N instead of 200 N \(plan.force_noise\)",
-        ),
+        ('force_noise = "1 kN"', r"a larger error: .* % instead of 60 % \(plan.largest_error\)"),
         ('chatter_margin = "1 %"', r"a more stable cut: at most .* mm are safe, 0.5 mm are asked"),
     ],
 )
@@ -151,6 +159,21 @@ def test_half_immersion_up_and_down_with_a_slot_is_refused(tmp_path: Path) -> No
     dependent = dependent.replace('"central", width_of_cut = "12 mm"', '"central", width_of_cut = "80 mm"')
     with pytest.raises(InputError, match=r"plan.passes: .*add up to the slot"):
         recommend(load_task(written(tmp_path, dependent)))
+
+
+def test_a_force_sensor_is_only_refused_where_the_estimator_would_solve_nothing(tmp_path: Path) -> None:
+    """Noise above a third of the force was refused, though what it costs is known and may well be affordable."""
+    noisy = QUICK.replace('["0.5 mm", "2 mm"]', '"0.5 mm"')
+    found = recommend(load_task(written(tmp_path, f'{noisy}\nforce_noise = "40 N"')))
+    assert found.prediction.attrs["force_noise_ratio"] < 1.0
+    assert 0.1 < found.worst < 0.6
+
+
+def test_the_largest_error_is_that_of_the_estimator_and_not_of_the_ranking(tmp_path: Path) -> None:
+    """The noise in one band, by which alternatives are ranked, is up to twice what the model errs by."""
+    task = load_task(written(tmp_path, LOUD.replace('"60 %"', '"2.7 %"')))
+    assert Search(task).table()["worst"].min() > 0.03
+    assert recommend(task).worst < 0.027
 
 
 @pytest.mark.slow
@@ -220,6 +243,19 @@ def test_a_measured_estimate_cannot_be_verified_and_says_so(found: tuple[Plan, P
     measured = replace(result.task.estimate, machine=None)
     with pytest.raises(InputError, match="cannot be simulated"):
         verify(replace(result, task=replace(result.task, estimate=measured)))
+
+
+def test_found_twice_what_was_expected_is_not_confirmed_and_said() -> None:
+    ratio = np.array([2.31] * 5 + [1.0] * 4)
+    columns = {"predicted_percent": 0.05, "measured_percent": 0.05 * ratio, "ratio": ratio}
+    columns |= {f"bands_{name}": value for name, value in columns.items()} | {"ratio_low": 0.5, "ratio_high": 1.7}
+    table = pd.DataFrame({"entry": [r + e for r in "xyz" for e in "xyz"], **columns})
+    text = explain(Verification(table, 1.0, (1,)))
+    assert "NOT confirmed: found was xx 2.31 times the expected (0.50 to 1.70)" in text
+    assert "median ratio 2.31" in text
+    right = Verification(table.assign(ratio=1.2), 1.0, (1,))
+    assert right.confirmed
+    assert not Verification(table.assign(ratio=np.nan), 1.0, (1,)).confirmed
 
 
 # --- what it starts from --------------------------------------------------------------------------------------------
@@ -313,9 +349,8 @@ def test_the_prediction_comes_true_for_other_sweeps(case: str, tmp_path: Path) -
 def test_the_prediction_comes_true(tmp_path: Path) -> None:
     result = recommend(load_task(EXAMPLE))
     checked = verify(result, tmp_path, (1, 2))
-    assert checked.table["bands_ratio"].between(*ENTRY_RATIO).all()
-    # The default errs by 0.01 to 0.1 % here, as the simulation itself does: the bands are judged.
-    assert MEDIAN_RATIO[0] <= checked.table["bands_ratio"].median() <= MEDIAN_RATIO[1]
+    assert checked.table["bands_ratio"].between(0.45, 2.0).all()
+    assert checked.table["bands_ratio"].median() == pytest.approx(1.0, abs=0.2)
     assert checked.condition_ratio == pytest.approx(1.0, abs=0.1)
     assert checked.confirmed
     assert (tmp_path / "verification.csv").is_file()
