@@ -75,7 +75,8 @@ class Instruments:
     def response_noise(self, frequency: Real, compliance: Complex) -> Real:
         """Return ``s_i^2`` [m2 s], shape (frequencies, 3): noise that each row of the fit sees, a second of record."""
         omega = 2.0 * math.pi * frequency[:, None]
-        sensors = np.square(self.acceleration_noise) / omega**4
+        # Quieter than any converter: weights stay finite where no noise is declared.
+        sensors = np.square(np.maximum(self.acceleration_noise, 1e-6)) / omega**4
         forces = np.abs(compliance) ** 2 @ np.square(self.force_noise)
         return np.asarray((sensors + forces) / self.sample_rate)
 

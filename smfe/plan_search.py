@@ -164,7 +164,8 @@ class Search:
         for a, b in itertools.product(sorted(starts), sorted(ends)):
             if covers((a, b), (first, last)):
                 out.append((self._set(a * turn, down=True), self._set(b * turn, down=False)))
-        return sorted(set(out))
+        # A spindle that cannot be set finely enough may not sweep at all.
+        return sorted({(slowest, fastest) for slowest, fastest in out if slowest < fastest})
 
     def _set(self, rotation: float, down: bool) -> float:
         """Return the next speed that can be set, as rotation [rad/s]."""

@@ -98,6 +98,8 @@ class PlanTable(Table):
             )
         if min(self.largest_error, self.chatter_margin) <= 0.0:
             raise InputError("largest_error and chatter_margin must be above zero, e.g. '10 %' and '50 %'")
+        if self.longest_pass < 1.0:
+            raise InputError(f"longest_pass is {self.longest_pass:g} s; a sweep takes at least 1 s, better 10 s")
         if self.frequency_range[0] < 5.0:
             raise InputError(
                 f"frequency_range begins at {self.frequency_range[0]:g} Hz; below 5 Hz an acceleration tells nothing "

@@ -240,7 +240,7 @@ def main():
                 for r in found
             ]
             print(f"{done} of {asked.machines}: {'; '.join(said)}", flush=True)
-    asked.out.write_text(table(rows), encoding="utf-8")
+            asked.out.write_text(table(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":

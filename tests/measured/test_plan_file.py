@@ -176,6 +176,14 @@ def test_the_largest_error_is_that_of_the_estimator_and_not_of_the_ranking(tmp_p
     assert recommend(task).worst < 0.027
 
 
+def test_sensors_without_noise_are_planned_for(tmp_path: Path) -> None:
+    silent = f'{QUICK}\nacceleration_noise = "0 m/s^2"\nforce_noise = "0 N"'
+    task = load_task(written(tmp_path, silent))
+    row = Search(task).table()["worst"]
+    assert np.isfinite(row).all()
+    assert recommend(task).worst < 1e-3
+
+
 @pytest.mark.slow
 def test_repeats_are_cut_where_one_is_not_enough(tmp_path: Path) -> None:
     once = recommend(load_task(written(tmp_path)))
@@ -206,6 +214,7 @@ def test_repeats_are_cut_where_one_is_not_enough(tmp_path: Path) -> None:
         ("sample_rate = '100 Hz'", "sample at 400 Hz or more"),
         ("frequency_range = ['2 Hz', '80 Hz']", "begin higher"),
         ("chatter_margin = 0.0", "must be above zero"),
+        ("longest_pass = '1 ms'", "a sweep takes at least 1 s"),
         ("scenario = 'none.toml'", "cannot be read"),
     ],
 )
