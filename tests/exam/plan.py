@@ -65,7 +65,7 @@ def drawn(seed):
         edge=tuple(v * rng.uniform(0.9, 1.1) for v in Campaign.edge),
     )
     rpm = 60.0 / teeth
-    feed = 1e3 * rng.uniform(0.06, 0.2)
+    feed = rng.uniform(0.06, 0.2)
     named = dict(zip(("Ktc", "Krc", "Kac"), Campaign.cutting, strict=True))
     edges = dict(zip(("Kte", "Kre", "Kae"), Campaign.edge, strict=True))
     rows = [
