@@ -20,6 +20,7 @@ from smfe.actuator import identify_actuator
 from smfe.identification import Identification
 from smfe.intervals import interval
 from smfe.limits import LobeResult
+from smfe.cutting_coefficients import Coefficients, coefficients
 from smfe.first_look import Look, look
 from smfe.pipeline import chatter, demo, identify, lobes, run
 from smfe.records import read_blocks, read_records, read_reduced
@@ -29,6 +30,7 @@ from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, Sw
 
 __all__ = [
     "Campaign",
+    "Coefficients",
     "Identification",
     "InputError",
     "LobeResult",
@@ -39,6 +41,7 @@ __all__ = [
     "SweepPass",
     "__version__",
     "chatter",
+    "coefficients",
     "convert",
     "demo",
     "identify",

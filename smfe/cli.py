@@ -16,6 +16,7 @@ from process.errors import InputError
 from smfe import __version__, first_look, pipeline
 from smfe import plan as planner
 from smfe.conversion import convert as convert_file
+from smfe.cutting_coefficients import coefficients as find_coefficients
 from smfe.demo_campaign import DEMO_SEED
 from smfe.diagnosis import audit, verbs
 from smfe.diagnosis.finding import explain
@@ -270,6 +271,24 @@ def convert(
         console.print(f"warning, {text}", markup=False, highlight=False, soft_wrap=True)
     for path in written:
         out.print(f"written: {path}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def coefficients(
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="File for [material], to paste.")] = Path(
+        "material.toml"
+    ),
+) -> None:
+    """Find the cutting coefficients from measured cuts, with intervals, as a [material] to paste."""
+    with bar(console) as progress:
+        found = find_coefficients(campaign, output, progress, _show)
+    for fit in found:
+        out.print(fit.material(fit.method), markup=False, highlight=False)
+        out.print(f"# residual {100.0 * fit.residual:.3g} % of the forces\n", highlight=False)
+        for warning in fit.warnings:
+            console.print(f"warning, {fit.method}: {warning}", markup=False, highlight=False, soft_wrap=True)
+    out.print(f"written: {output}", highlight=False, soft_wrap=True)
 
 
 @app.command()
