@@ -174,6 +174,8 @@ def _quantiles(values):
 def _column(rows):
     """What the table says of one kind of sensor."""
     judged = [r for r in rows if r["ratio"] is not None]
+    if not judged:
+        return {"machines": f"{len(rows)}", "sweeps cut (of these refused for their error)": "0 (0)"}
     ratio, freedom = (np.array([r[k] for r in judged]) for k in ("ratio", "freedom"))
     low, high = error_interval(freedom, 0.95)
     each = (ratio >= low) & (ratio <= high)
@@ -218,8 +220,8 @@ def table(rows):
         f"| | {' | '.join(columns)} |",
         "| --- |" + " --- |" * len(columns),
     ]
-    keys = next(iter(columns.values()))
-    return "\n".join([*head, *(f"| {k} | {' | '.join(c[k] for c in columns.values())} |" for k in keys), ""])
+    keys = max(columns.values(), key=len)
+    return "\n".join([*head, *(f"| {k} | {' | '.join(c.get(k, '') for c in columns.values())} |" for k in keys), ""])
 
 
 def main():
