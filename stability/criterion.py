@@ -2,15 +2,23 @@
 
 The paper says no more than that. What is added here, and why (theory 5):
 
-- *Harmonic* means every spindle order: run-out alone puts lines of 0.3 of the tooth line on orders 1, 2, ...
+- *Harmonic* means every spindle order: run-out alone puts lines of 0.3 of the tooth line on orders 1, 2, ... An order
+  that is higher than the tooth harmonics takes their place in the ratio.
+- The record is judged over turns of the spindle, not over time (`stability.turns`): 0.3 % of speed error over 4 s, or a
+  spindle that slows by it, makes a stable cut look like chatter.
+- Each axis is judged by itself: a quiet axis that chatters does not drown in a loud one. An axis counts as silent
+  below a tenth of the highest harmonic of all.
 - Order Z/2 of an even number of teeth Z (and its odd multiples) is where period doubling shows, and also an
-  order. It is judged separately: against a reference cut, or by its growth along the cut; else it is
+  order. It is judged separately: against a reference cut, or by its growth against the tooth line; else it is
   *undecided*.
 - An order is masked by +-3 bins (the Hann main lobe is +-2) plus what the speed may be wrong, growing with
   the order.
-- The speed is refined from the record, because 0.3 % of speed error over 4 s makes a stable cut look like
-  chatter.
-- The last part of the cut is used: transients of the entry trigger the criterion 3 to 10 % below the limit.
+- A line that drifts within the record is read in windows of 12 and 24 turns, in which it does not.
+- A line that comes and goes like filtered noise, without a family one spindle order apart, may be a mode that noise
+  excites: *undecided*.
+- What is there in air with half of its height is no chatter: hum, pumps, fans.
+- The last part of the cut is used, without entry and exit: transients of the entry trigger the criterion 3 to 10 %
+  below the limit.
 - The highest tooth harmonic is not let below an absolute floor: a slot with 4 equal teeth has no tooth line
   in x at all.
 - A record in which nothing reaches that floor says nothing about the cut: a dead sensor, a wrong unit or air look
@@ -25,23 +33,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import xarray as xr
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, check_record
-from stability.cut_interval import CutPart, judged_part, spindle_frequency, stated_frequency
+from stability.cut_comb import other_speed, other_teeth, spectrogram
+from stability.cut_interval import (
+    CutPart,
+    axis_part,
+    judged_part,
+    measured_turns,
+    over_turns,
+    spindle_frequency,
+    stated_frequency,
+    with_angle,
+)
 from stability.evidence import MASK_BINS, Evidence, gather, labelled_spectrum
 from stability.line_spectrum import STANDS_OUT, hann_spectrum
 from stability.spindle_lines import spindle_from_lines
+from stability.turns import followed_turns
 
 Verdict = Literal["stable", "chatter", "undecided"]
 
 QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force", "sound")
 
-DEFAULT_FLOOR: dict[str, float] = {"acceleration": 0.1, "displacement": 1e-6, "force": 5.0, "sound": 2e-3}
+DEFAULT_FLOOR: dict[str, float] = {"acceleration": 0.1, "displacement": 1e-6, "force": 5.0, "sound": 1e-6}
 """Least amplitude that counts as the highest tooth harmonic [m/s2, m, N, Pa]."""
 
 SPEEDS_SEARCHED = (60.0, 60000.0)
@@ -59,7 +78,21 @@ HIGHEST_SHARE_OF_SAMPLE_RATE = 0.4
 _TURN_UNKNOWN = 0.1  # s; what is looked at for cut or air while the speed is not known
 
 GROWTH = 3.0
-"""Growth of order Z/2 from the first to the last quarter of the cut that run-out cannot explain."""
+"""Growth of order Z/2 against the tooth line, first to last quarter of the cut, that run-out cannot explain."""
+
+SILENT = 0.1
+"""An axis is measured against at least this share of the highest harmonic of all axes [1]."""
+
+
+@dataclass(frozen=True)
+class AxisVerdict:
+    """What the criterion says of one axis: verdict, ratio [1], frequency of the line [Hz] and the reason."""
+
+    axis: str
+    verdict: Verdict
+    ratio: float
+    frequency_Hz: float
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -87,7 +120,7 @@ class ChatterVerdict:
     quantity : str
         What has been judged, e.g. "acceleration" or "displacement from acceleration".
     axes : tuple of str
-        Axes whose amplitudes are combined (root of the sum of squares); ("sound",) for a microphone.
+        Axes that were judged; ("sound",) for a microphone.
     threshold, guard_band : float
         The threshold, and the distance from it within which noise leaves the verdict open [1].
     resolution_Hz : float
@@ -100,6 +133,23 @@ class ChatterVerdict:
         Band that has been judged.
     floor, unit : float, str
         Least amplitude that counts as tooth harmonic, and the unit of the amplitudes.
+    by_axis : tuple of AxisVerdict
+        What each axis says; the verdict is that of the axis with chatter, else the one that is undecided.
+    family_Hz : tuple of float
+        Lines a whole number of spindle orders beside the chatter line or its mirror image.
+    drift_Hz : (float, float) or None
+        From where to where the chatter line moves, where it does.
+    growth : float
+        How much the line has grown from the first to the last quarter of what was judged; NaN without one.
+    cut_s : (float, float, float, float)
+        When the cut begins, is entered, is left and ends.
+    try_rpm : tuple of float
+        Speeds ``60 f_c/(k Z)`` from half to twice the present one, at which the tooth passing meets the chatter line;
+        none where the cut does not chatter.
+    notes : tuple of str
+        What else was noticed: another number of teeth that fits better, another speed, silent axes.
+    spectrogram : xarray.Dataset
+        ``amplitude(axis, time, frequency)`` of the whole record, in at most 160 by 200 points.
     """
 
     verdict: Verdict
@@ -119,6 +169,14 @@ class ChatterVerdict:
     frequency_range_Hz: tuple[float, float]
     floor: float
     unit: str
+    by_axis: tuple[AxisVerdict, ...] = ()
+    family_Hz: tuple[float, ...] = ()
+    drift_Hz: tuple[float, float] | None = None
+    growth: float = math.nan
+    cut_s: tuple[float, float, float, float] = (math.nan, math.nan, math.nan, math.nan)
+    try_rpm: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+    spectrogram: xr.Dataset | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -190,6 +248,7 @@ def chatter_verdict(
     check_record(record)
     chosen, recorded = _choose_quantity(record, quantity)
     names = _choose_axes(record, recorded, axes)
+    record, notes = with_angle(record)
     if rotation is None:
         rotation = _rotation(record, recorded, names, teeth, interval, frequency_range)
     part = judged_part(record, recorded, names, 2.0 * math.pi / rotation, interval)
@@ -197,39 +256,96 @@ def chatter_verdict(
     band = _band(frequency_range, part, teeth * base)
     least = DEFAULT_FLOOR[chosen] if floor is None else floor
     integrate = chosen != recorded
-    evidence = gather(
-        part,
-        base,
-        teeth,
-        band,
-        exact,
-        speed_tolerance,
-        integrate,
-        least,
-        UNITS[chosen],
-        threshold,
-        half_order_reference,
-    )
-    finding = _too_few_turns(part, base) or _judge(evidence)
+    enough = part.duration * base >= FEWEST_TURNS
+    if enough and speed_tolerance > 0.0:
+        angle = measured_turns(record, part) if exact else None
+        if angle is None:
+            angle = followed_turns(part.samples, part.raw_dt, base, teeth, speed_tolerance, band)
+        part, exact = over_turns(part, angle, band[1]), True
+        base = part.base
+    part = replace(part, base=base)
+    fitting, said = other_teeth(part, teeth) if enough else (teeth, "")
+    settings = (base, fitting, band, exact, speed_tolerance, integrate, least, UNITS[chosen], threshold)
+    found = [
+        gather(name, axis_part(part, i), *settings, half_order_reference) for i, name in enumerate(names)
+    ]
+    highest = max(max(e.tooth_amplitude, e.order_amplitude) for e in found)
+    found = [replace(e, least=SILENT * highest) for e in found]
+    findings = [_too_few_turns(part, base) or _judge(e) for e in found]
+    worst = _deciding(found, findings)
+    evidence, finding = found[worst], findings[worst]
+    said_speed = other_speed(part, base, fitting, band) if finding.verdict == "chatter" else ""
+    if said_speed:
+        finding = _Finding("undecided", finding.ratio, finding.frequency, said_speed)
+    chatters = finding.verdict == "chatter"
     return ChatterVerdict(
         verdict=finding.verdict,
         ratio=finding.ratio,
         chatter_frequency_Hz=finding.frequency,
         tooth_passing_harmonic_Hz=evidence.tooth_line,
         spindle_speed_rpm=60.0 * evidence.base,
-        reason=finding.reason,
-        spectrum=labelled_spectrum(evidence, names, UNITS[chosen]),
+        reason=_in_words(finding, findings, evidence, names, said),
+        spectrum=labelled_spectrum(found, UNITS[chosen]),
         quantity="displacement from acceleration" if integrate else chosen,
         axes=tuple(names),
         threshold=threshold,
         guard_band=evidence.guard,
         resolution_Hz=evidence.spectrum.resolution,
         interval_s=part.interval,
-        half_order_ratio=evidence.half[1] / evidence.denominator,
+        half_order_ratio=evidence.half[1] / evidence.denominator if evidence.denominator > 0.0 else math.nan,
         frequency_range_Hz=band,
         floor=least,
         unit=UNITS[chosen],
+        by_axis=tuple(
+            AxisVerdict(e.axis, f.verdict, f.ratio, f.frequency, f.reason)
+            for e, f in zip(found, findings, strict=True)
+        ),
+        family_Hz=evidence.family if chatters else (),
+        drift_Hz=(evidence.short.low, evidence.short.high) if chatters and evidence.drifts else None,
+        growth=evidence.envelope[1] if chatters else math.nan,
+        cut_s=part.bounds,
+        try_rpm=_speeds_to_try(finding, evidence, teeth) if chatters else (),
+        notes=tuple(note for note in (*notes, said, said_speed) if note),
+        spectrogram=spectrogram(record, recorded, names, band),
     )
+
+
+def _deciding(found: Sequence[Evidence], findings: Sequence[_Finding]) -> int:
+    """Return the axis that decides: the worst chatter, else what is undecided on an axis that is not silent."""
+
+    def rank(i: int) -> tuple[int, float]:
+        e, f = found[i], findings[i]
+        quiet = max(e.tooth_amplitude, e.order_amplitude, e.candidate[1]) < max(e.least, e.floor)
+        order = {"chatter": 3, "undecided": 0 if quiet else 2, "stable": 1}[f.verdict]
+        return order, 0.0 if math.isnan(f.ratio) else f.ratio
+
+    return max(range(len(found)), key=rank)
+
+
+def _in_words(
+    finding: _Finding, findings: Sequence[_Finding], e: Evidence, names: Sequence[str], said: str
+) -> str:
+    """Return the reason with what its axis, family and growth add."""
+    text = finding.reason
+    if len(names) > 1:
+        others = [f"{n} {f.verdict}" for n, f in zip(names, findings, strict=True) if n != e.axis]
+        text = f"{e.axis}: {text} ({', '.join(others)})"
+    if finding.verdict == "chatter":
+        if e.drifts and e.short.high - e.short.low > 2.0 * e.spectrum.resolution:
+            text += f"; it moves from {e.short.low:.4g} to {e.short.high:.4g} Hz"
+        if e.family:
+            lines = ", ".join(f"{line:.4g}" for line in e.family)
+            text += f"; a whole number of spindle orders away lie {lines} Hz"
+        if e.envelope[1] > GROWTH:
+            text += f"; it grows {e.envelope[1]:.2g} times within what is judged"
+    return f"{said}; {text}" if said else text
+
+
+def _speeds_to_try(finding: _Finding, e: Evidence, teeth: int) -> tuple[float, ...]:
+    """Return ``60 f_c/(k Z)`` from half to twice the present speed [rpm], fastest first."""
+    present = 60.0 * e.base
+    speeds = (60.0 * finding.frequency / (k * teeth) for k in range(1, 200))
+    return tuple(s for s in speeds if 0.5 * present <= s <= 2.0 * present)
 
 
 # --- what is asked ---------------------------------------------------------------------------------------------------
@@ -348,9 +464,13 @@ def _judge(e: Evidence) -> _Finding:
 
 def _denominator(e: Evidence) -> str:
     """Name what the ratio is taken of."""
-    if e.tooth_amplitude < e.denominator:
-        return f"the floor {e.denominator:g} (no tooth harmonic reaches it)"
-    return f"the highest tooth harmonic at {e.tooth_frequency:.4g} Hz"
+    if e.denominator == e.tooth_amplitude:
+        return f"the highest tooth harmonic at {e.tooth_frequency:.4g} Hz"
+    if e.denominator == e.order_amplitude:
+        return f"the highest spindle order at {e.order_frequency:.4g} Hz"
+    if e.denominator == e.floor:
+        return f"the floor {e.floor:g} (no tooth harmonic reaches it)"
+    return f"{e.least:.3g} {e.unit}, a tenth of the highest harmonic of all axes"
 
 
 def _silent(e: Evidence) -> _Finding | None:
@@ -367,15 +487,20 @@ def _silent(e: Evidence) -> _Finding | None:
 
 
 def _line(e: Evidence) -> _Finding | None:
-    """A peak that is not a harmonic."""
+    """A peak that is not a harmonic, nor a mode that noise excites."""
     frequency, amplitude = e.candidate
     if math.isnan(frequency) or e.ratio < e.threshold - e.guard:
+        return None
+    if e.ratio < e.threshold and (amplitude < STANDS_OUT * e.noise or not e.line_like):
         return None
     what = f"the non-harmonic peak at {frequency:.4g} Hz is {e.ratio:.3g} of {_denominator(e)}"
     if amplitude < STANDS_OUT * e.noise:
         return _Finding("undecided", e.ratio, frequency, f"{what}, but does not stand out of the noise: cut longer")
     if abs(e.ratio - e.threshold) <= e.guard:
         reason = f"{what}: within {e.guard:.2g} of {e.threshold:g}, which the noise leaves open; record longer"
+        return _Finding("undecided", e.ratio, frequency, reason)
+    if not e.line_like:
+        reason = f"{what}, but comes and goes like a mode that noise excites: cut longer, or compare with a lower depth"
         return _Finding("undecided", e.ratio, frequency, reason)
     return _Finding("chatter", e.ratio, frequency, f"{what}, above {e.threshold:g}")
 
@@ -384,7 +509,7 @@ def _period_doubling(e: Evidence) -> _Finding | None:
     """Order Z/2 of an even number of teeth: run-out or period doubling."""
     frequency, amplitude = e.half
     ratio = amplitude / e.denominator
-    if math.isnan(frequency) or ratio - (e.half_reference or 0.0) < e.threshold:
+    if math.isnan(frequency) or ratio - (e.half_reference or 0.0) < e.threshold or amplitude < e.least:
         return None
     what = (
         f"{frequency:.4g} Hz, an odd multiple of half the tooth passing frequency, is {ratio:.3g} of {_denominator(e)}"

@@ -1,23 +1,33 @@
-"""Which part of a record is judged, and how fast the spindle turns in it: the stationary part of the cut.
+"""Which part of a record is judged, and how fast the spindle turns in it: entry, cut and exit.
 
-- Without an interval, the last half of the longest stretch that is not air is judged.
-- A recorded spindle angle or speed must agree with the given one and be constant within the part.
+- Air, entry, steady cut and exit are told apart by the level of each turn. Without an interval, the second half of the
+  cut is judged, more of it where that is short, and neither entry nor exit.
+- A recorded spindle angle, tacho or speed must agree with the given speed and be constant within the part.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
+from process.tacho import tacho_angle
+from stability.turns import resampled
 
 SPEED_MISMATCH = 0.01
 """Relative difference between a recorded and the given speed above which one of them must be wrong [1]."""
+
+MOST_CHANGE = 0.03
+"""Relative change of a recorded speed above which a record is a sweep [1]; up to it, the spindle is followed."""
+
+JUDGED_TURNS = (60, 600)
+"""Turns that are judged where the cut has them: fewer than the first reach back before its second half."""
 
 SPEED_PIECES = 32
 """Most pieces on whose means a recorded speed is tested for being constant."""
@@ -25,12 +35,20 @@ SPEED_PIECES = 32
 
 @dataclass(frozen=True)
 class CutPart:
-    """The samples that are judged, and the whole cut they are taken from; shapes (axes, n)."""
+    """The samples that are judged, the whole cut they are taken from, and the air; shapes (axes, n).
+
+    ``bounds`` are the times [s] at which the cut begins, is entered, is left and ends; ``base`` is the spindle frequency
+    [Hz] once it is known. Over turns (`stability.turns`), `dt` is that of the mean speed.
+    """
 
     samples: NDArray[np.float64]
     cut: NDArray[np.float64]
     dt: float
     interval: tuple[float, float]
+    bounds: tuple[float, float, float, float]
+    air: NDArray[np.float64]
+    raw_dt: float
+    base: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -52,15 +70,34 @@ def judged_part(
                 f"the interval {interval[0]:g} to {interval[1]:g} s holds {max(last - first, 0)} samples of a record "
                 f"from {time[0]:g} to {time[-1]:g} s; give one with more"
             )
+        steady = first, last
         begin = first
     else:
         # The force is nearly zero in air: it shows the cut best where it has been recorded.
         shows = "force" if axis_present(record, "force") else channel
         every = _rows(record[shows], axis_present(record, shows) if "axis" in record[shows].dims else axes)
-        first, last = _find_cut(every, max(2, round(turn / dt)), shows == "force")
-        begin = (first + last) // 2
-    bounds = float(time[begin]), float(time[last - 1])
-    return CutPart(samples[:, begin:last], samples[:, first:last], dt, bounds)
+        first, last, *steady = _find_cut(every, max(2, round(turn / dt)), shows == "force")
+        fewest, most = (round(count * turn / dt) for count in JUDGED_TURNS)
+        half = (first + last) // 2
+        begin = max(steady[0], min(half, max(steady[1] - fewest, first + (last - first) // 4)), steady[1] - most)
+        begin, last_judged = min(begin, steady[1] - 2), steady[1]
+    end = last if interval is not None else last_judged
+    at = [float(time[min(i, time.size - 1)]) for i in (first, steady[0], steady[1], last)]
+    return CutPart(
+        samples=samples[:, begin:end],
+        cut=samples[:, first:last],
+        dt=dt,
+        interval=(float(time[begin]), float(time[end - 1])),
+        bounds=(at[0], at[1], at[2], at[3]),
+        air=_air(samples, first, last, max(2, round(turn / dt))),
+        raw_dt=dt,
+    )
+
+
+def _air(samples: NDArray[np.float64], first: int, last: int, turn: int) -> NDArray[np.float64]:
+    """Return the longer of the pieces before and after the cut, less two turns beside it."""
+    before, after = samples[:, : max(0, first - 2 * turn)], samples[:, last + 2 * turn :]
+    return before if before.shape[1] >= after.shape[1] else after
 
 
 def _rows(channel: xr.DataArray, axes: list[str]) -> NDArray[np.float64]:
@@ -70,34 +107,86 @@ def _rows(channel: xr.DataArray, axes: list[str]) -> NDArray[np.float64]:
     return np.asarray(channel.sel(axis=axes).transpose("axis", "time").values, dtype=float)
 
 
-def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[int, int]:
-    """Return first and last sample of the longest stretch of turns that is not air, less its last turn (the exit).
+def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[int, int, int, int]:
+    """Return first and last sample of the cut (the longest stretch of turns that is not air), and of its steady part.
 
-    A turn counts as cut when its level exceeds a fifth of the 95 % quantile. The level is the standard deviation
-    within the turn; with `static` (forces) the departure of its mean from the record's quieter end counts too, because
-    a slot with many teeth cuts with a constant force.
+    A turn counts as cut when its level is nearer to that of the loud turns than to that of the quiet ones
+    (`_air_below`). The level is the standard deviation within the turn; with `static` (forces) the departure of its mean from the record's quieter end counts too, because
+    a slot with many teeth cuts with a constant force. Entry and exit end where the level, a median over three turns,
+    has reached 70 % of that of the middle; the exit takes a turn at least.
     """
     n = samples.shape[1]
     blocks = n // turn
     if blocks < 4:
-        return 0, n
+        return 0, n, 0, n
     turns = samples[:, : blocks * turn].reshape(samples.shape[0], blocks, turn)
     power = turns.var(axis=2).sum(axis=0)
     if static:
         means = turns.mean(axis=2)
         air = means[:, :1] if power[0] <= power[-1] else means[:, -1:]
         power = power + ((means - air) ** 2).sum(axis=0)
-    level = np.sqrt(power)
-    loud = np.concatenate([[False], level > 0.2 * np.quantile(level, 0.95), [False]])
+    level = ndimage.median_filter(np.sqrt(power), size=3, mode="nearest")
+    # A cut may swell and fade: a gap of a tenth of the record is none.
+    gap = max(1, blocks // 10)
+    above = np.pad(level > _air_below(level), gap)
+    loud = np.concatenate([[False], ndimage.binary_closing(above, np.ones(gap + 1))[gap:-gap], [False]])
     edges = np.flatnonzero(np.diff(loud.astype(int)))
     starts, stops = edges[::2], edges[1::2]
     if starts.size == 0:
-        return 0, n
+        return 0, n, 0, n
     longest = int(np.argmax(stops - starts))
     start, stop = int(starts[longest]), int(stops[longest])
-    if stop == blocks:
-        return start * turn, n
-    return start * turn, max(stop - 1, start + 1) * turn
+    inside = level[start:stop]
+    third = max(1, inside.size // 3)
+    full = np.flatnonzero(inside > 0.7 * np.median(inside[third : 2 * third + 1]))
+    begin = start + int(full[0])
+    full = np.flatnonzero(inside > 0.7 * np.median(inside[-2 * third : -(third // 3) or None]))
+    end = start + int(full[-1]) + 1
+    if stop == blocks and end >= stop - 1:
+        return start * turn, n, begin * turn, n
+    return start * turn, min(stop * turn, n), begin * turn, max(end - 1, begin + 1) * turn
+
+
+def _air_below(level: NDArray[np.float64]) -> float:
+    """Return the level between air and cut."""
+    loud, quiet = float(np.quantile(level, 0.95)), float(np.quantile(level, 0.05))
+    # Between the two on a logarithmic scale where they are far apart; a record without air has nothing quieter.
+    return 0.2 * loud if loud < 2.5 * quiet else max(0.2 * loud, min(math.sqrt(quiet * loud), 0.35 * loud))
+
+
+def axis_part(part: CutPart, row: int) -> CutPart:
+    """Return a part with one of its axes."""
+    rows = slice(row, row + 1)
+    return replace(part, samples=part.samples[rows], cut=part.cut[rows], air=part.air[rows])
+
+
+def over_turns(part: CutPart, turns: NDArray[np.float64], highest: float) -> CutPart:
+    """Return a part at equal steps of the angle, its interval that of the mean speed; `highest` frequency in it [Hz]."""
+    base = float(turns[-1] - turns[0]) / ((turns.size - 1) * part.raw_dt)
+    steps = math.ceil(2.5 * highest / base)
+    return replace(part, samples=resampled(part.samples, turns, steps), dt=1.0 / (steps * base), base=base)
+
+
+def with_angle(record: xr.Dataset) -> tuple[xr.Dataset, tuple[str, ...]]:
+    """Return a record with the spindle angle that its tacho gives, and what there is to say about it."""
+    if "spindle_angle" in record or "tacho" not in record:
+        return record, ()
+    pulses = float(record["tacho"].attrs.get("pulses_per_revolution", 1.0))
+    try:
+        angle = tacho_angle(record["time"].values, record["tacho"].values, pulses)
+    except InputError as error:
+        return record, (f"the tacho is not used: {error}",)
+    return record.assign(spindle_angle=("time", angle, {"units": "rad"})), ()
+
+
+def measured_turns(record: xr.Dataset, part: CutPart) -> NDArray[np.float64] | None:
+    """Return the turns at each judged sample from the spindle angle of a record; None where it has none."""
+    if "spindle_angle" not in record:
+        return None
+    inside = (record["time"] >= part.interval[0]) & (record["time"] <= part.interval[1])
+    angle = np.unwrap(record["spindle_angle"].values[inside.values]) / (2.0 * math.pi)
+    turns = np.abs(angle - angle[0])
+    return turns if bool(np.all(np.diff(turns) >= 0.0)) else None
 
 
 def stated_frequency(record: xr.Dataset, part: CutPart) -> float | None:
@@ -153,7 +242,7 @@ def _check_same(measured: float, nominal: float, tolerance: float, what: str) ->
 def _check_constant(speed: NDArray[np.float64]) -> None:
     """Refuse a sweep."""
     low, high = float(speed.min()), float(speed.max())
-    if high - low > 0.01 * abs(high):
+    if high - low > MOST_CHANGE * abs(high):
         raise InputError(
             f"the spindle speed varies from {low:g} to {high:g} rpm within the part that is judged; the "
             "criterion needs a constant speed: give an interval in which it is constant"

@@ -124,7 +124,7 @@ def comb_speed(spectrum: LineSpectrum, base: float, teeth: int, tolerance: float
     top = min(float(spectrum.frequency[-1]) / (1.0 + tolerance), COMB_HARMONICS * teeth * base)
     orders = np.arange(max(1, math.ceil(spectrum.frequency[0] / base)), int(top / base) + 1)
     coarse = _best_comb(spectrum, gain, base, orders, tolerance)
-    lines = orders[[_stands_out(spectrum, order * coarse, 2.0) for order in orders]]
+    lines = orders[[stands_out(spectrum, order * coarse, 2.0) for order in orders]]
     if lines.size == 0:
         return coarse
     nearby = min(tolerance, 2.0 * spectrum.resolution / (int(lines[-1]) * coarse))
@@ -150,7 +150,7 @@ def _best_comb(
     return float(candidates[np.argmax(score)])
 
 
-def _stands_out(spectrum: LineSpectrum, frequency: float, bins: float) -> bool:
+def stands_out(spectrum: LineSpectrum, frequency: float, bins: float) -> bool:
     """Whether there is a line within some bins of a frequency [Hz]."""
     amplitude = spectrum.vector_amplitude
     everywhere = np.ones(amplitude.size, dtype=bool)
@@ -160,7 +160,7 @@ def _stands_out(spectrum: LineSpectrum, frequency: float, bins: float) -> bool:
 
 def highest_visible_order(spectrum: LineSpectrum, base: float, count: int) -> int:
     """Return the highest of `count` orders of `base` [Hz] that stands out of the noise; 0 when none does."""
-    return next((order for order in range(count, 0, -1) if _stands_out(spectrum, order * base, 0.5)), 0)
+    return next((order for order in range(count, 0, -1) if stands_out(spectrum, order * base, 0.5)), 0)
 
 
 def _centred(samples: NDArray[np.float64]) -> NDArray[np.float64]:

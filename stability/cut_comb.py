@@ -1,0 +1,133 @@
+"""What the comb of a cut says of its tool and its speed, and the picture of the whole record.
+
+Both judge by energy: which share of the power in the band stands at the orders that a number of teeth, or a speed,
+explains.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.labels import UNITS, sample_interval
+from stability.cut_interval import CutPart
+from stability.line_spectrum import STANDS_OUT, LineSpectrum, hann_spectrum, order_phasors, stands_out
+from stability.spindle_lines import spindle_from_lines
+from stability.turns import windows
+
+MOST_TEETH = 12
+"""Numbers of teeth that are tried."""
+
+EXPLAINED, NOT_EXPLAINED = 0.8, 0.1
+"""Share of the power at the spindle orders that the teeth of another number, and of the declared one, have at most."""
+
+PICTURE = (160, 200)
+"""Most points of a spectrogram over time and frequency."""
+
+
+def other_teeth(part: CutPart, teeth: int) -> tuple[int, str]:
+    """Return the number of teeth to judge with, and a sentence where it is not the declared one.
+
+    Another number is taken only where the declared orders have less than a tenth of the power and those of the other
+    more than four fifths; a divisor of the declared number is left to run-out and period doubling.
+    """
+    top = min(int(0.4 / (part.dt * part.base)), 6 * max(teeth, 8))
+    if top < 2 * teeth:
+        return teeth, ""
+    phasors = np.concatenate([order_phasors(row[None], part.dt, part.base, top) for row in part.samples])
+    power = (np.abs(phasors) ** 2).sum(axis=0)
+    # Lines beside the orders, where there is nothing but noise and chatter: an order must stand out of them.
+    beside = np.concatenate(
+        [order_phasors(row[None], part.dt, part.base * (1.0 + 0.37 / top), top) for row in part.samples]
+    )
+    if power.max() < STANDS_OUT**2 * float(np.median((np.abs(beside) ** 2).sum(axis=0))):
+        return teeth, ""
+    order = np.arange(1, top + 1)
+    share = {z: float(power[order % z == 0].sum() / power.sum()) for z in range(2, MOST_TEETH + 1)}
+    if teeth in share and share[teeth] > NOT_EXPLAINED or teeth == 1:
+        return teeth, ""
+    fits = [z for z in share if share[z] > EXPLAINED and teeth % z != 0 and z % teeth != 0]
+    if not fits:
+        return teeth, ""
+    best = max(fits, key=lambda z: (round(share[z], 2), z))
+    high = power[order % best == 0]
+    if np.count_nonzero(high > 1e-4 * high.max()) < 3:
+        return teeth, ""
+    heights = (float(np.sqrt(power[order % z == 0].max())) for z in (best, teeth))
+    better = next(heights) / max(next(heights), 1e-300)
+    return best, (
+        f"{teeth} teeth are declared, but {best} fit: order {best} and its multiples are {better:.2g} times as high as "
+        f"those of {teeth}; judged with {best} teeth, check the tool"
+    )
+
+
+def other_speed(part: CutPart, base: float, teeth: int, band: tuple[float, float]) -> str:
+    """Return a sentence where the lines fit another speed far better than the one they are judged at."""
+    spectrum = hann_spectrum(part.samples, part.dt, band)
+    found = spindle_from_lines(spectrum, teeth, (0.4 * base, 2.5 * base))
+    if found is None or abs(found / base - 1.0) < 0.02:
+        return ""
+    # Chatter has a comb of its own, which may hold nearly all power; the orders of the right speed stand out all the same.
+    harmonics = [k * teeth * base for k in range(1, 6) if k * teeth * base < spectrum.frequency[-1]]
+    if sum(stands_out(spectrum, line, 0.5) for line in harmonics) >= 2:
+        return ""
+    here, there = (_share_at(spectrum, speed) for speed in (base, found))
+    ends = (k * teeth * found for k in range(1, 9))
+    seen = sum(stands_out(spectrum, line, 0.5) for line in ends if line < spectrum.frequency[-1])
+    if there < EXPLAINED or here > 0.5 * there or seen < 5:
+        return ""
+    return (
+        f"the lines of the record fit {60.0 * found:.4g} rpm far better than {60.0 * base:.4g} rpm (the orders of the one "
+        f"hold {100.0 * there:.0f} % of the power, those of the other {100.0 * here:.0f} %): check the speed"
+    )
+
+
+def _share_at(spectrum: LineSpectrum, base: float) -> float:
+    """Share of the power within two bins of the orders of a speed [Hz], less what they would hold of noise."""
+    power = spectrum.vector_amplitude**2
+    distance = np.abs(spectrum.frequency - np.maximum(1.0, np.round(spectrum.frequency / base)) * base)
+    at = distance <= 2.0 * spectrum.resolution
+    width = float(at.mean())
+    return max(0.0, (float(power[at].sum() / power.sum()) - width) / max(1.0 - width, 1e-9))
+
+
+def spectrogram(record: xr.Dataset, channel: str, axes: list[str], band: tuple[float, float]) -> xr.Dataset:
+    """Return the amplitudes of a whole record over time and frequency, the highest of what falls into one point.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        The record.
+    channel : str
+        What is shown, as recorded.
+    axes : list of str
+        Its axes.
+    band : (float, float)
+        Frequencies [Hz].
+    """
+    dt = sample_interval(record)
+    rows = record[channel].values[None] if "axis" not in record[channel].dims else None
+    values = record[channel].sel(axis=axes).transpose("axis", "time").values if rows is None else rows
+    duration = values.shape[1] * dt
+    window = min(max(duration / 40.0, 8.0 / max(band[0], 10.0), 64 * dt), duration)
+    middle, frequency, phasor = windows(values, dt, window, max(window / 4.0, (duration - window) / PICTURE[0]))
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    size = _reduced(np.abs(phasor[:, :, inside]), PICTURE[1])
+    grid = _reduced(frequency[inside][None, None], PICTURE[1], np.mean)[0, 0]
+    data = {"amplitude": (("axis", "time", "frequency"), size.astype(np.float32), {"units": UNITS[channel]})}
+    coords = {
+        "axis": axes,
+        "time": ("time", float(record["time"].values[0]) + middle, {"units": "s"}),
+        "frequency": ("frequency", grid, {"units": "Hz"}),
+    }
+    return xr.Dataset(data, coords=coords, attrs={"window_s": window})
+
+
+def _reduced(values: NDArray[np.float64], most: int, how=np.max) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]
+    """Take neighbours along the last axis together until `most` are left."""
+    each = math.ceil(values.shape[-1] / most)
+    parts = [how(values[..., i : i + each], axis=-1) for i in range(0, values.shape[-1], each)]
+    return np.stack(parts, axis=-1)

@@ -1,0 +1,158 @@
+"""A cut over turns of the spindle instead of time: the spindle followed by the comb of its own orders.
+
+A spindle that slows by 1 % within a record smears its 60th order over half the distance to the next. So the speed is
+taken as ``n(t) = n0 (1 + e + a (t/T - 1/2))`` and the mean e and the drift a are sought that maximise the summed
+logarithmic power at the orders, first in short windows, where the drift within a window is small, then in longer ones
+on a record that has been resampled to equal steps of the angle. The logarithm, clipped, counts a loud chatter line as
+one line of many. A spindle angle that was measured replaces the search.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage, signal
+
+Real = NDArray[np.float64]
+
+DRIFT = 0.012
+"""Relative change of the speed from the begin to the end of what is judged that is looked for [1]."""
+
+SHORT_TURNS = 10.0
+"""Turns of the first, short windows."""
+
+_MOST_ORDERS = 60
+_OTHER_ORDERS = 0.1
+"""Weight of an order that is no tooth passing harmonic: a stretch of the comb by half a per cent lays a chatter line at
+the 20th order on an order, but no family on those of the teeth."""
+_MOST_GAIN = 3.0  # a loud line counts as one line of many
+_LINE = 16.0  # a bin counts from this many times the median power
+
+
+def windows(samples: Real, dt: float, length: float, step: float) -> tuple[Real, Real, NDArray[np.complex128]]:
+    """Return short-time spectra with a Hann window, zero-padded four times.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (axes, n)
+        Samples at an interval `dt`.
+    dt, length, step : float
+        Interval, length of a window and distance of two, in one unit (seconds or turns).
+
+    Returns
+    -------
+    middle : ndarray, shape (w,)
+        Middle of each window.
+    frequency : ndarray, shape (f,)
+        In one over the unit.
+    phasor : ndarray of complex, shape (axes, w, f)
+        Peak amplitudes.
+    """
+    n = max(8, min(samples.shape[1], round(length / dt)))
+    starts = np.arange(0, samples.shape[1] - n + 1, max(1, round(step / dt)))
+    window = signal.windows.hann(n, sym=False)
+    pieces = np.stack([samples[:, s : s + n] for s in starts], axis=1)
+    pieces = (pieces - pieces.mean(axis=2, keepdims=True)) * window
+    size = fft.next_fast_len(4 * n, real=True)
+    phasor = fft.rfft(pieces, size, axis=2) * (2.0 / window.sum())
+    return (starts + 0.5 * n) * dt, fft.rfftfreq(size, dt), phasor
+
+
+def followed_turns(
+    samples: Real, dt: float, base: float, teeth: int, tolerance: float, band: tuple[float, float]
+) -> Real:
+    """Return the turns of the spindle at each sample, shape (n,), from the comb of orders near a speed.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (axes, n)
+        The cut.
+    dt : float
+        Sample interval [s].
+    base : float
+        Spindle frequency around which is searched [Hz].
+    teeth : int
+        Number of teeth: their orders are looked at first.
+    tolerance : float
+        Relative error of `base` [1].
+    band : (float, float)
+        Band of the orders [Hz].
+    """
+    duration = samples.shape[1] * dt
+    time = np.arange(samples.shape[1]) * dt
+    window = min(duration, max(SHORT_TURNS / base, min(0.1, duration)))
+    mean, drift = _best_comb(samples, dt, base, teeth, window, tolerance, DRIFT, band)
+    turns = base * ((1.0 + mean) * time + drift * (time * time / (2.0 * duration) - 0.5 * time))
+    for share in (0.34, 0.99):
+        total = float(turns[-1])
+        if share * total < 1.2 * SHORT_TURNS:
+            continue
+        steps = math.ceil(2.2 * band[1] / base)
+        even = resampled(samples, turns, steps)
+        orders = band[0] / base, band[1] / base
+        reach = 1.5 / (min(orders[1], 12.0 * teeth) * (SHORT_TURNS if share < 0.5 else 0.34 * total))
+        mean, drift = _best_comb(
+            even, 1.0 / steps, 1.0, teeth, share * total, reach, reach if share < 0.5 else 0.0, orders
+        )
+        first = math.ceil(turns[0])
+        along = turns - first
+        span = even.shape[1] / steps
+        turns = first + (1.0 + mean) * along + drift * (along * along / (2.0 * span) - 0.5 * along)
+    mean = float(turns[-1] - turns[0]) / (base * (duration - dt))
+    return turns * (min(max(mean, 1.0 - tolerance), 1.0 + tolerance) / mean)
+
+
+def _best_comb(
+    samples: Real,
+    dt: float,
+    base: float,
+    teeth: int,
+    window: float,
+    tolerance: float,
+    drift: float,
+    band: tuple[float, float],
+) -> tuple[float, float]:
+    """Return mean departure and drift of the comb that carries most lines, coarse to fine over rising orders."""
+    duration = samples.shape[1] * dt
+    middle, frequency, phasor = windows(samples, dt, window, 0.5 * window)
+    power = np.abs(phasor) ** 2
+    floor = _LINE * np.median(power, axis=2, keepdims=True) + 1e-12 * power.max() + np.finfo(float).tiny
+    gain = np.minimum(np.log1p(power / floor), _MOST_GAIN).sum(axis=0)[:, frequency <= band[1]]
+    place = middle / duration - 0.5
+    lowest, highest = max(1, math.ceil(band[0] / base)), int(band[1] / base / (1.0 + tolerance))
+    found = np.zeros(2)
+    reach = np.array([tolerance, drift])
+    for top in (4 * teeth, 12 * teeth, 20 * teeth):
+        orders = np.arange(lowest, max(lowest, min(highest, top)) + 1)
+        orders = orders[np.argsort(orders % teeth != 0, kind="stable")][:_MOST_ORDERS]
+        step = 0.5 / (int(orders.max()) * window * base)
+        grids = [
+            centre + np.linspace(-r, r, 2 * max(1, math.ceil(2.0 * r / step)) + 1) if r > 0.0 else np.array([centre])
+            for centre, r in zip(found, reach, strict=True)
+        ]
+        means, drifts = np.meshgrid(*grids, indexing="ij")
+        score = np.zeros(means.shape)
+        for row, at in zip(gain, place, strict=True):
+            speed = base / frequency[1] * (1.0 + means + drifts * at)
+            for order in orders:
+                bins = np.rint(order * speed).astype(np.int64)
+                weight = 1.0 if order % teeth == 0 else _OTHER_ORDERS
+                score += weight * np.where(bins < row.size, row[np.minimum(bins, row.size - 1)], 0.0)
+        best = np.unravel_index(int(np.argmax(score)), score.shape)
+        found = np.array([grids[0][best[0]], grids[1][best[1]]])
+        reach = np.where(reach > 0.0, np.minimum(reach, 3.0 * step), 0.0)
+    return float(found[0]), float(found[1])
+
+
+def resampled(samples: Real, turns: Real, steps: int) -> Real:
+    """Return samples at equal steps of the angle over whole turns, shape (axes, whole turns * steps).
+
+    Cubic interpolation on twice the sample rate: 0.3 % at 0.4 sample rates.
+    """
+    n = samples.shape[1]
+    fine = signal.resample(samples, 2 * n, axis=1)
+    grid = np.arange(math.ceil(turns[0]) * steps, math.floor(turns[-1]) * steps) / steps
+    at = 2.0 * np.interp(grid, turns, np.arange(n))
+    return np.stack([ndimage.map_coordinates(row, [at], order=3, mode="nearest") for row in fine])
