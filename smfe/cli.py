@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from process.errors import InputError
+from process.units import parse
 from smfe import __version__, first_look, pipeline
 from smfe import plan as planner
 from smfe.conversion import convert as convert_file
@@ -174,14 +175,54 @@ def chatter(
         typer.Option(help='Spindle speed with its unit, "500 rpm"; default: from the record.', show_default=False),
     ] = None,
     campaign: Annotated[Path | None, typer.Option(help="Campaign file that declares the channels.")] = None,
+    interval: Annotated[
+        tuple[str, str] | None, typer.Option(help='Part to judge, "2 s" "6 s"; default: the cut that is found.')
+    ] = None,
+    axes: Annotated[str | None, typer.Option(help='Axes to judge, "x,y"; default: all.', show_default=False)] = None,
+    frequency_range: Annotated[
+        tuple[str, str] | None, typer.Option(help='Band, "20 Hz" "400 Hz".', show_default=False)
+    ] = None,
+    quantity: Annotated[
+        str | None, typer.Option(help="acceleration, displacement, force or sound.", show_default=False)
+    ] = None,
+    floor: Annotated[
+        float | None, typer.Option(help="Least amplitude that counts [m/s^2, m, N, Pa].", show_default=False)
+    ] = None,
+    half_order_reference: Annotated[
+        float | None, typer.Option(help="half_order_ratio of a stable cut with the same tool.", show_default=False)
+    ] = None,
 ) -> None:
-    """Judge one cut by the spectral chatter criterion."""
-    verdict = pipeline.chatter(record, speed, teeth, campaign)
+    """Judge one cut by the spectral chatter criterion: WAV, CSV, TDMS, whatever smfe reads."""
+    verdict = pipeline.chatter(
+        record,
+        speed,
+        teeth,
+        campaign,
+        quantity=quantity,
+        interval=None if interval is None else (parse(interval[0], "time"), parse(interval[1], "time")),
+        axes=None if axes is None else [a.strip() for a in axes.split(",")],
+        frequency_range=None
+        if frequency_range is None
+        else (parse(frequency_range[0], "frequency"), parse(frequency_range[1], "frequency")),
+        floor=floor,
+        half_order_reference=half_order_reference,
+    )
     out.print(f"{verdict.verdict}: {verdict.reason}", markup=False, highlight=False)
+    begin, entered, left, end = verdict.cut_s
     out.print(
-        f"ratio {verdict.ratio:.3g}, spindle speed {verdict.spindle_speed_rpm:.5g} rpm, judged on {verdict.quantity}",
+        f"cut from {begin:.3g} to {end:.3g} s (entered by {entered:.3g}, left from {left:.3g} s), judged from "
+        f"{verdict.interval_s[0]:.3g} to {verdict.interval_s[1]:.3g} s",
         highlight=False,
     )
+    out.print(
+        f"ratio {verdict.ratio:.3g}, spindle speed {verdict.spindle_speed_rpm:.5g} rpm, judged on {verdict.quantity}, "
+        f"half_order_ratio {verdict.half_order_ratio:.3g}",
+        highlight=False,
+    )
+    if verdict.try_rpm:
+        out.print(f"speeds to try: {', '.join(f'{s:.0f}' for s in verdict.try_rpm)} rpm", highlight=False)
+    for note in verdict.notes:
+        out.print(f"note: {note}", markup=False, highlight=False)
 
 
 @app.command()

@@ -53,6 +53,7 @@ from smfe.records.words import listed
 from smfe.store import check_target, pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
 from smfe.sweep_levels import level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table
+from stability.criterion import FREQUENCY_RANGE
 
 CONDITIONS = "conditions.nc"
 """File of what was measured at several levels or feeds."""
@@ -289,7 +290,19 @@ def lobes(
     return results
 
 
-def chatter(record: Path | str, speed: str | None, teeth: int, campaign: Path | str | None = None) -> ChatterVerdict:
+def chatter(
+    record: Path | str,
+    speed: str | None,
+    teeth: int,
+    campaign: Path | str | None = None,
+    *,
+    quantity: str | None = None,
+    interval: tuple[float, float] | None = None,
+    axes: Sequence[str] | None = None,
+    frequency_range: tuple[float, float] | None = None,
+    floor: float | None = None,
+    half_order_reference: float | None = None,
+) -> ChatterVerdict:
     """Judge one record of a cut by the spectral criterion.
 
     Parameters
@@ -301,14 +314,36 @@ def chatter(record: Path | str, speed: str | None, teeth: int, campaign: Path | 
     teeth : int
         Number of teeth.
     campaign : path, optional
-        Campaign file whose [channels] tell the columns; default: those of `DEFAULT_CHANNELS` that the file has.
+        Campaign file whose [channels] tell the columns; default: those of `DEFAULT_CHANNELS` that the file has, and the
+        first channel of a WAV file as sound.
+    quantity, interval, axes, frequency_range, floor, half_order_reference
+        As of `stability.chatter_verdict`.
+
+    Raises
+    ------
+    InputError
+        For a record that cannot be read or judged; where no column is known, the columns of the file are listed.
     """
     rotation = None if speed is None else parse(speed, "rotation")
-    if campaign is None:
-        records = read_default_channels(Path(record))
+    path = Path(record)
+    if campaign is not None:
+        records = read_records(path, load_channels(Path(campaign)))
+    elif path.suffix.lower() == ".wav":
+        # Shares of full scale: how many Pa that is does not matter to a ratio.
+        records = read_records(path, {"sound": Channel(1, "Pa")})
     else:
-        records = read_records(Path(record), load_channels(Path(campaign)))
-    return chatter_verdict(records[0], rotation, teeth)
+        records = read_default_channels(path)
+    return chatter_verdict(
+        records[0],
+        rotation,
+        teeth,
+        quantity=quantity,
+        axes=axes,
+        frequency_range=frequency_range or FREQUENCY_RANGE,
+        floor=floor,
+        interval=interval,
+        half_order_reference=half_order_reference,
+    )
 
 
 def read_default_channels(path: Path) -> list[xr.Dataset]:

@@ -52,7 +52,7 @@ from stability.cut_interval import (
     with_angle,
 )
 from stability.evidence import MASK_BINS, Evidence, gather, labelled_spectrum
-from stability.line_spectrum import STANDS_OUT, hann_spectrum
+from stability.line_spectrum import STANDS_OUT, comb_speed, hann_spectrum
 from stability.spindle_lines import spindle_from_lines
 from stability.turns import followed_turns
 
@@ -79,6 +79,12 @@ _TURN_UNKNOWN = 0.1  # s; what is looked at for cut or air while the speed is no
 
 GROWTH = 3.0
 """Growth of order Z/2 against the tooth line, first to last quarter of the cut, that run-out cannot explain."""
+
+NEARLY = 0.09
+"""A steady line less than this share below the threshold is left open: a sensor may read it low [1]."""
+
+FOREIGN = 5.0
+"""A spindle order that is no tooth harmonic and this many times as high is not put down to run-out [1]."""
 
 SILENT = 0.1
 """An axis is measured against at least this share of the highest harmonic of all axes [1]."""
@@ -261,22 +267,24 @@ def chatter_verdict(
         angle = measured_turns(record, part) if exact else None
         if angle is None:
             angle = followed_turns(part.samples, part.raw_dt, base, teeth, speed_tolerance, band)
-        part, exact = over_turns(part, angle, band[1]), True
-        base = part.base
+        even = over_turns(part, angle, band[1])
+        if exact:
+            base = even.base
+        else:
+            # Less than a bin at the tooth harmonics is left: the comb of the whole record says where.
+            left = 0.5 / (even.duration * teeth * even.base)
+            base = comb_speed(hann_spectrum(even.samples, even.dt, band), even.base, teeth, left)
+        part, exact = even, True
     part = replace(part, base=base)
     fitting, said = other_teeth(part, teeth) if enough else (teeth, "")
     settings = (base, fitting, band, exact, speed_tolerance, integrate, least, UNITS[chosen], threshold)
-    found = [
-        gather(name, axis_part(part, i), *settings, half_order_reference) for i, name in enumerate(names)
-    ]
+    found = [gather(name, axis_part(part, i), *settings, half_order_reference) for i, name in enumerate(names)]
     highest = max(max(e.tooth_amplitude, e.order_amplitude) for e in found)
     found = [replace(e, least=SILENT * highest) for e in found]
     findings = [_too_few_turns(part, base) or _judge(e) for e in found]
     worst = _deciding(found, findings)
     evidence, finding = found[worst], findings[worst]
     said_speed = other_speed(part, base, fitting, band) if finding.verdict == "chatter" else ""
-    if said_speed:
-        finding = _Finding("undecided", finding.ratio, finding.frequency, said_speed)
     chatters = finding.verdict == "chatter"
     return ChatterVerdict(
         verdict=finding.verdict,
@@ -284,7 +292,7 @@ def chatter_verdict(
         chatter_frequency_Hz=finding.frequency,
         tooth_passing_harmonic_Hz=evidence.tooth_line,
         spindle_speed_rpm=60.0 * evidence.base,
-        reason=_in_words(finding, findings, evidence, names, said),
+        reason=_in_words(finding, findings, evidence, names, "; ".join(filter(None, (said, said_speed)))),
         spectrum=labelled_spectrum(found, UNITS[chosen]),
         quantity="displacement from acceleration" if integrate else chosen,
         axes=tuple(names),
@@ -297,8 +305,7 @@ def chatter_verdict(
         floor=least,
         unit=UNITS[chosen],
         by_axis=tuple(
-            AxisVerdict(e.axis, f.verdict, f.ratio, f.frequency, f.reason)
-            for e, f in zip(found, findings, strict=True)
+            AxisVerdict(e.axis, f.verdict, f.ratio, f.frequency, f.reason) for e, f in zip(found, findings, strict=True)
         ),
         family_Hz=evidence.family if chatters else (),
         drift_Hz=(evidence.short.low, evidence.short.high) if chatters and evidence.drifts else None,
@@ -322,9 +329,7 @@ def _deciding(found: Sequence[Evidence], findings: Sequence[_Finding]) -> int:
     return max(range(len(found)), key=rank)
 
 
-def _in_words(
-    finding: _Finding, findings: Sequence[_Finding], e: Evidence, names: Sequence[str], said: str
-) -> str:
+def _in_words(finding: _Finding, findings: Sequence[_Finding], e: Evidence, names: Sequence[str], said: str) -> str:
     """Return the reason with what its axis, family and growth add."""
     text = finding.reason
     if len(names) > 1:
@@ -450,7 +455,7 @@ def _too_few_turns(part: CutPart, base: float) -> _Finding | None:
 
 def _judge(e: Evidence) -> _Finding:
     """Ask the rules in turn: whether there is a signal, a clear line, period doubling, then what may be hidden."""
-    for rule in (_silent, _line, _period_doubling, _hidden, _crowded):
+    for rule in (_silent, _line, _period_doubling, _hidden, _foreign_order, _crowded):
         finding = rule(e)
         if finding is not None:
             return finding
@@ -489,15 +494,20 @@ def _silent(e: Evidence) -> _Finding | None:
 def _line(e: Evidence) -> _Finding | None:
     """A peak that is not a harmonic, nor a mode that noise excites."""
     frequency, amplitude = e.candidate
-    if math.isnan(frequency) or e.ratio < e.threshold - e.guard:
+    if math.isnan(frequency) or e.ratio < e.threshold - max(e.guard, NEARLY * e.threshold):
         return None
-    if e.ratio < e.threshold and (amplitude < STANDS_OUT * e.noise or not e.line_like):
+    if e.ratio < e.threshold and not e.line_like:
         return None
-    what = f"the non-harmonic peak at {frequency:.4g} Hz is {e.ratio:.3g} of {_denominator(e)}"
-    if amplitude < STANDS_OUT * e.noise:
+    family = " with its family" if e.ratio * e.denominator > 1.001 * amplitude else ""
+    what = f"the non-harmonic peak at {frequency:.4g} Hz{family} is {e.ratio:.3g} of {_denominator(e)}"
+    if amplitude < STANDS_OUT * e.noise and not e.line_like:
         return _Finding("undecided", e.ratio, frequency, f"{what}, but does not stand out of the noise: cut longer")
-    if abs(e.ratio - e.threshold) <= e.guard:
+    # What a drifting line spreads around itself is no noise.
+    if abs(e.ratio - e.threshold) <= min(e.guard, (0.1 if e.line_like else 0.5) * e.threshold):
         reason = f"{what}: within {e.guard:.2g} of {e.threshold:g}, which the noise leaves open; record longer"
+        return _Finding("undecided", e.ratio, frequency, reason)
+    if e.ratio < e.threshold:
+        reason = f"{what}, little below {e.threshold:g}, and it is a steady line: judge another axis or sensor as well"
         return _Finding("undecided", e.ratio, frequency, reason)
     if not e.line_like:
         reason = f"{what}, but comes and goes like a mode that noise excites: cut longer, or compare with a lower depth"
@@ -538,6 +548,10 @@ def _hidden(e: Evidence) -> _Finding | None:
     apart = max(abs(frequency - order * e.base), 0.25 * e.spectrum.resolution)
     # The mask is MASK_BINS/T wide on either side, and wider by the error of the speed.
     clear = apart - e.speed_error * order * e.base
+    near = e.spectrum.near(order * e.base, e.spectrum.resolution)
+    if clear <= 0.0 and 0.6 * float(e.amplitude[near].max()) > amplitude:
+        # Much less than the order itself, no farther from it than the speed may wander: a harmonic not quite steady.
+        return None
     advice = "a record of the spindle angle or a better known speed would separate them"
     if clear > 0.0:
         judged = 1.0 / e.spectrum.resolution
@@ -549,6 +563,23 @@ def _hidden(e: Evidence) -> _Finding | None:
         f"{ratio:.3g} of {_denominator(e)} does not repeat with the spindle, but lies at {frequency:.5g} Hz, "
         f"within the mask of spindle order {order}: chatter close to a harmonic, or a speed that varies; "
         f"{advice}",
+    )
+
+
+def _foreign_order(e: Evidence) -> _Finding | None:
+    """A spindle order, not of the teeth, far above them: chatter that falls on an order looks like it."""
+    if e.order_amplitude < FOREIGN * max(e.tooth_amplitude, e.floor, e.least) or e.teeth == 1:
+        return None
+    order = round(e.order_frequency / e.base)
+    if order % e.teeth == 0 or order == 1:
+        return None
+    return _Finding(
+        "undecided",
+        e.ratio,
+        e.order_frequency,
+        f"spindle order {order} at {e.order_frequency:.4g} Hz is {e.order_amplitude / e.tooth_amplitude:.2g} times "
+        f"as high as the harmonics of {e.teeth} teeth: chatter on an order, or another number of teeth; change "
+        "the speed by 2 %",
     )
 
 

@@ -43,13 +43,13 @@ def other_teeth(part: CutPart, teeth: int) -> tuple[int, str]:
     beside = np.concatenate(
         [order_phasors(row[None], part.dt, part.base * (1.0 + 0.37 / top), top) for row in part.samples]
     )
-    if power.max() < STANDS_OUT**2 * float(np.median((np.abs(beside) ** 2).sum(axis=0))):
+    if power.max() <= STANDS_OUT**2 * float(np.median((np.abs(beside) ** 2).sum(axis=0))):
         return teeth, ""
     order = np.arange(1, top + 1)
     share = {z: float(power[order % z == 0].sum() / power.sum()) for z in range(2, MOST_TEETH + 1)}
-    if teeth in share and share[teeth] > NOT_EXPLAINED or teeth == 1:
+    if teeth == 1 or share.get(teeth, 0.0) > NOT_EXPLAINED:
         return teeth, ""
-    fits = [z for z in share if share[z] > EXPLAINED and teeth % z != 0 and z % teeth != 0]
+    fits = [z for z in share if share[z] > EXPLAINED and teeth % z != 0 and z % teeth != 0 and z <= 2 * teeth]
     if not fits:
         return teeth, ""
     best = max(fits, key=lambda z: (round(share[z], 2), z))
@@ -70,7 +70,7 @@ def other_speed(part: CutPart, base: float, teeth: int, band: tuple[float, float
     found = spindle_from_lines(spectrum, teeth, (0.4 * base, 2.5 * base))
     if found is None or abs(found / base - 1.0) < 0.02:
         return ""
-    # Chatter has a comb of its own, which may hold nearly all power; the orders of the right speed stand out all the same.
+    # Chatter has a comb of its own, which may hold nearly all power; the orders of the right speed stand out still.
     harmonics = [k * teeth * base for k in range(1, 6) if k * teeth * base < spectrum.frequency[-1]]
     if sum(stands_out(spectrum, line, 0.5) for line in harmonics) >= 2:
         return ""
@@ -80,8 +80,8 @@ def other_speed(part: CutPart, base: float, teeth: int, band: tuple[float, float
     if there < EXPLAINED or here > 0.5 * there or seen < 5:
         return ""
     return (
-        f"the lines of the record fit {60.0 * found:.4g} rpm far better than {60.0 * base:.4g} rpm (the orders of the one "
-        f"hold {100.0 * there:.0f} % of the power, those of the other {100.0 * here:.0f} %): check the speed"
+        f"the lines of the record fit {60.0 * found:.4g} rpm far better than {60.0 * base:.4g} rpm (the orders of the "
+        f"one hold {100.0 * there:.0f} % of the power, those of the other {100.0 * here:.0f} %): check the speed"
     )
 
 

@@ -37,8 +37,8 @@ SPEED_PIECES = 32
 class CutPart:
     """The samples that are judged, the whole cut they are taken from, and the air; shapes (axes, n).
 
-    ``bounds`` are the times [s] at which the cut begins, is entered, is left and ends; ``base`` is the spindle frequency
-    [Hz] once it is known. Over turns (`stability.turns`), `dt` is that of the mean speed.
+    ``bounds`` are the times [s] at which the cut begins, is entered, is left and ends; ``base`` is the spindle
+    frequency [Hz] once it is known. Over turns (`stability.turns`), `dt` is that of the mean speed.
     """
 
     samples: NDArray[np.float64]
@@ -70,7 +70,7 @@ def judged_part(
                 f"the interval {interval[0]:g} to {interval[1]:g} s holds {max(last - first, 0)} samples of a record "
                 f"from {time[0]:g} to {time[-1]:g} s; give one with more"
             )
-        steady = first, last
+        steady = [int(first), int(last)]
         begin = first
     else:
         # The force is nearly zero in air: it shows the cut best where it has been recorded.
@@ -111,8 +111,9 @@ def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[in
     """Return first and last sample of the cut (the longest stretch of turns that is not air), and of its steady part.
 
     A turn counts as cut when its level is nearer to that of the loud turns than to that of the quiet ones
-    (`_air_below`). The level is the standard deviation within the turn; with `static` (forces) the departure of its mean from the record's quieter end counts too, because
-    a slot with many teeth cuts with a constant force. Entry and exit end where the level, a median over three turns,
+    (`_air_below`). The level is the standard deviation within the turn; with `static` (forces) the departure of its
+    mean from the record's quieter end counts too, because a slot with many teeth cuts with a constant force. Entry and
+    exit end where the level, a median over three turns,
     has reached 70 % of that of the middle; the exit takes a turn at least.
     """
     n = samples.shape[1]
@@ -150,8 +151,10 @@ def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[in
 def _air_below(level: NDArray[np.float64]) -> float:
     """Return the level between air and cut."""
     loud, quiet = float(np.quantile(level, 0.95)), float(np.quantile(level, 0.05))
-    # Between the two on a logarithmic scale where they are far apart; a record without air has nothing quieter.
-    return 0.2 * loud if loud < 2.5 * quiet else max(0.2 * loud, min(math.sqrt(quiet * loud), 0.35 * loud))
+    # A record without air has nothing much quieter; an entry may be louder than all that follows.
+    if loud < 2.0 * quiet:
+        return 0.2 * loud
+    return max(3.0 * quiet, 0.05 * loud) if 3.0 * quiet < 0.35 * loud else math.sqrt(quiet * loud)
 
 
 def axis_part(part: CutPart, row: int) -> CutPart:
@@ -161,7 +164,7 @@ def axis_part(part: CutPart, row: int) -> CutPart:
 
 
 def over_turns(part: CutPart, turns: NDArray[np.float64], highest: float) -> CutPart:
-    """Return a part at equal steps of the angle, its interval that of the mean speed; `highest` frequency in it [Hz]."""
+    """Return a part at equal steps of the angle, at the interval of the mean speed; `highest`: frequency [Hz]."""
     base = float(turns[-1] - turns[0]) / ((turns.size - 1) * part.raw_dt)
     steps = math.ceil(2.5 * highest / base)
     return replace(part, samples=resampled(part.samples, turns, steps), dt=1.0 / (steps * base), base=base)

@@ -37,6 +37,9 @@ COMES_AND_GOES = 1.4
 """Kurtosis of the envelope of a line, <|a|^4>/<|a|^2>^2, above which it may be a mode that noise excites: steady
 chatter has 1, filtered noise 2."""
 
+NOISE_LIKE = 1.75
+"""Kurtosis of the envelope from which no coherence makes a line of it."""
+
 COHERENT = 8.0
 """Power of a family over the median power between the orders from which it is a line whatever its envelope does."""
 
@@ -96,15 +99,20 @@ class Evidence:
         return float(self.spectrum.frequency[top]), float(amplitude[top])
 
     @cached_property
+    def peaks(self) -> NDArray[np.bool_]:
+        """Local maxima of the spectrum that are neither harmonics nor there in air."""
+        inner = self.amplitude[1:-1]
+        local = np.zeros(self.amplitude.size, dtype=bool)
+        local[1:-1] = (inner >= self.amplitude[:-2]) & (inner >= self.amplitude[2:])
+        return local & ~self.masked & ~self.in_air
+
+    @cached_property
     def candidate(self) -> tuple[float, float]:
         """Frequency and amplitude of the largest peak that is not a harmonic, nor there in air.
 
         A shoulder of a masked order is no peak: the point must be a local maximum.
         """
-        inner = self.amplitude[1:-1]
-        local = np.zeros(self.amplitude.size, dtype=bool)
-        local[1:-1] = (inner >= self.amplitude[:-2]) & (inner >= self.amplitude[2:])
-        whole = self.peak(local & ~self.masked & ~self.in_air, self.amplitude)
+        whole = self.peak(self.peaks, self.amplitude)
         # A line that drifts is lower and broader the longer the window: a short one reads it higher.
         return (self.short.frequency, self.short.amplitude) if self.short.amplitude > 1.3 * whole[1] else whole
 
@@ -128,8 +136,15 @@ class Evidence:
 
     @property
     def ratio(self) -> float:
-        """Candidate with its family (root of the sum of squares) over harmonic."""
-        return self.pooled / self.denominator if self.denominator > 0.0 else 0.0
+        """Candidate, where it is a line with its family (root of the sum of squares), over harmonic."""
+        size = self.candidate[1]
+        if (
+            self.denominator > 0.0
+            and 0.2 * self.threshold < size / self.denominator < self.threshold
+            and self.line_like
+        ):
+            size = self.pooled
+        return size / self.denominator if self.denominator > 0.0 else 0.0
 
     @cached_property
     def pooled(self) -> float:
@@ -172,9 +187,9 @@ class Evidence:
         for sign in (1.0, -1.0):
             begin = (sign * frequency) % self.base
             for line in np.arange(begin, last, self.base):
-                near = np.abs(self.spectrum.frequency - line) <= width
-                if abs(line - frequency) > 0.5 * self.base and (near & ~self.masked).any():
-                    at, size = self.peak(near & ~self.masked, self.amplitude)
+                near = self.peaks & (np.abs(self.spectrum.frequency - line) <= width)
+                if abs(line - frequency) > 0.5 * self.base and near.any():
+                    at, size = self.peak(near, self.amplitude)
                     if size > max(0.1 * amplitude, STANDS_OUT * self.noise):
                         found.append((size, at))
         return tuple(sorted(found))
@@ -231,7 +246,10 @@ class Evidence:
     @property
     def line_like(self) -> bool:
         """Whether the candidate is a line, not a mode that noise excites."""
-        return self.envelope[0] < COMES_AND_GOES or self.coherence > COHERENT
+        clear = self.candidate[1] > STANDS_OUT * self.noise
+        return (clear and self.envelope[0] < COMES_AND_GOES) or (
+            self.envelope[0] < NOISE_LIKE and self.coherence > COHERENT
+        )
 
 
 def gather(
@@ -351,11 +369,13 @@ def _short(
         heights = size.max(axis=1)
         found = float(np.median(heights))
         if found > best.amplitude:
-            low, middle, high = np.quantile(frequency[tops], [0.1, 0.5, 0.9])
-            # Where the highest line changes from window to window, the one of the middle window stands for all.
-            at = frequency[tops][int(np.argmin(np.abs(frequency[tops] - middle)))]
+            middle = float(np.median(frequency[tops]))
+            at = float(frequency[tops][int(np.argmin(np.abs(frequency[tops] - middle)))])
+            # The highest line may be another of the family from window to window: what counts is where it is between.
+            moved = (frequency[tops] - at + 0.5 * base) % base - 0.5 * base
+            low, high = at + np.quantile(moved, [0.1, 0.9])
             near = free & (np.abs(frequency - at) < 2.0 * base)
-            best = Short(float(at), float(low), float(high), found, float(np.sqrt(np.median(size[:, near] ** 2) / 0.69)))
+            best = Short(at, float(low), float(high), found, float(np.sqrt(np.median(size[:, near] ** 2) / 0.69)))
     return best
 
 
@@ -401,7 +421,9 @@ def _growth(part: CutPart, frequency: float, teeth: int) -> float:
 
     def mean_size(piece: NDArray[np.float64], line: float) -> float:
         parts = [piece[:, i : i + length] for i in range(0, piece.shape[1] - length + 1, length)]
-        return math.sqrt(sum(float(np.abs(order_phasors(p, part.raw_dt, line, 1)).max()) ** 2 for p in parts) / len(parts))
+        return math.sqrt(
+            sum(float(np.abs(order_phasors(p, part.raw_dt, line, 1)).max()) ** 2 for p in parts) / len(parts)
+        )
 
     first, last = (mean_size(p, frequency) for p in (part.cut[:, :quarter], part.cut[:, -quarter:]))
     passing = teeth * part.base

@@ -27,7 +27,7 @@ _MOST_ORDERS = 60
 _OTHER_ORDERS = 0.1
 """Weight of an order that is no tooth passing harmonic: a stretch of the comb by half a per cent lays a chatter line at
 the 20th order on an order, but no family on those of the teeth."""
-_MOST_GAIN = 3.0  # a loud line counts as one line of many
+_MOST_GAIN = 3.0
 _LINE = 16.0  # a bin counts from this many times the median power
 
 
@@ -101,7 +101,7 @@ def followed_turns(
         span = even.shape[1] / steps
         turns = first + (1.0 + mean) * along + drift * (along * along / (2.0 * span) - 0.5 * along)
     mean = float(turns[-1] - turns[0]) / (base * (duration - dt))
-    return turns * (min(max(mean, 1.0 - tolerance), 1.0 + tolerance) / mean)
+    return np.asarray(turns * (min(max(mean, 1.0 - tolerance), 1.0 + tolerance) / mean))
 
 
 def _best_comb(
@@ -119,11 +119,15 @@ def _best_comb(
     middle, frequency, phasor = windows(samples, dt, window, 0.5 * window)
     power = np.abs(phasor) ** 2
     floor = _LINE * np.median(power, axis=2, keepdims=True) + 1e-12 * power.max() + np.finfo(float).tiny
-    gain = np.minimum(np.log1p(power / floor), _MOST_GAIN).sum(axis=0)[:, frequency <= band[1]]
+    gain = np.log1p(power / floor)
+    if drift == DRIFT:
+        # While the reach is wide, a loud line counts as one of many; a tenth of the rest keeps its top from being flat.
+        gain = 0.9 * np.minimum(gain, _MOST_GAIN) + 0.1 * gain
+    gain = gain.sum(axis=0)[:, frequency <= band[1]]
     place = middle / duration - 0.5
     lowest, highest = max(1, math.ceil(band[0] / base)), int(band[1] / base / (1.0 + tolerance))
     found = np.zeros(2)
-    reach = np.array([tolerance, drift])
+    reach = limit = np.array([tolerance, drift])
     for top in (4 * teeth, 12 * teeth, 20 * teeth):
         orders = np.arange(lowest, max(lowest, min(highest, top)) + 1)
         orders = orders[np.argsort(orders % teeth != 0, kind="stable")][:_MOST_ORDERS]
@@ -141,7 +145,7 @@ def _best_comb(
                 weight = 1.0 if order % teeth == 0 else _OTHER_ORDERS
                 score += weight * np.where(bins < row.size, row[np.minimum(bins, row.size - 1)], 0.0)
         best = np.unravel_index(int(np.argmax(score)), score.shape)
-        found = np.array([grids[0][best[0]], grids[1][best[1]]])
+        found = np.clip([grids[0][best[0]], grids[1][best[1]]], -limit, limit)
         reach = np.where(reach > 0.0, np.minimum(reach, 3.0 * step), 0.0)
     return float(found[0]), float(found[1])
 

@@ -77,7 +77,7 @@ def test_the_threshold_can_be_chosen():
 def test_the_highest_harmonic_counts_even_when_it_is_not_the_first():
     found = judge(cut_record([(63.07, 3.0)], tooth=(1.0, 10.0)))
     assert found.tooth_passing_harmonic_Hz == pytest.approx(200.0, abs=0.1)
-    assert found.ratio == pytest.approx(0.3, rel=0.02)
+    assert found.ratio == pytest.approx(0.3, rel=0.12)
 
 
 def test_run_out_is_no_chatter():
@@ -87,13 +87,25 @@ def test_run_out_is_no_chatter():
     assert found.ratio < 0.05
 
 
-def test_axes_are_combined_so_that_a_turned_sensor_says_the_same():
-    record = cut_record([(63.07, 6.0)])
+def test_each_axis_is_judged_by_itself_and_a_turned_sensor_says_the_same():
+    record = cut_record([(63.07, 9.0)])
     turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
     both = turn @ record.acceleration.values
     turned = make_record(record.time.values, {"acceleration": dict(zip("xy", both, strict=True))})
-    assert judge(turned).ratio == pytest.approx(judge(record).ratio, rel=1e-9)
+    assert judge(turned).ratio == pytest.approx(judge(record).ratio, rel=0.02)
     assert judge(record, axes=["y"]).axes == ("y",)
+
+
+def test_a_quiet_axis_that_chatters_does_not_drown_in_a_loud_one():
+    loud, quiet = cut_record(tooth=(40.0, 16.0)), cut_record([(63.07, 9.0)], seed=1)
+    record = make_record(
+        loud.time.values, {"acceleration": {"x": loud.acceleration.values[0], "y": quiet.acceleration.values[0]}}
+    )
+    found = judge(record)
+    assert [(a.axis, a.verdict) for a in found.by_axis] == [("x", "stable"), ("y", "chatter")]
+    assert found.verdict == "chatter"
+    assert found.reason.startswith("y: the non-harmonic peak at 63.")
+    assert "(x stable)" in found.reason
 
 
 # --- the part of the record ------------------------------------------------------------------------------------------
@@ -105,7 +117,8 @@ def test_the_entry_is_left_out():
     t = record.time.values - 0.5
     record["acceleration"] += np.where(t > 0, 20 * np.exp(-np.maximum(t, 0)), 0) * np.cos(2 * np.pi * 61.4 * t)
     assert judge(record).verdict == "stable"
-    assert judge(record, interval=(0.5, 3.5)).verdict == "chatter"
+    # Where it is asked for, it is seen, and not taken for chatter: it dies away.
+    assert judge(record, interval=(0.5, 3.5)).verdict == "undecided"
 
 
 def test_air_before_and_after_is_found():
@@ -131,7 +144,7 @@ def test_a_constant_cutting_force_shows_the_cut():
 @pytest.mark.parametrize("chatter", [(), ((63.07, 20.0),)])
 def test_the_speed_is_found_in_the_record(error, chatter):
     found = judge(cut_record(chatter, rpm=RPM * (1 + error)))
-    assert found.spindle_speed_rpm == pytest.approx(RPM * (1 + error), rel=1e-4)
+    assert found.spindle_speed_rpm == pytest.approx(RPM * (1 + error), rel=2e-4)
     assert found.verdict == ("chatter" if chatter else "stable")
 
 
@@ -165,7 +178,7 @@ def test_a_recorded_speed_that_contradicts_the_given_one_is_refused():
 def test_the_search_starts_from_the_recorded_speed():
     # 0.8 % off the given speed: outside of what is searched around that
     found = judge(with_speed(cut_record(rpm=RPM * 1.008), RPM * 1.007))
-    assert found.spindle_speed_rpm == pytest.approx(RPM * 1.008, rel=1e-4)
+    assert found.spindle_speed_rpm == pytest.approx(RPM * 1.008, rel=2e-4)
     assert found.verdict == "stable"
 
 
@@ -182,6 +195,85 @@ def test_a_sweep_is_refused():
     record["spindle_speed"] = ("time", np.linspace(1400, 1600, record.time.size), {"units": "rpm"})
     with pytest.raises(InputError, match="needs a constant speed"):
         judge(record)
+
+
+def drifting_cut(drift, chatter=(), teeth=TEETH, **more):
+    """A cut whose spindle slows by `drift` from begin to end: the record of a steady one, its time stretched."""
+    steady = cut_record(chatter, teeth=teeth, **more)
+    t = steady.time.values
+    span = t[-1]
+    warped = t + drift * (t * t / (2.0 * span) - 0.5 * t)
+    rows = {a: np.interp(warped, t, steady.acceleration.sel(axis=a).values) for a in "xy"}
+    return make_record(t, {"acceleration": rows}), 1.0 + drift * (t / span - 0.5)
+
+
+@pytest.mark.parametrize("drift", [0.002, -0.01])
+def test_a_spindle_that_slows_is_no_chatter(drift):
+    # Order 12 moves by 1.5 bins at 0.2 %, by 7 at 1 %.
+    record, _ = drifting_cut(drift, tooth=(4.0, 2.0, 9.0))
+    assert judge(record).verdict == "stable"
+    chattering, _ = drifting_cut(drift, ((63.07, 9.0),), tooth=(4.0, 2.0, 9.0))
+    assert judge(chattering).verdict == "chatter"
+
+
+def test_a_tacho_goes_before_a_stated_speed_and_before_the_lines():
+    record = cut_record()
+    pulses = (np.mod(record.time.values * RPM / 60.0 * 2.0, 1.0) < 0.3).astype(float)
+    record["tacho"] = ("time", pulses, {"units": "1", "pulses_per_revolution": 2.0})
+    found = judge_without_speed(record)
+    assert found.spindle_speed_rpm == pytest.approx(RPM, rel=2e-4)
+    with pytest.raises(InputError, match="correct one of them"):
+        judge(record, rpm=1600.0)
+
+
+def test_another_number_of_teeth_that_fits_is_said_and_judged_with():
+    found = judge(cut_record(teeth=3, tooth=(30.0, 9.0, 4.0), runout=(1.0, 0.8)), teeth=4)
+    assert found.verdict == "stable"
+    assert found.reason.startswith("4 teeth are declared, but 3 fit")
+    assert found.tooth_passing_harmonic_Hz == pytest.approx(75.0, rel=1e-3)
+    assert not judge(cut_record(runout=(9.0, 8.0))).notes
+
+
+# --- lines that drift, families, noise, air --------------------------------------------------------------------------
+
+
+def test_chatter_lines_that_drift_are_read_in_short_windows():
+    # Four lines one spindle order apart, each moving by 4 Hz: over the whole record each is smeared to less than half.
+    record = cut_record(tooth=(10.0, 8.0), duration=10.0, rpm=4020.0, teeth=3)
+    t = record.time.values
+    sweep = 2 * np.pi * (-2.0 * t + 0.5 * 4.0 / 11.0 * t * t)
+    lines = sum(6.0 * np.cos(2 * np.pi * f * t + sweep + f) for f in (364.0, 431.0, 498.0, 565.0))
+    record["acceleration"][0] += np.where((t > 0.5) & (t < 10.5), lines, 0.0)
+    found = judge(record, rpm=4020.0, teeth=3)
+    assert found.verdict == "chatter"
+    assert found.chatter_frequency_Hz % 67.0 == pytest.approx(29.0, abs=3.0)
+
+
+def test_a_mode_that_noise_excites_is_left_open():
+    from scipy import signal
+
+    record = cut_record(tooth=(2.0,), runout=(0.5,), duration=10.0)
+    t, w = record.time.values, 2 * math.pi * 63.3
+    mode = signal.cont2discrete(([1.0], [1.0, 2 * 0.02 * w, w * w]), 1 / 2048.0)
+    shaken = signal.lfilter(np.ravel(mode[0]), mode[1], np.random.default_rng(3).standard_normal(t.size))
+    record["acceleration"] += 4.0 * shaken / shaken.std() * ((t > 0.5) & (t < 10.5))
+    found = judge(record)
+    assert found.verdict == "undecided"
+    assert "mode that noise excites" in found.reason or "does not stand out" in found.reason
+
+
+def test_what_is_there_in_air_is_no_chatter():
+    loud = {"tooth": (10.0, 9.0, 9.0, 8.0), "air": 2.0}
+    record = cut_record(**loud)
+    record["acceleration"] += line(record.time.values, 63.07, 6.0)
+    assert judge(record).verdict == "stable"
+    assert judge(cut_record(((63.07, 6.0),), **loud)).verdict == "chatter"
+
+
+def test_chatter_comes_with_the_speeds_to_try():
+    found = judge(cut_record(((63.07, 20.0),)))
+    assert found.try_rpm == pytest.approx([60 * 63.07 / 4], rel=0.01)
+    assert judge(cut_record()).try_rpm == ()
 
 
 # --- a speed that nobody wrote down ----------------------------------------------------------------------------------
@@ -206,7 +298,7 @@ def test_the_spacing_of_the_lines_gives_the_speed_away(rpm, runout, chatter):
 
 def test_a_recorded_speed_goes_before_the_lines():
     found = judge_without_speed(with_speed(cut_record(), RPM * 1.001))
-    assert found.spindle_speed_rpm == pytest.approx(RPM, rel=1e-4)
+    assert found.spindle_speed_rpm == pytest.approx(RPM, rel=2e-4)
 
 
 def test_lines_that_may_be_orders_or_tooth_harmonics_are_not_guessed_at():
@@ -239,9 +331,11 @@ def test_a_cut_without_tooth_line_is_measured_against_the_floor():
     quiet = cut_record([(62.0, 0.02)], tooth=(), runout=(0.3,), noise=1e-5)
     found = judge(quiet)
     assert found.verdict == "stable"
-    assert "of the floor 0.1 (no tooth harmonic reaches it)" in found.reason
+    assert "of the highest spindle order at 25" in found.reason
     assert math.isnan(found.tooth_passing_harmonic_Hz)
-    assert judge(quiet, floor=1e-6).verdict == "chatter"
+    still = cut_record([(62.0, 0.12)], tooth=(), runout=(), noise=1e-5)
+    assert judge(still, floor=0.3).verdict == "undecided"
+    assert judge(still, floor=1e-6).verdict == "chatter"
 
 
 def scaled(record, factor):
@@ -355,7 +449,7 @@ def test_the_spectrum_is_there_to_be_drawn():
     nearest = spectrum.sel(frequency=[25.0, 63.07, 100.0], method="nearest")
     np.testing.assert_array_equal(nearest.harmonic, [True, False, True])
     np.testing.assert_allclose(nearest.amplitude.sel(axis="x"), [0.5, 6.0, 10.0], rtol=0.05)
-    assert found.resolution_Hz == pytest.approx(0.25, rel=0.01)
+    assert found.resolution_Hz == pytest.approx(0.25, rel=0.03)  # whole turns of the second half of the cut
 
 
 # --- a cut, not a signal ---------------------------------------------------------------------------------------------

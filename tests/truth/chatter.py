@@ -1,7 +1,7 @@
 """Records of cuts drawn at random over what workshops do, with their limits found by force. Imports no package.
 
 A cut: 2 to 8 teeth, one to three modes, arcs from a narrow side cut to a slot, run-out and single inserts that stand
-proud, helix or straight inserts, entry and exit, a speed that drifts, sags and waves, modes that drift within the record.
+proud, helix or straight inserts, entry and exit, a speed that drifts, sags and waves, modes that drift.
 A record: accelerometers on the structure (modes through unknown shapes, resonances of the housing, noise, hum) or a
 microphone (room, narrow band, clipping, noise, hum, tones of the machine). The limit: the depth at which a small push
 neither grows nor dies (`chatter_kernel.push`); a cut that as a whole, teeth leaving it, does otherwise is drawn again
@@ -87,7 +87,7 @@ def growth(cut: Cut, depth: float, at: float = 0.0, waves: float = 90.0) -> tupl
 
 
 def limit(cut: Cut) -> float:
-    """Return the depth [m] at which a push neither grows nor dies, within 1 %; inf where none below 30 times the static."""
+    """Return the depth [m] at which a push neither grows nor dies, within 1 %; inf where there is none."""
     low = 0.02 / (cut.kt * np.max((cut.shape**2).sum(axis=1) / (cut.mass * cut.w**2)))
     if growth(cut, low)[0] > 0.0:
         return math.nan
@@ -109,8 +109,7 @@ def repeats(cut: Cut, depth: float, runout: bool, at: float, span: float) -> flo
     """Return by how much the motion differs from that a period before, over its largest value; the whole cut marched.
 
     Without run-out the period is that of a tooth, with it that of a turn. Constant speed, no noise: what is left after
-    `span` [s] decides whether a cut chatters where its own forced motion makes teeth leave the cut, so that a small push
-    does not.
+    `span` [s] decides whether a cut chatters where its forced motion makes teeth leave the cut, and a small push does not.
     """
     bend, omega = at, cut.speed_at(at)
     count = int(span * omega / (2.0 * math.pi) * cut.steps)
@@ -138,7 +137,7 @@ def clear(cut: Cut, depth: float, chatters: bool, doubling: bool, span: float) -
         turn = repeats(cut, depth, True, at, span)
         if not chatters and max(tooth, turn) > 0.02:
             return False
-        if chatters and (tooth < 0.2 or turn < 0.2 and not doubling):
+        if chatters and (tooth < 0.2 or (turn < 0.2 and not doubling)):
             return False
     return True
 
@@ -213,7 +212,7 @@ def draw(seed: int, share: tuple[float, float]) -> Drawn:
             continue
         rates = [growth(cut, depth, place) for place in (-0.5, 0.0, 0.5)]
         shortest = max(1.2, 40.0 * 60.0 / cut.speed)
-        if at < 1.0 and max(r for r, _ in rates) > 0.0 or shortest > 8.0:
+        if (at < 1.0 and max(r for r, _ in rates) > 0.0) or shortest > 8.0:
             continue
         if at >= 1.0:
             rate = min(r for r, _ in rates)
@@ -224,10 +223,12 @@ def draw(seed: int, share: tuple[float, float]) -> Drawn:
         if clear(cut, depth, at > 1.0, doubling, shortest):
             break
     classes += ["period doubling"] if doubling else []
-    return _record(rng, cut, depth, at, rates[1][1], shortest * rng.uniform(1.0, 1.8), classes)
+    long = shortest * rng.uniform(1.0, 1.8)
+    return _record(rng, cut, depth, at, rates[1][1], long, classes) or draw(seed + 10**9, share)
 
 
-def _record(rng, cut: Cut, depth: float, share: float, frequency: float, long: float, classes: list[str]) -> Drawn:
+def _record(rng, cut: Cut, depth, share, frequency, long, classes: list[str]) -> Drawn | None:
+    """Make the record; none where a cut above the limit, as marched with its entry, stays periodic all the same."""
     lead, tail = rng.uniform(0.15, 1.0, 2) * (rng.uniform(size=2) < 0.7)
     enter, leave = np.maximum(rng.uniform(0.02, 0.5, 2), 120.0 / cut.speed)
     classes += ["entry" if lead > 0.0 else "no entry", "exit" if tail > 0.0 else "no exit"]
@@ -263,6 +264,17 @@ def _record(rng, cut: Cut, depth: float, share: float, frequency: float, long: f
         out,
         clock,
     )
+    if share > 1.0 and not ("period doubling" in classes and cut.teeth % 2 == 0):
+        late = np.flatnonzero((clock > ramps[1] + 0.6 * long) & (clock < min(ramps[2], clock[-1])))
+        motion = out[:, : cut.w.size].sum(axis=1)
+        change = motion[late] - motion[late - cut.steps]
+        power = np.sort(np.abs(np.fft.rfft(change * np.hanning(change.size))) ** 2)[::-1]
+        # Chatter is few lines; what noise makes differ from turn to turn is many.
+        if (
+            np.sqrt((change**2).mean()) < 0.2 * np.sqrt((motion[late] ** 2).mean())
+            or power[:60].sum() < 0.5 * power.sum()
+        ):
+            return None
     end = min(span, float(clock[-1]))
     rate = float(np.clip(8.0 * cut.w.max() / (2.0 * math.pi), 2000.0, 12000.0)) * rng.uniform(1.0, 1.3)
     time, source = _uniform(clock, out, end, rate)
@@ -321,7 +333,7 @@ def _ring(rng, time, x):
 
 
 def _tones(rng, time, turns, size):
-    """Hum with harmonics, a pump or fan or two, a gear (an order), a belt (no order): there before and after the cut."""
+    """Hum with harmonics, a pump or fan or two, a gear (an order), a belt (none): in air as well."""
     f = rng.choice([50.0, 60.0])
     found = np.zeros_like(time)
     for k in (1, 2, 3, 5):
@@ -367,7 +379,9 @@ def _microphone(rng, time, source, turns) -> dict[str, np.ndarray]:
     row = signal.oaconvolve(row, tail)[: row.size]
     row = signal.sosfilt(signal.butter(2, rng.uniform(30.0, 150.0), "high", fs=1.0 / dt, output="sos"), row)
     size = _level(time, row)
-    row = row + math.exp(rng.uniform(math.log(0.02), math.log(0.6))) * size * _colour(rng, time.size, rng.uniform(0.0, 1.5))
+    row = row + math.exp(rng.uniform(math.log(0.02), math.log(0.6))) * size * _colour(
+        rng, time.size, rng.uniform(0.0, 1.5)
+    )
     row = row + _tones(rng, time, turns, math.exp(rng.uniform(math.log(0.005), math.log(0.15))) * size)
     full = size * rng.uniform(1.2, 12.0)
     return {"sound": np.round(np.clip(row / full, -1.0, 1.0) * 32767.0) / 32767.0}

@@ -19,14 +19,16 @@ def speed_at(t, span, base, drift, sag, sag_time, wave, wave_rate):
 
 
 @njit(cache=True, nogil=True)
-def march(spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, bend, noise, hold, seed, out, clock):
+def march(  # noqa: C901
+    spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, bend, noise, hold, seed, out, clock
+):
     """March a cut and fill out (n, m + 2) with modal accelerations and forces, clock (n,) with times [s].
 
-    spindle: what `speed_at` takes; arc: entry, exit [rad], steps a turn; ramps: begin and end of the entry, begin and end
-    of the exit [s]; lags (Z,): steps by which a tooth is ahead; runout (Z,) [m]; lag: steps from slice to slice; law:
-    depth of a slice [m], kt, kr [N/m2], ke [N/m], feed a second [m/s]; bend: drift of the frequencies over the span [1].
+    spindle: what `speed_at` takes; arc: entry, exit [rad], steps a turn; ramps: begin and end of the entry, those of
+    the exit [s]; lags (Z,): steps by which a tooth is ahead; runout (Z,) [m]; lag: steps from slice to slice; law:
+    depth of a slice [m], kt, kr [N/m2], ke [N/m], feed a second [m/s]; bend: drift of the modes over the span [1].
     """
-    np.random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 (what numba knows)
     m, teeth, slices = w.size, lags.size, runout.shape[1]
     steps = int(arc[2])
     dphi = 2.0 * math.pi / steps
@@ -50,7 +52,7 @@ def march(spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, ben
                 b1[r] = (1.0 - e11[r]) / (mass[r] * wr * wr)
                 b2[r] = e12[r] / mass[r]
         if n % hold == 0:
-            factor = 1.0 + noise * np.random.randn()
+            factor = 1.0 + noise * np.random.randn()  # noqa: NPY002
         low = 1.0
         if t > ramps[1]:
             low = -1.0
