@@ -63,6 +63,7 @@ accuracy: $(READY)
 strangers: $(READY)
 	$(RUN) $(BIN)/python tests/exam/frf_files.py docs/frf_files_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/plan.py docs/plan_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) $(BIN)/python tests/exam/chatter.py docs/chatter_table.md --jobs $(JOBS) $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

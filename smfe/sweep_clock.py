@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
+from process.tacho import tacho_angle
 from smfe.force_noise import in_cut
 from smfe.spectra import hann
-from smfe.spindle_angle import spindle_angle, tacho_angle
+from smfe.spindle_angle import spindle_angle
 from smfe.sweep_estimators import SweepPass
 
 Real = NDArray[np.float64]

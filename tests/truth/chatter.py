@@ -109,7 +109,8 @@ def repeats(cut: Cut, depth: float, runout: bool, at: float, span: float) -> flo
     """Return by how much the motion differs from that a period before, over its largest value; the whole cut marched.
 
     Without run-out the period is that of a tooth, with it that of a turn. Constant speed, no noise: what is left after
-    `span` [s] decides whether a cut chatters where its forced motion makes teeth leave the cut, and a small push does not.
+    `span` [s] decides whether a cut chatters where its forced motion makes teeth leave the cut,
+    and a small push does not.
     """
     bend, omega = at, cut.speed_at(at)
     count = int(span * omega / (2.0 * math.pi) * cut.steps)
