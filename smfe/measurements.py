@@ -36,7 +36,7 @@ from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
 from smfe.periodic import identify_periodic
-from smfe.records import put_on_clock, read_records, read_reduced
+from smfe.records import put_on_clock, put_on_time, read_records, read_reduced
 from smfe.spindle_orders import Orders
 from smfe.steps import StepRules
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
@@ -157,7 +157,10 @@ def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dat
         added = read_records(other.file, other.channels)
         if len(found) != 1 or len(added) != 1:
             raise InputError(f"{other.file.name} is added to {entry.files[0].name}: both must have one segment")
-        found = [put_on_clock(found[0], added[0], other.shared)]
+        if other.shared is None:
+            found = [put_on_time(found[0], added[0], other.offset)]
+        else:
+            found = [put_on_clock(found[0], added[0], other.shared)]
     return found
 
 

@@ -82,13 +82,16 @@ class OtherRecorder:
         Its file.
     channels : mapping of str to Channel
         Channels of it; nothing is inherited.
-    shared : str
-        The channel that both recorders have, by which the clocks are aligned.
+    shared : str or None
+        The channel that both recorders have, by which the clocks are aligned. None: they share a clock.
+    offset : float
+        What its clock shows more than that of the first file [s], where they share one.
     """
 
     file: Path
     channels: Mapping[str, Channel]
-    shared: str
+    shared: str | None
+    offset: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -626,7 +629,7 @@ def _record(table: schema.RecordTable, method: str, inherited: Declared, common:
         files=table.file,
         channels=_channels(method, merge(inherited, _declared(table.channels))),
         others=tuple(
-            OtherRecorder(other.file, _channels(method, _declared(other.channels)), other.shared)
+            OtherRecorder(other.file, _channels(method, _declared(other.channels)), other.shared, other.offset or 0.0)
             for other in table.others
         ),
     )

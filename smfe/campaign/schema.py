@@ -110,7 +110,14 @@ class OtherRecorderTable(Table):
 
     file: q.OneFile
     channels: Channels
-    shared: Annotated[str, BeforeValidator(check_channel_name)]
+    shared: Annotated[str, BeforeValidator(check_channel_name)] | None = None
+    offset: q.Time | None = None
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> OtherRecorderTable:
+        if self.shared is not None and self.offset is not None:
+            raise InputError("gives shared and offset; the shared channel finds the offset; take one out")
+        return self
 
 
 class ProcessingTable(ConditionsTable):

@@ -2,7 +2,7 @@
 
 from smfe.records.blocks import read_blocks
 from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
-from smfe.records.clocks import put_on_clock
+from smfe.records.clocks import put_on_clock, put_on_time
 from smfe.records.contents import column_names, contents, names_itself
 from smfe.records.frf import read_frf, read_universal_frfs
 from smfe.records.read import READERS, read_records
@@ -29,6 +29,7 @@ __all__ = [
     "contents",
     "names_itself",
     "put_on_clock",
+    "put_on_time",
     "read_blocks",
     "read_frf",
     "read_records",

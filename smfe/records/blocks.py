@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ from smfe.records.read import (
     time_of,
     values_of,
 )
-from smfe.records.table import Table, slices
+from smfe.records.rounded_time import evened, is_rounded
+from smfe.records.table import Table, join, slices
 
 BLOCK = 1 << 16
 """Samples a block."""
@@ -152,8 +154,21 @@ def _own_stream(source: str, own: Iterator[xr.Dataset], declared: Mapping[str, C
 def _stream(source: str, parts: Iterator[Table], channels: Mapping[str, Channel]) -> Stream:
     delay = {name: channel.delay for name, channel in channels.items() if name != "time" and channel.delay != 0.0}
     attrs: dict[str, Any] = {}
-    samples = _corrected(source, parts, channels, attrs)
+    samples = _corrected(source, _evened(source, parts, channels), channels, attrs)
     return Stream(source, channels, _aligned(source, samples, delay) if delay else samples, attrs)
+
+
+def _evened(source: str, parts: Iterator[Table], channels: Mapping[str, Channel]) -> Iterator[Table]:
+    """Pass blocks on; where times are rounded the file is read whole, since one even clock has to fit all of it."""
+    first = next(parts, None)
+    if first is None:
+        return
+    if not is_rounded(first, channels):
+        yield first
+        yield from parts
+        return
+    (whole,) = join(chain([first], parts))
+    yield from slices(evened(source, whole, channels), next(iter(first.columns.values())).size)
 
 
 def _corrected(

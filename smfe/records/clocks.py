@@ -132,11 +132,47 @@ def put_on_clock(record: xr.Dataset, other: xr.Dataset, shared: str) -> xr.Datas
     """
     a, b = (_signal(r, shared) for r in (record, other))
     fit = fit_clock(a, b, f"{shared} of {record.attrs.get('source', 'the record')}", str(other.attrs.get("source", "")))
+    clock = {"clock_ratio": fit.q, "clock_ratio_std": fit.q_std, "clock_std_s": fit.std}
+    return _merged(record, other, fit.other_time(record["time"].values), shared).assign_attrs(clock)
+
+
+def put_on_time(record: xr.Dataset, other: xr.Dataset, offset: float = 0.0) -> xr.Dataset:
+    """Add the channels of a file that shares its clock with a record but no channel.
+
+    Parameters
+    ----------
+    record, other : xarray.Dataset
+        Records of one event, whose times are those of one clock, or of two that differ by a fixed offset.
+    offset : float, optional
+        What the clock of `other` shows more than that of `record` [s].
+
+    Returns
+    -------
+    xarray.Dataset
+        The samples of `record` for which `other` has samples too, with the channels of both.
+
+    Raises
+    ------
+    InputError
+        When the two share less than two samples of time, or a channel is in both.
+    """
+    return _merged(record, other, record["time"].values + offset, None)
+
+
+def _merged(record: xr.Dataset, other: xr.Dataset, u: Real, shared: str | None) -> xr.Dataset:
+    """Return a record with the channels of another, at the times u of the other for each sample of the record."""
     time = record["time"].values
-    u = fit.other_time(time)
-    inside = (u >= b.first) & (u <= b.last)
-    positions = (u[inside] - b.first) / b.step
-    stretch = fit.q * a.step / b.step
+    first, step = float(other["time"].values[0]), sample_interval(other)
+    last = float(other["time"].values[-1])
+    inside = (u >= first - 1e-6 * step) & (u <= last + 1e-6 * step)
+    if int(inside.sum()) < 2:
+        raise InputError(
+            f"{record.attrs.get('source', 'the record')} runs from {time[0]:.6g} to {time[-1]:.6g} s, "
+            f"{other.attrs.get('source', 'the other file')} from {first:.6g} to {last:.6g} s of its clock: they share "
+            'no time; give the offset of its clock, offset = "2.5 s", or a channel that both have, shared = "force_x"'
+        )
+    positions = np.clip((u[inside] - first) / step, 0.0, other.sizes["time"] - 1.0)
+    stretch = float(u[-1] - u[0]) / (u.size - 1) / step
     vectors = {str(v): _rows(record, str(v), inside) for v in record.data_vars if "axis" in record[v].dims}
     scalars = {str(v): record[v].values[inside] for v in record.data_vars if "axis" not in record[v].dims}
     for name, samples in _channels(other).items():
@@ -147,15 +183,14 @@ def put_on_clock(record: xr.Dataset, other: xr.Dataset, shared: str) -> xr.Datas
         if there:
             raise InputError(
                 f"{name} is in both {record.attrs.get('source')} and {other.attrs.get('source')}; declare it for one "
-                f"of them, or make it the shared channel instead of {shared}"
+                f"of them, or make it the shared channel{f' instead of {shared}' if shared else ''}"
             )
         values = resample(samples, positions, stretch)
         if vector is None:
             scalars[name] = values
         else:
             vectors.setdefault(vector[0], {})[vector[1]] = values
-    clock = {"clock_ratio": fit.q, "clock_ratio_std": fit.q_std, "clock_std_s": fit.std}
-    merged = make_record(time[inside], vectors, scalars, {**record.attrs, **clock})
+    merged = make_record(time[inside], vectors, scalars, record.attrs)
     for name in scalars:
         merged[name].attrs.update((record if name in record else other)[name].attrs)
     return merged

@@ -17,6 +17,7 @@ from process.labels import UNITS, axis_present, make_record
 from smfe.records import controls, lvm, mat, netcdf, npy, parquet, sinumerik, tdms, text, uff, wav
 from smfe.records.align import align
 from smfe.records.channels import Channel, record_channels, split_vector
+from smfe.records.rounded_time import evened
 from smfe.records.table import Column, Table
 
 Reader = Callable[[Path, Sequence[Column]], list[Table]]
@@ -145,6 +146,7 @@ def values_of(source: str, name: str, channel: Channel, table: Table, before: in
 def _record(
     source: str, table: Table, channels: Mapping[str, Channel], attrs: Mapping[str, Any] | None = None
 ) -> xr.Dataset:
+    table = evened(source, table, channels)
     vectors: dict[str, dict[str, NDArray[np.float64]]] = {}
     scalars: dict[str, NDArray[np.float64]] = {}
     for name, channel in channels.items():
