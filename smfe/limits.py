@@ -287,7 +287,11 @@ def _on(compliance: xr.Dataset, grid: np.ndarray) -> xr.DataArray:
 def _result(campaign: Campaign, request: LobeRequest, name: str, source: str, limits: xr.Dataset) -> LobeResult:
     assert campaign.tool is not None
     table = lobe_table(limits, source, campaign.tool, request.width_of_cut, request.feed_per_tooth)
-    limits = pack_warnings(limits, limits.attrs.pop("warnings", ()))
+    told = list(limits.attrs.pop("warnings", ()))
+    if campaign.missing_coefficients:
+        names = " and ".join(campaign.missing_coefficients)
+        told.append(f"[material] gives no {names}: taken as zero, with which forces along the normal are missing")
+    limits = pack_warnings(limits, told)
     limits = limits.assign_attrs(
         source=source,
         cut=request.cut,

@@ -435,6 +435,8 @@ class Campaign:
         Name of the work material.
     coefficient_spread : float
         Relative standard deviation of each cutting coefficient.
+    missing_coefficients : tuple of str
+        Cutting coefficients that ``[material]`` does not give and that are taken as zero: Krc, Kac.
     spindle : SpindleRange
         What it can be set to.
     channels : mapping of str to Channel
@@ -459,6 +461,7 @@ class Campaign:
     cutting_tests: tuple[CuttingTest, ...] = ()
     baseline: Baseline | None = None
     coefficient_spread: float = 0.0
+    missing_coefficients: tuple[str, ...] = ()
     spindle: SpindleRange = field(default_factory=SpindleRange)
     plan: PlanTable | None = None
 
@@ -576,6 +579,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
         baseline=_baseline(file.baseline) if file.baseline else None,
         coefficient_spread=file.material.uncertainty if file.material else 0.0,
+        missing_coefficients=tuple(n for n in ("Krc", "Kac") if file.material and getattr(file.material, n) is None),
         spindle=file.spindle.build() if file.spindle else SpindleRange(),
         plan=file.plan,
     )

@@ -56,8 +56,8 @@ class MaterialTable(Table):
 
     name: StrictStr | None = None
     Ktc: q.Pressure
-    Krc: q.Pressure
-    Kac: q.Pressure
+    Krc: q.Pressure | None = None
+    Kac: q.Pressure | None = None
     Kte: q.LineForce = 0.0
     Kre: q.LineForce = 0.0
     Kae: q.LineForce = 0.0
@@ -70,7 +70,7 @@ class MaterialTable(Table):
 
     def build(self) -> CuttingCoefficients:
         """Return the cutting coefficients."""
-        return CuttingCoefficients(self.Ktc, self.Krc, self.Kac, self.Kte, self.Kre, self.Kae)
+        return CuttingCoefficients(self.Ktc, self.Krc or 0.0, self.Kac or 0.0, self.Kte, self.Kre, self.Kae)
 
 
 class ChannelTable(Table):

@@ -136,6 +136,13 @@ class TestWhatItSays:
         assert (test.file, test.observed) == (folder / "cut_500_3.csv", "chatter")
         assert (test.spindle_speed, test.depth_of_cut) == pytest.approx((500.0, 0.003))
 
+    def test_coefficients_that_are_missing_are_zero_and_named(self, folder: Path) -> None:
+        assert load(folder, EXAMPLE).missing_coefficients == ()
+        campaign = load(folder, EXAMPLE.replace('Krc = "800 N/mm^2"', "").replace('Kac = "300 N/mm^2"', ""))
+        assert campaign.missing_coefficients == ("Krc", "Kac")
+        assert campaign.coefficients is not None
+        assert (campaign.coefficients.Krc, campaign.coefficients.Kac) == (0.0, 0.0)
+
     def test_a_verdict_alone_needs_no_feed_per_tooth(self, folder: Path) -> None:
         fed = 'width_of_cut = "100 mm"\nfeed_per_tooth = "0.2 mm"\nobserved'
         without = EXAMPLE.replace(fed, 'width_of_cut = "100 mm"\nobserved')
@@ -363,7 +370,7 @@ ONE_FAULT = [
     # tool, material, model
     ("teeth = 8", "teeth = 8.5", "tool.teeth: 8.5: must be a valid integer"),
     ("teeth = 8", 'teeth = 8\npitch_angles = ["90 deg"]', "tool: pitch_angles has 1 values for 8 teeth"),
-    ('Krc = "800 N/mm^2"', "", "material.Krc: is missing"),
+    ('Ktc = "1900 N/mm^2"', "", "material.Ktc: is missing"),
     (
         'Ktc = "1900 N/mm^2"',
         'Ktc = "-1 Pa"',
