@@ -26,8 +26,9 @@ from smfe.identification import Identification
 from smfe.least_squares import Columns, Solution, condition_number, solve
 from smfe.local_polynomial import solve_local
 from smfe.reciprocity import reciprocity, symmetric
-from smfe.spectra import motion_axes
+from smfe.spectra import BlockSpectra, motion_axes
 from smfe.spindle_orders import Orders, solve_orders
+from smfe.sweep_chatter import without_chatter
 from smfe.sweep_clock import changed_by_clock, judge_clock
 from smfe.sweep_estimate import Estimate, in_words
 from smfe.sweep_estimators import (
@@ -104,7 +105,8 @@ def identify_sweep(
     ------
     InputError
         Too few passes; a record without the forces or without motion; a band that the records do not hold; records too
-        short for the estimator; a speed that the passing of the teeth contradicts (`smfe.sweep_clock`); passes that are
+        short for the estimator; a speed that the passing of the teeth contradicts (`smfe.sweep_clock`); too few passes
+        without chatter (`smfe.sweep_chatter`); passes that are
         not independent, by their arcs or by the measured forces in more than
         half of the band.
     """
@@ -115,6 +117,7 @@ def identify_sweep(
     if len(axes) == 3:
         check_independent([(p.label, p.arc) for p in passes])
     clock = judge_clock(name, passes, teeth)
+    passes, chatter = without_chatter(name, passes, teeth, len(axes))
     frequency = chosen.axis(frequency_range, passes)
     found = _estimate(chosen, passes, frequency, axes, response, background, progress)
     refused = ~(found.condition <= REFUSE_CONDITION)
@@ -133,7 +136,13 @@ def identify_sweep(
         found = replace(found, covariance=found.covariance + moved[..., :, None] * moved[..., None, :].conj())
     attrs = {"method": "sweep", "estimator": repr(chosen), "error_lines": found.error_lines}
     dataset = _labelled(frequency, found, response, axes, attrs)
-    warnings = (*clock.warnings, *_condition_warnings(frequency, found.condition), *found.warnings, *_fewer_axes(axes))
+    warnings = (
+        *clock.warnings,
+        *chatter,
+        *_condition_warnings(frequency, found.condition),
+        *found.warnings,
+        *_fewer_axes(axes),
+    )
     if reciprocal:
         test = reciprocity(dataset)
         dataset = symmetric(dataset)
@@ -333,17 +342,61 @@ def _stack(solutions: Sequence[Solution], error_lines: float) -> Estimate:
 def _single(
     estimator: SingleReference, passes: Sequence[SweepPass], frequency: Real, response: Sequence[str]
 ) -> Estimate:
-    sxf, sff = estimator.cross_spectra(passes, (float(frequency[0]), float(frequency[-1])), response)
+    reach = float(frequency[0]), float(frequency[-1])
+    sxf, sff = estimator.cross_spectra(passes, reach, response)
     gains, conditions = [], []
     for x, f in zip(sxf, sff, strict=True):
         conditions.append(condition_number(f))
         singular = not np.isfinite(conditions[-1])
         gains.append(np.full((*x.shape[:1], 3), np.nan) if singular else np.linalg.lstsq(f.T, x.T, rcond=None)[0].T)
-    shape = np.array(gains).shape
-    unknown = np.full((*shape, 3), np.nan, dtype=complex)
+    phi = np.array(gains, dtype=complex)
+    inverse = np.linalg.pinv(sff)
+    # Errors of the cross-spectra of a pass, (f, r, passes): scatter of its segments, and what leaks through the window.
+    variance, leaked, freedom = [], [], []
+    slopes = [np.gradient(phi, frequency, axis=0)]
+    slopes.append(np.gradient(slopes[0], frequency, axis=0))
+    for p in passes:
+        x, f, blocks = estimator.products(p, reach, response)
+        scatter, independent = _scatter_of_mean(x - np.einsum("fre,fes->frs", phi, f), blocks)
+        variance.append(scatter)
+        freedom.append(independent)
+        bias = np.zeros_like(x[..., 0])
+        for order, slope in enumerate(slopes, start=1):
+            through = estimator.products(p, reach, response, order)[1].mean(axis=2)
+            bias += np.einsum("fre,fe->fr", slope, through) * _LEAKS[order] * (estimator.resolution) ** order
+        leaked.append(bias)
+    bias = np.einsum("frp,fpe->fre", np.stack(leaked, axis=2), inverse)
+    covariance = np.einsum("frp,fpe,fpg->freg", np.stack(variance, axis=2), inverse, inverse.conj(), optimize=True)
+    covariance = covariance + bias[..., :, None] * bias[..., None, :].conj()
     return Estimate(
-        np.array(gains, dtype=complex), unknown, np.full(shape[:2], np.nan), np.array(conditions), HANN_ERROR_LINES
+        phi,
+        covariance,
+        np.full(phi.shape[:2], np.nan),
+        np.array(conditions),
+        HANN_ERROR_LINES,
+        freedom=np.full(phi.shape[:2], 2.0 * min(freedom)),
     )
+
+
+_LEAKS = {1: 0.5j, 2: -0.25}
+"""Terms of a Hann window, ``Phi^(n)/(n! (-2 pi j)^n)`` times the force through its nth derivative, where this is taken
+without its factor ``(2 pi df)^n/2``."""
+
+
+def _scatter_of_mean(residual: Complex, blocks: BlockSpectra) -> tuple[Real, float]:
+    """Return the variance of the mean over segments, (f, r), and how many segments it rests on.
+
+    Segments in which the sweep is far from a line say nothing of it: each counts with its own residual (White 1980),
+    and as much more as neighbours share noise.
+    """
+    power = np.abs(residual) ** 2
+    rho = blocks.neighbour_correlation
+    shared = 1.0 + 2.0 * float(np.sum(rho[1:] ** 2))
+    effective = np.median(power.sum(axis=2) ** 2 / np.maximum((power**2).sum(axis=2), 1e-300)) / shared
+    used = max(float(effective) - 1.0, 1.0)
+    # The mean of the residual is zero by construction, which takes one segment.
+    variance = shared * power.sum(axis=2) / power.shape[2] ** 2 * (used + 1.0) / used
+    return np.asarray(variance), used
 
 
 def _noise(columns: Sequence[Columns], excitations: int, rounds: int = 4) -> Real:

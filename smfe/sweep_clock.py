@@ -249,6 +249,11 @@ def _angles(record: xr.Dataset, piece: slice, stated: tuple[float, float] | None
     return out
 
 
+def turns_of(teeth: int | None) -> int:
+    """Return the turns of a window: some `PASSAGES` of teeth, a multiple of four."""
+    return 4 * max(2, round(0.25 * PASSAGES / (teeth or 6)))
+
+
 def over_angle(force: Real, angle: Real, cells: int) -> Real:
     """Return the mean force in each of `cells` equal parts of every turn, shape (axes, cells of all turns).
 
@@ -273,7 +278,7 @@ def over_angle(force: Real, angle: Real, cells: int) -> Real:
 def _compared(record: xr.Dataset, piece: slice, angle: Real, teeth: int | None, source: str) -> SpeedComparison | None:
     dt = sample_interval(record)
     turned = (angle[-1] - angle[0]) / (2.0 * np.pi)
-    turns = 4 * max(2, round(0.25 * PASSAGES / (teeth or 6)))
+    turns = turns_of(teeth)
     if not turned >= turns * (1.0 + 0.25 * (FEWEST_WINDOWS - 1)) or not np.isfinite(turned):
         return None
     cells = 16 * (teeth or 6)

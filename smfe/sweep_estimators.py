@@ -226,11 +226,22 @@ class SingleReference:
         """Return S_XF and S_FF with the reference, each of shape (frequencies, rows, passes)."""
         sxf, sff = [], []
         for p in passes:
-            b = self.segments.blocks(p, reach, response)
-            reference = b.force[:, [b.excitation.index(self.reference)], :].conj()
-            sxf.append((b.displacement * reference).mean(axis=2))
-            sff.append((b.force * reference).mean(axis=2))
+            x, f, _ = self.products(p, reach, response)
+            sxf.append(x.mean(axis=2))
+            sff.append(f.mean(axis=2))
         return np.stack(sxf, axis=2), np.stack(sff, axis=2)
+
+    def products(
+        self, sweep: SweepPass, reach: tuple[float, float], response: Sequence[str], derivative: int = 0
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], BlockSpectra]:
+        """Return the products of motion and force with the reference, segment by segment, and the segments.
+
+        With a `derivative` the force is seen through that of the window, the reference through the window itself.
+        """
+        plain = self.segments.blocks(sweep, reach, response)
+        reference = plain.force[:, [plain.excitation.index(self.reference)], :].conj()
+        seen = plain if derivative == 0 else self.segments.blocks(sweep, reach, response, derivative)
+        return plain.displacement * reference, seen.force * reference, plain
 
 
 Estimator = LocalPolynomial | Segments | SingleReference

@@ -169,37 +169,35 @@ def clean(this: Stranger, cut: str, rng: np.random.Generator, kick: float = 0.0)
     force, motion = np.empty((t.size, 3)), np.empty((t.size, 3))
     steps, shape = _steps(this.modes, np.ones(1)), np.ascontiguousarray(this.modes.direction)
     cutting, edge = np.array(this.cutting), np.array(this.edge)
-    pushed = np.where(np.mod(t, 2.0)[:, None] < 5e-3, kick, 0.0) * np.ones(3) if kick else np.zeros((0, 3))
+    none = np.zeros((0, 3))
     radii = np.array(this.radii)
-    march(angle, depth, travel, this.arc(cut), radii, math.pi / 4.0, cutting, edge, pushed, shape, steps, force, motion)
+    march(angle, depth, travel, this.arc(cut), radii, math.pi / 4.0, cutting, edge, none, shape, steps, force, motion)
     return t, commanded if this.nominal else rotation, angle, force.T, motion.T
 
 
-def sensitivity(this: Stranger, cut: str, rng: np.random.Generator) -> Real:
-    """Return how far small kicks have moved a pass from the same pass without them, for each half second.
-
-    Rms difference of the accelerations over their rms. Kicks of 1 N die away in a stable cut; in one that chatters they
-    grow until the two passes have nothing in common but the teeth.
-    """
-    state = rng.bit_generator.state
-    plain = clean(this, cut, rng)[4]
-    rng.bit_generator.state = state
-    kicked = clean(this, cut, rng, 1.0)[4]
-    half = round(0.5 * INNER_RATE)
-    pieces = plain.shape[1] // half
-    apart, size = (
-        np.sqrt(np.mean(x[:, : pieces * half].reshape(3, pieces, half) ** 2, axis=(0, 2)))
-        for x in (kicked - plain, plain)
-    )
-    return apart / np.maximum(size, 1e-3 * size.max())
+def between_orders(angle: Real, force: Real, teeth: int) -> float:
+    """Largest rms of a force that does not repeat with the spindle over that which does, within two seconds or so."""
+    places, turns = 8 * teeth, max(8, round(64 / teeth))
+    grid = np.arange(angle[0], angle[-1], 2.0 * math.pi / places)
+    level = np.array([np.interp(grid, angle, f) for f in force])
+    pieces = level[:, : level.shape[1] // (places * turns) * places * turns].reshape(3, -1, places * turns)
+    shape = np.hanning(places * turns)
+    power = np.sum(np.abs(np.fft.rfft((pieces - pieces.mean(axis=2, keepdims=True)) * shape, axis=2)) ** 2, axis=0)
+    order = np.arange(power.shape[1]) / turns
+    near = np.abs(order - np.round(order)) < 2.5 / turns
+    used = (order > 0.4 * teeth) & (order < 3.2 * teeth)
+    repeats, rest = power[:, used & near].sum(axis=1), power[:, used & ~near].sum(axis=1)
+    loud = repeats > 0.05 * np.quantile(repeats, 0.9)
+    return float(np.sqrt((rest[loud] / repeats[loud]).max()))
 
 
 def record(this: Stranger, cut: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Return ``cut``, ``time``, ``force``, ``acceleration`` (3, n), what tells the speed, and what was stated."""
+    """Return ``cut``, ``time``, ``force``, ``acceleration`` (3, n), what tells the speed, what was stated, and
+    ``between_orders``: how much of the force without noise chatters."""
     t, rate, angle, force, motion = clean(this, cut, rng)
     division = round(INNER_RATE / RATE)
     sections = instruments.butterworth(6, 0.36 * RATE, INNER_RATE)
-    out: dict[str, Any] = {"cut": cut}
+    out: dict[str, Any] = {"cut": cut, "between_orders": between_orders(angle[::4], force[:, ::4], this.teeth)}
     settled = round(this.late * INNER_RATE)
     levels = {"force": this.force_noise, "acceleration": this.motion_noise}
     for name, x in (("force", force), ("acceleration", np.roll(motion, settled, axis=1))):
