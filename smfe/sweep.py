@@ -126,6 +126,11 @@ def identify_sweep(
             f"sweep '{name}': the measured forces of the passes ({', '.join(p.label for p in passes)}) are not "
             f"independent: their condition number exceeds {REFUSE_CONDITION:g} at {refused.sum()} of {refused.size} "
             "frequencies, so nine compliances cannot be told apart; add a pass with another width or kind of cut"
+            + (
+                ", or cut deeper and record from air to air: noise of the force sensor leaves the compliance open"
+                if np.isinf(found.condition).mean() > 0.25
+                else ""
+            )
         )
     found.compliance[refused], found.covariance[refused] = np.nan, np.nan
     if found.between is not None:
