@@ -61,6 +61,7 @@ accuracy: $(READY)
 	$(RUN) $(BIN)/python tests/accuracy/theory_table.py docs/sweep_table.md
 
 strangers: $(READY)
+	$(RUN) $(BIN)/python tests/exam/sweep_strangers.py docs/sweep_strangers_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/frf_files.py docs/frf_files_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/plan.py docs/plan_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/chatter.py docs/chatter_table.md --jobs $(JOBS) $(ARGS)

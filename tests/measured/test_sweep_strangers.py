@@ -36,6 +36,7 @@ def over_stated(this: Stranger, seed: int, estimator: object = None) -> float:
     return float(np.sqrt(np.nanmean((error / found["compliance_std"].values) ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{"rub": (0.03, 0.03)}, {"rub": (0.0, 0.05)}, {"fade": 0.5, "ramps": (0.3, 0.8)}],
@@ -54,6 +55,7 @@ def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_e
         np.testing.assert_allclose(found.density, this.force_noise**2 / 1000.0, rtol=3.0 * found.spread)
 
 
+@pytest.mark.slow
 def test_without_air_the_noise_of_the_forces_is_bounded_by_the_cut_and_charged() -> None:
     this = stranger(23, force_noise=2.0, lead=0.0, tail=0.0)
     found = force_noise([p.record for p in stranger_passes(this, measure(this, 23))], ["x", "y", "z"], BAND)
@@ -90,6 +92,7 @@ def test_a_pass_that_chatters_is_noticed_and_a_stable_one_is_not() -> None:
             assert part.share > 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{"column_late": 0.2}, {"column": 0.02}, {"force_noise": 40.0}, {"tells": "tacho"}])
 def test_a_late_or_wrong_speed_column_and_a_noisy_sensor_are_no_chatter(changes: dict[str, object]) -> None:
     this = chattering((0.2e-3,) * 3, **({"tells": "speed"} | changes))
