@@ -315,14 +315,25 @@ def check_compliance(dataset: xr.Dataset) -> xr.Dataset:
     return dataset
 
 
+def not_measured(dataset: xr.Dataset) -> xr.DataArray:
+    """Return which entries hold a number at no frequency, ``(response, excitation)``: two taps know no cross term.
+
+    Conditions such as ``feed`` stay dimensions.
+    """
+    return check_compliance(dataset)["compliance"].isnull().all("frequency")
+
+
 def full_matrix(dataset: xr.Dataset) -> NDArray[np.complex128]:
     """Return the compliance as an array of shape (frequencies, 3, 3) with zeros where it was not measured.
 
     Notes
     -----
-    Zero means rigid. A caller that computes a limit from a partial matrix must say so.
+    Zero means rigid. A caller that computes a limit from a partial matrix must say so. An entry that is known at some
+    frequencies only is NaN at the others.
     """
-    array = at_tool(check_compliance(dataset))["compliance"].transpose("frequency", "response", "excitation")
+    dataset = at_tool(check_compliance(dataset))
+    array = dataset["compliance"].where(~not_measured(dataset), 0.0)
+    array = array.transpose("frequency", "response", "excitation")
     full = np.zeros((array.sizes["frequency"], 3, 3), dtype=np.complex128)
     rows = axis_index([str(a) for a in array["response"].values])
     columns = axis_index([str(a) for a in array["excitation"].values])

@@ -263,8 +263,10 @@ def over_conditions(campaign: Campaign, compliances: Mapping[str, xr.Dataset]) -
     rows = []
     for f in feed:
         row = [_on(compliances[place[f, v]], grid) for v in level]
-        rows.append(row[0] if level == [None] else xr.concat(row, xr.DataArray(level, dims=name, name=name)))
-    return xr.concat(rows, xr.DataArray(feed, dims="feed", name="feed")).to_dataset(name="compliance")
+        over = xr.DataArray(level, dims=name, name=name)
+        rows.append(row[0] if level == [None] else xr.concat(row, over, join="outer"))
+    at_feed = xr.DataArray(feed, dims="feed", name="feed")
+    return xr.concat(rows, at_feed, join="outer").to_dataset(name="compliance")
 
 
 def _common_grid(compliances: Sequence[xr.Dataset]) -> np.ndarray:

@@ -28,7 +28,7 @@ import xarray as xr
 
 from process.compliance import ModalModel
 from process.errors import InputError
-from process.labels import AXES, full_matrix, make_compliance
+from process.labels import AXES, full_matrix, make_compliance, not_measured
 from process.units import parse, show
 from smfe import __version__
 from smfe.campaign import Campaign, Measurement, Model, load_campaign, load_channels
@@ -535,13 +535,14 @@ def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -
             array = item.compliance["compliance"]
             truth = model.modal.matrix(item.compliance["frequency"].values)
             measured = full_matrix(item.compliance)
+            missing = not_measured(item.compliance)
             for i, r in enumerate(AXES):
                 for j, e in enumerate(AXES):
                     if r not in array["response"].values or e not in array["excitation"].values:
                         continue
-                    valid = np.isfinite(measured[:, i, j])
-                    if not valid.any():
+                    if missing.sel(response=r, excitation=e):
                         continue
+                    valid = np.isfinite(measured[:, i, j])
                     f = item.compliance["frequency"].values[valid]
                     error = np.mean(np.abs(measured[valid, i, j] - truth[valid, i, j]) ** 2)
                     rows.append(

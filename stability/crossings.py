@@ -31,6 +31,9 @@ TANGENT_STEP = 0.02
 CLOSE_TO_END = 2e-4
 """How near to theta = 0 and pi the curves are sampled [rad]; what is followed nearer has become a fold or a flip."""
 
+LARGEST_TURN = 1.6
+"""By how much the phase of a determinant may change in a step [rad]."""
+
 SMALLEST_INTERVAL = 1e-7
 """Intervals of theta are not halved below this [rad]."""
 
@@ -105,8 +108,10 @@ def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> 
     largest = float(size.max())
     if largest == 0.0:
         return []
+    beyond = deepest or 1.0 / (NEGLIGIBLE * largest)
+    found = [c for c in found if c.depth <= beyond]
     reach = np.maximum(real[:-1], real[1:])
-    bound = deepest or min([c.depth for c in found] + [1.0 / (NEGLIGIBLE * largest)])
+    bound = deepest or min([beyond, *(c.depth for c in found)])
     for i in np.argsort(-reach, kind="stable"):
         least = 0.7 / bound
         if size[i] > least and size[i + 1] > 0.5 * least:
@@ -203,6 +208,44 @@ def follow(curve: Curve, crossing: Crossing) -> Crossing | None:
         old, value = new, at_new
         new = old - max(-0.1, min(0.1, value.imag / slope))
     return None
+
+
+def is_unstable(matrix: Callable[[float], Complex], angles: Real, depth: float) -> bool:
+    """Whether a cut is unstable at a depth [m], without a search for crossings: Nyquist's criterion.
+
+    The machine alone is stable, so that ``det(1 - depth M(theta))`` turns about zero as often as multipliers lie
+    outside the unit circle. Over half the circle it turns by half of that, from one real value to another; steps of
+    more than `LARGEST_TURN` are halved.
+
+    Parameters
+    ----------
+    matrix : callable
+        Angle [rad] -> M [1/m], shape (n, n).
+    angles : ndarray
+        Rising angles from 0 to pi.
+    depth : float
+        Axial depth [m].
+    """
+
+    def sign(angle: float) -> complex:
+        m = matrix(angle)
+        return complex(np.linalg.slogdet(np.eye(m.shape[0]) - depth * m)[0])
+
+    total, low, at_low = 0.0, float(angles[0]), sign(float(angles[0]))
+    ahead = angles[:0:-1].tolist()
+    known: dict[float, complex] = {}
+    while ahead:
+        high = ahead[-1]
+        if high not in known:
+            known[high] = sign(high)
+        at_high = known[high]
+        turned = float(np.angle(at_high / at_low)) if at_low else 0.0
+        if abs(turned) > LARGEST_TURN and high - low > SMALLEST_INTERVAL:
+            ahead.append(0.5 * (low + high))
+            continue
+        total, low, at_low = total + turned, high, at_high
+        ahead.pop()
+    return round(total / math.pi) != 0
 
 
 def relative_change(old: Crossing | None, new: Crossing | None) -> float:

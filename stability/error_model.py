@@ -30,7 +30,7 @@ from scipy import sparse
 from process.compliance import HIGHEST_DAMPING, ModalModel
 from process.cutting import CuttingCoefficients
 from process.errors import InputError
-from process.labels import AXES, at_tool, axis_index
+from process.labels import AXES, at_tool, axis_index, not_measured
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -228,8 +228,9 @@ def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
 def _missing(compliance: xr.Dataset) -> float:
     """Return the share of the frequencies with a compliance that have no standard deviation."""
     three, compliance = ("frequency", "response", "excitation"), at_tool(compliance)
+    rigid = not_measured(compliance).transpose(*three[1:]).values
     there, known = (
-        np.isfinite(compliance[name].transpose(*three).values).all(axis=(1, 2))
+        (np.isfinite(compliance[name].transpose(*three).values) | rigid).all(axis=(1, 2))
         for name in ("compliance", "compliance_std")
     )
     return float((there & ~known).sum()) / max(1, int(there.sum()))
@@ -247,6 +248,9 @@ def _covariance(compliance: xr.Dataset) -> Complex:
         if "compliance_covariance" in compliance:
             rows = compliance["compliance_covariance"].transpose(*three, "other_excitation").values.astype(complex)
         values = np.einsum("frij,rs->frisj", rows, np.eye(rows.shape[1]))
+    # What was not measured is taken as rigid, without an error.
+    rigid = not_measured(compliance).transpose(*three[1:]).values
+    values = np.where(rigid[:, :, None, None] | rigid, 0.0, values)
     known = np.isfinite(values).reshape(f.size, -1).all(axis=1)
     flat = values.reshape(f.size, -1)
     for column in flat.T:

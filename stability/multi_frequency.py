@@ -3,12 +3,16 @@
 At the limit the tool moves at all ``w + q w_P``, w_P being the frequency at which the cut repeats (that of the tooth
 passing for equal pitch). With the force lines F_q and the harmonics A_r of the directional matrix of tooth j::
 
-    F_p = a_p sum_q sum_j A_{p-q}^j (1 - exp(-j (w + q w_P) T_j)) Phi(w + q w_P) F_q,     q = -R .. R - 1
+    F_p = a_p sum_q sum_j A_{p-q}^j (1 - exp(-j (w + q w_P) T_j)) Phi(w + q w_P) F_q
 
-so that 1/a_p is a real eigenvalue of a block matrix. w is scanned over (0, w_P/2]; at w_P/2 the set of lines is closed
-under conjugation, the matrix is similar to a real one, and its real eigenvalues are period doubling exactly. Harmonics
-are added until the limit stands still, and the whole range of w is scanned again with the last set: a root that a
-coarser set has missed is found there. Source: Budak and Altintas 1998; Merdol and Altintas 2004; theory 2.4.
+so that 1/a_p is a real eigenvalue of a block matrix. w is scanned over [0, w_P/2]. A real motion holds with every line
+its conjugate: q = -R .. R below w_P/4 and q = -R .. R - 1 above make the set of lines closed under conjugation at 0 and
+at w_P/2. There the matrix is similar to a real one, and its real eigenvalues are folds (multiplier +1) and period
+doublings (-1) exactly. A fold needs unequal pitch: with equal pitch a motion that repeats leaves no wave.
+
+Harmonics are added, twice as many and more each time, until the limit stands still; a set with which it does not is
+scanned over the whole range of w again. Nyquist's criterion then confirms that the cut is stable just below the limit.
+Source: Budak and Altintas 1998; Merdol and Altintas 2004; theory 2.4.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -24,10 +29,10 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import find_peaks
 
 from process.cutting import CuttingCoefficients, chip_projection, force_projection, gram_matrix
-from process.engagement import AnyEngagement
+from process.engagement import AnyEngagement, Engagement
 from process.errors import InputError
 from process.tool import Tool
-from stability.crossings import Crossing, angle_grid, find_crossings, follow, relative_change
+from stability.crossings import NEGLIGIBLE, Crossing, angle_grid, find_crossings, follow, is_unstable, relative_change
 from stability.periodic import NO_LOBE, Complex, Machine, Pattern, Real, modes_of, pattern_of
 from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings
 from stability.semi_discretization import LimitDepth, labelled_limits
@@ -35,7 +40,22 @@ from stability.semi_discretization import LimitDepth, labelled_limits
 METHOD = "multi-frequency method"
 
 MOST_HARMONICS = 64
-"""Harmonics are not added beyond this."""
+"""Harmonics are not added beyond this; up to four times as many where short arcs keep the unknowns few."""
+
+EVEN_STEPS = 48
+"""Even steps in which the whole range of w is scanned; about resonances the scan is finer."""
+
+CONFIRMED = 0.9
+"""Share of a limit at which the cut must be stable."""
+
+MOST_UNKNOWNS = 128
+"""How many are few."""
+
+NODES_A_RADIAN = 0.6
+"""Gauss nodes on an arc for each radian that the last harmonic turns there; 0.5 is the least that shows it."""
+
+SPARE_NODES = 8
+"""Gauss nodes on an arc beyond those."""
 
 
 @dataclass(frozen=True)
@@ -102,28 +122,30 @@ def multi_frequency(
         raise InputError(f"the tolerance is {tolerance:g}; a share of the limit between 0 and 1 is needed, e.g. 1e-3")
     response = _measured(compliance) if isinstance(compliance, xr.Dataset) else _modal(compliance)
     cut = Cut(tool, arc, coefficients)
-    lines = _Lines(cut, pattern_of(tool, METHOD))
-    _require_reach(response, lines.pattern, float(speed.min()))
+    moving = np.abs(response.at(np.linspace(0.0, response.highest, 9))).max(axis=(0, 1)) > 0.0
+    lines = _Lines(cut, pattern_of(tool, METHOD), int(moving.sum()))
+    _require_reach(response, lines, float(speed.min()))
     limits = [_limit(response, lines, float(n), tolerance) for n in speed]
     warnings = [*cut.warnings, *response.warnings]
     loose = sum(limit.limit_depth_error_mm > tolerance * limit.limit_depth_mm for limit in limits)
     if loose:
         warnings.append(
-            f"{loose} of {speed.size} limits still move by more than {tolerance:g} of themselves with "
-            f"{MOST_HARMONICS} harmonics: see limit_depth_error"
+            f"{loose} of {speed.size} limits still move by more than {tolerance:g} of themselves with {lines.most} "
+            "harmonics, or are not confirmed: see limit_depth_error"
         )
     return labelled_limits("multi_frequency", speed, limits, "harmonics", warnings)
 
 
-def _require_reach(response: _Response, pattern: Pattern, slowest: float) -> None:
+def _require_reach(response: _Response, lines: _Lines, slowest: float) -> None:
     """Raise `InputError` when the harmonics that may be taken end below the highest mode."""
-    needed = response.highest * pattern.duration(slowest) + 1.0
-    if needed > MOST_HARMONICS:
-        possible = slowest * response.highest * pattern.duration(slowest) / (MOST_HARMONICS - 1.0)
+    duration = lines.pattern.duration(slowest)
+    needed = response.highest * duration + 1.0
+    if needed > lines.most:
+        possible = slowest * response.highest * duration / (lines.most - 1.0)
         raise InputError(
-            f"at {slowest:g} rpm it takes {needed:.0f} harmonics of the {1.0 / pattern.duration(slowest):.4g} Hz at "
-            f"which the cut repeats to reach the mode at {response.highest:.4g} Hz; {MOST_HARMONICS} are the most. Ask "
-            f"for {possible:.3g} rpm or more, or use the semi-discretisation"
+            f"at {slowest:g} rpm it takes {needed:.0f} harmonics of the {1.0 / duration:.4g} Hz at which the cut "
+            f"repeats to reach the mode at {response.highest:.4g} Hz; {lines.most} are the most. Ask for "
+            f"{possible:.3g} rpm or more, or use the semi-discretisation"
         )
 
 
@@ -184,113 +206,217 @@ def _interpolant(samples: Samples) -> Callable[[Real], Complex]:
 
 
 class _Lines:
-    """The harmonics of the directional matrix of a cut, computed once for all speeds."""
+    """The harmonics of the directional matrix of a cut, computed once for all speeds.
 
-    def __init__(self, cut: Cut, pattern: Pattern) -> None:
+    directions: those in which forces move anything.
+    """
+
+    def __init__(self, cut: Cut, pattern: Pattern, directions: int) -> None:
         self.pattern = pattern
+        self._directions = directions
+        self.teeth = pattern.lag.size // pattern.repeats
         self._arc = cut.arc
         self._force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle)
         self._chip = chip_projection(cut.tool.approach_angle)
-        self._harmonics: dict[int, Complex] = {}
+        self._known: dict[int, _Blocks | _Contacts] = {}
 
     @property
     def pulse(self) -> float:
         """Number of harmonics up to which the shortest pulse of one tooth in the cut is about even."""
         return self.pattern.period / min(part.arc for part in self._arc.arcs)
 
-    def matrix(self, order: int) -> Complex:
-        """Return harmonic `order` of one tooth at lag zero [N/m2], shape (3, 3)."""
-        if order not in self._harmonics:
-            gram = gram_matrix(self._arc, order * self.pattern.repeats)
-            self._harmonics[order] = self._force @ gram @ self._chip / self.pattern.period
-        return self._harmonics[order]
+    @cached_property
+    def most(self) -> int:
+        """Number of harmonics beyond which none is added: more where short arcs keep the unknowns few."""
+        each = NODES_A_RADIAN * self.pattern.repeats * sum(part.arc for part in self._arc.arcs)
+        few = (MOST_UNKNOWNS / self.teeth - len(self._arc.arcs) * SPARE_NODES) / each
+        return max(MOST_HARMONICS, min(4 * MOST_HARMONICS, int(few)))
 
-    def blocks(self, count: int) -> list[Complex]:
-        """Return for each tooth of the pattern the harmonics p - q of 2R lines, shape (2R, 2R, 3, 3)."""
-        orders = np.arange(2 * count)[:, None] - np.arange(2 * count)
-        one = np.array([[self.matrix(int(r)) for r in row] for row in orders])
-        teeth = range(self.pattern.lag.size // self.pattern.repeats)
-        turn = [np.exp(-1j * orders * self.pattern.repeats * self.pattern.lag[j]) for j in teeth]
-        return [one * phase[:, :, None, None] for phase in turn]
+    def upto(self, count: int) -> _Blocks | _Contacts:
+        """Return the smaller of the two forms in which the lines -R .. R of the cut can be had."""
+        if count not in self._known:
+            share = NODES_A_RADIAN * self.pattern.repeats * count
+            nodes = [math.ceil(share * part.arc) + SPARE_NODES for part in self._arc.arcs]
+            fewer = self.teeth * sum(nodes) < self._directions * (2 * count + 1)
+            self._known[count] = self._contacts(count, nodes) if fewer else self._blocks(count)
+        return self._known[count]
+
+    def _blocks(self, count: int) -> _Blocks:
+        orders = np.arange(2 * count + 1)[:, None] - np.arange(2 * count + 1)
+        grams = [gram_matrix(self._arc, int(r) * self.pattern.repeats) for r in range(-2 * count, 2 * count + 1)]
+        one = (self._force @ np.array(grams) @ self._chip / self.pattern.period)[orders + 2 * count]
+        turn = [np.exp(-1j * orders * self.pattern.repeats * lag) for lag in self.pattern.lag[: self.teeth]]
+        return _Blocks([one * phase[:, :, None, None] for phase in turn])
+
+    def _contacts(self, count: int, nodes: list[int]) -> _Contacts:
+        parts = [_gauss(part, n) for part, n in zip(self._arc.arcs, nodes, strict=True)]
+        phi, weight = (np.concatenate(p) for p in zip(*parts, strict=True))
+        basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)], axis=1)
+        tooth = np.repeat(np.arange(self.teeth), phi.size)
+        angle = self.pattern.repeats * (np.tile(phi, self.teeth) + self.pattern.lag[tooth])
+        wave = np.exp(1j * np.outer(np.arange(-count, count + 1), angle))
+        chip = np.tile(basis @ self._chip, (self.teeth, 1))
+        force = np.tile((basis * weight[:, None]) @ self._force.T, (self.teeth, 1)) / self.pattern.period
+        return _Contacts(tooth, wave[:, :, None] * chip, wave.conj()[:, :, None] * force)
+
+
+def _gauss(part: Engagement, nodes: int) -> tuple[Real, Real]:
+    """Return nodes and weights [rad] on an arc."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    return part.entry + 0.5 * part.arc * (x + 1.0), 0.5 * part.arc * w
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """For each tooth of the pattern the harmonics p - q, shape (2R + 1, 2R + 1, 3, 3): unknowns are the force lines."""
+
+    tooth: list[Complex]
+
+    @property
+    def largest(self) -> float:
+        """Size of the largest harmonic [N/m2]."""
+        return max(float(np.abs(block).max()) for block in self.tooth)
+
+    def loop(self, regenerated: Complex, phi: Complex) -> Complex:
+        """Return the square matrix [1/m] over the lines and the force directions that move anything."""
+        lines = slice(phi.shape[0])
+        factor = sum(
+            block[lines, lines] * share[None, :, None, None]
+            for block, share in zip(self.tooth, regenerated, strict=True)
+        )
+        kept = np.abs(phi).max(axis=(0, 1)) > 0.0
+        size = int(kept.sum()) * phi.shape[0]
+        whole = (factor @ phi[None]).transpose(0, 2, 1, 3)
+        return np.asarray(whole[:, kept][:, :, :, kept].reshape(size, size))
+
+    def force_lines(self, vector: Complex, phi: Complex) -> Complex:
+        """Return the force lines (lines, 3) that an eigenvector stands for."""
+        out = np.zeros((phi.shape[0], 3), dtype=complex)
+        out[:, np.abs(phi).max(axis=(0, 1)) > 0.0] = vector.reshape(phi.shape[0], -1)
+        return out
+
+
+@dataclass(frozen=True)
+class _Contacts:
+    """The same with Gauss nodes on the arc, for short arcs: the unknowns are the chips of each tooth at the nodes.
+
+    With the nodes the harmonics of a tooth are a product, ``A_{p-q} = sum_g f_g e^{-j p phi_g} c_g e^{+j q phi_g}``:
+    the force lines span no more than there are nodes, and ``A (1 - e) Phi`` has the eigenvalues of ``c (1 - e) Phi f``.
+
+    Parameters
+    ----------
+    tooth : ndarray of int, shape (contacts,)
+        Tooth of the pattern.
+    chip, force : ndarray of complex, shape (2R + 1, contacts, 3)
+        ``c e^{+j q phi}`` [1] and ``f e^{-j q phi}``, its weight included [N/m2].
+    """
+
+    tooth: NDArray[np.int64]
+    chip: Complex
+    force: Complex
+
+    @property
+    def largest(self) -> float:
+        """Size of the largest harmonic [N/m2]."""
+        return float(np.abs(self.force[0]).sum(axis=0).max())
+
+    def loop(self, regenerated: Complex, phi: Complex) -> Complex:
+        """Return the square matrix [1/m] over the contacts."""
+        lines, contacts = phi.shape[0], self.tooth.size
+        chip = (self.chip[:lines] * regenerated[self.tooth].T[:, :, None]) @ phi
+        left = chip.transpose(1, 0, 2).reshape(contacts, 3 * lines)
+        return np.asarray(left @ self.force[:lines].transpose(0, 2, 1).reshape(3 * lines, contacts))
+
+    def force_lines(self, vector: Complex, phi: Complex) -> Complex:
+        """Return the force lines (lines, 3) that an eigenvector stands for."""
+        return np.asarray(vector @ self.force[: phi.shape[0]])
 
 
 @dataclass(frozen=True)
 class _Truncated:
-    """The loop at one spindle speed with 2 R lines."""
+    """The loop at one spindle speed with lines up to R."""
 
     response: _Response
     pattern: Pattern
     duration: float
-    blocks: list[Complex]
+    count: int
+    form: _Blocks | _Contacts
 
     def turns(self, angle: float) -> Real:
-        """Return the frequencies of the lines in units of the pattern's."""
-        count = self.blocks[0].shape[0] // 2
-        return np.asarray(angle / (2.0 * math.pi) + np.arange(-count, count))
+        """Return the frequencies of the lines in units of the pattern's; at 0 and pi with their conjugates."""
+        top = self.count + 1 if angle < 0.5 * math.pi else self.count
+        return np.asarray(angle / (2.0 * math.pi) + np.arange(-self.count, top))
 
-    def loop(self, angle: float) -> tuple[Complex, Complex]:
-        """Return the block matrix [1/m] over the force lines, and the compliance at the lines."""
+    def matrix(self, angle: float) -> tuple[Complex, Complex]:
+        """Return the matrix with eigenvalues 1/depth [1/m], and the compliance at the lines."""
         turns = self.turns(angle)
         phi = self.response.at(turns / self.duration)
-        regenerated = np.zeros_like(self.blocks[0])
-        for j, block in enumerate(self.blocks):
-            share = self.pattern.delay[j] / self.pattern.period
-            regenerated += block * (1.0 - np.exp(-2j * math.pi * turns * share))[None, :, None, None]
-        return (regenerated @ phi[None]).transpose(0, 2, 1, 3), phi
-
-    def moving(self, angle: float) -> tuple[Complex, NDArray[np.bool_], Complex]:
-        """Return the square matrix over the force directions that move anything, those directions, the compliance."""
-        loop, phi = self.loop(angle)
-        kept = np.abs(phi).max(axis=(0, 1)) > 0.0
-        size = int(kept.sum()) * phi.shape[0]
-        return loop[:, kept][:, :, :, kept].reshape(size, size), kept, phi
+        delay = self.pattern.delay[: self.pattern.lag.size // self.pattern.repeats] / self.pattern.period
+        return self.form.loop(1.0 - np.exp(-2j * math.pi * np.outer(delay, turns)), phi), phi
 
     def values(self, angles: Real) -> list[Complex]:
         """Return the eigenvalues 1/depth [1/m] at each angle."""
-        return [np.asarray(np.linalg.eigvals(self.moving(float(angle))[0])) for angle in angles]
+        return [np.asarray(np.linalg.eigvals(self.matrix(float(angle))[0])) for angle in angles]
 
     def strongest_line(self, crossing: Crossing) -> tuple[float, int]:
         """Return the frequency [Hz] of the largest displacement at a crossing, and its lobe."""
-        matrix, kept, phi = self.moving(crossing.angle)
+        matrix, phi = self.matrix(crossing.angle)
         values, vectors = np.linalg.eig(matrix)
-        force = vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))].reshape(phi.shape[0], -1)
-        moved = (phi[:, :, kept] @ force[:, :, None])[:, :, 0]
+        force = self.form.force_lines(vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))], phi)
+        moved = (phi @ force[:, :, None])[:, :, 0]
         strongest = float(abs(self.turns(crossing.angle)[int(np.argmax(np.linalg.norm(moved, axis=1)))]))
         return strongest / self.duration, self.pattern.lobe(strongest)
 
 
 def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: float) -> LimitDepth:
-    """Add harmonics until the first loss stands still, and scan once more with the last set."""
+    """Add harmonics until the first loss stands still; where it does not, the next set is scanned as a whole."""
     duration = lines.pattern.duration(spindle_speed)
-    angles = angle_grid(np.exp(response.resonance * duration), 48)
+    poles = np.exp(response.resonance * duration)
+    angles = angle_grid(poles, EVEN_STEPS)
 
     def truncated(count: int) -> _Truncated:
-        return _Truncated(response, lines.pattern, duration, lines.blocks(count))
+        return _Truncated(response, lines.pattern, duration, count, lines.upto(count))
 
     def first(loop: _Truncated) -> Crossing | None:
         return next(iter(find_crossings(loop.values, angles)), None)
 
-    count = min(MOST_HARMONICS // 2, math.ceil(max(response.highest * duration + 1.0, lines.pulse)))
-    loop = truncated(count)
+    loop = truncated(min(lines.most, math.ceil(response.highest * duration + 1.0 + lines.pulse)))
     _require_motion(loop)
-    old, change, settled = first(loop), math.inf, False
-    while count < MOST_HARMONICS and not settled:
-        count = min(MOST_HARMONICS, count + max(1, count // 2))
-        loop = truncated(count)
+    old, change = first(loop), math.inf
+    if 1.25 * loop.count > lines.most:
+        # Nothing worth while is left to be added: what the last quarter has changed is known instead.
+        coarser = truncated(math.ceil(0.75 * loop.count))
+        change = relative_change(old, follow(coarser.values, old) if old is not None else first(coarser))
+    while change > tolerance and loop.count < lines.most:
+        # Harmonics of a pulse vanish here and there: the next set reaches beyond a whole one of their waves.
+        loop = truncated(min(lines.most, 2 * loop.count + math.ceil(lines.pulse)))
         new = follow(loop.values, old) if old is not None else None
         change = relative_change(old, new)
-        if change <= tolerance or new is None or count == MOST_HARMONICS:
+        if new is None or change > tolerance:
             new = first(loop)
             change = relative_change(old, new)
-            settled = change <= tolerance
+        old = new
+    if not _confirmed(loop, angle_grid(poles, EVEN_STEPS // 4), old):
+        # A coarser set has missed a root, or the angles have.
+        closer = angle_grid(poles, 4 * EVEN_STEPS)
+        new = next(iter(find_crossings(loop.values, closer)), None)
+        change = relative_change(old, new) if _confirmed(loop, closer, new) and change <= tolerance else math.inf
         old = new
     if old is None:
-        return LimitDepth(math.inf, 0.0 if settled else math.inf, math.nan, NO_LOBE, "none", count)
-    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, *loop.strongest_line(old), old.kind, count)
+        return LimitDepth(math.inf, 0.0 if change == 0.0 else math.inf, math.nan, NO_LOBE, "none", loop.count)
+    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, *loop.strongest_line(old), old.kind, loop.count)
+
+
+def _confirmed(loop: _Truncated, angles: Real, found: Crossing | None) -> bool:
+    """Whether the cut is stable just below a limit, or deep down where there is none."""
+    if found is None:
+        depth = 1.0 / (NEGLIGIBLE * max(float(np.abs(part).max()) for part in loop.values(angles)))
+    else:
+        depth = CONFIRMED * found.depth
+    return not is_unstable(lambda angle: loop.matrix(angle)[0], angles, depth)
 
 
 def _require_motion(loop: _Truncated) -> None:
-    matrix, _, phi = loop.moving(0.5 * math.pi)
-    largest = max(float(np.abs(block).max()) for block in loop.blocks) * float(np.abs(phi).max())
-    if np.abs(matrix).max(initial=0.0) <= 1e-12 * largest:
+    matrix, phi = loop.matrix(0.5 * math.pi)
+    if np.abs(matrix).max(initial=0.0) <= 1e-12 * loop.form.largest * float(np.abs(phi).max()):
         raise InputError("the compliance is zero wherever the cut acts; there is nothing that could chatter")

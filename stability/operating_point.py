@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike
 from process.cutting import CuttingCoefficients, force_harmonics
 from process.engagement import AnyEngagement
 from process.errors import InputError
-from process.labels import check_compliance, label
+from process.labels import check_compliance, label, not_measured
 from process.tool import Tool
 from stability.branches import Branches, eigenvalue_branches
 from stability.periodic import NO_LOBE, Complex, Real, pattern_of_pitch
-from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings
+from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings, partial_warning
 from stability.vibration import vibration
 from stability.zero_order import first_limits, labelled
 
@@ -239,12 +239,16 @@ def _conditions(compliance: xr.Dataset) -> _Conditions:
         nodes = array[name].values.astype(float)
         if not np.isfinite(nodes).all() or np.any(np.diff(nodes) <= 0.0):
             raise InputError(f"the conditions {name} are {nodes.tolist()}; they must be finite and rise: sort them")
+    missing = not_measured(compliance)
+    array = array.where(~missing, 0.0).assign_attrs(array.attrs)
     known = xr.apply_ufunc(np.isfinite, array).all(dim=named)
     whole = array.isel({name: 0 for name in named}).where(known)
     one = compliance.drop_vars([v for v in compliance.data_vars if v != "compliance"])
     one = one.isel({name: 0 for name in named}, drop=True).assign(compliance=whole.drop_vars(named))
     one["compliance"].attrs["units"] = array.attrs["units"]
     samples = complete_samples(one)
+    told = partial_warning(array["response"].values, array["excitation"].values, missing.any(dim=named))
+    samples = replace(samples, warnings=(*told, *(w for w in samples.warnings if "partial matrix" not in w)))
     full = array.sel(frequency=samples.frequency)
     for name in ("feed", levels[0] if levels else "force_level"):
         full = full if name in full.dims else full.expand_dims({name: [0.0]})

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from process.cutting import CuttingCoefficients, directional_matrix
 from process.engagement import AnyEngagement
 from process.errors import InputError
-from process.labels import AXES, at_tool, check_compliance, full_matrix
+from process.labels import AXES, at_tool, check_compliance, full_matrix, not_measured
 from process.tool import Tool
 
 EDGE_SIZE = 0.15
@@ -98,7 +98,7 @@ class Samples:
     Parameters
     ----------
     frequency : ndarray, shape (n,)
-        Frequencies above zero at which every entry is known [Hz].
+        Frequencies above zero at which every entry is known that was measured at all [Hz].
     matrix : ndarray of complex, shape (n, 3, 3)
         Compliance [m/N]; entries that were not measured are zero.
     bridged : ndarray of bool, shape (n - 1,)
@@ -132,19 +132,21 @@ def complete_samples(compliance: xr.Dataset) -> Samples:
             f"e.g. compliance.sel({extra[0]}=...)"
         )
     every = compliance["frequency"].values.astype(float)
+    if not_measured(compliance).all():
+        raise InputError("the compliance holds no number at any frequency; measure at least one direct entry, e.g. xx")
     full = full_matrix(compliance)
     complete = np.isfinite(full).all(axis=(1, 2)) & (every > 0.0)
     if complete.sum() < 2:
         raise InputError(
             f"the compliance is complete at {int(complete.sum())} of {every.size} frequencies above 0 Hz; "
-            "at least 2 are needed. Drop the response or excitation that is NaN, or measure it"
+            "at least 2 are needed: its entries know no frequencies in common, so measure them over one band"
         )
     frequency = every[complete]
     masked_between = np.diff(np.flatnonzero(complete)) > 1
     bridged = ~(masked_between | _long_steps(frequency))
     both = [i for i, a in enumerate(AXES) if a in array["response"].values and a in array["excitation"].values]
     warnings = [
-        *_partial_warning(compliance),
+        *partial_warning(compliance["response"].values, compliance["excitation"].values, not_measured(compliance)),
         *_gap_warnings(frequency, bridged),
         *_active_warning(frequency, full[complete][:, both][:, :, both], _noise(compliance)[complete]),
     ]
@@ -218,17 +220,23 @@ def _long_steps(frequency: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(step > GAP_FACTOR * np.maximum(before, after), dtype=bool)
 
 
-def _partial_warning(compliance: xr.Dataset) -> list[str]:
-    """Name what is taken as rigid."""
-    missing = [
-        f"{dim} {', '.join(a for a in AXES if a not in compliance[dim].values)}"
-        for dim in ("response", "excitation")
-        if len(set(compliance[dim].values)) < len(AXES)
+def partial_warning(response: ArrayLike, excitation: ArrayLike, missing: xr.DataArray) -> list[str]:
+    """Name what is taken as rigid: axes that are not there, and entries (response, excitation) without a number."""
+    there = {"response": set(np.asarray(response)), "excitation": set(np.asarray(excitation))}
+    for dim, other in (("response", "excitation"), ("excitation", "response")):
+        there[dim] -= set(missing[dim].values[missing.all(other).values])
+    absent = [f"no {dim} {', '.join(a for a in AXES if a not in axes)}" for dim, axes in there.items() if len(axes) < 3]
+    single = [
+        f"{r}{e}"
+        for r in AXES
+        for e in AXES
+        if r in there["response"] and e in there["excitation"] and missing.sel(response=r, excitation=e)
     ]
-    if not missing:
+    absent += [f"no {', '.join(single)}"] if single else []
+    if not absent:
         return []
     return [
-        f"the compliance is a partial matrix (no {'; no '.join(missing)}): what was not measured is taken as rigid. "
+        f"the compliance is a partial matrix ({'; '.join(absent)}): what was not measured is taken as rigid. "
         "The limit with the rest can be several times lower or higher, and no measured entry bounds by how much; "
         "excite and measure the missing directions, at least x and y"
     ]

@@ -36,7 +36,7 @@ from process.errors import InputError
 from process.labels import label
 from process.tool import Tool
 from stability import _semi_kernels as kernels
-from stability.crossings import Crossing, Curve, angle_grid, find_crossings, follow, relative_change
+from stability.crossings import NEGLIGIBLE, Crossing, Curve, angle_grid, find_crossings, follow, relative_change
 from stability.dense import Dense, dense
 from stability.mesh import FEWEST_NODES, Mesh, cut_at_speed, lay_mesh
 from stability.periodic import NO_LOBE, Complex, Machine, Modes, Pattern, Real, modes_of, pattern_of
@@ -232,7 +232,8 @@ def _first_loss(discrete: _Discrete) -> Crossing | None:
         if found is not None:
             deepest = found.depth
         else:
-            deepest = 10.0 / float(np.abs(discrete.curve()(np.array([0.5 * math.pi]))[0]).max())
+            sizes = discrete.curve()(angle_grid(discrete.system.turn, 4))
+            deepest = 1.0 / (NEGLIGIBLE * max(float(np.abs(part).max()) for part in sizes))
         if discrete.stable_below(deepest):
             return found
     raise InputError(
@@ -242,9 +243,12 @@ def _first_loss(discrete: _Discrete) -> Crossing | None:
 
 
 def _lowest(discrete: _Discrete, harder: int = 0) -> Crossing | None:
-    """Return the first crossing that a search of some hardness sees."""
+    """Return the first crossing that a search of some hardness sees; none only where small eigenvalues show none."""
     angles = angle_grid(discrete.system.turn, 26 * 4**harder)
-    return next(iter(find_crossings(discrete.curve(LARGE / 10**harder), angles)), None)
+    found = find_crossings(discrete.curve(LARGE / 10**harder), angles)
+    if not found and discrete.dense is None:
+        found = find_crossings(discrete.curve(NEGLIGIBLE), angles)
+    return next(iter(found), None)
 
 
 def _limit(problem: _Problem, tolerance: float) -> LimitDepth:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
+import types
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +16,12 @@ from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients
 from process.engagement import Engagement, engagement
 from process.tool import Tool
+
+# `tests/truth` and `tests/exam` are importable as ``truth`` and ``exam``, whatever the import mode and the path.
+for name in ("truth", "exam"):
+    package = types.ModuleType(name)
+    package.__path__ = [str(Path(__file__).parents[1] / name)]
+    sys.modules.setdefault(name, package)
 
 
 @dataclass(frozen=True)

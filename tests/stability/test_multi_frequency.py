@@ -29,7 +29,7 @@ def checked_rows() -> list[tuple[int, float, float, str]]:
 
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
 def test_classical_benchmark(make_case, every):
-    # Harmonics taken: 4 to 15 in the slot, 4 to 19 at immersion 0.5, 4 to 22 at 0.1 and 0.05.
+    # The last set has twice the harmonics of that from which the limit hardly moved any more.
     for directions, immersion, rpm, expected in checked_rows()[::every]:
         case = make_case["benchmark"](directions, immersion)
         found = multi_frequency(case.machine, *case.cut, rpm)
@@ -37,7 +37,7 @@ def test_classical_benchmark(make_case, every):
             assert float(found.limit_depth[0]) > float(expected[1:])
             continue
         assert float(found.limit_depth[0]) == pytest.approx(float(expected), rel=2e-3)
-        assert int(found.harmonics[0]) <= 22
+        assert int(found.harmonics[0]) <= 80
         assert found.attrs["warnings"] == []
 
 

@@ -1,0 +1,169 @@
+"""Milling with any pitch as a linear map over one turn, by integration in time. Shares no code with the packages.
+
+The teeth of a tool, one turn behind the other by any angles, cut what the tooth before left; the machine is a set of
+modes that move the tool in x, y and z. The delay equation is integrated over one turn: between two instants each mode
+moves exactly as it does without a force, at each instant it takes the impulse of the cutting force over one step
+(second order in the step; teeth that enter or leave within a step count in part). The multipliers of that map are those
+of the cut. SI throughout, tooth angles from +y towards +x.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.sparse.linalg import LinearOperator, eigs
+
+PER_PERIOD = 100
+"""Steps a period of the fastest mode, at least."""
+
+IN_CUT = 40
+"""Steps while a tooth is in its shortest arc, at least."""
+
+
+@njit(cache=True, nogil=True)
+def _turn(factor, first, weight, step_back, gain, shape, advance, depth, state, past):
+    """Move state (m, 2) and the motion of the modes over the turn before, (n, m), over one turn."""
+    n, m = past.shape
+    teeth = first.size
+    now = np.zeros((n, m))
+    moved = np.zeros(3)
+    for i in range(n):
+        for r in range(m):
+            now[i, r] = state[r, 0]
+        fx, fy, fz = 0.0, 0.0, 0.0
+        for j in range(teeth):
+            if step_back[j, i] == 0:
+                continue
+            moved[:] = 0.0
+            for r in range(m):
+                before = 0.0
+                for k in range(4):
+                    at = i - first[j] + k
+                    before += weight[j, k] * (now[at, r] if at >= 0 else past[at + n, r])
+                apart = state[r, 0] - before
+                for a in range(3):
+                    moved[a] += shape[r, a] * apart
+            f = factor[j, i]
+            fx += f[0, 0] * moved[0] + f[0, 1] * moved[1] + f[0, 2] * moved[2]
+            fy += f[1, 0] * moved[0] + f[1, 1] * moved[1] + f[1, 2] * moved[2]
+            fz += f[2, 0] * moved[0] + f[2, 1] * moved[1] + f[2, 2] * moved[2]
+        for r in range(m):
+            q = state[r, 0]
+            v = state[r, 1] + depth * gain[r] * (shape[r, 0] * fx + shape[r, 1] * fy + shape[r, 2] * fz)
+            state[r, 0] = advance[r, 0, 0] * q + advance[r, 0, 1] * v
+            state[r, 1] = advance[r, 1, 0] * q + advance[r, 1, 1] * v
+    past[:] = now
+
+
+@dataclass(frozen=True)
+class MillingCut:
+    """Machine, tool, arcs and material.
+
+    frequency [Hz], damping, stiffness [N/m], direction (modes, 3); pitch [rad] (teeth,): from tooth j to the next that
+    follows it; arcs: (entry, exit) [rad]; approach [rad]; k: tangential, radial, axial coefficient [N/m2].
+    """
+
+    frequency: np.ndarray
+    damping: np.ndarray
+    stiffness: np.ndarray
+    direction: np.ndarray
+    pitch: np.ndarray
+    arcs: tuple[tuple[float, float], ...]
+    k: tuple[float, float, float]
+    approach: float = 0.5 * math.pi
+
+
+def _mean_factors(cut: MillingCut, lag: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Force over displacement and depth of each tooth, averaged over each step, (teeth, n, 3, 3), and where it cuts."""
+    kt, kr, ka = cut.k
+    sin, cos = math.sin(cut.approach), math.cos(cut.approach)
+    normal, axial = kr * sin + ka * cos, kr * cos - ka * sin
+    force = np.array([[-normal, -kt, 0.0], [kt, -normal, 0.0], [0.0, 0.0, axial]])
+    chip = np.diag([1.0, 1.0, -cos / sin])
+
+    def integral(phi):
+        s, c, one = np.sin(phi), np.cos(phi), phi
+        ss, cc, sc = 0.5 * phi - 0.25 * np.sin(2 * phi), 0.5 * phi + 0.25 * np.sin(2 * phi), 0.5 * s * s
+        rows = [[ss, sc, -c], [sc, cc, s], [-c, s, one]]
+        return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+    width = 2.0 * math.pi / n
+    middle = width * np.arange(n)[None, :] - lag[:, None]
+    total = np.zeros((lag.size, n, 3, 3))
+    for entry, leave in cut.arcs:
+        for whole in range(-2, 2):
+            low = np.clip(middle - 0.5 * width, entry + 2 * math.pi * whole, leave + 2 * math.pi * whole)
+            high = np.clip(middle + 0.5 * width, entry + 2 * math.pi * whole, leave + 2 * math.pi * whole)
+            total += integral(high) - integral(low)
+    active = np.abs(total).max(axis=(2, 3)) > 0.0
+    return force @ (total / width) @ chip, active.astype(np.int8)
+
+
+class TurnMap:
+    """The map over one turn at one spindle speed [rpm]."""
+
+    def __init__(self, cut: MillingCut, spindle_speed: float, finer: float = 1.0) -> None:
+        lag = np.concatenate([[0.0], np.cumsum(cut.pitch)[:-1]])
+        turn = 60.0 / spindle_speed
+        shortest = min(leave - entry for entry, leave in cut.arcs)
+        n = math.ceil(
+            finer * max(PER_PERIOD * turn * np.max(cut.frequency), IN_CUT * 2.0 * math.pi / shortest, 60 * lag.size)
+        )
+        h = turn / n
+        self.factor, self.active = _mean_factors(cut, lag, n)
+        # Tooth j cuts what the tooth ahead of it, j - 1, has left.
+        back = np.roll(cut.pitch, 1) / (2.0 * math.pi) * n
+        whole = np.floor(back).astype(np.int64)
+        self.first = whole + 2
+        # Cubic through the instants whole + 2, + 1, 0, - 1 steps ago.
+        x = 2.0 - (back - whole)
+        at = np.arange(4.0)
+        self.weight = np.ones((lag.size, 4))
+        for k in range(4):
+            for other in range(4):
+                if other != k:
+                    self.weight[:, k] *= (x - at[other]) / (at[k] - at[other])
+        if cut.pitch.size == 1:
+            self.first, self.weight = np.array([n]), np.array([[1.0, 0.0, 0.0, 0.0]])
+        w, zeta = 2.0 * math.pi * np.asarray(cut.frequency), np.asarray(cut.damping)
+        self.gain = h * w**2 / np.asarray(cut.stiffness)
+        self.shape = np.asarray(cut.direction, dtype=float)
+        wd, e = w * np.sqrt(1.0 - zeta**2), np.exp(-zeta * w * h)
+        c, s = np.cos(wd * h), np.sin(wd * h)
+        rows = [[c + zeta * w / wd * s, s / wd], [-(w**2) / wd * s, c - zeta * w / wd * s]]
+        self.advance = np.ascontiguousarray(np.moveaxis(e * np.array(rows), -1, 0))
+        self.n, self.modes, self.scale = n, w.size, w
+
+    def after(self, depth: float, vector: np.ndarray) -> np.ndarray:
+        """Return (position and speed of the modes, motion over the last turn) one turn later."""
+        m = self.modes
+        state = vector[: 2 * m].reshape(m, 2).copy()
+        state[:, 1] *= self.scale
+        past = vector[2 * m :].reshape(self.n, m).copy()
+        _turn(
+            self.factor, self.first, self.weight, self.active, self.gain, self.shape, self.advance, depth, state, past
+        )
+        state[:, 1] /= self.scale
+        return np.concatenate([state.ravel(), past.ravel()])
+
+    def multipliers(self, depth: float, count: int = 4) -> np.ndarray:
+        """Return the largest multipliers of one turn at an axial depth [m], largest first."""
+        size = 2 * self.modes + self.n * self.modes
+        start = np.random.default_rng(1).normal(size=size)
+        operator = LinearOperator((size, size), matvec=lambda v: self.after(depth, np.asarray(v).ravel()), dtype=float)
+        values = eigs(operator, k=count, v0=start, ncv=max(24, 4 * count), tol=1e-7, return_eigenvectors=False)
+        return values[np.argsort(-np.abs(values))]
+
+    def radius(self, depth: float) -> float:
+        """Return the largest modulus of a multiplier of one turn."""
+        return float(np.abs(self.multipliers(depth)[0]))
+
+    def limit(self, low: float, high: float, share: float = 2e-4) -> float:
+        """Return a depth [m] between a stable and an unstable one at which the map changes between the two."""
+        while high / low > 1.0 + share:
+            middle = math.sqrt(low * high)
+            low, high = (low, middle) if self.radius(middle) > 1.0 else (middle, high)
+        return math.sqrt(low * high)
