@@ -64,6 +64,7 @@ strangers: $(READY)
 	$(RUN) $(BIN)/python tests/exam/sweep_strangers.py docs/sweep_strangers_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/frf_files.py docs/frf_files_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/plan.py docs/plan_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) $(BIN)/python tests/exam/limits_agree.py docs/limits_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/chatter.py docs/chatter_table.md --jobs $(JOBS) $(ARGS)
 
 lint: $(READY)

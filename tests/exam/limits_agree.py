@@ -109,7 +109,7 @@ def judged(drawn: Drawn, found: dict) -> dict:
     worse = [f"{m} {'too deep' if depths[m] > true else 'too shallow'}" for m in METHODS if m not in right]
     admits = [m for m in METHODS if m not in right and found[m]["error"] > abs(depths[m] - true)]
     if worse and len(admits) == len(worse):
-        return said | {"verdict": f"{' and '.join(worse)}, as its limit_depth_error says"}
+        return said | {"verdict": f"{' and '.join(worse)}, as its stated error says"}
     return said | {"verdict": " and ".join(worse) or "between the two"}
 
 
@@ -146,12 +146,40 @@ def main() -> None:
     seeds = range(told.first, told.first + told.cuts)
     with ProcessPoolExecutor(told.jobs) as pool:
         answers = list(pool.map(answer, seeds, chunksize=10))
-    counts = Counter(a["verdict"] for a in answers)
-    for verdict, count in counts.most_common():
-        print(f"{count:6d}  {verdict}")
+    told.table.write_text(table(answers))
+
+
+def table(answers: list[dict]) -> str:
+    """Return the verdicts over the kinds of pitch, how far the methods are apart, and the cases that differ."""
+    kinds = sorted({a["pitch"] for a in answers})
+    counts = Counter((a["verdict"], a["pitch"]) for a in answers)
+    verdicts = [v for v, _ in Counter(a["verdict"] for a in answers).most_common()]
+    lines = [
+        f"{len(answers)} cuts, seeds {answers[0]['seed']} to {answers[-1]['seed']}.",
+        "",
+        f"| verdict | all | {' | '.join(kinds)} |",
+        "| --- " * (len(kinds) + 2) + "|",
+    ]
+    for v in verdicts:
+        each = [counts[v, k] for k in kinds]
+        lines.append(f"| {v.replace('_', '-')} | {sum(each)} | {' | '.join(map(str, each))} |")
+    apart = np.sort([a["apart"] for a in answers if math.isfinite(a.get("apart", math.inf))])
+    shares = ", ".join(f"{100 * np.quantile(apart, q):.2g} %" for q in (0.5, 0.9, 0.99))
+    lines += ["", f"Difference of the two limits: median, 90 % and 99 % quantile {shares}.", ""]
     for m in METHODS:
-        spent = np.array([a[m]["seconds"] for a in answers if "seconds" in a[m]])
-        print(m, f"median {1e3 * np.median(spent):.1f} ms, mean {1e3 * spent.mean():.1f} ms")
+        spent = 1e3 * np.array([a[m]["seconds"] for a in answers if "seconds" in a[m]])
+        lines.append(f"- {m.replace('_', '-')}: median {np.median(spent):.0f} ms a limit, mean {spent.mean():.0f} ms")
+    odd = [a for a in answers if a["verdict"] not in ("agree, confirmed", "no limit in either") and "true" in a]
+    if odd:
+        lines += [
+            "",
+            "| seed | multi-frequency [mm] | semi-discretisation [mm] | in time [mm] | verdict |",
+            "| --- " * 5 + "|",
+        ]
+        for a in odd:
+            first, second = (f"{a[m]['depth']:.5g}" for m in METHODS)
+            lines.append(f"| {a['seed']} | {first} | {second} | {a['true']:.5g} | {a['verdict'].replace('_', '-')} |")
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":
