@@ -239,6 +239,8 @@ def _missing(compliance: xr.Dataset) -> float:
 def _covariance(compliance: xr.Dataset) -> Complex:
     """Return the covariance of all entries at every frequency, shape (n, r, e, r, e), smoothed."""
     three, f = ("frequency", "response", "excitation"), compliance["frequency"].values
+    # What was not measured is taken as rigid, without an error.
+    rigid = not_measured(compliance).transpose(*three[1:]).values
     if "entry_covariance" in compliance:
         five = (*three, "other_response", "other_excitation")
         values = compliance["entry_covariance"].transpose(*five).values.astype(complex)
@@ -247,9 +249,8 @@ def _covariance(compliance: xr.Dataset) -> Complex:
         rows = variance[..., None] * np.eye(variance.shape[-1]) + 0.0j
         if "compliance_covariance" in compliance:
             rows = compliance["compliance_covariance"].transpose(*three, "other_excitation").values.astype(complex)
+        rows = np.where(rigid[:, :, None] | rigid[:, None, :], 0.0, rows)
         values = np.einsum("frij,rs->frisj", rows, np.eye(rows.shape[1]))
-    # What was not measured is taken as rigid, without an error.
-    rigid = not_measured(compliance).transpose(*three[1:]).values
     values = np.where(rigid[:, :, None, None] | rigid, 0.0, values)
     known = np.isfinite(values).reshape(f.size, -1).all(axis=1)
     flat = values.reshape(f.size, -1)

@@ -42,7 +42,7 @@ def two_taps(axes: str = "xy", std: float = 0.0, cut_off: float = math.inf) -> x
         extra["compliance_std"] = (("frequency", "response", "excitation"), scatter.real)
         extra["compliance_covariance"] = (
             ("frequency", "response", "excitation", "other_excitation"),
-            np.where(np.isnan(scatter)[..., None], np.nan, rows).astype(complex),
+            np.where(np.isnan(scatter)[..., None] | np.isnan(scatter)[..., None, :], np.nan, rows).astype(complex),
         )
     return make_compliance(FREQUENCY, held, tuple(axes), tuple(axes), extra)
 
