@@ -8,7 +8,7 @@ copyright = "2026, The smfe developers"
 release = version = installed_version("smfe")
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build", "accuracy_table.md", "sweep_table.md", "limits_table.md", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "*_table.md", "**.ipynb_checkpoints"]
 
 html_theme = "furo"
 html_title = f"smfe {release}"
