@@ -338,10 +338,13 @@ def _rough_level(h: Complex, accuracy: float) -> Real:
 
 def _whole(matrix: ResponseMatrix) -> Complex | None:
     """Return the smooth covariance of all entries, shape (n, r, e, r, e), or None where only their sizes are known."""
+    # An entry that was not measured is in no curve; its unknown covariance must not reach those of other rows.
+    missing = ~np.isfinite(matrix.values).any(axis=0)
     if matrix.between is not None:
-        whole = matrix.between
+        whole = np.where(missing[:, :, None, None] | missing, 0.0, matrix.between)
     elif matrix.covariance is not None:
-        whole = np.asarray(np.einsum("nrij,rs->nrisj", matrix.covariance, np.eye(len(matrix.response)) + 0.0j))
+        rows = np.where(missing[:, :, None] | missing[:, None, :], 0.0, matrix.covariance)
+        whole = np.asarray(np.einsum("nrij,rs->nrisj", rows, np.eye(len(matrix.response)) + 0.0j))
     else:
         return None
     flat = whole.reshape(matrix.frequency.size, -1)

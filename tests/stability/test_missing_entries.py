@@ -74,6 +74,12 @@ def test_modes_are_fitted_to_what_was_measured():
     np.testing.assert_allclose(fitted.limit_depth, semi_discretization(MACHINE, *CUT, SPEEDS).limit_depth, rtol=2e-3)
 
 
+def test_modes_are_fitted_where_the_errors_were_measured_too():
+    found = fit_modes(two_taps(std=0.02))
+    np.testing.assert_allclose(np.sort(found.modal_model().frequency), [410.0, 520.0], rtol=1e-3)
+    assert np.isfinite(found.table()["frequency_Hz"]).all()
+
+
 def test_curves_and_the_smallest_limit():
     taps = two_taps()
     smallest = critical_depth(taps, *CUT)
