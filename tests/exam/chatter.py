@@ -12,10 +12,10 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from chatter import draw
 from scipy.stats import beta
+from truth.chatter import draw
 
 from process.errors import InputError
 from process.labels import make_record

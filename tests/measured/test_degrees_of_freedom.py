@@ -64,7 +64,7 @@ def sweeps(rng: np.random.Generator, count: int = 1, n: int = 800) -> list[Sweep
     out = []
     for k in range(count):
         force = np.zeros(n)
-        force[60:-60] = 100.0 * rng.standard_normal(n - 120)
+        force[80:-80] = 100.0 * rng.standard_normal(n - 160)  # air at both ends, long enough to show that it is silent
         spectrum = np.fft.rfft(force) * STATIC
         spectrum[[0, -1]] = spectrum[[0, -1]].real
         motion = np.fft.irfft(spectrum, n) + 1e-5 * rng.standard_normal(n)

@@ -325,10 +325,10 @@ def test_a_condition_left_over_is_refused_by_name(authors):
         zero_order(compliance, *authors.cut, [800])
 
 
-def test_an_entry_that_is_nan_throughout_is_refused(authors):
+def test_a_matrix_that_is_nan_throughout_is_refused(authors):
     compliance = authors.compliance(2, 250, 1)
-    compliance["compliance"][:, 2, 1] = np.nan
-    with pytest.raises(InputError, match="complete at 0 of 248 frequencies"):
+    compliance["compliance"][:] = np.nan
+    with pytest.raises(InputError, match="holds no number at any frequency"):
         zero_order(compliance, *authors.cut, [800])
 
 

@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from chatter_kernel import march, push, speed_at
 from scipy import fft, signal
+from truth.chatter_kernel import march, push, speed_at
 
 STEPS_A_WAVE = 36
 FEED = 1e-4
