@@ -30,6 +30,7 @@ from smfe.report.look import (
     Line,
     axes_of,
     depth_range,
+    entry_name,
     frequency_range,
     literal,
     magnitude_band,
@@ -256,7 +257,7 @@ def _draw_entry(
     drawn = [_draw_magnitude(axes, m, looks[m.name], pair, floor) for m in measurements if pair in m.entries]
     if not any(drawn):
         _say_empty(axes)
-    name = rf"$\Phi_{{{pair[0]}{pair[1]}}}$"
+    name = rf"$\Phi_{{{entry_name(*pair)}}}$"
     axes.text(0.97, 0.95, name, transform=axes.transAxes, ha="right", va="top", fontsize=10)
 
 

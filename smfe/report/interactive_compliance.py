@@ -25,6 +25,7 @@ from smfe.report.look import (
     Line,
     axes_of,
     band_text,
+    entry_name,
     frequency_range,
     magnitude_band,
     magnitude_range,
@@ -60,7 +61,7 @@ def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, L
                 data.append(filled(polygons(m.frequency, *edges), looks[m.name].colour, 0.2, shared))
                 views.append([])
             views.append(_views(m.entry(r, e)))
-            data.append(_compliance_line(m, looks[m.name], views[-1][0], f"{r}{e}", first == 0, shared))
+            data.append(_compliance_line(m, looks[m.name], views[-1][0], entry_name(r, e), first == 0, shared))
     layout = _grid_layout(responses, excitations, span, (low, high))
     axes = _view_axes((low, high), part_ranges(measurements, span))
     layout["updatemenus"] = [_view_menu(views, list(panels.values()), axes)]

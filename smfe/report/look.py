@@ -90,10 +90,20 @@ def band_text(pairs: Iterable[tuple[float, float]], limit: int = 12) -> str:
 
 
 def axes_of(measurements: Sequence[Measurement]) -> tuple[list[str], list[str]]:
-    """Return the responses and the excitations that anyone has measured."""
+    """Return the responses and the excitations that anyone has measured: the tool tip first, then places by number."""
     entries = {pair for m in measurements for pair in m.entries}
-    responses, excitations = {r for r, _ in entries}, {e for _, e in entries}
-    return [a for a in "xyz" if a in responses], [a for a in "xyz" if a in excitations]
+    return sorted({r for r, _ in entries}, key=_place), sorted({e for _, e in entries}, key=_place)
+
+
+def _place(name: str) -> tuple[bool, int, str]:
+    """Return what sorts "x", "y", "2:z", "10:x" in this order."""
+    node, apart, axis = name.rpartition(":")
+    return bool(apart), int(node) if node.isdecimal() else 0, f"{node}:{axis}"
+
+
+def entry_name(response: str, excitation: str) -> str:
+    """Return "xy" for axes of the tool tip, "1:z, 2:z" where a place is named."""
+    return f"{response}{excitation}" if len(response + excitation) == 2 else f"{response}, {excitation}"
 
 
 def frequency_range(measurements: Sequence[Measurement]) -> tuple[float, float]:
