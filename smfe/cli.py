@@ -262,10 +262,16 @@ def plan(
 
 
 @app.command()
-def check(campaign: CampaignFile) -> None:
-    """Audit the data of a campaign: units, signs, overloads, double hits, tones, clocks, reciprocity."""
+def check(
+    campaign: CampaignFile,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+) -> None:
+    """Audit the data of a campaign, and try in short all that it asks for: exit code 3 where there is a fault."""
     with bar(console) as progress:
         table = audit.check(campaign, progress, _show)
+    if as_json:
+        typer.echo(table.to_json(orient="records", indent=2, force_ascii=False))
+        raise typer.Exit(3 if (table["level"] == "fault").any() else 0)
     for row in table.itertuples():
         out.print(
             f"{row.level}, {row.cause}: {row.where}: {row.evidence}; {row.advice}",
@@ -275,6 +281,8 @@ def check(campaign: CampaignFile) -> None:
         )
     counts = ", ".join(f"{int((table['level'] == level).sum())} {level}s" for level in ("fault", "warning", "note"))
     out.print(counts if len(table) else "nothing suspicious", highlight=False)
+    if (table["level"] == "fault").any():
+        raise typer.Exit(3)
 
 
 @app.command()

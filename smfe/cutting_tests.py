@@ -58,13 +58,17 @@ def judge_all(
         Called with (what, done, of).
     failures : list of Failure, optional
         Collects tests that cannot be judged, whose row then has the verdict "failed" and the reason, and sources that
-        predict nothing for a test. None: the first one is raised.
+        predict nothing for a test. Tests that are among them already are not judged. None: the first one is raised.
     """
     rows, spectra = [], {}
     unpredicted: Failures | None = None if failures is None else []
     for i, test in enumerate(campaign.cutting_tests):
         progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
         predicted = predictions(campaign, test, compliances, unpredicted, failures)
+        gone = [f for f in failures or () if (f.part, f.name) == (TEST, test.file.name)]
+        if gone:
+            rows.append(_row(campaign, test, None, gone[0].reason) | predicted)
+            continue
         try:
             verdict = judge(campaign, test)
         except Exception as error:

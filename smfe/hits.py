@@ -344,7 +344,8 @@ def common_duration(duration: float, intervals: Collection[float]) -> float:
 def block(hit: Hit, dt: float, duration: float, rules: HitRules) -> tuple[int, int]:
     """Return first sample and number of samples of the block of a hit."""
     # A block ends before the next hit, so a duration that is not a whole number of samples is rounded down.
-    length = int(duration / dt * (1.0 + 1e-9) + 1e-6)
+    # A printed time is rounded: equal rates then differ by some 1e-9, which is no sample.
+    length = int(duration / dt * (1.0 + 1e-8) + 1e-3)
     return max(hit.onset - int(rules.pre_trigger * length), 0), length
 
 

@@ -325,7 +325,14 @@ def write_lobes(
         return
     write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results}, missing)
     write_table(joined(results), folder / "lobe_table.csv")
-    found = [(r, pockets_of(r, campaign)) for r in results]
+    found = []
+    for r in results:
+        with attempt(failures, "pockets", f"{r.request}, {r.source}"):
+            found.append((r, pockets_of(r, campaign)))
+    if not found:
+        for name in ("pockets.csv", "presets.json"):
+            (folder / name).unlink(missing_ok=True)
+        return
     write_csv(folder / "pockets.csv", pd.concat([p.assign(request=r.request) for r, p in found], ignore_index=True))
     write_presets(_presets(found, campaign), folder / "presets.json")
 

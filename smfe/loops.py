@@ -32,8 +32,9 @@ def loops_of(campaign: Campaign, failures: Failures | None = None) -> dict[str, 
         With the measurement's name, when its records do not allow it.
     """
     out = {}
+    gone = {f.name for f in failures or () if f.part == MEASUREMENT}
     for m in campaign.measurements:
-        if m.method == "loop":
+        if m.method == "loop" and m.name not in gone:
             with attempt(failures, MEASUREMENT, m.name):
                 out[m.name] = loop_of(m)
     return out

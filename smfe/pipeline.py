@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import datetime
 import importlib.metadata
-import json
 import math
 import shutil
 import time
@@ -26,18 +25,20 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from process.compliance import ModalModel
 from process.errors import InputError
 from process.labels import AXES, full_matrix, make_compliance, not_measured
-from process.units import parse, show
+from process.units import parse
 from smfe import __version__
 from smfe.campaign import Campaign, Measurement, Model, load_campaign, load_channels
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.compare import compare as compare_compliances
+from smfe.compliances import labelled
 from smfe.conditions import condition_cubes
 from smfe.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
+from smfe.diagnosis.audit import audited
+from smfe.diagnosis.suspect import as_rows as suspect_rows
 from smfe.diagnosis.verbs import finding_of
 from smfe.explained import explain
 from smfe.failures import MEASUREMENT, Failures, as_rows, attempt, pack
@@ -51,7 +52,7 @@ from smfe.records import OWN_COLUMNS, Channel, column_names, names_itself, read_
 from smfe.records.contents import has_no_clock, stated_units
 from smfe.records.words import listed
 from smfe.store import check_target, pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
-from smfe.sweep_levels import level_cubes, with_levels
+from smfe.sweep_levels import belongs, level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table
 from stability.criterion import FREQUENCY_RANGE
 
@@ -68,11 +69,12 @@ write. A unit that the file states itself takes the place of the one here."""
 
 @dataclass
 class Notes:
-    """What happened on the way: seconds a stage, warnings, and what failed."""
+    """What happened on the way: seconds a stage, warnings, what failed, and what the check of the data found."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     failures: Failures = field(default_factory=list)
+    check: list[dict[str, str]] = field(default_factory=list)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -90,6 +92,8 @@ def run(
     licence: Show | None = None,
 ) -> Path:
     """Do everything that a campaign asks for and write the results.
+
+    It starts with the audit of `smfe check`: a measurement or cutting test with a fault is left out, and has failed.
 
     Parameters
     ----------
@@ -120,11 +124,15 @@ def run(
     check_target(folder / "report.html")
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
+    with notes.timed("check"):
+        checked = audited(loaded, progress, folder / KEPT)
+        failures += checked.excluded
+        notes.check = suspect_rows(checked.suspects)
     with notes.timed("identify"):
         found, levels = _identify_all(loaded, folder / KEPT, progress, failures)
         loops = loops_of(loaded, failures)
     whole = with_levels(loaded)
-    compliances = _compliances(whole, found)
+    compliances = labelled(whole, found)
     cubes, unstacked = _conditions_of(loaded, compliances, levels, folder / KEPT, failures)
     comparison, explained, errors = _comparison({}), explain({}), model_errors({}, ())
     with notes.timed("compare"):
@@ -142,13 +150,13 @@ def run(
         verdicts = judge_all(whole, compliances, progress, failures)
     finding = None
     with notes.timed("diagnosis"), attempt(failures, "diagnosis"):
-        finding = finding_of(loaded, found, progress) if loaded.baseline is not None else None
+        finding = finding_of(loaded, found, checked.suspects, progress) if loaded.baseline is not None else None
     gone = {f.name for f in failures if f.part == MEASUREMENT}
     notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *gone}]
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
     notes.warnings += _warnings(found, results, verdicts)
     notes.warnings += unstacked
-    provenance = _provenance(loaded, notes)
+    notes.warnings += [f"{s['where']}: {s['evidence']}; {s['advice']}" for s in notes.check if s["level"] == "warning"]
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found, failures)
     write_loops(folder / LOOP_FILE, loops, folder / "tables")
@@ -162,7 +170,7 @@ def run(
         (folder / "finding.json").unlink(missing_ok=True)
     else:
         write_json(folder / "finding.json", finding)
-    write_json(folder / "provenance.json", provenance)
+    write_json(folder / "provenance.json", _provenance(loaded, notes))
     return report(folder, progress)
 
 
@@ -221,7 +229,7 @@ def identify(
     loaded = load_campaign(Path(campaign), licence)
     check_target(path)
     found, levels = _identify_all(loaded, path.parent / KEPT, progress, failures)
-    loops, compliances = loops_of(loaded, failures), _compliances(with_levels(loaded), found)
+    loops, compliances = loops_of(loaded, failures), labelled(with_levels(loaded), found)
     cubes, _ = _conditions_of(loaded, compliances, levels, path.parent / KEPT, failures)
     _require_something([*found, *loops], failures)
     write_groups(path, _groups(compliances, found), pack(failures or ()))
@@ -281,7 +289,7 @@ def lobes(
         compliances = read_groups(Path(frf))
     else:
         found, _ = _identify_all(loaded, path.parent / KEPT, progress, failures)
-        compliances = _compliances(with_levels(loaded), found)
+        compliances = labelled(with_levels(loaded), found)
     results = all_lobes(with_levels(loaded), compliances, progress, failures)
     _require_something(results, failures)
     write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results}, pack(failures or ()))
@@ -394,6 +402,8 @@ def _identify_all(
     whole = with_levels(campaign)
     possible = []
     for measurement in whole.measurements:
+        if any(f.part == MEASUREMENT and belongs(campaign, measurement.name, f.name) for f in failures or ()):
+            continue
         with attempt(failures, MEASUREMENT, measurement.name):
             check_sweep(whole, measurement)
             possible.append(measurement)
@@ -438,44 +448,6 @@ def _left_out(measurement: Measurement) -> str:
     if measurement.method == "loop":
         return f"{measurement.name}: a loop gives no compliance; its response stands in {LOOP_FILE}"
     return f"{measurement.name}: method '{measurement.method}' gives no compliance; only a diagnosis reads it"
-
-
-def _compliances(campaign: Campaign, found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:
-    out = {}
-    for measurement in (m for m in campaign.measurements if m.name in found):
-        item = found[measurement.name]
-        labels = {"method": item.method, "conditions": json.dumps(_conditions(measurement))}
-        out[measurement.name] = item.compliance.assign_attrs(labels)
-    out.update({m.name: _model_compliance(m.modal) for m in campaign.models})
-    return out
-
-
-def _conditions(measurement: Measurement) -> dict[str, str]:
-    """Return what a measurement was made under, as a reader of the report would write it."""
-    out = {"controller": measurement.controller, "position": measurement.position}
-    if measurement.feed is not None:
-        feeds = {a: show(v, "mm/min", "speed") for a, v in measurement.feed.items()}
-        same = len(set(feeds.values())) == 1
-        out["feed"] = next(iter(feeds.values())) if same else ", ".join(f"{a} {v}" for a, v in feeds.items())
-    for name, unit, dimension in (
-        ("force_level", "N", "force"),
-        ("depth_of_cut", "mm", "length"),
-        ("feed_per_tooth", "mm", "length"),
-        ("added_mass", "kg", "mass"),
-        ("temperature", "degC", "temperature"),
-    ):
-        value = getattr(measurement, name)
-        if value is not None:
-            out[name] = show(value, unit, dimension)
-    return {name: text for name, text in out.items() if text is not None}
-
-
-def _model_compliance(modal: ModalModel) -> xr.Dataset:
-    """Sample a modal model: at least ten points in the narrowest half-power band, up to three times the last mode."""
-    band = float(np.min(2.0 * modal.damping * modal.frequency))
-    step = min(0.25, band / 10.0)
-    frequency = np.arange(1.0, 3.0 * float(modal.frequency.max()), step)
-    return modal.compliance(frequency).assign_attrs(method="model")
 
 
 def _comparison(measured: Mapping[str, xr.Dataset]) -> pd.DataFrame:
@@ -571,4 +543,5 @@ def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
         "seconds": notes.seconds,
         "warnings": notes.warnings,
         "failures": as_rows(notes.failures),
+        "check": notes.check,
     }

@@ -173,6 +173,14 @@ def levels_of(measurement: Measurement) -> dict[float, Measurement]:
     }
 
 
+def belongs(campaign: Campaign, name: str, measurement: str) -> bool:
+    """Whether a name is that of a measurement, or of a level of it."""
+    if name == measurement:
+        return True
+    levels = (levels_of(m) for m in campaign.measurements if m.name == measurement)
+    return any(m.name == name for level in levels for m in level.values())
+
+
 def with_levels(campaign: Campaign) -> Campaign:
     """Return the campaign with the levels of its sweeps as measurements, each behind the one it belongs to.
 

@@ -206,13 +206,15 @@ records = [ { file = "hit.csv", excitation = "x" } ]
 
 
 def hit_table() -> pd.DataFrame:
-    """A good hammer record: three hits on a 50 Hz mode."""
+    """A good hammer record: three hits on a 50 Hz mode, 3 % damping, 5 N/um."""
     t = np.arange(12000) / 2000.0
-    force, motion = np.zeros(t.size), np.zeros(t.size)
+    force = np.zeros(t.size)
     for start in (0.1, 2.1, 4.1):
         u = t - start
         force += np.where((u > 0) & (u < 4e-3), 1000 * np.sin(np.pi * np.clip(u, 0, 4e-3) / 4e-3), 0.0)
-        motion += np.where(u > 4e-3, np.exp(-10 * u) * np.sin(2 * np.pi * 50 * u), 0.0)
+    r = np.fft.rfftfreq(2 * t.size, 1 / 2000.0) / 50.0
+    accelerance = -((2 * np.pi * 50.0 * r) ** 2) / (5e6 * (1.0 - r**2 + 2j * 0.03 * r))
+    motion = np.fft.irfft(accelerance * np.fft.rfft(force, 2 * t.size))[: t.size]
     noise = np.random.default_rng(1).standard_normal((2, t.size))
     return pd.DataFrame({"t": t, "Fx": force + 0.1 * noise[0], "ax": motion + 1e-3 * noise[1]})
 

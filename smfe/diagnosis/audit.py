@@ -2,34 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pandas as pd
 import xarray as xr
 
-from process.errors import InputError
-from smfe.campaign import Campaign, Measurement, RigidDrive, load_campaign
+from process.engagement import engagement
+from smfe.campaign import Campaign, CuttingTest, Measurement, RecordEntry, RigidDrive, load_campaign
+from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
 from smfe.diagnosis.campaign_drive import unlogged_suspects
 from smfe.diagnosis.channel_checks import channel_suspects, clock_suspects, tone_suspects
 from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspects, skew_suspects
+from smfe.diagnosis.dry_run import refusals
 from smfe.diagnosis.hammer_checks import hit_suspects
+from smfe.diagnosis.same_data import Part, Seen, same_suspects, seen
 from smfe.diagnosis.silence import silence_suspects
+from smfe.diagnosis.size_checks import force_suspects, model_suspects, stiffness_suspects
+from smfe.diagnosis.speed_checks import speed_suspects, tooth_suspects
 from smfe.diagnosis.suspect import Suspect, suspect_table
 from smfe.diagnosis.sweep_checks import sweep_suspects
-from smfe.identification import Progress, silent
+from smfe.failures import MEASUREMENT, TEST, Failure, Failures, attempt
+from smfe.identification import Identification, Progress, silent
 from smfe.loop import summary
 from smfe.loops import loop_of
-from smfe.measurements import hammer_settings, identify_measurement, passes_and_band, records_of, sign_warnings
+from smfe.measurements import (
+    cached_identification,
+    check_sweep,
+    hammer_settings,
+    identify_measurement,
+    passes_and_band,
+    records_of,
+    sign_warnings,
+)
 from smfe.records import read_records
 from smfe.sweep_clock import ADVICE, judge_clock
 from smfe.sweep_estimators import SweepPass
+from smfe.sweep_levels import levels_of, with_levels
+
+_CORRECT = "correct the campaign file or the record; nothing can be computed from it"
 
 
 def check(campaign: Path | str, progress: Progress = silent, show: Show | None = None) -> pd.DataFrame:
-    """Audit the data of a campaign.
+    """Audit the data of a campaign, and try in short everything that it asks for.
 
     Parameters
     ----------
@@ -43,94 +60,208 @@ def check(campaign: Path | str, progress: Progress = silent, show: Show | None =
     Returns
     -------
     pandas.DataFrame
-        One row a suspicion, faults first: cause, level (fault, warning, note), where, evidence, advice. No rows:
-        nothing was found.
+        One row a suspicion, faults first: cause, level (fault, warning, note), where, evidence, advice. What a later
+        command would refuse has the cause "unusable". No rows: nothing was found.
 
     Raises
     ------
     InputError
-        When the campaign file is wrong or a record cannot be read.
+        When the campaign file is wrong.
     """
-    return suspect_table(audit(load_campaign(campaign, show), progress))
+    loaded = load_campaign(campaign, show)
+    found = audited(loaded, progress)
+    refused = refusals(loaded, found.identified, found.excluded, progress)
+    progress("checking", 1, 1)
+    return suspect_table([*found.suspects, *refused])
+
+
+@dataclass
+class Audit:
+    """What an audit found, and what it identified on the way.
+
+    Parameters
+    ----------
+    suspects : list of Suspect
+        Suspicions.
+    identified : dict
+        Measurement, or level of a sweep -> its identification.
+    seen : list of Seen
+        Records, by their samples.
+    """
+
+    suspects: list[Suspect] = field(default_factory=list)
+    identified: dict[str, Identification] = field(default_factory=dict)
+    seen: list[Seen] = field(default_factory=list)
+
+    @property
+    def excluded(self) -> Failures:
+        """Measurements and cutting tests that a fault leaves out, each once, with all that was found about it."""
+        reasons: dict[Part, list[str]] = {}
+        for s in self.suspects:
+            for part in s.excludes:
+                text = f"{s.where}: {s.evidence}; {s.advice}"
+                kept = reasons.setdefault(part, [])
+                text = s.evidence if s.cause == "unusable" else f"left out, {text}"
+                if text not in kept:
+                    kept.append(text)
+        return [Failure(*part, "; ".join(texts)) for part, texts in reasons.items()]
 
 
 def audit(campaign: Campaign, progress: Progress = silent) -> list[Suspect]:
     """Return every suspicion about the data of a campaign."""
-    out: list[Suspect] = []
-    compliances: dict[str, xr.Dataset] = {}
+    return audited(campaign, progress).suspects
+
+
+def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None = None) -> Audit:
+    """Audit the data of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    progress : callable, optional
+        Called with (what, done, of).
+    kept : path, optional
+        Folder in which identifications are kept, and found again while neither records nor settings have changed.
+    """
+    out = Audit()
+    whole = with_levels(campaign)
     total = len(campaign.measurements) + len(campaign.cutting_tests)
     for done, measurement in enumerate(campaign.measurements):
         progress(f"checking {measurement.name}", done, total)
-        out += _records_suspects(campaign, measurement)
-        out += _compliance_suspects(campaign, measurement, compliances)
-        out += _loop_suspects(measurement)
+        part = (MEASUREMENT, measurement.name)
+        failures: Failures = []
+        with attempt(failures, *part):
+            check_sweep(campaign, measurement)
+            _identify(out, campaign, whole, measurement, kept)
+        with attempt(failures, *part):
+            by_axis = _records(out, campaign, measurement)
+            if measurement.method == "hammer" and measurement.name in out.identified:
+                found = out.identified[measurement.name]
+                out.suspects += hit_suspects(measurement.name, by_axis, found, **hammer_settings(measurement))
+            out.suspects += _loop_suspects(measurement)
+            out.suspects += _compliance_suspects(campaign, measurement, out.identified)
+        # What a record cannot be read for is said once, though both steps read it.
+        for failure in list(dict.fromkeys(failures))[:1]:
+            out.suspects.append(Suspect("unusable", "fault", measurement.name, failure.reason, _CORRECT, (part,)))
     for done, test in enumerate(campaign.cutting_tests, start=len(campaign.measurements)):
         progress(f"checking {test.file.name}", done, total)
-        for record in read_records(test.file, test.channels):
+        failures = []
+        with attempt(failures, TEST, test.file.name):
+            _cutting_test(out, campaign, test)
+        for failure in failures:
             where = f"cutting test, {test.file.name}"
-            out += channel_suspects(record, where)
-            out += clock_suspects(record, where, campaign.tool.teeth if campaign.tool else None)
-    progress("checking", total, total)
-    out += silence_suspects(campaign)
-    if isinstance(campaign.baseline, RigidDrive):
-        out += unlogged_suspects(campaign, campaign.baseline)
-    return out + factor_suspects(compliances)
-
-
-def _records_suspects(campaign: Campaign, measurement: Measurement) -> list[Suspect]:
-    if measurement.method == "frf":
-        return []
-    out: list[Suspect] = []
-    by_axis: dict[str, list[xr.Dataset]] = {}
-    for entry in measurement.records:
-        for record in records_of(entry, entry.excitation):
-            where = f"{measurement.name}, {record.attrs['source']}"
-            out += channel_suspects(record, where, pulsed=measurement.method == "hammer")
-            if measurement.method == "silent":
-                out += tone_suspects(record, where)
-            if entry.cut is not None:
-                out += clock_suspects(record, where, campaign.tool.teeth if campaign.tool else None)
-            by_axis.setdefault(entry.excitation or "", []).append(record)
-    if measurement.method == "hammer":
-        out += _hammer(measurement, by_axis)
+            out.suspects.append(Suspect("unusable", "fault", where, failure.reason, _CORRECT, ((TEST, failure.name),)))
+    out.suspects += same_suspects(out.seen)
+    failures = []
+    with attempt(failures, "silent records"):
+        out.suspects += silence_suspects(campaign)
+    with attempt(failures, "drive records"):
+        if isinstance(campaign.baseline, RigidDrive):
+            out.suspects += unlogged_suspects(campaign, campaign.baseline)
+    out.suspects += [Suspect("unusable", "fault", f.part, f.reason, _CORRECT) for f in failures]
+    compliances = {m.name: out.identified[m.name].compliance for m in campaign.measurements if m.name in out.identified}
+    out.suspects += factor_suspects(compliances)
+    out.suspects += model_suspects(compliances, campaign.models)
+    out.suspects += _missing_entries(campaign, compliances)
     return out
 
 
-def _hammer(measurement: Measurement, records: dict[str, list[xr.Dataset]]) -> list[Suspect]:
-    try:
-        return hit_suspects(measurement.name, records, **hammer_settings(measurement))
-    except InputError:
-        return []  # said once, by the identification
+def _identify(out: Audit, campaign: Campaign, whole: Campaign, measurement: Measurement, kept: Path | None) -> None:
+    if measurement.method not in COMPLIANCE_METHODS:
+        return
+    names = {measurement.name, *(m.name for m in levels_of(measurement).values())}
+    for m in (m for m in whole.measurements if m.name in names):
+        if kept is None:
+            out.identified[m.name] = identify_measurement(campaign, m)
+        else:
+            out.identified[m.name], _ = cached_identification(campaign, m, kept)
+
+
+def _records(out: Audit, campaign: Campaign, measurement: Measurement) -> dict[str, list[xr.Dataset]]:
+    """Audit the records of a measurement one by one; return them by excitation axis."""
+    by_axis: dict[str, list[xr.Dataset]] = {}
+    if measurement.method == "frf":
+        return by_axis
+    part = (MEASUREMENT, measurement.name)
+    hits = measurement.method == "hammer"
+    for entry in measurement.records:
+        for record in records_of(entry, entry.excitation):
+            where = f"{measurement.name}, {record.attrs['source']}"
+            for s in channel_suspects(record, where, pulsed=hits):
+                # A hit that is cut off is left out by itself, and said so.
+                handled = hits and s.cause == "saturation" and measurement.name in out.identified
+                level = "warning" if handled and "all " not in s.evidence else s.level
+                excludes = (part,) if level == "fault" else ()
+                out.suspects.append(Suspect(s.cause, level, s.where, s.evidence, s.advice, excludes))
+            if measurement.method == "silent":
+                out.suspects += tone_suspects(record, where)
+            if entry.cut is not None:
+                out.suspects += clock_suspects(record, where, campaign.tool.teeth if campaign.tool else None)
+                out.suspects += speed_suspects(record, where, None, (part,))
+                out.suspects += _force_size(campaign, entry, record, where, part)
+            if measurement.method in ("hammer", "actuator", "sweep"):
+                out.seen.append(seen(record, part, _said(entry), entry.excitation))
+            by_axis.setdefault(entry.excitation or "", []).append(record)
+    return by_axis
+
+
+def _said(entry: RecordEntry) -> tuple[object, ...]:
+    feed = None if entry.feed is None else tuple(sorted(entry.feed.items()))
+    given = (entry.controller, feed, entry.force_level, entry.depth_of_cut, entry.position, entry.added_mass)
+    return (*given, entry.repeat, entry.excitation, entry.cut, entry.width_of_cut)
+
+
+def _force_size(campaign: Campaign, entry: RecordEntry, record: xr.Dataset, where: str, part: Part) -> list[Suspect]:
+    tool, work, depth, feed = campaign.tool, campaign.coefficients, entry.depth_of_cut, entry.feed_per_tooth
+    if tool is None or work is None or depth is None or feed is None or entry.cut is None or entry.width_of_cut is None:
+        return []
+    arc = engagement(entry.cut, entry.width_of_cut, tool.diameter)
+    return force_suspects(record, where, (tool, arc, work), depth, feed, (part,))
+
+
+def _cutting_test(out: Audit, campaign: Campaign, test: CuttingTest) -> None:
+    where, part, tool = f"cutting test, {test.file.name}", (TEST, test.file.name), campaign.tool
+    said = (test.spindle_speed, test.depth_of_cut, test.cut, test.width_of_cut, test.feed_per_tooth, test.controller)
+    for record in read_records(test.file, test.channels):
+        for s in channel_suspects(record, where):
+            # A verdict needs the lines of the record, which a cut-off peak or a dead axis leaves in place.
+            level = "warning" if s.cause == "saturation" else s.level
+            out.suspects.append(
+                Suspect(s.cause, level, s.where, s.evidence, s.advice, (part,) if level == "fault" else ())
+            )
+        wrong = speed_suspects(record, where, test.spindle_speed, (part,))
+        out.suspects += wrong or clock_suspects(record, where, tool.teeth if tool else None)
+        out.seen.append(seen(record, part, said))
+        if tool is not None and not wrong:
+            out.suspects += tooth_suspects(record, where, test.spindle_speed, tool.teeth)
+            if campaign.coefficients is not None and test.feed_per_tooth is not None:
+                arc = engagement(test.cut, test.width_of_cut, tool.diameter)
+                cut = (tool, arc, campaign.coefficients)
+                out.suspects += force_suspects(record, where, cut, test.depth_of_cut, test.feed_per_tooth)
 
 
 def _compliance_suspects(
-    campaign: Campaign, measurement: Measurement, compliances: dict[str, xr.Dataset]
-) -> Sequence[Suspect]:
-    if measurement.method not in ("hammer", "actuator", "sweep", "frf"):
+    campaign: Campaign, measurement: Measurement, identified: Mapping[str, Identification]
+) -> list[Suspect]:
+    if measurement.name not in identified:
         return []
-    try:
-        found = identify_measurement(campaign, measurement)
-    except InputError as error:
-        advice = "correct the campaign file or the record; nothing can be computed from it"
-        return [Suspect("unusable", "fault", measurement.name, str(error), advice)]
-    compliances[measurement.name] = found.compliance
+    name, compliance = measurement.name, identified[measurement.name].compliance
+    part = ((MEASUREMENT, name),)
     signs = [
-        Suspect("sensor_gain", "fault", measurement.name, text, "declare sign = -1 on the channel that is turned round")
-        for text in sign_warnings(found.compliance)
+        Suspect("sensor_gain", "fault", name, text, "declare sign = -1 on the channel that is turned round", part)
+        for text in sign_warnings(compliance)
     ]
-    skew = [] if signs else skew_suspects(measurement.name, found.compliance)
-    return [*signs, *skew, *reciprocity_suspects(measurement.name, found.compliance), *_sweep(campaign, measurement)]
+    skew = [] if signs else skew_suspects(name, compliance)
+    reciprocal = reciprocity_suspects(name, compliance)
+    return [*signs, *skew, *reciprocal, *stiffness_suspects(name, compliance), *_sweep(campaign, measurement)]
 
 
 def _loop_suspects(measurement: Measurement) -> list[Suspect]:
     """Say what the setpoint of a loop is, what the loop does, and what spoils it."""
     if measurement.method != "loop":
         return []
-    try:
-        found = loop_of(measurement)
-    except InputError as error:
-        advice = "correct the campaign file or the record; nothing can be computed from it"
-        return [Suspect("unusable", "fault", measurement.name, str(error), advice)]
+    found = loop_of(measurement)
     advice = "the response of a loop to its setpoint, without unit; it is no compliance"
     told = [Suspect("loop_response", "note", measurement.name, text, advice) for text in summary(found)]
     return told + [
@@ -154,3 +285,28 @@ def _stated_speeds(name: str, passes: Sequence[SweepPass], teeth: int) -> list[S
     bare = [replace(p, record=p.record[["force"]]) for p in passes]
     clock = judge_clock(name, bare, teeth)
     return [Suspect("time_skew", "warning", name, text, ADVICE["stated"]) for text in clock.warnings]
+
+
+def _missing_entries(campaign: Campaign, compliances: Mapping[str, xr.Dataset]) -> list[Suspect]:
+    """Note sources of lobes that have direct entries and no cross terms."""
+    out = []
+    asked = {name for request in campaign.lobes for name in request.measurements}
+    for name, compliance in compliances.items():
+        array = compliance["compliance"]
+        known = {
+            (str(r), str(e))
+            for r in array["response"].values
+            for e in array["excitation"].values
+            if bool(abs(array.sel(response=r, excitation=e)).max() > 0.0)
+        }
+        if name in asked and len(known) > 1 and all(r == e for r, e in known):
+            out.append(
+                Suspect(
+                    "cross_terms",
+                    "note",
+                    name,
+                    f"it has {', '.join(sorted(r + e for r, e in known))} and no cross terms",
+                    "lobes take them as zero; measure them where modes lie across the axes",
+                )
+            )
+    return out

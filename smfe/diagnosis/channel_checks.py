@@ -22,6 +22,12 @@ VECTORS = ("force", "acceleration", "displacement", "encoder_position", "drive_f
 FROZEN_SHARE = 0.02
 """Longest run of one value, as a share of the record, above which a channel counts as frozen."""
 
+OFTEN = 5
+"""Times that a signal must stop at its largest value to count as cut off, where its tops are too quick to look flat."""
+
+REST_SHARE = 0.6
+"""Share of the record that a force may rest at exact zero at either end: the tool is in the air."""
+
 _FEW_STEPS = 32.0  # converter steps in six standard deviations: below, quantisation is part of the noise
 _GRAVITY = 9.80665
 _SAME = 0.999999
@@ -57,8 +63,10 @@ def channel_suspects(record: xr.Dataset, where: str, pulsed: bool = False) -> li
         hits = pulsed and name.startswith("force")
         if name.startswith(("encoder", "drive")):
             continue  # an axis at rest stands still, and counts in whole steps
-        checks = [_frozen, _coarse, _gravity] if hits else [_cut_off, _frozen, _coarse, _gravity]
-        out += [s for check in checks for s in check(samples, place)]
+        if not hits:
+            out += _cut_off(samples, place)
+        out += _frozen(samples, place, name.startswith("force") and not pulsed)
+        out += [s for check in (_coarse, _gravity) for s in check(samples, place)]
     out += _twice(named, where)
     return out
 
@@ -69,7 +77,7 @@ def _cut_off(samples: Real, where: str) -> Iterator[Suspect]:
         top = float(values.max())
         at_top = int(np.count_nonzero(values >= top - 1e-9 * float(np.ptp(samples) or 1.0)))
         near = max(0, int(np.argmax(values)) - 200)
-        if at_top >= 3 and flat_top(values[near : near + 400]):
+        if at_top >= 3 and (flat_top(values[near : near + 400]) or _stops(values, top)):
             yield Suspect(
                 "saturation",
                 "fault",
@@ -79,7 +87,16 @@ def _cut_off(samples: Real, where: str) -> Iterator[Suspect]:
             )
 
 
-def _frozen(samples: Real, where: str) -> Iterator[Suspect]:
+def _stops(values: Real, top: float) -> bool:
+    """Whether a signal without converter steps stops at one value again and again: quick signals show no flat tops."""
+    if top == 0.0 or converter_step(values) > 0.0:
+        return False
+    starts, stops = runs(values >= top - 1e-9 * float(np.ptp(values)))
+    return starts.size >= OFTEN and int(np.sum(stops - starts)) >= 2 * OFTEN
+
+
+def _frozen(samples: Real, where: str, may_rest: bool = False) -> Iterator[Suspect]:
+    """A run of one value; a force may be exactly zero before the tool enters the work and after it has left it."""
     starts, stops = runs(np.concatenate([np.diff(samples) == 0.0, [False]]))
     if not starts.size or float(np.ptp(samples)) == 0.0:
         if samples.size and float(np.ptp(samples)) == 0.0:
@@ -88,6 +105,9 @@ def _frozen(samples: Real, where: str) -> Iterator[Suspect]:
             )
         return
     lengths = stops - starts
+    if may_rest:
+        ends = (starts <= 1) | (stops >= samples.size - 2)
+        lengths = np.where(ends & (samples[starts] == 0.0) & (lengths < REST_SHARE * samples.size), 0, lengths)
     worst = int(np.argmax(lengths))
     share = float(lengths[worst]) / samples.size
     if share > FROZEN_SHARE:

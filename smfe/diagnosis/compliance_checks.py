@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -21,6 +21,7 @@ FACTORS: dict[str, float] = {
 """Well-known mistakes of units and the factor that each makes."""
 
 _CLEAR = 5.0  # standard deviations
+_KNOWN = 0.2  # standard deviation over the mean of two reciprocal entries
 _ACTIVE = 0.05  # share of lines that give out energy, which a collocated sensor does not show
 _SLACK = 0.02  # of the magnitude: a degree of phase
 _FLAT = 0.05  # misfit below which a ratio is a constant factor
@@ -72,19 +73,40 @@ def _best_shift(f: Real, phi: Complex, std: Real) -> tuple[float, float, float]:
 
 
 def reciprocity_suspects(name: str, compliance: xr.Dataset) -> list[Suspect]:
-    """Compare ``Phi_ij`` with ``Phi_ji`` where both were measured: difference beyond noise, over their size."""
+    """Compare ``Phi_ij`` with ``Phi_ji`` where both were measured: difference beyond noise, over their size.
+
+    Lines count whose mean, weighted by the inverse variances, is known to `_KNOWN`: lines picked by the size of a noisy
+    entry would be those where noise made it large. The difference counts where the median line shows it, too.
+    """
     axes, out = _direct(compliance), []
     for i, a in enumerate(axes):
         for b in axes[i + 1 :]:
             one, std_one = _entry(compliance, a, b)
             two, std_two = _entry(compliance, b, a)
-            clear = (np.abs(one) > _CLEAR * std_one) & (np.abs(two) > _CLEAR * std_two)
-            if np.count_nonzero(clear) < 5:
+            variance = std_one**2 + std_two**2
+            weight = np.divide(std_two**2, variance, out=np.full(variance.shape, 0.5), where=variance > 0.0)
+            mean = weight * one + (1.0 - weight) * two
+            clear = np.isfinite(mean) & (np.sqrt(variance) < _KNOWN * np.abs(mean))
+            if np.count_nonzero(clear) < 5 or np.median((np.abs(one - two) ** 2 - _CLEAR * variance)[clear]) < 0.0:
                 continue
-            difference = np.abs(one - two)[clear] ** 2 - (std_one**2 + std_two**2)[clear]
+            difference = np.abs(one - two)[clear] ** 2 - variance[clear]
             share = float(np.sqrt(max(difference.sum(), 0.0) / np.sum(np.abs(one[clear]) * np.abs(two[clear]))))
             if share > 0.2:
                 ratio = complex(np.vdot(two[clear], one[clear]) / np.vdot(two[clear], two[clear]))
+                unit = known_factor(abs(ratio))
+                if unit:
+                    out.append(
+                        Suspect(
+                            "unit_error",
+                            "fault",
+                            f"{name}, {a}{b} and {b}{a}",
+                            f"their ratio is {abs(ratio):.4g}; a linear machine is reciprocal: this is the factor of "
+                            f"{unit}",
+                            "correct the unit of the channel in [channels]",
+                            excludes=(("measurement", name),),
+                        )
+                    )
+                    continue
                 out.append(
                     Suspect(
                         "sensor_axis",
@@ -99,20 +121,40 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset) -> list[Suspect]:
     return out
 
 
+def known_factor(size: float, within: float = 0.1) -> str:
+    """Return which mistake of units makes a factor, "" where none does."""
+    for text, factor in FACTORS.items():
+        if min(abs(size / factor - 1.0), abs(size * factor - 1.0)) < within:
+            return text
+    return ""
+
+
 def factor_suspects(compliances: Mapping[str, xr.Dataset]) -> list[Suspect]:
-    """Compare measurements of the same machine: a ratio that is the same number at every frequency is no physics."""
-    names, out = list(compliances), []
+    """Compare measurements of the same machine: a ratio that is the same number at every frequency is no physics.
+
+    Whom it leaves out: the one that the others outvote; both where nobody does, because either may be the wrong one.
+    """
+    names = list(compliances)
+    differ: dict[tuple[str, str], list[tuple[str, complex]]] = {}
+    agree: dict[str, int] = dict.fromkeys(names, 0)
     for i, one in enumerate(names):
         for two in names[i + 1 :]:
-            for axis in set(_direct(compliances[one])) & set(_direct(compliances[two])):
+            for axis in sorted(set(_direct(compliances[one])) & set(_direct(compliances[two]))):
                 found = _constant_ratio(compliances[one], compliances[two], axis)
-                if found is not None:
-                    out.append(_factor_suspect(one, two, axis, found))
+                if found is not None and abs(found - 1.0) < 0.1:
+                    agree[one], agree[two] = agree[one] + 1, agree[two] + 1
+                elif found is not None:
+                    differ.setdefault((one, two), []).append((axis, found))
+    out = []
+    for (one, two), entries in differ.items():
+        fewest = min(agree[one], agree[two])
+        wrong = [n for n in (one, two) if agree[n] == fewest]
+        out += [_factor_suspect(one, two, axis, ratio, wrong) for axis, ratio in entries]
     return out
 
 
 def _constant_ratio(one: xr.Dataset, two: xr.Dataset, axis: str) -> complex | None:
-    """Ratio one/two (least squares) where it is constant over frequency and not 1."""
+    """Ratio one/two (least squares) where it is constant over frequency, and 1 or clearly not 1."""
     f1, phi1, std1 = _clear(one, axis, axis)
     f2, phi2, _ = _clear(two, axis, axis)
     if f1.size < 10 or f2.size < 10:
@@ -126,26 +168,28 @@ def _constant_ratio(one: xr.Dataset, two: xr.Dataset, axis: str) -> complex | No
     ratio = complex(np.vdot(other, mine) / np.vdot(other, other))
     misfit = float(np.linalg.norm(mine - ratio * other) / np.linalg.norm(mine))
     allowed = max(_FLAT, 3.0 * float(np.linalg.norm(noise) / np.linalg.norm(mine)))
-    if misfit > allowed or abs(ratio - 1.0) < max(0.1, 5.0 * misfit):
+    if misfit > allowed or 0.1 <= abs(ratio - 1.0) < 5.0 * misfit:
         return None
     return ratio
 
 
-def _factor_suspect(one: str, two: str, axis: str, ratio: complex) -> Suspect:
+def _factor_suspect(one: str, two: str, axis: str, ratio: complex, wrong: Sequence[str]) -> Suspect:
     size = abs(ratio)
     if abs(np.angle(ratio)) > 0.9 * np.pi:
         cause, told = "sensor_gain", "one of them has the wrong sign"
     else:
         cause, told = "sensor_gain", "the gain of a sensor differs between them"
-    for text, factor in FACTORS.items():
-        if min(abs(size / factor - 1.0), abs(size * factor - 1.0)) < 0.05:
-            cause, told = "unit_error", f"this is the factor of {text}"
+    if unit := known_factor(size, 0.05):
+        cause, told = "unit_error", f"this is the factor of {unit}"
+    if len(wrong) == 1:
+        told += f"; the other measurements agree with {two if wrong[0] == one else one}"
     return Suspect(
         cause,
         "fault",
         f"{one} and {two}, {axis}{axis}",
         f"their ratio is {size:.4g} at {np.degrees(np.angle(ratio)):.0f} deg at every frequency: {told}",
         "compare the acceleration of a free mass under a known force, |a/F| = 1/m, with both chains",
+        excludes=tuple(("measurement", n) for n in wrong),
     )
 
 

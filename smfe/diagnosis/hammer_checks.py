@@ -11,13 +11,19 @@ import xarray as xr
 from process.errors import InputError
 from smfe.diagnosis.suspect import Suspect
 from smfe.hammer import identify_hammer
+from smfe.identification import Identification
 from smfe.spectra import record_source
 
 _SPREAD = 0.1
 _CLEAR = 3.0
 
 
-def hit_suspects(name: str, records: Mapping[str, Sequence[xr.Dataset]], **settings: object) -> list[Suspect]:
+def hit_suspects(
+    name: str,
+    records: Mapping[str, Sequence[xr.Dataset]],
+    found: Identification | None = None,
+    **settings: object,
+) -> list[Suspect]:
     """Return what is suspicious in a hammer measurement.
 
     Parameters
@@ -26,15 +32,20 @@ def hit_suspects(name: str, records: Mapping[str, Sequence[xr.Dataset]], **setti
         Measurement.
     records : mapping of str to sequence of xarray.Dataset
         Excitation axis -> records.
+    found : Identification, optional
+        What was identified from these records with these settings.
     **settings : object
         Of `smfe.hammer.identify_hammer`, but for ``exclude``.
     """
-    found = identify_hammer(name, records, **settings)  # type: ignore[arg-type]
+    if found is None:
+        found = identify_hammer(name, records, **settings)  # type: ignore[arg-type]
     hits = found.tables["hits"]
     out = []
-    for _, hit in hits[hits["reason"].fillna("") != ""].iterrows():
+    # Read back from a file, a column without a reason holds numbers.
+    given = np.array([isinstance(reason, str) and reason != "" for reason in hits["reason"]], dtype=bool)
+    for _, hit in hits[given].iterrows():
         out.append(_left_out(name, hit, records, found.compliance, settings))
-    out += _levels(name, hits[hits["reason"].fillna("") == ""])
+    out += _levels(name, hits[~given])
     out += _scatter(name, found.compliance)
     return out
 
@@ -54,7 +65,7 @@ def _left_out(
     harm = _harm(hit, records, good, settings)
     return Suspect(
         cause,
-        "fault",
+        "warning",
         f"{name}, {hit['file']}, hit {hit['hit']}",
         f"{hit['reason']}{harm}",
         "it was left out; hit again if few are left",
@@ -117,8 +128,10 @@ def _scatter(name: str, compliance: xr.Dataset) -> list[Suspect]:
             continue
         phi = np.abs(compliance["compliance"].sel(response=axis, excitation=axis).values)
         std = compliance["compliance_std"].sel(response=axis, excitation=axis).values
-        clear = phi > _CLEAR * std  # the lowest lines of a doubly integrated acceleration are the largest, and noise
-        relative = (std / phi)[clear & (phi > 0.5 * np.max(phi[clear], initial=0.0))]
+        # The lowest lines of a doubly integrated acceleration are the largest compliances, and noise: peaks of the
+        # accelerance are peaks of the machine.
+        clear, moved = phi > _CLEAR * std, phi * compliance["frequency"].values ** 2
+        relative = (std / phi)[clear & (moved > 0.5 * np.max(moved[clear], initial=0.0))]
         spread = float(np.median(relative)) if relative.size else float("nan")
         if spread > _SPREAD:
             out.append(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 LEVELS = ("fault", "warning", "note")
-"""A fault spoils a result unless it is excluded or corrected; a warning may; a note is worth knowing."""
+"""A fault spoils a result unless what it concerns is left out or corrected; a warning may; a note is worth knowing."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,8 @@ class Suspect:
         What was seen, with numbers.
     advice : str
         What to do, or what was done.
+    excludes : tuple of (str, str), optional
+        Kind and name ("measurement", "hammer"; "cutting test", "cut.csv") of what a fault leaves out of a run.
     """
 
     cause: str
@@ -34,6 +36,15 @@ class Suspect:
     where: str
     evidence: str
     advice: str
+    excludes: tuple[tuple[str, str], ...] = ()
+
+
+def as_rows(suspects: Sequence[Suspect]) -> list[dict[str, str]]:
+    """Return the suspicions for JSON, faults first."""
+    return [
+        {"cause": s.cause, "level": s.level, "where": s.where, "evidence": s.evidence, "advice": s.advice}
+        for s in sorted(suspects, key=lambda s: LEVELS.index(s.level))
+    ]
 
 
 def suspect_table(suspects: Sequence[Suspect]) -> pd.DataFrame:

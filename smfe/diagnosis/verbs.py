@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from process.errors import InputError
 from smfe.campaign import AxisModel, Campaign, LimitsOf, ModesOf, load_campaign
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
-from smfe.diagnosis.audit import audit
+from smfe.diagnosis.audit import Audit, audited
 from smfe.diagnosis.campaign_case import Case
 from smfe.diagnosis.campaign_family import case_of
 from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.engine import diagnose as diagnose_family
 from smfe.diagnosis.finding import Finding, explain
 from smfe.diagnosis.suspect import Suspect
+from smfe.failures import MEASUREMENT, TEST, Failures
 from smfe.identification import Identification, Progress, silent
-from smfe.measurements import cached_identification
 from smfe.store import check_target, write_json
 from smfe.sweep_levels import with_levels
 
@@ -67,18 +68,34 @@ def diagnose(
     check_target(path)
     if loaded.baseline is None:
         case_of(loaded, {})  # says what is missing, before any record is read
-    suspects = audit(loaded, progress)
-    case = case_of(loaded, _identified(loaded, path.parent / KEPT, progress), progress)
+    checked = audited(loaded, progress, path.parent / KEPT)
+    suspects = checked.suspects
+    case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), progress)
     finding, content = _questioned(loaded, case, suspects, seed, progress, held_out, workers)
     write_json(path, content)
     return finding
 
 
 def finding_of(
-    campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent
+    campaign: Campaign,
+    found: Mapping[str, Identification],
+    suspects: Sequence[Suspect],
+    progress: Progress = silent,
 ) -> dict[str, object]:
-    """Return what ``finding.json`` holds for a campaign with a baseline whose measurements are identified already."""
-    return _questioned(campaign, case_of(campaign, found, progress), audit(campaign, progress), 0, progress, ())[1]
+    """Return what ``finding.json`` holds for a campaign with a baseline that was audited and identified already."""
+    case = case_of(*_usable(campaign, Audit(list(suspects)).excluded, found), progress)
+    return _questioned(campaign, case, suspects, 0, progress, ())[1]
+
+
+def _usable(
+    campaign: Campaign, excluded: Failures, found: Mapping[str, Identification]
+) -> tuple[Campaign, dict[str, Identification]]:
+    """Leave out what a fault excludes."""
+    gone = {(f.part, f.name) for f in excluded}
+    measurements = tuple(m for m in campaign.measurements if (MEASUREMENT, m.name) not in gone)
+    tests = tuple(t for t in campaign.cutting_tests if (TEST, t.file.name) not in gone)
+    kept = {name: item for name, item in found.items() if (MEASUREMENT, name) not in gone}
+    return replace(campaign, measurements=measurements, cutting_tests=tests), kept
 
 
 def _questioned(
@@ -102,7 +119,8 @@ def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:
     return {**finding.as_dict(), "story": explain(finding).splitlines(), "data_audit": audited}
 
 
-def _identified(campaign: Campaign, kept: Path, progress: Progress) -> dict[str, Identification]:
+def _identified(campaign: Campaign, checked: Audit) -> dict[str, Identification]:
+    """Return what the baseline is compared with, or made of, of what the audit identified."""
     baseline = campaign.baseline
     if not isinstance(baseline, AxisModel | ModesOf | LimitsOf):
         return {}
@@ -112,8 +130,4 @@ def _identified(campaign: Campaign, kept: Path, progress: Progress) -> dict[str,
     wanted = [m for m in has_modes if m.method in compared or m.name == source]
     if compared and not any(m.method in compared for m in wanted):
         raise InputError("the campaign has no hammer or actuator measurement; the baseline has nothing to compare with")
-    out = {}
-    for done, measurement in enumerate(wanted):
-        progress(f"identifying {measurement.name}", done, len(wanted))
-        out[measurement.name] = cached_identification(campaign, measurement, kept, progress)[0]
-    return out
+    return {m.name: checked.identified[m.name] for m in wanted if m.name in checked.identified}

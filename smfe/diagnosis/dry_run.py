@@ -1,0 +1,86 @@
+"""What a campaign would be refused later: its lobes at three speeds, its verdicts, its diagnosis, its plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from smfe.campaign import Campaign, LobeRequest
+from smfe.compliances import labelled
+from smfe.conditions import condition_cubes
+from smfe.cutting_tests import judge_all
+from smfe.diagnosis.campaign_family import case_of
+from smfe.diagnosis.suspect import Suspect
+from smfe.failures import MEASUREMENT, Failures, attempt
+from smfe.identification import Identification, Progress, silent
+from smfe.limits import all_lobes, pockets_of
+from smfe.measurements import split_levels
+from smfe.plan_task import load_task
+from smfe.sweep_levels import with_levels
+
+SPEEDS = 3
+"""Spindle speeds of a lobe request that are tried: the lowest, the highest, and those between."""
+
+QUICK = ("zero_order", "multi_frequency", "operating_point")
+"""Methods whose prediction for a cutting test is tried as well; fitting modes for each test would take minutes."""
+
+
+def refusals(
+    campaign: Campaign,
+    found: Mapping[str, Identification],
+    known: Failures,
+    progress: Progress = silent,
+    kept: Path | None = None,
+) -> list[Suspect]:
+    """Do in short what `smfe run` and the other commands will do with identified measurements; say what they refuse.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    found : mapping of str to Identification
+        Measurements, levels of sweeps too.
+    known : list of Failure
+        Parts that are left out already: what needs them is refused, and is not said once more.
+    progress : callable, optional
+        Called with (what, done, of).
+    kept : path, optional
+        Folder in which results are kept, and found again while neither records nor settings have changed.
+
+    Returns
+    -------
+    list of Suspect
+        "unusable" faults.
+    """
+    whole, refused = with_levels(campaign), list(known)
+    compliances = labelled(whole, found)
+    with attempt(refused, "conditions"):
+        condition_cubes([m for m in whole.measurements if m.name in found], compliances)
+    split_levels(campaign, kept, refused)
+    short = replace(whole, lobes=tuple(_short(r) for r in whole.lobes))
+    results = all_lobes(short, compliances, progress, refused)
+    for r in results:
+        with attempt(refused, "pockets", f"{r.request}, {r.source}"):
+            pockets_of(r, campaign)
+    quick = replace(short, lobes=tuple(r for r in short.lobes if r.method in QUICK))
+    judge_all(quick, compliances, progress, refused)
+    if campaign.baseline is not None:
+        with attempt(refused, "diagnosis"):
+            case_of(campaign, found, progress)
+    if campaign.plan is not None:
+        with attempt(refused, "plan"):
+            load_task(campaign.path)
+    failed = {f.name for f in known if f.part == MEASUREMENT}
+    return [
+        Suspect("unusable", "fault", f"{f.part} {f.name}".strip(), f.reason, "correct what it names; the rest will run")
+        for f in refused[len(known) :]
+        if not any(f"'{name}' failed" in f.reason for name in failed)
+    ]
+
+
+def _short(request: LobeRequest) -> LobeRequest:
+    at = np.unique(np.linspace(0, request.spindle_speed.size - 1, SPEEDS).round().astype(int))
+    return replace(request, spindle_speed=request.spindle_speed[at])
