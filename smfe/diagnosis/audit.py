@@ -161,8 +161,8 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
             out.suspects += unlogged_suspects(campaign, campaign.baseline)
     out.suspects += [Suspect("unusable", "fault", f.part, f.reason, _CORRECT) for f in failures]
     compliances = {m.name: out.identified[m.name].compliance for m in campaign.measurements if m.name in out.identified}
-    out.suspects += factor_suspects(compliances)
     out.suspects += model_suspects(compliances, campaign.models)
+    out.suspects += factor_suspects(compliances, {f.name for f in out.excluded if f.part == MEASUREMENT})
     out.suspects += _missing_entries(campaign, compliances)
     return out
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -129,10 +129,11 @@ def known_factor(size: float, within: float = 0.1) -> str:
     return ""
 
 
-def factor_suspects(compliances: Mapping[str, xr.Dataset]) -> list[Suspect]:
+def factor_suspects(compliances: Mapping[str, xr.Dataset], accused: Collection[str] = ()) -> list[Suspect]:
     """Compare measurements of the same machine: a ratio that is the same number at every frequency is no physics.
 
-    Whom it leaves out: the one that the others outvote; both where nobody does, because either may be the wrong one.
+    Whom it leaves out: the one that the others outvote, else the one that is `accused` by something else; both where
+    nothing tells them apart, because either may be the wrong one.
     """
     names = list(compliances)
     differ: dict[tuple[str, str], list[tuple[str, complex]]] = {}
@@ -149,6 +150,7 @@ def factor_suspects(compliances: Mapping[str, xr.Dataset]) -> list[Suspect]:
     for (one, two), entries in differ.items():
         fewest = min(agree[one], agree[two])
         wrong = [n for n in (one, two) if agree[n] == fewest]
+        wrong = [n for n in wrong if n in accused] or wrong
         out += [_factor_suspect(one, two, axis, ratio, wrong) for axis, ratio in entries]
     return out
 

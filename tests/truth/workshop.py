@@ -243,7 +243,7 @@ def healthy(seed: int) -> Workshop:
     if rng.random() < 0.6:
         sources.append("known")
         error = np.exp(0.03 * rng.standard_normal(len(shop.modes["frequency"])))
-        shop.model = _model(shop, error)
+        shop.model = model_text(shop, error)
     if rng.random() < 0.75:
         _tests(shop, suffix)
     _requests(shop, sources)
@@ -321,7 +321,7 @@ def _requests(shop: Workshop, sources: list[str]) -> None:
         )
 
 
-def _model(shop: Workshop, error: np.ndarray) -> str:
+def model_text(shop: Workshop, error: np.ndarray) -> str:
     rows = [
         f'    {{ frequency = "{f:.6g} Hz", damping = {z:.5g}, stiffness = "{k * e / 1e6:.6g} N/um", '
         f"direction = [{d[0]:.5g}, {d[1]:.5g}, {d[2]:.5g}] }},\n"
