@@ -156,7 +156,11 @@ def run(
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
     notes.warnings += _warnings(found, results, verdicts)
     notes.warnings += unstacked
-    notes.warnings += [f"{s['where']}: {s['evidence']}; {s['advice']}" for s in notes.check if s["level"] == "warning"]
+    notes.warnings += [
+        f"{s.where}: {s.evidence}; {s.advice}"
+        for s in checked.suspects
+        if s.level == "warning" or (s.level == "fault" and not s.excludes)
+    ]
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found, failures)
     write_loops(folder / LOOP_FILE, loops, folder / "tables")

@@ -10,7 +10,16 @@ import pandas as pd
 import xarray as xr
 
 from process.engagement import engagement
-from smfe.campaign import Campaign, CuttingTest, Measurement, RecordEntry, RigidDrive, load_campaign
+from smfe.campaign import (
+    Campaign,
+    CuttingTest,
+    LimitsOf,
+    Measurement,
+    ModesOf,
+    RecordEntry,
+    RigidDrive,
+    load_campaign,
+)
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
 from smfe.diagnosis.campaign_drive import unlogged_suspects
@@ -247,7 +256,11 @@ def _compliance_suspects(
     if measurement.name not in identified:
         return []
     name, compliance = measurement.name, identified[measurement.name].compliance
-    part = ((MEASUREMENT, name),)
+    # Lobes of a machine that gives out energy mean nothing; its compliance, of two places perhaps, may still be read.
+    sources = {n for request in campaign.lobes for n in request.measurements}
+    if isinstance(campaign.baseline, ModesOf | LimitsOf):
+        sources.add(campaign.baseline.source)
+    part = ((MEASUREMENT, name),) if name in sources else ()
     signs = [
         Suspect("sensor_gain", "fault", name, text, "declare sign = -1 on the channel that is turned round", part)
         for text in sign_warnings(compliance)

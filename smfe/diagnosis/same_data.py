@@ -55,7 +55,7 @@ def same_suspects(records: Sequence[Seen]) -> list[Suspect]:
     """Return a fault for each group of records that are the same data and are said to be different things.
 
     One file in two measurements under the same conditions is a comparison of methods; of two files with the same
-    samples the agreement proves nothing, and a warning says so.
+    samples the agreement proves nothing, and a warning says so. What only one of them states contradicts nothing.
     """
     groups: dict[str, list[Seen]] = {}
     for record in records:
@@ -64,7 +64,7 @@ def same_suspects(records: Sequence[Seen]) -> list[Suspect]:
     for group in groups.values():
         parts = list(dict.fromkeys(r.part for r in group))
         twice = len(parts) < len(group)
-        differ = len({r.said for r in group}) > 1
+        differ = _contradict(group)
         copies = len({r.file for r in group}) > 1
         if len(group) < 2 or not (twice or differ or copies):
             continue
@@ -83,3 +83,12 @@ def same_suspects(records: Sequence[Seen]) -> list[Suspect]:
             )
         )  # fmt: skip
     return out
+
+
+def _contradict(group: Sequence[Seen]) -> bool:
+    """Whether two of a group state different values of the same thing; `None` states nothing."""
+    for kind in {r.part[0] for r in group}:
+        said = [r.said for r in group if r.part[0] == kind]
+        if any(len(set(values) - {repr(None)}) > 1 for values in zip(*said, strict=True)):
+            return True
+    return False

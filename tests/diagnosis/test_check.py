@@ -76,15 +76,16 @@ def test_a_run_leaves_out_what_the_check_finds_and_computes_the_rest(
 
 
 def test_one_record_for_two_conditions_is_a_fault_and_for_two_methods_is_none() -> None:
-    one = Seen(("measurement", "a"), "x.csv", ("K2",), "1")
-    assert same_suspects([one, Seen(("measurement", "b"), "x.csv", ("K2",), "1")]) == []
-    (copied,) = same_suspects([one, Seen(("measurement", "b"), "y.csv", ("K2",), "1")])
+    one = Seen(("measurement", "a"), "x.csv", ("'K2'",), "1")
+    assert same_suspects([one, Seen(("measurement", "b"), "x.csv", ("'K2'",), "1")]) == []
+    assert same_suspects([one, Seen(("measurement", "b"), "x.csv", ("None",), "1")]) == []
+    (copied,) = same_suspects([one, Seen(("measurement", "b"), "y.csv", ("'K2'",), "1")])
     assert (copied.level, copied.excludes) == ("warning", ())
-    (wrong,) = same_suspects([one, Seen(("measurement", "b"), "x.csv", ("K3",), "1")])
+    (wrong,) = same_suspects([one, Seen(("measurement", "b"), "x.csv", ("'K3'",), "1")])
     assert wrong.level == "fault"
     assert dict(wrong.excludes) == {"measurement": "b"}
     assert len(wrong.excludes) == 2
-    assert same_suspects([one, Seen(("measurement", "b"), "y.csv", ("K3",), "2")]) == []
+    assert same_suspects([one, Seen(("measurement", "b"), "y.csv", ("'K3'",), "2")]) == []
 
 
 def test_the_generator_moves_as_its_machine_does() -> None:
