@@ -339,7 +339,7 @@ def _rough_level(h: Complex, accuracy: float) -> Real:
 def _whole(matrix: ResponseMatrix) -> Complex | None:
     """Return the smooth covariance of all entries, shape (n, r, e, r, e), or None where only their sizes are known."""
     # An entry that was not measured is in no curve; its unknown covariance must not reach those of other rows.
-    missing = ~np.isfinite(matrix.values).any(axis=0)
+    missing = np.asarray(~np.isfinite(matrix.values).any(axis=0))
     if matrix.between is not None:
         whole = np.where(missing[:, :, None, None] | missing, 0.0, matrix.between)
     elif matrix.covariance is not None:
