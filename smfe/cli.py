@@ -325,11 +325,11 @@ def convert(
 @app.command()
 def coefficients(
     campaign: CampaignFile,
-    output: Annotated[Path, typer.Option("-o", "--output", help="File for [material], to paste.")] = Path(
-        "material.toml"
-    ),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="File for the table of the material, to paste.")
+    ] = Path("material.toml"),
 ) -> None:
-    """Find the cutting coefficients from measured cuts, with intervals, as a [material] to paste."""
+    """Find the cutting coefficients from measured cuts, with intervals, as a table of the material to paste."""
     with bar(console) as progress:
         found = find_coefficients(campaign, output, progress, _show)
     for fit in found:
