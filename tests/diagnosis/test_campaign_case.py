@@ -101,8 +101,8 @@ def test_a_drive_record_that_lacks_something_is_told_so(tmp_path: Path, lost: di
 
 def test_a_control_law_without_its_reference_is_told_so(tmp_path: Path) -> None:
     campaign = drive_campaign(tmp_path, to_and_fro(), "Kp = '8 N s/m'\nKv = '16 1/s'\n")
-    with pytest.raises(InputError, match="measurement 'moved': no reference_position_x; the control law needs it"):
-        audit(campaign)
+    found = audit(campaign)
+    assert any("no reference_position_x; the control law needs it" in str(s) for s in found), found
 
 
 def test_what_is_held_out_must_be_measured_and_leave_something() -> None:
