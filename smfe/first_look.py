@@ -277,7 +277,9 @@ def _campaign(
         used = [*used, *_unrecognised(found, used)]
     if kind.name == "FRF":
         body = _frf_tables(file, found, guesses)
-    elif kind.name in ("cut", "sweep milling"):
+    elif kind.name == "sweep milling":
+        body = _sweep_tables(file)
+    elif kind.name == "cut":
         body = _cut_tables(file, used, kind, found)
     else:
         body = _measurement_tables(file, used, kind, found)
@@ -368,17 +370,10 @@ def _tool(teeth: int) -> list[str]:
     return ["[tool]", f'diameter = "10 mm"  {_CHANGE}', f"teeth = {teeth}  {_CHANGE}", ""]
 
 
-def _cut_tables(file: str, used: Sequence[Guess], kind: Kind, found: Contents) -> list[str]:
-    """One cutting test: a verdict needs no more, and a sweep needs passes that one file does not have."""
-    speed = next((found.columns[g.column] for g in used if g.channel == "spindle_speed"), None)
-    if speed is not None and np.median(np.abs(speed)) > 0.0:
-        rpm, teeth, how = float(np.median(np.abs(speed))), 2, "the median of its column"
-    else:
-        # Without run-out the comb is that of the teeth, with it that of the spindle.
-        teeth = kind.strongest if kind.strongest > 1 else 2
-        rpm = 60.0 * kind.fundamental / (1 if kind.strongest > 1 else teeth)
-        how = "from the lines, with the number of teeth above"
-    sweep = [
+def _sweep_tables(file: str) -> list[str]:
+    """A silent record: nine compliances need passes that one file does not have, and a verdict a constant speed."""
+    return [
+        *_tool(2),
         "# A sweep needs passes that differ in cut or width, with all three forces and the accelerations:",
         "# [[measurement]]",
         '# name = "sweep"',
@@ -388,11 +383,26 @@ def _cut_tables(file: str, used: Sequence[Guess], kind: Kind, found: Contents) -
         '#     { file = "second pass", cut = "up", width_of_cut = "5 mm" },',
         '#     { file = "third pass", cut = "central", width_of_cut = "8.5 mm" },',
         "# ]",
-        "",
+        "# Until they are there, the record is read and checked, and nothing is made of it:",
+        "[[measurement]]",
+        'name = "sweep milling"',
+        'method = "silent"',
+        f"records = [{{ file = {file} }}]",
     ]
+
+
+def _cut_tables(file: str, used: Sequence[Guess], kind: Kind, found: Contents) -> list[str]:
+    """One cutting test: a verdict needs no more."""
+    speed = next((found.columns[g.column] for g in used if g.channel == "spindle_speed"), None)
+    if speed is not None and np.median(np.abs(speed)) > 0.0:
+        rpm, teeth, how = float(np.median(np.abs(speed))), 2, "the median of its column"
+    else:
+        # Without run-out the comb is that of the teeth, with it that of the spindle.
+        teeth = kind.strongest if kind.strongest > 1 else 2
+        rpm = 60.0 * kind.fundamental / (1 if kind.strongest > 1 else teeth)
+        how = "from the lines, with the number of teeth above"
     return [
         *_tool(teeth),
-        *(sweep if kind.name == "sweep milling" else []),
         "[[cutting_test]]",
         f"file = {file}",
         f'spindle_speed = "{rpm:.6g} rpm"  {_CHANGE}: {how}',
