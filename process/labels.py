@@ -55,6 +55,7 @@ SI_UNITS: dict[str, str] = {
     "degrees_of_freedom": "1",
     "coherence": "1",
     "force_condition": "1",
+    "force_spectrum": "N s",
     "force_level": "N",
     "lobe": "1",
     "loop_response": "1",

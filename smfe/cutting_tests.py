@@ -14,14 +14,21 @@ import pandas as pd
 import xarray as xr
 
 from process.errors import InputError
-from smfe.campaign import Campaign, CuttingTest
+from smfe.campaign import Campaign, CuttingTest, LobeRequest
+from smfe.cut_conditions import ALIKE, FIXED, Source, apart, direction_text, feed_of, sources_of
 from smfe.failures import FAILED, PREDICTION, TEST, Failure, Failures, attempt, failure_of
 from smfe.identification import Progress
-from smfe.limits import SEVERAL, check_sources, limits_of, sources_of
+from smfe.limits import check_sources, limits_of
 from smfe.records import read_records
 from smfe.store import write_csv, write_groups
 from stability import ChatterVerdict, chatter_verdict
 from stability.criterion import FREQUENCY_RANGE
+
+NOT_COMPARED = "not compared"
+"""Prediction of a source that belongs to another controller, position or feed than the cut."""
+
+FEED_APART = 0.1
+"""Share by which a stated feed may differ from that of teeth and speed."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +41,13 @@ class Verdicts:
         Rows of chatter.csv, one a cutting test.
     spectra : mapping of str to xarray.Dataset
         "test_1", "test_2", ... -> spectrum with the verdict in its attributes, of those that could be judged.
+    warnings : tuple of str
+        Tests that no source of lobes belongs to, or of which this cannot be known.
     """
 
     rows: list[dict[str, Any]]
     spectra: Mapping[str, xr.Dataset]
+    warnings: tuple[str, ...] = ()
 
 
 def judge_all(
@@ -82,7 +92,7 @@ def judge_all(
         spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1])
     if failures is not None:
         failures += _once(unpredicted or [])
-    return Verdicts(rows, spectra)
+    return Verdicts(rows, spectra, condition_warnings(campaign))
 
 
 def _once(failures: Failures) -> Failures:
@@ -146,7 +156,8 @@ def _row(campaign: Campaign, test: CuttingTest, verdict: ChatterVerdict | None, 
     given = {
         "observed": test.observed or "",
         "controller": test.controller or "",
-        "feed_mm_min": math.nan if test.feed is None else round(max(map(abs, test.feed.values())) * 6e4, 9),
+        "position": test.position or "",
+        "feed_mm_min": math.nan if test.feed is None else round(_speed(test.feed) * 6e4, 9),
     }
     end = {
         "half_order_reference": math.nan if test.half_order_reference is None else test.half_order_reference,
@@ -181,6 +192,65 @@ def _row(campaign: Campaign, test: CuttingTest, verdict: ChatterVerdict | None, 
     }
 
 
+def _speed(feed: Mapping[str, float]) -> float:
+    found = feed_of(feed)
+    return math.hypot(*feed.values()) if found is None else found.speed
+
+
+def not_compared(request: LobeRequest, source: Source, test: CuttingTest) -> str:
+    """Return why a source of lobes is not that of a cutting test; empty where nothing that is stated differs.
+
+    Controller and position must be the same. A cut that is fed in another direction than the lobes is predicted in its
+    own axes; an operating point was measured in motion, and holds for the direction of that motion only.
+    """
+    differs = source.differs(test)
+    if differs or test.feed is None:
+        return differs
+    feed = feed_of(test.feed)
+    if feed is None:
+        return "the cut is fed along the tool axis"
+    if request.method != "operating_point" or feed.direction is None:
+        return ""
+    if ALIKE < apart(feed.direction, request.feed_direction) < math.pi - ALIKE:
+        return f"fed along {direction_text(request.feed_direction)}, the cut along {direction_text(feed.direction)}"
+    return ""
+
+
+def condition_warnings(campaign: Campaign) -> tuple[str, ...]:
+    """Return what cannot be compared, or only on an assumption, because of controller, position and feed.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With its ``[[lobes]]`` and ``[[cutting_test]]``.
+    """
+    sources = [(r, s) for r in campaign.lobes for s in sources_of(campaign, r)]
+    told: dict[str, list[str]] = {}
+    for test in campaign.cutting_tests:
+        why = [(s.label, not_compared(r, s, test)) for r, s in sources]
+        if sources and all(reason for _, reason in why):
+            each = "; ".join(dict.fromkeys(f"{label}: {reason}" for label, reason in why))
+            told.setdefault(f"no source of lobes belongs to it, so nothing is predicted ({each})", []).append(
+                test.file.name
+            )
+        for key in FIXED:
+            own, known = getattr(test, key), {getattr(s, key) for _, s in sources}
+            names = sorted(v for v in known if v is not None)
+            if own is None and len(names) > 1:
+                text = f"states no {key}, and the lobes are of {' and '.join(names)}: one of them at most predicts it"
+                told.setdefault(f"{text}; add {key} to the [[cutting_test]]", []).append(test.file.name)
+        if test.feed is not None and test.feed_per_tooth is not None and campaign.tool is not None:
+            stated = 6e4 * _speed(test.feed)
+            feed = 1e3 * test.feed_per_tooth * campaign.tool.teeth * test.spindle_speed
+            if abs(stated - feed) > FEED_APART * feed:
+                text = f"states a feed of {stated:.4g} mm/min, and its speed, teeth and feed_per_tooth make {feed:.4g}"
+                told.setdefault(f"{text}; predictions take the latter", []).append(test.file.name)
+    return tuple(
+        f"{files[0] if len(files) == 1 else f'{len(files)} cutting tests ({files[0]}, ...)'}: {text}"
+        for text, files in told.items()
+    )
+
+
 def predictions(
     campaign: Campaign,
     test: CuttingTest,
@@ -190,7 +260,8 @@ def predictions(
 ) -> dict[str, Any]:
     """Return limit, verdict and chatter frequency that each source of lobes predicts for a test, by their own method.
 
-    Without lobes there is none, and no work material is needed.
+    Without lobes there is none, and no work material is needed. A source of another controller, position or feed is not
+    compared; the row says which in ``not_compared``.
 
     Parameters
     ----------
@@ -205,20 +276,28 @@ def predictions(
     known : list of Failure, optional
         What has failed before: a source whose measurement failed is not said once more.
     """
-    row: dict[str, Any] = {}
+    row: dict[str, Any] = {"not_compared": ""} if campaign.lobes else {}
     for request in campaign.lobes:
+        feed = None if test.feed is None else feed_of(test.feed)
+        own = None if feed is None else feed.direction
         here = replace(
             request,
             cut=test.cut,
             width_of_cut=test.width_of_cut,
             feed_per_tooth=test.stated_feed_per_tooth,
             spindle_speed=np.array([test.spindle_speed]),
+            feed_direction=request.feed_direction if own is None else own,
         )
-        for names in sources_of(request):
-            source = SEVERAL.join(names)
+        for of in sources_of(campaign, request):
+            source, names = of.label, of.names
             if f"limit_{source}_mm" in row:
                 continue
             row |= {f"limit_{source}_mm": math.nan, f"predicted_{source}": FAILED, f"frequency_{source}_Hz": math.nan}
+            reason = not_compared(request, of, test)
+            if reason:
+                row[f"predicted_{source}"] = NOT_COMPARED
+                row["not_compared"] = "; ".join(filter(None, [row["not_compared"], f"{source}: {reason}"]))
+                continue
             if known is not None and not set(names) <= set(compliances):
                 continue  # said by the lobes of this source
             with attempt(failures, PREDICTION, f"{source}\n{test.file.name}"):
@@ -232,9 +311,13 @@ def predictions(
 
 
 def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
-    """Return the lobes on whose diagram a test belongs: same kind and width of cut."""
+    """Return the lobes on whose diagram a test belongs: same cut, width and feed, and a source of its own."""
+    feed = None if test.feed is None else feed_of(test.feed)
     for number, request in enumerate(campaign.lobes, 1):
-        if request.cut == test.cut and math.isclose(request.width_of_cut, test.width_of_cut, rel_tol=1e-6):
+        alike = request.cut == test.cut and math.isclose(request.width_of_cut, test.width_of_cut, rel_tol=1e-6)
+        if feed is not None and feed.direction is not None:
+            alike &= apart(feed.direction, request.feed_direction) <= ALIKE
+        if alike and not all(not_compared(request, s, test) for s in sources_of(campaign, request)):
             return f"lobes_{number}"
     return ""
 

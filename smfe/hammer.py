@@ -130,7 +130,8 @@ def identify_hammer(
     Identification
         Compliance [m/N] with ``compliance_std``, ``compliance_relation``, ``degrees_of_freedom`` (for
         `smfe.intervals.interval`), ``compliance_covariance``, ``deviation`` (see `smfe.error_factors`) and
-        ``coherence(frequency, response, excitation)``; attributes ``usable_from_Hz`` and ``usable_to_Hz`` (one value
+        ``coherence(frequency, response, excitation)``, ``force_spectrum(frequency, excitation)`` [N s], the root mean
+        square over the hits (for `smfe.impact_level`); attributes ``usable_from_Hz`` and ``usable_to_Hz`` (one value
         an excitation), ``block_length_s`` and ``estimator``; tables "hits" and, where a background was removed,
         "background"; the hits one by one, unless a window was asked for.
 
@@ -291,7 +292,10 @@ def _gather_column(
 
 @dataclass(frozen=True)
 class _Column:
-    """Averaged result of one excitation; arrays of shape (f,), (f, 3) and (f, 3, M), NaN: response not recorded."""
+    """Averaged result of one excitation; arrays of shape (f,), (f, 3) and (f, 3, M), NaN: response not recorded.
+
+    ``force`` is the root mean square over the hits of the spectrum of their force [N s].
+    """
 
     excitation: str
     frequency: NDArray[np.float64]
@@ -301,6 +305,7 @@ class _Column:
     freedom: NDArray[np.float64]
     coherence: NDArray[np.float64]
     band: tuple[float, float]
+    force: NDArray[np.float64]
     warnings: tuple[str, ...]
 
 
@@ -332,7 +337,9 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
     ]
     freedom = degrees_of_freedom(averaged.leverage)
     length = 1.0 / float(f[0])
-    return _Column(axis, f, length, compliance, deviation, freedom, averaged.coherence, column.band, tuple(notes))
+    return _Column(
+        axis, f, length, compliance, deviation, freedom, averaged.coherence, column.band, power**0.5, tuple(notes)
+    )
 
 
 def _quarters(column: _Gathered) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -556,6 +563,12 @@ def _assemble(name: str, columns: Sequence[_Column], plan: _Plan) -> xr.Dataset:
         **error_variables(_stacked_deviations(columns, claims, lines, recorded)),
         "degrees_of_freedom": (dims, stack("freedom")),
         "coherence": (dims, stack("coherence")),
+        "force_spectrum": (
+            ("frequency", "excitation"),
+            np.stack(
+                [np.where(claimed, c.force[lines], np.nan) for c, claimed in zip(columns, claims, strict=True)], 1
+            ),
+        ),
     }
     attrs = {
         "usable_from_Hz": [c.band[0] for c in columns],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +16,11 @@ from process.engagement import engagement
 from process.errors import InputError
 from process.labels import at_tool
 from smfe.campaign import Campaign, LobeRequest
+from smfe.cut_conditions import FIXED, sources_of, turned, turned_modes
 from smfe.failures import LOBES, MEASUREMENT, Failures, attempt, pack
 from smfe.identification import Progress
 from smfe.modal import fit_modes, model_error
+from smfe.operating_conditions import over_conditions
 from smfe.store import pack_warnings, write_csv, write_groups
 from stability import (
     PresetContext,
@@ -40,9 +43,6 @@ from stability import (
 MADE = ("lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json")
 """Files that lobes make."""
 
-SEVERAL = " + "
-"""Between the names of measurements that make one source."""
-
 _CURVES = {
     "spindle_speed": "spindle_speed_rpm",
     "limit_depth": "limit_depth_mm",
@@ -61,7 +61,8 @@ class LobeResult:
     request : str
         "lobes_1", "lobes_2", ... in the order of the campaign file.
     source : str
-        Name of the measurement or model; of an operating point the names of all that it was had from.
+        Name of the measurement or model; of an operating point the names of all that it was had from, and where the
+        request has several results their controller and position.
     lobes : xarray.Dataset
         ``limit_depth(spindle_speed)``, where the errors are known its quantiles and ``safe_depth``, and the single
         lobes as ``curve_*(point)``.
@@ -107,9 +108,9 @@ def all_lobes(
         When a source is not among the compliances, or a limit cannot be computed from it.
     """
     out = []
-    jobs = [(i, r, names) for i, r in enumerate(campaign.lobes, 1) for names in sources_of(r)]
-    for done, (number, request, names) in enumerate(jobs):
-        source = SEVERAL.join(names)
+    jobs = [(i, r, source) for i, r in enumerate(campaign.lobes, 1) for source in sources_of(campaign, r)]
+    for done, (number, request, of) in enumerate(jobs):
+        source, names = of.label, of.names
         progress(f"lobes {number}: {source}", done, len(jobs))
         with attempt(failures, LOBES, f"lobes_{number}, {source}"):
             check_sources(names, compliances, failures)
@@ -120,6 +121,7 @@ def all_lobes(
                     limits = _with_curves(campaign, request, compliances[names[0]], limits)
             except InputError as error:
                 raise InputError(f"lobes {number}, {source}: {error}" if failures is None else str(error)) from error
+            limits = limits.assign_attrs({k: v for k in FIXED if (v := getattr(of, k)) is not None})
             out.append(_result(campaign, request, f"lobes_{number}", source, limits))
     return out
 
@@ -134,11 +136,6 @@ def check_sources(names: Sequence[str], compliances: Mapping[str, xr.Dataset], f
             raise InputError(f"'{name}' is asked for, and the compliances do not hold it: {', '.join(compliances)}")
 
 
-def sources_of(request: LobeRequest) -> list[tuple[str, ...]]:
-    """Return the measurements of each result: an operating point is had from all of them together."""
-    return [request.measurements] if request.method == "operating_point" else [(m,) for m in request.measurements]
-
-
 def limits_of(
     campaign: Campaign, request: LobeRequest, names: Sequence[str], compliances: Mapping[str, xr.Dataset]
 ) -> xr.Dataset:
@@ -149,7 +146,7 @@ def limits_of(
     campaign : Campaign
         Tool, work material, models.
     request : LobeRequest
-        Method, cut and speeds.
+        Method, cut, speeds, and the direction of the feed in the axes of the compliance.
     names : sequence of str
         The measurement or model; of an operating point all measurements.
     compliances : mapping of str to xarray.Dataset
@@ -160,18 +157,26 @@ def limits_of(
     tool, work, speeds = campaign.tool, campaign.coefficients, request.spindle_speed
     arc = engagement(request.cut, request.width_of_cut, tool.diameter)
     if request.method == "operating_point":
-        together = over_conditions(campaign, {n: compliances[n] for n in names})
-        return operating_point(together, tool, arc, work, speeds, request.feed_per_tooth)
-    compliance, modal = compliances[names[0]], _modal(campaign, names[0])
+        together, told = over_conditions(campaign, {n: compliances[n] for n in names}, request.feed_direction)
+        return _saying(operating_point(together, tool, arc, work, speeds, request.feed_per_tooth), told)
+    compliance, modal, told = compliances[names[0]], _modal(campaign, names[0]), []
+    if request.feed_direction:
+        modal = modal and turned_modes(modal, request.feed_direction)
+        compliance, told = turned(compliance, request.feed_direction)
     if request.method == "semi_discretization":
         if modal is None:
-            return _by_fitted_modes(compliance, request, lambda m: semi_discretization(m, tool, arc, work, speeds))
+            found = _by_fitted_modes(compliance, request, lambda m: semi_discretization(m, tool, arc, work, speeds))
+            return _saying(found, told)
         found = semi_discretization(modal, tool, arc, work, speeds)
     elif request.method == "multi_frequency":
         found = multi_frequency(compliance if modal is None else modal, tool, arc, work, speeds)
     else:
         found = zero_order(compliance, tool, arc, work, speeds)
-    return found
+    return _saying(found, told)
+
+
+def _saying(limits: xr.Dataset, told: Sequence[str]) -> xr.Dataset:
+    return limits.assign_attrs(warnings=[*limits.attrs.get("warnings", ()), *told]) if told else limits
 
 
 def _by_fitted_modes(
@@ -208,10 +213,13 @@ def _banded(
         return limits
     if model is None and not measured:
         return limits
+    if request.feed_direction and model is None:
+        text = "the limits have no band: the errors of a compliance are known in its own axes, not in those of the cut"
+        return _saying(limits, [text])
     assert campaign.tool is not None
     assert campaign.coefficients is not None
     arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
-    of = compliance if model is None else model.modal
+    of = compliance if model is None else turned_modes(model.modal, request.feed_direction)
     band = sampled_band(of, campaign.tool, arc, campaign.coefficients, request.spindle_speed, spread)
     told = [*limits.attrs.get("warnings", ()), *band.attrs.get("warnings", ())]
     return with_band(limits, band).assign_attrs(warnings=list(dict.fromkeys(told)))
@@ -224,66 +232,9 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     if request.method != "zero_order" or not campaign.tool.equal_pitch:
         return limits
     arc, speeds = engagement(request.cut, request.width_of_cut, campaign.tool.diameter), request.spindle_speed
+    compliance = turned(compliance, request.feed_direction)[0] if request.feed_direction else compliance
     curves = lobe_curves(compliance, campaign.tool, arc, campaign.coefficients, (speeds[0], speeds[-1]))
     return limits.assign({f"curve_{n}": ("point", curves[c].to_numpy()) for n, c in _CURVES.items()})
-
-
-def over_conditions(campaign: Campaign, compliances: Mapping[str, xr.Dataset]) -> xr.Dataset:
-    """Return compliances measured at several feeds and levels as one, over ``feed`` [mm/min] and their level.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Tells the feed and the force level (or depth of cut) of each measurement.
-    compliances : mapping of str to xarray.Dataset
-        Measurement -> compliance.
-
-    Raises
-    ------
-    InputError
-        When they do not fill a grid of feeds and levels, or have no frequencies in common.
-    """
-    at = {m.name: m for m in campaign.measurements}
-    missing = [name for name in compliances if name not in at]
-    if missing:
-        raise InputError(f"'{missing[0]}' is a model: it belongs to no feed; give measurements for an operating point")
-    feeds = {n: 6e4 * float((at[n].feed or {}).get("x", 0.0)) for n in compliances}
-    by_depth = all(at[n].depth_of_cut is not None for n in compliances)
-    levels = {n: (1e3 * (at[n].depth_of_cut or 0.0) if by_depth else at[n].force_level) for n in compliances}
-    place = {(feeds[n], levels[n]): n for n in compliances}
-    feed, level = sorted(set(feeds.values())), sorted(set(levels.values()), key=lambda v: -1.0 if v is None else v)
-    if len(place) != len(feed) * len(level) or len(place) != len(compliances) or (None in level and len(level) > 1):
-        told = ", ".join(f"{n}: {feeds[n]:g} mm/min at {levels[n]}" for n in compliances)
-        raise InputError(
-            f"an operating point needs every feed at every level, each once; there are {told}: complete them, or give "
-            "the force_level (depth_of_cut for sweeps) of all"
-        )
-    grid = _common_grid(list(compliances.values()))
-    name = "depth_of_cut" if by_depth else "force_level"
-    rows = []
-    for f in feed:
-        row = [_on(compliances[place[f, v]], grid) for v in level]
-        over = xr.DataArray(level, dims=name, name=name)
-        rows.append(row[0] if level == [None] else xr.concat(row, over, join="outer"))
-    at_feed = xr.DataArray(feed, dims="feed", name="feed")
-    return xr.concat(rows, at_feed, join="outer").to_dataset(name="compliance")
-
-
-def _common_grid(compliances: Sequence[xr.Dataset]) -> np.ndarray:
-    """Return the frequencies of the finest compliance within the range of all [Hz]."""
-    grids = [c["frequency"].values for c in compliances]
-    low, high = max(g[0] for g in grids), min(g[-1] for g in grids)
-    finest = min(grids, key=lambda g: float(np.median(np.diff(g))))
-    grid = finest[(finest >= low) & (finest <= high)]
-    if grid.size < 2:
-        raise InputError(f"the measurements share no frequencies: {low:g} Hz is above {high:g} Hz")
-    return np.asarray(grid)
-
-
-def _on(compliance: xr.Dataset, grid: np.ndarray) -> xr.DataArray:
-    if np.array_equal(compliance["frequency"].values, grid):
-        return compliance["compliance"]
-    return compliance["compliance"].interp(frequency=grid)
 
 
 def _result(campaign: Campaign, request: LobeRequest, name: str, source: str, limits: xr.Dataset) -> LobeResult:
@@ -300,6 +251,7 @@ def _result(campaign: Campaign, request: LobeRequest, name: str, source: str, li
         width_of_cut_mm=request.width_of_cut * 1e3,
         feed_per_tooth_mm=request.feed_per_tooth * 1e3,
         method=request.method,
+        feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )
     return LobeResult(name, source, limits, table, request.cut, request.maximum_depth)
 

@@ -43,7 +43,7 @@ from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
-FORM = 5
+FORM = 6
 """Raised where an estimator, or what it writes, changes within a version: what was kept is then not read back."""
 
 

@@ -467,6 +467,7 @@ def _groups(compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identific
 def _warnings(found: Mapping[str, Identification], lobes: Sequence[LobeResult], verdicts: Verdicts) -> list[str]:
     out = [f"{name}: {w}" for name, item in found.items() for w in item.warnings]
     out += [f"{r.request}, {r.source}: {w}" for r in lobes for w in unpack_warnings(r.lobes)]
+    out += verdicts.warnings
     return out + [f"{r['file']}: undecided: {r['reason']}" for r in verdicts.rows if r["verdict"] == "undecided"]
 
 

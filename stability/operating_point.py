@@ -7,6 +7,7 @@ n the feed is ``f_z N n``, and at a depth a the force level is that of the cut. 
 
 has as roots all depths at which stability changes: a cut at depth a is stable where ``a < L``. Between the measured
 conditions the complex compliance is interpolated linearly; outside them the nearest one is taken, and that is said.
+Each feed may have been measured at levels of its own: along the level it is interpolated first, then along the feed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from numpy.typing import ArrayLike
 from process.cutting import CuttingCoefficients, force_harmonics
 from process.engagement import AnyEngagement
 from process.errors import InputError
-from process.labels import check_compliance, label, not_measured
+from process.labels import at_tool, check_compliance, label
 from process.tool import Tool
 from stability.branches import Branches, eigenvalue_branches
 from stability.periodic import NO_LOBE, Complex, Real, pattern_of_pitch
@@ -31,8 +32,8 @@ from stability.problem import Cut, Samples, check_spindle_speed, complete_sample
 from stability.vibration import vibration
 from stability.zero_order import first_limits, labelled
 
-CONDITIONS: tuple[str, ...] = ("feed", "force_level", "depth_of_cut")
-"""Dimensions of a compliance that a cut fixes: mm/min, N, mm."""
+CONDITIONS: tuple[str, ...] = ("feed", "force_level", "depth_of_cut", "level")
+"""Dimensions of a compliance that a cut fixes: mm/min, N, mm; ``level`` only counts the levels of each feed."""
 
 PIECES = 4
 """Into how many pieces each interval between measured levels is cut in the search for roots."""
@@ -46,20 +47,30 @@ Level = Callable[[float], float]
 
 @dataclass(frozen=True)
 class _Conditions:
-    """A compliance over feed and level, shape (feeds, levels, n, 3, 3), on a common frequency grid."""
+    """A compliance over feed and the levels of each feed, shape (feeds, levels, n, 3, 3), on one frequency grid."""
 
     samples: Samples
     matrix: Complex
     feed: Real
-    level: Real
+    levels: tuple[Real, ...]
     level_name: str | None
 
     def at(self, feed: float, level: float) -> Samples:
         """Return the compliance at a feed [mm/min] and a level, linear between conditions, the nearest outside."""
-        along = _between(self.feed, feed)
-        across = _between(self.level, level)
-        mixed = sum(u * v * self.matrix[i, j] for i, u in along for j, v in across)
+        mixed = sum(
+            u * v * self.matrix[i, j] for i, u in _between(self.feed, feed) for j, v in _between(self.levels[i], level)
+        )
         return replace(self.samples, matrix=np.asarray(mixed))
+
+    def known(self, feed: float) -> tuple[float, float]:
+        """Return lowest and highest level that were measured at the feeds about this one."""
+        about = [self.levels[i] for i, share in _between(self.feed, feed) if share > 0.0]
+        return max(float(part[0]) for part in about), min(float(part[-1]) for part in about)
+
+    @property
+    def every_level(self) -> Real:
+        """The levels of all feeds, rising."""
+        return np.unique(np.concatenate(self.levels))
 
 
 @dataclass(frozen=True)
@@ -87,7 +98,9 @@ def operating_point(
     ----------
     compliance : xarray.Dataset
         Compliance [m/N] with one or both of the dimensions ``feed`` [mm/min] and ``force_level`` [N] (or
-        ``depth_of_cut`` [mm], for sweeps): measured, or of a machine model by `process.compliance_map`.
+        ``depth_of_cut`` [mm], for sweeps): measured, or of a machine model by `process.compliance_map`. Where each feed
+        has levels of its own, the dimension is called ``level`` and the coordinate ``force_level(feed, level)`` (or
+        ``depth_of_cut``) holds them, NaN behind the last one of a feed.
     tool, arc, coefficients
         The cut.
     spindle_speed : array_like, shape (speeds,)
@@ -156,7 +169,9 @@ class _Search:
 
     def point(self, speed: float, feed: float, depth: float) -> _Point:
         """Return the zero-order limit at a speed with the compliance that belongs to a depth [m]."""
-        branches = self._branches(feed, float(self.conditions.level[-1]) if math.isinf(depth) else self.level(depth))
+        branches = self._branches(
+            feed, float(self.conditions.every_level[-1]) if math.isinf(depth) else self.level(depth)
+        )
         limit, chatter, lobe = first_limits(branches, self.pitch, np.array([speed]))
         return _Point(float(limit[0]), float(chatter[0]), int(lobe[0]), branches)
 
@@ -177,7 +192,7 @@ class _Search:
 
     def _nodes(self) -> list[float]:
         """Return the depths [m] of the measured levels and between them; below and above the compliance is constant."""
-        ends = [_inverse(self.level, float(level)) for level in self.conditions.level]
+        ends = [_inverse(self.level, float(level)) for level in self.conditions.every_level]
         between = [np.linspace(a, b, PIECES, endpoint=False) for a, b in pairwise(ends)]
         return [float(a) for a in np.concatenate([*between, ends[-1:]])]
 
@@ -226,39 +241,48 @@ def _inverse(level: Level, wanted: float) -> float:
 
 def _conditions(compliance: xr.Dataset) -> _Conditions:
     """Check the dimensions and put all conditions on one frequency grid: where all are known."""
-    array = check_compliance(compliance)["compliance"]
+    array = at_tool(check_compliance(compliance))["compliance"]
     named = [name for name in CONDITIONS if name in array.dims]
-    levels = [name for name in named if name != "feed"]
-    if not named or len(levels) > 1:
+    dims = [name for name in named if name != "feed"]
+    names = [name for name in CONDITIONS[1:3] if name in array.coords] if dims == ["level"] else dims
+    if not named or len(dims) > 1 or len(names) != len(dims):
         raise InputError(
             f"the compliance has the dimensions {', '.join(map(str, array.dims))}; feed [mm/min], and one of "
             "force_level [N] and depth_of_cut [mm], say at which operating point it holds. For a compliance at one "
             "condition ask for the zero-order limit"
         )
-    for name in named:
-        nodes = array[name].values.astype(float)
-        if not np.isfinite(nodes).all() or np.any(np.diff(nodes) <= 0.0):
+    if len(array.dims) > 3 + len(named):
+        complete_samples(compliance.isel({name: 0 for name in named}))  # refuses what no cut fixes, with its name
+    second = dims[0] if dims else "force_level"
+    for name in ("feed", second):
+        array = array if name in array.dims else array.expand_dims({name: [0.0]})
+    along = array[names[0] if names else second]
+    table = along.broadcast_like(array.isel(frequency=0, response=0, excitation=0)).transpose("feed", second)
+    there = table.notnull()
+    levels = tuple(row[known].astype(float) for row, known in zip(table.values, there.values, strict=True))
+    feed = array["feed"].values.astype(float)
+    for name, nodes in (("feed", feed), *((names[0] if names else second, nodes) for nodes in levels)):
+        if not nodes.size or not np.isfinite(nodes).all() or np.any(np.diff(nodes) <= 0.0):
             raise InputError(f"the conditions {name} are {nodes.tolist()}; they must be finite and rise: sort them")
-    missing = not_measured(compliance)
-    array = array.where(~missing, 0.0).assign_attrs(array.attrs)
-    known = xr.apply_ufunc(np.isfinite, array).all(dim=named)
-    whole = array.isel({name: 0 for name in named}).where(known)
-    one = compliance.drop_vars([v for v in compliance.data_vars if v != "compliance"])
-    one = one.isel({name: 0 for name in named}, drop=True).assign(compliance=whole.drop_vars(named))
-    one["compliance"].attrs["units"] = array.attrs["units"]
+    behind = there.values[:, 1:] & ~there.values[:, :-1]
+    if behind.any():
+        raise InputError(f"the levels {names[0]} of a feed have gaps; put the NaN behind the last level of each feed")
+    array = array.drop_vars([c for c in array.coords if c not in array.dims])
+    there = there.drop_vars(list(there.coords))
+    missing = array.isnull().all("frequency") & there
+    units = array.attrs
+    array = array.where(~missing, 0.0)
+    known = (xr.apply_ufunc(np.isfinite, array) | ~there).all(dim=["feed", second])
+    one = array.isel({"feed": 0, second: 0}, drop=True).where(known).to_dataset(name="compliance")
+    one["compliance"].attrs.update(units)
     samples = complete_samples(one)
-    told = partial_warning(array["response"].values, array["excitation"].values, missing.any(dim=named))
+    told = partial_warning(array["response"].values, array["excitation"].values, missing.any(dim=["feed", second]))
     samples = replace(samples, warnings=(*told, *(w for w in samples.warnings if "partial matrix" not in w)))
-    full = array.sel(frequency=samples.frequency)
-    for name in ("feed", levels[0] if levels else "force_level"):
-        full = full if name in full.dims else full.expand_dims({name: [0.0]})
-    second = levels[0] if levels else "force_level"
-    full = full.transpose("feed", second, "frequency", "response", "excitation")
+    full = array.sel(frequency=samples.frequency).transpose("feed", second, "frequency", "response", "excitation")
     matrix = np.zeros((*full.shape[:3], 3, 3), dtype=complex)
     rows, columns = (["xyz".index(str(a)) for a in full[d].values] for d in ("response", "excitation"))
     matrix[np.ix_(*map(range, full.shape[:3]), rows, columns)] = full.values
-    feed, level = (full[name].values.astype(float) for name in ("feed", second))
-    return _Conditions(samples, matrix, feed, level, levels[0] if levels else None)
+    return _Conditions(samples, matrix, feed, levels, names[0] if names else None)
 
 
 def _level(conditions: _Conditions, cut: Cut, feed_per_tooth: float, given: Level | None) -> Level:
@@ -281,17 +305,22 @@ def _level(conditions: _Conditions, cut: Cut, feed_per_tooth: float, given: Leve
 def _outside(conditions: _Conditions, feed: Real, level: Real) -> list[str]:
     """Say how many limits take the nearest condition because theirs lies outside the measured ones."""
     out = []
-    asked = [("feed", "mm/min", conditions.feed, feed)]
+    nodes = conditions.feed
+    ranges = [("feed", "mm/min", feed, np.broadcast_to([nodes[0], nodes[-1]], (feed.size, 2)))]
+    if nodes.size == 1 and nodes[0] == 0.0:
+        ranges = []
     if conditions.level_name is not None:
         unit = "mm" if conditions.level_name == "depth_of_cut" else "N"
-        asked.append((conditions.level_name, unit, conditions.level, level[np.isfinite(level)]))
-    for name, unit, nodes, values in asked:
-        count = int(np.sum((values < nodes[0] * (1 - 1e-12)) | (values > nodes[-1] * (1 + 1e-12))))
-        if count and (name != "feed" or conditions.feed.size > 1 or nodes[0] != 0.0):
+        finite = np.isfinite(level)
+        known = np.array([conditions.known(float(v)) for v in feed[finite]]).reshape(-1, 2)
+        ranges.append((conditions.level_name, unit, level[finite], known))
+    for name, unit, values, known in ranges:
+        outside = (values < known[:, 0] * (1 - 1e-12)) | (values > known[:, 1] * (1 + 1e-12))
+        if outside.any():
             out.append(
-                f"{count} of {feed.size} limits lie at a {name} outside the measured {nodes[0]:.6g} to "
-                f"{nodes[-1]:.6g} {unit} (asked: {values.min():.6g} to {values.max():.6g} {unit}); the nearest "
-                "compliance is taken there"
+                f"{outside.sum()} of {feed.size} limits lie at a {name} outside the measured {known[:, 0].min():.6g} "
+                f"to {known[:, 1].max():.6g} {unit} (asked: {values.min():.6g} to {values.max():.6g} {unit}); the "
+                "nearest compliance is taken there"
             )
     return out
 

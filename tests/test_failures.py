@@ -10,6 +10,7 @@ import pytest
 
 from process.errors import InputError
 from smfe import cli, failures, pipeline
+from smfe.diagnosis.audit import check
 from smfe.failures import Failure, attempt, of_file, unpack
 from smfe.store import read_groups
 
@@ -197,3 +198,23 @@ def test_a_mistake_of_ours_costs_its_part_and_an_interruption_everything() -> No
     with pytest.raises(InputError), attempt(None, "lobes", "c"):
         raise InputError("no collector")
     assert failures.unpack({}) == []
+
+
+def test_a_cut_under_another_controller_is_not_compared_and_every_output_says_so(folder: Path, tmp_path: Path) -> None:
+    for name in ("hit.csv", "cut.csv"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    text = CAMPAIGN + 'controller = "K1"\n' + LOBES.format(method="zero_order").replace(', "broken", "m"', "")
+    (tmp_path / "campaign.toml").write_text(text + CUTTING_TEST + 'controller = "K2"\n')
+    out = pipeline.run(tmp_path / "campaign.toml", tmp_path / "results").parent
+    (row,) = pd.read_csv(out / "chatter.csv", keep_default_na=False).to_dict("records")
+    assert (row["verdict"], row["predicted_hammer"], row["limit_hammer_mm"]) == ("stable", "not compared", "")
+    assert row["not_compared"] == "hammer: controller K1, the cut K2"
+    assert (row["controller"], row["lobes"]) == ("K2", "")
+    told = json.loads((out / "provenance.json").read_text())
+    assert told["failures"] == []
+    said = "cut.csv: no source of lobes belongs to it, so nothing is predicted (hammer: controller K1, the cut K2)"
+    assert said in told["warnings"]
+    assert "not compared" in (out / "report.html").read_text()
+    table = check(tmp_path / "campaign.toml")
+    assert table.loc[table["cause"] == "conditions", "evidence"].tolist() == [said]
+    assert read_groups(out / "lobes.nc")["lobes_1/hammer"].attrs["controller"] == "K1"

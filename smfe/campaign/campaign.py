@@ -340,6 +340,8 @@ class LobeRequest:
         Spindle speeds [rpm].
     maximum_depth : float or None
         Greatest depth that can be cut [m].
+    feed_direction : float
+        Direction in which the cut is fed [rad], from +x of the measurements towards +y.
     """
 
     measurements: tuple[str, ...]
@@ -349,6 +351,7 @@ class LobeRequest:
     feed_per_tooth: float
     spindle_speed: NDArray[np.float64] = field(repr=False)
     maximum_depth: float | None = None
+    feed_direction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -373,6 +376,8 @@ class CuttingTest:
         "stable" or "chatter": the engineer's own verdict.
     controller : str, optional
         Tuning of the controller during the cut.
+    position : str, optional
+        Posture of the machine during the cut.
     feed : mapping of str to float, optional
         Axis -> feed [m/s].
     quantity : str, optional
@@ -400,6 +405,7 @@ class CuttingTest:
     feed_per_tooth: float | None = None
     observed: str | None = None
     controller: str | None = None
+    position: str | None = None
     feed: Mapping[str, float] | None = None
     quantity: str | None = None
     interval: tuple[float, float] | None = None
@@ -666,6 +672,7 @@ def _lobes(table: schema.LobesTable) -> LobeRequest:
         table.feed_per_tooth,
         np.asarray(speeds),
         table.maximum_depth,
+        table.feed_direction,
     )
 
 
@@ -680,6 +687,7 @@ def _cutting_test(table: schema.CuttingTestTable, base: Declared) -> CuttingTest
         feed_per_tooth=table.feed_per_tooth,
         observed=table.observed,
         controller=table.controller,
+        position=table.position,
         feed=table.feed,
         quantity=table.quantity,
         interval=table.interval,

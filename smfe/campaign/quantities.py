@@ -161,6 +161,27 @@ def _speed(value: Any) -> float:
 
 Feed = Annotated[dict[str, float], BeforeValidator(_feed)]
 
+_COMPASS = {"x": 0.0, "y": 0.5 * math.pi, "-x": math.pi, "-y": -0.5 * math.pi}
+
+
+def _feed_direction(value: Any) -> float:
+    """An axis with its sign, or the angle from +x towards +y -> rad, above -pi and at most pi."""
+    if isinstance(value, str) and value in _COMPASS:
+        return _COMPASS[value]
+    try:
+        angle = units.parse(value, "angle")
+    except InputError:
+        angle = math.nan
+    if not math.isfinite(angle):
+        raise InputError(
+            f"{value!r} is no direction of a feed; write 'x', 'y', '-x', '-y', or the angle from +x towards +y, "
+            "e.g. '30 deg'"
+        )
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
+
+
+FeedDirection = Annotated[float, BeforeValidator(_feed_direction)]
+
 
 def _list_of(value: Any, dimension: str, sizes: Sequence[int], example: str) -> list[float]:
     if not isinstance(value, list) or len(value) not in sizes:

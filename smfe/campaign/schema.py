@@ -305,6 +305,7 @@ class LobesTable(Table):
     width_of_cut: q.PositiveLength
     feed_per_tooth: q.PositiveLength
     spindle_speed: q.SpeedRange
+    feed_direction: q.FeedDirection = 0.0
     maximum_depth: q.PositiveLength | None = None
 
 
@@ -340,6 +341,7 @@ class CuttingTestTable(Table):
     feed_per_tooth: q.PositiveLength | None = None
     observed: Annotated[str, q.one_of(("stable", "chatter"), "verdict")] | None = None
     controller: StrictStr | None = None
+    position: StrictStr | None = None
     feed: q.Feed | None = None
     quantity: Annotated[str, q.one_of(QUANTITIES, "quantity")] | None = None
     interval: q.Interval | None = None

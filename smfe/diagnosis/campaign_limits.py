@@ -9,6 +9,7 @@ from dataclasses import replace
 from process.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LimitsOf
+from smfe.cut_conditions import FIXED, Source, stated
 from smfe.cutting_tests import judge
 from smfe.diagnosis.campaign_case import Case
 from smfe.diagnosis.campaign_modes import modes_named
@@ -36,10 +37,11 @@ def limit_case(
     modes, tool, material = modes_named(campaign, baseline.source, found), campaign.tool, campaign.coefficients
     if tool is None or material is None:
         raise InputError("a limit depth needs the tables [tool] and [material]; add them")
-    trials = _trials(campaign, progress)
+    belonging, suspects = _of_source(campaign, baseline)
+    trials = _trials(campaign, belonging, progress)
     limits: list[Limit] = []
     groups: dict[str, tuple[str, ...]] = {}
-    suspects: list[Suspect] = list(modes.suspects)
+    suspects = [*modes.suspects, *suspects]
     for (cut, width, feed), tests in trials.items():
         bounds, notes = bracketed([trial for _, trial in tests], feed)
         arc = engagement(cut, width, tool.diameter)
@@ -74,10 +76,33 @@ def _spread(campaign: Campaign, baseline: LimitsOf) -> Spread:
     return usual
 
 
-def _trials(campaign: Campaign, progress: Progress) -> Mapping[Cut, Sequence[tuple[CuttingTest, Trial]]]:
+def _of_source(campaign: Campaign, baseline: LimitsOf) -> tuple[list[CuttingTest], list[Suspect]]:
+    """Return the cutting tests of the machine whose modes are questioned: one controller, one position."""
+    measured = next((m for m in campaign.measurements if m.name == baseline.source), None)
+    fixed = (None, None) if measured is None else tuple(stated(measured, key) for key in FIXED)
+    source = Source((baseline.source,), baseline.source, *fixed)
+    kept = [test for test in campaign.cutting_tests if not source.differs(test)]
+    for key in FIXED:
+        values = sorted({v for test in kept if (v := getattr(test, key)) is not None})
+        if len(values) > 1:
+            raise InputError(
+                f"the cutting tests were made with the {key} {' and '.join(values)}, whose limits are not those of one "
+                f"machine; diagnose each in a campaign of its own, or from a measurement that states its {key}"
+            )
+    notes = [
+        Suspect("unusable", "note", f"cutting test, {test.file.name}", source.differs(test), "it bounds no limit here")
+        for test in campaign.cutting_tests
+        if source.differs(test)
+    ]
+    return kept, notes
+
+
+def _trials(
+    campaign: Campaign, tests: Sequence[CuttingTest], progress: Progress
+) -> Mapping[Cut, Sequence[tuple[CuttingTest, Trial]]]:
     found: dict[Cut, list[tuple[CuttingTest, Trial]]] = {}
-    for done, test in enumerate(campaign.cutting_tests):
-        progress(f"judging {test.file.name}", done, len(campaign.cutting_tests))
+    for done, test in enumerate(tests):
+        progress(f"judging {test.file.name}", done, len(tests))
         judged = judge(campaign, test)
         verdict = test.observed or judged.verdict
         if verdict in ("stable", "chatter"):

@@ -53,7 +53,7 @@ def refusals(
     Returns
     -------
     list of Suspect
-        "unusable" faults.
+        "unusable" faults, and warnings of cutting tests that no source of lobes belongs to.
     """
     whole, refused = with_levels(campaign), list(known)
     compliances = labelled(whole, found)
@@ -66,7 +66,7 @@ def refusals(
         with attempt(refused, "pockets", f"{r.request}, {r.source}"):
             pockets_of(r, campaign)
     quick = replace(short, lobes=tuple(r for r in short.lobes if r.method in QUICK))
-    judge_all(quick, compliances, progress, refused)
+    unsure = judge_all(quick, compliances, progress, refused).warnings
     if campaign.baseline is not None:
         with attempt(refused, "diagnosis"):
             case_of(campaign, found, progress)
@@ -74,7 +74,10 @@ def refusals(
         with attempt(refused, "plan"):
             load_task(campaign.path)
     failed = {f.name for f in known if f.part == MEASUREMENT}
-    return [
+    said = [
+        Suspect("conditions", "warning", "cutting tests", text, "correct what the campaign states") for text in unsure
+    ]
+    return said + [
         Suspect("unusable", "fault", f"{f.part} {f.name}".strip(), f.reason, "correct what it names; the rest will run")
         for f in refused[len(known) :]
         if not any(f"'{name}' failed" in f.reason for name in failed)

@@ -213,6 +213,8 @@ def _test_text(row: Mapping[Any, Any]) -> str:
     ]
     if isinstance(row.get("observed"), str) and row["observed"]:
         lines.append(f"observed: {plain(row['observed'])}")
+    said = [(key, row.get(key)) for key in ("controller", "position")]
+    lines += [f"{key}: {plain(value)}" for key, value in said if isinstance(value, str) and value]
     if np.isfinite(row.get("chatter_frequency_Hz", np.nan)):
         lines.append(f"line at {number(row['chatter_frequency_Hz'])} Hz")
     return "<br>".join(lines)

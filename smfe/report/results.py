@@ -26,6 +26,7 @@ _TEXT_COLUMNS = (
     *("source", "request", "lobes", "measurement", "model", "measurement_a", "measurement_b", "a", "b"),
     *("lowest", "highest", "categories", "aliased_with"),
     *("response", "excitation", "entry", "file", "verdict", "observed", "reason"),
+    *("controller", "position", "not_compared"),
 )
 """Columns that are names: a source called "1" stays text."""
 

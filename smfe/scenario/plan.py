@@ -391,14 +391,14 @@ def _cuts(stand: Stand, trial: schema.CutTable, chosen: Combination) -> Iterator
             tail=trial.tail,
             **_common(stand, one),
         )
-        says = {
+        says: dict[str, Any] = {
             "spindle_speed": f"{rpm:.9g} rpm",
             "depth_of_cut": show(chosen.level, "mm", "length"),
             "cut": trial.cut,
             "width_of_cut": show(trial.width_of_cut, "mm", "length"),
             "feed_per_tooth": show(trial.feed_per_tooth, "mm", "length"),
+            **{key: chosen.says[key] for key in ("controller", "position", "feed") if key in chosen.says},
         }
-        # A cutting test of the campaign has no conditions of its own.
         yield Entry(name, "cut", stand.trial, says, running, (Job(name, make, {}),))
 
 

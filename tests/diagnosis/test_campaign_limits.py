@@ -98,3 +98,17 @@ def test_what_cannot_be_questioned_is_said(tmp_path: Path) -> None:
         load_campaign(written(tmp_path, one, 'limits = "bench"\nforces = "mechanistic"'))
     with pytest.raises(InputError, match=r"add \[\[cutting_test\]\]s that bracket the limit"):
         load_campaign(written(tmp_path, []))
+
+
+def test_limits_are_those_of_one_controller(tmp_path: Path) -> None:
+    found = [Found(300.0, 1e-4, 1.9e-3, 2.1e-3, 71.3), Found(500.0, 1e-4, 2.9e-3, 3.1e-3, 70.8)]
+    path = written(tmp_path, found, observed=True)
+    tables = path.read_text().split("[[cutting_test]]")
+    under = [
+        f'{text}\ncontroller = "{name}"\n' for text, name in zip(tables[1:], ("K1", "K1", "K2", "K2"), strict=True)
+    ]
+    path.write_text("[[cutting_test]]".join([tables[0] + "\n", *under]))
+    with pytest.raises(
+        InputError, match="made with the controller K1 and K2, whose limits are not those of one machine"
+    ):
+        case_of(load_campaign(path), {})

@@ -160,6 +160,7 @@ class TestWhatItSays:
     def test_a_cutting_test_says_how_it_is_judged_and_under_what_it_was_cut(self, folder: Path) -> None:
         says = """observed = "chatter"
 controller = "K2"
+position = "left"
 feed = { x = "600 mm/min" }
 interval = ["500 ms", "3 s"]
 axes = ["x", "z"]
@@ -168,7 +169,8 @@ floor = "2 um"
 half_order_reference = "30 %"
 """
         (test,) = load(folder, EXAMPLE.replace('observed = "chatter"\n', says)).cutting_tests
-        assert (test.controller, test.interval, test.axes) == ("K2", (0.5, 3.0), ("x", "z"))
+        assert (test.controller, test.position) == ("K2", "left")
+        assert (test.interval, test.axes) == ((0.5, 3.0), ("x", "z"))
         assert test.feed == pytest.approx({"x": 0.01, "y": 0.0, "z": 0.0})
         assert test.floor == (pytest.approx(2e-6), "displacement")
         assert (test.frequency_range, test.half_order_reference) == ((20.0, 400.0), 0.3)
@@ -191,6 +193,14 @@ half_order_reference = "30 %"
         x, y = load(folder, EXAMPLE).measurements[0].records
         assert (x.controller, y.controller) == ("K2", "K3")
         assert x.feed == {"x": 0.0, "y": 0.0, "z": 0.0}
+
+    @pytest.mark.parametrize(
+        ("said", "degrees"),
+        [("x", 0), ("y", 90), ("-x", 180), ("-y", -90), ("30 deg", 30), ("-135 deg", -135), ("270 deg", -90)],
+    )
+    def test_the_direction_of_a_feed_is_an_axis_or_an_angle(self, folder: Path, said: str, degrees: float) -> None:
+        text = changed('method = "zero_order"', f'method = "zero_order"\nfeed_direction = "{said}"')
+        assert load(folder, text).lobes[0].feed_direction == pytest.approx(np.radians(degrees))
 
     def test_a_speed_step(self, folder: Path) -> None:
         text = changed('["250 rpm", "750 rpm"]', '["250 rpm", "750 rpm", "0.5 rpm"]')
@@ -465,6 +475,12 @@ ONE_FAULT = [
         "half_order_reference = -1",
         "cutting_test[0].half_order_reference: -1 is no ratio of two amplitudes",
     ),
+    (
+        'method = "zero_order"',
+        'method = "zero_order"\nfeed_direction = "z"',
+        "lobes[0].feed_direction: 'z' is no direction of a feed; write 'x', 'y', '-x', '-y', or the angle",
+    ),
+    ('method = "zero_order"', 'method = "zero_order"\nfeed_direction = "390 deg"', None),
 ]
 
 

@@ -1,0 +1,189 @@
+"""Which compliance belongs to which cut: measured under its controller, at its position, seen along its feed.
+
+A compliance with the axes x and y of the machine becomes that of a cut fed along the direction theta, whose own x is
+the feed (`docs/conventions.md`), by a rotation about the tool axis: ``Phi' = R Phi R^T`` with ``x' = x cos theta + y
+sin theta``, ``y' = -x sin theta + y cos theta``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.compliance import ModalModel
+from process.labels import AXES, at_tool, full_matrix, make_compliance, not_measured
+from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement
+from stability.problem import partial_warning
+
+SEVERAL = " + "
+"""Between the names of measurements that make one source."""
+
+ALIKE = math.radians(5.0)
+"""Angle below which two directions of a feed are one [rad]."""
+
+FIXED = ("controller", "position")
+"""Conditions that a limit is not had across: there is nothing between two controllers."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What gives one limit: a measurement or model, or several measurements of an operating point.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Measurements or models.
+    label : str
+        What it is called in every output.
+    controller, position : str, optional
+        Under and at which it was measured; None: not stated, or a model.
+    """
+
+    names: tuple[str, ...]
+    label: str
+    controller: str | None = None
+    position: str | None = None
+
+    def differs(self, test: CuttingTest) -> str:
+        """Return in which condition a cutting test is stated to differ from this source; empty: in none."""
+        for key in FIXED:
+            own, other = getattr(self, key), getattr(test, key)
+            if own is not None and other is not None and own != other:
+                return f"{key} {own}, the cut {other}"
+        return ""
+
+
+def sources_of(campaign: Campaign, request: LobeRequest) -> list[Source]:
+    """Return what each result of a request is had from.
+
+    Each measurement or model for itself; an operating point from all measurements under one controller and at one
+    position together, so that a request over two controllers has two results, each labelled.
+    """
+    at = {m.name: m for m in campaign.measurements}
+    told = {name: tuple(stated(at[name], key) for key in FIXED) for name in request.measurements if name in at}
+    if request.method != "operating_point":
+        return [Source((n,), n, *told.get(n, ())) for n in request.measurements]
+    kinds = list(dict.fromkeys(told.values())) or [(None, None)]
+    models = tuple(name for name in request.measurements if name not in at)
+    out = []
+    for kind in kinds:
+        names = tuple(n for n in request.measurements if told.get(n) == kind) + models
+        said = [f"{key} {value or 'not stated'}" for key, value in zip(FIXED, kind, strict=True) if _varies(key, kinds)]
+        label = ", ".join([SEVERAL.join(n for n in request.measurements if n in names), *said])
+        out.append(Source(names, label.replace("/", " per "), *kind))
+    return out
+
+
+def _varies(key: str, kinds: Sequence[tuple[str | None, ...]]) -> bool:
+    return len({kind[FIXED.index(key)] for kind in kinds}) > 1
+
+
+def stated(measurement: Measurement, key: str) -> str | None:
+    """Return a condition of a measurement; of records that state several, all: it belongs to none alone."""
+    own = {getattr(entry, key) for entry in measurement.records} or {getattr(measurement, key)}
+    values = sorted(str(v) for v in own if v is not None)
+    return " and ".join(values) or None
+
+
+# --- feed ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Feed:
+    """The feed of a measurement or cut.
+
+    Parameters
+    ----------
+    speed : float
+        [m/s].
+    direction : float or None
+        From +x towards +y [rad]; None: at rest, or all axes move alike.
+    reverse : bool
+        All axes move alike, in their negative sense.
+    """
+
+    speed: float
+    direction: float | None = None
+    reverse: bool = False
+
+
+def feed_of(vector: Mapping[str, float] | None) -> Feed | None:
+    """Return the feed of a table of axes [m/s]; None where it leaves the plane of x and y.
+
+    One speed for all axes, as a campaign writes ``feed = "500 mm/min"``, has no direction of its own.
+    """
+    x, y, z = (float((vector or {}).get(axis, 0.0)) for axis in AXES)
+    if x == y == z:
+        return Feed(abs(x), None, x < 0.0)
+    if z != 0.0:
+        return None
+    return Feed(math.hypot(x, y), math.atan2(y, x))
+
+
+def apart(a: float, b: float) -> float:
+    """Return the angle between two directions [rad], 0 to pi."""
+    return abs(math.remainder(a - b, 2.0 * math.pi))
+
+
+def direction_text(angle: float) -> str:
+    """Return a direction in words: x, -y, or e.g. "30 deg from x towards y"."""
+    for name, at in (("x", 0.0), ("y", 0.5 * math.pi), ("-x", math.pi), ("-y", -0.5 * math.pi)):
+        if apart(angle, at) < 1e-6:
+            return name
+    return f"{math.degrees(angle):.4g} deg from x towards y"
+
+
+# --- the frame of the cut --------------------------------------------------------------------------------------------
+
+
+def rotation(angle: float) -> NDArray[np.float64]:
+    """Return the matrix R whose rows are the axes of a cut fed along a direction [rad]; quarter turns are exact."""
+    c, s = (0.0 if abs(v) < 1e-12 else v for v in (math.cos(angle), math.sin(angle)))
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turned(compliance: xr.Dataset, angle: float) -> tuple[xr.Dataset, list[str]]:
+    """Return a compliance in the axes of a cut that is fed along a direction, and what is to be said about it.
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset
+        ``compliance(frequency, response, excitation)`` [m/N] in the axes of the machine.
+    angle : float
+        Direction of the feed, from +x towards +y [rad].
+
+    Returns
+    -------
+    compliance : xarray.Dataset
+        Without its errors, whose correlation a rotation would need.
+    warnings : list of str
+        Entries that the rotation mixes and that were not measured count as rigid.
+    """
+    here = at_tool(compliance)
+    phi, r = full_matrix(here), rotation(angle)
+    missing = not_measured(here)
+    known = np.zeros((3, 3), dtype=bool)
+    rows, columns = ([AXES.index(str(a)) for a in here[d].values] for d in ("response", "excitation"))
+    known[np.ix_(rows, columns)] = ~missing.transpose("response", "excitation").values
+    mixes = r != 0.0
+    needed = mixes.astype(int) @ (~known).astype(int) @ mixes.T.astype(int)
+    reached = (mixes.astype(int) @ known.astype(int) @ mixes.T.astype(int)) > 0
+    out = np.einsum("ij,fjk,lk->fil", r, phi, r)
+    out[:, ~reached] = np.nan
+    rows, columns = (np.flatnonzero(reached.any(axis=k)).tolist() for k in (1, 0))
+    response, excitation = ([AXES[i] for i in at] for at in (rows, columns))
+    values = out[:, rows][:, :, columns]
+    told = make_compliance(here["frequency"].values, values, response, excitation, attrs=here.attrs)
+    if not (needed[reached] > 0).any():
+        return told, []
+    return told, partial_warning(here["response"].values, here["excitation"].values, missing)
+
+
+def turned_modes(modal: ModalModel, angle: float) -> ModalModel:
+    """Return modes in the axes of a cut that is fed along a direction [rad]."""
+    return replace(modal, direction=modal.direction @ rotation(angle).T)
