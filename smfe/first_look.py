@@ -20,7 +20,6 @@ from smfe.records.contents import Contents
 from smfe.records.guess import Guess, frequency_column, guess_channels
 from smfe.records.table import Column
 from smfe.records.write import OWN_COLUMNS
-from smfe.steps import find_steps
 from smfe.store import write_atomically
 
 Real = NDArray[np.float64]
@@ -423,21 +422,16 @@ def _measurement_tables(file: str, used: Sequence[Guess], kind: Kind, found: Con
         "impact test": "hammer",
         "stepped sine": "actuator",
         "sine": "actuator",
+        "sine sweep": "actuator",
         "periodic excitation": "actuator",
+        "random excitation": "actuator",
         "drive stroke": "drive",
         "loop trace": "loop",
     }.get(kind.name, "silent")
     if method in ("hammer", "actuator") and not moved:
         method = "silent"
-    elif kind.name in ("stepped sine", "sine"):
-        assert axis is not None
-        force = found.columns[axis.column]
-        # Steps of few cycles are no steps for the estimator, which would refuse the record.
-        method = method if find_steps(force - force.mean(), 1.0) else "silent"
     lines = ["[[measurement]]", f"name = {_text(kind.name)}", f'method = "{method}"']
     if method in ("hammer", "actuator"):
-        if kind.name == "periodic excitation":
-            lines.append(f'period = "{kind.reason.split("after ")[1].split(" s")[0]} s"')
         return [*lines, f'records = [{{ file = {file}, excitation = "{along}" }}]  {_CHANGE}: the axis']
     return [*lines, f"records = [{{ file = {file} }}]"]
 

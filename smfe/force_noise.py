@@ -108,7 +108,7 @@ def force_noise(records: Sequence[xr.Dataset], axes: list[str], reach: tuple[flo
     pieces, floors = [], []
     for record in records:
         dt, force = sample_interval(record), record["force"].sel(axis=axes).values
-        found = [_density(force[:, piece], dt, reach, 0.5) for piece in air_pieces(record)]
+        found = [density_of(force[:, piece], dt, reach, 0.5) for piece in air_pieces(record)]
         pieces += [f for f in found if f[1] >= 1.0]
         floors += _floor_of_cut(force, np.flatnonzero(in_cut(record)), dt, reach)
     bound = np.median(floors, axis=0) if floors else np.full(len(axes), np.inf)
@@ -137,7 +137,7 @@ def _quietest(power: Real, lines: Real) -> tuple[float, float]:
     return total / weight, float(1.0 / np.sqrt(max(weight, 1.0)))
 
 
-def _density(samples: Real, dt: float, reach: tuple[float, float], quantile: float) -> tuple[Real, float]:
+def density_of(samples: Real, dt: float, reach: tuple[float, float], quantile: float) -> tuple[Real, float]:
     """Return the density of white noise [N2/Hz] whose lines have the quantile that the samples have; and the lines."""
     samples = samples - samples.mean(axis=1, keepdims=True)
     window = hann(samples.shape[1])
@@ -156,4 +156,4 @@ def _floor_of_cut(force: Real, cutting: NDArray[np.int64], dt: float, reach: tup
     if cutting.size < 2 or cutting[-1] - cutting[0] < size:
         return []
     starts = range(int(cutting[0]), int(cutting[-1]) - size + 1, max(1, size // 2))
-    return [_density(force[:, s : s + size], dt, reach, 0.25)[0] for s in starts]
+    return [density_of(force[:, s : s + size], dt, reach, 0.25)[0] for s in starts]

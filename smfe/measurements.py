@@ -24,21 +24,19 @@ from process.errors import InputError
 from process.labels import sample_interval
 from process.tool import Tool
 from smfe import __version__
-from smfe.actuator import identify_actuator
 from smfe.attached_mass import without_mass
 from smfe.averaged_responses import identify_averaged, rising_phase, turned_text
 from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.conditions import hammer_levels
 from smfe.dynamometer import compensate
+from smfe.excitation_kind import identify_shaken
 from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification import Identification, Progress, silent
-from smfe.periodic import identify_periodic
 from smfe.records import put_on_clock, put_on_time, read_records, read_reduced
 from smfe.spindle_orders import Orders
-from smfe.steps import StepRules
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
@@ -252,18 +250,16 @@ def _by_level(campaign: Campaign, m: Measurement, folder: Path | None) -> xr.Dat
 
 
 def _actuator(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:
-    frame, sensor = m.frame_mass or 0.0, m.accelerometer_mass or 0.0
-    if m.period is None:
-        return identify_actuator(
-            m.name,
-            records,
-            frequency_range=m.frequency_range,
-            rules=StepRules(settling=m.settling),
-            frame_mass=frame,
-            accelerometer_mass=sensor,
-        )
-    found = identify_periodic(m.name, records, m.period, settling=m.settling, frequency_range=m.frequency_range)
-    compliance, notes = without_mass(found.compliance, frame + sensor)
+    found = identify_shaken(
+        m.name,
+        records,
+        period=m.period,
+        settling=m.settling,
+        frequency_range=m.frequency_range,
+        resolution=m.resolution,
+        estimator=m.estimator,
+    )
+    compliance, notes = without_mass(found.compliance, (m.frame_mass or 0.0) + (m.accelerometer_mass or 0.0))
     return replace(found, compliance=compliance, warnings=(*found.warnings, *notes))
 
 

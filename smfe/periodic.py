@@ -125,13 +125,14 @@ def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: f
     )
     excited = _excited(spectra, power, frequency)
     cut = np.where(excited[:, None], 1.0, np.nan)
+    relation = np.where(excited[:, None], relation, np.nan)
     notes = [note for s in spectra for note in s.notes(axis, phi, excited)]
     return _Column(
         axis,
         frequency,
         phi * cut,
         variance * cut,
-        relation * cut,
+        relation,
         freedom * cut,
         coherence * cut,
         pd.DataFrame([s.row(axis) for s in spectra]),
@@ -241,7 +242,8 @@ def _between_records(phi: Complex, mean_y: Complex, mean_u: Complex) -> tuple[Re
         e = mean_y - phi[:, :, None] * mean_u[:, None, :]
         d = mean_u.conj()[:, None, :] * e / power[:, None, None] / np.sqrt(1.0 - leverage)[:, None, :]
     freedom = degrees_of_freedom(np.nan_to_num(np.broadcast_to(leverage[:, None, :], d.shape)))
-    return np.sum(np.abs(d) ** 2, axis=2), np.sum(d**2, axis=2), freedom
+    with np.errstate(invalid="ignore"):
+        return np.sum(np.abs(d) ** 2, axis=2), np.sum(d**2, axis=2), freedom
 
 
 def _excited(spectra: Sequence[_Periods], power: Real, frequency: Real) -> NDArray[np.bool_]:

@@ -36,7 +36,7 @@ _PROCESSING = {
     "reciprocal": ("sweep",),
     "position_dependent": ("sweep",),
     "dynamometer": ("sweep",),
-    "estimator": ("hammer", "sweep"),
+    "estimator": ("hammer", "actuator", "sweep"),
     "force_window": ("hammer",),
     "exponential_window": ("hammer",),
     "remove_background": ("hammer",),
@@ -130,10 +130,16 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
             if key in table and method not in readers:
                 only = " or ".join(f"{'an' if r[0] in 'aeiou' else 'a'} {r}" for r in readers)
                 yield (*where, key), f"method '{method}' does not read it; only {only} does, take it out"
-        names = {"hammer": ("H1", "H2", "Hv"), "sweep": ESTIMATORS}.get(method, ())
-        known = {"H1", "H2", "Hv", *ESTIMATORS}  # what is not even known is said by the schema
+        averages = ("H1", "H2", "Hv")
+        names = {"hammer": averages, "actuator": (*averages, "local_polynomial"), "sweep": ESTIMATORS}.get(method, ())
+        known = {*averages, *ESTIMATORS}  # what is not even known is said by the schema
         if names and table.get("estimator", names[0]) in known.difference(names):
-            yield (*where, "estimator"), f"'{table['estimator']}' is no estimator of a {method}; take {listed(names)}"
+            article = "an" if method[0] in "aeiou" else "a"
+            text = f"'{table['estimator']}' is no estimator of {article} {method}; take {listed(names)}"
+            yield (*where, "estimator"), text
+        for key in ("period", "settling"):
+            if method == "actuator" and "estimator" in table and key in table:
+                yield (*where, key), "an estimator is for a force that does not repeat itself; take one of both out"
         if "period" in table and "resolution" in table:
             yield (*where, "resolution"), "a periodic force has lines 1/period apart; take one of both out"
         for place, record in _records(table):

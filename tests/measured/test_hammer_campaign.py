@@ -137,9 +137,14 @@ def test_full_scale_marks_what_reaches_it(tmp_path: Path) -> None:
     [
         ('estimator = "H3"', "hammer", "estimator: estimator 'H3' is not known; available: H1, H2, Hv"),
         (
-            'estimator = "H1"',
+            'estimator = "bands"',
             "actuator",
-            "estimator: method 'actuator' does not read it; only a hammer or a sweep does, take it out",
+            "estimator: 'bands' is no estimator of an actuator; take 'H1', 'H2', 'Hv', 'local_polynomial'",
+        ),
+        (
+            'estimator = "H1"\nperiod = "1 s"',
+            "actuator",
+            "period: an estimator is for a force that does not repeat itself; take one of both out",
         ),
         ("force_window = 1", "hammer", "force_window: "),
         ('exponential_window = "0 s"', "hammer", "exponential_window: '0 s' is not possible; it must be positive"),
