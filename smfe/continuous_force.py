@@ -177,7 +177,7 @@ def _about(
         f"{many} {sum(g.seconds):.4g} s taken as a whole, without blocks: a polynomial over {2 * width.min():.2g} to "
         f"{2 * width.max():.2g} Hz around each line"
     ]
-    narrow = bent.any(axis=1)
+    narrow = np.asarray(bent.any(axis=1))
     if narrow.any():
         notes.append(
             f"the records are too short for the damping in {in_words(frequency, narrow)}: even a band of "

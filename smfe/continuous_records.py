@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -116,14 +117,14 @@ def clipped_share(samples: Real) -> float:
     """
     share = 0.0
     for turned in (samples, -samples):
-        top = turned.max()
-        at = np.count_nonzero(turned == top)
+        top = float(turned.max())
+        at = int(np.count_nonzero(turned == top))
         below = turned[turned < top]
         if at < 6 or not below.size:
             continue
         # The width of a bin below the end: a step of the converter, or what would hold a few samples.
-        step = max(top - below.max(), 1e-3 * float(np.std(samples)))
-        near = np.count_nonzero(below > top - 1.5 * step)
+        step = max(top - float(below.max()), 1e-3 * float(np.std(samples)))
+        near = int(np.count_nonzero(below > top - 1.5 * step))
         if at > 5 * max(near, 1):
             share += at / samples.size
     return share
@@ -244,18 +245,13 @@ def column_of(g: Records, frequency: Real, found: Response) -> Column:
     clip = g.clipped * found.value
     cut = np.where(powerless | drowned | found.unclaimed, np.nan, 1.0)[:, None]
     scale = as_displacement(np.ones((frequency.size, 1), complex), frequency, g.channel) * cut
-    parts = {
-        "compliance": found.value * scale,
-        "variance": (found.variance + np.abs(clip) ** 2) * np.abs(scale) ** 2,
-        "relation": (found.relation + clip**2) * scale**2,
-        "freedom": found.freedom * cut,
-        "coherence": found.coherence * cut,
-    }
     rows = axis_index(g.response)
-    full = {}
-    for name, part in parts.items():
-        full[name] = np.full((frequency.size, 3), np.nan, part.dtype)
-        full[name][:, rows] = part
+
+    def on_axes(part: NDArray[Any]) -> NDArray[Any]:
+        whole = np.full((frequency.size, 3), np.nan, part.dtype)
+        whole[:, rows] = part
+        return whole
+
     where, notes = f"excitation {g.axis}: ", [f"excitation {g.axis}: {text}" for text in found.notes]
     if powerless.any():
         notes.append(f"{where}the force has no power in {in_words(frequency, powerless)}; nothing is claimed there")
@@ -285,4 +281,14 @@ def column_of(g: Records, frequency: Real, found: Response) -> Column:
             "force_peak_N": [float(np.max(np.abs(f))) for f in g.force],
         }
     )
-    return Column(g.axis, *full.values(), found.error_lines, table, tuple(notes))  # type: ignore[arg-type]
+    return Column(
+        g.axis,
+        on_axes(found.value * scale),
+        on_axes((found.variance + np.abs(clip) ** 2) * np.abs(scale) ** 2),
+        on_axes((found.relation + clip**2) * scale**2),
+        on_axes(found.freedom * cut),
+        on_axes(found.coherence * cut),
+        found.error_lines,
+        table,
+        tuple(notes),
+    )

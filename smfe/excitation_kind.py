@@ -307,7 +307,7 @@ def _stretch(record: xr.Dataset, start: int, periods: int, period: float, whole:
     if abs(period - whole) * periods < _WHOLE:
         return record.isel(time=slice(start, min(start + periods * whole, record.sizes["time"])))
     count = periods * whole
-    at = start + np.arange(count) * (period / whole)
+    at: Real = np.asarray(start + np.arange(count) * (period / whole), dtype=np.float64)
     count = int(np.count_nonzero(at <= record.sizes["time"] - 1.0))
     part = record.isel(time=slice(start, start + count))
     for channel in [str(n) for n in part.data_vars if "time" in part[n].dims]:

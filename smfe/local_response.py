@@ -460,7 +460,7 @@ def with_poles(
     width, bent = width.copy(), bent.copy()
     response, covariance = found.response.copy(), found.covariance.copy()
     share, freedom, loss, noise = (getattr(found, n).copy() for n in ("share", "freedom", "loss", "noise"))
-    where = bent.any(axis=1)
+    where = np.asarray(bent.any(axis=1))
     # Stretches closer to each other than a band belong together.
     step = float(np.median(np.diff(frequency)))
     where = ndimage.binary_dilation(where, iterations=max(1, round(3.0 * finest / step)))

@@ -182,13 +182,13 @@ def _averaged(g: Records, length: int, band: tuple[float, float], estimator: str
 
 def _transforms(samples: Real, starts: Sequence[int], window: Real, inside: NDArray[np.bool_], dt: float) -> Complex:
     out = [dt * fft.rfft((p - p.mean()) * window)[inside] for p in (samples[s : s + window.size] for s in starts)]
-    return np.array(out).T if out else np.empty((int(inside.sum()), 0), complex)
+    return np.array(out, dtype=np.complex128).T if out else np.empty((int(inside.sum()), 0), np.complex128)
 
 
 def _column(g: Records, a: _Averaged, leaked: Complex, length: int) -> Column:
     bias = 0.5 * leaked
     with np.errstate(invalid="ignore", divide="ignore"):
-        unclaimed = (np.abs(leaked) > LEAKED * np.abs(a.value)).any(axis=1)
+        unclaimed = np.asarray((np.abs(leaked) > LEAKED * np.abs(a.value)).any(axis=1))
     notes = [
         f"{np.median(a.blocks):.3g} independent averages of Hann blocks of {length * g.dt:.4g} s that overlap by two "
         "thirds"
