@@ -63,11 +63,11 @@ class ForceNoise:
 
 def in_cut(record: xr.Dataset) -> NDArray[np.bool_]:
     """Mark the samples in the cut: force over 50 ms above a fifth of its upper quartile."""
-    level = _level(record)
+    level = force_level(record)
     return np.asarray(level > 0.2 * np.quantile(level, 0.75))
 
 
-def _level(record: xr.Dataset) -> Real:
+def force_level(record: xr.Dataset) -> Real:
     """Return the magnitude of the force, mean over 50 ms [N]."""
     total = np.zeros(record.sizes["time"])
     for axis in axis_present(record, "force"):
@@ -82,7 +82,7 @@ def air_pieces(record: xr.Dataset) -> list[slice]:
     Air is where the force stays below its quietest level and a fifth of the way to that of the cut; a record whose
     force hardly changes has none.
     """
-    level = _level(record)
+    level = force_level(record)
     loud, quiet = float(np.quantile(level, 0.75)), float(level.min())
     if not quiet < 0.5 * loud:
         return []

@@ -31,6 +31,7 @@ from smfe.local_equations import (
 from smfe.noise_pooling import floored, pooled_noise
 from smfe.rational_fit import fit_rational
 from smfe.row_correlation import noise_between, possible, shared_noise
+from smfe.sweep_delay import delay_of
 from smfe.sweep_estimate import Estimate, in_words
 from smfe.sweep_estimators import LocalPolynomial, SweepPass, at_rest
 from smfe.sweep_inputs import (
@@ -592,6 +593,7 @@ def _with_rational(
         half_width=half_width,
         between=between,
         freedom=np.where(take, 2.0 * fit.freedom / found.compliance.shape[1], found.freedom),
+        delay=delay_of(fit.poles, fit.residue, fit.residue_variance * scale, (float(f[0]), float(f[-1]))),
     )
 
 

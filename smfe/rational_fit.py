@@ -72,6 +72,10 @@ class RationalFit:
         Functions of frequency an entry has.
     entry_freedom : ndarray, shape (r, e)
         Degrees of freedom of the mean square error of an entry over the frequencies: how much it scatters.
+    residue : ndarray of complex, shape (m, r, e)
+        Amplitude of each pole [m/N Hz].
+    residue_variance : ndarray, shape (m, r, e)
+        Of its complex error, for unit noise of the weighted lines.
     """
 
     poles: Complex
@@ -83,6 +87,8 @@ class RationalFit:
     between: Complex
     terms: int
     entry_freedom: Real
+    residue: Complex
+    residue_variance: Real
 
 
 @dataclass
@@ -365,6 +371,7 @@ def _result(
     reach = np.zeros((rows, frequency.size, excitations, own + m), dtype=complex)
     spread = np.zeros((rows, own + m, own + m), dtype=complex)
     wrong = np.zeros((rows, own + m, j), dtype=complex)
+    residues = np.zeros((rows, m, excitations, own + m), dtype=complex)
     for i in range(rows):
         by_poles = at.inverse[i] @ couplings[i]
         change = (steep[:, :, None, :] * (at.amplitude[i, :m].T / size[:m])).reshape(*wide.shape[:2], m)
@@ -375,6 +382,8 @@ def _result(
         extra = (raw.gram[i] - problem.gram[i]) @ (wide @ at.amplitude[i].ravel())[..., None]
         wrong[i] = turned @ (extra * np.tile(np.eye(j), (problem.terms, 1))).reshape(-1, j)
         amplitudes = at.inverse[i].reshape(n, j, own)[:, :excitations]
+        residues[i, ..., :own] = amplitudes[:m]
+        residues[i, ..., own:] = -(by_poles @ poles).reshape(n, j, m)[:m, :excitations]
         reach[i, :, :, :own] = np.einsum("fn,njx->fjx", shape, amplitudes)
         direct = slopes[:, None, :] * (at.amplitude[i, :m].T / size[:m])
         moved = direct - np.einsum("fn,njm->fjm", shape, by_poles.reshape(n, j, m))
@@ -383,6 +392,7 @@ def _result(
     wrong[:, own:] = wrong[:, own:].sum(axis=0)
     within = spread + known**2 * wrong @ wrong.conj().swapaxes(1, 2)
     covariance = np.einsum("rfex,rxy,rfgy->freg", reach, within, reach.conj(), optimize=True)
+    scatter = np.einsum("rmex,rxy,rmey->mre", residues, within, residues.conj(), optimize=True).real
     alone = reach[..., :own]
     linear = np.einsum("rfex,rxy,rfgy->freg", alone, within[:, :own, :own], alone.conj(), optimize=True)
     between = np.zeros((frequency.size, rows, excitations, rows, excitations), dtype=complex)
@@ -397,7 +407,19 @@ def _result(
             between[:, i, :, k] = np.einsum("fex,xy,fgy->feg", reach[i], shared, reach[k].conj(), optimize=True)
     left = problem.lines - rows * own - m
     misfit = _residual(raw, at) / max(left, 1.0)
-    return RationalFit(at.poles, misfit, left, value, covariance, linear, between, n, _entry_freedom(reach, within))
+    return RationalFit(
+        at.poles,
+        misfit,
+        left,
+        value,
+        covariance,
+        linear,
+        between,
+        n,
+        _entry_freedom(reach, within),
+        np.asarray(at.amplitude[:, :m, :excitations].swapaxes(0, 1) / size[:m, None, None]),
+        np.asarray(scatter / size[:m, None, None] ** 2),
+    )
 
 
 def _entry_freedom(reach: Complex, spread: Complex | Real) -> Real:

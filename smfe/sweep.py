@@ -30,6 +30,7 @@ from smfe.spectra import BlockSpectra, motion_axes
 from smfe.spindle_orders import Orders, solve_orders
 from smfe.sweep_chatter import without_chatter
 from smfe.sweep_clock import changed_by_clock, judge_clock
+from smfe.sweep_delay import changed_by_delay
 from smfe.sweep_estimate import Estimate, in_words
 from smfe.sweep_estimators import (
     HANN_ERROR_LINES,
@@ -135,15 +136,21 @@ def identify_sweep(
     found.compliance[refused], found.covariance[refused] = np.nan, np.nan
     if found.between is not None:
         found.between[refused] = np.nan
+    delay = found.delay if found.delay is not None and found.delay.real else None
+    moved = []
     if clock.difference:
         acceleration = motion_axes(passes[0].record)[0] == "acceleration"
-        moved = changed_by_clock(found.compliance, frequency, clock.difference, acceleration)
-        found = replace(found, covariance=found.covariance + moved[..., :, None] * moved[..., None, :].conj())
+        moved.append(changed_by_clock(found.compliance, frequency, clock.difference, acceleration))
+    if delay is not None:
+        moved.append(changed_by_delay(found.compliance, frequency, delay.late))
+    for change in moved:
+        found = replace(found, covariance=found.covariance + change[..., :, None] * change[..., None, :].conj())
     attrs = {"method": "sweep", "estimator": repr(chosen), "error_lines": found.error_lines}
     dataset = _labelled(frequency, found, response, axes, attrs)
     warnings = (
         *clock.warnings,
         *chatter,
+        *([delay.in_words()] if delay is not None else []),
         *_condition_warnings(frequency, found.condition),
         *found.warnings,
         *_fewer_axes(axes),

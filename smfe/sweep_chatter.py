@@ -8,7 +8,6 @@ what lies between them, above the noise of the sensor, is chatter.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +15,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from process.labels import axis_present, sample_interval
+from process.labels import sample_interval
 from smfe.force_noise import in_cut
 from smfe.spectra import hann
-from smfe.spindle_angle import spindle_angle
-from smfe.sweep_clock import compare_speeds, over_angle, turns_of
+from smfe.sweep_clock import angle_in_step
+from smfe.sweep_comb import force_over_angle, piece_in_cut, turns_of, windows
 from smfe.sweep_estimators import SweepPass
 
 Real = NDArray[np.float64]
@@ -83,19 +82,16 @@ def chatter_of(record: xr.Dataset, teeth: int | None) -> list[Chatter]:
     list of Chatter
         Nothing where the record tells no angle, or is shorter than a window.
     """
-    cutting = np.flatnonzero(in_cut(record))
-    angle = _angle(record, teeth)
-    if angle is None or cutting.size < 32:
+    piece, angle = piece_in_cut(record), angle_in_step(record, teeth)
+    if angle is None or piece is None:
         return []
-    piece, dt = slice(int(cutting[0]), int(cutting[-1]) + 1), sample_interval(record)
-    angle = angle[piece]
+    angle, dt = angle[piece], sample_interval(record)
     cells, turns = 8 * (teeth or 6), turns_of(teeth)
-    force = over_angle(record["force"].sel(axis=axis_present(record, "force")).values[:, piece], angle, cells)
-    size, hop = turns * cells, max(1, turns // 4)
-    if force.shape[1] < size + SUCCESSIVE * hop * cells:
+    force, hop = force_over_angle(record, piece, angle, cells), max(1, turns // 4)
+    if force.shape[1] < (turns + SUCCESSIVE * hop) * cells:
         return []
-    windows = np.lib.stride_tricks.sliding_window_view(force, size, axis=1)[:, :: hop * cells]
-    spectra = np.fft.rfft((windows - windows.mean(axis=2, keepdims=True)) * hann(size), axis=2)
+    lines = windows(force, cells, turns, hop)
+    spectra = np.fft.rfft((lines - lines.mean(axis=2, keepdims=True)) * hann(turns * cells), axis=2)
     power = np.sum(np.abs(spectra) ** 2, axis=0)
     line = np.arange(power.shape[1])
     away = np.minimum(line % turns, turns - line % turns)
@@ -123,20 +119,6 @@ def chatter_of(record: xr.Dataset, teeth: int | None) -> list[Chatter]:
         speeds = 60.0 * float(rate[a]), 60.0 * float(rate[b - 1])
         out.append(Chatter(ends, speeds, float(share[most]), float(at[most])))
     return out
-
-
-def _angle(record: xr.Dataset, teeth: int | None) -> Real | None:
-    """Return the angle of the spindle [rad] in step with the teeth, or None where nothing tells it."""
-    with suppress(InputError):
-        angle, source = spindle_angle(record, teeth)
-        angle = np.unwrap(angle) if source == "spindle_angle" else angle
-        for found in compare_speeds(record, teeth):
-            if found.source == source:
-                # A channel that comes late shows at t what was at t - late.
-                time = record["time"].values
-                return np.asarray(np.interp(time + found.late, time, angle)) * (1.0 + found.difference)
-        return angle
-    return None
 
 
 def without_chatter(

@@ -5,6 +5,8 @@ and in the passing of the teeth. Over the stated angle the forces have lines at 
 ``r = f_found/f_stated``; r is 1 unless the time base or the channel is wrong. A comb finds r, the phase of its lines
 from window to window refines it. A channel that comes late by d reads ``r = 1 + d W'/W`` while the speed W changes,
 which is no error of a clock; r and d are fitted together.
+
+Speeds that are stated of a ramp are those at which the cut begins and ends (`smfe.sweep_ramp`).
 """
 
 from __future__ import annotations
@@ -20,19 +22,13 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
 from process.tacho import tacho_angle
-from smfe.force_noise import in_cut
-from smfe.spectra import hann
 from smfe.spindle_angle import spindle_angle
+from smfe.sweep_comb import REACH, find_comb, force_over_angle, local_ratios, piece_in_cut, turns_of
 from smfe.sweep_estimators import SweepPass
+from smfe.sweep_ramp import Bounds, angle_of_ramp, stated_bounds
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-REACH = 0.08
-"""Ratios that are looked for lie within 1 and this [1]."""
-
-PASSAGES = 80
-"""Tooth passages of a window over the angle."""
 
 FEWEST_WINDOWS = 3
 """Windows that must fit into a cut."""
@@ -40,17 +36,8 @@ FEWEST_WINDOWS = 3
 HARMONICS = 3
 """Harmonics of the tooth passing up to which orders are looked at."""
 
-STANDS_OUT = 6.0
-"""The comb stands above the median of all ratios by so many times what their lower half scatters by."""
-
-LIFTED = 1.3
-"""And it is so many times the median [1]."""
-
 PHASE = 0.5
 """What the response of the machine may turn the phase of a tooth harmonic by along a sweep [rad]."""
-
-STATED = 2e-3
-"""How well the stated speeds of a ramp are those of the cut, as a standard deviation [1]."""
 
 NOTABLE = 5e-4
 """Relative difference that is said."""
@@ -110,10 +97,8 @@ ADVICE = {
 }
 
 
-def compare_speeds(
-    record: xr.Dataset, teeth: int | None, stated: tuple[float, float] | None = None
-) -> list[SpeedComparison]:
-    """Compare everything that states the speed of a cut with the passing of the teeth in its forces.
+def compare_speeds(record: xr.Dataset, teeth: int | None) -> list[SpeedComparison]:
+    """Compare every channel that states the speed of a cut with the passing of the teeth in its forces.
 
     Parameters
     ----------
@@ -121,8 +106,6 @@ def compare_speeds(
         With force, and ``spindle_speed``, ``spindle_angle`` or ``tacho``.
     teeth : int or None
         Of the tool; None: the lines of any order are compared.
-    stated : (float, float), optional
-        Spindle rotation at begin and end of the cut [rad/s], a ramp linear in time.
 
     Returns
     -------
@@ -131,16 +114,34 @@ def compare_speeds(
     """
     if "force" not in record or not axis_present(record, "force"):
         return []
-    cutting = np.flatnonzero(in_cut(record))
-    if cutting.size < 32:
+    piece = piece_in_cut(record)
+    if piece is None:
         return []
-    piece = slice(int(cutting[0]), int(cutting[-1]) + 1)
-    out = []
-    for source, angle in _angles(record, piece, stated):
-        found = _compared(record, piece, angle, teeth, source)
+    every = (_compared(record, piece, angle[piece], teeth, source) for source, angle in _angles(record))
+    return [found for found in every if found is not None]
+
+
+def angle_in_step(record: xr.Dataset, teeth: int | None) -> Real | None:
+    """Return the angle of the spindle [rad] in step with the teeth, shape (n,), or None where nothing tells it.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With force and what tells the angle of the spindle.
+    teeth : int or None
+        Of the tool; needed where only the forces tell the angle.
+    """
+    piece = piece_in_cut(record)
+    with suppress(InputError):
+        angle, source = spindle_angle(record, teeth)
+        angle = np.unwrap(angle) if source == "spindle_angle" else angle
+        found = None
+        if piece is not None and source != "force":
+            found = _compared(record, piece, angle[piece], teeth, source)
         if found is not None:
-            out.append(found)
-    return out
+            return _earlier(record["time"].values, angle, found.late) * (1.0 + found.difference)
+        return angle
+    return None
 
 
 @dataclass(frozen=True)
@@ -159,11 +160,25 @@ class Clock:
     warnings: tuple[str, ...]
 
 
+def _earlier(time: Real, angle: Real, late: float) -> Real:
+    """Return the angle at ``time + late``, which a late channel shows at `time`; a parabola where the record ends."""
+    moved = np.asarray(np.interp(time + late, time, angle))
+    for outside, near in (
+        (time + late > time[-1], time > time[-1] - 1.0 - abs(late)),
+        (time + late < time[0], time < time[0] + 1.0 + abs(late)),
+    ):
+        if outside.any():
+            middle = float(time[near].mean())
+            parabola = np.polyfit(time[near] - middle, angle[near], 2)
+            moved[outside] = np.polyval(parabola, time[outside] + late - middle)
+    return moved
+
+
 def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Clock:
     """Compare the speeds of all passes with the passing of the teeth.
 
     Angle and tacho are read by the clock of the record: they differ from the forces where they are of another clock,
-    which says nothing of the time base. Stated speeds count where all passes agree.
+    which says nothing of the time base. Stated speeds count where all passes are off to the same side.
 
     Parameters
     ----------
@@ -181,16 +196,15 @@ def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Cl
     """
     seen: dict[str, list[tuple[str, SpeedComparison]]] = {}
     for p in passes:
-        for found in compare_speeds(p.record, teeth, p.speeds):
+        for found in compare_speeds(p.record, teeth):
             seen.setdefault(found.source, []).append((p.label, found))
+    stated = _stated(passes, teeth)
+    if stated is not None:
+        seen["stated"] = [stated]
     largest, warnings = 0.0, []
     for source, every in seen.items():
         label, worst = max(every, key=lambda pair: abs(pair[1].difference) if pair[1].real else 0.0)
-        if source == "stated":
-            label, worst = min(every, key=lambda pair: abs(pair[1].difference))
-            if any(v.difference * worst.difference <= 0.0 for _, v in every):
-                continue
-        if not worst.real:
+        if not (worst.real or source == "stated"):
             continue
         text = f"pass '{label}': {worst.in_words()}; {ADVICE[source]}"
         if source in ("spindle_speed", "stated"):
@@ -232,47 +246,41 @@ def changed_by_clock(compliance: Complex, frequency: Real, difference: float, ac
     return np.asarray((moved - flat).reshape(compliance.shape))
 
 
-def _angles(record: xr.Dataset, piece: slice, stated: tuple[float, float] | None) -> list[tuple[str, Real]]:
-    """Return source and angle [rad] within the cut of all that states the speed."""
+def _stated(passes: Sequence[SweepPass], teeth: int | None) -> tuple[str, SpeedComparison] | None:
+    """Return the pass whose cut is nearest to its stated speeds, where all passes are off to the same side."""
+    seen: list[tuple[SweepPass, Bounds]] = []
+    for p in passes:
+        if p.speeds is not None:
+            if _angles(p.record) or teeth is None:
+                angle = angle_in_step(p.record, teeth)
+            else:
+                angle = angle_of_ramp(p.record, teeth, p.speeds)
+            found = None if angle is None else stated_bounds(p.record, angle, p.speeds)
+            if found is None:
+                return None
+            seen.append((p, found))
+    if not seen:
+        return None
+    p, nearest = min(seen, key=lambda pair: abs(pair[1].beyond))
+    if any(found.beyond * nearest.beyond <= 0.0 for _, found in seen):
+        return None
+    assert p.speeds is not None
+    ends = (teeth or 1) * p.speeds[0] / (2.0 * np.pi), (teeth or 1) * p.speeds[1] / (2.0 * np.pi)
+    return p.label, SpeedComparison("stated", nearest.middle, nearest.std, 0.0, ends)
+
+
+def _angles(record: xr.Dataset) -> list[tuple[str, Real]]:
+    """Return source and angle [rad] of all channels that state the speed."""
     out: list[tuple[str, Real]] = []
     if "spindle_speed" in record:
-        out.append(("spindle_speed", spindle_angle(record[["spindle_speed"]])[0][piece]))
+        out.append(("spindle_speed", spindle_angle(record[["spindle_speed"]])[0]))
     if "spindle_angle" in record:
-        out.append(("spindle_angle", np.unwrap(record["spindle_angle"].values)[piece]))
+        out.append(("spindle_angle", np.unwrap(record["spindle_angle"].values)))
     if "tacho" in record:
         pulses = float(record["tacho"].attrs.get("pulses_per_revolution", 1.0))
         with suppress(InputError):  # said where the tacho is used
-            out.append(("tacho", tacho_angle(record["time"].values, record["tacho"].values, pulses)[piece]))
-    if stated is not None:
-        rate = np.linspace(stated[0], stated[1], piece.stop - piece.start)
-        out.append(("stated", np.cumsum(rate) * sample_interval(record)))
+            out.append(("tacho", tacho_angle(record["time"].values, record["tacho"].values, pulses)))
     return out
-
-
-def turns_of(teeth: int | None) -> int:
-    """Return the turns of a window: some `PASSAGES` of teeth, a multiple of four."""
-    return 4 * max(2, round(0.25 * PASSAGES / (teeth or 6)))
-
-
-def over_angle(force: Real, angle: Real, cells: int) -> Real:
-    """Return the mean force in each of `cells` equal parts of every turn, shape (axes, cells of all turns).
-
-    Parameters
-    ----------
-    force : ndarray, shape (axes, n)
-        At equal times.
-    angle : ndarray, shape (n,)
-        Rising [rad].
-    cells : int
-        Of a turn.
-    """
-    rising = np.maximum.accumulate(angle + 1e-9 * np.arange(angle.size))
-    turns = int((rising[-1] - rising[0]) / (2.0 * np.pi))
-    edges = rising[0] + 2.0 * np.pi / cells * np.arange(turns * cells + 1)
-    at = np.interp(edges, rising, np.arange(angle.size))
-    total = np.concatenate([np.zeros((force.shape[0], 1)), np.cumsum(force, axis=1)], axis=1)
-    sums = np.array([np.interp(at + 0.5, np.arange(angle.size + 1), row) for row in total])
-    return np.asarray(np.diff(sums, axis=1) / np.maximum(np.diff(at), 1e-9))
 
 
 def _compared(record: xr.Dataset, piece: slice, angle: Real, teeth: int | None, source: str) -> SpeedComparison | None:
@@ -282,8 +290,7 @@ def _compared(record: xr.Dataset, piece: slice, angle: Real, teeth: int | None, 
     if not turned >= turns * (1.0 + 0.25 * (FEWEST_WINDOWS - 1)) or not np.isfinite(turned):
         return None
     cells = 16 * (teeth or 6)
-    axes = axis_present(record, "force")
-    force = over_angle(record["force"].sel(axis=axes).values[:, piece], angle, cells)
+    force = force_over_angle(record, piece, angle, cells)
     force = force - force.mean(axis=1, keepdims=True)
     # Orders that the sampling rate holds at the highest speed.
     every = max(1, angle.size // 64)
@@ -291,94 +298,21 @@ def _compared(record: xr.Dataset, piece: slice, angle: Real, teeth: int | None, 
     highest = int(min(HARMONICS * (teeth or 6), 0.4 / (dt * max(float(rate.max()), 1e-9) * (1.0 + REACH)), 0.4 * cells))
     if highest < (teeth or 1):
         return None
-    coarse = _comb(force, cells, turns, highest)
+    coarse = find_comb(force, cells, turns, highest)
     if coarse is None:
         return None
     ratio, orders = coarse
-    middle, local, weight = _local_ratios(force, cells, turns, orders, ratio)
+    middle, local, weight = local_ratios(force, cells, turns, orders, ratio)
     when = np.interp(middle, (angle - angle[0]) / (2.0 * np.pi), np.arange(angle.size) * dt)
     speed = np.gradient(np.interp(np.arange(64) / 63.0 * dt * (angle.size - 1), dt * np.arange(angle.size), angle))
     slope = np.interp(when, np.linspace(0.0, dt * (angle.size - 1), 64), np.gradient(speed) / np.maximum(speed, 1e-12))
     slope = slope / (dt * (angle.size - 1) / 63.0)
     difference, std, late = _constant_and_delay(local - 1.0, weight, slope)
-    if source == "stated":
-        difference, late = _at_both_ends(when, local, weight, angle, dt), 0.0
-        std = float(np.hypot(std, STATED))
     lines = float(teeth or orders.min())
     floor = PHASE / (2.0 * np.pi * lines * turned)
     number = teeth or 1
     ends = number * float(rate[0]), number * float(rate[-1])
     return SpeedComparison(source, difference, float(np.hypot(std, floor)), late, ends)
-
-
-def _windows(force: Real, cells: int, turns: int, hop: int) -> Real:
-    """Return windows of some turns, shape (axes, windows, cells of all turns)."""
-    return np.lib.stride_tricks.sliding_window_view(force, turns * cells, axis=1)[:, :: hop * cells]
-
-
-def _comb(force: Real, cells: int, turns: int, highest: int) -> tuple[float, NDArray[np.int64]] | None:
-    """Return the ratio whose comb stands out, and the orders that have lines; None where none does."""
-    size, pad = turns * cells, 8
-    windows = _windows(force, cells, turns, turns // 2)
-    power = np.zeros(pad * size // 2 + 1)
-    for row in windows:
-        power += np.sum(np.abs(np.fft.rfft(row * hann(size), pad * size, axis=1)) ** 2, axis=0)
-    amplitude = np.sqrt(power)
-    step = cells / (pad * size)
-    reach = REACH
-    ratios = 1.0 + np.arange(-reach, reach, 0.5 * step / highest)
-    each = [np.interp(k * ratios, step * np.arange(amplitude.size), amplitude) for k in range(1, highest + 1)]
-    score = np.sum(each, axis=0)
-    best = int(score.argmax())
-    typical = float(np.median(score))
-    # Beside strong lines the upper half holds their leakage.
-    scatter = (typical - float(np.quantile(score, 0.1))) / 1.28
-    clear = score[best] > LIFTED * typical and score[best] - typical > STANDS_OUT * min(scatter, 0.2 * typical)
-    if not clear or best in (0, ratios.size - 1):
-        return None
-    heights = np.array([e[best] for e in each])
-    floor = np.array([np.median(e) for e in each])
-    loud = (heights > 2.0 * floor) & (heights > 0.1 * heights.max())
-    if not loud.any():
-        return None
-    return float(ratios[best]), np.flatnonzero(loud) + 1
-
-
-def _local_ratios(
-    force: Real, cells: int, turns: int, orders: NDArray[np.int64], ratio: float
-) -> tuple[Real, Real, Real]:
-    """Return middle [turns], ratio and weight between successive windows, from the phases of the orders."""
-    hop = turns // 4
-    windows = _windows(force, cells, turns, hop)
-    shape, place = hann(turns * cells), np.arange(turns * cells) / cells
-    starts = hop * np.arange(windows.shape[1])
-    for limit in (float(orders.min()), float(orders.max())):
-        # The lowest order first: its phase does not come round.
-        used = orders[orders <= max(limit, float(orders.min()))]
-        drift, weight = np.zeros(starts.size - 1), np.full(starts.size - 1, 1e-300)
-        for k in used:
-            line = (windows * shape) @ np.exp(-2j * np.pi * k * ratio * place)
-            line = line * np.exp(-2j * np.pi * k * ratio * starts)
-            between = np.sum(line[:, 1:] * line[:, :-1].conj(), axis=0)
-            drift += k * np.abs(between) * np.angle(between)
-            weight += k**2 * np.abs(between)
-        local = ratio + drift / weight / (2.0 * np.pi * hop)
-        ratio = float(np.sum(weight * local) / np.sum(weight))
-    return np.asarray(starts[:-1] + 0.5 * (turns + hop), dtype=float), np.asarray(local), np.asarray(weight)
-
-
-def _at_both_ends(when: Real, local: Real, weight: Real, angle: Real, dt: float) -> float:
-    """Return the smaller of the differences at begin and end of a cut; 0 where their signs differ.
-
-    When the stated speeds were passed is not known: a ramp that begins before the cut, or ends behind it, is above the
-    stated speed at one end and below at the other. A wrong time base is wrong alike.
-    """
-    whole = dt * (angle.size - 1)
-    stated = (angle[1] - angle[0]) / dt, (angle[-1] - angle[-2]) / dt
-    speed = local * (stated[0] + (stated[1] - stated[0]) * when / whole)
-    slope, first = np.polyfit(when, speed, 1, w=np.sqrt(weight / weight.max()))
-    ends = first / stated[0] - 1.0, (first + slope * whole) / stated[1] - 1.0
-    return float(np.sign(ends[0]) * min(abs(e) for e in ends)) if ends[0] * ends[1] > 0.0 else 0.0
 
 
 def _constant_and_delay(difference: Real, weight: Real, slope: Real | None) -> tuple[float, float, float]:

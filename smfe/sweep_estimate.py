@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smfe.sweep_delay import Delay
+
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -35,6 +37,8 @@ class Estimate:
         What the user should know.
     between : ndarray of complex, shape (f, r, e, r, e), optional
         Covariance of the errors of two rows, zero within a row [m2/N2].
+    delay : Delay, optional
+        Of the motion against the force, where the estimator sees it.
     """
 
     compliance: Complex
@@ -46,6 +50,7 @@ class Estimate:
     freedom: Real | None = None
     warnings: tuple[str, ...] = ()
     between: Complex | None = None
+    delay: Delay | None = None
 
     @property
     def std(self) -> Real:

@@ -8,17 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from accuracy.strangers import stranger_passes
 from truth.sweep import drawn_modes
 from truth.sweep_strangers import Stranger, draw, measure
 
 from process.errors import InputError
+from process.labels import make_record
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.campaign import load_campaign
 from smfe.diagnosis.audit import check
 from smfe.diagnosis.channel_checks import clock_suspects
 from smfe.records import write_record_netcdf
-from smfe.sweep_clock import changed_by_clock, compare_speeds
+from smfe.sweep_clock import changed_by_clock, compare_speeds, judge_clock
+from smfe.sweep_ramp import stated_bounds
 
 COARSE = LocalPolynomial(resolution=0.5, half_widths=(0.5, 1.0), rational=False)
 
@@ -95,6 +98,56 @@ def test_stated_speeds_find_a_time_base_that_encoder_and_forces_share() -> None:
                 identify_sweep("s", data, (25.0, 75.0), COARSE, teeth=3)
         else:
             assert not any("stated" in w for w in identify_sweep("s", data, (25.0, 75.0), COARSE, teeth=3).warnings)
+
+
+def ramp(
+    clock: float, lead: float, rise: float, first: float = 10.0, last: float = 40.0
+) -> tuple[xr.Dataset, np.ndarray]:
+    """A force that rises within some time, over a spindle of which the angle is known [rad/s]: record and angle."""
+    t = np.arange(0.0, lead + 10.0 + lead, 1e-3)
+    rotation = first + (last - first) * (t - lead) / 10.0
+    angle = np.cumsum(rotation) * 1e-3
+    share = np.clip(np.minimum((t - lead) / rise, (lead + 10.0 - t) / rise), 0.0, 1.0)
+    share = np.where((t >= lead) & (t <= lead + 10.0), share, 0.0) if lead else np.ones_like(t)
+    noise = np.random.default_rng(1).standard_normal((3, t.size))
+    force = 100.0 * share * (1.0 + 0.5 * np.sin(3.0 * angle)) + noise
+    return make_record(t * (1.0 + clock), {"force": dict(zip("xyz", force, strict=True))}), angle
+
+
+@pytest.mark.parametrize("rise", [0.05, 0.8])
+@pytest.mark.parametrize("clock", [0.0, 0.006, -0.02])
+def test_stated_speeds_bound_the_clock_by_when_the_cut_begins_and_ends(clock: float, rise: float) -> None:
+    record, angle = ramp(clock, 2.0, rise)
+    found = stated_bounds(record, angle, (10.0, 40.0))
+    assert found is not None
+    assert found.low <= 1.0 / (1.0 + clock) - 1.0 + 1e-3
+    assert found.high >= 1.0 / (1.0 + clock) - 1.0 - 1e-3
+    # A slow entry leaves open what it leaves open: 0.8 s are 0.8*3/40 of the last speed.
+    assert found.high - found.low < (0.005 if rise < 0.1 else 0.08)
+    assert (found.beyond != 0.0) == (abs(clock) > (0.005 if rise < 0.1 else 0.03))
+
+
+def test_a_record_without_air_bounds_the_clock_by_the_speeds_that_it_misses() -> None:
+    for clock in (0.02, 0.0, -0.02):
+        record, angle = ramp(clock, 0.0, 0.1)
+        found = stated_bounds(record, angle, (10.0, 40.0))
+        assert found is not None
+        assert found.low == pytest.approx(1.0 / (1.0 + clock) - 1.0, abs=1e-3)
+        assert found.high == pytest.approx(found.low, abs=1e-3)
+        inner = slice(1000, -500)
+        short = stated_bounds(record.isel(time=inner), angle[inner], (10.0, 40.0))
+        assert short is not None
+        assert short.low < found.low < short.high
+        assert short.beyond == 0.0
+
+
+def test_seven_parts_in_a_thousand_are_found_against_stated_speeds_and_not_more() -> None:
+    data = passes(stated=True, clock=0.007, tells="angle", ramps=(0.05, 0.05), seconds=14.0)
+    clock = judge_clock("s", data, 3)
+    assert any("the stated spindle speeds" in w for w in clock.warnings)
+    assert clock.difference == pytest.approx(-0.007, abs=3e-3)
+    for ramps in ((0.05, 0.05), (0.8, 0.8)):
+        assert judge_clock("s", passes(stated=True, tells="angle", ramps=ramps, wander=2e-3), 3).warnings == ()
 
 
 def test_a_wrong_time_base_changes_a_compliance_by_the_scale_of_frequency_and_of_two_integrations() -> None:

@@ -66,8 +66,9 @@ def test_without_air_the_noise_of_the_forces_is_bounded_by_the_cut_and_charged()
 
 
 def test_sensors_without_noise_leave_the_error_of_the_model() -> None:
-    this = stranger(24, force_noise=1e-3, motion_noise=1e-5)
-    assert over_stated(this, 24) < 1.5
+    # 3.8 with what the noise alone explains.
+    this = stranger(25, force_noise=1e-3, motion_noise=1e-5, seconds=20.0, first=14.0, last=85.0)
+    assert over_stated(this, 25) < 1.5
 
 
 # --- chatter ----------------------------------------------------------------------------------------------------------

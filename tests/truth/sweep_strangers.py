@@ -191,16 +191,28 @@ def between_orders(angle: Real, force: Real, teeth: int) -> float:
     return float(np.sqrt((rest[loud] / repeats[loud]).max()))
 
 
+def chatter(this: Stranger, angle: Real, force: Real) -> float:
+    """Return `between_orders` of what is wholly in the cut: a tool that enters shakes the machine, too."""
+    begin = this.lead + (this.ramps[0] + 0.3) * (this.lead > 0.0)
+    end = this.lead + this.seconds - (this.ramps[1] + 0.1) * (this.tail > 0.0)
+    inside = slice(round(begin * INNER_RATE), round(end * INNER_RATE), 4)
+    return between_orders(angle[inside], force[:, inside], this.teeth)
+
+
+def _shifted(x: Real, late: float) -> Real:
+    """Return channels that come late [s]; a spline between the steps."""
+    return ndimage.shift(x, (0.0, late * INNER_RATE), order=3, mode="nearest") if late else x
+
+
 def record(this: Stranger, cut: str, rng: np.random.Generator) -> dict[str, Any]:
     """Return ``cut``, ``time``, ``force``, ``acceleration`` (3, n), what tells the speed, what was stated, and
     ``between_orders``: how much of the force without noise chatters."""
     t, rate, angle, force, motion = clean(this, cut, rng)
     division = round(INNER_RATE / RATE)
     sections = instruments.butterworth(6, 0.36 * RATE, INNER_RATE)
-    out: dict[str, Any] = {"cut": cut, "between_orders": between_orders(angle[::4], force[:, ::4], this.teeth)}
-    settled = round(this.late * INNER_RATE)
+    out: dict[str, Any] = {"cut": cut, "between_orders": chatter(this, angle, force)}
     levels = {"force": this.force_noise, "acceleration": this.motion_noise}
-    for name, x in (("force", force), ("acceleration", np.roll(motion, settled, axis=1))):
+    for name, x in (("force", force), ("acceleration", _shifted(motion, this.late))):
         seen = signal.sosfilt(sections, x)[:, ::division]
         seen = seen + levels[name] * rng.standard_normal(seen.shape)
         if this.quantised:
