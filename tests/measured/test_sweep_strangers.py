@@ -86,8 +86,8 @@ def test_a_pass_that_chatters_is_noticed_and_a_stable_one_is_not() -> None:
     records = measure(this, 31)
     for raw, data in zip(records, stranger_passes(this, records), strict=True):
         found = chatter_of(data.record, 6)
-        assert bool(found) == (raw["between_orders"] > 0.25)
-        assert (raw["between_orders"] > 0.25) == (data.label == "up")
+        assert bool(found) == (raw["between_orders"] > 0.35)
+        assert (raw["between_orders"] > 0.35) == (data.label == "up")
         for part in found:
             assert 30.0 < part.frequency < 250.0
             assert part.share > 0.25
