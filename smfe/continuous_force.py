@@ -127,10 +127,8 @@ def _local(g: Records, frequency: Real) -> Column:
     value, loss = found.response[..., 0], found.loss[..., 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         lost = np.abs(loss) / np.abs(value)
-    if g.noise_known:
-        charged = KNOWN_TO * loss / np.maximum(1.0 - lost, 0.1)
-    else:
-        value, charged = value - 0.5 * loss, loss / np.sqrt(12.0)
+        charged = KNOWN_TO * loss / np.maximum(1.0 - lost, 0.1) if g.noise_known else loss / np.sqrt(12.0)
+        value = value if g.noise_known else value - 0.5 * loss
     step = float(np.median(np.diff(frequency)))
     error_lines = [
         LocalPolynomial(resolution=step).error_lines(float(w)) for w in width.ravel()[:: max(1, width.size // 200)]

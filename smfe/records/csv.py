@@ -14,6 +14,7 @@ import pandas as pd
 
 from process.errors import InputError
 from process.units import UNITS, known
+from smfe.records.complex_text import complex_column, complex_of
 from smfe.records.table import Column, Table, find_columns, guarded, join
 
 # In the order of preference where several fit. "12,5" with whitespace around it has a decimal comma; "12,5" in a
@@ -46,6 +47,8 @@ class Dialect:
         The header lines that have a name for every column, in their order.
     encoding : str
         Encoding of the text.
+    complex : tuple of int
+        Columns whose numbers are complex, ``1.2e-6-3e-7j``.
     """
 
     delimiter: str
@@ -55,6 +58,7 @@ class Dialect:
     fields: int
     names: tuple[tuple[str, ...], ...]
     encoding: str
+    complex: tuple[int, ...] = ()
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
@@ -72,18 +76,43 @@ def _last_line(path: Path, encoding: str) -> str:
 def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
     """Yield the wanted columns of a text file, `block` rows at a time."""
     dialect = sniff(path)
-    at = find_columns(path.name, _header(dialect, wanted), wanted, dialect.fields)
-    indices = sorted(set(at.values()))
+    at = _places(path.name, dialect, wanted)
+    indices = sorted({index for index, _ in at.values()})
     before = 0
     for frame in guarded(path, "text", _parsed(path, dialect, indices, block)):
-        columns = {index: frame[index].to_numpy() for index in indices}
+        columns = {index: frame[index].to_numpy() for index in indices if index not in dialect.complex}
+        for index in set(indices) & set(dialect.complex):
+            columns[index], wrong = complex_column(frame[index], dialect.decimal)
+            if wrong is not None:
+                raise InputError(
+                    f"{path.name}: column {index + 1} holds the text '{frame[index].iloc[wrong]}' in data row "
+                    f"{before + wrong + 1}; complex numbers are needed there"
+                )
         before += len(frame)
         last = len(frame) < block
         odd = last and any(np.isnan(c[-1]) and not np.isnan(c[:-1]).any() for c in columns.values())
         # A response that is divided by zero at its last line says so itself.
         if odd and before > 1 and "nan" not in _last_line(path, dialect.encoding).lower():
             raise InputError(f"{path.name}: the last row ({before}) is incomplete; the file is truncated")
-        yield Table({column: columns[index] for column, index in at.items()})
+        yield Table({column: np.asarray(getattr(columns[index], part)) for column, (index, part) in at.items()})
+
+
+def _places(source: str, dialect: Dialect, wanted: Sequence[Column]) -> dict[Column, tuple[int, str]]:
+    """Return index and part (real, imag) of each wanted column; a complex one is called by its name and its part."""
+    names: list[str] = []
+    halves: list[tuple[int, str]] = []
+    for index, name in enumerate(_header(dialect, wanted)):
+        parts = ("real", "imag") if index in dialect.complex else ("",)
+        names += [f"{name} {part}".strip() for part in parts]
+        halves += [(index, part or "real") for part in parts]
+    named = find_columns(source, names, [c for c in wanted if isinstance(c, str)], dialect.fields)
+    placed = find_columns(source, (), [c for c in wanted if isinstance(c, int)], dialect.fields)
+    if any(index in dialect.complex for index in placed.values()):
+        raise InputError(
+            f"{source}: a column that is asked for by its position is complex; name it in the file, and ask for "
+            "'NAME real' and 'NAME imag', or for 'NAME' where a response is complex"
+        )
+    return {c: halves[named[c]] if c in named else (placed[c], "real") for c in wanted}
 
 
 def sniff(path: Path) -> Dialect:
@@ -122,7 +151,9 @@ def _laid_out(lines: Sequence[str], pattern: tuple[bool, ...], dialect: tuple[st
     first -= _starts_with_a_keyword(lines, first, delimiter, decimal)
     header = [_names(line, delimiter) for line in lines[:first]]
     names = tuple(line for line in header if count <= len(line) <= fields)
-    return Dialect(delimiter, decimal, first, count, fields, names, encoding)
+    parts = next(_fields(line, delimiter) for line in lines[first:] if _pattern(line, delimiter, decimal) == pattern)
+    whole = tuple(i for i, field in enumerate(parts) if complex_of(field, decimal) is not None)
+    return Dialect(delimiter, decimal, first, count, fields, names, encoding, whole)
 
 
 def _starts_with_a_keyword(lines: Sequence[str], first: int, delimiter: str, decimal: str) -> bool:
@@ -195,14 +226,12 @@ def _pattern(line: str, delimiter: str, decimal: str) -> tuple[bool, ...]:
 
 
 def _is_number(field: str, decimal: str) -> bool:
-    if decimal == ",":
-        if "." in field:
-            return False
-        field = field.replace(",", ".")
-    try:
-        float(field or "0")
-    except ValueError:
+    if decimal == "," and "." in field:
         return False
+    try:
+        float((field.replace(",", ".") if decimal == "," else field) or "0")
+    except ValueError:
+        return complex_of(field, decimal) is not None
     return True
 
 
@@ -267,7 +296,8 @@ def _parsed(path: Path, dialect: Dialect, indices: Sequence[int], block: int) ->
 
 def _chunks(path: Path, dialect: Dialect, indices: Sequence[int], dtype: type, block: int) -> Iterator[pd.DataFrame]:
     # No usecols: with it pandas passes over rows that are too long, as a decimal comma in a comma-delimited file makes
-    types = {index: dtype if index in indices else str for index in range(dialect.fields)}
+    kept = [index for index in indices if index not in dialect.complex]
+    types = {index: dtype if index in kept else str for index in range(dialect.fields)}
     with pd.read_csv(
         path,
         sep=r"\s+" if dialect.delimiter == " " else dialect.delimiter,
@@ -290,7 +320,7 @@ def _find_text(path: Path, dialect: Dialect, indices: Sequence[int]) -> None:
     """Raise for the first field that is no number, with its row; return where there is none."""
     before = 0
     for frame in _chunks(path, dialect, indices, str, 1 << 17):
-        for index in indices:
+        for index in (i for i in indices if i not in dialect.complex):
             text = frame[index].str.strip()
             if dialect.decimal == ",":
                 text = text.str.replace(",", ".", regex=False)

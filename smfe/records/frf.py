@@ -34,6 +34,12 @@ Complex = NDArray[np.complex128]
 MIRRORED = 1e-6
 """Two halves of a spectrum that differ by less than this share of its size are one and its mirror."""
 
+ROUNDED = 1e-3
+"""By how much a coherence may lie outside 0 to 1 and count as 0 or 1."""
+
+STRAY = 0.1
+"""Share of lines with an impossible coherence above which it is no coherence; fewer are left out."""
+
 _FORMS = (("",), ("real", "imag"), ("magnitude", "phase"))
 _MOTION_TYPES = {8: 0, 11: 1, 12: 2}
 _MOTION_NAMES = ("displacement", "velocity", "acceleration")
@@ -117,7 +123,11 @@ def read_frf(
     (to, sign), (at, other) = _end(response), _end(excitation)
     extra = {}
     if "coherence" in values:
-        coherence = _coherence(path.name, values["coherence"])[keep][there]
+        every, said = _coherence(path.name, values["coherence"])
+        notes += said
+        coherence = every[keep]
+        there &= ~(np.isnan(coherence) & np.isfinite(values["coherence"][keep]))
+        coherence = coherence[there]
         extra["coherence"] = (("frequency", "response", "excitation"), coherence[:, None, None])
     compliance: Complex = np.asarray(phi[there] * (turned * sign * other), dtype=complex)[:, None, None]
     with named(path.name):
@@ -240,15 +250,20 @@ def _lines(frequency: Real, h: Complex, source: str) -> tuple[NDArray[np.int64],
     return np.arange(n), []
 
 
-def _coherence(source: str, values: Real) -> Real:
+def _coherence(source: str, values: Real) -> tuple[Real, list[str]]:
+    """Return a coherence from 0 to 1, NaN at the few lines where it is neither that nor rounded to it."""
     known = values[np.isfinite(values)]
-    if np.any(known < -1e-6) or np.any(known > 1.0 + 1e-3):
+    wrong = np.isfinite(values) & ((values < -ROUNDED) | (values > 1.0 + ROUNDED))
+    if np.mean(wrong) > STRAY:
         raise InputError(
             f"{source}: coherence lies between {known.min():.4g} and {known.max():.4g}; it is a number from 0 to 1 "
-            "(its "
-            'root is not one: square it), or per cent with unit = "%"'
+            '(its root is not one: square it), or per cent with unit = "%"'
         )
-    return np.asarray(np.clip(values, 0.0, 1.0))
+    said = []
+    if wrong.any():
+        many = f"{wrong.sum()} lines with" if wrong.sum() > 1 else "one line with"
+        said = [f"{many} a coherence outside 0 to 1 ({known.min():.4g} to {known.max():.4g}) left out"]
+    return np.where(wrong, np.nan, np.clip(values, 0.0, 1.0)), said
 
 
 def _degrees_of_freedom(

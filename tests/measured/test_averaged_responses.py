@@ -10,6 +10,7 @@ from scipy import io, stats
 from process.errors import InputError
 from smfe.averaged_responses import response_std, rising_phase
 from smfe.campaign import load_campaign
+from smfe.first_look import look
 from smfe.identification import Identification
 from smfe.measurements import identify_measurement
 from smfe.modal import fit_modes
@@ -205,3 +206,59 @@ class TestCoherence:
         found = identified(tmp_path, table(channels, keys="averages = 6"))
         assert not found.warnings
         assert float(found.compliance["degrees_of_freedom"].min()) == 10.0
+
+    def test_a_line_with_an_impossible_coherence_is_left_out_and_said(self, tmp_path: Path) -> None:
+        """1.0000001 is 1; 1.7 at one line of 400 costs that line, 1.7 at all of them the file."""
+        values, coherence = averaged(np.random.default_rng(2), phi(), 1e-9, 6)
+        coherence[7], coherence[100] = 1.7, 1.0000001
+        csv(tmp_path / "h.csv", f=F, re=values.real, im=values.imag, c=coherence)
+        channels = TestPlaces.CHANNELS + '\ncoherence = { column = "c" }'
+        found = identified(tmp_path, table(channels, keys="averages = 6"))
+        assert any("one line with a coherence outside 0 to 1" in w and "left out" in w for w in found.warnings)
+        assert found.compliance["frequency"].values == pytest.approx(np.delete(F, 7))
+        assert found.compliance["coherence"].values.max() == 1.0
+        csv(tmp_path / "h.csv", f=F, re=values.real, im=values.imag, c=100.0 * coherence)
+        with pytest.raises(InputError, match='per cent with unit = "%"'):
+            identified(tmp_path, table(channels, keys="averages = 6"))
+
+
+class TestComplexText:
+    @pytest.mark.parametrize(
+        ("form", "delimiter", "decimal"),
+        [
+            ("{re:.9e}{im:+.9e}j", ",", "."),
+            ("{re:.9e} {sign} {size:.9e}i", ",", "."),
+            ("({re:.9e}{im:+.9e}j)", ";", "."),
+            ("{re:.9e} {sign} {size:.9e}i", "\t", "."),
+            ("{re:.9e} {sign} {size:.9e}i", ";", ","),
+            ("{re:.9e}{sign}i*{size:.9e}", ";", "."),
+            ("{re:.9e}{im:+.9e}j", " ", "."),
+        ],
+    )
+    def test_a_response_written_as_complex_numbers_comes_back(
+        self, tmp_path: Path, form: str, delimiter: str, decimal: str
+    ) -> None:
+        h = phi()
+        rows = [delimiter.join(("f", "H"))]
+        for f, v in zip(F, h, strict=True):
+            text = form.format(re=v.real, im=v.imag, sign="-" if v.imag < 0 else "+", size=abs(v.imag))
+            rows.append(delimiter.join((f"{f:.1f}", text)).replace(".", decimal))
+        (tmp_path / "h.csv").write_text("\n".join(rows) + "\n")
+        channels = 'frequency = { column = "f", unit = "Hz" }\ncompliance = { column = "H", unit = "m/N" }'
+        found = identified(tmp_path, table(channels)).compliance["compliance"].values[:, 0, 0]
+        np.testing.assert_allclose(found, h, rtol=1e-8)
+
+    def test_look_finds_both_parts(self, tmp_path: Path) -> None:
+        rows = ["Frequency [Hz],H", *(f"{f:.1f},{v.real:.9e}{v.imag:+.9e}j" for f, v in zip(F, phi(), strict=True))]
+        (tmp_path / "h.csv").write_text("\n".join(rows) + "\n")
+        found = look(tmp_path / "h.csv")
+        assert found.kind.name == "FRF"
+        assert 'column = "H real"' in found.campaign
+
+    def test_a_field_that_is_none_is_named(self, tmp_path: Path) -> None:
+        rows = ["f,H", *(f"{f:.1f},{v.real:.9e}{v.imag:+.9e}j" for f, v in zip(F, phi(), strict=True))]
+        rows[50] = "50.0,broken"
+        (tmp_path / "h.csv").write_text("\n".join(rows) + "\n")
+        channels = 'frequency = { column = "f", unit = "Hz" }\ncompliance = { column = "H", unit = "m/N" }'
+        with pytest.raises(InputError, match="column 2 holds the text 'broken' in data row 50; complex numbers"):
+            identified(tmp_path, table(channels))
