@@ -133,6 +133,7 @@ def _local(g: Records, frequency: Real) -> Column:
     error_lines = [
         LocalPolynomial(resolution=step).error_lines(float(w)) for w in width.ravel()[:: max(1, width.size // 200)]
     ]
+    narrow = np.asarray(np.isinf(found.covariance[..., 0, 0].real).any(axis=1))
     response = Response(
         value,
         found.covariance[..., 0, 0].real + np.abs(charged) ** 2,
@@ -140,9 +141,9 @@ def _local(g: Records, frequency: Real) -> Column:
         found.freedom,
         found.share,
         lost,
-        np.zeros(frequency.size, bool),
+        narrow,
         float(np.mean(error_lines)),
-        tuple(_about(g, frequency, width, bent, widths[0], step)),
+        tuple(_about(g, frequency, width, np.asarray(bent.any(axis=1)), narrow, widths[0], step)),
     )
     return column_of(g, frequency, response)
 
@@ -168,18 +169,29 @@ def _bound(alone: Local, seconds: float) -> float:
 
 
 def _about(
-    g: Records, frequency: Real, width: Real, bent: NDArray[np.bool_], finest: float, step: float
-) -> list[str]:  # fmt: skip
+    g: Records,
+    frequency: Real,
+    width: Real,
+    bent: NDArray[np.bool_],
+    narrow: NDArray[np.bool_],
+    finest: float,
+    step: float,
+) -> list[str]:
     many = f"{len(g.force)} records of together" if len(g.force) > 1 else "one record of"
     notes = [
         f"{many} {sum(g.seconds):.4g} s taken as a whole, without blocks: a polynomial over {2 * width.min():.2g} to "
         f"{2 * width.max():.2g} Hz around each line"
     ]
-    narrow = np.asarray(bent.any(axis=1))
     if narrow.any():
         notes.append(
-            f"the records are too short for the damping in {in_words(frequency, narrow)}: even a band of "
-            f"{2.0 * finest:.2g} Hz bends, which is in the standard deviation; record longer"
+            f"the records are too short for resonances as narrow as those in {in_words(frequency, narrow)}; nothing is "
+            f"claimed there: record for longer than {max(g.seconds):.3g} s without a break"
+        )
+    bent = bent & ~narrow
+    if bent.any():
+        notes.append(
+            f"the records are short for the damping in {in_words(frequency, bent)}: even a band of {2.0 * finest:.2g} "
+            "Hz bends, which is in the standard deviation; record longer"
         )
     if step > 3.0 * finest:
         notes.append(

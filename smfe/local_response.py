@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, stats
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -31,6 +31,9 @@ ORDER = 2
 
 AGREEMENT = 2.5
 """Largest difference of a band from a narrower one, in standard deviations of the narrower."""
+
+LOUDER = 1e-3
+"""Probability with which noise alone makes the residual of a narrow band so much louder than that of a wide one."""
 
 MOST_LINES = 1200
 """Lines of the widest band."""
@@ -129,7 +132,7 @@ def half_widths(records: Sequence[RecordLines], span: float, poles: int = 0) -> 
     The narrowest has twice as many lines, beyond those of the transients, as there are unknowns.
     """
     unknowns = (ORDER + 1 + 2 * poles) * records[0].force.shape[1]
-    smooth = ORDER + 1 + poles
+    smooth = ORDER + 1 + 2 * poles
     per_hertz = sum(1.0 / r.spacing for r in records)
     needed = 3.0 * unknowns + smooth * len(records)
     out = [max(0.5 * needed / per_hertz, max(0.5 * (smooth + 1) * r.spacing for r in records))]
@@ -186,16 +189,16 @@ def _gathered(
 ) -> tuple[NDArray[np.int64], Complex, Complex]:
     """Return the lines of the bands around frequencies (f, w), the terms there, and an orthonormal basis of transients.
 
-    What the polynomial, and the poles themselves, can follow over the band may be transient.
+    What the terms can follow over the band may be transient.
     """
-    smooth = ORDER + 1 + poles.size
+    smooth = ORDER + 1 + 2 * poles.size
     size = min(max(2 * round(half_width / record.spacing) + 1, smooth + 2), record.force.shape[0] - 1)
     first = np.clip(np.round(frequency / record.spacing).astype(int) - size // 2, 1, record.force.shape[0] - size)
     offsets = np.arange(size)
     lines = first[:, None] + offsets
     t = _terms(lines * record.spacing, frequency, half_width, poles)
     if poles.size:
-        free = np.linalg.qr(np.concatenate([t[..., : ORDER + 1], t[..., ORDER + 1 :: 2]], axis=-1))[0]
+        free = np.linalg.qr(t)[0]
     else:
         free = np.linalg.qr(((offsets - 0.5 * size) / size)[:, None] ** np.arange(ORDER + 1))[0][None].astype(complex)
     return lines, t, free
@@ -205,7 +208,7 @@ def _of_record(
     record: RecordLines, frequency: Real, half_width: float, poles: Complex
 ) -> tuple[Complex, Complex, Real, Complex, NDArray[np.int64]]:
     n, e, r = frequency.size, record.force.shape[1], record.motion.shape[1]
-    terms, smooth = ORDER + 1 + 2 * poles.size, ORDER + 1 + poles.size
+    terms, smooth = ORDER + 1 + 2 * poles.size, ORDER + 1 + 2 * poles.size
     size, k = _gathered(record, frequency[:1], half_width, poles)[0].shape[1], terms * e
     gram, cross = np.empty((2, n, k, k), complex), np.empty((2, n, k, r), complex)
     power, moments = np.empty((2, n, r)), np.empty((2, n, terms, terms), complex)
@@ -387,6 +390,9 @@ def choose(solved: Sequence[Local], charged: float = 0.0) -> tuple[Local, Real, 
             away = np.abs(solved[k].response - narrower.response)
             scale = np.maximum(narrower.std, 1e-300)
             agrees &= np.nan_to_num(away / scale).max(axis=2) <= AGREEMENT
+            # What bends within the narrow band makes it uncertain, so that all agrees with it; its residual shows that.
+            most = stats.f.isf(LOUDER, narrower.freedom.max(), solved[k].freedom.max())
+            agrees &= ~(narrower.noise > most * solved[k].noise)
         # A mode bends the response over several lines; a single line that agrees by chance does not count.
         agrees = ndimage.minimum_filter(agrees, size=(3, 1), mode="nearest")
         index[agrees] = k
@@ -437,6 +443,9 @@ def _uneven(
 Chosen = tuple[Local, Real, NDArray[np.bool_]]
 """What `choose` returns."""
 
+RESOLVED = 2.0
+"""Lines that the half-power band of a resonance has to hold; of one that is narrower nothing is claimed."""
+
 MOST_POLES = 3
 """Poles that are looked for in one stretch of frequencies."""
 
@@ -454,6 +463,11 @@ def with_poles(
         Without poles.
     finest : float
         Half width of the narrowest band [Hz].
+
+    Returns
+    -------
+    Chosen
+        The covariance is infinite where a resonance is too narrow for the records.
     """
     found, width, bent = chosen
     rest = all(r.rest for r in records)
@@ -501,4 +515,13 @@ def with_poles(
             )
             if not left.any():
                 break
+        if bent[lines].any():
+            # Poles that do not explain all of a stretch may explain none of it rightly.
+            away = response[lines] - chosen[0].response[lines]
+            covariance[lines] += away[..., :, None] * away[..., None, :].conj()
+        for pole in poles:
+            finest_line = min(r.spacing for r in records)
+            if 2.0 * pole.imag < RESOLVED * finest_line:
+                near = np.abs(frequency - pole.real) < 3.0 * max(pole.imag, finest_line)
+                covariance[near] = np.inf
     return found, width, bent

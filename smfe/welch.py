@@ -168,6 +168,8 @@ def _averaged(g: Records, length: int, band: tuple[float, float], estimator: str
     if estimator == "Hv":
         ratio = noise_ratio(motion, force, noise if g.noise_known else 0.5 * noise)
         value = average(motion, force, "Hv", ratio).compliance
+        away = value - plain.compliance
+        lost = np.maximum(lost, np.abs(away) / np.abs(value))
         charged = value * (0.2 if g.noise_known else 0.3) * lost / np.maximum(1.0 - lost, 0.1)
     elif estimator == "H2":
         # High by the noise of the response, of which no more is known than the coherence.

@@ -3,11 +3,13 @@
 import json
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import pyuff
 import xarray as xr
 
 from process.errors import InputError
@@ -111,3 +113,31 @@ def test_wrong_input_is_one_sentence_and_writes_nothing(frf: Path, tmp_path: Pat
     with pytest.raises(InputError, match="does not exist"):
         modal(tmp_path / "none.nc", tmp_path / "m.toml")
     assert [p.name for p in tmp_path.iterdir()] == ["models.nc"]
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+def test_a_universal_file_needs_no_campaign(tmp_path: Path, binary: int) -> None:
+    """Accelerances of dataset 58 between node 7 and nodes 7 and 9, in g/N, as another program writes them."""
+    grid = np.arange(1.0, 90.0, 0.5)
+    clean = measurement(5, grid=grid)["compliance"].values
+    sets = []
+    for row, node in enumerate((7, 9)):
+        h = clean[:, row, 0] * -((2.0 * np.pi * grid) ** 2) / 9.80665
+        sets.append(
+            {
+                "type": 58, "binary": binary, "func_type": 4, "rsp_node": node, "rsp_dir": 1, "ref_node": 7,
+                "ref_dir": 1, "id1": "frf", "id2": "NONE", "id3": "NONE", "id4": "NONE", "id5": "NONE",
+                "load_case_id": 0, "rsp_ent_name": "NONE", "ref_ent_name": "NONE", "ver_num": 0, "func_id": 0,
+                "ord_data_type": 6, "abscissa_spacing": 1, "abscissa_min": grid[0], "abscissa_inc": 0.5,
+                "z_axis_value": 0.0, "num_pts": grid.size, "data": h, "x": grid, "abscissa_spec_data_type": 18,
+                "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13, "z_axis_spec_data_type": 0,
+                "ordinate_axis_units_lab": "g", "orddenom_axis_units_lab": "N",
+            }
+        )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves a file open
+        pyuff.UFF(str(tmp_path / "plate.unv")).write_sets(sets, "add")
+    modal(tmp_path / "plate.unv", tmp_path / "modes.json")
+    found = pd.read_csv(tmp_path / "modes.csv")
+    assert np.sort(found["frequency_Hz"]) == pytest.approx([30.0, 52.0], rel=5e-3)
+    assert list(json.loads((tmp_path / "modes.json").read_text())["models"]) == ["plate"]
