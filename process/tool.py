@@ -25,7 +25,8 @@ class Tool:
     approach_angle : float, optional
         Angle between cutting edge and feed plane [rad]; pi/2 for a shoulder mill.
     pitch_angles : tuple of float, optional
-        Angles from each tooth to the next [rad]; they add up to 2 pi. Default: equal.
+        Angles from each tooth to the next [rad]; they add up to 2 pi within their rounding. Default:
+        equal.
     runout : tuple of float, optional
         Radial position of each tooth relative to the mean [m]. Default: zero.
     helix_angle : float, optional
@@ -67,13 +68,18 @@ class Tool:
                 raise InputError(f"{name} is {values}; give a finite number for each tooth")
         if self.pitch_angles is not None:
             total = math.degrees(sum(self.pitch_angles))
-            if abs(total - 360.0) > 0.01 or min(self.pitch_angles) <= 0.0:
+            allowed = self.teeth * (0.05 if float(np.ptp(self.pitch_angles)) < 1e-9 else 0.005)
+            if abs(total - 360.0) > max(allowed, 0.01) + 1e-9 or min(self.pitch_angles) <= 0.0:
                 raise InputError(f"the pitch angles add up to {total:g} deg; they must be positive and add up to 360")
 
     @property
     def equal_pitch(self) -> bool:
-        """Whether all teeth are equally spaced."""
-        return self.pitch_angles is None or float(np.ptp(self.pitch_angles)) < 1e-9
+        """Whether all teeth are equally spaced: the same angle for each, or angles rounded to 0.01 deg around 360/Z."""
+        if self.pitch_angles is None or float(np.ptp(self.pitch_angles)) < 1e-9:
+            return True
+        hundredths = 100.0 * np.degrees(self.pitch_angles)
+        rounded = np.abs(hundredths - np.round(hundredths)).max() < 1e-6
+        return bool(rounded and np.abs(hundredths - 36000.0 / self.teeth).max() < 1.01)
 
     @property
     def equal_radius(self) -> bool:
@@ -82,7 +88,7 @@ class Tool:
 
     def tooth_angles(self) -> NDArray[np.float64]:
         """Return how far each tooth runs behind tooth 0 [rad], shape (teeth,)."""
-        if self.pitch_angles is None:
+        if self.pitch_angles is None or self.equal_pitch:
             return np.linspace(0.0, 2.0 * math.pi, self.teeth, endpoint=False)
         return np.concatenate([[0.0], np.cumsum(self.pitch_angles)[:-1]])
 

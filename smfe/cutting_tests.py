@@ -325,7 +325,8 @@ def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
 def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int, row: Mapping[str, Any]) -> xr.Dataset:
     marks = [k for k, v in row.items() if k.startswith("frequency_") and math.isfinite(v)]
     predicted = {k.removeprefix("frequency_").removesuffix("_Hz"): row[k] for k in marks}
-    return verdict.spectrum.assign_attrs(
+    whole = verdict.spectrum if verdict.spectrogram is None else with_picture(verdict.spectrum, verdict.spectrogram)
+    return whole.assign_attrs(
         file=test.file.name,
         spindle_speed_rpm=round(test.spindle_speed, 6),
         depth_of_cut_mm=round(test.depth_of_cut * 1e3, 9),
@@ -336,5 +337,38 @@ def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int, row: Ma
         tooth_passing_frequency_Hz=teeth * verdict.spindle_speed_rpm / 60.0,
         quantity=verdict.quantity,
         reason=verdict.reason,
+        teeth=teeth,
+        cut_s=json.dumps(list(verdict.cut_s)),
+        interval_s=json.dumps(list(verdict.interval_s)),
+        family_Hz=json.dumps(list(verdict.family_Hz)),
         predicted_Hz=json.dumps(predicted),
     )
+
+
+PICTURE_STEP = 0.5
+"""Step of the levels of a stored spectrogram [dB]: a byte a point holds 127 dB."""
+
+
+def with_picture(spectrum: xr.Dataset, spectrogram: xr.Dataset) -> xr.Dataset:
+    """Return a spectrum with the spectrogram of all axes (root of the sum of squares) beside it, a byte a point.
+
+    Parameters
+    ----------
+    spectrum, spectrogram : xarray.Dataset
+        Those of a `ChatterVerdict`.
+    """
+    size = np.sqrt((spectrogram["amplitude"].values.astype(float) ** 2).sum(axis=0))
+    top = max(float(size.max(initial=0.0)), np.finfo(float).tiny)
+    level = 255.0 + 20.0 * np.log10(np.maximum(size / top, 1e-12)) / PICTURE_STEP
+    levels = xr.Variable(
+        ("picture_time", "picture_frequency"),
+        np.round(np.clip(level, 0.0, 255.0)).astype(np.uint8),
+        {"long_name": f"level in steps of {PICTURE_STEP:g} dB, 255 at top", "top": top, "step_dB": PICTURE_STEP}
+        | spectrogram.attrs,
+        {"zlib": True, "complevel": 4},
+    )
+    coords = {
+        "picture_time": ("picture_time", spectrogram["time"].values, {"units": "s"}),
+        "picture_frequency": ("picture_frequency", spectrogram["frequency"].values, {"units": "Hz"}),
+    }
+    return spectrum.assign(spectrogram=levels).assign_coords(coords)

@@ -34,12 +34,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
+import numpy as np
 import xarray as xr
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, check_record
+from stability.chatter_rules import FEWEST_TURNS, GROWTH, Finding, Verdict, judge, too_few_turns
 from stability.cut_comb import other_speed, other_teeth, spectrogram
 from stability.cut_interval import (
     CutPart,
@@ -49,14 +50,13 @@ from stability.cut_interval import (
     over_turns,
     spindle_frequency,
     stated_frequency,
+    stretches,
     with_angle,
 )
-from stability.evidence import MASK_BINS, Evidence, gather, labelled_spectrum
-from stability.line_spectrum import STANDS_OUT, comb_speed, hann_spectrum
+from stability.evidence import MASK_BINS, Evidence, gather
+from stability.line_spectrum import LineSpectrum, comb_speed, hann_spectrum
 from stability.spindle_lines import spindle_from_lines
 from stability.turns import followed_turns
-
-Verdict = Literal["stable", "chatter", "undecided"]
 
 QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force", "sound")
 
@@ -69,22 +69,10 @@ SPEEDS_SEARCHED = (60.0, 60000.0)
 FREQUENCY_RANGE: tuple[float, float | None] = (5.0, None)
 """Default band [Hz]; the lower end keeps servo and table motion out."""
 
-FEWEST_TURNS = 6
-"""Below this number of turns the masks of neighbouring orders meet."""
-
 HIGHEST_SHARE_OF_SAMPLE_RATE = 0.4
 """Default upper end of the band, in sample rates: above it anti-alias filters act."""
 
 _TURN_UNKNOWN = 0.1  # s; what is looked at for cut or air while the speed is not known
-
-GROWTH = 3.0
-"""Growth of order Z/2 against the tooth line, first to last quarter of the cut, that run-out cannot explain."""
-
-NEARLY = 0.09
-"""A steady line less than this share below the threshold is left open: a sensor may read it low [1]."""
-
-FOREIGN = 5.0
-"""A spindle order that is no tooth harmonic and this many times as high is not put down to run-out [1]."""
 
 SILENT = 0.1
 """An axis is measured against at least this share of the highest harmonic of all axes [1]."""
@@ -155,7 +143,7 @@ class ChatterVerdict:
     notes : tuple of str
         What else was noticed: another number of teeth that fits better, another speed, silent axes.
     spectrogram : xarray.Dataset
-        ``amplitude(axis, time, frequency)`` of the whole record, in at most 160 by 200 points.
+        ``amplitude(axis, time, frequency)`` of the whole record, in at most 160 by 300 points.
     """
 
     verdict: Verdict
@@ -183,16 +171,6 @@ class ChatterVerdict:
     try_rpm: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
     spectrogram: xr.Dataset | None = field(default=None, repr=False)
-
-
-@dataclass(frozen=True)
-class _Finding:
-    """What one rule concludes."""
-
-    verdict: Verdict
-    ratio: float
-    frequency: float
-    reason: str
 
 
 def chatter_verdict(
@@ -257,10 +235,62 @@ def chatter_verdict(
     record, notes = with_angle(record)
     if rotation is None:
         rotation = _rotation(record, recorded, names, teeth, interval, frequency_range)
+    least = DEFAULT_FLOOR[chosen] if floor is None else floor
+
+    def judged(stretch: tuple[float, float] | None) -> tuple[ChatterVerdict, bool]:
+        return _judged(
+            record,
+            rotation,
+            teeth,
+            chosen,
+            recorded,
+            names,
+            threshold,
+            frequency_range,
+            speed_tolerance,
+            least,
+            stretch,
+            half_order_reference,
+        )
+
+    found, _ = judged(interval)
+    if interval is None and found.verdict != "chatter":
+        for stretch in stretches(found.cut_s, found.interval_s, 2.0 * math.pi / rotation):
+            try:
+                here, plain = judged(stretch)
+            except InputError:
+                continue  # the speed changes there, or the stretch is too short for the band
+            if plain:
+                said = f"from {here.interval_s[0]:.3g} to {here.interval_s[1]:.3g} s alone: {here.reason}"
+                found = replace(here, reason=said, cut_s=found.cut_s)
+                break
+    # What there is to see: some tooth passing harmonics, and the lines that decided, with room above.
+    low, high = found.frequency_range_Hz
+    base = found.spindle_speed_rpm / 60.0
+    lines = [f for f in (found.chatter_frequency_Hz, found.tooth_passing_harmonic_Hz) if math.isfinite(f)]
+    top = min(high, max(8.0 * teeth * base, 2.0 * max(lines, default=0.0)))
+    picture = spectrogram(record, recorded, names, (low, top), base)
+    return replace(found, notes=(*notes, *found.notes), spectrogram=picture)
+
+
+def _judged(
+    record: xr.Dataset,
+    rotation: float,
+    teeth: int,
+    chosen: str,
+    recorded: str,
+    names: list[str],
+    threshold: float,
+    frequency_range: tuple[float, float | None],
+    speed_tolerance: float,
+    least: float,
+    interval: tuple[float, float] | None,
+    half_order_reference: float | None,
+) -> tuple[ChatterVerdict, bool]:
+    """Judge one interval of a record, or the last half of its cut; and say whether that is plain chatter."""
     part = judged_part(record, recorded, names, 2.0 * math.pi / rotation, interval)
     base, exact = spindle_frequency(record, part, rotation / (2.0 * math.pi), speed_tolerance)
     band = _band(frequency_range, part, teeth * base)
-    least = DEFAULT_FLOOR[chosen] if floor is None else floor
     integrate = chosen != recorded
     enough = part.duration * base >= FEWEST_TURNS
     if enough and speed_tolerance > 0.0:
@@ -281,19 +311,19 @@ def chatter_verdict(
     found = [gather(name, axis_part(part, i), *settings, half_order_reference) for i, name in enumerate(names)]
     highest = max(max(e.tooth_amplitude, e.order_amplitude) for e in found)
     found = [replace(e, least=SILENT * highest) for e in found]
-    findings = [_too_few_turns(part, base) or _judge(e) for e in found]
+    findings = [too_few_turns(part, base) or judge(e) for e in found]
     worst = _deciding(found, findings)
     evidence, finding = found[worst], findings[worst]
     said_speed = other_speed(part, base, fitting, band) if finding.verdict == "chatter" else ""
     chatters = finding.verdict == "chatter"
-    return ChatterVerdict(
+    verdict = ChatterVerdict(
         verdict=finding.verdict,
         ratio=finding.ratio,
         chatter_frequency_Hz=finding.frequency,
         tooth_passing_harmonic_Hz=evidence.tooth_line,
         spindle_speed_rpm=60.0 * evidence.base,
         reason=_in_words(finding, findings, evidence, names, "; ".join(filter(None, (said, said_speed)))),
-        spectrum=labelled_spectrum(found, UNITS[chosen]),
+        spectrum=_labelled_spectrum(found, UNITS[chosen]),
         quantity="displacement from acceleration" if integrate else chosen,
         axes=tuple(names),
         threshold=threshold,
@@ -312,12 +342,12 @@ def chatter_verdict(
         growth=evidence.envelope[1] if chatters else math.nan,
         cut_s=part.bounds,
         try_rpm=_speeds_to_try(finding, evidence, teeth) if chatters else (),
-        notes=tuple(note for note in (*notes, said, said_speed) if note),
-        spectrogram=spectrogram(record, recorded, names, band),
+        notes=tuple(note for note in (said, said_speed) if note),
     )
+    return verdict, chatters and evidence.plain and finding.frequency == evidence.candidate[0]
 
 
-def _deciding(found: Sequence[Evidence], findings: Sequence[_Finding]) -> int:
+def _deciding(found: Sequence[Evidence], findings: Sequence[Finding]) -> int:
     """Return the axis that decides: the worst chatter, else what is undecided on an axis that is not silent."""
 
     def rank(i: int) -> tuple[int, float]:
@@ -329,7 +359,7 @@ def _deciding(found: Sequence[Evidence], findings: Sequence[_Finding]) -> int:
     return max(range(len(found)), key=rank)
 
 
-def _in_words(finding: _Finding, findings: Sequence[_Finding], e: Evidence, names: Sequence[str], said: str) -> str:
+def _in_words(finding: Finding, findings: Sequence[Finding], e: Evidence, names: Sequence[str], said: str) -> str:
     """Return the reason with what its axis, family and growth add."""
     text = finding.reason
     if len(names) > 1:
@@ -346,11 +376,25 @@ def _in_words(finding: _Finding, findings: Sequence[_Finding], e: Evidence, name
     return f"{said}; {text}" if said else text
 
 
-def _speeds_to_try(finding: _Finding, e: Evidence, teeth: int) -> tuple[float, ...]:
+def _speeds_to_try(finding: Finding, e: Evidence, teeth: int) -> tuple[float, ...]:
     """Return ``60 f_c/(k Z)`` from half to twice the present speed [rpm], fastest first."""
     present = 60.0 * e.base
     speeds = (60.0 * finding.frequency / (k * teeth) for k in range(1, 200))
     return tuple(s for s in speeds if 0.5 * present <= s <= 2.0 * present)
+
+
+def _labelled_spectrum(found: Sequence[Evidence], unit: str) -> xr.Dataset:
+    """Return the spectra of all axes for plotting."""
+    first = found[0]
+    phasor = np.concatenate([e.spectrum.phasor for e in found])
+    whole = LineSpectrum(first.spectrum.frequency, phasor, first.spectrum.resolution)
+    data = {
+        "amplitude": (("axis", "frequency"), np.abs(phasor), {"units": unit}),
+        "vector_amplitude": ("frequency", whole.vector_amplitude, {"units": unit}),
+        "harmonic": ("frequency", first.masked, {"units": "1"}),
+    }
+    coords = {"axis": [e.axis for e in found], "frequency": ("frequency", whole.frequency, {"units": "Hz"})}
+    return xr.Dataset(data, coords=coords, attrs={"resolution_Hz": whole.resolution, "window": "hann"})
 
 
 # --- what is asked ---------------------------------------------------------------------------------------------------
@@ -435,166 +479,3 @@ def _band(frequency_range: tuple[float, float | None], part: CutPart, tooth: flo
             "sample faster or raise the upper end"
         )
     return max(low, MASK_BINS / part.duration), top
-
-
-# --- rules -----------------------------------------------------------------------------------------------------------
-
-
-def _too_few_turns(part: CutPart, base: float) -> _Finding | None:
-    turns = part.duration * base
-    if turns >= FEWEST_TURNS:
-        return None
-    return _Finding(
-        "undecided",
-        math.nan,
-        math.nan,
-        f"{part.duration:.3g} s of cut are {turns:.2g} turns, in which no line can be told from a spindle order; at "
-        f"least {FEWEST_TURNS} turns ({FEWEST_TURNS / base:.3g} s) are needed, 12 are better",
-    )
-
-
-def _judge(e: Evidence) -> _Finding:
-    """Ask the rules in turn: whether there is a signal, a clear line, period doubling, then what may be hidden."""
-    for rule in (_silent, _line, _period_doubling, _hidden, _foreign_order, _crowded):
-        finding = rule(e)
-        if finding is not None:
-            return finding
-    return _Finding(
-        "stable",
-        e.ratio,
-        math.nan,
-        f"the largest non-harmonic peak is {e.ratio:.2g} of {_denominator(e)}, below {e.threshold:g}",
-    )
-
-
-def _denominator(e: Evidence) -> str:
-    """Name what the ratio is taken of."""
-    if e.denominator == e.tooth_amplitude:
-        return f"the highest tooth harmonic at {e.tooth_frequency:.4g} Hz"
-    if e.denominator == e.order_amplitude:
-        return f"the highest spindle order at {e.order_frequency:.4g} Hz"
-    if e.denominator == e.floor:
-        return f"the floor {e.floor:g} (no tooth harmonic reaches it)"
-    return f"{e.least:.3g} {e.unit}, a tenth of the highest harmonic of all axes"
-
-
-def _silent(e: Evidence) -> _Finding | None:
-    """A spectrum of which nothing, not even a spindle order, reaches the floor."""
-    if e.highest >= e.floor:
-        return None
-    return _Finding(
-        "undecided",
-        e.ratio,
-        math.nan,
-        f"nothing reaches the floor of {e.floor:g} {e.unit} (the highest line has {e.highest:.2g} {e.unit}), so no cut "
-        "is seen: check sensor, unit and interval, or give a lower floor",
-    )
-
-
-def _line(e: Evidence) -> _Finding | None:
-    """A peak that is not a harmonic, nor a mode that noise excites."""
-    frequency, amplitude = e.candidate
-    if math.isnan(frequency) or e.ratio < e.threshold - max(e.guard, NEARLY * e.threshold):
-        return None
-    if e.ratio < e.threshold and not e.line_like:
-        return None
-    family = " with its family" if e.ratio * e.denominator > 1.001 * amplitude else ""
-    what = f"the non-harmonic peak at {frequency:.4g} Hz{family} is {e.ratio:.3g} of {_denominator(e)}"
-    if amplitude < STANDS_OUT * e.noise and not e.line_like:
-        return _Finding("undecided", e.ratio, frequency, f"{what}, but does not stand out of the noise: cut longer")
-    # What a drifting line spreads around itself is no noise.
-    if abs(e.ratio - e.threshold) <= min(e.guard, (0.1 if e.line_like else 0.5) * e.threshold):
-        reason = f"{what}: within {e.guard:.2g} of {e.threshold:g}, which the noise leaves open; record longer"
-        return _Finding("undecided", e.ratio, frequency, reason)
-    if e.ratio < e.threshold:
-        reason = f"{what}, little below {e.threshold:g}, and it is a steady line: judge another axis or sensor as well"
-        return _Finding("undecided", e.ratio, frequency, reason)
-    if not e.line_like:
-        reason = f"{what}, but comes and goes like a mode that noise excites: cut longer, or compare with a lower depth"
-        return _Finding("undecided", e.ratio, frequency, reason)
-    return _Finding("chatter", e.ratio, frequency, f"{what}, above {e.threshold:g}")
-
-
-def _period_doubling(e: Evidence) -> _Finding | None:
-    """Order Z/2 of an even number of teeth: run-out or period doubling."""
-    frequency, amplitude = e.half
-    ratio = amplitude / e.denominator
-    if math.isnan(frequency) or ratio - (e.half_reference or 0.0) < e.threshold or amplitude < e.least:
-        return None
-    what = (
-        f"{frequency:.4g} Hz, an odd multiple of half the tooth passing frequency, is {ratio:.3g} of {_denominator(e)}"
-    )
-    if e.half_reference is not None:
-        reason = f"{what}; the reference cut has {e.half_reference:.3g} there: period doubling"
-        return _Finding("chatter", ratio, frequency, reason)
-    if e.half_growth > GROWTH:
-        reason = f"{what} and has grown {e.half_growth:.3g} times along the cut: period doubling, not run-out"
-        return _Finding("chatter", ratio, frequency, reason)
-    return _Finding(
-        "undecided",
-        ratio,
-        frequency,
-        f"{what}: run-out or period doubling. Give the half_order_ratio of a stable cut as half_order_reference",
-    )
-
-
-def _hidden(e: Evidence) -> _Finding | None:
-    """Something that does not repeat with the spindle, inside the mask of an order."""
-    frequency, amplitude = e.peak(e.masked, e.left)
-    ratio = amplitude / e.denominator
-    if math.isnan(frequency) or ratio < e.threshold:
-        return None
-    order = max(1, round(frequency / e.base))
-    apart = max(abs(frequency - order * e.base), 0.25 * e.spectrum.resolution)
-    # The mask is MASK_BINS/T wide on either side, and wider by the error of the speed.
-    clear = apart - e.speed_error * order * e.base
-    near = e.spectrum.near(order * e.base, e.spectrum.resolution)
-    if clear <= 0.0 and 0.6 * float(e.amplitude[near].max()) > amplitude:
-        # Much less than the order itself, no farther from it than the speed may wander: a harmonic not quite steady.
-        return None
-    advice = "a record of the spindle angle or a better known speed would separate them"
-    if clear > 0.0:
-        judged = 1.0 / e.spectrum.resolution
-        advice = f"{MASK_BINS / clear:.2g} s of steady cut would separate them, {judged:.2g} s were judged"
-    return _Finding(
-        "undecided",
-        ratio,
-        frequency,
-        f"{ratio:.3g} of {_denominator(e)} does not repeat with the spindle, but lies at {frequency:.5g} Hz, "
-        f"within the mask of spindle order {order}: chatter close to a harmonic, or a speed that varies; "
-        f"{advice}",
-    )
-
-
-def _foreign_order(e: Evidence) -> _Finding | None:
-    """A spindle order, not of the teeth, far above them: chatter that falls on an order looks like it."""
-    if e.order_amplitude < FOREIGN * max(e.tooth_amplitude, e.floor, e.least) or e.teeth == 1:
-        return None
-    order = round(e.order_frequency / e.base)
-    if order % e.teeth == 0 or order == 1:
-        return None
-    return _Finding(
-        "undecided",
-        e.ratio,
-        e.order_frequency,
-        f"spindle order {order} at {e.order_frequency:.4g} Hz is {e.order_amplitude / e.tooth_amplitude:.2g} times "
-        f"as high as the harmonics of {e.teeth} teeth: chatter on an order, or another number of teeth; change "
-        "the speed by 2 %",
-    )
-
-
-def _crowded(e: Evidence) -> _Finding | None:
-    """Masks that hide more than half of the spectrum at the tooth passing frequency."""
-    tooth = e.teeth * e.base
-    half_width = MASK_BINS * e.spectrum.resolution + e.speed_error * tooth
-    if 4.0 * half_width <= e.base:
-        return None
-    needed = 4.0 * MASK_BINS / max(e.base - 4.0 * e.speed_error * tooth, 0.1 * e.base)
-    return _Finding(
-        "undecided",
-        e.ratio,
-        e.candidate[0],
-        f"no chatter line is seen, but the masks of the spindle orders ({e.base:.3g} Hz apart, "
-        f"+-{half_width:.2g} Hz each) hide more than half of the spectrum; {needed:.2g} s of cut are needed, "
-        f"{1.0 / e.spectrum.resolution:.2g} s are there",
-    )

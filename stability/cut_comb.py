@@ -11,12 +11,12 @@ import math
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import fft, signal
 
 from process.labels import UNITS, sample_interval
 from stability.cut_interval import CutPart
 from stability.line_spectrum import STANDS_OUT, LineSpectrum, hann_spectrum, order_phasors, stands_out
 from stability.spindle_lines import spindle_from_lines
-from stability.turns import windows
 
 MOST_TEETH = 12
 """Numbers of teeth that are tried."""
@@ -24,7 +24,7 @@ MOST_TEETH = 12
 EXPLAINED, NOT_EXPLAINED = 0.8, 0.1
 """Share of the power at the spindle orders that the teeth of another number, and of the declared one, have at most."""
 
-PICTURE = (160, 200)
+PICTURE = (160, 300)
 """Most points of a spectrogram over time and frequency."""
 
 
@@ -49,6 +49,10 @@ def other_teeth(part: CutPart, teeth: int) -> tuple[int, str]:
     share = {z: float(power[order % z == 0].sum() / power.sum()) for z in range(2, MOST_TEETH + 1)}
     if teeth == 1 or share.get(teeth, 0.0) > NOT_EXPLAINED:
         return teeth, ""
+    # One line that stands alone is chatter on an order, not a tool: what is left without it must say the same.
+    rest = np.where(order == order[np.argmax(power)], 0.0, power)
+    left = {z: float(rest[order % z == 0].sum() / max(rest.sum(), 1e-300)) for z in share}
+    share = {z: min(share[z], left[z]) for z in share}
     fits = [z for z in share if share[z] > EXPLAINED and teeth % z != 0 and z % teeth != 0 and z <= 2 * teeth]
     if not fits:
         return teeth, ""
@@ -94,7 +98,13 @@ def _share_at(spectrum: LineSpectrum, base: float) -> float:
     return max(0.0, (float(power[at].sum() / power.sum()) - width) / max(1.0 - width, 1e-9))
 
 
-def spectrogram(record: xr.Dataset, channel: str, axes: list[str], band: tuple[float, float]) -> xr.Dataset:
+PICTURE_TURNS = 10.0
+"""Turns of a window of a spectrogram: neighbouring orders stand apart, and an entry of as many turns is seen."""
+
+
+def spectrogram(
+    record: xr.Dataset, channel: str, axes: list[str], band: tuple[float, float], base: float
+) -> xr.Dataset:
     """Return the amplitudes of a whole record over time and frequency, the highest of what falls into one point.
 
     Parameters
@@ -107,23 +117,35 @@ def spectrogram(record: xr.Dataset, channel: str, axes: list[str], band: tuple[f
         Its axes.
     band : (float, float)
         Frequencies [Hz].
+    base : float
+        Spindle frequency [Hz].
     """
     dt = sample_interval(record)
     rows = record[channel].values[None] if "axis" not in record[channel].dims else None
     values = record[channel].sel(axis=axes).transpose("axis", "time").values if rows is None else rows
     duration = values.shape[1] * dt
-    window = min(max(duration / 40.0, 8.0 / max(band[0], 10.0), 64 * dt), duration)
-    middle, frequency, phasor = windows(values, dt, window, max(window / 4.0, (duration - window) / PICTURE[0]))
+    window = min(max(duration / 100.0, PICTURE_TURNS / base, 64 * dt), duration)
+    n = max(8, min(values.shape[1], round(window / dt)))
+    step = max(1, round(max(window / 8.0, (duration - window) / PICTURE[0]) / dt))
+    starts = np.arange(0, values.shape[1] - n + 1, step)
+    shape = signal.windows.hann(n, sym=False)
+    frequency = fft.rfftfreq(n, dt)
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    size = _reduced(np.abs(phasor[:, :, inside]), PICTURE[1])
-    grid = _reduced(frequency[inside][None, None], PICTURE[1], np.mean)[0, 0]
-    data = {"amplitude": (("axis", "time", "frequency"), size.astype(np.float32), {"units": UNITS[channel]})}
+    grid = _reduced(frequency[inside], PICTURE[1], np.mean)
+    size = np.zeros((values.shape[0], starts.size, grid.size), dtype=np.float32)
+    # One window after the other: all at once would take gigabytes for a minute at 50 kHz.
+    for row, samples in enumerate(values):
+        for column, start in enumerate(starts):
+            piece = samples[start : start + n]
+            lines = np.abs(fft.rfft((piece - piece.mean()) * shape)) * (2.0 / shape.sum())
+            size[row, column] = _reduced(lines[inside], PICTURE[1])
+    data = {"amplitude": (("axis", "time", "frequency"), size, {"units": UNITS[channel]})}
     coords = {
         "axis": axes,
-        "time": ("time", float(record["time"].values[0]) + middle, {"units": "s"}),
+        "time": ("time", float(record["time"].values[0]) + (starts + 0.5 * n) * dt, {"units": "s"}),
         "frequency": ("frequency", grid, {"units": "Hz"}),
     }
-    return xr.Dataset(data, coords=coords, attrs={"window_s": window})
+    return xr.Dataset(data, coords=coords, attrs={"window_s": n * dt})
 
 
 def _reduced(values: NDArray[np.float64], most: int, how=np.max) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]

@@ -29,6 +29,12 @@ MOST_CHANGE = 0.03
 JUDGED_TURNS = (60, 600)
 """Turns that are judged where the cut has them: fewer than the first reach back before its second half."""
 
+FEWEST_TURNS_OF_CUT = 12
+"""A loud stretch of fewer turns in a long record is no cut, but an event."""
+
+TURNS_OF_A_STRETCH, MOST_STRETCHES = 24, 5
+"""Least turns of a stretch that is judged for itself, and most stretches."""
+
 SPEED_PIECES = 32
 """Most pieces on whose means a recorded speed is tested for being constant."""
 
@@ -63,35 +69,57 @@ def judged_part(
     dt = sample_interval(record)
     time = record["time"].values
     samples = _rows(record[channel], axes)
+    # The force is nearly zero in air: it shows the cut best where it has been recorded.
+    shows = "force" if axis_present(record, "force") else channel
+    every = _rows(record[shows], axis_present(record, shows) if "axis" in record[shows].dims else axes)
+    first, last, *steady = _find_cut(every, max(2, round(turn / dt)), shows == "force")
     if interval is not None:
-        first, last = np.searchsorted(time, interval)
-        if last - first < 16:
+        begin, end = np.searchsorted(time, interval)
+        if end - begin < 16:
             raise InputError(
-                f"the interval {interval[0]:g} to {interval[1]:g} s holds {max(last - first, 0)} samples of a record "
+                f"the interval {interval[0]:g} to {interval[1]:g} s holds {max(end - begin, 0)} samples of a record "
                 f"from {time[0]:g} to {time[-1]:g} s; give one with more"
             )
-        steady = [int(first), int(last)]
-        begin = first
+        cut = samples[:, begin:end]
     else:
-        # The force is nearly zero in air: it shows the cut best where it has been recorded.
-        shows = "force" if axis_present(record, "force") else channel
-        every = _rows(record[shows], axis_present(record, shows) if "axis" in record[shows].dims else axes)
-        first, last, *steady = _find_cut(every, max(2, round(turn / dt)), shows == "force")
         fewest, most = (round(count * turn / dt) for count in JUDGED_TURNS)
         half = (first + last) // 2
         begin = max(steady[0], min(half, max(steady[1] - fewest, first + (last - first) // 4)), steady[1] - most)
-        begin, last_judged = min(begin, steady[1] - 2), steady[1]
-    end = last if interval is not None else last_judged
+        begin, end = min(begin, steady[1] - 2), steady[1]
+        cut = samples[:, first:last]
     at = [float(time[min(i, time.size - 1)]) for i in (first, steady[0], steady[1], last)]
     return CutPart(
         samples=samples[:, begin:end],
-        cut=samples[:, first:last],
+        cut=cut,
         dt=dt,
         interval=(float(time[begin]), float(time[end - 1])),
         bounds=(at[0], at[1], at[2], at[3]),
-        air=_air(samples, first, last, max(2, round(turn / dt))),
+        air=_air(samples, min(first, begin), max(last, end), max(2, round(turn / dt))),
         raw_dt=dt,
     )
+
+
+def stretches(
+    cut: tuple[float, float, float, float], judged: tuple[float, float], turn: float
+) -> list[tuple[float, float]]:
+    """Return the stretches [s] of a steady cut in which chatter may come and go: what was not judged, and pieces.
+
+    Parameters
+    ----------
+    cut : (float, float, float, float)
+        Begin, entered, left, end [s].
+    judged : (float, float)
+        What has been judged as a whole [s].
+    turn : float
+        Duration of a turn [s].
+    """
+    first, last = cut[1], cut[2]
+    found = [(first, judged[0])] if judged[0] - first >= TURNS_OF_A_STRETCH * turn else []
+    pieces = min(MOST_STRETCHES, int((last - first) / (TURNS_OF_A_STRETCH * turn)))
+    if pieces > 1:
+        edges = np.linspace(first, last, pieces + 1)
+        found += list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+    return found
 
 
 def _air(samples: NDArray[np.float64], first: int, last: int, turn: int) -> NDArray[np.float64]:
@@ -127,16 +155,17 @@ def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[in
         air = means[:, :1] if power[0] <= power[-1] else means[:, -1:]
         power = power + ((means - air) ** 2).sum(axis=0)
     level = ndimage.median_filter(np.sqrt(power), size=3, mode="nearest")
-    # A cut may swell and fade: a gap of a tenth of the record is none.
-    gap = max(1, blocks // 10)
-    above = np.pad(level > _air_below(level), gap)
-    loud = np.concatenate([[False], ndimage.binary_closing(above, np.ones(gap + 1))[gap:-gap], [False]])
-    edges = np.flatnonzero(np.diff(loud.astype(int)))
-    starts, stops = edges[::2], edges[1::2]
-    if starts.size == 0:
+    if not level.any():
         return 0, n, 0, n
-    longest = int(np.argmax(stops - starts))
-    start, stop = int(starts[longest]), int(stops[longest])
+    start, stop = _longest_cut(level)
+    # A few turns far above all others are an entry, an exit or a knock, and hide the cut beside them.
+    while stop - start < min(FEWEST_TURNS_OF_CUT, blocks // 4):
+        quieter = np.delete(level, np.arange(start, stop))
+        level = np.minimum(level, np.quantile(quieter, 0.95))
+        again = _longest_cut(level)
+        if again == (start, stop):
+            break
+        start, stop = again
     inside = level[start:stop]
     third = max(1, inside.size // 3)
     full = np.flatnonzero(inside > 0.7 * np.median(inside[third : 2 * third + 1]))
@@ -146,6 +175,20 @@ def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[in
     if stop == blocks and end >= stop - 1:
         return start * turn, n, begin * turn, n
     return start * turn, min(stop * turn, n), begin * turn, max(end - 1, begin + 1) * turn
+
+
+def _longest_cut(level: NDArray[np.float64]) -> tuple[int, int]:
+    """Return first and last turn, exclusive, of the longest stretch whose level is that of a cut."""
+    # A cut may swell and fade: a gap of a tenth of the record is none.
+    gap = max(1, level.size // 10)
+    above = np.pad(level > _air_below(level), gap)
+    loud = np.concatenate([[False], ndimage.binary_closing(above, np.ones(gap + 1, dtype=bool))[gap:-gap], [False]])
+    edges = np.flatnonzero(np.diff(loud.astype(int)))
+    if edges.size == 0:
+        return 0, level.size
+    starts, stops = edges[::2], edges[1::2]
+    longest = int(np.argmax(stops - starts))
+    return int(starts[longest]), int(stops[longest])
 
 
 def _air_below(level: NDArray[np.float64]) -> float:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
@@ -17,6 +15,7 @@ from stability.cut_interval import CutPart
 from stability.line_spectrum import (
     STANDS_OUT,
     LineSpectrum,
+    alternating,
     comb_speed,
     hann_spectrum,
     highest_visible_order,
@@ -40,8 +39,34 @@ chatter has 1, filtered noise 2."""
 NOISE_LIKE = 1.75
 """Kurtosis of the envelope from which no coherence makes a line of it."""
 
-COHERENT = 8.0
-"""Power of a family over the median power between the orders from which it is a line whatever its envelope does."""
+STEADY = 1.2
+"""Kurtosis of the envelope below which a line is steady whatever else there is."""
+
+TOWERING = 8.0
+"""Height in thresholds from which a steady line needs not stand out of what is around it."""
+
+GROWS, GROWING = 5.0, 4.0
+"""Growth from the first to the last quarter from which a line grows, and the kurtosis that this explains at most:
+exponential growth has 2 to 4, a knock far more."""
+
+LASTS = 0.7, 1.5
+"""Growth from the first to the last quarter of a stretch in which a line is no transient that dies out, nor one that
+comes up [1]."""
+
+COHERENT = 30.0
+"""Power of a family over the median power between the orders that speaks for a line."""
+
+CERTAIN = 50.0
+"""The same, from which it is a line even where its envelope varies."""
+
+NOISE = 1.65, 3.5, 6.0
+"""Least and most kurtosis of the envelope of a mode that noise excites, and most coherence."""
+
+PLAINLY_NOISE = 1.9
+"""Kurtosis from which its height does not matter; below, it reaches `EXCITED` thresholds at most."""
+
+EXCITED = 4.0
+"""Most that a mode that noise excites reaches, in thresholds [1]."""
 
 SHORT_TURNS = (24.0, 12.0)
 """Windows in which lines that drift are looked for [turns]."""
@@ -70,6 +95,7 @@ class Evidence:
     in_air: NDArray[np.bool_]
     base: float
     speed_error: float
+    followed: bool
     tooth_frequency: float
     tooth_amplitude: float
     order_frequency: float
@@ -82,6 +108,7 @@ class Evidence:
     half: tuple[float, float]
     half_growth: float
     half_reference: float | None
+    alternating: tuple[float, float]
     short: Short
     samples: NDArray[np.float64]
     dt: float
@@ -131,8 +158,11 @@ class Evidence:
         """Frequency of the highest tooth harmonic [Hz]; NaN when it does not stand out of the noise."""
         if math.isnan(self.tooth_frequency):
             return math.nan
-        noise = noise_rms(self.spectrum, self.amplitude, ~self.masked, self.tooth_frequency)
-        return self.tooth_frequency if self.tooth_amplitude > STANDS_OUT * noise else math.nan
+        return self.tooth_frequency if self._stands_out(self.tooth_frequency, self.tooth_amplitude) else math.nan
+
+    def _stands_out(self, frequency: float, amplitude: float) -> bool:
+        """Whether a harmonic stands out of the noise around it."""
+        return amplitude > STANDS_OUT * noise_rms(self.spectrum, self.amplitude, ~self.masked, frequency)
 
     @property
     def ratio(self) -> float:
@@ -246,10 +276,42 @@ class Evidence:
     @property
     def line_like(self) -> bool:
         """Whether the candidate is a line, not a mode that noise excites."""
-        clear = self.candidate[1] > STANDS_OUT * self.noise
-        return (clear and self.envelope[0] < COMES_AND_GOES) or (
-            self.envelope[0] < NOISE_LIKE and self.coherence > COHERENT
-        )
+        varies, amplitude = self.envelope[0], self.candidate[1]
+        if varies < NOISE_LIKE and self.coherence > CERTAIN:
+            return True
+        height = amplitude / (self.threshold * self.denominator) if self.denominator > 0.0 else 0.0
+        if varies < STEADY and height > TOWERING:
+            # A line that drifts is its own noise.
+            return True
+        if amplitude < STANDS_OUT * self.noise:
+            return False
+        if self.envelope[1] > GROWS and varies < GROWING:
+            return True
+        # A lightly damped mode may look steady over a short record: then something else must speak for a line.
+        steady = varies < STEADY or height > 2.0 or bool(self._family) or self.coherence > COHERENT
+        return varies < COMES_AND_GOES and steady
+
+    @property
+    def noise_like(self) -> bool:
+        """Whether the candidate is a mode that noise excites, and nothing else."""
+        varies = self.envelope[0]
+        if math.isnan(self.tooth_line) and not self._stands_out(self.order_frequency, self.order_amplitude):
+            return False
+        if not NOISE[0] < varies < NOISE[1] or self.coherence > NOISE[2] or self._family:
+            return False
+        return varies > PLAINLY_NOISE or self.candidate[1] < EXCITED * self.threshold * self.denominator
+
+    @property
+    def plain(self) -> bool:
+        """Whether the candidate is a steady high line, or one with a family, that neither dies out nor comes up."""
+        if not LASTS[0] < self.envelope[1] < LASTS[1]:
+            return False
+        return self.coherent_family or (self.envelope[0] < STEADY and self.ratio > 2.0 * self.threshold)
+
+    @property
+    def coherent_family(self) -> bool:
+        """Whether the candidate is a steady line with at least two others of its family."""
+        return self.envelope[0] < COMES_AND_GOES and len(self._family) > 1 and self.coherence > CERTAIN
 
 
 def gather(
@@ -294,6 +356,7 @@ def gather(
         in_air=in_air,
         base=base,
         speed_error=error,
+        followed=exact and tolerance > 0.0,
         tooth_frequency=tooth_frequency,
         tooth_amplitude=tooth_amplitude,
         order_frequency=(top + 1) * base,
@@ -306,6 +369,7 @@ def gather(
         half=half,
         half_growth=_growth(part, half[0], teeth),
         half_reference=reference,
+        alternating=alternating(phasors, teeth),
         short=_short(part, base, band, error, in_air, spectrum, integrate),
         samples=part.samples[0],
         dt=part.dt,
@@ -430,17 +494,3 @@ def _growth(part: CutPart, frequency: float, teeth: int) -> float:
     teeth_first, teeth_last = (mean_size(p, passing) for p in (part.cut[:, :quarter], part.cut[:, -quarter:]))
     steady = max(1.0, teeth_last / teeth_first) if teeth_first > 0.0 else 1.0
     return last / first / steady if first > 0.0 else math.inf
-
-
-def labelled_spectrum(found: Sequence[Evidence], unit: str) -> xr.Dataset:
-    """Return the spectra of all axes for plotting."""
-    first = found[0]
-    phasor = np.concatenate([e.spectrum.phasor for e in found])
-    whole = LineSpectrum(first.spectrum.frequency, phasor, first.spectrum.resolution)
-    data = {
-        "amplitude": (("axis", "frequency"), np.abs(phasor), {"units": unit}),
-        "vector_amplitude": ("frequency", whole.vector_amplitude, {"units": unit}),
-        "harmonic": ("frequency", first.masked, {"units": "1"}),
-    }
-    coords = {"axis": [e.axis for e in found], "frequency": ("frequency", whole.frequency, {"units": "Hz"})}
-    return xr.Dataset(data, coords=coords, attrs={"resolution_Hz": whole.resolution, "window": "hann"})

@@ -24,6 +24,10 @@ STANDS_OUT = 4.0
 """A line is a line from this many times the local rms noise: white noise exceeds it once in 10^7 bins."""
 
 
+ALTERNATING_ORDERS = 4
+"""Tooth harmonics up to which order Z/2 and its odd multiples are compared with the other orders."""
+
+
 @dataclass(frozen=True)
 class LineSpectrum:
     """Hann spectrum of a piece of record within a band.
@@ -72,6 +76,28 @@ def order_phasors(samples: NDArray[np.float64], dt: float, base: float, count: i
     step = np.exp(-2j * np.pi * base * dt)
     values = signal.czt(_centred(samples) * window, m=count, w=step, a=np.conj(step), axis=1)
     return np.asarray(values * (2.0 / window.sum()), dtype=np.complex128)
+
+
+def alternating(phasors: NDArray[np.complex128], teeth: int) -> tuple[float, float]:
+    """Return the size of order Z/2 and its odd multiples over that of all other orders that are no tooth harmonics.
+
+    The radii of the teeth repeat with the turn, so run-out puts lines on every order m + k Z, in the shares of the
+    discrete Fourier transform of the radii; an eccentric tool has m = 1 and Z - 1 alone. Teeth that alternate have
+    m = Z/2 alone, on all its odd multiples: so the ratio is returned of all orders, and of those without the highest,
+    which may stand on a resonance. NaN for odd numbers of teeth, and for two, that have no other order.
+    """
+    if teeth % 2 or teeth < 4:
+        return math.nan, math.nan
+    power = np.abs(phasors[0, : ALTERNATING_ORDERS * teeth]) ** 2
+    remainder = np.arange(1, power.size + 1) % teeth
+    power[remainder == 0] = 0.0
+    found = []
+    for _ in range(2):
+        half = float(power[remainder == teeth // 2].sum())
+        found.append(math.sqrt(half / max(float(power.sum()) - half, 1e-300)))
+        power[np.argmax(power)] = 0.0
+    # With one multiple in the band nothing is left without the highest.
+    return found[0], found[1] if power.size >= 1.5 * teeth else 0.1 * found[0]
 
 
 def without_orders(spectrum: LineSpectrum, phasors: NDArray[np.complex128], base: float) -> NDArray[np.float64]:

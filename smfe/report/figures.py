@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from smfe.report import diagnosis, loops
+from smfe.report import diagnosis, loops, spectrograms
 from smfe.report.answer import outcomes
 from smfe.report.conditions import cubes
 from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, predicted_lines, spectrum_span
@@ -80,6 +80,9 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         out["condition.png"] = partial(draw_quality, shown, looks)
     if results.spectra:
         out["spectra.png"] = partial(draw_spectra, list(results.spectra.values()))
+    with_picture = spectrograms.pictured(list(results.spectra.values()))
+    if with_picture:
+        out["spectrograms.png"] = partial(spectrograms.draw, with_picture)
     if diagnosis.pictured(results.finding):
         out["diagnosis.png"] = partial(diagnosis.draw, results.finding)
     return out
@@ -102,6 +105,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
         "compliance.png",
         "condition.png",
         "spectra.png",
+        "spectrograms.png",
         "diagnosis.png",
     ):
         for path in folder.glob(pattern):

@@ -14,7 +14,17 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from smfe.failures import FAILED, LOBES, MEASUREMENT, PREDICTION, TEST
-from smfe.report import conditions, diagnosis, explained, figures, interactive, interactive_compliance, loops, tables
+from smfe.report import (
+    conditions,
+    diagnosis,
+    explained,
+    figures,
+    interactive,
+    interactive_compliance,
+    loops,
+    spectrograms,
+    tables,
+)
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
 from smfe.report.results import Lobes, Measurement, Results, bands, read_results
@@ -205,7 +215,8 @@ def _spectra(results: Results, plots: dict[str, Any]) -> dict[str, Any]:
         # A test that failed has a row in chatter.csv and no spectrum; the number says which row is meant.
         number_of = key.rpartition("_")[2]
         observed = _observed(results.chatter, int(number_of) - 1 if number_of.isdigit() else position - 1)
-        tests.append({"plot": name, "attrs": {**_NO_TEST, **dataset.attrs}, "observed": observed})
+        picture = spectrograms.embedded(dataset, end) if spectrograms.pictured([dataset]) else ""
+        tests.append({"plot": name, "picture": picture, "attrs": {**_NO_TEST, **dataset.attrs}, "observed": observed})
     found = []
     if results.chatter is not None:
         # Each reason stands below its spectrum.

@@ -22,7 +22,7 @@ from process.labels import make_record
 from stability import chatter_verdict
 
 RANGES = {"stable": (0.3, 0.9), "chatter": (1.1, 2.0), "between": (0.9, 1.1)}
-FIRST = {"stable": 1_000_000, "chatter": 2_000_000, "between": 3_000_000}
+FIRST = {"stable": 4_000_000, "chatter": 5_000_000, "between": 6_000_000}
 CLASSES = (
     "sound",
     "acceleration",
@@ -46,11 +46,16 @@ def judge(job: tuple[str, int]) -> dict[str, object]:
     record = make_record(d.time, vectors if vectors["acceleration"] else {}, scalars)
     found = chatter_verdict(record, d.stated_rpm * math.pi / 30.0, d.teeth)
     out = {"kind": kind, "verdict": found.verdict, "teeth": d.teeth, "classes": d.classes, "planted": "", "tacho": ""}
+    out["speed"] = ""
     if kind == "stable" and seed % 2:
         wrong = d.teeth + (1 if d.teeth < 8 else -1)
         again = chatter_verdict(record, d.stated_rpm * math.pi / 30.0, wrong)
         said = f"{wrong} teeth are declared, but {d.teeth} fit" in again.reason
         out["planted"] = "said" if said else again.verdict
+    if kind != "between" and seed % 8 == 1:
+        wrong_speed = (1.04 if seed % 16 == 1 else 0.96) * d.stated_rpm * math.pi / 30.0
+        again = chatter_verdict(record, wrong_speed, d.teeth)
+        out["speed"] = "said" if "check the speed" in again.reason else f"{kind} called {again.verdict}"
     if seed % 4 == 0:
         record["tacho"] = ("time", d.tacho, {"units": "1", "pulses_per_revolution": 1.0})
         try:
@@ -92,6 +97,7 @@ def table(rows: list[dict[str, object]]) -> str:
     lines += [line(f"{z} teeth", [r for r in scored if r["teeth"] == z]) for z in range(2, 9)]
     middle = Counter(str(r["verdict"]) for r in rows if r["kind"] == "between")
     planted = Counter(str(r["planted"]) for r in rows if r["planted"])
+    speed = Counter(str(r["speed"]) for r in rows if r["speed"])
     tacho = Counter(
         "right" if r["tacho"] == r["kind"] else "undecided" if r["tacho"] == "undecided" else "wrong"
         for r in scored
@@ -105,6 +111,9 @@ def table(rows: list[dict[str, object]]) -> str:
         f"A tooth too many or too few declared for stable cuts ({sum(planted.values())}): "
         + ", ".join(f"{count} {name}" for name, count in sorted(planted.items()))
         + " (said: the right number is named).",
+        f"Speed stated 4 % wrong ({sum(speed.values())} cuts): "
+        + ", ".join(f"{count} {name}" for name, count in sorted(speed.items()))
+        + ".",
         f"From the tacho, no speed stated ({sum(tacho.values())} cuts): "
         + ", ".join(f"{count} {name}" for name, count in sorted(tacho.items()))
         + ".",

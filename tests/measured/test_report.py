@@ -26,12 +26,14 @@ from samples.report import (
 
 from process.compliance import ModalModel
 from process.errors import InputError
+from smfe.cutting_tests import with_picture
 from smfe.report import write_report
 from smfe.report.answer import answers, pockets, score
 from smfe.report.figures import NOTHING, draw_compliance
 from smfe.report.interactive import packed
 from smfe.report.look import depth_range, frequency_range, magnitude_range, number, palette
 from smfe.report.results import read_results
+from smfe.report.spectrograms import draw as draw_spectrograms
 from smfe.store import pack_warnings, write_csv, write_groups
 from stability import write_table
 
@@ -220,11 +222,44 @@ class TestAnswer:
 class TestFigures:
     def test_all_there_and_not_empty(self, sample: Path) -> None:
         names = {p.name for p in (sample / "figures").iterdir()}
-        assert names == {"lobes_1.png", "lobes_2.png", "compliance.png", "spectra.png", "condition.png"}
+        tests = {"spectra.png", "spectrograms.png"}
+        assert names == {"lobes_1.png", "lobes_2.png", "compliance.png", "condition.png"} | tests
         for name in names:
             content = (sample / "figures" / name).read_bytes()
             assert content.startswith(b"\x89PNG")
             assert len(content) > 20_000
+
+    def test_a_spectrogram_a_test_in_the_page_small_and_marked(self, sample: Path) -> None:
+        found = re.findall(r'<img class="spectrogram" src="data:image/png;base64,([^"]+)"', page(sample))
+        assert len(found) == len(read_results(sample).spectra)
+        for picture in found:
+            assert base64.b64decode(picture).startswith(b"\x89PNG")
+            assert len(picture) < 100_000
+
+    def test_a_spectrogram_marks_orders_chatter_and_the_cut(self) -> None:
+        tests = cutting_tests()
+        figure = draw_spectrograms([spectrum(tests.iloc[1])])
+        axes = figure.axes[0]
+        across = [line.get_ydata()[0] for line in axes.lines if len(set(line.get_ydata())) == 1]
+        upright = [line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1]
+        assert 66.4 in across
+        assert 380.0 * 8 / 60.0 in across
+        assert {0.5, 0.6, 3.5, 3.6} <= set(upright)
+        assert "cut" in [text.get_text() for text in axes.texts]
+
+    def test_a_stored_spectrogram_takes_a_byte_a_point(self, tmp_path: Path) -> None:
+        rng = np.random.default_rng(0)
+        size = rng.rayleigh(size=(2, 160, 300)).astype(np.float32)
+        coords = {"axis": ["x", "y"], "time": np.arange(160.0), "frequency": np.arange(300.0)}
+        picture = xr.Dataset({"amplitude": (("axis", "time", "frequency"), size)}, coords, {"window_s": 2.0})
+        whole = with_picture(
+            spectrum(cutting_tests().iloc[0]).drop_dims(["picture_time", "picture_frequency"]), picture
+        )
+        write_groups(tmp_path / "s.nc", {"test_1": whole[["spectrogram"]]})
+        assert (tmp_path / "s.nc").stat().st_size < 80_000
+        level = whole["spectrogram"]
+        back = level.attrs["top"] * 10.0 ** ((level.values.astype(float) - 255.0) * level.attrs["step_dB"] / 20.0)
+        np.testing.assert_allclose(back, np.sqrt((size.astype(float) ** 2).sum(axis=0)), rtol=0.03)
 
     def test_pictures_of_an_earlier_report_go(self, tmp_path: Path) -> None:
         (tmp_path / "figures").mkdir()

@@ -182,3 +182,15 @@ def test_a_directional_matrix_that_the_formula_does_not_hold_for_is_refused() ->
     plain = directional_matrix(Tool(0.05, 2), arc, MATERIAL)
     np.testing.assert_array_equal(directional_matrix(HELICAL, arc, MATERIAL), plain)
     np.testing.assert_array_equal(directional_matrix(ECCENTRIC, arc, MATERIAL), plain)
+
+
+@pytest.mark.parametrize("degrees", [(51.43,) * 7, (51.4,) * 7, (51.43,) * 6 + (51.42,), (120.0, 120.0, 120.0)])
+def test_a_pitch_that_is_equal_within_its_rounding_is_equal(degrees):
+    tool = Tool(0.05, len(degrees), pitch_angles=tuple(map(math.radians, degrees)))
+    assert tool.equal_pitch
+    np.testing.assert_array_equal(tool.tooth_angles(), Tool(0.05, len(degrees)).tooth_angles())
+
+
+@pytest.mark.parametrize("degrees", [(119.0, 121.0, 120.0), (119.97, 120.03, 120.0)])
+def test_a_pitch_that_differs_by_more_than_its_rounding_is_unequal(degrees):
+    assert not Tool(0.05, 3, pitch_angles=tuple(map(math.radians, degrees))).equal_pitch

@@ -92,7 +92,14 @@ def spectrum(row: pd.Series, units: str = "m/s^2") -> xr.Dataset:
         "tooth_passing_frequency_Hz": tooth,
         "threshold_amplitude": 0.5,
     }
-    return xr.Dataset(data, {"axis": list("xyz"), "frequency": frequency}, {**attrs.to_dict(), **more})
+    time, coarse = np.linspace(0.1, 3.9, 60), np.arange(2.0, 400.0, 2.0)
+    turned = (time[:, None] > 0.6) & (np.abs((coarse + tooth / 2) % tooth - tooth / 2) < 2.0)
+    grown = (time[:, None] > 1.5) & (np.abs(coarse - row["chatter_frequency_Hz"]) < 1.5)
+    level = np.where(grown, 250, np.where(turned, 230, 90)).astype(np.uint8)
+    data["spectrogram"] = (("picture_time", "picture_frequency"), level, {"step_dB": 0.5, "window_s": 0.2})
+    more |= {"teeth": 8, "cut_s": "[0.5, 0.6, 3.5, 3.6]", "interval_s": "[2.0, 3.5]", "family_Hz": "[130.1]"}
+    coords = {"axis": list("xyz"), "frequency": frequency, "picture_time": time, "picture_frequency": coarse}
+    return xr.Dataset(data, coords, {**attrs.to_dict(), **more})
 
 
 def cutting_tests() -> pd.DataFrame:
