@@ -99,11 +99,13 @@ def identify_shaken(
         When the kinds of force differ, or the method refuses the records.
     """
     if estimator is not None:
-        return identify_continuous(
-            name, records, frequency_range=frequency_range, resolution=resolution, estimator=estimator
+        return _broadband(
+            identify_continuous(
+                name, records, frequency_range=frequency_range, resolution=resolution, estimator=estimator
+            )
         )
     if period is not None:
-        return identify_periodic(name, records, period, settling=settling, frequency_range=frequency_range)
+        return _broadband(identify_periodic(name, records, period, settling=settling, frequency_range=frequency_range))
     check_records(name, records)
     found = {
         (axis, k): _kind(force_samples(record, axis), sample_interval(record))
@@ -123,8 +125,15 @@ def identify_shaken(
     if _METHOD[kind] == "continuous":
         out = identify_continuous(name, records, frequency_range=frequency_range, resolution=resolution)
         said = " and ".join(sorted(set(kinds.values())))
-        return replace(out, warnings=(f"the force was taken for {_ARTICLE.get(said, said)}", *out.warnings))
-    return _repeated(name, records, {at: r for at, (_, r) in found.items() if r}, settling, frequency_range)
+        told = f"the force was taken for {_ARTICLE.get(said, said)}"
+        return _broadband(replace(out, warnings=(told, *out.warnings)))
+    periods = {at: r for at, (_, r) in found.items() if r}
+    return _broadband(_repeated(name, records, periods, settling, frequency_range))
+
+
+def _broadband(found: Identification) -> Identification:
+    """Mark a compliance that was excited at all frequencies at once: its force has no amplitude of a sine."""
+    return replace(found, compliance=found.compliance.assign_attrs(broadband="yes"))
 
 
 _METHOD = {"steps": "steps", "repeats": "repeats", "a chirp": "continuous", "random excitation": "continuous"}

@@ -41,7 +41,7 @@ from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep
 from smfe.sweep_estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
 
-FORM = 6
+FORM = 7
 """Raised where an estimator, or what it writes, changes within a version: what was kept is then not read back."""
 
 

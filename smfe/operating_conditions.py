@@ -180,8 +180,8 @@ def _level(m: Measurement, compliance: xr.Dataset) -> tuple[float | None, list[s
         if found.highest > 1.5 * found.lowest:
             text += f" (other modes: {found.lowest:.3g} to {found.highest:.3g} N)"
         return float(f"{found.force:.4g}"), [text]
-    if m.period is not None:
-        return None, ["is excited at all frequencies at once (period), which has no amplitude of a sine"]
+    if m.period is not None or "broadband" in compliance.attrs:
+        return None, ["is excited at all frequencies at once, which has no amplitude of a sine"]
     if m.force_level is None:
         return None, ["states no force_level"]
     sine = "its first tooth passing harmonic" if m.method == "sweep" else "a sine"

@@ -297,8 +297,10 @@ def _level(conditions: _Conditions, cut: Cut, feed_per_tooth: float, given: Leve
         return lambda depth: 1e3 * depth
     if given is not None:
         return given
+    # Run-out moves force between the teeth; their passing harmonic stays that of the mean chip.
+    round_tool = replace(cut.tool, runout=None)
     return lambda depth: float(
-        np.linalg.norm(force_harmonics(cut.tool, cut.arc, cut.coefficients, depth, feed_per_tooth, [1]))
+        np.linalg.norm(force_harmonics(round_tool, cut.arc, cut.coefficients, depth, feed_per_tooth, [1]))
     )
 
 

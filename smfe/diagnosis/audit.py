@@ -243,9 +243,9 @@ def _cutting_test(out: Audit, campaign: Campaign, test: CuttingTest) -> None:
         out.suspects += wrong or clock_suspects(record, where, tool.teeth if tool else None)
         out.seen.append(seen(record, part, said))
         if tool is not None and not wrong:
-            out.suspects += tooth_suspects(record, where, test.spindle_speed, tool.teeth)
+            arc = engagement(test.cut, test.width_of_cut, tool.diameter)
+            out.suspects += tooth_suspects(record, where, test.spindle_speed, tool, arc)
             if campaign.coefficients is not None and test.feed_per_tooth is not None:
-                arc = engagement(test.cut, test.width_of_cut, tool.diameter)
                 cut = (tool, arc, campaign.coefficients)
                 out.suspects += force_suspects(record, where, cut, test.depth_of_cut, test.feed_per_tooth)
 
@@ -301,25 +301,46 @@ def _stated_speeds(name: str, passes: Sequence[SweepPass], teeth: int) -> list[S
 
 
 def _missing_entries(campaign: Campaign, compliances: Mapping[str, xr.Dataset]) -> list[Suspect]:
-    """Note sources of lobes that have direct entries and no cross terms."""
-    out = []
+    """Note sources of lobes without cross terms, and warn of two measurements that hold one tap each."""
     asked = {name for request in campaign.lobes for name in request.measurements}
-    for name, compliance in compliances.items():
-        array = compliance["compliance"]
-        known = {
-            (str(r), str(e))
-            for r in array["response"].values
-            for e in array["excitation"].values
-            if bool(abs(array.sel(response=r, excitation=e)).max() > 0.0)
-        }
-        if name in asked and len(known) > 1 and all(r == e for r, e in known):
-            out.append(
-                Suspect(
-                    "cross_terms",
-                    "note",
-                    name,
-                    f"it has {', '.join(sorted(r + e for r, e in known))} and no cross terms",
-                    "lobes take them as zero; measure them where modes lie across the axes",
-                )
-            )
+    known = {n: _known_entries(c) for n, c in compliances.items() if n in asked}
+    out = [
+        Suspect(
+            "cross_terms",
+            "note",
+            name,
+            f"it has {', '.join(sorted(entries))} and no cross terms",
+            "lobes take them as zero; measure them where modes lie across the axes",
+        )
+        for name, entries in known.items()
+        if len(entries) > 1 and all(entry[0] == entry[1] for entry in entries)
+    ]
+    alone: dict[tuple[object, ...], dict[str, str]] = {}
+    for m in campaign.measurements:
+        if known.get(m.name) in ({"xx"}, {"yy"}):
+            feed = None if m.feed is None else tuple(sorted(m.feed.items()))
+            alone.setdefault((m.method, m.controller, m.position, feed), {})[known[m.name].copy().pop()] = m.name
+    out += [
+        Suspect(
+            "cross_terms",
+            "warning",
+            f"{taps['xx']} and {taps['yy']}",
+            "one has xx alone, the other yy alone, measured under the same conditions: lobes of each take the other "
+            "direction as rigid",
+            "make them one [[measurement]] with both records",
+        )
+        for taps in alone.values()
+        if len(taps) == 2
+    ]
     return out
+
+
+def _known_entries(compliance: xr.Dataset) -> set[str]:
+    """Return the entries that hold a number other than zero: xx, xy, ..."""
+    array = compliance["compliance"]
+    return {
+        f"{r}{e}"
+        for r in array["response"].values
+        for e in array["excitation"].values
+        if bool(abs(array.sel(response=r, excitation=e)).max() > 0.0)
+    }

@@ -18,6 +18,7 @@ from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.identification import Identification, Progress, silent
 from smfe.limits import all_lobes, pockets_of
 from smfe.measurements import split_levels
+from smfe.plan_search import Search
 from smfe.plan_task import load_task
 from smfe.sweep_levels import with_levels
 
@@ -72,7 +73,10 @@ def refusals(
             case_of(campaign, found, progress)
     if campaign.plan is not None:
         with attempt(refused, "plan"):
-            load_task(campaign.path)
+            task = load_task(campaign.path)
+            low, high = task.limits.frequency_range
+            Search(task)  # refuses inserts that the tool cannot hold, and an estimate that does not move
+            task.estimate.matrix([max(low - 1.0, 0.5 * low), high + 1.0])
     failed = {f.name for f in known if f.part == MEASUREMENT}
     said = [
         Suspect("conditions", "warning", "cutting tests", text, "correct what the campaign states") for text in unsure

@@ -1,15 +1,26 @@
 """Claims: a check says what a run would refuse, names planted faults, and is silent on healthy campaigns."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from truth import workshop
 
+from process.engagement import CUTS, Engagement, engagement
+from process.labels import make_record
+from process.tool import Tool
 from smfe import pipeline
-from smfe.diagnosis.audit import check
+from smfe.campaign import load_campaign
+from smfe.diagnosis.audit import audit, check
+from smfe.diagnosis.dry_run import refusals
 from smfe.diagnosis.same_data import Seen, same_suspects
+from smfe.diagnosis.speed_checks import tooth_suspects
+from smfe.diagnosis.suspect import Suspect
 
 
 @pytest.fixture
@@ -98,3 +109,153 @@ def test_the_generator_moves_as_its_machine_does() -> None:
     moved = np.cumsum(np.cumsum(workshop.acceleration(shop, force), axis=1), axis=1) / shop.rate**2
     still = workshop.receptance(shop.modes, np.zeros(1))[0, :, 0].real
     np.testing.assert_allclose(moved[0, round(0.7 * n)], 100.0 * still[0], rtol=0.05)
+
+
+# --- number of teeth -------------------------------------------------------------------------------------------------
+
+RATE, RPM = 3000.0, 1200.0
+
+
+def turning(seed: int, arc: Engagement | None = None, **tool: float) -> tuple[xr.Dataset, Tool, Engagement]:
+    """Forces of a steady cut with run-out, its tool and its arc."""
+    rng = np.random.default_rng(seed)
+    drawn = {"teeth": int(rng.integers(2, 8)), "runout": rng.uniform(0.0, 0.6)} | tool
+    material = {"Ktc": 1900.0, "Krc": rng.uniform(200.0, 900.0), "Kac": rng.uniform(0.0, 400.0)}
+    shop = SimpleNamespace(tool=drawn, material=material)
+    drawn_arc = engagement(str(rng.choice(CUTS)), 0.1 * rng.uniform(0.05, 1.0), 0.1)
+    arc = arc or drawn_arc
+    t = np.arange(round(40.0 * 60.0 / RPM * RATE)) / RATE
+    force = workshop.chip_force(shop, 2.0 * np.pi * RPM / 60.0 * t, (arc.entry, arc.exit), 2e-3, 1e-4)
+    force += 0.01 * np.abs(force).max() * rng.standard_normal(force.shape)
+    return make_record(t, {"force": dict(zip("xyz", force, strict=True))}), Tool(0.1, drawn["teeth"]), arc
+
+
+def test_run_out_is_no_wrong_number_of_teeth_where_the_arc_hardly_has_the_teeth() -> None:
+    # The force of four teeth in a slot is constant: at the orders of the spindle only run-out is left.
+    record, tool, arc = turning(1, engagement("down", 0.1, 0.1), teeth=4, runout=0.6)
+    assert tooth_suspects(record, "cut", RPM, tool, arc) == []
+
+
+def test_a_wrong_number_of_teeth_is_said_and_run_out_is_not() -> None:
+    said = []
+    for seed in range(25):
+        record, tool, arc = turning(seed)
+        assert tooth_suspects(record, f"cut {seed}", RPM, tool, arc) == []
+        said += [bool(tooth_suspects(record, "cut", RPM, replace(tool, teeth=tool.teeth + 1), arc))]
+    assert np.mean(said) > 0.6
+
+
+def test_an_order_that_a_mode_amplifies_is_no_number_of_teeth() -> None:
+    # Run-out of 30 % at order 5, where a mode amplifies it fiftyfold; the teeth are at 4, 8 and 12.
+    t = np.arange(round(40.0 * 60.0 / RPM * RATE)) / RATE
+    sizes = {4: 1.0, 8: 0.7, 12: 0.5, 5: 15.0, 10: 0.05, 9: 0.2, 11: 0.15, 3: 0.3, 7: 0.2}
+    motion = sum(a * np.cos(2.0 * np.pi * RPM / 60.0 * n * t + n) for n, a in sizes.items())
+    record = make_record(t, {"acceleration": {"x": motion}})
+    assert tooth_suspects(record, "cut", RPM, Tool(0.1, 4), engagement("down", 0.03, 0.1)) == []
+    sizes |= {10: 5.0, 4: 0.1, 8: 0.1, 12: 0.1}
+    motion = sum(a * np.cos(2.0 * np.pi * RPM / 60.0 * n * t + n) for n, a in sizes.items())
+    (found,) = tooth_suspects(
+        make_record(t, {"acceleration": {"x": motion}}), "cut", RPM, Tool(0.1, 4), engagement("down", 0.03, 0.1)
+    )
+    assert "order 5 of the spindle" in found.evidence
+
+
+# --- what is asked of few records ------------------------------------------------------------------------------------
+
+
+def taps(folder: Path, *measurements: str) -> list[Suspect]:
+    """Audit a campaign of taps along x and y, each recorded along its own axis."""
+    t = np.arange(12000) / 2000.0
+    force = sum(1000.0 * np.sin(np.pi * np.clip(t - s, 0, 4e-3) / 4e-3) for s in (0.1, 2.1, 4.1))
+    noise = np.random.default_rng(1)
+    for axis, frequency in (("x", 50.0), ("y", 70.0)):
+        r = np.fft.rfftfreq(2 * t.size, 1 / 2000.0) / frequency
+        accelerance = -((2 * np.pi * frequency * r) ** 2) / (5e7 * (1.0 - r**2 + 2j * 0.03 * r))
+        moved = np.fft.irfft(accelerance * np.fft.rfft(force, 2 * t.size))[: t.size]
+        noisy = {
+            "t": t,
+            "F": force + 0.1 * noise.standard_normal(t.size),
+            "a": moved + 1e-3 * noise.standard_normal(t.size),
+        }
+        pd.DataFrame(noisy).to_csv(folder / f"{axis}.csv", index=False)
+    lobes = """
+[tool]
+diameter = "80 mm"
+teeth = 2
+[material]
+Ktc = "1900 N/mm^2"
+Krc = "800 N/mm^2"
+Kac = "0 N/mm^2"
+[[lobes]]
+measurements = [{}]
+method = "zero_order"
+cut = "down"
+width_of_cut = "40 mm"
+feed_per_tooth = "0.1 mm"
+spindle_speed = ["900 rpm", "1000 rpm", "50 rpm"]
+"""
+    names = ", ".join(f'"{m.split(chr(34))[1]}"' for m in measurements)
+    (folder / "campaign.toml").write_text("\n".join(['[campaign]\nname = "taps"', *measurements, lobes.format(names)]))
+    return audit(load_campaign(folder / "campaign.toml"))
+
+
+def tap(*axes: str, name: str, more: str = "") -> str:
+    each = (
+        f'{{ file = "{a}.csv", excitation = "{a}", channels = {{ time = {{ column = "t", unit = "s" }}, '
+        f'force_{a} = {{ column = "F", unit = "N" }}, acceleration_{a} = {{ column = "a", unit = "m/s^2" }} }} }}'
+        for a in axes
+    )
+    return f'[[measurement]]\nname = "{name}"\nmethod = "hammer"\n{more}\nrecords = [ {", ".join(each)} ]'
+
+
+def test_two_taps_without_cross_terms_are_a_note_and_as_two_measurements_a_warning(tmp_path: Path) -> None:
+    (note,) = taps(tmp_path, tap("x", "y", name="both"))
+    assert (note.cause, note.level, note.where) == ("cross_terms", "note", "both")
+    assert "xx, yy and no cross terms" in note.evidence
+    (warning,) = taps(tmp_path, tap("x", name="one"), tap("y", name="other"))
+    assert (warning.cause, warning.level, warning.where) == ("cross_terms", "warning", "one and other")
+    assert "one [[measurement]] with both records" in warning.advice
+    assert taps(tmp_path, tap("x", name="one", more='controller = "K1"'), tap("y", name="other")) == []
+
+
+def test_what_a_plan_would_refuse_is_said(tmp_path: Path) -> None:
+    taps(tmp_path, tap("x", "y", name="both"))
+    path = tmp_path / "campaign.toml"
+    plain = path.read_text()
+
+    def refused(to: float) -> list[Suspect]:
+        band = f'frequency_range = ["20 Hz", "{to} Hz"]\nsample_rate = "20 kHz"'
+        path.write_text(f'{plain}\n[plan]\nmachine = "both"\n{band}\n')
+        return [s for s in refusals(load_campaign(path), {}, []) if s.where == "plan"]
+
+    assert refused(80.0) == []
+    (said,) = refused(900.0)
+    assert (said.cause, said.level) == ("unusable", "fault")
+    assert "the estimate 'both' holds" in said.evidence
+
+
+def test_one_stroke_is_too_little_for_a_drive_and_the_check_says_so(tmp_path: Path) -> None:
+    rng, t = np.random.default_rng(1), np.arange(0.0, 6.0, 1e-3)
+    speed = 0.1 * np.clip((t - 1.0) / 0.5, 0.0, 1.0) * np.clip((5.0 - t) / 0.5, 0.0, 1.0)
+    force = 95.0 * np.gradient(speed, t) + 20.0 * (speed > 1e-6) + 200.0 * speed + 0.5 * rng.standard_normal(t.size)
+    place = np.cumsum(speed) * 1e-3 + 1e-6 * rng.standard_normal(t.size)
+    pd.DataFrame({"t": t, "x": place, "F": force}).to_csv(tmp_path / "stroke.csv", index=False)
+    (tmp_path / "campaign.toml").write_text("""
+[campaign]
+name = "stroke"
+[channels]
+time = { column = "t", unit = "s" }
+encoder_position_x = { column = "x", unit = "m" }
+drive_force_x = { column = "F", unit = "N" }
+[[measurement]]
+name = "stroke"
+method = "drive"
+records = [ { file = "stroke.csv" } ]
+[baseline]
+drive = "rigid"
+axis = "x"
+moving_mass = "95 kg"
+""")
+    (row,) = check(tmp_path / "campaign.toml").to_dict("records")
+    assert (row["cause"], row["level"], row["where"]) == ("unusable", "fault", "diagnosis")
+    assert "record more moves" in row["evidence"]

@@ -119,6 +119,8 @@ def test_levels_that_are_none_of_a_sine_are_not_compared(tmp_path):
     sine = (tap("sine", "actuator", 100.0), machine())
     with pytest.raises(InputError, match="'noise' is excited at all frequencies at once"):
         lobes(tmp_path, sine, (tap("noise", "actuator", 50.0, period=2.0), machine()))
+    with pytest.raises(InputError, match="'noise' is excited at all frequencies at once"):
+        lobes(tmp_path, sine, (tap("noise", "actuator", 50.0), machine().assign_attrs(broadband="yes")))
     with pytest.raises(InputError, match="'hits' holds no spectrum of its hits"):
         lobes(tmp_path, sine, (tap("hits", "hammer", 50.0), machine()))
     with pytest.raises(InputError, match="'other' states no force_level"):
