@@ -15,6 +15,7 @@ from smfe import LocalPolynomial, identify_sweep
 from smfe.sweep_delay import changed_by_delay, delay_of
 
 BAND = (25.0, 75.0)
+COARSE = LocalPolynomial(resolution=1.0, half_widths=(0.5, 1.0, 2.0))
 POLES = np.array([31.0, 44.0, 62.0]) * (1.0 + 1j * np.array([0.02, 0.04, 0.03]))
 
 
@@ -86,7 +87,7 @@ def test_a_late_channel_is_said_with_its_delay_and_the_interval_holds_the_truth(
     sensors = {"force_noise": 0.1, "motion_noise": 1e-3, "tells": "speed", "late": late}
     machine = {"modes": drawn_modes(3, np.random.default_rng(24))}
     this = replace(draw(24), **(healthy | cut | rest | sensors | machine))
-    found = identify_sweep("s", stranger_passes(this, measure(this, 24)), BAND, LocalPolynomial(resolution=0.5))
+    found = identify_sweep("s", stranger_passes(this, measure(this, 24)), BAND, COARSE)
     said = [w for w in found.warnings if "against the force" in w]
     assert bool(said) == (late != 0.0)
     if late:
