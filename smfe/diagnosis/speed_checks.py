@@ -123,8 +123,10 @@ def tooth_suspects(record: xr.Dataset, where: str, speed: float, tool: Tool, arc
     if not axes or ("spindle_speed" in record and np.ptp(record["spindle_speed"].values) > STEADY * speed):
         return []
     dt, turn = sample_interval(record), 60.0 / speed
-    inside = in_cut(record) if name == "force" else np.ones(record.sizes["time"], dtype=bool)
-    samples = record[name].sel(axis=axes).values[:, inside]
+    samples = record[name].sel(axis=axes).values
+    if name == "force" and (inside := np.flatnonzero(in_cut(record))).size:
+        # From the first tooth to the last: where teeth cut one by one there is air between them, and it takes time.
+        samples = samples[:, inside[0] : inside[-1] + 1]
     if samples.shape[1] * dt < 12.0 * turn:
         return []
     every = np.arange(1, 3 * ORDERS + 1)

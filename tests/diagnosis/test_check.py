@@ -21,6 +21,7 @@ from smfe.diagnosis.dry_run import refusals
 from smfe.diagnosis.same_data import Seen, same_suspects
 from smfe.diagnosis.speed_checks import tooth_suspects
 from smfe.diagnosis.suspect import Suspect
+from smfe.force_noise import in_cut
 
 
 @pytest.fixture
@@ -134,6 +135,18 @@ def test_run_out_is_no_wrong_number_of_teeth_where_the_arc_hardly_has_the_teeth(
     # The force of four teeth in a slot is constant: at the orders of the spindle only run-out is left.
     record, tool, arc = turning(1, engagement("down", 0.1, 0.1), teeth=4, runout=0.6)
     assert tooth_suspects(record, "cut", RPM, tool, arc) == []
+
+
+def test_air_between_teeth_that_cut_one_by_one_belongs_to_the_cut() -> None:
+    # In an arc of 55 deg four teeth cut 60 % of the time; with the air between them left out, order 4 becomes order 5.
+    shop = SimpleNamespace(tool={"teeth": 4, "runout": 0.05}, material={"Ktc": 1600.0, "Krc": 780.0, "Kac": 230.0})
+    arc, t = engagement("down", 0.0172, 0.08), np.arange(round(40.0 * 60.0 / 139.0 * 256.0)) / 256.0
+    force = workshop.chip_force(shop, 2.0 * np.pi * 139.0 / 60.0 * t, (arc.entry, arc.exit), 0.57e-3, 8e-5)
+    force[:, [*range(200), *range(t.size - 200, t.size)]] = 0.0
+    force += 0.01 * np.abs(force).max() * np.random.default_rng(1).standard_normal(force.shape)
+    record = make_record(t, {"force": dict(zip("xy", force, strict=False))})
+    assert np.mean(in_cut(record)) < 0.9
+    assert tooth_suspects(record, "cut", 139.0, Tool(0.08, 4), arc) == []
 
 
 def test_a_wrong_number_of_teeth_is_said_and_run_out_is_not() -> None:
