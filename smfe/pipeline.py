@@ -375,10 +375,14 @@ def default_channels(path: Path) -> dict[str, Channel]:
         return {}
     names = column_names(path)
     units = stated_units(path, names)
+    # A channel that only one group has needs no group: "run 1/ax" is "ax".
+    inside = [str(name).rpartition("/")[2] for name in names]
+    known = {n: full for n, full in zip(inside, names, strict=True) if inside.count(n) == 1} | {n: n for n in names}
     found: dict[str, Channel] = {}
     for name, channel in DEFAULT_CHANNELS:
-        if channel.column in names and name not in found:
-            found[name] = replace(channel, unit=units.get(channel.column, channel.unit))
+        if channel.column in known and name not in found:
+            column = known[channel.column]
+            found[name] = replace(channel, column=column, unit=units.get(column, channel.unit) or channel.unit)
     if not found.keys() - {"time"} or ("time" not in found and has_no_clock(path)):
         raise InputError(_no_default_channels(path))
     return found

@@ -213,7 +213,7 @@ class Evidence:
             return ()
         last, width = float(self.spectrum.frequency[-1]), 1.5 * self.spectrum.resolution
         width += 0.5 * (self.short.high - self.short.low) if self.drifts else 0.0
-        found = []
+        found = set()
         for sign in (1.0, -1.0):
             begin = (sign * frequency) % self.base
             for line in np.arange(begin, last, self.base):
@@ -221,7 +221,7 @@ class Evidence:
                 if abs(line - frequency) > 0.5 * self.base and near.any():
                     at, size = self.peak(near, self.amplitude)
                     if size > max(0.1 * amplitude, STANDS_OUT * self.noise):
-                        found.append((size, at))
+                        found.add((size, at))
         return tuple(sorted(found))
 
     @cached_property

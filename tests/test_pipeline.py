@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import savemat
 
 from process.errors import InputError
@@ -464,6 +465,17 @@ def test_chatter_takes_the_default_columns_that_a_file_has(columns: list[str], s
     assert verdict.verdict == "stable"
     assert verdict.axes == ("x",)
     assert verdict.quantity == ("acceleration" if "ax" in columns else "force")
+
+
+def test_chatter_takes_the_channels_of_a_tdms_file_with_its_clock(tmp_path: Path) -> None:
+    path, table = tmp_path / "cut.tdms", cut_table()
+    step = float(table["t"][1] - table["t"][0])
+    clock = {"wf_increment": step, "wf_start_offset": 0.0, "wf_samples": len(table), "unit_string": "m/s^2"}
+    with TdmsWriter(path) as writer:
+        writer.write_segment([RootObject(), ChannelObject("run 1", "ax", table["ax"].to_numpy(), clock)])
+    verdict = pipeline.chatter(path, "1500 rpm", 2)
+    assert verdict.verdict == "stable"
+    assert verdict.quantity == "acceleration"
 
 
 def test_chatter_says_what_it_looked_for_and_hides_no_other_fault(tmp_path: Path) -> None:

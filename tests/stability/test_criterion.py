@@ -560,6 +560,13 @@ def test_a_steady_family_below_the_threshold_is_chatter_and_a_single_line_is_not
     assert judge(cut_record(family[:1], noise=0.05)).verdict == "stable"
 
 
+def test_a_line_half_way_between_two_orders_is_its_own_mirror_image():
+    # f_c + k n and k n - f_c are the same lines: each counts once
+    found = judge(cut_record([(62.5, 20.0), (87.5, 6.0), (112.5, 5.0)]))
+    assert len(set(found.family_Hz)) == len(found.family_Hz)
+    assert found.family_Hz == pytest.approx([87.5, 112.5], abs=0.1)
+
+
 def test_alternating_teeth_are_period_doubling_and_an_eccentric_tool_is_not():
     # all odd multiples of order Z/2 = 2 and hardly another order, against run-out on all orders
     doubling = judge(cut_record([(50.0, 8.0), (150.0, 3.0), (250.0, 1.5)], runout=(0.2, 0.0, 0.1)))
