@@ -9,6 +9,7 @@ and a state space that equals the free fit (`smfe.modal_state_space`).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -20,10 +21,13 @@ from process.errors import InputError
 from process.labels import AXES, make_compliance
 from smfe.modal_data import UNKNOWN_SHARE, Curves, ResponseMatrix, curves_of, matrix_of
 from smfe.modal_fit import PoleFit, remainder_modes
+from smfe.modal_merge import merged
 from smfe.modal_order import OrderRules, choose, fit_poles
 from smfe.modal_poles import LARGEST_DAMPING, Stabilisation, StabilityRules, stabilisation
+from smfe.modal_search import doubtful
 from smfe.modal_shapes import ShapeFit, components, fit_shapes
 from smfe.modal_state_space import StateSpace, energy_given, place_matrix, state_space
+from smfe.modal_unexplained import resolution, unexplained
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -42,6 +46,9 @@ COARSE = 3.0
 
 NO_SHAPE = 0.3
 """Real shapes further from the free fit than this share of its size are not used."""
+
+SHOWN = 12
+"""Most unexplained peaks that a warning names."""
 
 LOPSIDED = 2.0
 """Mirrored entries that differ by more than this many times their noise are called not reciprocal."""
@@ -84,6 +91,10 @@ class ModalFit:
         Real mode shapes; None where the entries measured do not tell them.
     no_shapes : str
         Why there are none; empty where there are.
+    resolution : ndarray, shape (poles,)
+        Of each pole of the free fit: two modes of one shape nearer than this look like one [Hz].
+    perhaps_two : ndarray, shape (poles,)
+        Distance [Hz] of two modes that a pole may be, though the record does not decide it; NaN where nothing says so.
     """
 
     matrix: ResponseMatrix = field(repr=False)
@@ -92,6 +103,15 @@ class ModalFit:
     is_mode: NDArray[np.bool_]
     shapes: ShapeFit | None = field(repr=False)
     no_shapes: str = ""
+    resolution: Real = field(default_factory=lambda: np.empty(0), repr=False)
+    perhaps_two: Real = field(default_factory=lambda: np.empty(0), repr=False)
+
+    @cached_property
+    def unexplained(self) -> tuple[float, ...]:
+        """Frequencies [Hz] of peaks of the response that no reported mode describes, and of poles that are no modes."""
+        table = self.table()
+        modes = table[["frequency_Hz", "damping"]].to_numpy(dtype=float).reshape(-1, 2)
+        return unexplained(self.free, modes)
 
     @property
     def curves(self) -> Curves:
@@ -194,6 +214,7 @@ def fit_modes(
         matrix = matrix.within(*band)
     curves = curves_of(matrix, rules.accuracy)
     stable = stabilisation(matrix, curves, rules.stability)
+    curves = merged(curves)
     if poles is None:
         free = choose(curves, stable.candidates, rules.order)
     else:
@@ -212,7 +233,10 @@ def fit_modes(
         reason = str(error)
     if shapes is not None and (reason := _why_not(free, shapes)):
         shapes = None
-    return ModalFit(matrix, stable, free, is_mode, shapes, reason)
+    numbers = range(len(free.poles))
+    apart = np.array([resolution(free, k) if is_mode[k] else np.nan for k in numbers])
+    perhaps = np.array([doubtful(free, k) if is_mode[k] else np.nan for k in numbers])
+    return ModalFit(matrix, stable, free, is_mode, shapes, reason, apart, perhaps)
 
 
 def _why_not(free: PoleFit, shapes: ShapeFit) -> str:
@@ -333,7 +357,10 @@ def _pole_row(fit: ModalFit, pole: Real, std: Real) -> dict[str, object]:
     natural, damping = (float(v) for v in pole)
     row = _with_interval("frequency", "_Hz", natural, float(std[0]))
     row |= _with_interval("damping", "", damping, float(std[1]))
-    return row | {"stable_orders": _orders(fit, natural, damping)}
+    # A mode with a shape comes from the pole of the free fit next to it.
+    near = int(np.argmin(np.where(fit.is_mode, np.abs(fit.free.poles[:, 0] - natural), np.inf)))
+    apart = {"resolution_Hz": float(fit.resolution[near])} if fit.resolution.size else {}
+    return row | apart | {"stable_orders": _orders(fit, natural, damping)}
 
 
 def _with_interval(name: str, unit: str, value: float, std: float) -> dict[str, object]:
@@ -343,6 +370,25 @@ def _with_interval(name: str, unit: str, value: float, std: float) -> dict[str, 
         f"{name}_low{unit}": value - INTERVAL * std,
         f"{name}_high{unit}": value + INTERVAL * std,
     }
+
+
+def _not_told(fit: ModalFit) -> list[str]:
+    """Return what the fit leaves unexplained, and which modes may be two."""
+    out = []
+    if fit.unexplained:
+        shown = ", ".join(f"{f:.5g}" for f in fit.unexplained[:SHOWN])
+        more = f" and {len(fit.unexplained) - SHOWN} more" if len(fit.unexplained) > SHOWN else ""
+        out.append(
+            f"peaks at {shown} Hz{more} stand out of the response and no mode describes them; fit the band around them "
+            'alone, e.g. --band "LOW Hz" "HIGH Hz"'
+        )
+    for pole, apart in zip(fit.free.poles, fit.perhaps_two, strict=False):
+        if np.isfinite(apart):
+            out.append(
+                f"the mode at {pole[0]:.6g} Hz may be two modes, {apart:.2g} Hz apart: its lines are described better "
+                "by two, but not so that it is decided; measure further places, or with finer lines and less noise"
+            )
+    return out
 
 
 def _warnings(fit: ModalFit) -> list[str]:
@@ -359,6 +405,7 @@ def _warnings(fit: ModalFit) -> list[str]:
             f"the fit misses the measured compliance by {fit.free.misfit:.3g} times its noise: there are modes that "
             "it does not hold, or the machine is not linear; give a narrower band"
         )
+    out += _not_told(fit)
     given = fit.energy_given()
     if given > ACTIVE:
         out.append(

@@ -11,7 +11,8 @@ error of covariance c, its denominator is ``s1^2 + s2^2 - 2 Re c``; the mean sta
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -185,6 +186,12 @@ class Curves:
     reciprocity : float
         Mean of ``|y_ij - y_ji|^2`` over its variance, 1 for a reciprocal machine; NaN when no entry has a mirror, or
         was made equal to it.
+    rough : ndarray, shape (g, n), optional
+        Root mean square of the noise as the scatter of neighbouring lines shows it [m/N]; None where `std` is known.
+    width : ndarray, shape (n,), optional
+        Width of the lines that were merged into one [Hz], of the same second moment; None: no line is merged.
+    record_lines : int, optional
+        Lines before merging; 0: as many as there are.
     """
 
     frequency: Real
@@ -195,6 +202,9 @@ class Curves:
     error_lines: float
     noise_known: bool
     reciprocity: float
+    rough: Real | None = field(default=None, repr=False)
+    width: Real | None = field(default=None, repr=False)
+    record_lines: int = 0
 
     @cached_property
     def weight(self) -> Real:
@@ -221,18 +231,14 @@ class Curves:
         """Independent real numbers that were measured: two a line and curve, over `counted_lines`."""
         return 2.0 * float(np.isfinite(self.std).sum()) / self.counted_lines
 
-    def thinned(self, step: int) -> Curves:
-        """Return every step-th line."""
-        if step <= 1:
-            return self
-        return replace(
-            self,
-            frequency=self.frequency[::step],
-            values=self.values[:, ::step],
-            std=self.std[:, ::step],
-            covariance=None if self.covariance is None else self.covariance[::step],
-            error_lines=max(1.0, self.error_lines / step),
-        )
+    def over_lines(self, function: Callable[[Real], Complex]) -> Complex:
+        """Return the mean of a function of frequency [Hz] over the lines merged into each, frequency its first axis."""
+        out = function(self.frequency)
+        if self.width is not None:
+            at = np.flatnonzero(self.width)
+            middle, reach = self.frequency[at], 0.5 * np.sqrt(0.6) * self.width[at]
+            out[at] = (5.0 * (function(middle - reach) + function(middle + reach)) + 8.0 * out[at]) / 18.0
+        return out
 
     @property
     def places(self) -> tuple[str, ...]:
@@ -251,11 +257,12 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
     accuracy : float, optional
         Where nobody has measured the noise: share of the local magnitude down to which a model need not go [1].
     """
-    std, known = _levels(matrix, accuracy)
+    std, roughness, known = _levels(matrix, accuracy)
     entries = [(r, e) for r in matrix.response for e in matrix.excitation]
     names = {
         (r, e): matrix.values[:, i, j] for i, r in enumerate(matrix.response) for j, e in enumerate(matrix.excitation)
     }
+    rough = {(r, e): roughness[:, i, j] for i, r in enumerate(matrix.response) for j, e in enumerate(matrix.excitation)}
     levels = {(r, e): std[:, i, j] for i, r in enumerate(matrix.response) for j, e in enumerate(matrix.excitation)}
     entries = [pair for pair in entries if np.isfinite(names[pair]).any()]
     groups: dict[frozenset[str] | tuple[str, str], list[tuple[str, str]]] = {}
@@ -263,7 +270,7 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
         mirrored = pair[0] != pair[1] and (pair[1], pair[0]) in entries
         groups.setdefault(frozenset(pair) if mirrored else pair, []).append(pair)
     whole = _whole(matrix) if known else None
-    values, spread, share = [], [], []
+    values, spread, scatter, share = [], [], [], []
     misfit, count = 0.0, 0
     for members in groups.values():
         each = np.stack([names[pair] for pair in members])
@@ -274,6 +281,7 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
             part = np.where(total > 0.0, weight / total, 0.0)
             values.append(np.sum(part * np.where(np.isfinite(each), each, 0.0), axis=0))
             spread.append(np.where(total > 0.0, 1.0 / np.sqrt(total), np.inf))
+        scatter.append(np.sqrt(np.sum(part**2 * np.stack([rough[pair] for pair in members]) ** 2, axis=0)))
         share.append(part)
         if len(members) == 2:
             first, second = (_place(matrix, pair) for pair in members)
@@ -296,24 +304,26 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
         matrix.error_lines,
         known,
         misfit / count if count else float("nan"),
+        None if known else np.stack(scatter)[:, there],
     )
 
 
-def _levels(matrix: ResponseMatrix, accuracy: float) -> tuple[Real, bool]:
-    """Return a smooth noise level of every entry, shape like the values [m/N], and whether it was measured."""
+def _levels(matrix: ResponseMatrix, accuracy: float) -> tuple[Real, Real, bool]:
+    """Return a smooth noise level of every entry, its part that lines show [m/N], and whether it was measured."""
     there = np.isfinite(matrix.values)
     largest = float(np.abs(matrix.values[there]).max())
     if matrix.std is not None and np.isfinite(matrix.std[there]).mean() > 0.5:
         square = np.where(there & np.isfinite(matrix.std), matrix.std, np.nan) ** 2
         level = np.apply_along_axis(_mean_over_lines, 0, square, SMOOTHING)
-        return np.maximum(np.sqrt(level), SMALLEST * largest), True
-    out = np.empty(matrix.values.shape)
+        level = np.maximum(np.sqrt(level), SMALLEST * largest)
+        return level, level, True
+    out, rough = np.full(matrix.values.shape, largest), np.full(matrix.values.shape, largest)
     for i, j in np.ndindex(matrix.values.shape[1:]):
         known = there[:, i, j]
-        out[:, i, j] = largest
         if known.sum() > 2:
-            out[known, i, j] = _rough_level(matrix.values[known, i, j], accuracy)
-    return np.maximum(out, SMALLEST * largest), False
+            rough[known, i, j], share = _rough_level(matrix.values[known, i, j])
+            out[known, i, j] = np.hypot(rough[known, i, j], accuracy * share)
+    return np.maximum(out, SMALLEST * largest), np.maximum(rough, SMALLEST * largest), False
 
 
 def _mean_over_lines(square: Real, width: int) -> Real:
@@ -327,13 +337,14 @@ def _mean_over_lines(square: Real, width: int) -> Real:
     return np.asarray(np.where(np.isfinite(near), near, np.nanmedian(square)))
 
 
-def _rough_level(h: Complex, accuracy: float) -> Real:
-    """Return roughness of a curve and a share of its local size, in quadrature: so modes of any size count alike."""
+def _rough_level(h: Complex) -> tuple[Real, Real]:
+    """Return roughness of a curve and its local size; a share of it in quadrature: modes of any size count alike."""
     bend = np.abs(np.diff(h, 2)) ** 2
     # The median of an exponential distribution is ln 2 of its mean; E |second difference|^2 = 6 s^2.
     rough = ndimage.median_filter(bend, min(41, bend.size), mode="nearest") / (6.0 * np.log(2.0))
-    size = ndimage.uniform_filter1d(np.abs(h) ** 2, min(41, h.size), mode="nearest")
-    return np.asarray(np.sqrt(np.pad(rough, 1, mode="edge") + accuracy**2 * size))
+    # A running mean may leave rounding errors below zero behind a peak.
+    size = np.maximum(ndimage.uniform_filter1d(np.abs(h) ** 2, min(41, h.size), mode="nearest"), 0.0)
+    return np.sqrt(np.pad(rough, 1, mode="edge")), np.sqrt(size)
 
 
 def _whole(matrix: ResponseMatrix) -> Complex | None:

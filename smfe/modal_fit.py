@@ -6,9 +6,9 @@
 with complex residues R and real remainders: U for the modes above the band, L for those below and for rigid motion.
 A constant and ``-1/w^2`` are usual for the two. Here each is a mode far from the band,
 
-    u(w) = 1/(1 - (f/f_u)^2 + 2 j zeta_u f/f_u), f_u = 4 f_last;    l(w) = the same with f_l = f_first/20,
+    u(w) = 1/(1 - (f/f_u)^2 + 2 j zeta_u f/f_u), f_u = 4 f_last;    l(w) = the same with f_l = f_first/200,
 
-which differ from the usual ones by 13 % and 0.6 % of the remainder at most, and leave a model that is stable and
+which differ from the usual ones by 13 % and 0.02 % of the remainder at most, and leave a model that is stable and
 strictly proper. The model is linear in R, U and L, so that only f_p and zeta_p are searched: Gauss-Newton with
 Marquardt's damping on the projected residual (variable projection, Golub and Pereyra 1973; Kaufman 1975). The
 covariance of the poles is that of the projected problem, with the errors that entries of one row share (a sandwich);
@@ -32,7 +32,7 @@ Complex = NDArray[np.complex128]
 UPPER_AT, UPPER_DAMPING = 4.0, 0.2
 """Frequency over that of the last line, and damping ratio, of the mode that stands for all above the band."""
 
-LOWER_AT, LOWER_DAMPING = 0.05, 0.05
+LOWER_AT, LOWER_DAMPING = 0.005, 0.02
 """Frequency over that of the first line, and damping ratio, of the mode that stands for all below the band."""
 
 GAIN = 1e-7
@@ -73,29 +73,35 @@ def pole_values(poles: Real) -> Complex:
     return np.asarray(2.0 * np.pi * poles[:, 0] * (-poles[:, 1] + 1j * np.sqrt(1.0 - poles[:, 1] ** 2)))
 
 
-def basis(frequency: Real, poles: Real, remainders: Remainders) -> Complex:
+def basis(frequency: Real, poles: Real, remainders: Remainders, grid: Real | None = None) -> Complex:
     """Return the columns of the model, two a pole and one a remainder, for real coefficients; shape (n, q).
 
     Columns of a pole are scaled by its half bandwidth, so that all have the size of one: the residue is
-    ``2 pi f zeta (a + j b)``.
+    ``2 pi f zeta (a + j b)``. Remainders belong to the band of `grid`, that of the fit; default: `frequency`.
     """
     s, scale = pole_values(poles), 2.0 * np.pi * poles[:, 0] * poles[:, 1]
     jw = 2j * np.pi * frequency[:, None]
     near, far = scale / (jw - s), scale / (jw - s.conj())
     out = np.empty((frequency.size, 2 * len(poles) + remainders.count), dtype=complex)
     out[:, 0 : 2 * len(poles) : 2], out[:, 1 : 2 * len(poles) : 2] = near + far, 1j * (near - far)
-    below, above = remainder_modes(frequency)
-    column = 2 * len(poles)
-    if remainders.lower:
-        low = unit_mode(frequency, *below)
-        out[:, column] = low / np.abs(low).max()
-        column += 1
-    if remainders.upper:
-        out[:, column] = unit_mode(frequency, *above)
+    if remainders.count:
+        out[:, 2 * len(poles) :] = remainder_columns(frequency if grid is None else grid, frequency, remainders)
     return out
 
 
-def _slopes(frequency: Real, poles: Real, coefficient: Real) -> Complex:
+def basis_of(curves: Curves, poles: Real, remainders: Remainders) -> Complex:
+    """Return the columns of the model at the lines of a record, those of merged lines averaged."""
+    return curves.over_lines(lambda f: basis(f, poles, remainders, curves.frequency))
+
+
+def squares(curves: Curves, poles: Real) -> Complex:
+    """Return ``1/(j w - s)^2`` and ``1/(j w - conj(s))^2`` at the lines of a record, shape (n, 2, poles)."""
+    s = pole_values(poles)
+    both = np.stack([s, s.conj()])
+    return curves.over_lines(lambda f: 1.0 / (2j * np.pi * f[:, None, None] - both) ** 2)
+
+
+def slopes(square: Complex, poles: Real, coefficient: Real) -> Complex:
     """Return the derivative of one curve by frequency and damping of each pole, shape (n, 2 poles).
 
     The scale of the columns is held: its change is within what the coefficients can do.
@@ -103,11 +109,10 @@ def _slopes(frequency: Real, poles: Real, coefficient: Real) -> Complex:
     s, scale = pole_values(poles), 2.0 * np.pi * poles[:, 0] * poles[:, 1]
     root = np.sqrt(1.0 - poles[:, 1] ** 2)
     turn = np.stack([s / poles[:, 0], 2.0 * np.pi * poles[:, 0] * (-1.0 - 1j * poles[:, 1] / root)], axis=1)
-    jw = 2j * np.pi * frequency[:, None]
     residue = scale * (coefficient[0 : 2 * len(poles) : 2] + 1j * coefficient[1 : 2 * len(poles) : 2])
-    near, far = residue / (jw - s) ** 2, residue.conj() / (jw - s.conj()) ** 2
-    out = near[:, :, None] * turn + far[:, :, None] * turn.conj()
-    return np.asarray(out.reshape(frequency.size, -1))
+    by = residue[:, None] * turn
+    out = square[:, 0, :, None] * by + square[:, 1, :, None] * by.conj()
+    return np.asarray(out.reshape(len(square), -1))
 
 
 def _real(values: Complex) -> Real:
@@ -176,18 +181,18 @@ class PoleFit:
         return float(n * np.log(factor) + self.chi / factor + self.unknowns * np.log(n))
 
     @cached_property
+    def left(self) -> Complex:
+        """What the fit leaves of every curve [m/N], shape (g, n)."""
+        columns = basis_of(self.curves, self.poles, self.remainders)
+        return np.asarray(self.curves.values - (columns @ self.coefficient.T).T)
+
+    @cached_property
     def correlated_lines(self) -> float:
         """Lines over which the residual belongs together: ``1 + 2 sum rho_k^2`` over lags k (Bartlett), 1 for noise.
 
         What a linear model leaves of a real machine is smooth: its lines say the same thing again.
         """
-        columns = basis(self.curves.frequency, self.poles, self.remainders)
-        left = (self.curves.values - (columns @ self.coefficient.T).T) * self.curves.weight
-        power, n = float(np.sum(np.abs(left) ** 2)), left.shape[1]
-        spectrum = np.sum(np.abs(np.fft.fft(left, 2 * n, axis=1)) ** 2, axis=0)
-        rho = np.abs(np.fft.ifft(spectrum))[: n // 4] / max(power, 1e-300)
-        end = int(np.argmax(rho < 0.1)) if (rho < 0.1).any() else rho.size
-        return float(1.0 + 2.0 * np.sum(rho[1:end] ** 2))
+        return correlated_lines(self.left * self.curves.weight)
 
     @property
     def shared_lines(self) -> float:
@@ -197,12 +202,7 @@ class PoleFit:
 
     def curve_values(self, frequency: Real) -> Complex:
         """Return the model of every curve [m/N], shape (g, f), at frequencies [Hz]."""
-        grid = self.curves.frequency
-        # Remainders and scales belong to the band of the fit, whatever is asked.
-        columns = basis(np.concatenate([grid, frequency]), self.poles, self.remainders)[grid.size :]
-        if self.remainders.count:
-            columns = columns.copy()
-            columns[:, 2 * len(self.poles) :] = remainder_columns(grid, frequency, self.remainders)
+        columns = basis(frequency, self.poles, self.remainders, self.curves.frequency)
         return np.asarray((columns @ self.coefficient.T).T)
 
     @cached_property
@@ -252,6 +252,15 @@ class PoleFit:
         return out
 
 
+def correlated_lines(left: Complex) -> float:
+    """Return ``1 + 2 sum rho_k^2`` of weighted residuals, shape (g, n), over lags k up to where rho is 0.1."""
+    power, n = float(np.sum(np.abs(left) ** 2)), left.shape[1]
+    spectrum = np.sum(np.abs(np.fft.fft(left, 2 * n, axis=1)) ** 2, axis=0)
+    rho = np.abs(np.fft.ifft(spectrum))[: n // 4] / max(power, 1e-300)
+    end = int(np.argmax(rho < 0.1)) if (rho < 0.1).any() else rho.size
+    return float(1.0 + 2.0 * np.sum(rho[1:end] ** 2))
+
+
 def remainder_columns(grid: Real, frequency: Real, remainders: Remainders) -> Complex:
     """Return the columns of the remainders of a fit on `grid` at other frequencies [Hz]."""
     below, above = remainder_modes(grid)
@@ -284,7 +293,7 @@ def _bases(curves: Curves, columns: Complex) -> Iterator[tuple[Real, Real]]:
             yield np.linalg.qr(_real(columns * weight[:, None]))
 
 
-def _solve(r: Real, right: Real) -> Real:
+def triangular(r: Real, right: Real) -> Real:
     """Solve a triangular system; the least squares of smallest norm where two columns coincide."""
     size = np.abs(np.diag(r))
     if size.min() > 1e-11 * size.max():
@@ -294,14 +303,14 @@ def _solve(r: Real, right: Real) -> Real:
 
 def solve(curves: Curves, poles: Real, remainders: Remainders) -> PoleFit:
     """Return the best residues and remainders for given poles."""
-    columns = basis(curves.frequency, poles, remainders)
+    columns = basis_of(curves, poles, remainders)
     coefficient = np.empty((len(curves.values), columns.shape[1]))
     chi = 0.0
     bases = tuple(_bases(curves, columns))
     for g, (q, r) in enumerate(bases):
         data = _real(curves.values[g] * curves.weight[g])
         inside = q.T @ data
-        coefficient[g] = _solve(r, inside)
+        coefficient[g] = triangular(r, inside)
         chi += float(np.sum((data - q @ inside) ** 2))
     return PoleFit(curves, poles, remainders, coefficient, chi / curves.counted_lines, bases)
 
@@ -312,10 +321,11 @@ def _projected(fit: PoleFit) -> Iterator[tuple[Real, Real, Real]]:
     The last, negative and in units of the coefficients, says how they follow the poles.
     """
     curves = fit.curves
+    square = squares(curves, fit.poles)
     for g, (q, r) in enumerate(fit.bases):
-        slope = _real(_slopes(curves.frequency, fit.poles, fit.coefficient[g]) * curves.weight[g][:, None])
+        slope = _real(slopes(square, fit.poles, fit.coefficient[g]) * curves.weight[g][:, None])
         inside = q.T @ slope
-        inverse = _solve(r, np.eye(len(r)))
+        inverse = triangular(r, np.eye(len(r)))
         yield inverse, slope - q @ inside, -inverse @ inside
 
 
@@ -365,12 +375,12 @@ def refine(fit: PoleFit, iterations: int = 40) -> PoleFit:
 def _normal(fit: PoleFit, unit: Real) -> tuple[Real, Real]:
     """Return Gram matrix and gradient of the projected problem in the units of the steps."""
     curves = fit.curves
-    columns = basis(curves.frequency, fit.poles, fit.remainders)
     gram, gradient = np.zeros((unit.size, unit.size)), np.zeros(unit.size)
+    square = squares(curves, fit.poles)
     for g, (q, _) in enumerate(fit.bases):
-        slope = _real(_slopes(curves.frequency, fit.poles, fit.coefficient[g]) * curves.weight[g][:, None]) * unit
+        slope = _real(slopes(square, fit.poles, fit.coefficient[g]) * curves.weight[g][:, None]) * unit
         outside = slope - q @ (q.T @ slope)
-        left = _real((curves.values[g] - columns @ fit.coefficient[g]) * curves.weight[g])
+        left = _real(fit.left[g] * curves.weight[g])
         gram += outside.T @ outside
         gradient += outside.T @ left
     return gram, gradient

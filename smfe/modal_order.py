@@ -16,22 +16,17 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from smfe.modal_data import Curves
 from smfe.modal_fit import PoleFit as Fit
-from smfe.modal_fit import Remainders, basis, refine, solve, sorted_fit, without
+from smfe.modal_fit import Remainders, basis_of, refine, solve, sorted_fit, without
+from smfe.modal_search import divided, grown, needed
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-GRID_DAMPING = (0.005, 0.02, 0.08)
-"""Damping ratios of the grid of proposals."""
+GRID_DAMPING = (0.02, 0.08)
+"""Damping ratios of the grid of proposals: narrower modes are found place by place."""
 
 DIAGRAM_FIRST = 0.7
 """Share of the largest gain from which on a candidate of the diagram is preferred."""
-
-ENOUGH_LINES = 500
-"""The number of modes is looked for on every second, third, ... line of a record that has many more."""
-
-SPLITS = ((0.5, 0.7), (1.0, 1.0))
-"""Distance of two poles from the one that they replace, in its half bandwidths, and their damping over its."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +41,7 @@ class OrderRules:
         Iterations after each pole that is added.
     """
 
-    most: int = 24
+    most: int = 60
     quick: int = 8
 
 
@@ -68,29 +63,20 @@ def choose(curves: Curves, candidates: Real, rules: OrderRules | None = None) ->
         When no pole explains more than the noise does.
     """
     rules = rules or OrderRules()
-    full, curves = curves, curves.thinned(_step(curves, candidates))
-    fit = solve(curves, np.empty((0, 2)), Remainders())
+    fit = grown(solve(curves, np.empty((0, 2)), Remainders()), rules.most)
+    fit = divided(fit, rules.most)
+    fit = _surrounded(fit, rules)
     while len(fit.poles) < rules.most and _room(fit):
-        better = _added(fit, candidates, rules) or _split(fit, rules)
+        better = _added(fit, candidates, rules)
         if better is None:
             break
-        fit = better
+        fit = divided(better, rules.most)
     if not len(fit.poles):
         raise InputError(
             "no mode stands out of the noise of this compliance; measure it with more force or more repeats, or give "
             "the band around a resonance"
         )
-    fit = _fewer(_fewer_remainders(refine(fit)), rules)
-    return fit_poles(full, fit.poles, fit.remainders) if full is not curves else sorted_fit(fit)
-
-
-def _step(curves: Curves, candidates: Real) -> int:
-    """Return how many lines a step may take while the number of modes is looked for: the narrowest keeps a few."""
-    if not len(candidates) or curves.frequency.size < 2 * ENOUGH_LINES:
-        return 1
-    narrowest = float(np.min(2.0 * candidates[:, 0] * candidates[:, 1]))
-    spacing = float(np.median(np.diff(curves.frequency)))
-    return int(max(1, min(curves.frequency.size // ENOUGH_LINES, narrowest / (6.0 * spacing))))
+    return sorted_fit(refine(_fewer(_fewer_remainders(refine(fit, rules.quick)), rules)))
 
 
 def fit_poles(curves: Curves, poles: Real, remainders: Remainders | None = None) -> Fit:
@@ -113,17 +99,6 @@ def _added(fit: Fit, candidates: Real, rules: OrderRules) -> Fit | None:
     if stable.size and stable.max() > DIAGRAM_FIRST * gain[top]:
         top = int(np.argmax(stable))
     return _best(fit, [np.concatenate([fit.poles, proposals[[top]]])], rules)
-
-
-def _split(fit: Fit, rules: OrderRules) -> Fit | None:
-    """Return the fit with one of its poles split in two, None when the criterion says no."""
-    starts = []
-    for number, (natural, damping) in enumerate(fit.poles):
-        for shift, factor in SPLITS:
-            pair = [[natural * (1.0 + side * shift * damping), factor * damping] for side in (-1.0, 1.0)]
-            starts.append(np.concatenate([np.delete(fit.poles, number, axis=0), pair]))
-    tried = sorted((solve(fit.curves, start, fit.remainders) for start in starts), key=lambda f: f.chi)
-    return _best(fit, [f.poles for f in tried[:2]], rules)
 
 
 def _best(fit: Fit, starts: list[Real], rules: OrderRules) -> Fit | None:
@@ -150,12 +125,11 @@ def _grid(frequency: Real) -> Real:
 def _gains(fit: Fit, proposals: Real) -> Real:
     """Return by how much chi falls for each proposal alone, all poles held."""
     curves = fit.curves
-    columns = basis(curves.frequency, fit.poles, fit.remainders)
-    own = basis(curves.frequency, proposals, Remainders(False, False))
+    own = basis_of(curves, proposals, Remainders(False, False))
     gain = np.zeros(len(proposals))
     for g, (weight, (q, _)) in enumerate(zip(curves.weight, fit.bases, strict=True)):
         new = _stacked(own * weight[:, None])
-        left = _stacked((curves.values[g] - columns @ fit.coefficient[g]) * weight)
+        left = _stacked(fit.left[g] * weight)
         inside = q.T @ new
         seen = (new.T @ left).reshape(-1, 2)
         size = np.sum(new**2, axis=0).reshape(-1, 2)
@@ -172,13 +146,29 @@ def _stacked(values: Complex) -> Real:
 
 
 def _fewer(fit: Fit, rules: OrderRules) -> Fit:
-    """Take away the pole that matters least as long as the criterion falls."""
-    while len(fit.poles) > 1:
-        shorter = min((without(fit, k) for k in range(len(fit.poles))), key=lambda f: f.chi)
-        shorter = refine(shorter, rules.quick)
+    """Take away poles that their own lines do not ask for, the least first, as long as the criterion falls."""
+    first, last = fit.curves.frequency[[0, -1]]
+    spare = [float(f) for k, f in enumerate(fit.poles[:, 0]) if not first < f < last or not needed(fit, k)]
+    while spare and len(fit.poles) > 1:
+        # Refining moves poles: the one next to where it was.
+        numbers = {int(np.argmin(np.abs(fit.poles[:, 0] - f))) for f in spare}
+        rest = {k: without(fit, k) for k in numbers}
+        gone = min(rest, key=lambda k: rest[k].chi)
+        shorter = refine(rest[gone], rules.quick)
         if shorter.information >= fit.information:
             return fit
+        spare.remove(min(spare, key=lambda f: abs(f - float(fit.poles[gone, 0]))))
         fit = shorter
+    return fit
+
+
+def _surrounded(fit: Fit, rules: OrderRules) -> Fit:
+    """Return the fit with poles outside the band where a remainder is too coarse for modes near its ends."""
+    f = fit.curves.frequency
+    first, last = float(f[f > 0.0][0]), float(f[-1])
+    for natural in (1.15 * last, 0.8 * first):
+        if len(fit.poles) < rules.most and _room(fit):
+            fit = _best(fit, [np.concatenate([fit.poles, [[natural, 0.02]]])], rules) or fit
     return fit
 
 
@@ -186,5 +176,5 @@ def _fewer_remainders(fit: Fit) -> Fit:
     """Take away remainders that the data do not ask for."""
     tried = [fit]
     for remainders in (Remainders(False, True), Remainders(True, False), Remainders(False, False)):
-        tried.append(refine(solve(fit.curves, fit.poles, remainders)))
+        tried.append(refine(solve(fit.curves, fit.poles, remainders), 4))
     return min(tried, key=lambda f: f.information)

@@ -118,13 +118,13 @@ class ShapeFit:
     @cached_property
     def covariance(self) -> Real:
         """Covariance of (f, zeta, v) of each mode in turn, then the remainders of each curve."""
-        slopes = _white_slopes(self, _whitening(self.curves))
+        gram, _ = _normal(self, _whitening(self.curves))
         ratio = self.chi / self.freedom
         chance = 1.0 + 2.0 * np.sqrt(2.0 / self.freedom)
         inflation, lines = 1.0, self.curves.error_lines
         if not self.curves.noise_known or ratio > chance:
             inflation, lines = ratio, max(lines, self.residual_lines)
-        return scaled_inverse(slopes.T @ slopes) * lines * inflation
+        return scaled_inverse(gram) * lines * inflation
 
     @cached_property
     def std(self) -> dict[str, Real]:
@@ -145,6 +145,12 @@ class ShapeFit:
     def resolved(self) -> NDArray[np.bool_]:
         """Which modes have a stiffness that is known at all: twice its error is less than it."""
         return np.asarray(self.std["stiffness"] < UNRESOLVED * self.stiffness)
+
+    @property
+    def left(self) -> Complex:
+        """What the modes leave of every curve [m/N], shape (g, n)."""
+        model = self.curves.over_lines(lambda f: self.curve_values(f).T)
+        return np.asarray(self.curves.values - model.T)
 
     def curve_values(self, frequency: Real) -> Complex:
         """Return the model of every curve [m/N], shape (g, f), at frequencies [Hz]."""
@@ -328,8 +334,7 @@ def _white(values: Complex, white: Complex | Real) -> Real:
 
 def _left(fit: ShapeFit, white: Complex | Real) -> Real:
     """Return the white residual, shape (2 n g,)."""
-    left = fit.curves.values - fit.curve_values(fit.curves.frequency)
-    return _white(left.T[:, :, None], white)[:, 0]
+    return _white(fit.left.T[:, :, None], white)[:, 0]
 
 
 def _solved(fit: ShapeFit, white: Complex | Real) -> ShapeFit:
@@ -337,38 +342,69 @@ def _solved(fit: ShapeFit, white: Complex | Real) -> ShapeFit:
     return replace(fit, chi=float(np.sum(_left(fit, white) ** 2)) / fit.curves.counted_lines)
 
 
-def _white_slopes(fit: ShapeFit, white: Complex | Real) -> Real:
-    """Return the derivatives of the white model by all unknowns."""
+def _own_slopes(fit: ShapeFit, gains: Complex, rows: Complex, number: int) -> tuple[Complex, NDArray[np.int64]]:
+    """Return the derivatives of one curve by the unknowns that it depends on, and their numbers.
+
+    Parameters
+    ----------
+    gains : ndarray of complex, shape (n, 3, p)
+        Gain of each mode and its derivatives by frequency and damping.
+    rows : ndarray of complex, shape (n, remainders)
+        Remainders of unit stiffness.
+    number : int
+        The curve.
+    """
+    (first, second), size = _places(fit.curves), 2 + fit.shape.shape[1]
+    one, other = first[number], second[number]
+    at = size * np.arange(len(fit.poles))
+    product = fit.shape[:, one] * fit.shape[:, other]
+    parts = [gains[:, 1] * product, gains[:, 2] * product]
+    numbers = [at, at + 1]
+    if one == other:
+        parts.append(2.0 * gains[:, 0] * fit.shape[:, one])
+        numbers.append(at + 2 + one)
+    else:
+        parts += [gains[:, 0] * fit.shape[:, other], gains[:, 0] * fit.shape[:, one]]
+        numbers += [at + 2 + one, at + 2 + other]
+    parts.append(rows)
+    numbers.append(size * len(fit.poles) + rows.shape[1] * number + np.arange(rows.shape[1]))
+    return np.concatenate(parts, axis=1), np.concatenate(numbers)
+
+
+def _gains(frequency: Real, poles: Real) -> Complex:
+    """Return gain of each mode and its derivatives by frequency [1/Hz] and damping, shape (n, 3, p)."""
+    ratio = frequency[:, None] / poles[:, 0]
+    gain = 1.0 / (1.0 - ratio**2 + 2j * poles[:, 1] * ratio)
+    by_frequency = gain**2 * (-2.0 * ratio + 2j * poles[:, 1]) * ratio / poles[:, 0]
+    return np.stack([gain, by_frequency, -(gain**2) * 2j * ratio], axis=1)
+
+
+def _normal(fit: ShapeFit, white: Complex | Real) -> tuple[Real, Real]:
+    """Return Gram matrix of the white slopes by all unknowns, and their product with the residual."""
     curves = fit.curves
-    f, (first, second) = curves.frequency, _places(curves)
-    one, other, each = np.array(first), np.array(second), np.arange(len(curves.pairs))
-    out = np.zeros((f.size, each.size, fit.unknowns), dtype=complex)
-    column = 0
-    for (natural, damping), v in zip(fit.poles, fit.shape, strict=True):
-        ratio, gain = f / natural, unit_mode(f, natural, damping)
-        product = v[one] * v[other]
-        by_frequency = gain**2 * (-2.0 * ratio + 2j * damping) * ratio / natural
-        out[:, :, column] = by_frequency[:, None] * product
-        out[:, :, column + 1] = (-(gain**2) * 2j * ratio)[:, None] * product
-        for place in range(v.size):
-            own = (one == place) * v[other] + (other == place) * v[one]
-            out[:, :, column + 2 + place] = gain[:, None] * own
-        column += 2 + v.size
-    rows = _remainder_rows(f, f, fit.remainders)
-    for g in each:
-        for row in rows:
-            out[:, g, column] = row
-            column += 1
-    return _white(out, white)
+    gains = curves.over_lines(lambda f: _gains(f, fit.poles))
+    rows = curves.over_lines(lambda f: _remainder_rows(curves.frequency, f, fit.remainders).T)
+    gram, gradient = np.zeros((fit.unknowns,) * 2), np.zeros(fit.unknowns)
+    own = [_own_slopes(fit, gains, rows, g) for g in range(len(curves.pairs))]
+    if white.ndim == 2:  # every curve by itself: it depends on few of the unknowns
+        left = fit.left.T * white
+        for g, (slope, numbers) in enumerate(own):
+            columns = slope * white[:, g, None]
+            gram[np.ix_(numbers, numbers)] += (columns.conj().T @ columns).real
+            gradient[numbers] += (columns.conj().T @ left[:, g]).real
+        return gram, gradient
+    every = np.zeros((curves.frequency.size, len(own), fit.unknowns), dtype=complex)
+    for g, (slope, numbers) in enumerate(own):
+        every[:, g, numbers] = slope
+    slopes = _white(every, white)
+    return slopes.T @ slopes, slopes.T @ _left(fit, white)
 
 
 def _refined(fit: ShapeFit, white: Complex | Real, iterations: int = 10, enough: float = ROUGH_GAIN) -> ShapeFit:
     """Return the nearest least of chi (Gauss-Newton with Marquardt's damping)."""
     fit, damping = _solved(fit, white), 1e-3
     for _ in range(iterations):
-        slopes = _white_slopes(fit, white)
-        left = _left(fit, white)
-        gram, gradient = slopes.T @ slopes, slopes.T @ left
+        gram, gradient = _normal(fit, white)
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-30 * np.trace(gram)))
         for _ in range(10):
             turned = gram / np.outer(scale, scale) + damping * np.eye(scale.size)

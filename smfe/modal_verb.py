@@ -185,4 +185,11 @@ def uncertainty(fit: ModalFit) -> dict[str, str]:
 
 def _as_json(fit: ModalFit) -> dict[str, object]:
     rows = [{str(k): v for k, v in row.items()} for row in fit.table().to_dict("records")]
-    return {"modes": rows, "misfit": fit.free.misfit, "warnings": list(fit.warnings)}
+    perhaps = [float(f) for f, apart in zip(fit.free.poles[:, 0], fit.perhaps_two, strict=True) if np.isfinite(apart)]
+    return {
+        "modes": rows,
+        "unexplained_Hz": list(fit.unexplained),
+        "perhaps_two_Hz": perhaps,
+        "misfit": fit.free.misfit,
+        "warnings": list(fit.warnings),
+    }
