@@ -326,13 +326,22 @@ def _levels(matrix: ResponseMatrix, accuracy: float) -> tuple[Real, Real, bool]:
     return np.maximum(out, SMALLEST * largest), np.maximum(rough, SMALLEST * largest), False
 
 
+def running_mean(values: Real, width: int) -> Real:
+    """Return the mean of each value and its neighbours, `width` in all, each sum by itself.
+
+    A sum carried along (`scipy.ndimage.uniform_filter1d`) loses what is small behind what is large: the compliance of a
+    free part at its first line is 1e8 times that at its last.
+    """
+    return np.asarray(ndimage.convolve1d(values, np.full(width, 1.0 / width), mode="nearest"))
+
+
 def _mean_over_lines(square: Real, width: int) -> Real:
     """Return the mean of the known values among neighbouring lines."""
     known = np.isfinite(square)
     if not known.any():
         return np.full(square.size, np.inf)
-    mean = ndimage.uniform_filter1d(np.where(known, square, 0.0), width, mode="nearest")
-    count = ndimage.uniform_filter1d(known.astype(float), width, mode="nearest")
+    mean = running_mean(np.where(known, square, 0.0), width)
+    count = running_mean(known.astype(float), width)
     near = np.where(count > 0.5 / width, mean / np.maximum(count, 1e-12), np.nan)
     return np.asarray(np.where(np.isfinite(near), near, np.nanmedian(square)))
 
@@ -342,8 +351,7 @@ def _rough_level(h: Complex) -> tuple[Real, Real]:
     bend = np.abs(np.diff(h, 2)) ** 2
     # The median of an exponential distribution is ln 2 of its mean; E |second difference|^2 = 6 s^2.
     rough = ndimage.median_filter(bend, min(41, bend.size), mode="nearest") / (6.0 * np.log(2.0))
-    # A running mean may leave rounding errors below zero behind a peak.
-    size = np.maximum(ndimage.uniform_filter1d(np.abs(h) ** 2, min(41, h.size), mode="nearest"), 0.0)
+    size = running_mean(np.abs(h) ** 2, min(41, h.size))
     return np.sqrt(np.pad(rough, 1, mode="edge")), np.sqrt(size)
 
 

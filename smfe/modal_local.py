@@ -129,17 +129,18 @@ def window(fit: PoleFit, centre: float, half: float) -> Window | None:
     own[2 * inside], own[2 * inside + 1] = True, True
     # Remainders belong to the band of the whole fit; the smooth background takes them.
     far = columns[:, ~own] @ fit.coefficient[:, : own.size][:, ~own].T
-    curves = _alike(part(curves, complete, curves.values - far.T, used))
+    curves = alike(part(curves, complete, curves.values - far.T, used))
     return Window(
         curves, tuple(int(k) for k in inside), centre, 0.5 * float(curves.frequency[-1] - curves.frequency[0])
     )
 
 
-def _alike(curves: Curves) -> Curves:
-    """Return curves whose noise levels have one course over a window: one decomposition serves all."""
+def alike(curves: Curves) -> Curves:
+    """Return curves whose noise levels have one course over frequency: one decomposition serves all."""
+    known = np.isfinite(curves.std)
     size = np.sqrt(1.0 / np.mean(1.0 / curves.std**2, axis=1, keepdims=True))
-    course = 1.0 / np.sqrt(np.mean((size / curves.std) ** 2, axis=0))
-    return replace(curves, std=size * course)
+    course = np.sqrt(known.sum(axis=0) / np.sum((size / curves.std) ** 2, axis=0))
+    return replace(curves, std=np.where(known, size * course, np.inf))
 
 
 def _lines(f: Real, centre: float, half: float) -> NDArray[np.int64]:

@@ -17,6 +17,7 @@ from process.errors import InputError
 from smfe.modal_data import Curves
 from smfe.modal_fit import PoleFit as Fit
 from smfe.modal_fit import Remainders, basis_of, refine, solve, sorted_fit, without
+from smfe.modal_local import alike
 from smfe.modal_search import divided, grown, needed
 
 Real = NDArray[np.float64]
@@ -63,6 +64,8 @@ def choose(curves: Curves, candidates: Real, rules: OrderRules | None = None) ->
         When no pole explains more than the noise does.
     """
     rules = rules or OrderRules()
+    # While poles are looked for, all curves share the course of their weights: they share a decomposition then.
+    own, curves = curves, alike(curves)
     fit = grown(solve(curves, np.empty((0, 2)), Remainders()), rules.most)
     fit = divided(fit, rules.most)
     fit = _surrounded(fit, rules)
@@ -76,7 +79,8 @@ def choose(curves: Curves, candidates: Real, rules: OrderRules | None = None) ->
             "no mode stands out of the noise of this compliance; measure it with more force or more repeats, or give "
             "the band around a resonance"
         )
-    return sorted_fit(refine(_fewer(_fewer_remainders(refine(fit, rules.quick)), rules)))
+    fit = _fewer(_fewer_remainders(refine(fit, rules.quick)), rules)
+    return fit_poles(own, fit.poles, fit.remainders)
 
 
 def fit_poles(curves: Curves, poles: Real, remainders: Remainders | None = None) -> Fit:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
+from smfe.modal_data import running_mean
 from smfe.modal_fit import LEAST_DAMPING, PoleFit, refine, solve
 from smfe.modal_local import DOUBTFUL, REACH, Local, Window, evidence, fit_window, threshold, window
 
@@ -52,20 +53,20 @@ class Twin:
 
 def grown(fit: PoleFit, most: int) -> PoleFit:
     """Return the fit with the modes that its residual shows, each accepted by the lines around it."""
-    refused: list[float] = []
+    refused: list[tuple[float, float]] = []
     for _ in range(ROUNDS):
         taken: list[Window] = []
         poles = fit.poles.copy()
         for centre, half in _places(fit):
             if len(poles) >= most:
                 break
-            if any(abs(centre - w.centre) < w.half for w in taken) or any(
-                abs(centre / f - 1.0) < 1e-9 for f in refused
-            ):
+            if any(abs(centre - w.centre) < w.half for w in taken):
+                continue
+            if any(abs(centre - c) < 0.3 * h and 0.3 < half / h < 3.0 for c, h in refused):
                 continue
             longer = _with_mode(fit, centre, half)
             if longer is None:
-                refused.append(centre)
+                refused.append((centre, half))
                 continue
             where, local = longer
             if any(abs(where.centre - w.centre) < 0.5 * (w.half + where.half) for w in taken):
@@ -76,6 +77,8 @@ def grown(fit: PoleFit, most: int) -> PoleFit:
             poles = np.concatenate([poles, local.poles[len(where.near) :]])
         if not taken:
             return fit
+        # What was refused is looked at again where something around it has changed.
+        refused = [r for r in refused if all(abs(r[0] - w.centre) > w.half for w in taken)]
         fit = refine(solve(fit.curves, poles, fit.remainders), 2)
     return fit
 
@@ -215,7 +218,7 @@ def _places(fit: PoleFit) -> list[tuple[float, float]]:
     for measure in (surprise, mobility):
         width = 1
         while width <= max(1, f.size // 8):
-            smooth = ndimage.uniform_filter1d(measure, width, mode="nearest")
+            smooth = running_mean(measure, width)
             height = np.pad(np.log(np.maximum(smooth, 1e-300)), 1, constant_values=-800.0)
             lines, _ = signal.find_peaks(height, prominence=np.log(PROMINENT))
             for k in lines - 1:

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, signal
+from scipy import signal
 
+from smfe.modal_data import running_mean
 from smfe.modal_fit import PoleFit
 from smfe.modal_local import REACH, threshold, window
 
@@ -54,7 +55,7 @@ def unexplained(fit: PoleFit, modes: Real) -> tuple[float, ...]:
     scatter = np.sum(np.where(known, noise, 0.0) ** 2 * f**2 * weight[:, None], axis=0)
     out: list[float] = []
     for power, share in ((whole, 0.0), (left, LEFT)):
-        smooth = ndimage.uniform_filter1d(power, 3, mode="nearest")
+        smooth = running_mean(power, 3)
         lines, _ = signal.find_peaks(np.log(np.maximum(smooth, 1e-300)), prominence=np.log(STANDS_OUT))
         for k in lines:
             top = max(k - 1, 0) + int(np.argmax(power[max(k - 1, 0) : k + 2]))
