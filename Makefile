@@ -62,6 +62,7 @@ accuracy: $(READY)
 
 strangers: $(READY)
 	$(RUN) $(BIN)/python tests/exam/sweep_strangers.py docs/sweep_strangers_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) $(BIN)/python tests/exam/modes.py docs/modes_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/frf_files.py docs/frf_files_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/excitations.py docs/excitations_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/check.py docs/check_table.md --jobs $(JOBS) $(ARGS)

@@ -6,9 +6,9 @@
 with complex residues R and real remainders: U for the modes above the band, L for those below and for rigid motion.
 A constant and ``-1/w^2`` are usual for the two. Here each is a mode far from the band,
 
-    u(w) = 1/(1 - (f/f_u)^2 + 2 j zeta_u f/f_u), f_u = 4 f_last;    l(w) = the same with f_l = f_first/200,
+    u(w) = 1/(1 - (f/f_u)^2 + 2 j zeta_u f/f_u), f_u = 4 f_last;    l(w) = the same with f_l = f_first/10000,
 
-which differ from the usual ones by 13 % and 0.02 % of the remainder at most, and leave a model that is stable and
+which differ from the usual ones by 13 % and 2e-7 of the remainder at most, and leave a model that is stable and
 strictly proper. The model is linear in R, U and L, so that only f_p and zeta_p are searched: Gauss-Newton with
 Marquardt's damping on the projected residual (variable projection, Golub and Pereyra 1973; Kaufman 1975). The
 covariance of the poles is that of the projected problem, with the errors that entries of one row share (a sandwich);
@@ -32,7 +32,7 @@ Complex = NDArray[np.complex128]
 UPPER_AT, UPPER_DAMPING = 4.0, 0.2
 """Frequency over that of the last line, and damping ratio, of the mode that stands for all above the band."""
 
-LOWER_AT, LOWER_DAMPING = 0.005, 0.02
+LOWER_AT, LOWER_DAMPING = 1e-4, 1e-3
 """Frequency over that of the first line, and damping ratio, of the mode that stands for all below the band."""
 
 GAIN = 1e-7

@@ -28,8 +28,9 @@ SMOOTH = 0.02
 """Departure from a straight line, as a share of the size, that counts as smooth: blocks half as wide as the distance to
 the nearest pole."""
 
-SURPRISE = 2.5
-"""Standard deviations by which the power of the departure may exceed that of the noise."""
+SURPRISE = 5.0
+"""Standard deviations by which the power of the departure may exceed that of the noise: lines left alone for what chance
+did to them would be a choice of the largest errors."""
 
 WIDEST = 0.02
 """No merged line is wider than this share of its frequency."""

@@ -89,7 +89,7 @@ def draw(seed: int) -> Draw:
     quantity = str(rng.choice(list(QUANTITIES), p=[0.3, 0.2, 0.5]))
     lines = int(np.exp(rng.uniform(np.log(400.0), np.log(64_000.0))))
     count = int(rng.choice([1, 1, 2, 3, 5, 8, 12, 20, 30]))
-    references = int(rng.choice([1, 1, 1, 2, 3])) if count > 1 else 1
+    references = min(count, int(rng.choice([1, 1, 1, 2, 3])))
     if lines * count * references > 250_000:  # nobody keeps more than this in one file of a laptop
         references, count = 1, max(1, 250_000 // lines)
     damping = _dampings(rng)
