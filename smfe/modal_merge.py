@@ -21,16 +21,16 @@ Complex = NDArray[np.complex128]
 ENOUGH_LINES = 1000
 """A record with fewer lines stays as it is."""
 
-LONGEST_BLOCK = 256
+LONGEST_BLOCK = 64
 """Most lines that are merged into one."""
 
 SMOOTH = 0.02
 """Departure from a straight line, as a share of the size, that counts as smooth: blocks half as wide as the distance to
 the nearest pole."""
 
-SURPRISE = 5.0
-"""Standard deviations by which the power of the departure may exceed that of the noise: lines left alone for what chance
-did to them would be a choice of the largest errors."""
+SURPRISE, SURPRISE_OF_FEW, FEW = 2.5, 5.0, 4
+"""Standard deviations by which the power of the departure may exceed that of the noise, and that for blocks of up to
+`FEW` lines: lines left alone for what chance did to them would be a choice of the largest errors."""
 
 WIDEST = 0.02
 """No merged line is wider than this share of its frequency."""
@@ -87,12 +87,13 @@ def _blocks(curves: Curves) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         size = np.mean(np.abs(h) ** 2, axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):
             power = np.mean(s**2, axis=2)
-            allowed = 1.0 + SURPRISE / np.sqrt(k)
+            surprise = SURPRISE_OF_FEW if k <= FEW else SURPRISE
+            allowed = 1.0 + surprise / np.sqrt(k)
             alone = away <= allowed * power + SMOOTH**2 * size
             # All curves together see a peak that none sees alone.
             excess = np.mean(np.maximum(away - SMOOTH**2 * size, 0.0) / power, axis=0)
         smooth = np.isfinite(s).all(axis=(0, 2)) & alone.all(axis=0)
-        smooth &= excess < 1.0 + SURPRISE / np.sqrt(k * len(h))
+        smooth &= excess < 1.0 + surprise / np.sqrt(k * len(h))
         smooth &= (length[inside].reshape(blocks, k) == k // 2).all(axis=1)
         smooth &= k * spacing < WIDEST * curves.frequency[inside].reshape(blocks, k)[:, 0]
         at = (np.flatnonzero(smooth)[:, None] * k + np.arange(k)).ravel()
