@@ -237,33 +237,19 @@ def _normal(where: Window, fit: Local, q: Real) -> tuple[Real, Real]:
     return flat @ flat.T, flat @ left.ravel()
 
 
-def _numbers(where: Window, fit: Local, variance_known: bool) -> float:
-    """Return how many independent real numbers a window holds."""
-    count = 2.0 * fit.left.size
-    return count / (where.curves.error_lines if variance_known else max(where.curves.error_lines, _together(fit)))
-
-
-def _together(fit: Local) -> float:
-    # What a fit of many unknowns leaves of few lines is correlated by the fit itself.
-    return correlated_lines(fit.left)
-
-
 def evidence(where: Window, fewer: Local, more: Local) -> float:
     """Return T of more poles against fewer."""
-    unknowns = 2.0 * len(more.poles) + more.coefficient.size
-    spread = more.chi / where.curves.error_lines
-    count = 2.0 * more.left.size / where.curves.error_lines
-    freedom = max(count - unknowns, 1.0)
-    chance = 1.0 + 2.0 * np.sqrt(2.0 / freedom)
-    noise_only = where.curves.noise_known and spread / freedom < chance
-    count = _numbers(where, more, noise_only)
-    freedom = max(count * freedom / max(2.0 * more.left.size / where.curves.error_lines, 1.0), 1.0)
-    share = count / (2.0 * more.left.size)
-    tiny = 1e-24 * float(np.sum(np.abs(where.curves.values * where.curves.weight) ** 2)) * share
-    first, second = (max(fit.chi * share, tiny) for fit in (fewer, more))
-    v = [max(chi / freedom, where.floor) for chi in (first, second)]
-    if min(v) <= 0.0:
+    numbers, lines = 2.0 * more.left.size, where.curves.error_lines
+    freedom = max(numbers / lines - 2.0 * len(more.poles) - more.coefficient.size, 1.0)
+    if not where.curves.noise_known or more.chi / lines / freedom > 1.0 + 2.0 * np.sqrt(2.0 / freedom):
+        together = max(lines, correlated_lines(more.left))
+        lines, freedom = together, max(freedom * lines / together, 1.0)
+    # A residual of rounding errors is none: two of them are alike.
+    least = 1e-24 * float(np.sum(np.abs(where.curves.values * where.curves.weight) ** 2))
+    first, second = (max(fit.chi, least) / lines for fit in (fewer, more))
+    if second <= 0.0:
         return 0.0
+    v = [max(chi / freedom, where.floor) for chi in (first, second)]
     return float(freedom * np.log(v[0] / v[1]) + first / v[0] - second / v[1])
 
 

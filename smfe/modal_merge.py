@@ -9,6 +9,7 @@ moves no pole: for a pole at the distance a from a block of width w the error is
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ def merged(curves: Curves) -> Curves:
     edges = np.unique(start)
     count = length[edges].astype(float)
 
-    def mean(values: NDArray[np.generic], axis: int) -> NDArray[np.generic]:
+    def mean(values: Any, axis: int) -> Any:
         shape = [1] * values.ndim
         shape[axis] = -1
         return np.asarray(np.add.reduceat(values, edges, axis=axis) / count.reshape(shape))

@@ -87,7 +87,7 @@ def divided(fit: PoleFit, most: int) -> PoleFit:
     """Return the fit with the poles that are two replaced by two."""
     tried: set[int] = set()
     for _ in range(4):
-        pairs = []
+        pairs: list[tuple[Window, Twin]] = []
         for number in range(len(fit.poles)):
             if number not in tried and len(fit.poles) + len(pairs) < most:
                 twin = twin_of(fit, number)

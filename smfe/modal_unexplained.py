@@ -57,9 +57,9 @@ def unexplained(fit: PoleFit, modes: Real) -> tuple[float, ...]:
     for power, share in ((whole, 0.0), (left, LEFT)):
         smooth = running_mean(power, 3)
         lines, _ = signal.find_peaks(np.log(np.maximum(smooth, 1e-300)), prominence=np.log(STANDS_OUT))
-        for k in lines:
+        for k in map(int, lines):
             top = max(k - 1, 0) + int(np.argmax(power[max(k - 1, 0) : k + 2]))
-            if power[top] < STANDS_OUT * scatter[top] or power[top] < share * whole[top]:
+            if power[top] < (STANDS_OUT + np.log(f.size)) * scatter[top] or power[top] < share * whole[top]:
                 continue
             spacing = float(f[min(top + 1, f.size - 1)] - f[max(top - 1, 0)])
             reach = np.maximum(1.5 * modes[:, 0] * modes[:, 1], spacing)
