@@ -53,6 +53,12 @@ FEWEST, MOST_LINES = 24, 320
 MOST_FREE = 5
 """Poles of a window that are refined together."""
 
+LIKE_NOISE = 3.0
+"""Power of a residual over that of the scatter of lines up to which it counts as noise."""
+
+TAKEN, TAKEN_BESIDE = 0.5, 0.1
+"""Share of a residual that is more than noise which a new pole may leave: alone, and within the width of another."""
+
 GAIN = 1e-5
 """A fit has converged when a step gains no more than this share of chi."""
 
@@ -168,6 +174,7 @@ def part(
         curves.error_lines,
         curves.noise_known,
         curves.reciprocity,
+        None if curves.rough is None else curves.rough[pick][:, lines],
         width=None if curves.width is None or not curves.width[lines].any() else curves.width[lines],
     )
 
@@ -251,6 +258,23 @@ def evidence(where: Window, fewer: Local, more: Local) -> float:
         return 0.0
     v = [max(chi / freedom, where.floor) for chi in (first, second)]
     return float(freedom * np.log(v[0] / v[1]) + first / v[0] - second / v[1])
+
+
+def takes_enough(where: Window, fewer: Local, more: Local) -> bool:
+    """Whether the last pole takes away enough where no noise is known and what is left is more than lines scatter.
+
+    What no linear model describes is described better by any further pole, most of all by one within the width of
+    another: that is a mode where it takes away nearly all.
+    """
+    rough = where.curves.rough
+    if rough is None:
+        return True
+    left = np.sum(np.abs(more.left / where.curves.weight) ** 2 / np.mean(rough**2, axis=1, keepdims=True))
+    if left < LIKE_NOISE * more.left.size:
+        return True
+    half = more.poles[:, 0] * more.poles[:, 1]
+    beside = np.abs(more.poles[:-1, 0] - more.poles[-1, 0]) < 2.0 * (half[:-1] + half[-1])
+    return bool(more.chi < (TAKEN_BESIDE if beside.any() else TAKEN) * fewer.chi)
 
 
 def threshold(where: Window, chance: float = CHANCE) -> float:

@@ -10,7 +10,7 @@ from scipy import ndimage, signal
 
 from smfe.modal_data import running_mean
 from smfe.modal_fit import LEAST_DAMPING, PoleFit, refine, solve
-from smfe.modal_local import DOUBTFUL, REACH, Local, Window, evidence, fit_window, threshold, window
+from smfe.modal_local import DOUBTFUL, REACH, Local, Window, evidence, fit_window, takes_enough, threshold, window
 
 Real = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ def twin_of(fit: PoleFit, number: int) -> tuple[Window, Twin] | None:
             best = tried
     if best is None or not _plausible(where, best, at):
         return None
-    told = evidence(where, one, best)
+    told = evidence(where, one, best) if takes_enough(where, one, best) else 0.0
     return where, Twin(number, best.poles, told / threshold(where))
 
 
@@ -174,7 +174,9 @@ def _with_mode(fit: PoleFit, centre: float, half: float) -> tuple[Window, Local]
         tried = fit_window(where, start)
         if best is None or tried.chi < best.chi:
             best = tried
-    if best is None or evidence(where, fewer, best) < threshold(where) or not _plausible(where, best, len(old)):
+    if best is None or not takes_enough(where, fewer, best) or not _plausible(where, best, len(old)):
+        return None
+    if evidence(where, fewer, best) < threshold(where):
         return None
     return where, best
 
