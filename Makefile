@@ -69,6 +69,7 @@ strangers: $(READY)
 	$(RUN) $(BIN)/python tests/exam/plan.py docs/plan_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/limits_agree.py docs/limits_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) $(BIN)/python tests/exam/chatter.py docs/chatter_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) $(BIN)/python tests/exam/drive_records.py docs/drive_records_table.md --jobs $(JOBS) $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -43,6 +43,9 @@ SI_UNITS: dict[str, str] = {
     "reference_position": "m",
     "encoder_speed": "m/s",
     "reference_speed": "m/s",
+    "encoder_angle": "rad",
+    "encoder_rotation": "rad/s",
+    "drive_torque": "N m",
     "spindle_angle": "rad",
     "tacho": "1",
     "sound": "Pa",
@@ -74,6 +77,9 @@ RECORD_VECTORS: tuple[str, ...] = (
     "reference_position",
     "encoder_speed",
     "reference_speed",
+    "encoder_angle",
+    "encoder_rotation",
+    "drive_torque",
 )
 """Channels of a record with one component an axis."""
 

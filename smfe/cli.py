@@ -21,6 +21,8 @@ from smfe.cutting_coefficients import coefficients as find_coefficients
 from smfe.demo_campaign import DEMO_SEED
 from smfe.diagnosis import audit, verbs
 from smfe.diagnosis.finding import explain
+from smfe.drives import FILE as DRIVE_FILE
+from smfe.drives import drive_lines
 from smfe.failures import Failures, unpack
 from smfe.loops import FILE as LOOP_FILE
 from smfe.loops import loop_lines
@@ -97,7 +99,7 @@ def identify(
         out.print(f"{name}: {item.method}, {sizes} (frequencies x responses x excitations)", highlight=False)
         for warning in item.warnings:
             console.print(f"warning, {name}: {warning}", markup=False, highlight=False)
-    for line in loop_lines(output.with_name(LOOP_FILE)):
+    for line in [*loop_lines(output.with_name(LOOP_FILE)), *drive_lines(output.with_name(DRIVE_FILE))]:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output}", highlight=False)
     _fail(failures)

@@ -40,6 +40,8 @@ from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.suspect import as_rows as suspect_rows
 from smfe.diagnosis.verbs import finding_of
+from smfe.drives import FILE as DRIVE_FILE
+from smfe.drives import drives_of, notes_of, write_drives
 from smfe.explained import explain
 from smfe.failures import MEASUREMENT, Failures, as_rows, attempt, pack
 from smfe.identification import Identification, Progress, silent
@@ -131,6 +133,7 @@ def run(
     with notes.timed("identify"):
         found, levels = _identify_all(loaded, folder / KEPT, progress, failures)
         loops = loops_of(loaded, failures)
+        drives = drives_of(loaded, failures, progress)
     whole = with_levels(loaded)
     compliances = labelled(whole, found)
     cubes, unstacked = _conditions_of(loaded, compliances, levels, folder / KEPT, failures)
@@ -152,8 +155,9 @@ def run(
     with notes.timed("diagnosis"), attempt(failures, "diagnosis"):
         finding = finding_of(loaded, found, checked.suspects, progress) if loaded.baseline is not None else None
     gone = {f.name for f in failures if f.part == MEASUREMENT}
-    notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *gone}]
+    notes.warnings += [_left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *drives, *gone}]
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
+    notes.warnings += notes_of(drives)
     notes.warnings += _warnings(found, results, verdicts)
     notes.warnings += unstacked
     notes.warnings += [
@@ -164,6 +168,7 @@ def run(
     # From here on nothing depends on the input any more.
     _write_identifications(folder, compliances, found, failures)
     write_loops(folder / LOOP_FILE, loops, folder / "tables")
+    write_drives(folder / DRIVE_FILE, drives, folder / "tables")
     _write_cubes(folder / CONDITIONS, cubes)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)
@@ -206,8 +211,9 @@ def identify(
     """Identify every measurement of a campaign and write the compliances to one NetCDF file.
 
     A sweep at several depths of cut is identified at each of them, too. As after `run`, `conditions.nc` beside the file
-    holds what was measured at several levels or feeds, and ``loops.nc`` the responses of drive loops, which are no
-    compliances; where the campaign has none, such a file of an earlier run is taken away.
+    holds what was measured at several levels or feeds, ``loops.nc`` the responses of drive loops and ``drives.csv`` the
+    inertia and friction of drives, which are no compliances; where the campaign has none, such a file of an earlier run
+    is taken away.
 
     Parameters
     ----------
@@ -228,16 +234,18 @@ def identify(
         be identified.
     """
     path = Path(output)
-    if path.name in (CONDITIONS, LOOP_FILE):
+    if path.name in (CONDITIONS, LOOP_FILE, DRIVE_FILE):
         raise InputError(f"{path.name} is what another file beside the compliances is called; write to frf.nc")
     loaded = load_campaign(Path(campaign), licence)
     check_target(path)
     found, levels = _identify_all(loaded, path.parent / KEPT, progress, failures)
-    loops, compliances = loops_of(loaded, failures), labelled(with_levels(loaded), found)
+    loops, drives = loops_of(loaded, failures), drives_of(loaded, failures, progress)
+    compliances = labelled(with_levels(loaded), found)
     cubes, _ = _conditions_of(loaded, compliances, levels, path.parent / KEPT, failures)
-    _require_something([*found, *loops], failures)
+    _require_something([*found, *loops, *drives], failures)
     write_groups(path, _groups(compliances, found), pack(failures or ()))
     write_loops(path.with_name(LOOP_FILE), loops)
+    write_drives(path.with_name(DRIVE_FILE), drives)
     _write_cubes(path.with_name(CONDITIONS), cubes)
     return found
 
@@ -455,6 +463,8 @@ def _told_apart(compliances: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
 def _left_out(measurement: Measurement) -> str:
     if measurement.method == "loop":
         return f"{measurement.name}: a loop gives no compliance; its response stands in {LOOP_FILE}"
+    if measurement.method == "drive":
+        return f"{measurement.name}: a drive gives no compliance; its inertia and friction stand in {DRIVE_FILE}"
     return f"{measurement.name}: method '{measurement.method}' gives no compliance; only a diagnosis reads it"
 
 

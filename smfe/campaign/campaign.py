@@ -162,6 +162,8 @@ class Processing:
         Independent averages behind a response and its coherence (frf).
     conjugate : bool, optional
         Whether the response was written with ``exp(-j w t)`` (frf).
+    moving_mass : tuple of (float, str), optional
+        What a drive moves, where it is known: a "mass" [kg] or an "inertia" [kg m^2] (drive).
     """
 
     estimator: str | None = None
@@ -176,6 +178,7 @@ class Processing:
     settling: float | None = None
     averages: int | None = None
     conjugate: bool | None = None
+    moving_mass: tuple[float, str] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

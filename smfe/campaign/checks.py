@@ -48,6 +48,7 @@ _PROCESSING = {
     "settling": ("actuator", "loop"),
     "averages": ("frf",),
     "conjugate": ("frf",),
+    "moving_mass": ("drive",),
 }
 """Key of a measurement -> methods that read it."""
 

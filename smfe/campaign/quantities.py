@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -74,6 +75,19 @@ NoTime = Annotated[float, quantity("time", low=0.0)]
 Frequency = Annotated[float, quantity("frequency", low=0.0)]
 PositiveFrequency = Annotated[float, quantity("frequency", above=0.0)]
 Angle = Annotated[float, quantity("angle")]
+
+
+def _inertia(value: Any) -> tuple[float, str]:
+    """A moved mass [kg], or the inertia of a rotary drive [kg m^2], and which of both."""
+    for dimension in ("mass", "inertia"):
+        with suppress(InputError):
+            number = units.parse(value, dimension)
+            if number > 0.0:
+                return number, dimension
+    raise InputError(f"{value!r} is no moved mass or inertia; write e.g. '250 kg' or '12 kg cm^2'")
+
+
+Inertia = Annotated[tuple[float, str], BeforeValidator(_inertia)]
 Force = Annotated[float, quantity("force", low=0.0)]
 PositiveForce = Annotated[float, quantity("force", above=0.0)]
 Mass = Annotated[float, quantity("mass", low=0.0)]

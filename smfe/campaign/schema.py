@@ -135,6 +135,7 @@ class ProcessingTable(ConditionsTable):
     settling: q.NoTime | None = None
     averages: Annotated[StrictInt, Field(ge=1)] | None = None
     conjugate: StrictBool | None = None
+    moving_mass: q.Inertia | None = None
 
 
 class RecordTable(ConditionsTable):

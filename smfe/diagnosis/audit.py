@@ -10,6 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from process.engagement import engagement
+from process.errors import InputError
 from smfe.campaign import (
     Campaign,
     CuttingTest,
@@ -33,6 +34,7 @@ from smfe.diagnosis.size_checks import force_suspects, model_suspects, stiffness
 from smfe.diagnosis.speed_checks import speed_suspects, tooth_suspects
 from smfe.diagnosis.suspect import Suspect, suspect_table
 from smfe.diagnosis.sweep_checks import sweep_suspects
+from smfe.drives import drive_of, notes_of
 from smfe.failures import MEASUREMENT, TEST, Failure, Failures, attempt
 from smfe.identification import Identification, Progress, silent
 from smfe.loop import summary
@@ -149,6 +151,7 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
                 found = out.identified[measurement.name]
                 out.suspects += hit_suspects(measurement.name, by_axis, found, **hammer_settings(measurement))
             out.suspects += _loop_suspects(measurement)
+            out.suspects += _drive_suspects(campaign, measurement)
             out.suspects += _compliance_suspects(campaign, measurement, out.identified)
         # What a record cannot be read for is said once, though both steps read it.
         for failure in list(dict.fromkeys(failures))[:1]:
@@ -281,6 +284,21 @@ def _loop_suspects(measurement: Measurement) -> list[Suspect]:
         Suspect("loop_response", "note", measurement.name, text, "record several periods, not their average")
         for text in found.notes
     ]
+
+
+def _drive_suspects(campaign: Campaign, measurement: Measurement) -> list[Suspect]:
+    """Say what the records of a drive do not determine; a diagnosis of the drive reads them all the same."""
+    if measurement.method != "drive":
+        return []
+    try:
+        drives = {measurement.name: drive_of(measurement)}
+    except InputError as error:
+        if not isinstance(campaign.baseline, RigidDrive):
+            raise
+        advice = "inertia and friction cannot be identified from it; a diagnosis may still read it"
+        return [Suspect("unusable", "warning", measurement.name, str(error), advice)]
+    advice = "see drives.csv for what was determined, with its intervals"
+    return [Suspect("drive", "note", measurement.name, text, advice) for text in notes_of(drives)]
 
 
 def _sweep(campaign: Campaign, measurement: Measurement) -> list[Suspect]:

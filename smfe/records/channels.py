@@ -23,6 +23,9 @@ _DIMENSION_OF_VECTOR = {
     "reference_position": "length",
     "encoder_speed": "speed",
     "reference_speed": "speed",
+    "encoder_angle": "angle",
+    "encoder_rotation": "rotation",
+    "drive_torque": "torque",
 }
 
 RECORD_CHANNELS: dict[str, str] = {

@@ -29,6 +29,9 @@ _VECTOR_HEADERS = {
     "reference_position": "ref",
     "encoder_speed": "venc",
     "reference_speed": "vref",
+    "encoder_angle": "phi",
+    "encoder_rotation": "omega",
+    "drive_torque": "Td",
 }
 _SCALAR_HEADERS = {"spindle_angle": "angle", "spindle_speed": "n", "tacho": "tacho", "sound": "sound"}
 

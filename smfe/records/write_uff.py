@@ -28,8 +28,12 @@ _QUANTITY = {
     "reference_position": 8,
     "encoder_speed": 11,
     "reference_speed": 11,
+    "encoder_angle": 1,
+    "encoder_rotation": 1,
+    "drive_torque": 1,
 }
-"""Vector of a record -> specific data type of dataset 58: 8 displacement, 11 velocity, 12 acceleration, 13 force."""
+"""Vector of a record -> specific data type of dataset 58: 1 general, 8 displacement, 11 velocity, 12 acceleration, 13
+force."""
 
 _FIRST_SCALAR_NODE = 101
 

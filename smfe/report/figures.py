@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from smfe.report import diagnosis, loops, spectrograms
+from smfe.report import diagnosis, drives, loops, spectrograms
 from smfe.report.answer import outcomes
 from smfe.report.conditions import cubes
 from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, predicted_lines, spectrum_span
@@ -76,6 +76,8 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         out[f"conditions_{position}.png"] = partial(draw_compliance, cube.cells, cube.looks)
     for position, dataset in enumerate(results.loops.values(), 1):
         out[f"loop_{position}.png"] = partial(loops.draw, dataset)
+    for position, frame in enumerate(drives.frictions(results.tables).values(), 1):
+        out[f"drive_{position}.png"] = partial(drives.draw, frame)
     if any(m.condition() is not None or any(m.coherences(r) for r in "xyz") for m in shown if not m.is_model):
         out["condition.png"] = partial(draw_quality, shown, looks)
     if results.spectra:
@@ -101,6 +103,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
     for pattern in (
         "lobes_*.png",
         "conditions_*.png",
+        "drive_*.png",
         "loop_*.png",
         "compliance.png",
         "condition.png",

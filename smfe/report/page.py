@@ -17,6 +17,7 @@ from smfe.failures import FAILED, LOBES, MEASUREMENT, PREDICTION, TEST
 from smfe.report import (
     conditions,
     diagnosis,
+    drives,
     explained,
     figures,
     interactive,
@@ -90,9 +91,10 @@ def render(results: Results, looks: dict[str, Line]) -> str:
         "spectra": _spectra(results, plots),
         "compliance": _compliance(results, looks, plots),
         "loops": loops.section(results.loops, plots),
+        "drives": drives.section(results.drives, results.tables, plots),
         "comparison": _comparison(results),
         "diagnosis": diagnosis.section(results.finding, plots),
-        "details": [tables.hits(f, f"{m}: {t}") for (m, t), f in results.tables.items()],
+        "details": [tables.hits(f, f"{m}: {t}") for (m, t), f in results.tables.items() if not drives.is_friction(t)],
         "provenance": _provenance(results),
     }
     return environment.get_template("report.html.j2").render(

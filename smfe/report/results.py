@@ -197,6 +197,7 @@ class Results:
     finding: Mapping[str, Any]
     conditions: Mapping[str, xr.Dataset] = field(default_factory=dict)
     loops: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    drives: pd.DataFrame | None = None
 
     @property
     def title(self) -> str:
@@ -207,7 +208,7 @@ class Results:
     @property
     def diagnosis_alone(self) -> bool:
         """Whether the folder holds a finding and nothing else: then nothing is known of the rest of the campaign."""
-        frames = (self.chatter, self.comparison, self.explained, self.model_error)
+        frames = (self.chatter, self.comparison, self.explained, self.model_error, self.drives)
         others = (
             self.measurements,
             self.lobes,
@@ -269,6 +270,7 @@ def read_results(folder: Path) -> Results:
         _read_json(folder / "finding.json"),
         _read_conditions(folder / "conditions.nc"),
         _read_loops(folder / "loops.nc"),
+        _read_csv(folder / "drives.csv", ("measurement", "parameter", "direction", "value", "low", "high", "unit")),
     )
 
 
