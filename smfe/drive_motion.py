@@ -58,6 +58,17 @@ class Balance(NamedTuple):
     velocity: Real
     run: NDArray[np.int64]
 
+    def thinned(self, stride: int) -> Balance:
+        """Return every so many-th value."""
+        return Balance(
+            self.acceleration[::stride],
+            self.jerk[::stride],
+            self.place[::stride],
+            self.share[:, ::stride],
+            self.velocity[:, ::stride],
+            self.run[::stride],
+        )
+
 
 class Kept(NamedTuple):
     """One record of a balance: velocity in a wide band, share of each way (2, samples), and samples that are kept."""

@@ -59,7 +59,7 @@ _POSSIBLE = {"kg": (1e-2, 1e6), "kg m^2": (1e-8, 1e6)}
 _SEEN = 0.99  # probability of a Stribeck curve from which on it is stated
 _WIDEST = 4.0  # largest ratio of the ends of an interval of the Stribeck speed
 _RESOLVED = 1.5  # least Stribeck speed that is stated, over the slowest motion
-_LEAST_SPREAD = 0.01  # of a Stribeck speed, as the law itself is no better known
+_LEAST_SPREAD = 0.01  # of static friction and Stribeck speed, as the law near rest is no better known
 _DRAWN = 48
 _STAGES = 3
 _SHOWN = 600
@@ -383,6 +383,7 @@ def _stribeck(f: _Fit, k: int, way: str, units: dict[str, str]) -> list[DrivePar
         ]
     reason, note = "the record has too little slow motion", "limit at rest, beyond the slowest motion of the record"
     static = f.sum_of({("coulomb", way): 1.0, ("boost", way): 1.0}, curve_of=way)
+    static = static.widened(_LEAST_SPREAD * abs(static.value), f.freedom())
     rows = [positive("static", way, static, units["force"], reason, note)]
     speed = speed.widened(_LEAST_SPREAD * speed.value, f.freedom())
     slowest, fastest = f.edges[k]

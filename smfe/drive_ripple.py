@@ -39,7 +39,7 @@ def ripple_columns(b: Balance, wave: float, band: float) -> Real:
 def waves_of(b: Balance, columns: Real, force: Real, band: float) -> list[float]:
     """Find wave numbers that the balance of `columns` (n, p) and `force` (n,) misses beyond noise, largest first."""
     stride = max(1, math.ceil(force.size / _MOST_VALUES))
-    thin = Balance(*(values[..., ::stride] for values in b))
+    thin = b.thinned(stride)
     length = float(np.ptp(thin.place))
     slow = float(np.quantile(np.abs(thin.velocity.sum(axis=0)), 0.3))
     highest = min(_MOST_TRIED, int(2.0 * length * band / max(slow, 1e-300)), force.size // stride // 4)

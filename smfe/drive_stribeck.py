@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special, stats
+from scipy import special
 
 from smfe.drive_motion import Balance, Kept, fading
 from smfe.drive_results import LEVEL, Estimate
@@ -29,6 +29,7 @@ _SPEEDS, _FINE = 18, 12
 _NARROW, _NEAR = 6.0, 1.5  # ratios of speeds: a range that a fine grid covers, and what is near the best one
 _CURVED = 0.5  # probability of a curve before the record
 _NEGLIGIBLE = 1e-4
+_RARE = 0.5  # probability of a curve below which it need not be known well
 _SLOWEST, _FASTEST = 0.004, 0.5  # of the fastest motion
 _FADED = 1e-3
 
@@ -89,7 +90,7 @@ def refined(grid: Grid, probability: Real, kept: Sequence[Kept], band: float, wa
     if speeds.size < 2:
         return grid
     weight = np.array([sum(p for p, c in zip(probability, grid.curves, strict=True) if c.speed == v) for v in speeds])
-    if not weight.sum() > _NEGLIGIBLE:
+    if not weight.sum() > _RARE:
         return grid
     there = np.flatnonzero(weight > _NEGLIGIBLE * weight.sum())
     low, high = speeds[max(there[0] - 1, 0)], speeds[min(there[-1] + 1, speeds.size - 1)]
@@ -143,7 +144,7 @@ def allowed(
         for _ in range(2):
             noise = max(least, 1e-12 * power) / freedom
             log, least = _evidence(g, a, cross, noise / boost**2, power, freedom, noise)
-        return log + prior[0][:, None] + prior[1][None, :]
+        return np.asarray(log + prior[0][:, None] + prior[1][None, :])
 
     whether, which = log_of(independent), log_of(independent / doubtful)
     weight = np.zeros(whether.shape)
@@ -164,12 +165,12 @@ def _evidence(
     left = np.full(log.shape, power)
 
     def positive(mean: Real, spread: Real) -> Real:
-        return np.asarray(stats.norm.logcdf(mean / np.maximum(spread, 1e-300)) + math.log(2.0))
+        return np.asarray(special.log_ndtr(mean / np.maximum(spread, 1e-300)) + math.log(2.0))
 
-    for k, rows in enumerate((np.s_[1:, 0], np.s_[0, 1:])):
+    for k, (some, rest) in enumerate(((left[1:, 0], log[1:, 0]), (left[0, 1:], log[0, 1:]))):
         full = a[k] + ridge
-        left[rows] -= g[k] ** 2 / full
-        log[rows] = -0.5 * np.log(full / ridge) + positive(g[k] / full, np.sqrt(noise / full))
+        some -= g[k] ** 2 / full
+        rest += -0.5 * np.log(full / ridge) + positive(g[k] / full, np.sqrt(noise / full))
     full_0, full_1 = (a[0] + ridge)[:, None], (a[1] + ridge)[None, :]
     determinant = np.maximum(full_0 * full_1 - cross**2, 1e-12 * full_0 * full_1)
     mean_0 = (full_1 * g[0][:, None] - cross * g[1][None, :]) / determinant

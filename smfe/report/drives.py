@@ -142,7 +142,9 @@ def section(found: pd.DataFrame | None, tables: Tables, plots: dict[str, Any]) -
     if found is None:
         return []
     drawn, out = frictions(tables), []
-    for position, ((name, axis), rows) in enumerate(found.groupby(["measurement", "axis"], sort=False), 1):
+    keys = found[["measurement", "axis"]].drop_duplicates().astype(str).to_numpy().tolist()
+    for position, (name, axis) in enumerate(keys, 1):
+        rows = found[(found["measurement"] == name) & (found["axis"] == axis)]
         shown = rows.drop(columns=["measurement", "axis", "std"], errors="ignore")
         shown = shown.rename(columns={"low": "95 % from", "high": "to"}).fillna({"note": ""})
         plot = None
