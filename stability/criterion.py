@@ -314,7 +314,7 @@ def _judged(
     findings = [too_few_turns(part, base) or judge(e) for e in found]
     worst = _deciding(found, findings)
     evidence, finding = found[worst], findings[worst]
-    said_speed = other_speed(part, base, fitting, band) if finding.verdict == "chatter" else ""
+    said_speed = other_speed(part, base, fitting, band, finding.frequency) if finding.verdict == "chatter" else ""
     chatters = finding.verdict == "chatter"
     verdict = ChatterVerdict(
         verdict=finding.verdict,

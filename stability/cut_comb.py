@@ -68,9 +68,34 @@ def other_teeth(part: CutPart, teeth: int) -> tuple[int, str]:
     )
 
 
-def other_speed(part: CutPart, base: float, teeth: int, band: tuple[float, float]) -> str:
-    """Return a sentence where the lines fit another speed far better than the one they are judged at."""
+def other_speed(part: CutPart, base: float, teeth: int, band: tuple[float, float], line: float) -> str:
+    """Return a sentence where the lines fit another speed far better than the one they are judged at.
+
+    Parameters
+    ----------
+    part : CutPart
+        What is judged, at constant speed.
+    base : float
+        Spindle frequency it is judged at [Hz].
+    teeth : int
+        Number of teeth.
+    band : (float, float)
+        Frequencies [Hz].
+    line : float
+        The line that was found [Hz].
+    """
     spectrum = hann_spectrum(part.samples, part.dt, band)
+    end = spectrum.frequency[-1]
+
+    def seen_of(spacing: float) -> int:
+        return sum(stands_out(spectrum, k * spacing, 0.5 * k) for k in range(1, 6) if k * spacing < end)
+
+    if seen_of(teeth * base) == 0 and seen_of(line) >= 4:
+        return (
+            f"no harmonic of {teeth} teeth at {60.0 * base:.4g} rpm stands out, but {seen_of(line)} of the first five "
+            f"multiples of {line:.4g} Hz do, which is the tooth passing frequency at {60.0 * line / teeth:.4g} rpm: "
+            "check the speed"
+        )
     found = spindle_from_lines(spectrum, teeth, (0.4 * base, 2.5 * base))
     if found is None or abs(found / base - 1.0) < 0.02:
         return ""

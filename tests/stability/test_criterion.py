@@ -594,7 +594,14 @@ def test_a_loud_entry_does_not_hide_the_cut():
 def test_a_speed_stated_wrong_by_more_than_the_tolerance_is_not_called_chatter_in_silence():
     found = judge(cut_record(runout=(3.0, 2.0, 2.0), tooth=(10.0, 8.0, 7.0, 5.0, 4.0)), rpm=1.04 * RPM)
     assert found.verdict != "stable"
-    assert found.verdict == "undecided" or "fit 1500 rpm far better" in found.reason
+    assert found.verdict == "undecided" or "check the speed" in found.reason
+
+
+def test_a_tooth_comb_at_another_speed_is_said_where_the_stated_one_has_no_line():
+    # stated 10 % fast, run-out as high as half the teeth: spindle or teeth cannot be told from the spacing
+    found = judge(cut_record(tooth=(10.0, 9.0, 8.0, 6.0, 5.0), runout=(7.0, 7.0, 7.0)), rpm=1.1 * RPM)
+    assert "check the speed" in found.reason
+    assert "at 1500 rpm" in found.reason
 
 
 def test_the_picture_of_a_long_record_is_small():
