@@ -198,7 +198,8 @@ def _plausible(where: Window, found: Local, number: int) -> bool:
     height = np.hypot(found.coefficient[2 * number], found.coefficient[2 * number + 1])
     last = 2 * len(found.poles) - 2
     height = np.minimum(height, np.hypot(found.coefficient[last], found.coefficient[last + 1]))
-    return bool(np.max(height / np.abs(where.curves.values).max(axis=1)) > STANDING)
+    size = np.abs(where.curves.values).max(axis=1)
+    return bool(np.any(height > STANDING * size))
 
 
 def _places(fit: PoleFit) -> list[tuple[float, float]]:

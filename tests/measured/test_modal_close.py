@@ -90,6 +90,13 @@ def test_a_peak_without_a_mode_is_named_in_every_output(tmp_path: Path) -> None:
     assert json.loads(json.dumps(_as_json(fit)))["unexplained_Hz"] == [640.0]
 
 
+def test_entries_that_are_zero_do_no_harm() -> None:
+    """A rigid direction: the response of the second place is zero on every line, and no noise is stated."""
+    shapes = np.stack([np.ones(3), np.zeros(3)], axis=1)
+    table = fit_modes(responses(FINE, PAIR[[0, 1, 3]], shapes)).table()
+    assert table["frequency_Hz"].to_numpy() == pytest.approx(PAIR[[0, 1, 3], 0], rel=1e-4)
+
+
 def test_a_clean_fit_leaves_nothing_unexplained() -> None:
     fit = fit_modes(responses(FINE, PAIR[[0, 1, 3]], np.ones((3, 1)), level=1e-2, seed=3))
     assert len(fit.table()) == 3
