@@ -345,25 +345,31 @@ def find_pole(
     Returns
     -------
     complex or None
-        None where none is found inside the band.
+        None where none is found that explains a fifth of what is left without it.
     """
     centre, half = np.array([0.5 * (band[0] + band[1])]), 0.5 * (band[1] - band[0])
     least = 0.05 * min(r.spacing for r in records)
     rest = all(r.rest for r in records)
-    pole, best, cost = start, None, np.inf
+    scale = weight[:, 0].mean(axis=0)
+
+    def left(found: Local) -> float:
+        return float(np.sum(scale * found.noise[0]))
+
+    before = left(solve_either(sums_of(records, centre, half, others), weight, None, rest))
+    pole, best, cost = start, None, WORTH * before
     for _ in range(steps):
         poles = np.append(others, pole)
         found = solve_either(sums_of(records, centre, half, poles), weight, None, rest)
-        total = float(np.sum(found.noise))
+        total = left(found)
         if not np.isfinite(total):
             break
         if total < cost:
             best, cost = pole, total
         one, two = found.coefficients[0, :, -2], found.coefficients[0, :, -1]
-        size = np.sum(weight[:, 0].mean(axis=0) * np.abs(one) ** 2)
+        size = np.sum(scale * np.abs(one) ** 2)
         if not size > 0.0:
             break
-        move = complex(np.sum(weight[:, 0].mean(axis=0) * one.conj() * two) / size) * pole.imag
+        move = complex(np.sum(scale * one.conj() * two) / size) * pole.imag
         move *= min(1.0, 0.7 * pole.imag / max(abs(move), 1e-300))
         pole = complex(np.clip(pole.real + move.real, *band), max(pole.imag + move.imag, least))
         if abs(move) < 1e-4 * pole.imag:
@@ -442,6 +448,9 @@ def _uneven(
 
 Chosen = tuple[Local, Real, NDArray[np.bool_]]
 """What `choose` returns."""
+
+WORTH = 0.8
+"""Residual with a pole, of that without it, above which the pole is none."""
 
 RESOLVED = 2.0
 """Lines that the half-power band of a resonance has to hold; of one that is narrower nothing is claimed."""
