@@ -12,6 +12,7 @@ the force taken as white: half of that is then taken out, and all of it charged.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,7 @@ from smfe.local_response import Local, RecordLines, choose, half_widths, solve_e
 from smfe.spectra import check_records
 from smfe.sweep_estimate import in_words
 from smfe.sweep_estimators import LocalPolynomial
-from smfe.welch import averaged_blocks
+from smfe.welch import LEAKED, averaged_blocks
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -89,6 +90,7 @@ def identify_continuous(
         columns = [_local(g, frequency) for g in groups]
     else:
         frequency, columns = averaged_blocks(groups, band, resolution, chosen)
+        columns = [_against(c, _local(g, frequency), frequency) for c, g in zip(columns, groups, strict=True)]
     known = [np.isfinite(c.compliance).any(axis=1) for c in columns]
     if not np.any(known):
         raise InputError(
@@ -146,6 +148,25 @@ def _local(g: Records, frequency: Real) -> Column:
         tuple(_about(g, frequency, width, _clearly(bent, found), narrow, widths[0], step)),
     )
     return column_of(g, frequency, response)
+
+
+def _against(blocks: Column, whole: Column, frequency: Real) -> Column:
+    """Return averages of blocks whose error knows what the lines of the whole record say otherwise.
+
+    A resonance far narrower than a block leaks from blocks of any length alike, and nothing in them shows it.
+    """
+    with np.errstate(invalid="ignore"):
+        away = np.abs(blocks.compliance - whole.compliance) ** 2
+        beyond = np.nan_to_num(np.maximum(away - 2.0 * (blocks.variance + whole.variance), 0.0))
+        lost = np.asarray((beyond > (LEAKED * np.abs(whole.compliance)) ** 2).any(axis=1))
+    notes = blocks.notes
+    if lost.any():
+        notes += (
+            f"excitation {blocks.axis}: in {in_words(frequency, lost)} blocks are too short for a resonance that the "
+            "whole record resolves; nothing is claimed there: take estimator out",
+        )
+    cut = np.where(lost, np.nan, 1.0)[:, None]
+    return replace(blocks, compliance=blocks.compliance * cut, variance=blocks.variance + beyond, notes=notes)
 
 
 def at_rest(motion: Real) -> bool:

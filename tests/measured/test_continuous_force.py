@@ -117,8 +117,7 @@ def test_noise_of_the_force_lowers_h1_and_not_hv() -> None:
         identify_continuous(e, {"x": [record]}, resolution=0.5, estimator=e, frequency_range=(20.0, 120.0)).compliance
         for e in ("H1", "Hv")
     )
-    truth = exact(low["frequency"].values)
-    ratio = [np.median((c["compliance"].values[:, 0, 0] / truth).real) for c in (low, right)]
+    ratio = [np.nanmedian((c["compliance"].values[:, 0, 0] / exact(c["frequency"].values)).real) for c in (low, right)]
     assert ratio[0] == pytest.approx(0.95, abs=0.01)
     assert ratio[1] == pytest.approx(1.0, abs=0.015)
     whole = identify_shaken("whole", {"x": [record]}, frequency_range=(20.0, 120.0))
