@@ -32,6 +32,7 @@ _EXCITED = 1e-3
 _NEIGHBOURS = 9
 _DIFFERENCE = 5
 _WIDE = 41
+_STOPPED, _SLOW = 0.01, 0.05  # share of the time, and of the feed, below which an axis counts as stopped
 
 LARGEST_MISFIT = 3.0
 """Misfit above which `fit_open_loop` refuses: Eq. (2) is then not what was measured."""
@@ -265,6 +266,7 @@ def open_loop_response(
     skip: int = 1,
     hold: float = 0.0,
     band: tuple[float, float] = (0.0, math.inf),
+    dry_friction: bool = True,
 ) -> xr.Dataset:
     """Return the response of carriage position to drive force from a record with periodic excitation, as in Figure 12.
 
@@ -293,6 +295,9 @@ def open_loop_response(
         command of a sampled servo, which else reads as half a sample of dead time; 0 where the force is measured.
     band : tuple of float, optional
         Lowest and highest frequency [Hz].
+    dry_friction : bool, optional
+        Whether the guideways may stick: an axis that stops or turns round in each period is then refused, because what
+        Coulomb friction does there repeats with the period on all lines alike and passes for mass and stiffness.
 
     Returns
     -------
@@ -305,10 +310,12 @@ def open_loop_response(
     Raises
     ------
     InputError
-        When a channel is missing, the period is not a whole number of samples, fewer than 2 periods are left, or no
-        line is excited in the band.
+        When a channel is missing, the period is not a whole number of samples, fewer than 2 periods are left, no
+        line is excited in the band, or the axis stops or turns round.
     """
-    force, position = _periods_of(record, axis, period, skip)
+    force, position, feed = _periods_of(record, axis, period, skip)
+    if dry_friction:
+        _require_sliding(position.mean(axis=0), feed, period, band[1])
     if not 0.0 <= hold <= sample_interval(record) * (1.0 + 1e-6):
         raise InputError(
             f"a hold of {hold:g} s; give 0, or the sampling interval of the record, {sample_interval(record):g} s"
@@ -371,8 +378,8 @@ def _distortion(frequency: Real, response: Complex, force: Real, noise: Real) ->
 
 def _periods_of(
     record: xr.Dataset, axis: str, period: float, skip: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Drive force and position without its ramp, each (periods, samples a period)."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Drive force and position without its ramp, each (periods, samples a period), and the slope of the ramp [m/s]."""
     for channel in ("encoder_position", "drive_force"):
         if axis not in axis_present(record, channel):
             raise InputError(f"the record has no {channel} on axis {axis!r}; the open loop is read from both channels")
@@ -394,7 +401,23 @@ def _periods_of(
     )
     slope = float(np.mean(position[n:] - position[:-n])) / n
     ramp = slope * np.arange(count * n)
-    return force.reshape(count, n), (position - position[0] - ramp).reshape(count, n)
+    return force.reshape(count, n), (position - position[0] - ramp).reshape(count, n), slope / dt
+
+
+def _require_sliding(position: Real, feed: float, period: float, highest: float) -> None:
+    """Refuse a period, mean position (n,) without its ramp, in which the velocity [m/s] falls to nothing."""
+    n = position.size
+    frequency = np.arange(n // 2 + 1) / period
+    spectrum = np.fft.rfft(position) * 2j * np.pi * frequency
+    spectrum[(frequency > highest) | (frequency >= 0.4 * n / period)] = 0.0
+    velocity = np.sign(feed) * (feed + np.fft.irfft(spectrum, n))
+    if np.quantile(velocity, _STOPPED) <= _SLOW * abs(feed):
+        raise InputError(
+            f"the axis stops or turns round within each period: at a feed of {6e4 * abs(feed):.4g} mm/min the "
+            f"excitation moves it by {6e4 * float(np.std(velocity)):.4g} mm/min (root mean square). Friction that "
+            "sticks then passes for mass and stiffness: move the axis faster, or excite it less. Without dry friction "
+            "(air or hydrostatic bearings) give dry_friction=False"
+        )
 
 
 PARAMETERS: tuple[str, ...] = ("moving_mass", "tip_mass", "stiffness", "damping", "sigma", "delay")

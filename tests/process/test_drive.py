@@ -329,7 +329,7 @@ def as_read(run: tuple[np.ndarray, np.ndarray, np.ndarray], seed: int | None = N
 
 
 Run = tuple[np.ndarray, np.ndarray, np.ndarray]
-BAND = {"hold": 0.5e-3, "band": (3.0, 200.0)}
+BAND = {"hold": 0.5e-3, "band": (3.0, 200.0), "dry_friction": False}
 
 
 def test_whole_periods_give_the_open_loop_without_leakage(clean_run: Run) -> None:
@@ -344,7 +344,7 @@ def test_whole_periods_give_the_open_loop_without_leakage(clean_run: Run) -> Non
     assert error[np.abs(f - 61.4) > 2.0].max() < 1e-3
     assert measured["coherence"].values.min() > 1.0 - 1e-6
     # Without the hold it is half a sample that reads as dead time.
-    other = open_loop_response(as_read(clean_run), "y", LENGTH * TICK, skip=3, band=(3.0, 50.0))
+    other = open_loop_response(as_read(clean_run), "y", LENGTH * TICK, skip=3, band=(3.0, 50.0), dry_friction=False)
     turned = other["response"].values / exact[: other.sizes["frequency"]]
     np.testing.assert_allclose(np.angle(turned), -np.pi * other["frequency"].values * 0.5e-3, atol=1e-3)
 
@@ -386,7 +386,7 @@ def test_noise_that_goes_around_a_closed_loop_does_not_bias_the_response() -> No
     record = make_record(
         np.arange(n * count) * 1e-3, {"encoder_position": {"x": position}, "drive_force": {"x": force}}
     )
-    measured = open_loop_response(record, "x", 0.064, skip=0)
+    measured = open_loop_response(record, "x", 0.064, skip=0, dry_friction=False)
     score = (measured["response"] - 2.0) / measured["std"]
     assert float(np.mean(np.abs(score) ** 2)) == pytest.approx(1.0, abs=0.5)
     f_p, x_p = (np.fft.rfft(v.reshape(count, n), axis=1)[:, 1:32] for v in (force, position))
@@ -401,7 +401,7 @@ def test_lines_that_the_force_does_not_excite_are_left_out() -> None:
     force = sum(np.cos(2.0 * np.pi * k * t + k**2) for k in (3, 5, 9, 11))
     position = sum(0.1 * np.cos(2.0 * np.pi * k * t + k**2 - 1.0) for k in (3, 5, 9, 11)) + 0.02 * t
     record = make_record(t, {"encoder_position": {"x": position}, "drive_force": {"x": force}})
-    measured = open_loop_response(record, "x", 1.0)
+    measured = open_loop_response(record, "x", 1.0, dry_friction=False)
     np.testing.assert_allclose(measured["frequency"], [3.0, 5.0, 9.0, 11.0])
     np.testing.assert_allclose(measured["response"], 0.1 * np.exp(-1j), rtol=1e-9)
 
@@ -417,4 +417,4 @@ def test_a_record_without_whole_periods_is_refused(clean_run: Run) -> None:
         (("y", LENGTH * TICK), {"band": (300.1, 300.2)}, "widen the band"),
     ):
         with pytest.raises(InputError, match=message):
-            open_loop_response(record, *arguments, **options)  # type: ignore[arg-type]
+            open_loop_response(record, *arguments, dry_friction=False, **options)  # type: ignore[arg-type]

@@ -106,7 +106,7 @@ def test_the_force_of_a_sampled_servo_has_no_dead_time_where_the_record_is_low_p
     record = simulate_machine(
         axis, duration=e.end, drive_forces={"x": e}, control=control, sample_rate=1000.0, step=2.5e-4
     )
-    found = open_loop_response(record, "x", e.period, skip=5, band=(4.0, 50.0))
+    found = open_loop_response(record, "x", e.period, skip=5, band=(4.0, 50.0), dry_friction=False)
     exact = Drive(23.1, 11.3, 1.68e6, 104.0, None, 168.0).open_loop(found["frequency"].values)
     late = np.angle(found["response"].values / exact) / (2.0 * np.pi * found["frequency"].values)
     assert abs(np.median(late)) < 1e-5
@@ -136,6 +136,22 @@ def test_table_1_comes_back_from_a_binary_sequence_within_what_friction_distorts
         assert abs(fit.drive.moving_mass - 23.1) < 3.0 * fit.std["moving_mass"] < 0.6
         assert abs(fit.drive.tip_mass - 11.3) < 3.5 * fit.std["tip_mass"] < 0.6
         assert abs(fit.delay) < 3e-5
+
+
+@pytest.mark.parametrize("amplitude", [60.0, 150.0, 300.0])
+def test_an_axis_that_the_excitation_stops_gives_no_masses(amplitude: float) -> None:
+    """Its friction repeats with the period on all lines alike: 4 to 21 % of mass too much, 4 to 8 stated deviations."""
+    record, e = bench_run(amplitude)
+    with pytest.raises(InputError, match=r"stops or turns round within each period: at a feed of 500 mm/min"):
+        fitted(record, e, 0)
+
+
+def test_just_before_the_excitation_stops_the_axis_the_masses_are_right() -> None:
+    record, e = bench_run(40.0)
+    for seed in range(3):
+        fit = fitted(record, e, seed)
+        assert abs(fit.drive.moving_mass - 23.1) < 2.0 * fit.std["moving_mass"] < 0.5
+        assert abs(fit.drive.tip_mass - 11.3) < 3.0 * fit.std["tip_mass"] < 0.6
 
 
 def test_a_response_that_eq_2_does_not_describe_is_refused() -> None:
