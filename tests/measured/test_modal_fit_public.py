@@ -26,6 +26,7 @@ def tool_point(names: str) -> ResponseMatrix:
     return ResponseMatrix(tables[0][:, 0], values, ("1",), tuple(names)).within(600.0, 3500.0)
 
 
+@pytest.mark.slow
 def test_the_tool_point_has_the_modes_that_its_author_picked() -> None:
     """1074, 1961 and 2617 Hz by peak picking: a mode within 2 % of each; the whole curve is described to 10 %.
 
