@@ -81,7 +81,13 @@ def relative(found: Identification, at: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed"), [("random", 900), ("burst", 901), ("linear chirp", 902), ("logarithmic chirp", 903)]
+    ("kind", "seed"),
+    [
+        ("random", 900),
+        ("linear chirp", 902),
+        pytest.param("burst", 901, marks=pytest.mark.slow),
+        pytest.param("logarithmic chirp", 903, marks=pytest.mark.slow),
+    ],
 )
 def test_intervals_hold_the_truth_of_any_force_that_does_not_repeat_itself(kind: str, seed: int) -> None:
     drawn = draw(seed, kind)
@@ -97,7 +103,7 @@ def test_a_resonance_narrower_than_blocks_resolve_is_right() -> None:
     assert 140.0 not in blocks.compliance["frequency"].values
 
 
-@pytest.mark.parametrize("estimator", ["H1", "Hv", "H2"])
+@pytest.mark.parametrize("estimator", ["H1", *(pytest.param(e, marks=pytest.mark.slow) for e in ("Hv", "H2"))])
 def test_averages_of_blocks_hold_the_truth(estimator: str) -> None:
     """40 s in blocks of 5 s, 1 % of noise on both."""
     record = shaken(noise_between(10.0, 380.0, 40.0), noise=0.01, force_noise=0.01, quiet=512)
