@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import fft, ndimage
 
 from process.labels import axis_present, sample_interval
@@ -37,6 +37,9 @@ WINDOW = 1.0
 
 ALIKE = 0.1
 """Relative standard deviation of a noise power that no number of lines takes away: it need not be white."""
+
+BOUNDED = 0.8
+"""Relative standard deviation of a noise power of which only a bound is known."""
 
 SAME = 2.5
 """Pieces of air belong to the quietest while they are louder by fewer standard deviations of their logarithm."""
@@ -113,7 +116,7 @@ def force_noise(records: Sequence[xr.Dataset], axes: list[str], reach: tuple[flo
         floors += _floor_of_cut(force, np.flatnonzero(in_cut(record)), dt, reach)
     bound = np.median(floors, axis=0) if floors else np.full(len(axes), np.inf)
     if not pieces:
-        return ForceNoise(bound, 0.8, False) if floors else None
+        return ForceNoise(bound, BOUNDED, False) if floors else None
     together = [
         _quietest(np.array([p[0][i] for p in pieces]), np.array([p[1] for p in pieces])) for i in range(len(axes))
     ]
@@ -122,12 +125,8 @@ def force_noise(records: Sequence[xr.Dataset], axes: list[str], reach: tuple[flo
 
 
 def _quietest(power: Real, lines: Real) -> tuple[float, float]:
-    """Return the mean power of the pieces that are as quiet as the quietest, and its relative standard deviation.
-
-    The logarithm of a median of n lines of noise scatters by ``sqrt(pi/2/n)``, and neighbouring lines of a Hann window
-    share 1.5 of a line.
-    """
-    independent = lines / (1.5 * 0.5 * np.pi)
+    """Return the mean power of the pieces that are as quiet as the quietest, and its relative standard deviation."""
+    independent = 1.0 / median_spread(lines) ** 2
     total, weight = 0.0, 0.0
     for i in np.argsort(power):
         apart = SAME * np.sqrt(1.0 / independent[i] + (1.0 / weight if weight else 0.0))
@@ -135,6 +134,20 @@ def _quietest(power: Real, lines: Real) -> tuple[float, float]:
             break
         total, weight = total + independent[i] * power[i], weight + independent[i]
     return total / weight, float(1.0 / np.sqrt(max(weight, 1.0)))
+
+
+def median_spread(lines: ArrayLike) -> Real:
+    """Return the relative standard deviation of a noise power that is a median of lines.
+
+    The logarithm of a median of n lines of noise scatters by ``sqrt(pi/2/n)``, and neighbouring lines of a Hann window
+    share 1.5 of a line.
+
+    Parameters
+    ----------
+    lines : array_like
+        Lines of a Hann window.
+    """
+    return np.asarray(np.sqrt(1.5 * 0.5 * np.pi / np.maximum(lines, 1.0)))
 
 
 def density_of(samples: Real, dt: float, reach: tuple[float, float], quantile: float) -> tuple[Real, float]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, stats
 
 from process.errors import InputError
 from smfe.force_noise import force_noise
@@ -71,6 +71,8 @@ MOST_OPEN = 0.3
 LARGEST_SHARE = 0.7
 """Share of noise in the weakest direction of the forces above which a frequency is not solved."""
 
+LACK_REACH = 4.0
+"""Distance to either side over which what a model lacks is pooled [Hz]."""
 
 FALSE_ALARM = 0.01
 """Probability with which noise makes a row of a rational model that is right disagree with a band anywhere."""
@@ -574,9 +576,11 @@ def _with_rational(
         narrower = found.half_width >= width - 1e-12
         agrees &= ~narrower | (difference(model, s) <= limit)
     agrees = ndimage.median_filter(agrees, size=(5, 1), mode="mirror")
-    covariance = covariance + _lack_of_fit(model, found, estimator)
-    narrower_std = np.sum(np.diagonal(covariance, axis1=2, axis2=3).real, axis=2) < np.sum(found.std**2, axis=2)
-    take = agrees & narrower_std
+    lack, contradicted = lack_of_fit(model, found, estimator)
+    size = np.sum(found.std**2, axis=2)
+    charged = np.sum(np.diagonal(covariance + lack, axis1=2, axis2=3).real, axis=2)
+    take = agrees & (np.sum(model.std**2, axis=2) < size) & ~(contradicted & (charged >= size))
+    covariance = covariance + lack
     linear = np.where(take[..., None, None], fit.linear * scale, found.covariance)
     both = (take[:, :, None] & take[:, None, :])[:, :, None, :, None]
     between = noise_between(linear, *noise, np.where(take, np.inf, found.half_width)) + np.where(
@@ -609,21 +613,46 @@ def model_agreement(estimator: LocalPolynomial, widths: Sequence[float], excitat
     return max(estimator.agreement, math.sqrt(math.log(looks / FALSE_ALARM)))
 
 
-def _lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial, reach: float = 4.0) -> Complex:
-    """Return the variance that the model lacks: what it differs from the bands by, beyond their noise, within `reach`.
+def lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial) -> tuple[Complex, NDArray[np.bool_]]:
+    """Return the variance that a model lacks, and whether noise alone leaves no such difference.
 
-    A wrong model differs everywhere a little; pooled over neighbouring frequencies this shows before a single line
-    does.
+    It lacks what it differs from the bands by, beyond their noise. A wrong model differs everywhere a little; pooled
+    over neighbouring frequencies this shows before a single line does. Of noise alone the pooled square is a mean of
+    independent exponential variables, a gamma variable, often half as large again as its mean where bands are wide:
+    that is charged, but no reason to leave a model for a band of several times its variance.
+
+    Parameters
+    ----------
+    model : Estimate
+        The rational model.
+    found : Estimate
+        The bands that were chosen beside it, with their half widths.
+    estimator : LocalPolynomial
+        Its settings.
+
+    Returns
+    -------
+    ndarray, shape (f, r, e, e)
+        Variance to add [m2/N2].
+    ndarray of bool, shape (f, r)
+        Where the bands contradict the model, with `FALSE_ALARM` in a whole sweep.
     """
     assert found.half_width is not None
     variance = np.maximum(found.std**2, 1e-300)
     scale = variance + (SAME * np.abs(found.compliance)) ** 2
     ratio = np.nan_to_num(np.abs(model.compliance - found.compliance) ** 2 / scale, nan=1.0).mean(axis=2)
-    size = 2 * round(reach / estimator.resolution) + 1
-    pooled = ndimage.uniform_filter1d(ratio, size, axis=0, mode="nearest")
-    independent = found.compliance.shape[2] * np.maximum(reach / found.half_width, 1.0)
+    size = 2 * round(LACK_REACH / estimator.resolution) + 1
+    inside = ndimage.uniform_filter1d(np.ones_like(ratio), size, axis=0, mode="constant")
+    pooled = ndimage.uniform_filter1d(ratio, size, axis=0, mode="constant") / inside
+    independent = found.compliance.shape[2] * np.maximum(LACK_REACH / found.half_width, 1.0)
     beyond = np.where(pooled > 1.0 + 1.0 / np.sqrt(independent), pooled - 1.0, 0.0)
-    return np.asarray(beyond[..., None, None] * np.eye(variance.shape[2]) * variance[..., None, :])
+    # The entries of a row err alike, in the weakest direction of the forces: they count as one.
+    widths, which = np.unique(found.half_width, return_inverse=True)
+    lines = np.array([estimator.error_lines(float(w)) for w in widths])[which.reshape(ratio.shape)]
+    number = size * inside / lines
+    looks = ratio.size / size + ratio.shape[1]
+    contradicted = stats.gamma.sf(pooled * number, number) < FALSE_ALARM / looks
+    return np.asarray(beyond[..., None, None] * np.eye(variance.shape[2]) * variance[..., None, :]), contradicted
 
 
 def _about_noise(found: Estimate, loss: Complex, noise: _Noise | None, frequency: Real) -> Estimate:

@@ -24,7 +24,7 @@ from scipy import special
 from process.cutting import CuttingCoefficients, force_harmonics, force_projection
 from process.engagement import Engagement, engagement
 from process.tool import Tool
-from smfe.force_noise import MARGIN, SHORTEST
+from smfe.force_noise import ALIKE, BOUNDED, MARGIN, SHORTEST, median_spread
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -320,7 +320,7 @@ class ForceSensor:
     subtracted : bool
         Whether the air shows it, so that it is taken out of the normal equations.
     known : float
-        Relative standard deviation of what the air shows.
+        Relative standard deviation of what the air shows, or of what is only bounded.
     """
 
     density: Real
@@ -337,8 +337,8 @@ def force_sensor(
 ) -> ForceSensor:
     """Return what the records of a plan will tell of the noise of their forces (`smfe.force_noise`).
 
-    The air is seen where the force is less than half of that in the cut; its lines within the band, two thirds of them
-    independent, give the relative standard deviation ``1/sqrt(lines)``.
+    The air is seen where the force is less than half of that in the cut; the median of its lines within the band is
+    known to `smfe.force_noise.median_spread` and no better than `smfe.force_noise.ALIKE`.
 
     Parameters
     ----------
@@ -362,8 +362,7 @@ def force_sensor(
     loud = [float(level.rms @ level.rms) > 3.0 * float(square.sum()) for level in levels]
     pieces = [t - MARGIN for t in (plan.lead, plan.tail) if t - MARGIN >= SHORTEST]
     lines = plan.repeats * sum(loud) * sum(pieces) * (band[1] - band[0])
-    # Two thirds of the lines of a Hann window are independent.
-    known = 1.0 / math.sqrt(max(lines / 1.5, 1.0)) if lines else 0.0
+    known = float(np.hypot(median_spread(lines), ALIKE)) if lines else BOUNDED
     return ForceSensor(square / sample_rate, bool(lines), known)
 
 

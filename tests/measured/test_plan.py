@@ -5,16 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.integrate import quad
 
 from process.compliance import ModalModel
 from process.cutting import CuttingCoefficients, force_projection
 from process.engagement import engagement
 from process.errors import InputError
+from process.labels import make_record
 from process.simulate import MillingCut, Spindle, simulate_milling
 from process.tool import Tool
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
+from smfe.force_noise import ALIKE, BOUNDED, force_noise
 from smfe.least_squares import condition_number
+from smfe.local_polynomial import MODEL_ERROR
 from smfe.plan_errors import Instruments, error_interval, expected, relative_error
 from smfe.plan_forces import (
     Forces,
@@ -23,6 +27,7 @@ from smfe.plan_forces import (
     edge_factor,
     energy,
     force_level,
+    force_sensor,
     orders_within,
     unit_harmonics,
 )
@@ -253,6 +258,59 @@ def test_noise_of_the_model_falls_with_the_root_of_the_repeats_and_not_below_wha
     trace = 0.25 * np.sum(density[:, None, :] * variance / noise[:, :, None], axis=0)
     functions = once.attrs["poles"] + 3
     assert (trace > 0.9 * functions).all()
+
+
+def quiet_ends(plan: SweepPlan, rms: float, rng: np.random.Generator) -> list[xr.Dataset]:
+    """One record a pass at 1 kHz: a force of 500 N at the rising tooth passing, and noise, in the air, too."""
+    time = np.arange(round(plan.record * 1000.0)) / 1000.0
+    inside = time - plan.lead
+    low, high = plan.tooth_passing
+    turn = 2.0 * math.pi * (low * inside + 0.5 * (high - low) / plan.duration * inside**2)
+    force = np.where((inside >= 0.0) & (inside <= plan.duration), 500.0 * np.sin(turn), 0.0)
+    noise = rms * rng.standard_normal((plan.records, 3, time.size))
+    return [make_record(time, {"force": dict(zip("xyz", force + n, strict=True))}) for n in noise]
+
+
+def test_what_the_air_says_of_the_noise_of_the_forces_is_foreseen() -> None:
+    plan, band = published(duration=8.0), (25.0, 65.0)
+    foreseen = force_sensor(plan, MATERIAL, (20.0, 20.0, 20.0), 1000.0, band)
+    rng = np.random.default_rng(4)
+    seen = [force_noise(quiet_ends(plan, 20.0, rng), ["x", "y", "z"], band) for _ in range(12)]
+    assert all(s is not None and s.air for s in seen)
+    assert foreseen.subtracted
+    stated = np.median([s.spread for s in seen if s is not None])
+    assert foreseen.known == pytest.approx(stated, rel=0.1)
+    assert foreseen.known > ALIKE
+    scatter = np.array([s.density for s in seen if s is not None]) / foreseen.density
+    assert np.mean(scatter) == pytest.approx(1.0, abs=3.0 * foreseen.known / 6.0)
+    assert np.std(scatter) < 1.3 * foreseen.known
+
+
+def test_without_air_nothing_is_taken_out_and_frequencies_that_noise_leaves_open_are_not_solved() -> None:
+    """Known to a bound only, noise costs up to its whole share: a third of the compliance and more is refused."""
+    plan = published(duration=10.0, lead=0.0, tail=0.0)
+    sensor = force_sensor(plan, MATERIAL, (100.0, 100.0, 100.0), 2000.0, (20.0, 80.0))
+    assert not sensor.subtracted
+    assert sensor.known == BOUNDED
+    quiet, loud, aired = (
+        expected(p, MATERIAL, ESTIMATE, Instruments(SENSORS.acceleration_noise, (n, n, n), 2000.0), FREQUENCY)
+        for p, n in ((plan, 5.0), (plan, 150.0), (replace(plan, lead=0.5, tail=2.0), 150.0))
+    )
+    lost = [float(np.isinf(found["force_condition"]).mean()) for found in (quiet, loud, aired)]
+    assert lost[0] == 0.0
+    assert lost[1] > 0.5
+    assert lost[2] < 0.5 * lost[1]
+    assert loud.attrs["force_noise_ratio"] > 1.0
+
+
+def test_no_sweep_is_expected_to_err_less_than_the_estimator_with_perfect_sensors() -> None:
+    perfect = expected(published(), MATERIAL, ESTIMATE, Instruments((0.0,) * 3, (0.0,) * 3, 2000.0), FREQUENCY)
+    row = np.sqrt(np.mean(np.abs(MACHINE.matrix(FREQUENCY)) ** 2, axis=2, keepdims=True))
+    assert (perfect["compliance_std"].values >= 0.999 * MODEL_ERROR * row).all()
+    # Which is an order of magnitude: a sweep may err by a third of it.
+    low, high = error_interval(perfect["error_freedom"].values, 0.95)
+    assert low.max() < 0.4
+    assert high.min() > 1.5
 
 
 def test_records_too_short_for_the_estimator_are_refused() -> None:
