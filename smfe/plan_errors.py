@@ -58,10 +58,9 @@ from smfe.sweep_estimators import BANDS, LocalPolynomial
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-UNKNOWN = 0.13
+UNKNOWN = 0.1
 """Relative standard deviation of the expected error itself: forces by cutting coefficients that are known to a tenth,
-poles and orders that the noise chooses. Such that 95 % of the entries of noisy sweeps of 33 simulated machines lie in
-their intervals."""
+poles and orders that the noise chooses."""
 
 POINTS = 16
 """Points at which a band is sampled, at least; 16 a Hertz of half width."""
