@@ -2,7 +2,8 @@
 
 ``python tests/exam/limits_agree.py docs/limits_table.md`` writes the table; `make strangers` calls it. What has been
 computed is kept in ``.cache/limits_agree`` and not computed again; ``--afresh`` forgets it: after every change of a
-method. ``--first 812000 --cuts 300 --add`` writes more cuts below those that a table holds. A cut counts as a disagreement where the two limits are more than 0.5 % apart. It is settled by the multipliers
+method. ``--first 812000 --cuts 300 --add`` writes more cuts below those that a table holds. A cut counts as a
+disagreement where the two limits are more than 0.5 % apart. It is settled by the multipliers
 of `truth.milling_map`, which shares nothing with either: stable below a limit and unstable above it, or not.
 """
 
