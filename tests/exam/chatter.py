@@ -103,22 +103,18 @@ def table(rows: list[dict[str, object]]) -> str:
         for r in scored
         if r["tacho"]
     )
-    lines += [
-        "",
-        f"Between 0.9 and 1.1 times the limit ({sum(middle.values())} cuts): "
-        + ", ".join(f"{count} {name}" for name, count in sorted(middle.items()))
-        + ".",
-        f"A tooth too many or too few declared for stable cuts ({sum(planted.values())}): "
-        + ", ".join(f"{count} {name}" for name, count in sorted(planted.items()))
-        + " (said: the right number is named).",
-        f"Speed stated 4 % wrong ({sum(speed.values())} cuts): "
-        + ", ".join(f"{count} {name}" for name, count in sorted(speed.items()))
-        + ".",
-        f"From the tacho, no speed stated ({sum(tacho.values())} cuts): "
-        + ", ".join(f"{count} {name}" for name, count in sorted(tacho.items()))
-        + ".",
-    ]
-    return "\n".join(lines) + "\n"
+    said = (
+        ("Between 0.9 and 1.1 times the limit", middle, ""),
+        ("A tooth too many or too few declared for stable cuts", planted, " (said: the right number is named)"),
+        ("Speed stated 4 % wrong", speed, " (said: check the speed)"),
+        ("From the tacho, no speed stated", tacho, ""),
+    )
+    lines.append("")
+    for what, counts, more in said:
+        if counts:
+            found = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
+            lines.append(f"{what} ({sum(counts.values())} cuts): {found}{more}.")
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def main() -> None:
