@@ -135,9 +135,14 @@ def _line(e: Evidence) -> Finding | None:
     if e.ratio < e.threshold:
         reason = f"{what}, little below {e.threshold:g}, and it is a steady line: judge another axis or sensor as well"
         return Finding("undecided", e.ratio, frequency, reason)
-    if not e.line_like:
-        reason = f"{what}, but comes and goes like a mode that noise excites: cut longer, or compare with a lower depth"
-        return Finding("undecided", e.ratio, frequency, reason)
+    if not (e.line_like and e.spindle_seen):
+        but = (
+            f"no order of a spindle at {60.0 * e.base:.4g} rpm stands out of the noise: the tool does not cut, or "
+            "turns at another speed; check both"
+            if e.line_like
+            else "comes and goes like a mode that noise excites: cut longer, or compare with a lower depth"
+        )
+        return Finding("undecided", e.ratio, frequency, f"{what}, but {but}")
     return Finding("chatter", e.ratio, frequency, f"{what}, above {e.threshold:g}")
 
 

@@ -237,7 +237,7 @@ def chatter_verdict(
         rotation = _rotation(record, recorded, names, teeth, interval, frequency_range)
     least = DEFAULT_FLOOR[chosen] if floor is None else floor
 
-    def judged(stretch: tuple[float, float] | None) -> tuple[ChatterVerdict, bool]:
+    def judged(stretch: tuple[float, float] | None) -> tuple[ChatterVerdict, Evidence]:
         return _judged(
             record,
             rotation,
@@ -253,14 +253,15 @@ def chatter_verdict(
             half_order_reference,
         )
 
-    found, _ = judged(interval)
-    if interval is None and found.verdict != "chatter":
+    found, whole = judged(interval)
+    # What shows no spindle as a whole shows none in its parts.
+    if interval is None and (found.verdict == "stable" or (found.verdict == "undecided" and whole.spindle_seen)):
         for stretch in stretches(found.cut_s, found.interval_s, 2.0 * math.pi / rotation):
             try:
-                here, plain = judged(stretch)
+                here, there = judged(stretch)
             except InputError:
                 continue  # the speed changes there, or the stretch is too short for the band
-            if plain:
+            if here.verdict == "chatter" and there.plain and here.chatter_frequency_Hz == there.candidate[0]:
                 said = f"from {here.interval_s[0]:.3g} to {here.interval_s[1]:.3g} s alone: {here.reason}"
                 found = replace(here, reason=said, cut_s=found.cut_s)
                 break
@@ -286,8 +287,8 @@ def _judged(
     least: float,
     interval: tuple[float, float] | None,
     half_order_reference: float | None,
-) -> tuple[ChatterVerdict, bool]:
-    """Judge one interval of a record, or the last half of its cut; and say whether that is plain chatter."""
+) -> tuple[ChatterVerdict, Evidence]:
+    """Judge one interval of a record, or the last half of its cut, and return what the deciding axis shows."""
     part = judged_part(record, recorded, names, 2.0 * math.pi / rotation, interval)
     base, exact = spindle_frequency(record, part, rotation / (2.0 * math.pi), speed_tolerance)
     band = _band(frequency_range, part, teeth * base)
@@ -344,7 +345,7 @@ def _judged(
         try_rpm=_speeds_to_try(finding, evidence, teeth) if chatters else (),
         notes=tuple(note for note in (said, said_speed) if note),
     )
-    return verdict, chatters and evidence.plain and finding.frequency == evidence.candidate[0]
+    return verdict, evidence
 
 
 def _deciding(found: Sequence[Evidence], findings: Sequence[Finding]) -> int:

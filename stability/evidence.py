@@ -21,6 +21,7 @@ from stability.line_spectrum import (
     highest_visible_order,
     noise_rms,
     order_phasors,
+    stands_out,
     without_orders,
 )
 from stability.turns import windows
@@ -67,6 +68,9 @@ PLAINLY_NOISE = 1.9
 
 EXCITED = 4.0
 """Most that a mode that noise excites reaches, in thresholds [1]."""
+
+ORDERS_SEEN = 60
+"""Spindle orders of which one at least stands out of the noise where a tool cuts."""
 
 SHORT_TURNS = (24.0, 12.0)
 """Windows in which lines that drift are looked for [turns]."""
@@ -147,6 +151,13 @@ class Evidence:
     def drifts(self) -> bool:
         """Whether the candidate has been read in short windows."""
         return self.candidate[0] == self.short.frequency and self.candidate[1] == self.short.amplitude
+
+    @property
+    def spindle_seen(self) -> bool:
+        """Whether any of the first `ORDERS_SEEN` spindle orders stands out of the noise."""
+        first, last = float(self.spectrum.frequency[0]) / self.base, float(self.spectrum.frequency[-1]) / self.base
+        orders = range(max(1, math.ceil(first)), min(ORDERS_SEEN, math.floor(last)) + 1)
+        return any(stands_out(self.spectrum, order * self.base, 0.5) for order in orders)
 
     @property
     def highest(self) -> float:

@@ -155,6 +155,16 @@ def test_without_that_a_wrong_speed_is_no_chatter_but_an_open_question():
     assert "a speed that varies" in found.reason
 
 
+def test_a_machine_that_does_not_cut_does_not_chatter():
+    # a fan beside a machine that runs idle: one line, and no order of a spindle
+    idle = cut_record([(537.1, 3.0)], tooth=(), runout=(), air=0.0, noise=0.3)
+    found = judge(idle)
+    assert found.verdict == "undecided"
+    assert "no order of a spindle" in found.reason
+    # the same line in a cut, its teeth as quiet as the noise lets them be seen
+    assert judge(cut_record([(537.1, 3.0)], tooth=(0.2,), runout=(), air=0.0, noise=0.3)).verdict == "chatter"
+
+
 def test_the_spindle_angle_is_believed_where_it_is_recorded():
     record = cut_record(rpm=RPM * 1.008)
     record["spindle_angle"] = ("time", RPM * 1.008 * math.pi / 30 * record.time.values, {"units": "rad"})
@@ -333,7 +343,7 @@ def test_a_cut_without_tooth_line_is_measured_against_the_floor():
     assert found.verdict == "stable"
     assert "of the highest spindle order at 25" in found.reason
     assert math.isnan(found.tooth_passing_harmonic_Hz)
-    still = cut_record([(62.0, 0.12)], tooth=(), runout=(), noise=1e-5)
+    still = cut_record([(62.0, 0.12)], tooth=(), runout=(1e-3,), noise=1e-5)
     assert judge(still, floor=0.3).verdict == "undecided"
     assert judge(still, floor=1e-6).verdict == "chatter"
 
