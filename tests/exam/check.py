@@ -1,7 +1,7 @@
 """`smfe check` on random campaigns, and the run that follows: writes a table. ``check.py TABLE [--jobs N]``.
 
 Healthy campaigns must be silent; of campaigns with one planted fault, what the check passes the run must not refuse.
-Seeds 0 to 999 are scored; thresholds were chosen on seeds from 1000.
+Seeds 500 to 999 are scored; thresholds were chosen on seeds from 1000, and one of them on seed 35.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--healthy", type=int, default=50)
     parser.add_argument("--faults", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--first", type=int, default=500, help="first seed")
     given = parser.parse_args()
     jobs = [(given.first + k, False) for k in range(given.healthy)]
     jobs += [(given.first + k, True) for k in range(given.faults)]
