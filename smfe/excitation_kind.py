@@ -58,6 +58,10 @@ class Repetition:
     stretches: tuple[tuple[int, int], ...]
 
 
+SIDEWAYS = 0.1
+"""Rms of a force along another axis over that of the excitation above which it is said [1]."""
+
+
 def identify_shaken(
     name: str,
     records: Mapping[str, Sequence[xr.Dataset]],
@@ -98,6 +102,34 @@ def identify_shaken(
     InputError
         When the kinds of force differ, or the method refuses the records.
     """
+    found = _identified(name, records, period, settling, frequency_range, resolution, estimator)
+    return replace(found, warnings=(*found.warnings, *_other_forces(records)))
+
+
+def _other_forces(records: Mapping[str, Sequence[xr.Dataset]]) -> list[str]:
+    """Return what is to be said of forces along other axes than that of the excitation, which are not counted."""
+    said = []
+    for axis, group in records.items():
+        for k, record in enumerate(group):
+            rms = {str(a): float(record["force"].sel(axis=a).std()) for a in record["force"]["axis"].values}
+            for other in (a for a in rms if a != axis and rms[a] > SIDEWAYS * rms[axis]):
+                said.append(
+                    f"{record_source(record, k)}: the force along {other} is {100.0 * rms[other] / rms[axis]:.3g} % of "
+                    f"that along {axis}, and what it moves counts as moved by {axis}; align the exciter, or excite one "
+                    "axis at a time"
+                )
+    return said
+
+
+def _identified(
+    name: str,
+    records: Mapping[str, Sequence[xr.Dataset]],
+    period: float | None,
+    settling: float | None,
+    frequency_range: tuple[float, float] | None,
+    resolution: float | None,
+    estimator: str | None,
+) -> Identification:
     if estimator is not None:
         return _broadband(
             identify_continuous(

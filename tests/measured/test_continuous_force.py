@@ -213,3 +213,14 @@ def test_what_cannot_be_done_is_said() -> None:
         identify_shaken("dead", {"x": [_with_force(record, np.zeros(record.sizes["time"]))]}, estimator="H1")
     with pytest.raises(InputError, match="hold 0 blocks of 50 s"):
         identify_shaken("coarse", {"x": [record]}, estimator="H1", resolution=0.02)
+
+
+def test_a_force_along_another_axis_is_said_and_a_small_one_is_not() -> None:
+    record, rng = shaken(noise_between(20.0, 300.0, 16.0)), np.random.default_rng(3)
+    x = record["force"].sel(axis="x").values
+    motion = {"x": record["acceleration"].sel(axis="x").values}
+    for share, told in ((0.03, 0), (0.5, 1)):
+        forces = {"x": x, "y": share * x.std() * rng.standard_normal(x.size)}
+        both = make_record(record["time"].values, {"force": forces, "acceleration": motion})
+        found = identify_shaken("shaker", {"x": [both]})
+        assert sum("the force along y is" in w for w in found.warnings) == told
