@@ -9,17 +9,15 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from process._friction_kernels import friction_force
-from process.axis_simulation import as_machine, simulate_axis
-from process.drive import Drive
-from process.excitation import Excitation, HalfSine, SteppedSine
-from process.friction import Andersson, LuGre, Viscous
-from process.joints import Iwan
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_blows import Struck
-from process.machine_simulation import machine_motion
-from process.servo import Servo
-from process.structure import two_mass_axes
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.friction._kernels import friction_force
+from process.friction.laws import Andersson, LuGre, Viscous
+from process.machine.joints import Iwan
+from process.machine.machine import FeedAxis, Machine, MountedJoint
+from process.machine.structure import two_mass_axes
+from process.simulation.excitation import Excitation, HalfSine, SteppedSine
+from process.simulation.machine import Struck, as_machine, machine_motion, simulate_axis
 
 MM_MIN = 1.0 / 6e4
 FRICTION = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)

@@ -5,17 +5,16 @@ import time
 import numpy as np
 import pytest
 
-from process.axis_simulation import SteppedSine, simulate_axis
-from process.drive import Drive
-from process.equivalent_friction import equivalent_damping
-from process.friction import Andersson
-from process.harmonic_balance import SlidingAxis, quasi_frf, two_mass_compliance
-from process.machine import FeedAxis, Machine
-from process.machine_balance import quasi_compliance
-from process.multi_harmonic import multi_harmonic
-from process.servo import Servo
-from process.single_harmonic import single_harmonic
-from process.structure import two_mass_axes
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.friction.laws import Andersson
+from process.friction.linearised import equivalent_damping
+from process.harmonic_balance.many_harmonics import multi_harmonic
+from process.harmonic_balance.one_harmonic import single_harmonic
+from process.harmonic_balance.quasi_frf import SlidingAxis, quasi_compliance, quasi_frf, two_mass_compliance
+from process.machine.machine import FeedAxis, Machine
+from process.machine.structure import two_mass_axes
+from process.simulation.machine import SteppedSine, simulate_axis
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from process import engagement
+from process.cut import engagement
 from process.labels import make_compliance
 from smfe.demo_campaign import MACHINE, MATERIAL, TOOL
 from stability import floquet_multipliers, zero_order

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from process import directional_matrix, engagement
+from process import directional_matrix
+from process.cut import engagement
 from smfe.demo_campaign import MACHINE, MATERIAL, TOOL
 from stability import zero_order
 

@@ -1,13 +1,24 @@
 """The machine and the cut: tool, forces, modes, drive, friction, time simulation, virtual trials, vocabulary."""
 
-from process.axis_simulation import simulate_axis
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients, ProcessDamping, directional_matrix, force_harmonics
-from process.drive import Drive, fit_open_loop, open_loop_response
-from process.engagement import AnyEngagement, Engagement, Engagements, engagement, engagement_of_strips
-from process.equivalent_friction import equivalent_damping
+from process.cut.engagement import AnyEngagement, Engagement, Engagements, engagement, engagement_of_strips
+from process.cut.force import CuttingCoefficients, ProcessDamping, directional_matrix, force_harmonics
+from process.cut.tool import Tool
+from process.drive.axis import Drive, fit_open_loop, open_loop_response
+from process.drive.sampled_servo import SampledServo, sampled_poles
+from process.drive.servo import Servo, tune
 from process.errors import InputError
-from process.excitation import (
+from process.friction.laws import Andersson, Coulomb, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
+from process.friction.linearised import FrictionImpedance, equivalent_damping, linearised
+from process.harmonic_balance.quasi_frf import SlidingAxis, compliance_map, quasi_compliance, quasi_frf
+from process.instruments.sensors import Sensors, with_added_mass
+from process.instruments.trials import Running, actuator_trial, hammer_trial, milling_trial, moving_trial, silent_trial
+from process.labels import make_compliance, make_record
+from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins
+from process.machine.machine import FeedAxis, Machine, MountedJoint, released_compliance
+from process.machine.modes import ModalModel
+from process.machine.operating_point import OperatingPoint
+from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from process.simulation.excitation import (
     Chirp,
     HalfSine,
     HammerHits,
@@ -17,38 +28,8 @@ from process.excitation import (
     SteppedSine,
     Sum,
 )
-from process.friction import (
-    Andersson,
-    Coulomb,
-    CoulombViscous,
-    GeneralisedMaxwellSlip,
-    LuGre,
-    Viscous,
-)
-from process.friction_fit import (
-    constant_force,
-    fit_coulomb_curve,
-    fit_friction_curve,
-    fit_friction_record,
-    friction_runs,
-)
-from process.friction_impedance import FrictionImpedance, linearised
-from process.harmonic_balance import SlidingAxis, quasi_frf
-from process.joints import CubicSpring, Gap, Iwan, Jenkins
-from process.labels import make_compliance, make_record
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_balance import compliance_map, quasi_compliance
-from process.machine_simulation import SampledControl, simulate_machine
-from process.operating_point import OperatingPoint
-from process.preload import DoublePinion
-from process.released import released_compliance
-from process.sampled_servo import SampledServo, sampled_poles
-from process.sensors import Sensors, with_added_mass
-from process.servo import Servo, tune
-from process.simulate import MillingCut, Spindle, milling_step_error, simulate_forced, simulate_milling
-from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
-from process.tool import Tool
-from process.trials import Running, actuator_trial, hammer_trial, milling_trial, moving_trial, silent_trial
+from process.simulation.machine import SampledControl, simulate_axis, simulate_machine
+from process.simulation.milling import MillingCut, Spindle, milling_step_error, simulate_forced, simulate_milling
 from process.units import parse, show
 
 __all__ = [
@@ -97,18 +78,13 @@ __all__ = [
     "Viscous",
     "actuator_trial",
     "compliance_map",
-    "constant_force",
     "directional_matrix",
     "engagement",
     "engagement_of_strips",
     "equivalent_damping",
-    "fit_coulomb_curve",
-    "fit_friction_curve",
-    "fit_friction_record",
     "fit_open_loop",
     "force_harmonics",
     "free_modes",
-    "friction_runs",
     "hammer_trial",
     "linearised",
     "make_compliance",

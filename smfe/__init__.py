@@ -17,7 +17,7 @@ from smfe.campaign import Campaign, load_campaign
 from smfe.conversion import convert
 from smfe.hammer import identify_hammer
 from smfe.actuator import identify_actuator
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.intervals import interval
 from smfe.limits import LobeResult
 from smfe.cutting_coefficients import Coefficients, coefficients

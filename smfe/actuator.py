@@ -21,7 +21,7 @@ from scipy import stats
 from process.errors import InputError
 from process.labels import AXES, make_compliance, sample_interval
 from smfe.attached_mass import without_mass
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.spectra import as_displacement, check_records, force_samples, motion_axes, record_source
 from smfe.steps import SineFit, StepRules, find_steps, fit_sine, neighbour_lines, refine_frequency
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from smfe.campaign import Measurement
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.records import read_frf
 from smfe.records.channels import FRF_KINDS, frf_channel
 

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from process.compliance import ModalModel
+from process.machine.modes import ModalModel
 from process.units import show
 from smfe.campaign import Campaign, Measurement
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 
 
 def labelled(campaign: Campaign, found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:

@@ -22,7 +22,7 @@ from smfe.campaign import Measurement
 from smfe.error_factors import ENTRY
 from smfe.hammer import identify_hammer
 from smfe.hits import HitRules, find_hits, longest_block
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 
 Real = NDArray[np.float64]
 

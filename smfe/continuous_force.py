@@ -23,7 +23,7 @@ from scipy import fft, ndimage
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from smfe.continuous_records import Column, Records, Response, band_of, column_of, frequency_axis, samples_of
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.local_response import Local, RecordLines, choose, half_widths, solve_either, solve_sums, sums_of, with_poles
 from smfe.spectra import check_records
 from smfe.sweep_estimate import in_words

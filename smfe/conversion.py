@@ -10,7 +10,7 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.campaign import load_channels
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.pipeline import default_channels
 from smfe.records import (
     Channel,

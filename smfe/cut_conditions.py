@@ -15,8 +15,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from process.compliance import ModalModel
 from process.labels import AXES, at_tool, full_matrix, make_compliance, not_measured
+from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement
 from stability.problem import partial_warning
 

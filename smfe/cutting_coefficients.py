@@ -1,6 +1,6 @@
 """Cutting coefficients from measured cuts: average forces over the feed, and the forces at all spindle orders.
 
-Mean force of N teeth over a revolution, linear in the six coefficients (`process.cutting`)::
+Mean force of N teeth over a revolution, linear in the six coefficients (`process.cut.force`)::
 
     F = N/(2 pi) a_p (f_z P(K_c) Gram(:, 0) + P(K_e) Gram(:, 2)/sin k)
 
@@ -19,17 +19,17 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from process.cutting import force_projection, gram_matrix
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import force_projection, gram_matrix
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, axis_present
 from process.plausible import RANGES, implausible
-from process.tool import Tool
 from smfe.campaign import load_campaign
 from smfe.datasets import Show
 from smfe.diagnosis.cutting_forces import CuttingForces, cutting_family
 from smfe.diagnosis.cutting_orders import SteadyCut, cutting_orders
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.records import read_records
 from smfe.store import write_atomically
 

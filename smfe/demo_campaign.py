@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.engagement import engagement
-from process.sensors import Sensors, Tone
-from process.simulate import MillingCut, Spindle
-from process.tool import Tool
-from process.trials import actuator_trial, hammer_trial, milling_trial
-from smfe.identification import Progress, silent
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.instruments.sensors import Sensors, Tone
+from process.instruments.trials import actuator_trial, hammer_trial, milling_trial
+from process.machine.modes import ModalModel
+from process.simulation.milling import MillingCut, Spindle
+from smfe.identification.errors.result import Progress, silent
 from smfe.records import write_record_csv, write_record_mat, write_record_netcdf
 from smfe.store import write_atomically
 

@@ -1,6 +1,6 @@
 """Even and odd distortion of a machine under odd random-phase multisines, with its best linear approximation.
 
-A linear machine answers a periodic force at its lines only. Of an odd random multisine (`process.excitation.
+A linear machine answers a periodic force at its lines only. Of an odd random multisine (`process.simulation.excitation.
 odd_random_harmonics`) some odd lines are left out: what the response holds there is odd distortion, at the even lines
 even distortion, between the lines noise. Realisations with other phases give the scatter of the best linear
 approximation itself (Pintelon and Schoukens 2012, 4.3). Over the bins between the lines the transient is a polynomial

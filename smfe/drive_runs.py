@@ -1,4 +1,4 @@
-"""Stretches of constant velocity in the records of a drive (`process.friction_fit.friction_runs`)."""
+"""Stretches of constant velocity in the records of a drive (`smfe.identification.drive.friction.friction_runs`)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pandas as pd
 from scipy import stats
 
 from process.errors import InputError
-from process.friction_fit import friction_runs
 from process.labels import make_record
 from smfe.drive_motion import Trace
 from smfe.drive_results import LEVEL
+from smfe.identification.drive.friction import friction_runs
 
 
 def steady_points(traces: Sequence[Trace], inertia: float) -> pd.DataFrame:

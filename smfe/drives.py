@@ -15,7 +15,7 @@ from smfe.drive_motion import KINDS, drives_in, moves
 from smfe.drive_parameters import identify_drive
 from smfe.drive_results import DriveFit
 from smfe.failures import MEASUREMENT, Failures, attempt
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.measurements import records_of
 from smfe.store import write_csv
 

@@ -20,7 +20,7 @@ from process.errors import InputError
 from process.labels import AXES, sample_interval
 from smfe.actuator import identify_actuator
 from smfe.continuous_force import identify_continuous
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.periodic import identify_periodic
 from smfe.record_kind import kind_of
 from smfe.records.resample import resample

@@ -41,7 +41,7 @@ from smfe.hits import (
     runs,
     usable_band,
 )
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.spectra import block_spectra, check_records, force_samples, hann, motion_axes
 from smfe.steady_tones import Tones
 from smfe.windows import REACH, check_time_constant, exponential, laplace_factor, without_window

@@ -11,14 +11,14 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from process.compliance import ModalModel
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from process.errors import InputError
 from process.labels import at_tool
+from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest
 from smfe.cut_conditions import FIXED, sources_of, turned, turned_modes
 from smfe.failures import LOBES, MEASUREMENT, Failures, attempt, pack
-from smfe.identification import Progress
+from smfe.identification.errors.result import Progress
 from smfe.modal import fit_modes, model_error
 from smfe.operating_conditions import over_conditions
 from smfe.store import pack_warnings, write_csv, write_groups

@@ -19,10 +19,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from process.engagement import Engagement, engagement
+from process.cut.engagement import Engagement, engagement
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import sample_interval
-from process.tool import Tool
 from smfe import __version__
 from smfe.attached_mass import without_mass
 from smfe.averaged_responses import identify_averaged, rising_phase, turned_text
@@ -34,7 +34,7 @@ from smfe.excitation_kind import identify_shaken
 from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
-from smfe.identification import Identification, Progress, silent
+from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.records import put_on_clock, put_on_time, read_records, read_reduced
 from smfe.spindle_orders import Orders
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups

@@ -16,9 +16,9 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from process.compliance import ModalModel
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from process.machine.modes import ModalModel
 from smfe.modal_data import UNKNOWN_SHARE, Curves, ResponseMatrix, curves_of, matrix_of
 from smfe.modal_fit import PoleFit, remainder_modes
 from smfe.modal_merge import merged

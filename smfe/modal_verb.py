@@ -17,7 +17,7 @@ from smfe.campaign import load_campaign
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
 from smfe.failures import MEASUREMENT, Failures, attempt
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.measurements import cached_identification
 from smfe.modal import ModalFit, fit_modes
 from smfe.records import read_universal_frfs

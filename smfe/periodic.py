@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import AXES, axis_index, make_compliance, sample_interval
 from smfe.averaging import degrees_of_freedom
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.spectra import block_spectra, check_records, force_samples, record_source
 
 Real = NDArray[np.float64]

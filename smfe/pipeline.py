@@ -44,7 +44,7 @@ from smfe.drives import FILE as DRIVE_FILE
 from smfe.drives import drives_of, notes_of, write_drives
 from smfe.explained import explain
 from smfe.failures import MEASUREMENT, Failures, as_rows, attempt, pack
-from smfe.identification import Identification, Progress, silent
+from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.limits import LobeResult, all_lobes, joined, write_lobes
 from smfe.loops import FILE as LOOP_FILE
 from smfe.loops import loops_of, write_loops

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from smfe.datasets import Show
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.plan_files import check_target, write_plan
 from smfe.plan_recommend import Plan, recommend, summary
 from smfe.plan_task import load_task

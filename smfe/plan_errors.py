@@ -45,7 +45,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from process.cutting import CuttingCoefficients
+from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from smfe.local_polynomial import LARGEST_SHARE, MODEL_ERROR, MOST_OPEN, SAME, model_agreement

@@ -1,7 +1,7 @@
 """What force a sweep puts where: spectra, means, peaks, torque and power, before anything is cut.
 
 Harmonic h of the tooth passing frequency is a linear chirp of rate ``h g`` and slowly varying amplitude ``F_h``
-(`process.cutting.force_harmonics`). By stationary phase its transform at the frequencies that it passes is
+(`process.cut.force.force_harmonics`). By stationary phase its transform at the frequencies that it passes is
 ``|F(f)| = |F_h|/(2 sqrt(h g))``; at both ends of the sweep the factor ``(Z(u_1) - Z(u_0))/(1 + j)`` with the Fresnel
 integral Z is exact for a constant amplitude (Klauder et al., Bell Syst. Tech. J. 1960). Harmonics that pass the same
 frequency do so at different times: over the band of an estimate their products average out, their energies add up.
@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from process.cutting import CuttingCoefficients, force_harmonics, force_projection
-from process.engagement import Engagement, engagement
-from process.tool import Tool
+from process.cut.engagement import Engagement, engagement
+from process.cut.force import CuttingCoefficients, force_harmonics, force_projection
+from process.cut.tool import Tool
 from smfe.force_noise import ALIKE, BOUNDED, MARGIN, SHORTEST, median_spread
 
 Real = NDArray[np.float64]

@@ -12,9 +12,9 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from process.compliance import ModalModel
 from process.errors import InputError
-from smfe.identification import Progress, silent
+from process.machine.modes import ModalModel
+from smfe.identification.errors.result import Progress, silent
 from smfe.plan_errors import error_interval, expected, relative_error
 from smfe.plan_forces import Forces, Pass, SweepPlan, force_level
 from smfe.plan_limits import KEYS, no_plan, rejections

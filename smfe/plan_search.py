@@ -20,10 +20,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from process.engagement import CUTS
+from process.cut.engagement import CUTS
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.plan_errors import Instruments
 from smfe.plan_forces import (
     Pass,

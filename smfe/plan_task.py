@@ -11,17 +11,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, full_matrix
-from process.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.campaign import read_toml
 from smfe.campaign.plan_table import PlanTable
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.measurements import identify_measurement
 from smfe.plan_smooth import without_noise
 from smfe.scenario import load_scenario

@@ -2,7 +2,7 @@
 
 Each record is identified twice, by the default estimator and by narrow bands alone: both are predicted.
 
-The time simulation (`process.simulate`) takes the chip from the surface that earlier teeth left and shares no code with
+The time simulation (`milling`) takes the chip from the surface that earlier teeth left and shares no code with
 the prediction; noise is drawn anew for each seed. Its force is linear between samples, whose spectrum over that of the
 samples is ``sinc^2(f dt)``: the truth that is compared with has that factor, 0.05 % off at 60 Hz and 5 kHz.
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.pipeline import identify
 from smfe.plan_errors import error_interval
 from smfe.plan_files import scenario_text

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as RichProgress
 
-from smfe.identification import Progress
+from smfe.identification.errors.result import Progress
 
 
 @contextmanager

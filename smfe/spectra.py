@@ -14,9 +14,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft, signal
 
-from process.compliance import displacement_over_acceleration
 from process.errors import InputError
 from process.labels import axis_index, axis_present, sample_interval
+from process.machine.modes import displacement_over_acceleration
 
 
 @dataclass(frozen=True)

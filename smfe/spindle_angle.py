@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import interpolate, ndimage, signal
 
 from process.errors import InputError
+from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
-from process.tacho import tacho_angle
 
 Real = NDArray[np.float64]
 

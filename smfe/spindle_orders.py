@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 from scipy.interpolate import BSpline
 
-from process.compliance import displacement_over_acceleration
 from process.errors import InputError
 from process.labels import sample_interval
+from process.machine.modes import displacement_over_acceleration
 from smfe.force_noise import in_cut
 from smfe.least_squares import condition_number
 from smfe.spectra import hann, motion_axes

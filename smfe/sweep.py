@@ -16,13 +16,13 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from process.cutting import CuttingCoefficients, force_harmonics
-from process.engagement import Engagement
+from process.cut.engagement import Engagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, make_compliance, sample_interval
-from process.tool import Tool
 from smfe.force_noise import in_cut
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.least_squares import Columns, Solution, condition_number, solve
 from smfe.local_polynomial import solve_local
 from smfe.reciprocity import reciprocity, symmetric

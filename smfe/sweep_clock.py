@@ -20,8 +20,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
-from process.tacho import tacho_angle
 from smfe.spindle_angle import spindle_angle
 from smfe.sweep_comb import REACH, find_comb, force_over_angle, local_ratios, piece_in_cut, turns_of
 from smfe.sweep_estimators import SweepPass

@@ -20,7 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft
 
-from process.engagement import Engagement
+from process.cut.engagement import Engagement
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
 from smfe.least_squares import Columns

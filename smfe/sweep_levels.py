@@ -22,7 +22,7 @@ from smfe.campaign import Campaign, Measurement
 from smfe.campaign.depth_levels import level_name, rounded
 from smfe.conditions import stack_conditions
 from smfe.explained import holm
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.level_test import difference_of
 from smfe.sweep import identify_sweep
 from smfe.sweep_estimators import SweepPass

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from process.errors import InputError
+from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
-from process.tacho import tacho_angle
 from stability.turns import resampled
 
 SPEED_MISMATCH = 0.01

@@ -27,10 +27,10 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import sparse
 
-from process.compliance import HIGHEST_DAMPING, ModalModel
-from process.cutting import CuttingCoefficients
+from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, at_tool, axis_index, not_measured
+from process.machine.modes import HIGHEST_DAMPING, ModalModel
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

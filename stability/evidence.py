@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from process.compliance import displacement_over_acceleration
+from process.machine.modes import displacement_over_acceleration
 from stability.cut_interval import CutPart
 from stability.line_spectrum import (
     STANDS_OUT,

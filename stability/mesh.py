@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from process.cutting import chip_projection, force_projection
+from process.cut.force import chip_projection, force_projection
 from stability import _semi_kernels as kernels
 from stability.periodic import Complex, Modes, Pattern, Real
 from stability.problem import Cut

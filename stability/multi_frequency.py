@@ -28,10 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import find_peaks
 
-from process.cutting import CuttingCoefficients, chip_projection, force_projection, gram_matrix
-from process.engagement import AnyEngagement, Engagement
+from process.cut.engagement import AnyEngagement, Engagement
+from process.cut.force import CuttingCoefficients, chip_projection, force_projection, gram_matrix
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 from stability.crossings import NEGLIGIBLE, Crossing, angle_grid, find_crossings, follow, is_unstable, relative_change
 from stability.periodic import NO_LOBE, Complex, Machine, Pattern, Real, modes_of, pattern_of
 from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings

@@ -21,11 +21,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from process.cutting import CuttingCoefficients, force_harmonics
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import at_tool, check_compliance, label
-from process.tool import Tool
 from stability.branches import Branches, eigenvalue_branches
 from stability.periodic import NO_LOBE, Complex, Real, pattern_of_pitch
 from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings, partial_warning

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

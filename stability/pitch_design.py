@@ -22,10 +22,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from process.cutting import CuttingCoefficients
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 from stability.periodic import Machine
 from stability.problem import check_spindle_speed
 from stability.semi_discretization import LimitDepth, limit_depth

@@ -14,8 +14,8 @@ from typing import Any
 
 import pandas as pd
 
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 from stability.tables import write_whole
 
 FORMAT = "smfe-presets"

@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from process.cutting import CuttingCoefficients, directional_matrix
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients, directional_matrix
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, at_tool, check_compliance, full_matrix, not_measured
-from process.tool import Tool
 
 EDGE_SIZE = 0.15
 """Share of its peak below which a compliance should be at its last sample."""

@@ -30,11 +30,11 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from process.cutting import CuttingCoefficients
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
-from process.tool import Tool
 from stability import _semi_kernels as kernels
 from stability.crossings import NEGLIGIBLE, Crossing, Curve, angle_grid, find_crossings, follow, relative_change
 from stability.dense import Dense, dense

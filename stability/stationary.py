@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from process.cutting import CuttingCoefficients, force_projection
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients, force_projection
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 from stability.dense import dense
 from stability.mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
 from stability.periodic import Complex, Machine, Modes, Real, modes_of, pattern_of

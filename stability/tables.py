@@ -11,8 +11,8 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 
 LOBE_COLUMNS: tuple[str, ...] = (
     "source",

@@ -25,12 +25,12 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
-from process.tool import Tool
+from process.machine.modes import ModalModel
 from stability.branches import Branches, eigenvalue_branches
 from stability.error_model import (
     Complex,

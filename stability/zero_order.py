@@ -29,11 +29,11 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from process.cutting import CuttingCoefficients
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, label
-from process.tool import Tool
 from stability.branches import Branches, eigenvalue_branches
 from stability.periodic import NO_LOBE, Machine, Modes, modes_of, pattern_of_pitch
 from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings

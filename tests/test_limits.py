@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from process.cutting import CuttingCoefficients
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from smfe.campaign import load_campaign
-from smfe.identification import silent
+from smfe.identification.errors.result import silent
 from smfe.limits import all_lobes, write_lobes
 from stability import Cut, read_presets
 

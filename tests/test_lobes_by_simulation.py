@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from process import MillingCut, Spindle, engagement, simulate_milling
+from process import MillingCut, Spindle, simulate_milling
+from process.cut import engagement
 from smfe.demo_campaign import MACHINE, MATERIAL, TOOL
 from stability import semi_discretization, zero_order
 

@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_compliance
-from process.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement
 from smfe.cut_conditions import feed_of, sources_of, turned, turned_modes
 from smfe.cutting_tests import NOT_COMPARED, condition_warnings, predictions
-from smfe.identification import silent
+from smfe.identification.errors.result import silent
 from smfe.limits import all_lobes
 from tests.truth import operating_points
 

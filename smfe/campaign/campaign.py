@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.drive import Drive
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction import FrictionLaw, MemoryLaw
+from process.friction.laws import FrictionLaw, MemoryLaw
 from process.labels import RECORD_SCALARS
-from process.servo import Servo
-from process.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.campaign import schema
 from smfe.campaign.checks import channel_complaints, check, merge, path
 from smfe.campaign.messages import complaints

@@ -10,8 +10,9 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, StrictStr
 
 from process import units
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction import (
+from process.friction.laws import (
     Andersson,
     Coulomb,
     CoulombViscous,
@@ -21,7 +22,6 @@ from process.friction import (
     MemoryLaw,
     Viscous,
 )
-from process.servo import Servo
 from smfe.campaign import quantities as q
 from smfe.campaign.tables import Table
 from smfe.records.words import listed

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ValidationInfo
 
 from process import units
-from process.engagement import CUTS
+from process.cut.engagement import CUTS
 from process.errors import InputError
 from process.labels import AXES, place_text
 from process.plausible import FASTEST_FEED

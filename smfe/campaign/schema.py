@@ -10,11 +10,11 @@ from typing import Annotated, Any, Generic, TypeVar
 import numpy as np
 from pydantic import BeforeValidator, Field, StrictBool, StrictInt, StrictStr, model_validator
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.servo import Servo
-from process.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.campaign import quantities as q
 from smfe.campaign.machine_tables import Delay, FrictionTable, PositiveMass, PositiveTime, ServoTable, Viscosity
 from smfe.campaign.plan_table import PlanTable

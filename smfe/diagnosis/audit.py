@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import xarray as xr
 
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import (
     Campaign,
@@ -36,7 +36,7 @@ from smfe.diagnosis.suspect import Suspect, suspect_table
 from smfe.diagnosis.sweep_checks import sweep_suspects
 from smfe.drives import drive_of, notes_of
 from smfe.failures import MEASUREMENT, TEST, Failure, Failures, attempt
-from smfe.identification import Identification, Progress, silent
+from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.loop import summary
 from smfe.loops import loop_of
 from smfe.measurements import (

@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from process.drive import Drive
-from process.friction import FrictionLaw, LuGre, Viscous
-from process.joints import CubicSpring, Gap, Iwan
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.sampled_servo import SampledServo
-from process.servo import Servo
-from process.structure import two_mass_axes
+from process.drive.axis import Drive
+from process.drive.sampled_servo import SampledServo
+from process.drive.servo import Servo
+from process.friction.laws import FrictionLaw, LuGre, Viscous
+from process.machine.joints import CubicSpring, Gap, Iwan
+from process.machine.machine import FeedAxis, Machine, MountedJoint
+from process.machine.structure import two_mass_axes
 from smfe.diagnosis.problem import Cause, Parameter, Values
 
 BRISTLE = (5e8, 6e4)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest
 from smfe.diagnosis.campaign_case import Case

@@ -11,7 +11,7 @@ from scipy.ndimage import convolve1d
 
 from process import units
 from process.errors import InputError
-from process.friction import Andersson, Coulomb, CoulombViscous, FrictionLaw, MemoryLaw, Viscous
+from process.friction.laws import Andersson, Coulomb, CoulombViscous, FrictionLaw, MemoryLaw, Viscous
 from process.labels import AXES
 from smfe.campaign import AxisModel, Campaign, LimitsOf, Measurement, MechanisticForces, ModesOf, RigidDrive
 from smfe.diagnosis.axis_baseline import AxisBaseline
@@ -28,7 +28,7 @@ from smfe.diagnosis.modal_frf import SPREAD, ModalFrfs
 from smfe.diagnosis.modal_proposals import modal_proposals
 from smfe.diagnosis.problem import Condition
 from smfe.diagnosis.suspect import Suspect
-from smfe.identification import Identification, Progress, silent
+from smfe.identification.errors.result import Identification, Progress, silent
 
 _LOWEST = 5.0
 _LINES = 15  # over which the error of hits is averaged

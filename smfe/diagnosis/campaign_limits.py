@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LimitsOf
 from smfe.cut_conditions import FIXED, Source, stated
@@ -15,7 +15,7 @@ from smfe.diagnosis.campaign_case import Case
 from smfe.diagnosis.campaign_modes import modes_named
 from smfe.diagnosis.cutting_limits import Limit, Spread, Trial, bracketed, limit_family
 from smfe.diagnosis.suspect import Suspect
-from smfe.identification import Identification, Progress, silent
+from smfe.identification.errors.result import Identification, Progress, silent
 
 Cut = tuple[str, float, float]
 """Kind of cut, width [m], feed per tooth [m]: what the tests of one limit have in common besides the speed."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from process.compliance import ModalModel
 from process.errors import InputError
 from process.labels import at_tool
+from process.machine.modes import ModalModel
 from smfe.campaign import Campaign
 from smfe.diagnosis.suspect import Suspect
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.modal import fit_modes
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from process.plausible import implausible
 from smfe.campaign import Campaign
 from smfe.diagnosis.axis_baseline import AxisBaseline

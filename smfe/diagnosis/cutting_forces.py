@@ -13,9 +13,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES
-from process.tool import Tool
 from smfe.diagnosis.cutting_orders import (
     CROSSTALK,
     MODEL_FLOOR,

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from process.compliance import HIGHEST_DAMPING, ModalModel
-from process.cutting import CuttingCoefficients, ProcessDamping
-from process.engagement import Engagement
+from process.cut.engagement import Engagement
+from process.cut.force import CuttingCoefficients, ProcessDamping
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
+from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from smfe.diagnosis.limit_crossings import crossings, loop_of
 from smfe.diagnosis.problem import Cause, Condition, Parameter, Real, Values
 from stability.semi_discretization import limit_depth

@@ -16,10 +16,10 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import special
 
-from process.engagement import Engagement
+from process.cut.engagement import Engagement
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, sample_interval
-from process.tool import Tool
 from smfe.diagnosis.suspect import Suspect
 
 Real = NDArray[np.float64]

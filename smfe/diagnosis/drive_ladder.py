@@ -11,7 +11,7 @@ from smfe.diagnosis.evidence import Bench
 from smfe.diagnosis.fit import Target
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.problem import Values
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from smfe.cutting_tests import judge_all
 from smfe.diagnosis.campaign_family import case_of
 from smfe.diagnosis.suspect import Suspect
 from smfe.failures import MEASUREMENT, Failures, attempt
-from smfe.identification import Identification, Progress, silent
+from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.limits import all_lobes, pockets_of
 from smfe.measurements import split_levels
 from smfe.plan_search import Search

@@ -26,7 +26,7 @@ from smfe.diagnosis.next_experiment import Proposal, rank
 from smfe.diagnosis.power import detectable
 from smfe.diagnosis.problem import Condition, Family, Values
 from smfe.diagnosis.verdict import Judgement, judge
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 
 
 def diagnose(

@@ -23,7 +23,7 @@ from smfe.diagnosis.misfit import Misfit, assess
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.signature import Signature, Tangent, tangent
 from smfe.diagnosis.twin import nearest
-from smfe.identification import Progress
+from smfe.identification.errors.result import Progress
 
 Real = NDArray[np.float64]
 

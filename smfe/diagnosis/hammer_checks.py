@@ -11,7 +11,7 @@ import xarray as xr
 from process.errors import InputError
 from smfe.diagnosis.suspect import Suspect
 from smfe.hammer import identify_hammer
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.spectra import record_source
 
 _SPREAD = 0.1

@@ -15,8 +15,8 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from process.compliance import ModalModel
-from process.cutting import (
+from process.cut.engagement import AnyEngagement
+from process.cut.force import (
     CuttingCoefficients,
     ProcessDamping,
     chip_projection,
@@ -24,8 +24,8 @@ from process.cutting import (
     force_projection,
     gram_matrix,
 )
-from process.engagement import AnyEngagement
-from process.tool import Tool
+from process.cut.tool import Tool
+from process.machine.modes import ModalModel
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

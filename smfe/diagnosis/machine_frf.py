@@ -17,10 +17,10 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from process.excitation import Excitation, HalfSine
-from process.machine import Machine
-from process.machine_balance import quasi_compliance
-from process.machine_blows import Struck
+from process.harmonic_balance.quasi_frf import quasi_compliance
+from process.machine.machine import Machine
+from process.simulation.excitation import Excitation, HalfSine
+from process.simulation.machine import Struck
 from smfe.diagnosis.axis_baseline import Effective
 from smfe.diagnosis.fit import Target, roughly
 from smfe.diagnosis.frf_noise import Complex, Excited, scatter_of, smooth_errors

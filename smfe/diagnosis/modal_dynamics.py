@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from process.compliance import ModalModel
 from process.errors import InputError
+from process.machine.modes import ModalModel
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from process.compliance import ModalModel
 from process.errors import InputError
+from process.machine.modes import ModalModel
 from smfe.diagnosis.frf_noise import Complex, Excited
 from smfe.diagnosis.modal_causes import AXES, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from process.cutting import CuttingCoefficients, force_harmonics
-from process.engagement import Engagement
+from process.cut.engagement import Engagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present
-from process.tool import Tool
 from smfe.campaign import Model
 from smfe.diagnosis.compliance_checks import FACTORS
 from smfe.diagnosis.suspect import Suspect

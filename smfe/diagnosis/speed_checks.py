@@ -9,11 +9,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from process.cutting import CuttingCoefficients, force_harmonics
-from process.engagement import AnyEngagement
+from process.cut.engagement import AnyEngagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
-from process.tool import Tool
 from smfe.diagnosis.suspect import Suspect
 from smfe.force_noise import in_cut
 from smfe.spindle_angle import spindle_angle

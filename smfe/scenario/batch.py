@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import TypeVar
 
 from process.errors import InputError
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 
 J = TypeVar("J")
 R = TypeVar("R")

@@ -8,12 +8,9 @@ from typing import Any
 import numpy as np
 
 from process import units
-from process.compliance import ModalModel
-from process.drive import Drive
+from process.drive.axis import Drive
 from process.errors import InputError
-from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.sensors import (
+from process.instruments.sensors import (
     AntiAlias,
     Clock,
     Converter,
@@ -30,7 +27,10 @@ from process.sensors import (
     Tone,
     with_added_mass,
 )
-from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
+from process.machine.machine import FeedAxis, Machine, MountedJoint
+from process.machine.modes import ModalModel
+from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
 from smfe.campaign.machine_tables import AxisTable, made
 from smfe.campaign.schema import ModeTable
 from smfe.records.channels import CHANNELS, check_channel_name

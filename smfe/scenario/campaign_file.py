@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from process.compliance import ModalModel
 from process.labels import RECORD_SCALARS
+from process.machine.modes import ModalModel
 from smfe.records import Channel
 from smfe.scenario.plan import Entry
 from smfe.scenario.scenario import Scenario

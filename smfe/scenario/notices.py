@@ -6,8 +6,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from process.friction import Viscous
-from process.machine import Machine
+from process.friction.laws import Viscous
+from process.machine.machine import Machine
 from process.units import show as quantity
 from smfe.records.words import listed
 from smfe.scenario.scenario import Scenario

@@ -12,17 +12,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from process.compliance import ModalModel
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.excitation import Chirp
-from process.machine import Machine
-from process.machine_simulation import SampledControl
-from process.sensors import Sensors
-from process.servo import Servo
-from process.simulate import MillingCut, Spindle
-from process.structure import Posture
-from process.trials import (
+from process.instruments.sensors import Sensors
+from process.instruments.trials import (
     AT_REST,
     Running,
     actuator_trial,
@@ -31,6 +25,12 @@ from process.trials import (
     moving_trial,
     silent_trial,
 )
+from process.machine.machine import Machine
+from process.machine.modes import ModalModel
+from process.machine.structure import Posture
+from process.simulation.excitation import Chirp
+from process.simulation.machine import SampledControl
+from process.simulation.milling import MillingCut, Spindle
 from process.units import show
 from smfe.records.words import did_you_mean, listed
 from smfe.scenario import schema

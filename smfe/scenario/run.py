@@ -16,17 +16,17 @@ import numpy as np
 import xarray as xr
 from scipy import linalg
 
-from process.compliance import ModalModel
+from process.drive.sampled_servo import SampledServo
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.machine import FeedAxis, Machine
-from process.machine_simulation import SampledControl
-from process.sampled_servo import SampledServo
-from process.servo import Servo
-from process.structure import Posture
-from process.trials import Running
+from process.instruments.trials import Running
+from process.machine.machine import FeedAxis, Machine
+from process.machine.modes import ModalModel
+from process.machine.structure import Posture
+from process.simulation.machine import SampledControl
 from smfe import __version__
 from smfe.datasets import Show
-from smfe.identification import Progress, silent
+from smfe.identification.errors.result import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
 from smfe.scenario.batch import run_all
 from smfe.scenario.campaign_file import campaign_text

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from process.compliance import ModalModel
 from process.errors import InputError
-from process.machine import Machine
+from process.machine.machine import Machine
+from process.machine.modes import ModalModel
 from smfe.campaign.campaign import read_toml, report
 from smfe.campaign.checks import Complaint, check
 from smfe.campaign.messages import complaint

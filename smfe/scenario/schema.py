@@ -9,8 +9,8 @@ from pydantic import BeforeValidator, Field, StrictInt, StrictStr, model_validat
 
 from process import units
 from process.errors import InputError
+from process.instruments.trials import DEFAULT_SAMPLE_RATE
 from process.labels import AXES
-from process.trials import DEFAULT_SAMPLE_RATE
 from smfe.campaign import machine_tables
 from smfe.campaign import quantities as q
 from smfe.campaign.machine_tables import Delay, PositiveMass, PositiveTime, many, values

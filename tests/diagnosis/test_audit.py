@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.compliance import ModalModel
+from process.instruments.trials import hammer_trial
 from process.labels import make_compliance, make_record
-from process.trials import hammer_trial
+from process.machine.modes import ModalModel
 from smfe.diagnosis.audit import check
 from smfe.diagnosis.channel_checks import channel_suspects, clock_suspects, converter_step, tone_suspects, tones
 from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspects, skew_suspects
@@ -163,7 +163,7 @@ class TestCompliances:
 
 class TestHits:
     def test_hits_of_very_different_level_are_noted(self) -> None:
-        from process.trials import Sensors
+        from process.instruments.trials import Sensors
 
         sensors = Sensors((1.0, 1.0, 1.0), (0.01, 0.01, 0.01))
         record = hammer_trial(MACHINE, "x", (1.0, 1.0, 6.0), sensors, np.random.default_rng(5))

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.cutting import CuttingCoefficients
-from process.drive import Drive
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
 from process.labels import make_compliance, make_record
-from process.servo import Servo
-from process.tool import Tool
 from smfe.campaign import Campaign, LobeRequest, Measurement, RecordEntry, load_campaign
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.axis_baseline import AxisBaseline

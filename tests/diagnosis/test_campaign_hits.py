@@ -21,7 +21,7 @@ from smfe.diagnosis.frf_noise import excitation_of
 from smfe.diagnosis.machine_frf import MachineFrfs
 from smfe.diagnosis.verbs import diagnose
 from smfe.hammer import Averaging, identify_hammer
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.measurements import cached_identification
 from smfe.records import write_record_netcdf
 

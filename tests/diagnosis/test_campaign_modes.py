@@ -15,7 +15,7 @@ from smfe.diagnosis.campaign_family import case_of
 from smfe.diagnosis.campaign_modes import modes_named
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.modal_frf import SPREAD
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from stability import Spread
 
 F = np.arange(14.0, 150.0, 0.5)

@@ -11,9 +11,9 @@ import pytest
 import xarray as xr
 from truth import workshop
 
-from process.engagement import CUTS, Engagement, engagement
+from process.cut.engagement import CUTS, Engagement, engagement
+from process.cut.tool import Tool
 from process.labels import make_record
-from process.tool import Tool
 from smfe import pipeline
 from smfe.campaign import load_campaign
 from smfe.diagnosis.audit import audit, check

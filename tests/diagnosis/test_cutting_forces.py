@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from truth.cutting import FEEDS, Cut, Mill, draw_cuts, forces, measure_cuts
 
-from process.engagement import Engagement
+from process.cut.engagement import Engagement
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_record
-from process.tool import Tool
 from smfe.campaign import Campaign
 from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.cutting_forces import CuttingForces, KnownForce, cutting_family

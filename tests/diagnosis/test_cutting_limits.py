@@ -8,11 +8,11 @@ import pytest
 from exam.limits import RATIO, SLOT, SPEEDS, family, known, worn
 from truth.milling_limits import Found, Mill, limit
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients, ProcessDamping
-from process.engagement import Engagement, engagement
+from process.cut.engagement import Engagement, engagement
+from process.cut.force import CuttingCoefficients, ProcessDamping
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.diagnosis.cutting_limits import CuttingLimits, Limit, Trial, bracketed, limit_family
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.limit_crossings import crossings, loop_of

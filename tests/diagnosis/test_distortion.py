@@ -14,17 +14,16 @@ import xarray as xr
 from scipy import signal
 from truth.axis import MM_MIN, RATE, Setting, Truth, simulate
 
-from process.axis_simulation import simulate_axis
-from process.drive import Drive
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.excitation import Multisine, all_harmonics, odd_random_harmonics
-from process.friction import Andersson, Viscous
-from process.joints import Iwan
+from process.friction.laws import Andersson, Viscous
 from process.labels import make_record
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_simulation import simulate_machine
-from process.servo import Servo
-from process.structure import two_mass_axes
+from process.machine.joints import Iwan
+from process.machine.machine import FeedAxis, Machine, MountedJoint
+from process.machine.structure import two_mass_axes
+from process.simulation.excitation import Multisine, all_harmonics, odd_random_harmonics
+from process.simulation.machine import simulate_axis, simulate_machine
 from smfe.distortion import Distortion, distortion
 
 LINES = odd_random_harmonics(1, 199, 4, 3)

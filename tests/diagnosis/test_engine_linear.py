@@ -26,7 +26,7 @@ from smfe.diagnosis.problem import Cause, Condition, Parameter
 from smfe.diagnosis.signature import tangent
 from smfe.diagnosis.twin import nearest
 from smfe.diagnosis.verdict import Judgement
-from smfe.identification import silent
+from smfe.identification.errors.result import silent
 
 N = 24
 X = np.linspace(0.0, 1.0, N)

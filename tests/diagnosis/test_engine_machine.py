@@ -18,7 +18,7 @@ from smfe.diagnosis.isolability import isolability
 from smfe.diagnosis.model import Model
 from smfe.diagnosis.problem import Cause, Condition, Parameter
 from smfe.diagnosis.verdict import fitted_misfit
-from smfe.identification import silent
+from smfe.identification.errors.result import silent
 
 FREQUENCY = np.linspace(20.0, 80.0, 60)
 NOISE = 0.05

@@ -12,7 +12,7 @@ from truth.campaign import Condition as Plan
 from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
 
-from process.servo import Servo
+from process.drive.servo import Servo
 from smfe.diagnosis.axis_baseline import sampled
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.frf_noise import Excited, freedom_of, scatter_of, smooth_errors

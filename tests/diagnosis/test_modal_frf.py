@@ -22,8 +22,8 @@ from truth.modal_machine import (
     peak_shift,
 )
 
-from process.compliance import ModalModel
 from process.errors import InputError
+from process.machine.modes import ModalModel
 from smfe.diagnosis.calibration import PENALTY
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.evidence import Bench

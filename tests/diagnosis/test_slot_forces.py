@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.engagement import engagement
-from process.tool import Tool
+from process.cut.engagement import engagement
+from process.cut.tool import Tool
 from smfe.diagnosis.cutting_forces import CuttingForces, cutting_family, turned
 from smfe.diagnosis.cutting_orders import MODEL_FLOOR, SteadyCut
 from smfe.diagnosis.engine import diagnose

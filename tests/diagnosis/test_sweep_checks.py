@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.cutting import CuttingCoefficients
-from process.drive import Drive
-from process.engagement import engagement
-from process.excitation import Multisine, all_harmonics
-from process.friction import Viscous
-from process.machine import FeedAxis, Machine
-from process.machine_simulation import simulate_machine
-from process.servo import Servo
-from process.simulate import MillingCut, Spindle
-from process.structure import Posture, two_mass_axes
-from process.tool import Tool
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.friction.laws import Viscous
+from process.machine.machine import FeedAxis, Machine
+from process.machine.structure import Posture, two_mass_axes
+from process.simulation.excitation import Multisine, all_harmonics
+from process.simulation.machine import simulate_machine
+from process.simulation.milling import MillingCut, Spindle
 from smfe.demo_campaign import TOOL as DEMO_TOOL
 from smfe.demo_campaign import sweep_passes
 from smfe.diagnosis.sweep_checks import posture_difference, regeneration_difference, sweep_suspects

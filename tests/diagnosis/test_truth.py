@@ -20,16 +20,16 @@ from truth.chain import SAMPLE_RATE, Chain, butterworth, density, late, noise
 from truth.cutting import CUT_EFFECTS, CUT_OUTSIDE, Cut, Mill, chip, draw_cuts, forces, measure_cuts
 from truth.effects import EFFECTS, OUTSIDE, apply
 
-from process.cutting import CuttingCoefficients, force_harmonics
-from process.drive import Drive
-from process.engagement import engagement
-from process.excitation import Excitation
-from process.friction import Andersson, FrictionLaw, Viscous
-from process.machine import FeedAxis, Machine
-from process.machine_simulation import SampledControl, simulate_machine
-from process.servo import Servo
-from process.structure import two_mass_axes
-from process.tool import Tool
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.friction.laws import Andersson, FrictionLaw, Viscous
+from process.machine.machine import FeedAxis, Machine
+from process.machine.structure import two_mass_axes
+from process.simulation.excitation import Excitation
+from process.simulation.machine import SampledControl, simulate_machine
 
 HERE = Path(__file__).parents[1] / "truth"
 NO_TONES = np.zeros((0, 5))
@@ -176,7 +176,7 @@ class Blow(Excitation):
 def accused(
     law: FrictionLaw, servo: str, feed: float, peak: float, step: float = 20e-9
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compliance by `process.machine_simulation`, sampled servo with differenced readings."""
+    """Compliance by `process.simulation.machine`, sampled servo with differenced readings."""
     nominal, gains = Truth(), SERVOS[servo]
     drive = Drive(nominal.moving_mass, nominal.tip_mass, nominal.joint.stiffness, nominal.joint.damping)
     machine = Machine(two_mass_axes({"x": drive}), {"x": FeedAxis(Servo(gains.kp, gains.ti, gains.kv), law)})

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from truth.milling_limits import Mill, drawn, limit, search
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.engagement import Engagement
-from process.tool import Tool
+from process.cut.engagement import Engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.diagnosis.cutting_limits import Limit, limit_family
 
 SLOT = Mill(teeth=4, entry=0.0)

@@ -26,7 +26,7 @@ from truth.milling_draws import Drawn, draw
 from truth.milling_map import TurnMap
 
 from process import CuttingCoefficients, InputError, ModalModel, Tool
-from process.engagement import Engagement
+from process.cut.engagement import Engagement
 from stability import multi_frequency, semi_discretization
 
 FIRST_SEED = 810_000

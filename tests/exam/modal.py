@@ -16,7 +16,7 @@ from truth.modal_machine import (
     wandered,
 )
 
-from process.compliance import ModalModel
+from process.machine.modes import ModalModel
 from smfe.diagnosis.frf_noise import Excited, freedom_of
 from smfe.diagnosis.modal_frf import ModalFrfs
 from smfe.diagnosis.problem import Condition

@@ -7,8 +7,8 @@ import numpy as np
 from truth.axis import MM_MIN, Truth
 from truth.campaign import PRETRIGGER, SAMPLE_RATE, reduce
 
-from process.drive import Drive
-from process.servo import Servo
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from smfe.diagnosis.axis_baseline import AxisBaseline, sampled
 from smfe.diagnosis.frf_noise import Excited, Hits, chosen_lines, freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.machine_frf import MachineFrfs, as_hit

@@ -11,7 +11,7 @@ from process.errors import InputError
 from smfe.averaged_responses import response_std, rising_phase
 from smfe.campaign import load_campaign
 from smfe.first_look import look
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.measurements import identify_measurement
 from smfe.modal import fit_modes
 from smfe.records import Channel, read_frf

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from process.compliance import ModalModel
 from process.errors import InputError
 from process.labels import make_compliance
+from process.machine.modes import ModalModel
 from smfe.compare import CompareRules, compare, response_assurance
 from smfe.peaks import PeakRules, find_peaks, peak_table
 

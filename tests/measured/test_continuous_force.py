@@ -12,7 +12,7 @@ from smfe.campaign import load_campaign
 from smfe.continuous_force import identify_continuous
 from smfe.continuous_records import clipped_share
 from smfe.excitation_kind import identify_shaken, repetition
-from smfe.identification import Identification
+from smfe.identification.errors.result import Identification
 from smfe.intervals import interval
 from smfe.measurements import identify_measurement
 from tests.truth.shaker import Shaken, draw

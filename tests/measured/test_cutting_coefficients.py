@@ -11,11 +11,11 @@ from truth.cutting import FEEDS, Mill, measure_cuts
 from typer.testing import CliRunner
 
 import smfe
-from process.cutting import CuttingCoefficients, force_harmonics
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_record
-from process.tool import Tool
 from smfe.cli import app
 from smfe.cutting_coefficients import CUTTING, EDGE, average_force, mean_force_design
 from smfe.diagnosis.cutting_orders import SteadyCut, rigid_orders

@@ -10,14 +10,14 @@ import pytest
 import xarray as xr
 from scipy import signal
 
-from process.drive import Drive
-from process.friction import Viscous
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.friction.laws import Viscous
+from process.instruments.sensors import Drift, Sensors, Tone
+from process.instruments.trials import Running, hammer_trial
 from process.labels import make_record
-from process.machine import FeedAxis, Machine
-from process.sensors import Drift, Sensors, Tone
-from process.servo import Servo
-from process.structure import two_mass_axes
-from process.trials import Running, hammer_trial
+from process.machine.machine import FeedAxis, Machine
+from process.machine.structure import two_mass_axes
 from smfe.background import Background, quiet_spans, remove_background
 from smfe.background_doubt import shared_doubt
 from smfe.hammer import identify_hammer

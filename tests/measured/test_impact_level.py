@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_compliance, make_record
-from process.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest, Measurement
 from smfe.hammer import identify_hammer
-from smfe.identification import silent
+from smfe.identification.errors.result import silent
 from smfe.impact_level import impact_level
 from smfe.limits import all_lobes
 from tests.truth import oscillator

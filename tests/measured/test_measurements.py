@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from process.errors import InputError
+from process.machine.modes import ModalModel
 from smfe import measurements
 from smfe.campaign import load_campaign
 from smfe.demo_campaign import MACHINE, TOOL, sweep_passes

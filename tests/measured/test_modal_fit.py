@@ -6,9 +6,9 @@ Data come from sums of poles written out here, not from the models of the fit.
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
 from process.errors import InputError
 from process.labels import make_compliance
+from process.machine.modes import ModalModel
 from smfe.modal import fit_modes
 from smfe.modal_data import ResponseMatrix, curves_of, matrix_of
 from smfe.modal_fit import Remainders, solve

@@ -8,13 +8,13 @@ import pytest
 import xarray as xr
 from scipy.integrate import quad
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients, force_projection
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients, force_projection
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_record
-from process.simulate import MillingCut, Spindle, simulate_milling
-from process.tool import Tool
+from process.machine.modes import ModalModel
+from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.force_noise import ALIKE, BOUNDED, force_noise
 from smfe.least_squares import condition_number

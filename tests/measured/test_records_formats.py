@@ -17,9 +17,9 @@ from nptdms import ChannelObject, RootObject, TdmsWriter
 from nptdms.log import log_manager
 from scipy.io import savemat, wavfile
 
-from process.compliance import ModalModel
 from process.errors import InputError
 from process.labels import make_record
+from process.machine.modes import ModalModel
 from smfe.records import (
     Channel,
     read_frf,

@@ -24,8 +24,8 @@ from samples.report import (
     write_single,
 )
 
-from process.compliance import ModalModel
 from process.errors import InputError
+from process.machine.modes import ModalModel
 from smfe.cutting_tests import with_picture
 from smfe.report import write_report
 from smfe.report.answer import answers, pockets, score

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction import Viscous
-from process.joints import Jenkins
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.sensors import Resonance
-from process.servo import Servo
-from process.structure import Posture, Structure, released_modes
+from process.friction.laws import Viscous
+from process.instruments.sensors import Resonance
+from process.machine.joints import Jenkins
+from process.machine.machine import FeedAxis, Machine, MountedJoint
+from process.machine.modes import ModalModel
+from process.machine.structure import Posture, Structure, released_modes
 from smfe import cli, pipeline, simulate
 from smfe.campaign import load_campaign
 from smfe.records import read_records

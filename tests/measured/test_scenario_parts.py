@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
+from process.drive.servo import tune
 from process.errors import InputError
-from process.excitation import HalfSine
-from process.friction import Viscous
-from process.machine import FeedAxis, Machine
-from process.machine_simulation import SampledControl, simulate_machine
-from process.servo import tune
-from process.structure import released_modes
-from process.trials import Running
+from process.friction.laws import Viscous
+from process.instruments.trials import Running
+from process.machine.machine import FeedAxis, Machine
+from process.machine.modes import ModalModel
+from process.machine.structure import released_modes
+from process.simulation.excitation import HalfSine
+from process.simulation.machine import SampledControl, simulate_machine
 from smfe.scenario import run
 from smfe.scenario.batch import run_all
 

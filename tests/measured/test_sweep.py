@@ -5,12 +5,12 @@ import pytest
 import xarray as xr
 from scipy.signal import butter, sosfilt
 
-from process.compliance import ModalModel
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from process.errors import InputError
+from process.instruments.trials import Sensors, milling_trial
 from process.labels import make_record
-from process.simulate import MillingCut, Spindle, simulate_forced
-from process.trials import Sensors, milling_trial
+from process.machine.modes import ModalModel
+from process.simulation.milling import MillingCut, Spindle, simulate_forced
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.sweep import identify_sweep
 from smfe.sweep_estimate import bands

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.simulate import MillingCut, Spindle, simulate_milling
-from process.tool import Tool
+from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.campaign import load_campaign
 from smfe.demo_campaign import MACHINE, MATERIAL
 from smfe.dynamometer import Dynamometer

@@ -9,13 +9,13 @@ import xarray as xr
 from scipy import stats
 from scipy.signal import resample
 
-from process.compliance import ModalModel
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.tool import Tool
 from process.errors import InputError
+from process.instruments.sensors import Inertia, Resonance
 from process.labels import make_record
-from process.sensors import Inertia, Resonance
-from process.simulate import MillingCut, Spindle, simulate_forced, simulate_milling
-from process.tool import Tool
+from process.machine.modes import ModalModel
+from process.simulation.milling import MillingCut, Spindle, simulate_forced, simulate_milling
 from smfe import LocalPolynomial, Segments, SweepPass, identify_sweep
 from smfe.demo_campaign import MATERIAL
 from smfe.dynamometer import Dynamometer, compensate

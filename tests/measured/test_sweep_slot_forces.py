@@ -13,10 +13,10 @@ import pytest
 import xarray as xr
 from scipy import fft
 
-from process.compliance import ModalModel
 from process.errors import InputError
 from process.labels import make_record
-from process.simulate import simulate_forced
+from process.machine.modes import ModalModel
+from process.simulation.milling import simulate_forced
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.diagnosis.cutting_orders import find_rotation
 from smfe.records import Channel, read_records

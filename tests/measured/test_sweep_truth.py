@@ -15,11 +15,11 @@ from accuracy.table import CORRECTIONS, corrected
 from truth import sweep
 from truth.sweep import Campaign, Modes, drawn_modes, required
 
-from process import engagement
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients, force_harmonics
-from process.simulate import MillingCut, Spindle, simulate_milling
-from process.tool import Tool
+from process.cut import engagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
+from process.machine.modes import ModalModel
+from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe import LocalPolynomial, SingleReference, identify_sweep
 
 QUIET = {"force_noise": 0.0, "motion_noise": 0.0, "bits": 40}

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.axis_simulation import HalfSine, SteppedSine, simulate_axis, step_error
-from process.drive import Drive
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction import Andersson, CoulombViscous, FrictionLaw, Viscous
+from process.friction.laws import Andersson, CoulombViscous, FrictionLaw, Viscous
 from process.labels import check_record
-from process.servo import Servo
+from process.simulation.machine import HalfSine, SteppedSine, axis_step_error, simulate_axis
 
 MM_MIN = 1.0 / 6e4
 SERVOS = {
@@ -242,14 +242,14 @@ def test_the_default_step_costs_less_than_two_millionths(feed: int) -> None:
             record = simulate_axis(bench(servo), law, HIT, feed * MM_MIN, 0.3)
             assert record.attrs["step_s"] == pytest.approx(250e-6)
             if not record.attrs["unstable_poles"]:
-                assert step_error(bench(servo), law, HIT, feed * MM_MIN, 0.3, 250e-6) < 2e-6
+                assert axis_step_error(bench(servo), law, HIT, feed * MM_MIN, 0.3, 250e-6) < 2e-6
 
 
 @pytest.mark.parametrize("feed", [0.0, 100.0, 500.0])
 def test_a_strong_hit_that_breaks_away_and_stops_costs_little_more(feed: float) -> None:
     for peak in (100.0, 250.0, 1000.0):
         hit = HalfSine.from_peak(peak, start=0.01)
-        assert step_error(bench(delay=0.75e-3), ANDERSSON, hit, feed * MM_MIN, 0.3, 250e-6) < 1e-4
+        assert axis_step_error(bench(delay=0.75e-3), ANDERSSON, hit, feed * MM_MIN, 0.3, 250e-6) < 1e-4
 
 
 def test_a_pulse_off_the_grid_has_the_same_effect() -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel, displacement_over_acceleration
 from process.errors import InputError
+from process.machine.modes import ModalModel, displacement_over_acceleration
 
 MACHINE = ModalModel(
     [33.37, 57.44, 58.61],

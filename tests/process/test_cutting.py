@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 
-from process.cutting import CuttingCoefficients, chip_projection, directional_matrix, force_harmonics, gram_matrix
-from process.engagement import Engagement, engagement
+from process.cut.engagement import Engagement, engagement
+from process.cut.force import CuttingCoefficients, chip_projection, directional_matrix, force_harmonics, gram_matrix
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 
 MATERIAL = CuttingCoefficients(1800e6, 700e6, 250e6, 30e3, 45e3, 5e3)
 FACE_MILL = Tool(0.125, 8, math.radians(45.0))

@@ -11,11 +11,11 @@ import pytest
 import xarray as xr
 from scipy import signal
 
-from process.drive import PARAMETERS, Drive, fit_open_loop, open_loop_response, unstable_feeds
+from process.drive.axis import PARAMETERS, Drive, fit_open_loop, open_loop_response, unstable_feeds
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction import Andersson
+from process.friction.laws import Andersson
 from process.labels import check_compliance, make_record
-from process.servo import Servo
 
 MM_MIN = 1.0 / 6e4
 SERVOS = {

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.axis_simulation import as_machine
-from process.drive import Drive, OpenLoopFit, fit_open_loop, open_loop_response
+from process.drive.axis import Drive, OpenLoopFit, fit_open_loop, open_loop_response
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.excitation import HalfSine, PseudoRandom, Sum
-from process.friction import Andersson, Viscous
-from process.machine import FeedAxis, Machine
-from process.machine_packing import stairs
-from process.machine_simulation import SampledControl, simulate_machine
-from process.servo import Servo
-from process.structure import free_modes
+from process.friction.laws import Andersson, Viscous
+from process.machine.machine import FeedAxis, Machine
+from process.machine.structure import free_modes
+from process.simulation.excitation import HalfSine, PseudoRandom, Sum
+from process.simulation.machine import SampledControl, as_machine, simulate_machine
+from process.simulation.packing import stairs
 
 MM_MIN = 1.0 / 6e4
 K2 = Servo(6268.0, 10.9e-3, 45.5)

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from process import CuttingCoefficients, InputError, MillingCut, ModalModel, Spindle, Tool, engagement, simulate_milling
-from process.cutting import gram_matrix
-from process.engagement import Engagement, Engagements, engagement_of_strips
+from process import CuttingCoefficients, InputError, MillingCut, ModalModel, Spindle, Tool, simulate_milling
+from process.cut import engagement
+from process.cut.engagement import Engagement, Engagements, engagement_of_strips
+from process.cut.force import gram_matrix
 
 
 def test_a_strip_at_the_edge_is_up_or_down_milling():

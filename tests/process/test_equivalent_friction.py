@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numba import njit
 
-from process._friction_kernels import friction_force, friction_slope
-from process.equivalent_friction import (
+from process.errors import InputError
+from process.friction._kernels import friction_force, friction_slope
+from process.friction.laws import Andersson, Coulomb, CoulombViscous, FrictionLaw, Viscous
+from process.friction.linearised import (
     DampingCurve,
     coulomb_damping,
     damping_table,
@@ -17,8 +19,6 @@ from process.equivalent_friction import (
     tanh_damping,
     transient_damping,
 )
-from process.errors import InputError
-from process.friction import Andersson, Coulomb, CoulombViscous, FrictionLaw, Viscous
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)  # Table 1 of the paper, positive direction

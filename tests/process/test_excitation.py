@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from process.errors import InputError
-from process.excitation import (
+from process.simulation.excitation import (
     Chirp,
     Excitation,
     HalfSine,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from process.errors import InputError
-from process.friction import (
+from process.friction.laws import (
     Andersson,
     Coulomb,
     CoulombViscous,

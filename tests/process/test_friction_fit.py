@@ -11,8 +11,9 @@ import xarray as xr
 from scipy import io, signal
 
 from process.errors import InputError
-from process.friction import Andersson
-from process.friction_fit import (
+from process.friction.laws import Andersson
+from process.labels import make_record
+from smfe.identification.drive.friction import (
     constant_force,
     fit_coulomb_curve,
     fit_friction_curve,
@@ -20,7 +21,6 @@ from process.friction_fit import (
     friction_runs,
     mean_and_error,
 )
-from process.labels import make_record
 
 MM_MIN = 1.0 / 60e3
 # Table 1 of the paper; 0.0028 N min/mm = 168 N s/m, 0.25 min/mm = 15000 s/m.

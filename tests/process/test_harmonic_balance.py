@@ -8,12 +8,12 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from process._friction_kernels import friction_force
 from process.errors import InputError
-from process.friction import Andersson, Coulomb, CoulombViscous, FrictionLaw, Viscous
-from process.harmonic_balance import SlidingAxis, balanced, quasi_frf, two_mass_compliance, unstable_poles
-from process.multi_harmonic import multi_harmonic, unstable_multipliers
-from process.single_harmonic import single_harmonic
+from process.friction._kernels import friction_force
+from process.friction.laws import Andersson, Coulomb, CoulombViscous, FrictionLaw, Viscous
+from process.harmonic_balance.many_harmonics import multi_harmonic, unstable_multipliers
+from process.harmonic_balance.one_harmonic import single_harmonic
+from process.harmonic_balance.quasi_frf import SlidingAxis, balanced, quasi_frf, two_mass_compliance, unstable_poles
 
 MM_MIN = 1.0 / 60e3
 # Tables 1 and 2 of the paper; the references of theory.md are without delay.

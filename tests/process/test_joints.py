@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
+from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
 
 JENKINS = Jenkins(2e7, 100.0)  # slips at 5 um
 IWAN = Iwan(2e7, 100.0, 2000)  # slips as a whole at 10 um

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from process._friction_kernels import lugre_part
-from process.drive import Drive
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.excitation import HalfSine
-from process.friction import LuGre
-from process.friction_impedance import linearised
-from process.machine import FeedAxis, Machine
-from process.machine_simulation import machine_motion, simulate_machine
-from process.servo import Servo
-from process.structure import two_mass_axes
+from process.friction._kernels import lugre_part
+from process.friction.laws import LuGre
+from process.friction.linearised import linearised
+from process.machine.machine import FeedAxis, Machine
+from process.machine.structure import two_mass_axes
+from process.simulation.excitation import HalfSine
+from process.simulation.machine import machine_motion, simulate_machine
 
 MM_MIN = 1.0 / 6e4
 FORTH = LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0)

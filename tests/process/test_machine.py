@@ -3,18 +3,17 @@
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
-from process.drive import Drive, unstable_feeds
+from process.drive.axis import Drive, unstable_feeds
+from process.drive.servo import Servo, tune
 from process.errors import InputError
-from process.friction import Andersson, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
-from process.friction_impedance import linearised
-from process.joints import CubicSpring, Gap, Iwan
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_balance import quasi_compliance
-from process.operating_point import OperatingPoint
-from process.released import released_compliance
-from process.servo import Servo, tune
-from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from process.friction.laws import Andersson, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
+from process.friction.linearised import linearised
+from process.harmonic_balance.quasi_frf import quasi_compliance
+from process.machine.joints import CubicSpring, Gap, Iwan
+from process.machine.machine import FeedAxis, Machine, MountedJoint, released_compliance
+from process.machine.modes import ModalModel
+from process.machine.operating_point import OperatingPoint
+from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
 
 MM_MIN = 1.0 / 6e4
 TABLE_1 = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)

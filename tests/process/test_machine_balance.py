@@ -7,20 +7,27 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from process._balance_kernels import forces, gains
-from process.compliance import ModalModel
-from process.drive import Drive
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.excitation import SteppedSine
-from process.friction import Andersson, CoulombViscous, LuGre, Viscous
-from process.harmonic_balance import SlidingAxis, balanced, quasi_frf, two_mass_compliance
-from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_balance import compliance_map, network, quasi_compliance
-from process.machine_simulation import simulate_machine
-from process.nonlinear_points import FrictionPoint, JointPoint, Network
-from process.servo import Servo
-from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from process.friction.laws import Andersson, CoulombViscous, LuGre, Viscous
+from process.harmonic_balance._kernels import forces, gains
+from process.harmonic_balance.network import FrictionPoint, JointPoint, Network
+from process.harmonic_balance.quasi_frf import (
+    SlidingAxis,
+    balanced,
+    compliance_map,
+    network,
+    quasi_compliance,
+    quasi_frf,
+    two_mass_compliance,
+)
+from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
+from process.machine.machine import FeedAxis, Machine, MountedJoint
+from process.machine.modes import ModalModel
+from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from process.simulation.excitation import SteppedSine
+from process.simulation.machine import simulate_machine
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)

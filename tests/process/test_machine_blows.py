@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from process.drive import Drive
-from process.excitation import HalfSine
-from process.friction import LuGre
-from process.machine import FeedAxis, Machine
-from process.machine_blows import Struck
-from process.machine_simulation import machine_motion
-from process.servo import Servo
-from process.structure import two_mass_axes
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.friction.laws import LuGre
+from process.machine.machine import FeedAxis, Machine
+from process.machine.structure import two_mass_axes
+from process.simulation.excitation import HalfSine
+from process.simulation.machine import Struck, machine_motion
 
 MM_MIN = 1.0 / 6e4
 FRICTION = LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0)

@@ -12,24 +12,22 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process import _element_kernels as kernels
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.drive import Drive
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.sampled_servo import sampled_poles
+from process.drive.servo import Servo, tune
 from process.errors import InputError
-from process.excitation import Chirp, HalfSine, SteppedSine
-from process.friction import Andersson, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
-from process.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
-from process.machine import FeedAxis, Machine, MountedJoint
-from process.machine_simulation import SampledControl, machine_motion, simulate_machine, step_error
-from process.machine_stability import count_unstable
-from process.preload import DoublePinion
-from process.sampled_servo import sampled_poles
-from process.servo import Servo, tune
-from process.simulate import MillingCut, Spindle, simulate_milling
-from process.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
-from process.tool import Tool
+from process.friction.laws import Andersson, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
+from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins, Joint
+from process.machine.machine import FeedAxis, Machine, MountedJoint
+from process.machine.modes import ModalModel
+from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from process.simulation import _element_kernels as kernels
+from process.simulation.excitation import Chirp, HalfSine, SteppedSine
+from process.simulation.machine import SampledControl, count_unstable, machine_motion, simulate_machine, step_error
+from process.simulation.milling import MillingCut, Spindle, simulate_milling
 
 MM_MIN = 1.0 / 6e4
 BENCH = Drive(23.1, 11.3, 1.68e6, 104.0)

@@ -4,18 +4,18 @@ import math
 
 import pytest
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.drive import Drive
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction import Andersson, LuGre, Viscous
-from process.machine import FeedAxis, Machine
+from process.friction.laws import Andersson, LuGre, Viscous
+from process.machine.machine import FeedAxis, Machine
+from process.machine.modes import ModalModel
+from process.machine.structure import two_mass_axes
 from process.plausible import implausible
-from process.servo import Servo
-from process.simulate import MillingCut
-from process.structure import two_mass_axes
-from process.tool import Tool
+from process.simulation.milling import MillingCut
 
 MACHINE = Machine(
     two_mass_axes({"x": Drive(4000.0, 300.0, 4e7, 5e3)}), {"x": FeedAxis(Servo(4e5, 0.03, 25.0), Viscous(4000.0))}

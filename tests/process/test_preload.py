@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from process.errors import InputError
-from process.joints import Gap, Joint
-from process.preload import DoublePinion
+from process.machine.joints import DoublePinion, Gap, Joint
 
 K1, K2, PLAY, PRELOAD = 8e7, 5e7, 30e-6, 2000.0
 PINIONS = DoublePinion(K1, K2, PLAY, PRELOAD)

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.engagement import Engagement
-from process.simulate import MillingCut, Spindle, simulate_milling
-from process.tool import Tool
+from process.cut.engagement import Engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.machine.modes import ModalModel
+from process.simulation.milling import MillingCut, Spindle, simulate_milling
 
 PURE = CuttingCoefficients(1000e6, 300e6, 0.0)
 RIGID = ModalModel([900.0], [0.5], [1e13], [(1.0, 1.0, 1.0)])

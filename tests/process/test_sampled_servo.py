@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from process.drive import Drive
-from process.errors import InputError
-from process.sampled_servo import SampledServo, sampled_poles
-from process.servo import (
+from process.drive.axis import Drive
+from process.drive.sampled_servo import SampledServo, sampled_poles
+from process.drive.servo import (
     Servo,
     position_loop,
     position_margins,
@@ -18,6 +17,7 @@ from process.servo import (
     velocity_loop,
     velocity_margins,
 )
+from process.errors import InputError
 
 SERVOS = {
     "K1": Servo(3242.0, 21.2e-3, 23.5),

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.compliance import ModalModel
 from process.errors import InputError
-from process.labels import make_record
-from process.machine import Machine
-from process.sensors import (
+from process.instruments.sensors import (
     AntiAlias,
     Clock,
     Converter,
@@ -26,7 +23,10 @@ from process.sensors import (
     Tone,
     with_added_mass,
 )
-from process.structure import Posture, free_modes, released_modes
+from process.labels import make_record
+from process.machine.machine import Machine
+from process.machine.modes import ModalModel
+from process.machine.structure import Posture, free_modes, released_modes
 
 RATE = 16000.0
 MACHINE = ModalModel([40.0, 90.0], [0.03, 0.05], [2e7, 5e7], [(0.6, 0.8, 0.0), (-0.5, 0.3, 0.9)])

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from process.errors import InputError
-from process.servo import (
+from process.drive.servo import (
     Plant,
     QuasiPolynomial,
     Servo,
@@ -25,6 +24,7 @@ from process.servo import (
     velocity_loop,
     velocity_margins,
 )
+from process.errors import InputError
 
 # Table 2 of Franco et al. 2024: f_bw [Hz], Kp [N s/m], Ti [ms], Kv [1/s]; the table cuts its last digit off.
 TABLE_2 = {

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from process import _cutting_kernels
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients, ProcessDamping, force_harmonics, force_projection, gram_matrix
-from process.engagement import Engagement, engagement
+from process.cut import _kernels as _cutting_kernels
+from process.cut.engagement import Engagement, engagement
+from process.cut.force import CuttingCoefficients, ProcessDamping, force_harmonics, force_projection, gram_matrix
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.simulate import (
+from process.machine.modes import ModalModel
+from process.simulation.milling import (
     MillingCut,
     Spindle,
     default_step,
@@ -21,7 +22,6 @@ from process.simulate import (
     simulate_forced,
     simulate_milling,
 )
-from process.tool import Tool
 
 BENCH = ModalModel([61.367], [0.011935], [1.68e6], [(1.0, 0.0, 0.0)])
 BENCH_CUT = {"tool": Tool(0.0508, 4), "coefficients": CuttingCoefficients(780e6, 351e6, 0.0)}

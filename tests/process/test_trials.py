@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.drive import Drive
-from process.engagement import engagement
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.servo import Servo
 from process.errors import InputError
-from process.excitation import Chirp, HalfSine, SteppedSine
-from process.friction import Viscous
+from process.friction.laws import Viscous
+from process.instruments.sensors import AntiAlias, Resonance, Sensors, with_added_mass
+from process.instruments.trials import Running, actuator_trial, hammer_trial, milling_trial, moving_trial, silent_trial
 from process.labels import axis_present
-from process.machine import FeedAxis, Machine
-from process.sensors import AntiAlias, Resonance, Sensors, with_added_mass
-from process.servo import Servo
-from process.simulate import MillingCut, Spindle
-from process.structure import two_mass_axes
-from process.tool import Tool
-from process.trials import Running, actuator_trial, hammer_trial, milling_trial, moving_trial, silent_trial
+from process.machine.machine import FeedAxis, Machine
+from process.machine.modes import ModalModel
+from process.machine.structure import two_mass_axes
+from process.simulation.excitation import Chirp, HalfSine, SteppedSine
+from process.simulation.milling import MillingCut, Spindle
 
 MACHINE = ModalModel([40.0], [0.03], [2e7], [(0.6, 0.8, 0.0)])
 QUIET = Sensors()

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.engagement import engagement
-from process.tool import Tool
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.machine.modes import ModalModel
 from smfe.store import pack_warnings, write_csv, write_groups, write_json
 from stability import lobe_curves, lobe_table, write_table, zero_order
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process.compliance import ModalModel
-from process.cutting import CuttingCoefficients
-from process.engagement import Engagement, engagement
-from process.tool import Tool
+from process.cut.engagement import Engagement, engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.machine.modes import ModalModel
 
 # `tests/truth` and `tests/exam` are importable as ``truth`` and ``exam``, whatever the import mode and the path.
 for name in ("truth", "exam"):

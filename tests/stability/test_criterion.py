@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from process.cutting import CuttingCoefficients
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_record
-from process.simulate import MillingCut, Spindle, simulate_milling
-from process.tool import Tool
+from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from stability import chatter_verdict, zero_order
 
 TEETH = 4

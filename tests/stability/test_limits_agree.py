@@ -9,7 +9,7 @@ from truth.milling_draws import draw
 from truth.milling_map import MillingCut, TurnMap
 
 from process import CuttingCoefficients, ModalModel, Tool
-from process.engagement import engagement
+from process.cut.engagement import engagement
 from stability import floquet_multipliers, multi_frequency, semi_discretization
 from stability.crossings import is_unstable
 

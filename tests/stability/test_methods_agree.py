@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from process import MillingCut, Spindle, simulate_milling
-from process.simulate import default_step
+from process.simulation.milling import default_step
 from stability import multi_frequency, semi_discretization, zero_order
 
 SPEEDS = (700.0, 950.0, 1150.0, 1450.0)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process import CuttingCoefficients, InputError, ModalModel, Tool, engagement
+from process import CuttingCoefficients, InputError, ModalModel, Tool
+from process.cut import engagement
 from process.labels import full_matrix, make_compliance
 from smfe.modal import fit_modes
 from stability import (

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from process import InputError
-from process.cutting import force_harmonics
+from process.cut.force import force_harmonics
 from stability import zero_order
 from stability.operating_point import operating_point
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 from stability import floquet_multipliers, limit_depth
 from stability.pitch_design import alternating, cancelling_difference, design_pitch, linear
 

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from process.cut.tool import Tool
 from process.errors import InputError
-from process.tool import Tool
 from stability import lobe_table, zero_order
 from stability.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
 from stability.presets import PRESET_SCHEMA, PresetContext, check_presets, presets, read_presets, write_presets

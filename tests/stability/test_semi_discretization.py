@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from process import CuttingCoefficients, InputError, ModalModel, Tool, engagement
+from process import CuttingCoefficients, InputError, ModalModel, Tool
+from process.cut import engagement
 from stability import (
     floquet_multipliers,
     limit_depth,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from process import InputError, MillingCut, Spindle, simulate_milling
-from process.cutting import force_harmonics, force_projection, gram_matrix
+from process.cut.force import force_harmonics, force_projection, gram_matrix
 from stability.semi_discretization import floquet_multipliers
 from stability.stationary import stationary_vibration
 

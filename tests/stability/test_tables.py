@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
-from process.tool import Tool
 from stability import LOBE_COLUMNS, lobe_table, read_table, write_table, zero_order
 
 COLUMNS = (  # design.md, in this order

@@ -7,10 +7,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from process.cutting import CuttingCoefficients, directional_matrix
+from process.cut.force import CuttingCoefficients, directional_matrix
+from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_compliance
-from process.tool import Tool
 from stability import _kernels, critical_depth, lobe_curves, zero_order, zero_order_from_matrix
 
 RAM_SPEEDS = np.linspace(200, 800, 301)

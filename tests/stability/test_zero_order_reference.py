@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from process.compliance import ModalModel
 from process.labels import make_compliance
+from process.machine.modes import ModalModel
 from stability import critical_depth, critical_depth_from_matrix, zero_order, zero_order_from_matrix
 
 

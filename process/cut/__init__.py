@@ -1,0 +1,1 @@
+"""The cut: tool, engagement, cutting force."""

@@ -1,0 +1,346 @@
+"""P-PI cascade that runs on samples: exact loop responses, margins, poles and tip compliance with a zero-order hold.
+
+Encoder position and velocity are read every T; ``e = a v_ref + Kv (x_ref - x) - x'``, ``I <- I + T e``,
+``F = Kp (e + I/Ti)``: Eq. (3) of Franco et al. 2024 (JMMP 8/5/207) with a rectangular integral. The force is applied
+`lag` samples later and held for T, while the masses move exactly (matrix exponential). With ``z = exp(j w T)``::
+
+    C = Kp [1 + T/Ti z/(z - 1)] z^-lag          V, X: carriage velocity and position over held force
+    velocity loop L_v = C V                     both loops, cut at the force, L = C (V + Kv X)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from process.drive.axis import Drive
+from process.drive.servo import Margins, Servo, bandwidth, frequency_grid, margins
+from process.errors import InputError
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_MASSES = 4
+_CARRIAGE, _CARRIAGE_SPEED = 2, 3
+
+
+@dataclass(frozen=True)
+class SampledServo:
+    """A servo that reads its encoder and sets its force every T.
+
+    The methods take the axis that it moves; the axis' own servo plays no part.
+
+    Parameters
+    ----------
+    servo : Servo
+        Gains, without a delay: period and lag make the dead time.
+    period : float
+        Sampling period T [s].
+    lag : int, optional
+        Whole periods from reading to force.
+    resolution : float, optional
+        Step of the encoder [m], for `quantisation_noise`; zero is none.
+
+    Raises
+    ------
+    InputError
+        When the servo has a delay, the period is not positive or longer than Ti, the lag is not a whole number from 0
+        up, or the resolution is negative.
+    """
+
+    servo: Servo
+    period: float
+    lag: int = 1
+    resolution: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what does not sample."""
+        if self.servo.delay != 0.0 or not 0.0 < self.period < math.inf or self.lag < 0 or self.lag != int(self.lag):
+            raise InputError(
+                f"sampling with period {self.period:g} s and lag {self.lag:g} needs a positive period, a whole lag "
+                f"from 0 up, and a servo with delay 0 (it has {self.servo.delay:g} s): both make its dead time"
+            )
+        if self.period > self.servo.Ti:
+            raise InputError(
+                f"the sampling period {self.period:g} s is longer than the integral time Ti {self.servo.Ti:g} s; "
+                "sample faster or raise Ti"
+            )
+        if not 0.0 <= self.resolution < math.inf:
+            raise InputError(f"the encoder step is {self.resolution:g} m; give zero or a positive step")
+
+    @property
+    def nyquist(self) -> float:
+        """Half the sampling rate [Hz]."""
+        return 0.5 / self.period
+
+    def continuous(self) -> Servo:
+        """Return the continuous servo that this one equals up to the second order of T.
+
+        ``z/(z - 1) = 1/(s T) + 1/2 + O(T)``: the rectangular integral is worth ``Kp (1 + T/(2 Ti))`` and ``Ti + T/2``;
+        hold and lag are a dead time of ``(lag + 1/2) T``. With the gains as they stand the order is one.
+        """
+        more = 0.5 * self.period / self.servo.Ti
+        return replace(
+            self.servo,
+            Kp=self.servo.Kp * (1.0 + more),
+            Ti=self.servo.Ti * (1.0 + more),
+            delay=(self.lag + 0.5) * self.period,
+        )
+
+    def poles(self, drive: Drive) -> Complex:
+        """Return the poles of the axis as ``s = ln(z)/T`` [rad/s], rightmost first. Stable: all real parts negative.
+
+        Returns
+        -------
+        ndarray of complex, shape (5 + lag,)
+            Imaginary part up to pi/T; a pole at z = 0 is at minus infinity and left out.
+        """
+        return self._logarithm(self._closed(drive)[0])
+
+    def velocity_poles(self, drive: Drive) -> Complex:
+        """Return the poles of the closed velocity loop (without Kv) as ``s = ln(z)/T`` [rad/s], rightmost first.
+
+        The position of the axis integrates: its pole at s = 0 is left out.
+        """
+        transition = self._closed(drive, position_gain=0.0)[0]
+        # Positions relative to the carriage: x_t - x_m replaces x_t, and x_m, which nothing depends on, goes.
+        shift = np.eye(len(transition))
+        shift[0, _CARRIAGE] = -1.0
+        relative = shift @ transition @ np.linalg.inv(shift)
+        keep = [i for i in range(len(transition)) if i != _CARRIAGE]
+        return self._logarithm(relative[np.ix_(keep, keep)])
+
+    def _logarithm(self, transition: Real) -> Complex:
+        found = np.linalg.eigvals(transition).astype(np.complex128)
+        s = np.log(found[np.abs(found) > 1e-12]) / self.period
+        return np.asarray(s[np.lexsort((s.imag, -s.real))])
+
+    def _closed(self, drive: Drive, position_gain: float | None = None) -> tuple[Real, Real]:
+        """Transition of a period, and what an error e of the velocity controller's input adds to it.
+
+        State: masses (4), the integral, and the forces that wait, newest first.
+        """
+        servo, period, lag = self.servo, self.period, self.lag
+        free, push = _held(drive, period)
+        n = _MASSES + 1 + lag
+        z = np.zeros((n, n))
+        entry, reading, force = np.zeros(n), np.zeros(n), np.zeros(n)
+        reading[_CARRIAGE] = -(servo.Kv if position_gain is None else position_gain)
+        reading[_CARRIAGE_SPEED] = -1.0
+        gain = servo.Kp * (1.0 + period / servo.Ti)
+        force[_MASSES] = servo.Kp / servo.Ti
+        force += gain * reading
+        z[:_MASSES, :_MASSES] = np.eye(_MASSES) + free
+        z[_MASSES] = period * reading
+        z[_MASSES, _MASSES] = 1.0
+        entry[_MASSES] = period
+        if lag == 0:
+            z[:_MASSES] += np.outer(push, force)
+            entry[:_MASSES] = push * gain
+        else:
+            z[:_MASSES, -1] += push
+            z[_MASSES + 1] = force
+            z[_MASSES + 2 :, _MASSES + 1 : -1] = np.eye(lag - 1)
+            entry[_MASSES + 1] = gain
+        return z, entry
+
+    def _controller(self, frequency: Real) -> Complex:
+        """C [N s/m] at frequencies [Hz]."""
+        turn = 2j * np.pi * frequency * self.period
+        integral = self.period / self.servo.Ti / -np.expm1(-turn)
+        return np.asarray(self.servo.Kp * (1.0 + integral) * np.exp(-self.lag * turn))
+
+    def _plant(self, drive: Drive, frequency: Real) -> tuple[Complex, Complex]:
+        """V [m/(N s)] and X [m/N] at frequencies [Hz]."""
+        free, push = _held(drive, self.period)
+        # (z - 1) - (exp(A T) - 1): both differences are small for a short period, and are not formed by subtraction.
+        turn = np.expm1(2j * np.pi * frequency * self.period)
+        states = np.linalg.solve(turn[:, None, None] * np.eye(_MASSES) - free, np.broadcast_to(push[:, None], (4, 1)))
+        return states[:, _CARRIAGE_SPEED, 0], states[:, _CARRIAGE, 0]
+
+    def _band(self, frequency: ArrayLike) -> Real:
+        f = np.atleast_1d(np.asarray(frequency, dtype=float))
+        if not np.all((f > 0.0) & (f <= self.nyquist)):
+            raise InputError(
+                f"frequencies from {f.min():g} to {f.max():g} Hz; a loop sampled every {self.period:g} s answers above "
+                f"0 and up to {self.nyquist:g} Hz"
+            )
+        return f
+
+    def open_velocity_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
+        """Return the velocity loop gain ``C V`` [1] at frequencies [Hz] up to half the sampling rate."""
+        f = self._band(frequency)
+        return np.asarray(self._controller(f) * self._plant(drive, f)[0])
+
+    def open_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
+        """Return the gain of both loops cut at the force, ``C (V + Kv X)`` [1], at frequencies [Hz]."""
+        f = self._band(frequency)
+        speed, place = self._plant(drive, f)
+        return np.asarray(self._controller(f) * (speed + self.servo.Kv * place))
+
+    def velocity_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
+        """Return the closed velocity loop [1], sampled carriage velocity over command, at frequencies [Hz].
+
+        Raises
+        ------
+        InputError
+            When the loop is unstable.
+        """
+        self._require_stable("the sampled velocity loop", self.velocity_poles(drive))
+        gain = self.open_velocity_loop(drive, frequency)
+        return np.asarray(gain / (1.0 + gain))
+
+    def position_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
+        """Return the closed position loop [1], sampled carriage position over reference position, at frequencies [Hz].
+
+        ``(a s + Kv) C X/(1 + L)``: the reference generator gives the velocity of its sine exactly.
+
+        Raises
+        ------
+        InputError
+            When the loop is unstable.
+        """
+        self.require_stable(drive)
+        f = self._band(frequency)
+        command = 2j * np.pi * f * self.servo.feed_forward + self.servo.Kv
+        gain = command * self._controller(f) * self._plant(drive, f)[1]
+        return np.asarray(gain / (1.0 + self.open_loop(drive, f)))
+
+    def tip_compliance(self, drive: Drive, frequency: ArrayLike) -> Complex:
+        """Return the tip's response [m/N] at the frequency [Hz] of a force on it, between samples too.
+
+        ``Phi = G_tt - G_tm H0/T C/(1 + L) (s + Kv) G_mt`` with ``H0 = (1 - exp(-s T))/s``, G the compliances of the
+        free axis. The hold also answers at ``n/T +- f``; those parts are left out.
+
+        Raises
+        ------
+        InputError
+            When the loop is unstable.
+        """
+        self.require_stable(drive)
+        f = self._band(frequency)
+        s = 2j * np.pi * f
+        joint = drive.damping * s + drive.stiffness
+        tip = replace(drive, servo=None).tip_transfer(s)
+        carriage = s**2 * drive.moving_mass + s * drive.sigma + joint
+        # The force on the tip reaches the carriage through the joint, and the other way round.
+        cross = tip * joint / carriage
+        hold = -np.expm1(-s * self.period) / (s * self.period)
+        servo = hold * self._controller(f) / (1.0 + self.open_loop(drive, f))
+        return np.asarray(tip - cross**2 * servo * (s + self.servo.Kv))
+
+    def require_stable(self, drive: Drive) -> None:
+        """Raise `InputError` when a pole of the axis lies outside the unit circle."""
+        self._require_stable(f"the sampled axis (friction slope {drive.sigma:g} N s/m)", self.poles(drive))
+
+    def _require_stable(self, what: str, poles: Complex) -> None:
+        count = int(np.sum(poles.real >= 0.0))
+        if count:
+            raise InputError(
+                f"{what} is unstable with Kp {self.servo.Kp:g} N s/m, Ti {self.servo.Ti * 1e3:g} ms, Kv "
+                f"{self.servo.Kv:g} 1/s, period {self.period * 1e3:g} ms, lag {self.lag}: {count} pole(s) outside the "
+                "unit circle; lower Kp or Kv, raise Ti, sample faster, or look at the friction slope"
+            )
+
+    def _margins(self, loop: Callable[[Real], Complex], drive: Drive) -> Margins:
+        """Margins of a loop whose gain is real at half the sampling rate too: a pole may leave at z = -1."""
+        found = margins(loop, self._grid(drive))
+        last = float(loop(np.array([self.nyquist]))[0].real)
+        return replace(found, gain=min(found.gain, -1.0 / last)) if -1.0 < last < 0.0 else found
+
+    def _grid(self, drive: Drive) -> Real:
+        f = frequency_grid(self.continuous(), drive.plant())
+        return np.append(f[f < self.nyquist], self.nyquist)
+
+    def velocity_margins(self, drive: Drive) -> Margins:
+        """Return the margins of the velocity loop."""
+        self._require_stable("the sampled velocity loop", self.velocity_poles(drive))
+        return self._margins(lambda f: self.open_velocity_loop(drive, f), drive)
+
+    def position_margins(self, drive: Drive) -> Margins:
+        """Return the margins of both loops together, cut at the drive force."""
+        self.require_stable(drive)
+        return self._margins(lambda f: self.open_loop(drive, f), drive)
+
+    def velocity_bandwidth(self, drive: Drive) -> float:
+        """Return the -3 dB frequency [Hz] of the closed velocity loop (the lowest one)."""
+        self._require_stable("the sampled velocity loop", self.velocity_poles(drive))
+        grid = self._grid(drive)
+
+        def closed(f: Real) -> Complex:
+            gain = self.open_velocity_loop(drive, f)
+            return np.asarray(gain / (1.0 + gain))
+
+        return bandwidth(closed, grid[0], grid[-1])
+
+    def quantisation_noise(self, drive: Drive) -> tuple[float, float]:
+        """Return the standard deviations of drive force [N] and carriage position [m] that the encoder's steps cause.
+
+        The reading errs by q, uniform in a step and independent from sample to sample (an axis that moves by several
+        steps a sample); the velocity, read as a difference, by ``(q_k - q_(k-1))/T``. The covariance of the closed loop
+        is that of its Lyapunov equation.
+
+        Raises
+        ------
+        InputError
+            When the loop is unstable.
+        """
+        self.require_stable(drive)
+        z, entry = self._closed(drive)
+        n = len(z)
+        # One more state, the last error, in units of the step's standard deviation.
+        rate = 1.0 / self.period
+        whole, noise = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
+        whole[:n, :n] = z
+        whole[:n, n] = entry * rate
+        noise[:n], noise[n] = -entry * (self.servo.Kv + rate), 1.0
+        gain = self.servo.Kp * (1.0 + self.period / self.servo.Ti)
+        # All states in units of a step of the encoder.
+        scale = np.array([1.0, rate, 1.0, rate, 1.0, *[gain * rate] * self.lag, 1.0])
+        own = noise / scale
+        covariance = linalg.solve_discrete_lyapunov(whole * scale / scale[:, None], np.outer(own, own))
+        covariance *= np.outer(scale, scale)
+        force = np.zeros(n + 1)
+        force[_CARRIAGE], force[_CARRIAGE_SPEED] = -gain * self.servo.Kv, -gain
+        force[_MASSES] = self.servo.Kp / self.servo.Ti
+        force[n] = gain * rate
+        variance = float(force @ covariance @ force) + (gain * (self.servo.Kv + rate)) ** 2
+        step = self.resolution / math.sqrt(12.0)
+        return step * math.sqrt(variance), step * math.sqrt(float(covariance[_CARRIAGE, _CARRIAGE]))
+
+
+def _held(drive: Drive, period: float) -> tuple[Real, Real]:
+    """``exp(A T) - 1``, shape (4, 4), and the push of a unit force on the carriage held for T, shape (4,)."""
+    a = replace(drive, servo=None).state_space()[0][:_MASSES, :_MASSES]
+    block = np.zeros((2 * _MASSES, 2 * _MASSES))
+    block[:_MASSES, :_MASSES], block[:_MASSES, _MASSES:] = a, np.eye(_MASSES)
+    # Integral of exp(A t) from 0 to T.
+    integral = linalg.expm(block * period)[:_MASSES, _MASSES:]
+    return np.asarray(a @ integral), np.asarray(integral[:, _CARRIAGE_SPEED] / drive.moving_mass)
+
+
+def sampled_poles(drive: Drive, period: float, lag: int = 1) -> Complex:
+    """Return the poles [rad/s] of an axis whose own servo, with delay 0, is sampled (`SampledServo.poles`).
+
+    Parameters
+    ----------
+    drive : Drive
+        Axis with a servo without a delay of its own.
+    period : float
+        Sampling period T [s].
+    lag : int, optional
+        Whole periods from reading to force.
+
+    Returns
+    -------
+    ndarray of complex, shape (5 + lag,)
+        Poles, rightmost first; see `SampledServo.poles`.
+    """
+    if drive.servo is None:
+        raise InputError("the axis has no servo; sampled poles need one, with delay 0")
+    return SampledServo(drive.servo, period, lag).poles(drive)

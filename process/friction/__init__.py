@@ -1,0 +1,1 @@
+"""Friction laws, and what they are worth as a damping."""

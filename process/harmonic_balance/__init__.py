@@ -1,0 +1,1 @@
+"""Response to a sine with nonlinear elements: harmonic balance."""

@@ -1,0 +1,528 @@
+"""A quasi-FRF by harmonic balance, without time simulation: one harmonic where it is right, many where it is not.
+
+`balanced` answers for any `Network`; `SlidingAxis` is a machine with one friction point, `harmonic_balance.quasi_frf`
+makes the network of a whole machine.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from process import units
+from process.drive.servo import Servo
+from process.errors import InputError
+from process.friction.laws import FrictionLaw, Viscous
+from process.friction.linearised import FrictionImpedance
+from process.harmonic_balance.many_harmonics import as_many_as_needed
+from process.harmonic_balance.network import (
+    Balance,
+    Complex,
+    Compliance,
+    FrictionPoint,
+    JointPoint,
+    Network,
+    Real,
+    checked,
+)
+from process.harmonic_balance.one_harmonic import single_harmonic
+from process.labels import AXES, axis_index, make_compliance
+from process.machine.machine import FEW_MICROSLIP, FeedAxis, Machine
+from process.machine.operating_point import OperatingPoint, SlideImpedance
+from process.machine.structure import Structure
+
+METHODS = ("single harmonic", "many harmonics", "not converged", "not periodic")
+TOLERANCE = 1e-3
+"""Estimated relative error of a compliance above which more harmonics are used."""
+
+
+class SlidingAxis(Network):
+    """A linear machine with friction at one point, fed at a constant rate.
+
+    Parameters
+    ----------
+    compliance : callable
+        Frequency [Hz], shape (n,) -> compliance of the machine without friction [m/N], shape (n, 2, 2); index 0 is
+        the tool, index 1 the friction point; response before excitation. That machine must be stable.
+    law : FrictionLaw
+        Friction without memory, with finite steepness at rest.
+    feed : float
+        Feed v0 [m/s]; zero is idle, negative the other direction.
+    """
+
+    def __init__(self, compliance: Compliance, law: FrictionLaw, feed: float) -> None:
+        super().__init__(compliance, (FrictionPoint(law, feed),))
+
+    @property
+    def feed(self) -> float:
+        """Feed v0 [m/s]."""
+        (point,) = self.points
+        assert isinstance(point, FrictionPoint)
+        return point.feed
+
+
+def two_mass_compliance(
+    moving_mass: float, tip_mass: float, stiffness: float, damping: float, servo: Callable[[Real], Complex]
+) -> Compliance:
+    """Return the compliance of a flexible tip on a servo-held carriage, for `SlidingAxis`.
+
+    ``[[m_t s^2 + q, -q], [-q, m_m s^2 + q + G]]^-1`` with ``q = c s + k``: tool first, then the carriage.
+
+    Parameters
+    ----------
+    moving_mass, tip_mass : float
+        Carriage m_m and tip m_t [kg].
+    stiffness, damping : float
+        Between the two: k [N/m] and c [N s/m].
+    servo : callable
+        Frequency [Hz], shape (n,) -> dynamic stiffness G of the servo at the carriage [N/m], shape (n,); of a
+        `process.drive.servo.Servo` it is ``lambda f: servo.feedback(2j * np.pi * f)``.
+    """
+
+    def compliance(frequency: Real) -> Complex:
+        s = 2j * np.pi * frequency
+        q = damping * s + stiffness
+        tip, carriage = tip_mass * s**2 + q, moving_mass * s**2 + q + servo(frequency)
+        out = np.empty((s.size, 2, 2), dtype=complex)
+        out[:, 0, 0], out[:, 1, 1], out[:, 0, 1], out[:, 1, 0] = carriage, tip, q, q
+        return np.asarray(out / (tip * carriage - q**2)[:, None, None])
+
+    return compliance
+
+
+def unstable_poles(axis: SlidingAxis, frequency: ArrayLike | None = None) -> int:
+    """Count the unstable poles of the uniform motion by the turns of ``1 + f'(v0) Y(j w)`` about zero (Nyquist).
+
+    The machine without friction must be stable. A falling friction curve (Stribeck) makes the count positive where
+    the axis stick-slips without any outer force.
+
+    Parameters
+    ----------
+    axis : SlidingAxis
+        Machine, friction law and feed.
+    frequency : array_like, optional
+        Rising frequencies [Hz] that span the whole dynamics; by default 0.001 Hz to 100 kHz in 40 000 steps.
+
+    Raises
+    ------
+    InputError
+        When the frequencies are too coarse to follow the phase, or end where the loop still acts.
+    """
+    f = np.geomspace(1e-3, 1e5, 40_000) if frequency is None else np.asarray(frequency, dtype=float)
+    (point,) = axis.points
+    slope = float(np.real(point.coefficient(0.0)))
+    loop = 1.0 + slope * axis.admittance(f, axis.matrix(f)[:, 1:, 1:])[:, 0, 0]
+    turns = np.angle(loop[1:] / loop[:-1])
+    if np.max(np.abs(turns)) > 0.5 * np.pi:
+        where = f[int(np.argmax(np.abs(turns)))]
+        raise InputError(f"the phase of the loop leaps near {where:.4g} Hz; give denser frequencies")
+    # Close the curve at both ends, where the mobility tends to zero.
+    half = float(np.sum(turns) + np.angle(loop[0]) - np.angle(loop[-1]))
+    return round(-half / np.pi)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What `balanced` finds at n frequencies.
+
+    Attributes
+    ----------
+    balance : Balance
+        Compliance (NaN where there is no stable periodic response), fundamental of the motion, coefficient, and
+        estimated error of the compliance.
+    method : ndarray of int, shape (n,)
+        Index into `METHODS`.
+    harmonics : ndarray of int, shape (n,)
+        Highest harmonic.
+    distortion : ndarray, shape (n,)
+        Estimated error of one harmonic alone.
+    """
+
+    balance: Balance
+    method: NDArray[np.int64]
+    harmonics: NDArray[np.int64]
+    distortion: Real
+
+
+def balanced(
+    network: Network, force: float, frequency: ArrayLike, excitation: int = 0, tolerance: float = TOLERANCE
+) -> Answer:
+    """Solve with one harmonic, and with as many as needed where its error exceeds the tolerance.
+
+    The uniform motion must be stable: that is for the caller to see to.
+
+    Parameters
+    ----------
+    network : Network
+        Linear machine and its non-linear points.
+    force : float
+        Amplitude of the sine force on the tool [N].
+    frequency : array_like, shape (n,)
+        Frequencies [Hz], rising.
+    excitation : int, optional
+        Direction of the force among those of the tool.
+    tolerance : float, optional
+        Estimated relative error above which more harmonics are used.
+    """
+    f = checked(force, frequency)
+    moved = network.reached(f, excitation)
+    whole, network = network, network.part(moved)
+    one = single_harmonic(network, force, f, excitation)
+    n = one.frequency.size
+    method, harmonics, distortion = np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64), one.error
+    doubt = np.flatnonzero((one.error > tolerance) | (one.solutions != 1))
+    if doubt.size:
+        many, harmonics[doubt], unstable = as_many_as_needed(network, force, one.part(doubt), tolerance, excitation)
+        method[doubt] = np.select([~many.converged, unstable > 0], [2, 3], 1)
+        one = one.replaced(doubt, many)
+    one.compliance[method > 1] = np.nan
+    return Answer(one.spread(whole, moved), method, harmonics, distortion)
+
+
+def quasi_frf(
+    axis: SlidingAxis, force: float, frequency: ArrayLike, *, direction: str = "x", tolerance: float = TOLERANCE
+) -> xr.Dataset:
+    """Return the compliance that a stepped sine of constant force would measure.
+
+    Single-harmonic balance everywhere; many harmonics where its error exceeds the tolerance, and there
+    `unstable_multipliers` tells whether the response is one that the axis stays on.
+
+    Parameters
+    ----------
+    axis : SlidingAxis
+        Machine, friction law and feed.
+    force : float
+        Amplitude of the sine force on the tool [N].
+    frequency : array_like, shape (n,)
+        Frequencies [Hz], rising.
+    direction : str, optional
+        Axis name of the tool's motion.
+    tolerance : float, optional
+        Estimated relative error above which more harmonics are used.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``compliance(frequency, response, excitation)`` [m/N], ``velocity_amplitude`` [m/s] and ``equivalent_damping``
+        [N s/m] at the friction point, ``error_estimate``, ``harmonics``, ``method`` (index into `METHODS`); attributes
+        ``feed`` [mm/min], ``force_level`` [N] and ``status``. Where there is no stable periodic response the compliance
+        is not a number; where the uniform motion is unstable (stick-slip) it is so throughout. ``status`` says it.
+    """
+    f = checked(force, frequency)
+    steady = unstable_poles(axis) == 0
+    answer = balanced(axis, force, f, 0, tolerance if steady else np.inf)
+    x = answer.balance.compliance if steady else np.full_like(answer.balance.compliance, np.nan)
+    extra: dict[str, Any] = {
+        "velocity_amplitude": ("frequency", np.abs(answer.balance.fundamental[:, 0]), {"units": "m/s"}),
+        "equivalent_damping": ("frequency", answer.balance.coefficient[:, 0].real, {"units": "N s/m"}),
+        "error_estimate": ("frequency", answer.balance.error, {"units": "1"}),
+        "harmonics": ("frequency", answer.harmonics, {"units": "1"}),
+        "method": ("frequency", answer.method, {"units": "1"}),
+    }
+    attrs = {
+        "feed": units.from_si(axis.feed, "mm/min", "speed"),
+        "force_level": force,
+        "status": status(steady, answer.method, answer.balance.solutions),
+    }
+    return make_compliance(f, x[:, :, None], [direction], [direction], extra, attrs)
+
+
+def status(steady: bool, method: NDArray[np.int64], solutions: NDArray[np.int64]) -> str:
+    """Say whether the uniform motion is stable, and where there is no stable periodic response or more than one."""
+    if not steady:
+        return (
+            "self-excited: the uniform motion at this feed is unstable (stick-slip), so that no response to a force "
+            "alone exists; feed faster, damp the loop, or simulate in time"
+        )
+    lost = int(np.sum(method > 1))
+    if lost:
+        return f"{lost} of {method.size} frequencies have no stable periodic response; simulate them in time"
+    several = int(np.sum(solutions > 1))
+    if several:
+        return (
+            f"{several} of {solutions.size} frequencies have several responses to this force; which of them a sweep "
+            "finds depends on where it comes from, and the smallest is given: simulate them in time"
+        )
+    return "ok"
+
+
+# --- The compliance of a whole machine in motion at a level of force: what stepped sines would measure, without
+# stepping.
+
+_FREE_SPEED = 0.01  # [m/s] at which the friction of a slide without servo becomes part of the linear machine
+
+
+def network(
+    machine: Machine,
+    feed: float | Mapping[str, float] = 0.0,
+    controller: str | None = None,
+    position: float | None = None,
+) -> Network:
+    """Return the linear machine between tool (x, y, z), guideways with friction (in the order of the axes) and joints.
+
+    Parameters
+    ----------
+    machine : Machine
+        Structure, feed axes and joints.
+    feed : float or mapping, optional
+        Feed of all axes, or axis name -> feed [m/s].
+    controller : str, optional
+        Name of the controllers.
+    position : float, optional
+        Position [m] of the axis that a posture depends on.
+
+    Raises
+    ------
+    InputError
+        For friction with memory or with a jump at rest, and for a slide without servo that is fed.
+    """
+    structure = machine.structure_at(position)
+    joints = [JointPoint(m.joint, _reference(m.joint)) for m in machine.joints]
+    rows = [m.participation for m in machine.joints]
+    stiffness = structure.stiffness + sum(
+        (p.reference * np.outer(r, r) for p, r in zip(joints, rows, strict=True)), np.zeros_like(structure.stiffness)
+    )
+    linear = Structure(structure.mass, structure.damping, stiffness, structure.tool, structure.slides)
+    slides, guideways = [], []
+    feeds, servos = machine.feeds(feed), machine.servos(controller)
+    for (name, axis), servo in zip(machine.axes.items(), servos, strict=True):
+        point = _guideway(name, axis, servo, feeds[name])
+        if point is not None:
+            guideways.append((structure.slides[name], point))
+        slides.append(SlideImpedance(name, servo, FrictionImpedance(_damping(axis, point))))
+    operating = OperatingPoint(linear, tuple(slides))
+    points = [*(p for _, p in guideways), *joints]
+    shown = np.vstack([structure.tool, *(r for r, _ in guideways), *rows])
+
+    def compliance(frequency: Real) -> Complex:
+        return operating.receptance(frequency, shown)
+
+    static = _static(linear, shown[3:], np.array([p.feels_displacement for p in points], dtype=bool))
+    unstable = operating.unstable_poles() if points else 0
+    return Network(compliance, tuple(points), 3, static, unstable)
+
+
+def _reference(joint: Any) -> float:
+    """Stiffness of a joint that belongs to the linear machine: that for small motion, or of the stop beyond a play."""
+    small = float(joint.equivalent_stiffness(FEW_MICROSLIP))
+    return small if small > 0.0 else float(joint.stiffness)
+
+
+def _guideway(name: str, axis: FeedAxis, servo: Servo | None, feed: float) -> FrictionPoint | None:
+    """Friction of an axis, unless it is viscous."""
+    law = axis.friction
+    if isinstance(law, Viscous):
+        return None
+    if not isinstance(law, FrictionLaw):
+        raise InputError(
+            f"the friction of axis {name} is {type(law).__name__}, which has memory; harmonic balance takes Andersson, "
+            "Coulomb, CoulombViscous and Viscous friction: give one of them, leave force_level out (small vibration), "
+            "or simulate in time"
+        )
+    if servo is None and feed != 0.0:
+        raise InputError(f"axis {name} is fed but has no servo that would hold its speed; give it one, or feed 0")
+    return FrictionPoint(law, feed, 0.0 if servo is not None else float(law.force(_FREE_SPEED)) / _FREE_SPEED)
+
+
+def _damping(axis: FeedAxis, point: FrictionPoint | None) -> float:
+    if point is not None:
+        return point.reference
+    return float(axis.friction.sigma) if isinstance(axis.friction, Viscous) else 0.0
+
+
+def _static(structure: Structure, rows: Real, displaced: NDArray[np.bool_]) -> Real | None:
+    """Compliance between the joints at 0 Hz, slides held; None where it is not finite: then no mean moves."""
+    if not displaced.any():
+        return None
+    held = tuple(SlideImpedance(name, Servo(1.0, 1.0, 1.0), FrictionImpedance(0.0)) for name in structure.slides)
+    g = OperatingPoint(structure, held).receptance([0.0], rows)[0].real
+    return np.where(np.outer(displaced, displaced), g, 0.0) if np.all(np.isfinite(g)) else None
+
+
+def quasi_compliance(
+    machine: Machine,
+    frequency: ArrayLike,
+    force_level: float | None,
+    feed: float | Mapping[str, float] = 0.0,
+    controller: str | None = None,
+    position: float | None = None,
+    excitation: Sequence[str] = AXES,
+    response: Sequence[str] = AXES,
+    tolerance: float = TOLERANCE,
+) -> xr.Dataset:
+    """Return the compliance that stepped sines of constant force would measure, one direction after the other.
+
+    Parameters
+    ----------
+    machine : Machine
+        Structure, feed axes and joints.
+    frequency : array_like, shape (n,)
+        Frequencies [Hz], rising.
+    force_level : float or None
+        Amplitude of the sine force [N]; None or zero: small vibration, `Machine.at`.
+    feed : float or mapping, optional
+        Feed of all axes, or axis name -> feed [m/s].
+    controller : str, optional
+        Name of the controllers.
+    position : float, optional
+        Position [m] of the axis that a posture depends on.
+    excitation, response : sequence of str, optional
+        Axis names.
+    tolerance : float, optional
+        Estimated relative error above which more harmonics are used.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``compliance(frequency, response, excitation)`` [m/N]; at each guideway with friction (`slide`)
+        ``equivalent_damping`` [N s/m] and ``velocity_amplitude`` [m/s]; at each joint (`joint`) ``joint_stiffness``
+        (K + j H) [N/m] and ``joint_amplitude`` [m]; ``method`` (index into `quasi_frf.METHODS`),
+        ``harmonics`` and ``error_estimate``. Coordinates ``feed`` [mm/min] (of each axis where they differ),
+        ``force_level`` [N], and where given ``controller`` and ``position`` [m]. Attribute ``status``: "ok", or what is
+        missing. Where there is no stable periodic response the compliance is not a number; where the uniform motion is
+        self-excited it is so throughout.
+    """
+    f = np.atleast_1d(np.asarray(frequency, dtype=float))
+    level = 0.0 if force_level is None else float(force_level)
+    steady = machine.at(feed, controller, position).unstable_poles() == 0
+    columns, rows = axis_index(list(excitation)), axis_index(list(response))
+    extra: dict[str, Any] = {}
+    said = status(steady, *np.zeros((2, 0), dtype=np.int64))
+    shape = (f.size, len(rows), len(columns))
+    if not steady:
+        values = np.full(shape, np.nan + 0j)
+    elif level == 0.0:
+        values = machine.at(feed, controller, position).matrix(f)[:, rows][:, :, columns]
+    else:
+        f = checked(level, f)
+        linear = network(machine, feed, controller, position)
+        answers = [balanced(linear, level, f, e, tolerance) for e in columns]
+        values = np.stack([a.balance.compliance[:, rows] for a in answers], axis=-1)
+        extra = _points(machine, linear, answers)
+        counts = np.stack([a.balance.solutions for a in answers])
+        said = status(steady, np.stack([a.method for a in answers]), counts)
+    out = make_compliance(f, values, response, excitation, extra, {"status": said})
+    return _conditions(out, machine, feed, level, controller, position)
+
+
+def _points(machine: Machine, linear: Network, answers: list[Answer]) -> dict[str, Any]:
+    """Variables of the points, of dimensions (frequency, slide or joint, excitation)."""
+    coefficient = np.stack([a.balance.coefficient for a in answers], axis=-1)
+    amplitude = np.abs(np.stack([a.balance.fundamental for a in answers], axis=-1))
+    axes = ("frequency", "excitation")
+
+    def each(values: list[Any]) -> NDArray[Any]:
+        return np.stack(values, axis=-1)
+
+    extra: dict[str, Any] = {
+        "method": (axes, each([a.method for a in answers]), {"units": "1"}),
+        "harmonics": (axes, each([a.harmonics for a in answers]), {"units": "1"}),
+        "error_estimate": (axes, each([a.balance.error for a in answers]), {"units": "1"}),
+    }
+    joint = linear.displaced
+    names = [a for a, axis in machine.axes.items() if not isinstance(axis.friction, Viscous)]
+    if names:
+        dims = ("frequency", "slide", "excitation")
+        extra["slide"] = ("slide", names)
+        extra["equivalent_damping"] = (dims, coefficient[:, ~joint].real, {"units": "N s/m"})
+        extra["velocity_amplitude"] = (dims, amplitude[:, ~joint], {"units": "m/s"})
+    if machine.joints:
+        dims = ("frequency", "joint", "excitation")
+        extra["joint_stiffness"] = (dims, coefficient[:, joint], {"units": "N/m"})
+        extra["joint_amplitude"] = (dims, amplitude[:, joint], {"units": "m"})
+    return extra
+
+
+def _conditions(
+    out: xr.Dataset,
+    machine: Machine,
+    feed: float | Mapping[str, float],
+    level: float,
+    controller: str | None,
+    position: float | None,
+) -> xr.Dataset:
+    """Add the operating condition as scalar coordinates."""
+    feeds = machine.feeds(feed)
+    same = not isinstance(feed, Mapping)
+    shop = {"feed": feed} if same else {f"feed_{axis}": v for axis, v in feeds.items()}
+    coords: dict[str, Any] = {
+        name: ((), round(units.from_si(float(v), "mm/min", "speed"), 9), {"units": "mm/min"})  # type: ignore[arg-type]
+        for name, v in shop.items()
+    }
+    coords["force_level"] = ((), level, {"units": "N"})
+    if controller is not None:
+        coords["controller"] = ((), controller, {"units": "1"})
+    if position is not None:
+        coords["position"] = ((), position, {"units": "m"})
+    return out.assign_coords(coords)
+
+
+def compliance_map(
+    machine: Machine,
+    frequency: ArrayLike,
+    feeds: Sequence[float] = (0.0,),
+    controllers: Sequence[str | None] = (None,),
+    positions: Sequence[float | None] = (None,),
+    force_levels: Sequence[float | None] = (None,),
+    excitation: Sequence[str] = AXES,
+    response: Sequence[str] = AXES,
+) -> xr.Dataset:
+    """Return the compliance of a machine over feeds, controllers, positions and levels of force.
+
+    Parameters
+    ----------
+    machine : Machine
+        Structure, feed axes and joints.
+    frequency : array_like, shape (n,)
+        Frequencies [Hz], rising.
+    feeds : sequence of float, optional
+        Feeds of all axes [m/s]; the label shows mm/min.
+    controllers : sequence of str, optional
+        Names of controllers.
+    positions : sequence of float, optional
+        Positions [m] of the axis that a posture depends on.
+    force_levels : sequence of float or None, optional
+        Amplitudes of the sine force [N]; None or zero: small vibration, shown as 0.
+    excitation, response : sequence of str, optional
+        Axis names.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``compliance`` [m/N] and ``status`` over those of ``feed`` [mm/min], ``controller``, ``position`` [m] and
+        ``force_level`` [N] that were given more than one value; the others are scalar coordinates. Not a number where
+        the machine is not at rest without excitation; ``status`` says so.
+    """
+    lists: dict[str, Sequence[Any]] = {
+        "feed": feeds, "controller": controllers, "position": positions, "force_level": force_levels,
+    }  # fmt: skip
+    empty = [name for name, values in lists.items() if len(values) == 0]
+    if empty:
+        raise InputError(f"no {empty[0].replace('_', ' ')} is given; give at least one, or leave the argument out")
+    dims = [name for name, values in lists.items() if len(values) > 1]
+    sizes = tuple(len(lists[name]) for name in dims)
+    runs = [
+        quasi_compliance(machine, frequency, level, feed, controller, position, excitation, response)
+        for feed, controller, position, level in itertools.product(feeds, controllers, positions, force_levels)
+    ]
+    one = runs[0]
+    values = np.stack([r["compliance"].values for r in runs]).reshape(*sizes, *one["compliance"].shape)
+    coords = {name: one[name] for name in one.coords if name not in (*dims, "slide")}
+    for name in dims:
+        labels = dict.fromkeys(r[name].item() for r in runs)
+        if len(labels) != len(lists[name]):
+            raise InputError(f"a {name.replace('_', ' ')} is given twice; give each once")
+        coords[name] = xr.DataArray(list(labels), dims=name, attrs=one[name].attrs)
+    return xr.Dataset(
+        {
+            "compliance": ((*dims, *one["compliance"].dims), values, {"units": "m/N"}),
+            "status": (tuple(dims), np.array([r.attrs["status"] for r in runs]).reshape(sizes), {"units": "1"}),
+        },
+        coords=coords,
+    )

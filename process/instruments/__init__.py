@@ -1,0 +1,1 @@
+"""What a recorder makes of a signal: sensors, their stages, trials."""

@@ -1,0 +1,1 @@
+"""The machine: modes, structure, joints, operating point."""

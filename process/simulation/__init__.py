@@ -1,0 +1,1 @@
+"""Time simulation: the milling process on modes, and the machine in motion."""

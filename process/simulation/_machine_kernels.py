@@ -1,0 +1,430 @@
+"""Numba loop of a machine in time. Floats and plain arrays only; labels live in `process.simulation.machine`.
+
+A step is the exact map of the linear part for inputs that are quadratic in time (values at start, middle and end). What
+is not linear, friction and joints, is an input too: its values in the middle and at the end are solved for
+(collocation, implicit), and where the quadratic does not follow it the step is halved, as often as needed. The loop
+runs without reference counting: every array is made in Python.
+"""
+
+import math
+
+from numba import njit
+
+from process.cut._kernels import cutting_force, make_pose, moved, pass_over, turn
+from process.simulation._element_kernels import _add, _apply, _element, _solve, _strays
+from process.simulation._machine_arrays import (
+    DONE,
+    ENERGY,
+    ENTRY_ANGLE,
+    ENTRY_TIME,
+    FARTHEST,
+    GUESSED,
+    INSIDE,
+    LARGEST,
+    LEVEL,
+    LOST,
+    NOT_SOLVED,
+    RAN_AWAY,
+    SCALE,
+    STALE,
+    STILL,
+    THICKEST,
+    WORST,
+)
+
+_LOOK = 16
+_SOLVED = 0.01
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cut_out(known, piece, low, width):
+    """Fill piece with the three values of each input's parabola on a part of the step."""
+    for i in range(known.shape[0]):
+        a, m, b = known[i, 0], known[i, 1], known[i, 2]
+        for k in range(3):
+            t = low + 0.5 * k * width
+            piece[i, k] = a * (1.0 - t) * (1.0 - 2.0 * t) + 4.0 * m * t * (1.0 - t) + b * t * (2.0 * t - 1.0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _power(lin, el, state, start, values, node, forces):
+    """Power [W] that flows into masses and springs at a state; inputs at a node, and the forces of the elements."""
+    n, size = lin.mass.shape[0], lin.power.shape[1]
+    total = 0.0
+    for r in range(n):
+        velocity, flow = state[start + n + r], 0.0
+        for j in range(size):
+            flow += lin.power[r, j] * state[start + j]
+        for i in range(values.shape[0]):
+            flow += lin.reach[i, r] * values[i, node]
+        for e in range(el.kind.size):
+            flow += lin.reach[el.target[e], r] * forces[node, e]
+        total += flow * velocity
+    return total
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _stored(lin, z):
+    """Energy [J] in masses and springs."""
+    n = lin.mass.shape[0]
+    total = 0.0
+    for r in range(n):
+        for k in range(n):
+            total += lin.mass[r, k] * z[n + r] * z[n + k] + lin.stiffness[r, k] * z[r] * z[k]
+    return 0.5 * total
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _table(lin, work, step, level):
+    """Return the map of a step on the path: that of its point, or the blend of two."""
+    place = lin.places[step]
+    point = min(int(place), lin.maps.shape[0] - 1)
+    share = place - point
+    if share == 0.0:
+        return lin.maps[point, level]
+    if work.fresh[level] != step:
+        work.fresh[level] = step
+        for j in range(lin.maps.shape[2]):
+            for r in range(lin.maps.shape[3]):
+                one, two = lin.maps[point, level, j, r], lin.maps[point + 1, level, j, r]
+                work.blended[level, j, r] = one + share * (two - one)
+    return work.blended[level]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _start(el, work):
+    """Set what the elements feel and do at the state as it is."""
+    for e in range(el.kind.size):
+        felt = 0.0
+        for r in range(work.z.size):
+            felt += el.rows[e, r] * work.z[r]
+        work.felt[0, e] = felt
+        force, _ = _element(el, e, felt, felt, 0.0, work.states, 0)
+        work.force[0, e] = -force
+    work.mode[STALE] = 0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _begin(el, work, table, values):
+    """Apply the map to what is known at the start of a step; the force of the elements there too."""
+    _apply(table, work.z, values, work.base)
+    for d in range(el.kind.size):
+        _add(table, work.z.size + 3 * el.target[d], work.force[0, d], work.base)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _serve(servos, work, node, state, start):
+    """Write what the servos ask for at a half step on the ring."""
+    for s in range(servos.target.size if servos.every == 0 else 0):
+        force = 0.0
+        for r in range(work.z.size):
+            force += servos.rows[s, r] * state[start + r]
+        work.ring[s, node & (work.ring.shape[1] - 1)] = force
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _late(servos, work, i):
+    """Add the forces that the servos asked for a dead time ago: four half steps, from a ring, share in each."""
+    mask = work.ring.shape[1] - 1
+    for s in range(servos.target.size):
+        for k in range(3):
+            first, force = 2 * i + servos.first[s, k], 0.0
+            for m in range(4):
+                force += servos.share[s, k, m] * work.ring[s, (first + m) & mask]
+            work.known[servos.target[s], k] += force
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _sample(servos, work, i, step):
+    """Add the held forces of sampled servos; at a sample read the encoder first. integral (s, 2): I, reading."""
+    lag = work.ring.shape[1]
+    for s in range(servos.target.size):
+        if i % servos.every == 0:
+            period, place, speed = servos.every * step, 0.0, 0.0
+            for r in range(work.z.size):
+                place += servos.rows[2 * s, r] * work.z[r]
+                speed += servos.rows[2 * s + 1, r] * work.z[r]
+            if servos.resolution > 0.0:
+                ramp = servos.ramp[s, 1] + servos.ramp[s, 0] * i * step
+                place = servos.resolution * math.floor((ramp + place) / servos.resolution + 0.5) - ramp
+                speed = (place - work.integral[s, 1]) / period if i > 0 else 0.0
+                work.integral[s, 1] = place
+            error = -(servos.gains[s, 2] * place + speed)
+            work.integral[s, 0] += period * error
+            force = servos.gains[s, 0] * (error + work.integral[s, 0] * servos.gains[s, 1])
+            work.ring[s, (i // servos.every) % lag] = force
+        held = work.ring[s, (i // servos.every + 1) % lag]
+        for k in range(3):
+            work.known[servos.target[s], k] += held
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _gather(given, servos, work, i, step):
+    """Fill work.known with the inputs of a step that do not depend on what happens in it."""
+    for a in range(work.known.shape[0]):
+        for k in range(3):
+            work.known[a, k] = 0.0
+    if i < given.values.shape[1]:
+        for g in range(given.target.size):
+            for k in range(3):
+                work.known[given.target[g], k] += given.values[g, i, k]
+    if servos.every > 0:
+        _sample(servos, work, i, step)
+    elif servos.target.size:
+        _serve(servos, work, 2 * i, work.z, 0)
+        _late(servos, work, i)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _swing(tool, state, start):
+    """Return the three sums of a tool row times a part of a state."""
+    x, y, z = 0.0, 0.0, 0.0
+    for r in range(tool.shape[1]):
+        value = state[start + r]
+        x += tool[0, r] * value
+        y += tool[1, r] * value
+        z += tool[2, r] * value
+    return x, y, z
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _attempt(el, work, table, piece, level, here, allowed, last):
+    """Apply the map of a part of the step and solve for the elements; say whether it is good enough."""
+    _begin(el, work, table, piece)
+    if not el.kind.size:
+        return True
+    if work.mode[GUESSED] != level:
+        for e in range(el.kind.size):
+            work.force[1, e], work.force[2, e] = work.force[0, e], work.force[0, e]
+    work.mode[GUESSED] = -1
+    if not _solve(el, table, work.base, work, here, _SOLVED * allowed):
+        return False
+    return last or not _strays(el, table, work.base, work, here, allowed)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _accept(lin, el, work, table, piece, level, here):
+    """Take the end of a part of the step as the state; book its energy; the parabolas go on as a guess."""
+    size, tally = work.z.size, work.tally
+    flow = _power(lin, el, work.z, 0, piece, 0, work.force)
+    for d in range(el.kind.size):
+        column = size + 3 * el.target[d]
+        _add(table, column + 1, work.force[1, d], work.base)
+        _add(table, column + 2, work.force[2, d], work.base)
+    for r in range(size):
+        work.z[r] = work.base[size + r]
+    for k in range(work.states.shape[1]):
+        work.states[0, k] = work.states[2, k]
+    flow += 4.0 * _power(lin, el, work.base, 0, piece, 1, work.force)
+    flow += _power(lin, el, work.base, size, piece, 2, work.force)
+    held = _stored(lin, work.z)
+    tally[ENERGY] += here * flow / 6.0
+    tally[WORST] = max(tally[WORST], abs(held - tally[ENERGY]))
+    tally[LARGEST] = max(tally[LARGEST], held)
+    for e in range(el.kind.size):
+        f0, fm, f1 = work.force[0, e], work.force[1, e], work.force[2, e]
+        work.felt[0, e], work.force[0, e] = work.felt[2, e], f1
+        work.force[1, e], work.force[2, e] = f0 - 3.0 * fm + 3.0 * f1, 3.0 * f0 - 8.0 * fm + 6.0 * f1
+        tally[SCALE] = max(tally[SCALE], abs(f1))
+    work.mode[GUESSED] = level
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _advance(lin, el, servos, work, i, step, accuracy):
+    """Move the machine by step i, in one part or in several; return what happened."""
+    finest, done = lin.maps.shape[1] - 1, 0
+    while done < 1 << finest:
+        level = work.mode[LEVEL]
+        width = 1 << (finest - level)
+        if done & (width - 1):
+            work.mode[LEVEL] = level + 1
+            continue
+        table, piece, share = _table(lin, work, i, level), work.known, width / (1 << finest)
+        if level > 0:
+            _cut_out(work.known, work.piece, done / (1 << finest), share)
+            piece = work.piece
+        if not _attempt(el, work, table, piece, level, step * share, accuracy * work.tally[SCALE], level == finest):
+            if level == finest:
+                return NOT_SOLVED
+            work.mode[LEVEL] = level + 1
+            continue
+        _accept(lin, el, work, table, piece, level, step * share)
+        done += width
+        if level == 0 or 2 * done == 1 << finest:
+            # The state in the middle of this part, or at its end.
+            _serve(servos, work, 2 * i + 1, work.base, 0 if level == 0 else work.z.size)
+        if level > 0 and done & (2 * width - 1) == 0:
+            work.mode[LEVEL] = level - 1
+    for r in range(lin.mass.shape[0]):
+        if not abs(work.z[r]) < FARTHEST:
+            return RAN_AWAY
+    return DONE
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _predict(lin, el, work, i):
+    """Position and velocity of the tool at the end of step i, with the cutting force held and the elements guessed."""
+    for axis in range(3):
+        for k in range(3):
+            work.known[axis, k] += work.cutting[axis]
+    table, size = _table(lin, work, i, 0), work.z.size
+    tool = lin.tool[int(lin.places[i] + 0.5)]
+    _begin(el, work, table, work.known)
+    held = 0 if work.mode[GUESSED] != 0 else 1
+    for d in range(el.kind.size):
+        column = size + 3 * el.target[d]
+        _add(table, column + 1, work.force[held, d], work.base)
+        _add(table, column + 2, work.force[2 * held, d], work.base)
+    x, y, z = _swing(tool, work.base, size)
+    vx, vy, vz = _swing(tool, work.base, size + tool.shape[1])
+    return x, y, z, vx, vy, vz
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _bite(cut, work, t, step, moving, old):
+    """Return the pose at time t, and write the cutting force there; linear over the step."""
+    x, y, z, vx, vy, vz = moving
+    motion, memory = cut.motion, work.cutting
+    fx, fy, fz = 0.0, 0.0, 0.0
+    pose = old
+    if cut.entry <= t < cut.leave:
+        angle, rotation = turn(motion, t)
+        if memory[INSIDE] == 0.0:
+            memory[ENTRY_TIME], memory[ENTRY_ANGLE] = t, angle
+        advance = motion.feed_rate * (t - memory[ENTRY_TIME]) + motion.feed_per_angle * (angle - memory[ENTRY_ANGLE])
+        pose = make_pose(cut.teeth, angle, rotation, advance, x, y, z)
+        fx, fy, fz, missed, chip = cutting_force(cut.teeth, cut.surfaces, pose, step, vx, vy, vz)
+        memory[LOST] += missed
+        memory[THICKEST] = max(memory[THICKEST], chip)
+        work.tally[SCALE] = max(work.tally[SCALE], abs(fx), abs(fy), abs(fz))
+    for k in range(1, 3):
+        work.known[0, k] += 0.5 * k * (fx - memory[0])
+        work.known[1, k] += 0.5 * k * (fy - memory[1])
+        work.known[2, k] += 0.5 * k * (fz - memory[2])
+    memory[0], memory[1], memory[2] = fx, fy, fz
+    return pose
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _leave_surface(lin, cut, work, place, t, before, pose):
+    """Let the teeth pass over the surface, or the impulse act at entry; return the final pose."""
+    now = cut.entry <= t < cut.leave
+    if now:
+        x, y, z = _swing(lin.tool[place], work.z, 0)
+        pose = moved(pose, x, y, z)
+        if work.cutting[INSIDE] == 1.0:
+            pass_over(cut.teeth, cut.surfaces, before, pose)
+        else:
+            work.tally[ENERGY] -= _stored(lin, work.z)
+            for r in range(cut.kick.size):
+                work.z[cut.kick.size + r] += cut.kick[r]
+            work.tally[ENERGY] += _stored(lin, work.z)
+            work.mode[GUESSED], work.mode[STALE] = -1, 1
+    work.cutting[INSIDE] = 1.0 if now else 0.0
+    return pose
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _keep(el, work, i, states, inputs):
+    """Write state, inputs and forces of the elements at the start of step i."""
+    for r in range(work.z.size):
+        states[i, r] = work.z[r]
+    for a in range(work.known.shape[0]):
+        inputs[i, a] = work.known[a, 0]
+    for e in range(el.kind.size):
+        inputs[i, work.known.shape[0] + e] = work.force[0, e]
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def _settled(work, i, rest):
+    """Say whether all has been at rest for longer than servos look back: states and forces, next to their largest."""
+    if i % _LOOK:
+        return False
+    largest, size, moving = work.largest, work.z.size, False
+    for k in range(largest.size):
+        now = abs(work.z[k]) if k < size else abs(work.force[0, k - size])
+        largest[k] = max(largest[k], now)
+        moving = moving or now > rest * largest[k]
+    work.mode[STILL] = 0 if moving else work.mode[STILL] + _LOOK
+    return work.mode[STILL] > work.ring.shape[1]
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def march(lin, el, servos, given, work, step, accuracy, rest, cut, states, inputs):
+    """March the machine; return what happened and the steps done.
+
+    states (steps, N) and inputs (steps, u + e) receive the state, the inputs and the forces of the elements at the
+    start of each step. `accuracy` is the largest error of an element's force, over the largest force so far. work.tally
+    tells the largest difference between the energy in masses and springs and the integral of the power (Simpson). With
+    a cut the first three inputs are the forces on the tool. Once all is below a share `rest` of its largest and nothing
+    will excite it, it stays there: what follows of states and inputs, which must be zero before, is left as it is.
+    """
+    steps, milling = states.shape[0], cut.leave > cut.entry
+    work.tally[SCALE] = given.peak
+    pose = make_pose(cut.teeth, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    # The first turn is no step: it brings the cutting force at t = 0.
+    for i in range(-1 if milling else 0, steps):
+        before, t = pose, (i + 1) * step
+        if work.mode[STALE] == 1:
+            _start(el, work)
+        if i >= 0:
+            _gather(given, servos, work, i, step)
+        if milling:
+            moving = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            if i >= 0:
+                moving = _predict(lin, el, work, i)
+            pose = _bite(cut, work, t, step, moving, before)
+        if i >= 0:
+            _keep(el, work, i, states, inputs)
+            result = _advance(lin, el, servos, work, i, step, accuracy)
+            if result != DONE:
+                return result, i
+            if i >= given.values.shape[1] and servos.every == 0 and not milling and _settled(work, i, rest):
+                return DONE, i + 1
+        if milling:
+            pose = _leave_surface(lin, cut, work, int(lin.places[max(i, 0)] + 0.5), t, before, pose)
+    return DONE, steps
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def low_pass(channels, at, taps, factor, out):
+    """Fill out (c, m) with every `factor`-th sample of channels (c, n) through a symmetric filter; zero outside.
+
+    taps (t,) at distances at (t,) from the middle, to both sides; the first in the middle itself.
+    """
+    n, half = channels.shape[1], at[-1]
+    for c in range(channels.shape[0]):
+        for k in range(min(out.shape[1], (n + half - 1) // factor + 1)):
+            middle, total = k * factor, 0.0
+            if half <= middle < n - half:
+                total = taps[0] * channels[c, middle]
+                for j in range(1, at.size):
+                    total += taps[j] * (channels[c, middle - at[j]] + channels[c, middle + at[j]])
+            else:
+                for j in range(at.size):
+                    low, high = middle - at[j], middle + at[j]
+                    if 0 <= low < n:
+                        total += taps[j] * channels[c, low]
+                    if high < n and high > low:
+                        total += taps[j] * channels[c, high]
+            out[c, k] = total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def combine(rows, states, inputs, share, out):
+    """Add ``share (rows . (states, inputs))`` to out (c, n): rows (c, N + u), states (n, N), inputs (n, u), share (n,).
+
+    A library's product starts threads for so long a matrix, which costs more than it gains. Most of a row is zero.
+    """
+    size = states.shape[1]
+    for c in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            weight = rows[c, j]
+            if weight == 0.0:
+                continue
+            if j < size:
+                for k in range(share.size):
+                    out[c, k] += share[k] * weight * states[k, j]
+            else:
+                for k in range(share.size):
+                    out[c, k] += share[k] * weight * inputs[k, j - size]

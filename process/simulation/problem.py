@@ -1,0 +1,207 @@
+"""What a time simulation of a machine is asked: all names resolved, and refused where it makes no sense."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.drive.servo import Servo
+from process.errors import InputError
+from process.friction.laws import FrictionLaw, MemoryLaw
+from process.labels import AXES, axis_index
+from process.machine.machine import Machine
+from process.machine.structure import Posture, Structure
+from process.simulation.excitation import Excitation
+from process.simulation.milling import MillingCut, Spindle
+
+Real = NDArray[np.float64]
+
+FAST = 10.0
+"""Speed [m/s] at which friction is past all that is special about slow motion."""
+
+_PATH_POINTS = 33
+
+
+@dataclass(frozen=True)
+class SampledControl:
+    """Servos that read their encoders and set their forces every period, as in `process.drive.sampled_servo`.
+
+    Parameters
+    ----------
+    period : float
+        Sampling period T [s].
+    lag : int, optional
+        Whole periods from reading to force.
+    encoder_resolution : float, optional
+        Step of the encoder [m]: position is rounded to it, velocity is the difference of two readings. Zero: both are
+        read exactly.
+    """
+
+    period: float
+    lag: int = 1
+    encoder_resolution: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what does not sample."""
+        if not (0.0 < self.period < math.inf and self.lag >= 0 and 0.0 <= self.encoder_resolution < math.inf):
+            raise InputError(
+                f"sampling with period {self.period:g} s, lag {self.lag} and encoder steps of "
+                f"{self.encoder_resolution:g} m; give a positive period and the others not negative"
+            )
+
+
+class Rubbing(NamedTuple):
+    """Friction of one slide in steady motion: law, feed [m/s], force [N], and slopes [N s/m].
+
+    `slope` belongs to the linear part: the local one where it slides, else that far up; `fast`: far up, both ways.
+    """
+
+    law: FrictionLaw | MemoryLaw
+    feed: float
+    steady: float
+    slope: float
+    fast: tuple[float, float]
+
+    @property
+    def bends(self) -> bool:
+        """Whether the law is more than viscous."""
+        return isinstance(self.law, MemoryLaw) or self.law.packed()[0] != 0
+
+
+def _rubbing(law: FrictionLaw | MemoryLaw, feed: float) -> Rubbing:
+    if isinstance(law, MemoryLaw):
+        sides = law.towards(FAST).sigma, law.towards(-FAST).sigma
+        return Rubbing(law, feed, float(law.steady_force(feed)), min(sides), sides)
+    local, rest, up, down = (float(v) for v in law.slope(np.array([feed, 0.0, FAST, -FAST])))
+    if not (math.isfinite(local) and math.isfinite(rest)):
+        raise InputError(
+            "the friction law jumps at rest (kt is infinite); a time simulation needs a finite kt, e.g. 15000 s/m"
+        )
+    fast = min(up, down)
+    slope = local if feed != 0.0 and local <= max(fast, 0.0) else fast
+    return Rubbing(law, feed, float(law.force(feed)), slope, (up, down))
+
+
+class Problem(NamedTuple):
+    """What is to be simulated, with all names resolved; times in s."""
+
+    machine: Machine
+    structures: tuple[Structure, ...]
+    friction: tuple[Rubbing, ...]
+    servos: tuple[Servo | None, ...]
+    controller: str | None
+    forces: dict[str, Excitation]
+    drive_forces: dict[str, Excitation]
+    cut: MillingCut | None
+    spindle: Spindle | None
+    entry: float
+    leave: float
+    total: float
+    impulse: tuple[float, float, float]
+    control: SampledControl | None
+    position: float | None
+
+    @property
+    def feeds(self) -> list[float]:
+        """Feed of each axis [m/s]."""
+        return [r.feed for r in self.friction]
+
+    @property
+    def excitations(self) -> list[Excitation]:
+        """Every force that is given."""
+        return [*self.forces.values(), *self.drive_forces.values()]
+
+    @property
+    def delays(self) -> list[float]:
+        """Dead times [s] of the servos."""
+        return [v.delay for v in self.servos if v is not None and v.delay > 0.0]
+
+    @property
+    def tools(self) -> list[str]:
+        """Axes along which a force acts on the tool."""
+        return list(AXES) if self.cut is not None else list(self.forces)
+
+    @property
+    def end(self) -> float:
+        """Time [s] after which nothing excites the machine."""
+        cut = self.leave if self.cut is not None else 0.0
+        return max([e.end for e in self.excitations] + [cut])
+
+
+def problem(
+    machine: Machine,
+    *,
+    duration: float,
+    feed: float | Mapping[str, float] = 0.0,
+    controller: str | None = None,
+    position: float | None = None,
+    forces: Mapping[str, Excitation] | None = None,
+    drive_forces: Mapping[str, Excitation] | None = None,
+    cut: MillingCut | None = None,
+    spindle: Spindle | None = None,
+    lead: float = 0.0,
+    tail: float = 0.0,
+    impulse: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    control: SampledControl | None = None,
+) -> Problem:
+    """Resolve the arguments of `process.simulation.machine.simulate_machine`.
+
+    Raises
+    ------
+    InputError
+        When they do not fit each other or the machine.
+    """
+    feeds = machine.feeds(feed)
+    if (cut is None) != (spindle is None):
+        raise InputError("a cut needs a spindle and a spindle a cut; give both or neither")
+    total = lead + duration + tail
+    if cut is not None and not (duration > 0.0 and lead >= 0.0 and tail >= 0.0):
+        raise InputError(
+            f"{lead:g} s in air, {duration:g} s in the cut, {tail:g} s in air; the cut must last, and the others must "
+            "be zero or positive"
+        )
+    if not all(math.isfinite(v) for v in [total, *feeds.values()]):
+        raise InputError(f"{total:g} s at a feed {', '.join(f'{v:g}' for v in feeds.values())} m/s; give finite ones")
+    servos = tuple(machine.servos(controller))
+    if control is not None and any(v is not None and v.delay > 0.0 for v in servos):
+        raise InputError("a sampled servo has a delay of its own; its period and lag make the dead time: set delay 0")
+    if cut is None and any(impulse):
+        raise InputError("an impulse at entry is given, but no cut; use forces, e.g. a HalfSine")
+    strangers = [a for a in drive_forces or {} if a not in machine.axes]
+    if strangers:
+        raise InputError(f"a drive force on axis {', '.join(strangers)}; this machine drives {', '.join(machine.axes)}")
+    axis_index(list(forces or {}))
+    return Problem(
+        machine,
+        _along_path(machine, feeds, position, total),
+        tuple(_rubbing(axis.friction, feeds[name]) for name, axis in machine.axes.items()),
+        servos,
+        controller,
+        dict(forces or {}),
+        dict(drive_forces or {}),
+        cut,
+        spindle,
+        lead,
+        lead + duration,
+        total,
+        impulse,
+        control,
+        position,
+    )
+
+
+def _along_path(
+    machine: Machine, feeds: Mapping[str, float], position: float | None, total: float
+) -> tuple[Structure, ...]:
+    """Return the structure, or those along the path of an axis that a posture depends on."""
+    start = machine.structure_at(position)
+    if not isinstance(machine.structure, Posture) or feeds.get(machine.structure.axis, 0.0) == 0.0:
+        return (start,)
+    assert position is not None
+    stop = position + feeds[machine.structure.axis] * total
+    return tuple(machine.structure_at(float(at)) for at in np.linspace(position, stop, _PATH_POINTS))

@@ -1,0 +1,413 @@
+"""A machine made ready for `process.simulation._machine_kernels`, and its march through time."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import signal
+
+from process.errors import InputError
+from process.labels import AXES, UNITS, axis_index
+from process.machine.structure import Structure
+from process.simulation import _machine_arrays as machine_parts
+from process.simulation import _machine_kernels as kernels
+from process.simulation.packing import (
+    HALVINGS,
+    SUB,
+    Sampled,
+    pack_cut,
+    pack_elements,
+    pack_linear,
+    pack_servos,
+    scratch,
+    stairs,
+)
+from process.simulation.problem import Problem
+from process.simulation.step_maps import System, gains, reach
+from process.units import from_si
+
+Real = NDArray[np.float64]
+
+AT_REST = 1e-12
+"""Share of the largest states and forces below which a machine that nothing excites any more is at rest."""
+
+
+class Ready(NamedTuple):
+    """All of a problem that does not depend on how large its forces are, with steps of `step` [s]."""
+
+    problem: Problem
+    system: System
+    elements: machine_parts.Elements
+    state: Real
+    servos: machine_parts.Servos
+    ring: int
+    linear: machine_parts.Linear
+    step: float
+    steps: int
+
+
+def made_ready(p: Problem, system: System, step: float, steps: int) -> Ready:
+    """Pack a problem for so many steps [s]."""
+    elements, state = pack_elements(p, system)
+    servos, ring = pack_servos(p, system, step)
+    linear = pack_linear(p, system, elements, step, steps)
+    return Ready(p, system, elements, state, servos, ring, linear, step, steps)
+
+
+def march(
+    r: Ready,
+    given: machine_parts.Given,
+    forces: list[Sampled],
+    *,
+    keep: int,
+    accuracy: float,
+    rest: float = AT_REST,
+) -> Run:
+    """March under forces over time, as packed and as sampled.
+
+    Parameters
+    ----------
+    r : Ready
+        The machine.
+    given, forces
+        From `process.simulation.packing.pack_forces`.
+    keep : int
+        Steps a sample.
+    accuracy : float
+        See `process.simulation.machine.ACCURACY`.
+    rest : float, optional
+        See `AT_REST`.
+
+    Raises
+    ------
+    InputError
+        When friction and joints cannot be solved for, or the tool leaves the range of 1 m.
+    """
+    inputs = np.zeros((r.steps, r.linear.reach.shape[0] + r.elements.kind.size))
+    states = np.zeros((r.steps, r.system.size))
+    work = scratch(r.linear, r.elements, r.servos, r.ring, r.state)
+    cut = pack_cut(r.problem, r.step)
+    end, done = kernels.march(r.linear, r.elements, r.servos, given, work, r.step, accuracy, rest, cut, states, inputs)
+    if end == machine_parts.NOT_SOLVED:
+        raise InputError(
+            f"friction and joints cannot be solved for at {done * r.step:.4g} s even with steps of "
+            f"{r.step / 2**HALVINGS * 1e6:.3g} us; give a shorter step, or a law that is less steep"
+        )
+    _require_near(r.problem, states[: min(done + 1, r.steps), : r.system.n], end, done, r.step)
+    worst, largest = work.tally[machine_parts.WORST], work.tally[machine_parts.LARGEST]
+    share = float(worst / largest) if largest > 0.0 else 0.0
+    lost, thickest = float(work.cutting[machine_parts.LOST]), float(work.cutting[machine_parts.THICKEST])
+    # Within a step forces over time are not what their parabolas are at its start: `as_record` adds them as sampled.
+    pushes = list(zip(given.target.tolist(), forces, strict=False))
+    for (target, _), values in zip(pushes, given.values, strict=False):
+        n = min(values.shape[0], done)
+        inputs[:n, target] -= values[:n, 0]
+    return Run(states, inputs, pushes, r.step, keep, r.linear.places, share, lost, thickest, done)
+
+
+def _require_near(p: Problem, coordinates: Real, end: int, done: int, step: float) -> None:
+    """Refuse a tool that left the range of 1 m."""
+    # Coordinates that are small enough bound the tool without its path.
+    farthest = np.abs(p.structures[0].tool).sum(axis=1).max() * np.abs(coordinates).max(initial=0.0)
+    if end == machine_parts.DONE and farthest < 1.0:
+        return
+    tip = np.abs(coordinates @ p.structures[0].tool.T)
+    if end == machine_parts.RAN_AWAY or not tip.max(initial=0.0) < 1.0:
+        late = np.flatnonzero(~(tip.max(axis=1) < 1.0))
+        when = (late[0] if late.size else done) * step
+        raise InputError(f"the tool left the range of 1 m after {when:.3g} s; it is hit too hard, or unstable")
+
+
+# --- From the states of a march to a record: channels, low-pass, labels, and a verdict on how it ends.
+
+
+MARGIN = 10
+"""Samples to each side that the low-pass spans."""
+
+_WINDOW = 0.25
+_STANDSTILL = 0.1
+_DIRECTIONS = 3
+_NIL = 1e-12
+
+
+class Run(NamedTuple):
+    """Inputs and states at the start of each step, forces over time (input, as sampled) apart, and how it went.
+
+    After `done` steps all was at rest, and is.
+    """
+
+    states: Real
+    inputs: Real
+    forces: list[tuple[int, Sampled]]
+    step: float
+    keep: int
+    places: Real
+    energy_error: float
+    lost: float
+    thickest: float
+    done: int
+
+
+class Motion(NamedTuple):
+    """Motion of the tool (deviation from the ramp) as plain arrays: time [s] (n,); x, y, z (3, n).
+
+    Force [N], displacement [m], acceleration [m/s^2].
+    """
+
+    time: Real
+    force: Real
+    displacement: Real
+    acceleration: Real
+
+
+@lru_cache(maxsize=32)
+def _taps(factor: int) -> tuple[NDArray[np.int64], Real]:
+    """Low-pass for every `factor`-th sample: windowed sinc of 20 samples of the slow rate, of gain 1 at 0 Hz.
+
+    Where and how much, from the middle to one side; a sinc is zero at every `factor`-th.
+    """
+    half = MARGIN * factor
+    taps = signal.firwin(2 * half + 1, 1.0 / factor, window="hamming")[half:]
+    at = np.flatnonzero(np.abs(taps) > _NIL)
+    return at, np.ascontiguousarray(taps[at])
+
+
+def _slow(channels: Real, factor: int, samples: int) -> Real:
+    """Low-pass channels (c, n) without phase and keep every `factor`-th sample, (c, samples); zero before and after."""
+    out = np.zeros((channels.shape[0], samples))
+    if factor == 1:
+        m = min(samples, channels.shape[1])
+        out[:, :m] = channels[:, :m]
+    else:
+        kernels.low_pass(np.ascontiguousarray(channels), *_taps(factor), factor, out)
+    return out
+
+
+def moving_axes(p: Problem) -> list[int]:
+    """Numbers of the axes along which the tool can move or is pushed, or that have a slide; all in a cut."""
+    moves = [any(s.tool[i].any() for s in p.structures) for i in range(len(AXES))]
+    return [i for i, moving in enumerate(moves) if moving or AXES[i] in p.tools or AXES[i] in p.machine.axes]
+
+
+def _tool_rows(p: Problem, system: System, at: int, axes: list[int]) -> Real:
+    """Rows of displacement and acceleration of the tool along axes, for (state, inputs, elements) of a structure."""
+    n, tools, (a, b) = system.n, len(p.tools), system.matrices[at]
+    tool = p.structures[at].tool[axes]
+    targets = [tools + i for i in system.rubbing] + [tools + len(p.servos) + k for k in range(len(p.machine.joints))]
+    direct = tool @ b[n : 2 * n]
+    place = np.zeros((len(axes), system.size + direct.shape[1] + len(targets)))
+    place[:, :n] = tool
+    push = np.hstack([tool @ a[n : 2 * n], direct, direct[:, targets]])
+    return np.vstack([place, push])
+
+
+def _slide_rows(p: Problem, system: System, structure: Structure, axes: list[int], width: int) -> Real:
+    """Rows of position and drive force of each slide, of the velocities of the tool along axes and of each slide."""
+    n, count, slides = system.n, len(p.servos), structure.slide_rows()
+    rows = np.zeros((3 * count + len(axes), width))
+    rows[:count, :n], rows[2 * count : 3 * count, n : 2 * n] = slides, slides
+    rows[3 * count :, n : 2 * n] = structure.tool[axes]
+    held = gains(p, system, structure)
+    for i in range(count):
+        rows[count + i, system.size + len(p.tools) + i] = 1.0
+        if i in system.prompt:
+            rows[count + i, : system.size] = -held[i]
+    return rows
+
+
+def _channels(run: Run, rows: list[Real]) -> Real:
+    """Rows of each structure times states and inputs at each step, (c, steps), blended along the path."""
+    out = np.zeros((rows[0].shape[0], run.states.shape[0]))
+    for row, share in zip(rows, _shares(run.places, len(rows)), strict=True):
+        kernels.combine(row, run.states, run.inputs, share, out)
+    return out
+
+
+def _shares(places: Real, points: int) -> list[Real]:
+    """Share of each point of the path in the structure at some places."""
+    if points == 1:
+        return [np.ones(places.size)]
+    return [np.clip(1.0 - np.abs(places - k), 0.0, 1.0) for k in range(points)]
+
+
+def _pushes(run: Run, samples: int) -> Real:
+    """Forces over time as the record has them, (forces, samples)."""
+    parts = 1 if run.keep == 1 else SUB
+    out = np.zeros((len(run.forces), samples))
+    for row, (_, force) in zip(out, run.forces, strict=True):
+        plain = force.smooth[:: SUB // parts]
+        if force.at.size:
+            plain = plain + stairs(force.at * parts, force.height, plain.size)
+        row[:] = _slow(plain[None], run.keep * parts if parts > 1 else 1, samples)[0]
+    return out
+
+
+def _add_pushes(p: Problem, run: Run, axes: list[int], slow: Real, force: Real) -> None:
+    """Add forces over time to the force on the tool (3, samples), the drive forces, and the acceleration of the tool.
+
+    slow: displacement and acceleration of the tool along axes, positions and drive forces of the slides.
+    """
+    m, tools, samples = len(axes), len(p.tools), force.shape[1]
+    targets, pushes = [target for target, _ in run.forces], _pushes(run, samples)
+    if not targets:
+        return
+    rows = axis_index(p.tools)
+    for target, push in zip(targets, pushes, strict=True):
+        if target < tools:
+            force[rows[target]] += push
+        elif slow.shape[0] > 2 * m:
+            slow[2 * m + len(p.servos) + target - tools] += push
+    place = np.arange(samples) / samples * (len(p.structures) - 1.0)
+    for share, structure in zip(_shares(place, len(p.structures)), p.structures, strict=True):
+        if share.any():
+            prompt = structure.tool[axes] @ np.linalg.solve(structure.mass, reach(p, structure)[targets].T)
+            slow[m : 2 * m] += prompt @ (share * pushes)
+
+
+def _hold(drive_forces: Real, every: int) -> None:
+    """Weigh drive forces (slides, steps) that sampled servos hold for so many steps as integrals do."""
+    ticks = np.arange(0, drive_forces.shape[1], every)
+    for row in drive_forces:
+        row[:] = stairs(ticks.astype(float), np.diff(row[ticks], prepend=0.0), row.size)
+
+
+def _cutting_force(p: Problem, run: Run, samples: int) -> Real:
+    """Force of the cut on the tool, (3, samples)."""
+    if p.cut is None:
+        return np.zeros((3, samples))
+    return _slow(run.inputs[:, :3].T, run.keep, samples)
+
+
+def displacement_of(p: Problem, run: Run) -> Real:
+    """Displacement of the tool (3, done) at the start of each step until all is at rest."""
+    n = p.structures[0].size
+    seen = run._replace(states=run.states[: run.done], inputs=run.inputs[: run.done], places=run.places[: run.done])
+    rows = [np.hstack([s.tool, np.zeros((3, run.states.shape[1] + run.inputs.shape[1] - n))]) for s in p.structures]
+    return _channels(seen, rows)
+
+
+def as_motion(p: Problem, system: System, run: Run, sample_rate: float) -> Motion:
+    """Low-pass the motion of the tool."""
+    samples, axes = round(p.total * sample_rate), moving_axes(p)
+    m, force = len(axes), _cutting_force(p, run, samples)
+    slow = _slow(_channels(run, [_tool_rows(p, system, k, axes) for k in range(len(p.structures))]), run.keep, samples)
+    _add_pushes(p, run, axes, slow, force)
+    out = np.zeros((2, 3, samples))
+    out[:, axes] = slow.reshape(2, m, samples)
+    return Motion(np.arange(samples) / sample_rate, force, out[0], out[1])
+
+
+def as_record(p: Problem, system: System, run: Run, sample_rate: float, poles: int) -> xr.Dataset:
+    """Low-pass and label the channels; put the ramps and the steady friction back; add the verdict."""
+    samples, axes = round(p.total * sample_rate), moving_axes(p)
+    rows = []
+    for k, structure in enumerate(p.structures):
+        tool = _tool_rows(p, system, k, axes)
+        rows.append(np.vstack([tool, _slide_rows(p, system, structure, axes, tool.shape[1])]))
+    every, m, count = _channels(run, rows), len(axes), len(p.servos)
+    if p.control is not None and run.keep > 1:
+        _hold(every[2 * m + count : 2 * (m + count)], max(1, round(p.control.period / run.step)))
+    slow, force = _slow(every[: 2 * (m + count)], run.keep, samples), _cutting_force(p, run, samples)
+    _add_pushes(p, run, axes, slow, force)
+    record = _labelled(p, sample_rate, axes, force[axes], slow)
+    record.attrs.update(_attributes(p, run))
+    at_steps = every[:, : samples * run.keep]
+    swings, speeds = at_steps[:m], at_steps[2 * (m + count) :]
+    record.attrs.update(_verdict(p, swings, speeds[count:], speeds[:count], run.step, poles))
+    return record
+
+
+@lru_cache(maxsize=16)
+def _coordinates(samples: int, sample_rate: float, axes: tuple[int, ...]) -> xr.Coordinates:
+    """Return time and axes of a record. To index them costs as much as to label all channels."""
+    time = xr.Variable("time", np.arange(samples) / sample_rate, {"units": UNITS["time"]})
+    return xr.Coordinates({"time": time, "axis": [AXES[i] for i in axes]})
+
+
+def _labelled(p: Problem, sample_rate: float, axes: list[int], force: Real, slow: Real) -> xr.Dataset:
+    """Label force (m, n) and channels: displacement (m), acceleration (m), positions and drive forces of the slides.
+
+    Not by `process.labels.make_record`, whose checks of what comes from outside cost as much as a short run.
+    """
+    m, count = len(axes), len(p.servos)
+    coordinates = _coordinates(slow.shape[1], sample_rate, tuple(axes))
+    time = coordinates["time"].values
+    values = {"force": force, "displacement": slow[:m], "acceleration": slow[m : 2 * m]}
+    if count:
+        slides = np.full((3, m, time.size), np.nan)
+        for i, (name, rub, servo) in enumerate(zip(p.machine.axes, p.friction, p.servos, strict=True)):
+            lag, ramp = 0.0 if servo is None else servo.following_error(rub.feed), rub.feed * time
+            at = axes.index(AXES.index(name))
+            slides[0, at], slides[1, at] = ramp - lag + slow[2 * m + i], ramp
+            slides[2, at] = rub.steady + slow[2 * m + count + i]
+        values.update(zip(("encoder_position", "reference_position", "drive_force"), slides, strict=True))
+    data = {name: xr.Variable(("axis", "time"), rows, {"units": UNITS[name]}) for name, rows in values.items()}
+    if p.spindle is not None:
+        for name, turning in (("spindle_angle", p.spindle.angle), ("spindle_speed", p.spindle.speed)):
+            data[name] = xr.Variable("time", turning(time), {"units": UNITS[name]})
+    return xr.Dataset(data, coords=coordinates)
+
+
+def _attributes(p: Problem, run: Run) -> dict[str, float | list[float]]:
+    # In the order of the record's axes, whatever that of the slides.
+    order = np.argsort(axis_index(list(p.machine.axes)))
+    feeds = [from_si(p.feeds[i], "mm/min", "speed") for i in order]
+    out: dict[str, float | list[float]] = {
+        "feed_mm_min": feeds[0] if len(feeds) == 1 else feeds,
+        "step_s": run.step,
+        "energy_error": run.energy_error if len(p.structures) == 1 else math.nan,
+    }
+    if p.cut is not None:
+        engaged = (p.leave - p.entry) / run.step * p.cut.tool.teeth * p.cut.arc.arc / (2.0 * math.pi)
+        out.update(lost_contact=run.lost / engaged, largest_chip_thickness_m=run.thickest)
+    return out
+
+
+def _verdict(
+    p: Problem, swings: Real, speeds: Real, slides: Real, dt: float, poles: int
+) -> dict[str, float | int | str]:
+    """Say how the record ends: settled, decaying, or in a motion that nobody excites.
+
+    The third and the last quarter of the time after the excitation are compared; they should hold several periods.
+    """
+    steps = speeds.shape[1]
+    quarter = max(2, (steps - round(p.end / dt)) // 4)
+    last, before = (_scatter(speeds[:, part]) for part in (slice(-quarter, None), slice(-2 * quarter, -quarter)))
+    quiet = last <= 1e-3 * float(np.abs(speeds).max(initial=0.0))
+    motion = "settled"
+    if poles:
+        motion = (
+            f"self-excited: uniform motion is unstable at this feed (stick-slip, {poles} poles in the right half plane)"
+        )
+    elif (steps - 2 * quarter) * dt < p.end:
+        motion = "excited to the end"
+    elif not quiet and last > 0.97 * before:
+        motion = "self-excited: the motion is not at rest without excitation and does not decay"
+    elif not quiet:
+        motion = "still decaying"
+    if motion.startswith("self-excited"):
+        motion += "; a frequency response from this record is not a property of the axis alone"
+    window = slice(-min(round(_WINDOW / dt), steps), None)
+    slow = [
+        float(np.mean((feed + row[window]) * np.sign(feed) < _STANDSTILL * abs(feed)))
+        for feed, row in zip(p.feeds, slides, strict=True)
+    ]
+    return {
+        "unstable_poles": poles,
+        "residual_m": 0.5 * float(np.ptp(swings[:, window], axis=1).max(initial=0.0)),
+        "standstill_share": max(slow, default=0.0),
+        "motion": motion,
+    }
+
+
+def _scatter(speeds: Real) -> float:
+    """Standard deviation over time and three directions, of which some may be missing: they do not move."""
+    still = (_DIRECTIONS - speeds.shape[0]) * speeds.shape[1]
+    count = speeds.size + still
+    mean = float(speeds.sum()) / count
+    return math.sqrt((float(((speeds - mean) ** 2).sum()) + still * mean**2) / count)

@@ -1,0 +1,1 @@
+"""Records -> compliance with uncertainty (section 3 of the paper), a room a method."""

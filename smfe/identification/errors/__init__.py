@@ -1,0 +1,1 @@
+"""Uncertainty of a compliance: intervals, covariance, differences."""
