@@ -10,7 +10,7 @@ import pytest
 from process import directional_matrix
 from process.cut import engagement
 from smfe.demo_campaign import MACHINE, MATERIAL, TOOL
-from stability import zero_order
+from stability.methods import zero_order
 
 ARC = engagement("down", 0.04, 0.08)
 FREQUENCY = np.linspace(5.0, 205.0, 10_000)

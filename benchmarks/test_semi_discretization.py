@@ -17,7 +17,8 @@ from process import CuttingCoefficients, ModalModel, Tool
 from process.cut import engagement
 from process.cut.engagement import Engagement
 from process.cut.force import chip_projection, force_projection, gram_matrix
-from stability import floquet_multipliers, semi_discretization
+from stability import floquet_multipliers
+from stability.methods import semi_discretization
 
 MATERIAL = CuttingCoefficients(6e8, 2e8, 0.0)
 TOOL = Tool(10e-3, 2)

@@ -22,7 +22,7 @@ from smfe.limits import check_sources, limits_of
 from smfe.records import read_records
 from smfe.store import write_csv, write_groups
 from stability import ChatterVerdict, chatter_verdict
-from stability.criterion import FREQUENCY_RANGE
+from stability.chatter.criterion import FREQUENCY_RANGE
 
 NOT_COMPARED = "not compared"
 """Prediction of a source that belongs to another controller, position or feed than the cut."""

@@ -56,7 +56,7 @@ from smfe.records.words import listed
 from smfe.store import check_target, pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
 from smfe.sweep_levels import belongs, level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table
-from stability.criterion import FREQUENCY_RANGE
+from stability.chatter.criterion import FREQUENCY_RANGE
 
 CONDITIONS = "conditions.nc"
 """File of what was measured at several levels or feeds."""

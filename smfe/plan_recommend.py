@@ -21,7 +21,7 @@ from smfe.plan_limits import KEYS, no_plan, rejections
 from smfe.plan_search import DEPTH_STEP, Search
 from smfe.plan_task import Task
 from smfe.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
-from stability import multi_frequency, semi_discretization, zero_order
+from stability.methods import multi_frequency, semi_discretization, zero_order
 
 Real = NDArray[np.float64]
 

@@ -38,7 +38,7 @@ from smfe.plan_forces import (
 from smfe.plan_limits import KEYS, SHORTEST_PASS, allowed
 from smfe.plan_task import Task
 from smfe.sweep import REFUSE_CONDITION
-from stability import zero_order
+from stability.methods import zero_order
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -24,16 +24,13 @@ from stability._guard import check_process
 
 check_process()
 
+from stability.bands.depth_quantiles import linearised_band, sampled_band, with_band
+from stability.bands.error_model import Spread, carries_errors
 from stability.boundary import Axis, Boundary, find_boundary, pointwise
-from stability.criterion import ChatterVerdict, chatter_verdict
-from stability.error_model import Spread, carries_errors
-from stability.multi_frequency import multi_frequency
-from stability.operating_point import operating_point
-from stability.pitch_design import PitchDesign, design_pitch
-from stability.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
-from stability.presets import PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets
-from stability.problem import Cut
-from stability.semi_discretization import (
+from stability.chatter.criterion import ChatterVerdict, chatter_verdict
+from stability.methods.multi_frequency import multi_frequency
+from stability.methods.operating_point import operating_point
+from stability.methods.semi_discretization import (
     BAND_COLUMNS,
     LimitDepth,
     floquet_multipliers,
@@ -41,10 +38,8 @@ from stability.semi_discretization import (
     semi_discretization,
     stability_bands,
 )
-from stability.stationary import StationaryVibration, stationary_vibration
-from stability.tables import LOBE_COLUMNS, lobe_table, read_table, write_table
-from stability.uncertainty import linearised_band, sampled_band, with_band
-from stability.zero_order import (
+from stability.methods.stationary_vibration import StationaryVibration, stationary_vibration
+from stability.methods.zero_order import (
     CriticalDepth,
     critical_depth,
     critical_depth_from_matrix,
@@ -52,6 +47,11 @@ from stability.zero_order import (
     zero_order,
     zero_order_from_matrix,
 )
+from stability.pitch_design import PitchDesign, design_pitch
+from stability.problem import Cut
+from stability.tables.lobe_table import LOBE_COLUMNS, lobe_table, read_table, write_table
+from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
+from stability.tables.presets import PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets
 
 __all__ = [
     "BAND_COLUMNS",

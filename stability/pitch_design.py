@@ -26,9 +26,8 @@ from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
-from stability.periodic import Machine
-from stability.problem import check_spindle_speed
-from stability.semi_discretization import LimitDepth, limit_depth
+from stability.methods.semi_discretization import LimitDepth, limit_depth
+from stability.problem import Machine, check_spindle_speed
 
 Real = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from smfe.campaign.tables import Table
 from smfe.dynamometer import Dynamometer
 from smfe.records.channels import check_channel_name
 from stability import SpindleRange
-from stability.criterion import QUANTITIES
+from stability.chatter.criterion import QUANTITIES
 
 
 class CampaignTable(Table):

@@ -17,7 +17,7 @@ from smfe.diagnosis.drive_record import DriveRecordFamily
 from smfe.diagnosis.finding import Finding, ForceError, Own, StableDepth
 from smfe.diagnosis.machine_frf import MachineFrfs
 from smfe.diagnosis.problem import Condition, Family, Values
-from stability import zero_order
+from stability.methods import zero_order
 
 SPEEDS = 41
 """Spindle speeds of a request at which the depth is computed, at most."""

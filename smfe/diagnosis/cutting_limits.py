@@ -2,7 +2,7 @@
 
 A condition is a limit at one spindle speed: the depth between a stable and a chattering cut, the logarithm of which
 is compared, and the chatter frequency. The prediction is the zero-order limit (`smfe.diagnosis.limit_crossings`), times
-what the converged limit of the unchanged baseline is of its zero-order limit (`stability.semi_discretization`): the
+what the converged limit of the unchanged baseline is of its zero-order limit (`methods.semi_discretization`): the
 forces of few teeth change over a turn, which the mean does not know.
 """
 
@@ -22,7 +22,7 @@ from process.errors import InputError
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from smfe.diagnosis.limit_crossings import crossings, loop_of
 from smfe.diagnosis.problem import Cause, Condition, Parameter, Real, Values
-from stability.semi_discretization import limit_depth
+from stability.methods.semi_discretization import limit_depth
 
 MODEL_FLOOR = 0.015
 """What a limit is trusted to, relative."""

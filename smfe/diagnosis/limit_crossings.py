@@ -2,7 +2,7 @@
 
 ``F = a_p [A0 (1 - exp(-j w T)) + j w A_d / v_c] Phi(w) F``: A_d is the mean directional matrix of the flank
 (`process.ProcessDamping`; its friction along the cut, one across it), v_c the cutting speed. With ``A_d = 0`` this is
-`stability.zero_order`. The damping belongs to the depth, so the lobes are no explicit curve: the frequency is scanned
+`methods.zero_order`. The damping belongs to the depth, so the lobes are no explicit curve: the frequency is scanned
 for real positive eigenvalues of the loop, and each change of sign is closed in on.
 """
 

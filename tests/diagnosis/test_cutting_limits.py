@@ -16,8 +16,8 @@ from process.machine.modes import ModalModel
 from smfe.diagnosis.cutting_limits import CuttingLimits, Limit, Trial, bracketed, limit_family
 from smfe.diagnosis.engine import diagnose
 from smfe.diagnosis.limit_crossings import crossings, loop_of
-from stability.semi_discretization import limit_depth
-from stability.zero_order import zero_order
+from stability.methods.semi_discretization import limit_depth
+from stability.methods.zero_order import zero_order
 
 SHARP = ProcessDamping(0.0)
 RAM = ModalModel(

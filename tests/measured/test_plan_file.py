@@ -18,7 +18,7 @@ from smfe.plan_task import load_task
 from smfe.plan_verify import Verification, explain, verify
 from smfe.scenario import load_scenario
 from smfe.store import read_groups
-from stability import semi_discretization, zero_order
+from stability.methods import semi_discretization, zero_order
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "datasets" / "plans" / "milling_machine.toml"
 

@@ -10,8 +10,9 @@ from truth.milling_map import MillingCut, TurnMap
 
 from process import CuttingCoefficients, ModalModel, Tool
 from process.cut.engagement import engagement
-from stability import floquet_multipliers, multi_frequency, semi_discretization
-from stability.crossings import is_unstable
+from stability import floquet_multipliers
+from stability.methods import multi_frequency, semi_discretization
+from stability.methods.floquet_crossings import is_unstable
 
 ARC = engagement("down", 4e-3, 16e-3)
 SETTING = ([800.0, 850.0], [0.02, 0.02], [2e7, 2e7], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

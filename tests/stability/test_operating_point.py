@@ -8,8 +8,8 @@ import xarray as xr
 
 from process import InputError
 from process.cut.force import force_harmonics
-from stability import zero_order
-from stability.operating_point import operating_point
+from stability.methods import zero_order
+from stability.methods.operating_point import operating_point
 
 SPEEDS = np.linspace(500.0, 2500.0, 12)
 FEED = 1e-4

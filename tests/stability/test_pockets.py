@@ -8,9 +8,10 @@ import pytest
 
 from process.cut.tool import Tool
 from process.errors import InputError
-from stability import lobe_table, zero_order
-from stability.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
-from stability.presets import PRESET_SCHEMA, PresetContext, check_presets, presets, read_presets, write_presets
+from stability import lobe_table
+from stability.methods import zero_order
+from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
+from stability.tables.presets import PRESET_SCHEMA, PresetContext, check_presets, presets, read_presets, write_presets
 
 TOOL = Tool(80e-3, 2, math.pi / 4)
 CONTEXT = PresetContext(TOOL, "face mill 80", "C45", "down", 0.95)

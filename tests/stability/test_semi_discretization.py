@@ -11,14 +11,8 @@ import pytest
 
 from process import CuttingCoefficients, InputError, ModalModel, Tool
 from process.cut import engagement
-from stability import (
-    floquet_multipliers,
-    limit_depth,
-    multi_frequency,
-    semi_discretization,
-    stability_bands,
-    zero_order,
-)
+from stability import floquet_multipliers, limit_depth, stability_bands
+from stability.methods import multi_frequency, semi_discretization, zero_order
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data")
 

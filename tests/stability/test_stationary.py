@@ -8,8 +8,8 @@ import pytest
 
 from process import InputError, MillingCut, Spindle, simulate_milling
 from process.cut.force import force_harmonics, force_projection, gram_matrix
-from stability.semi_discretization import floquet_multipliers
-from stability.stationary import stationary_vibration
+from stability.methods.semi_discretization import floquet_multipliers
+from stability.methods.stationary_vibration import stationary_vibration
 
 FEED = 1e-4
 

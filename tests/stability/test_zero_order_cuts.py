@@ -10,7 +10,7 @@ from process import CuttingCoefficients, InputError, ModalModel, Tool
 from process.cut import engagement
 from process.cut.engagement import Engagement, Engagements, engagement_of_strips
 from process.labels import make_compliance
-from stability import multi_frequency, semi_discretization, zero_order
+from stability.methods import multi_frequency, semi_discretization, zero_order
 from stability.problem import Cut
 
 SPEEDS = np.linspace(400.0, 2500.0, 60)

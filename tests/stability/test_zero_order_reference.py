@@ -5,7 +5,8 @@ import pytest
 
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
-from stability import critical_depth, critical_depth_from_matrix, zero_order, zero_order_from_matrix
+from stability import critical_depth, critical_depth_from_matrix, zero_order_from_matrix
+from stability.methods import zero_order
 
 
 def test_textbook_two_axis_tool(textbook):

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from process.machine.modes import displacement_over_acceleration
-from stability.cut_interval import CutPart
-from stability.line_spectrum import (
+from stability.chatter.cut_interval import CutPart
+from stability.chatter.line_spectrum import (
     STANDS_OUT,
     LineSpectrum,
     alternating,
@@ -24,7 +24,7 @@ from stability.line_spectrum import (
     stands_out,
     without_orders,
 )
-from stability.turns import windows
+from stability.chatter.spindle_speed import windows
 
 MASK_BINS = 3.0
 """Half width of the mask of an order [bins of 1/T]."""

@@ -18,7 +18,7 @@ from scipy import ndimage
 from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
-from stability.turns import resampled
+from stability.chatter.spindle_speed import resampled
 
 SPEED_MISMATCH = 0.01
 """Relative difference between a recorded and the given speed above which one of them must be wrong [1]."""
@@ -44,7 +44,7 @@ class CutPart:
     """The samples that are judged, the whole cut they are taken from, and the air; shapes (axes, n).
 
     ``bounds`` are the times [s] at which the cut begins, is entered, is left and ends; ``base`` is the spindle
-    frequency [Hz] once it is known. Over turns (`stability.turns`), `dt` is that of the mean speed.
+    frequency [Hz] once it is known. Over turns (`stability.chatter.spindle_speed`), `dt` is that of the mean speed.
     """
 
     samples: NDArray[np.float64]

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from stability.cut_interval import CutPart
-from stability.evidence import CERTAIN, MASK_BINS, Evidence
-from stability.line_spectrum import STANDS_OUT
+from stability.chatter.amplitudes import CERTAIN, MASK_BINS, Evidence
+from stability.chatter.cut_interval import CutPart
+from stability.chatter.line_spectrum import STANDS_OUT
 
 Verdict = Literal["stable", "chatter", "undecided"]
 

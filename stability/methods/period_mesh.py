@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.cut.force import chip_projection, force_projection
-from stability import _semi_kernels as kernels
-from stability.periodic import Complex, Modes, Pattern, Real
-from stability.problem import Cut
+from stability.methods import _semi_discretization_kernels as kernels
+from stability.problem import Complex, Cut, Modes, Pattern, Real
 
 Element = tuple[float, float, list[int]]
 """From which angle [rad], how far, and with which teeth engaged."""

@@ -31,8 +31,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
 from process.machine.modes import ModalModel
-from stability.branches import Branches, eigenvalue_branches
-from stability.error_model import (
+from stability.bands.error_model import (
     Complex,
     ErrorModel,
     ModalError,
@@ -41,9 +40,9 @@ from stability.error_model import (
     changed_coefficients,
     measured_error,
 )
-from stability.periodic import modes_of, pattern_of_pitch
-from stability.problem import Cut, Samples, check_spindle_speed, complete_samples
-from stability.vibration import modal_samples
+from stability.methods.vibration_mode import modal_samples
+from stability.methods.zero_order_branches import Branches, eigenvalue_branches
+from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, modes_of, pattern_of_pitch
 
 QUANTILES: tuple[float, ...] = (0.05, 0.5, 0.95)
 """Quantiles of a lobe table."""
@@ -135,7 +134,7 @@ def sampled_band(
     Raises
     ------
     InputError
-        As `stability.zero_order`; when nothing is uncertain, or the compliance carries no errors.
+        As `stability.methods.zero_order`; when nothing is uncertain, or the compliance carries no errors.
     """
     if count < 20:
         raise InputError(f"{count} samples tell no quantile; give at least 20, better 200")

@@ -7,9 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stability.branches import Branches
-from stability.periodic import Modes
-from stability.problem import Samples
+from stability.methods.zero_order_branches import Branches
+from stability.problem import Modes, Samples
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from process.labels import UNITS, sample_interval
-from stability.cut_interval import CutPart
-from stability.line_spectrum import STANDS_OUT, LineSpectrum, hann_spectrum, order_phasors, stands_out
-from stability.spindle_lines import spindle_from_lines
+from stability.chatter.cut_interval import CutPart
+from stability.chatter.line_spectrum import STANDS_OUT, LineSpectrum, hann_spectrum, order_phasors, stands_out
+from stability.chatter.spindle_speed import spindle_from_lines
 
 MOST_TEETH = 12
 """Numbers of teeth that are tried."""

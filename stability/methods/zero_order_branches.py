@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from stability import _kernels
+from stability.methods import _zero_order_kernels as _kernels
 from stability.problem import Samples
 
 

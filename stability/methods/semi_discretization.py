@@ -7,10 +7,10 @@ for each engaged tooth and node, the chip ``s^T Q r``: not the state over a whol
 - The period is cut at every entry and exit, so that all coefficients are smooth within an element; the force is a
   polynomial through Gauss nodes there, and its response an exact exponential: the error falls faster than any power
   of the number of steps, where the classical scheme (Insperger and Stepan 2011) is of first order at entry and exit.
-- A pass costs in proportion to the number of steps (elements of few nodes, `stability.mesh`); no monodromy matrix is
+- A pass costs in proportion to the number of steps (elements of few nodes, `period_mesh`); no monodromy matrix is
   built. The multipliers of largest modulus come from Arnoldi's method on the map over one period.
 - With ``q(t + T) = mu q(t)`` the force is ``a_p`` times a linear operator M(mu) of the chips: for ``mu = exp(j theta)``
-  the real positive eigenvalues of M are 1/depth at *all* changes of stability (`stability.crossings`). The first one,
+  the real positive eigenvalues of M are 1/depth at *all* changes of stability (`floquet_crossings`). The first one,
   islands and all, is found without a grid over depth; the map itself then confirms it.
 
 Run-out and edge forces do not regenerate and have no influence.
@@ -35,12 +35,30 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
-from stability import _semi_kernels as kernels
-from stability.crossings import NEGLIGIBLE, Crossing, Curve, angle_grid, find_crossings, follow, relative_change
-from stability.dense import Dense, dense
-from stability.mesh import FEWEST_NODES, Mesh, cut_at_speed, lay_mesh
-from stability.periodic import NO_LOBE, Complex, Machine, Modes, Pattern, Real, modes_of, pattern_of
-from stability.problem import Cut, check_spindle_speed
+from stability.methods import _semi_discretization_kernels as kernels
+from stability.methods.dense_problem import Dense, dense
+from stability.methods.floquet_crossings import (
+    NEGLIGIBLE,
+    Crossing,
+    Curve,
+    angle_grid,
+    find_crossings,
+    follow,
+    relative_change,
+)
+from stability.methods.period_mesh import FEWEST_NODES, Mesh, cut_at_speed, lay_mesh
+from stability.problem import (
+    NO_LOBE,
+    Complex,
+    Cut,
+    Machine,
+    Modes,
+    Pattern,
+    Real,
+    check_spindle_speed,
+    modes_of,
+    pattern_of,
+)
 
 Krylov = Callable[[int], tuple[Complex, Complex, int]]
 

@@ -34,10 +34,20 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, label
-from stability.branches import Branches, eigenvalue_branches
-from stability.periodic import NO_LOBE, Machine, Modes, modes_of, pattern_of_pitch
-from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings
-from stability.vibration import NO_MODE, dominant_modes, modal_samples, vibration
+from stability.methods.vibration_mode import NO_MODE, dominant_modes, modal_samples, vibration
+from stability.methods.zero_order_branches import Branches, eigenvalue_branches
+from stability.problem import (
+    NO_LOBE,
+    Cut,
+    Machine,
+    Modes,
+    Samples,
+    check_spindle_speed,
+    complete_samples,
+    edge_warnings,
+    modes_of,
+    pattern_of_pitch,
+)
 
 Crossings: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
 """Depth [m], chatter frequency [Hz] and lobe at each speed."""

@@ -16,7 +16,7 @@ import pandas as pd
 
 from process.cut.tool import Tool
 from process.errors import InputError
-from stability.tables import write_whole
+from stability.tables.lobe_table import write_whole
 
 FORMAT = "smfe-presets"
 VERSION = 1

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stability import _semi_kernels as kernels
-from stability.periodic import Complex, Real
+from stability.methods import _semi_discretization_kernels as kernels
+from stability.problem import Complex, Real
 
 
 @dataclass(frozen=True)

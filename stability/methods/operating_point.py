@@ -26,11 +26,21 @@ from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import at_tool, check_compliance, label
-from stability.branches import Branches, eigenvalue_branches
-from stability.periodic import NO_LOBE, Complex, Real, pattern_of_pitch
-from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings, partial_warning
-from stability.vibration import vibration
-from stability.zero_order import first_limits, labelled
+from stability.methods.vibration_mode import vibration
+from stability.methods.zero_order import first_limits, labelled
+from stability.methods.zero_order_branches import Branches, eigenvalue_branches
+from stability.problem import (
+    NO_LOBE,
+    Complex,
+    Cut,
+    Real,
+    Samples,
+    check_spindle_speed,
+    complete_samples,
+    edge_warnings,
+    partial_warning,
+    pattern_of_pitch,
+)
 
 CONDITIONS: tuple[str, ...] = ("feed", "force_level", "depth_of_cut", "level")
 """Dimensions of a compliance that a cut fixes: mm/min, N, mm; ``level`` only counts the levels of each feed."""

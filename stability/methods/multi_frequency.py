@@ -32,10 +32,30 @@ from process.cut.engagement import AnyEngagement, Engagement
 from process.cut.force import CuttingCoefficients, chip_projection, force_projection, gram_matrix
 from process.cut.tool import Tool
 from process.errors import InputError
-from stability.crossings import NEGLIGIBLE, Crossing, angle_grid, find_crossings, follow, is_unstable, relative_change
-from stability.periodic import NO_LOBE, Complex, Machine, Pattern, Real, modes_of, pattern_of
-from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, edge_warnings
-from stability.semi_discretization import LimitDepth, labelled_limits
+from stability.methods.floquet_crossings import (
+    NEGLIGIBLE,
+    Crossing,
+    angle_grid,
+    find_crossings,
+    follow,
+    is_unstable,
+    relative_change,
+)
+from stability.methods.semi_discretization import LimitDepth, labelled_limits
+from stability.problem import (
+    NO_LOBE,
+    Complex,
+    Cut,
+    Machine,
+    Pattern,
+    Real,
+    Samples,
+    check_spindle_speed,
+    complete_samples,
+    edge_warnings,
+    modes_of,
+    pattern_of,
+)
 
 METHOD = "multi-frequency method"
 

@@ -3,7 +3,7 @@
 The static chip ``h_j = f_j sin phi_j`` of tooth j, f_j being the feed over its pitch, and the edge force drive the tool
 at the period of the cut. With equal pitch the vibration repeats from tooth to tooth, leaves no wave, and is that of the
 machine alone; with unequal pitch the chips x of the vibration satisfy ``x = x_0 + a M(1) x`` with the operator M of
-`stability.semi_discretization` at the multiplier one. On a mesh aligned with entries and exits both are exact to the
+`methods.semi_discretization` at the multiplier one. On a mesh aligned with entries and exits both are exact to the
 order of its polynomials. The wall that a peripheral cut leaves is off by the displacement at the moment a tooth
 passes it: the surface location error (Insperger, Gradisek, Kalveram, Stepan, Weinert and Govekar 2006).
 """
@@ -19,10 +19,9 @@ from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients, force_projection
 from process.cut.tool import Tool
 from process.errors import InputError
-from stability.dense import dense
-from stability.mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
-from stability.periodic import Complex, Machine, Modes, Real, modes_of, pattern_of
-from stability.problem import Cut, check_spindle_speed
+from stability.methods.dense_problem import dense
+from stability.methods.period_mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
+from stability.problem import Complex, Cut, Machine, Modes, Real, check_spindle_speed, modes_of, pattern_of
 
 METHOD = "stationary vibration"
 

@@ -4,7 +4,7 @@ The paper says no more than that. What is added here, and why (theory 5):
 
 - *Harmonic* means every spindle order: run-out alone puts lines of 0.3 of the tooth line on orders 1, 2, ... An order
   that is higher than the tooth harmonics takes their place in the ratio.
-- The record is judged over turns of the spindle, not over time (`stability.turns`): 0.3 % of speed error over 4 s, or a
+- The record is judged over turns of the spindle, not over time (`spindle_speed`): 0.3 % of speed error over 4 s, or a
   spindle that slows by it, makes a stable cut look like chatter.
 - Each axis is judged by itself: a quiet axis that chatters does not drown in a loud one. An axis counts as silent
   below a tenth of the highest harmonic of all.
@@ -40,9 +40,9 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, check_record
-from stability.chatter_rules import FEWEST_TURNS, GROWTH, Finding, Verdict, judge, too_few_turns
-from stability.cut_comb import other_speed, other_teeth, spectrogram
-from stability.cut_interval import (
+from stability.chatter.amplitudes import MASK_BINS, Evidence, gather
+from stability.chatter.comb import other_speed, other_teeth, spectrogram
+from stability.chatter.cut_interval import (
     CutPart,
     axis_part,
     judged_part,
@@ -53,10 +53,9 @@ from stability.cut_interval import (
     stretches,
     with_angle,
 )
-from stability.evidence import MASK_BINS, Evidence, gather
-from stability.line_spectrum import LineSpectrum, comb_speed, hann_spectrum
-from stability.spindle_lines import spindle_from_lines
-from stability.turns import followed_turns
+from stability.chatter.line_spectrum import LineSpectrum, comb_speed, hann_spectrum
+from stability.chatter.rules import FEWEST_TURNS, GROWTH, Finding, Verdict, judge, too_few_turns
+from stability.chatter.spindle_speed import followed_turns, spindle_from_lines
 
 QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force", "sound")
 

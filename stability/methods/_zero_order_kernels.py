@@ -1,4 +1,4 @@
-"""Numba loops of the zero-order solution. Plain arrays only; labels live in `stability.zero_order`."""
+"""Numba loops of the zero-order solution. Plain arrays only; labels live in `stability.methods.zero_order`."""
 
 # Kernels take many scalars by design: numba knows no labelled arrays.
 

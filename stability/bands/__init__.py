@@ -1,0 +1,1 @@
+"""From the uncertainty of a compliance to that of a limiting depth of cut."""

@@ -1,0 +1,1 @@
+"""The spectral chatter criterion: amplitudes at the tooth passing orders and beside them."""

@@ -1,0 +1,1 @@
+"""Stability methods, one a file: zero order, multi-frequency, semi-discretization."""

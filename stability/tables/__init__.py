@@ -1,0 +1,1 @@
+"""Lobe tables, pockets, presets."""
