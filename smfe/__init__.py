@@ -21,7 +21,8 @@ from smfe.identification.errors.result import Identification
 from smfe.intervals import interval
 from smfe.limits import LobeResult
 from smfe.cutting_coefficients import Coefficients, coefficients
-from smfe.first_look import Look, look
+from smfe.commands.look import look
+from smfe.records.look import Look
 from smfe.pipeline import chatter, demo, identify, lobes, run
 from smfe.records import read_blocks, read_records, read_reduced
 from smfe.scenario import simulate

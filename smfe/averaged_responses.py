@@ -21,7 +21,7 @@ from process.labels import AXES, make_compliance
 from smfe.campaign import Measurement
 from smfe.identification.errors.result import Identification
 from smfe.records import read_frf
-from smfe.records.channels import FRF_KINDS, frf_channel
+from smfe.records.formats.channels import FRF_KINDS, frf_channel
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

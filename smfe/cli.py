@@ -14,8 +14,9 @@ from rich.table import Table
 
 from process.errors import InputError
 from process.units import parse
-from smfe import __version__, first_look, pipeline
+from smfe import __version__, pipeline
 from smfe import plan as planner
+from smfe.commands.look import look as look_at
 from smfe.conversion import convert as convert_file
 from smfe.cutting_coefficients import coefficients as find_coefficients
 from smfe.demo_campaign import DEMO_SEED
@@ -29,6 +30,7 @@ from smfe.loops import loop_lines
 from smfe.plan_verify import explain as explain_verification
 from smfe.plan_verify import verify as verify_plan
 from smfe.progress import bar
+from smfe.records.look import summary as summary_of_look
 from smfe.scenario import simulate as simulate_scenario
 from smfe.store import unpack_warnings
 
@@ -352,8 +354,8 @@ def look(
     """Say what a file holds and what it seems to be; draw it; write a campaign file to start from."""
     target = output / f"{record.name}.look.toml"
     kept = target.exists()
-    found = first_look.look(record, output)
-    out.print(first_look.summary(found), markup=False, highlight=False, soft_wrap=True)
+    found = look_at(record, output)
+    out.print(summary_of_look(found), markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output / f'{record.name}.look.png'}", highlight=False, soft_wrap=True)
     state = "kept as it was" if kept else "written"
     out.print(f"{state}: {target}; next: smfe check {target}", highlight=False, soft_wrap=True)

@@ -23,7 +23,7 @@ from smfe.records import (
     write_record_mat,
     write_record_uff,
 )
-from smfe.records.words import listed
+from smfe.records.formats.channels import listed
 
 PIECEWISE: dict[str, Callable[[Iterable[xr.Dataset], Path], Path]] = {
     ".nc": write_pieces_netcdf,

@@ -20,7 +20,7 @@ import pooch
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from process.errors import InputError
-from smfe.records.words import did_you_mean, listed
+from smfe.records.formats.channels import did_you_mean, listed
 
 PREFIX = "dataset:"
 

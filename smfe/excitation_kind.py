@@ -22,8 +22,8 @@ from smfe.actuator import identify_actuator
 from smfe.continuous_force import identify_continuous
 from smfe.identification.errors.result import Identification
 from smfe.periodic import identify_periodic
-from smfe.record_kind import kind_of
-from smfe.records.resample import resample
+from smfe.records.clocks import resample
+from smfe.records.kind import kind_of
 from smfe.spectra import check_records, force_samples, record_source
 from smfe.steps import StepRules, find_steps
 

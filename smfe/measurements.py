@@ -29,13 +29,13 @@ from smfe.averaged_responses import identify_averaged, rising_phase, turned_text
 from smfe.background import Background
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.conditions import hammer_levels
-from smfe.dynamometer import compensate
 from smfe.excitation_kind import identify_shaken
 from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.hammer import Averaging, identify_hammer
 from smfe.hits import HitRules
 from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.records import put_on_clock, put_on_time, read_records, read_reduced
+from smfe.records.dynamometer import compensate
 from smfe.spindle_orders import Orders
 from smfe.store import pack_warnings, read_groups, unpack_warnings, write_groups
 from smfe.sweep import check_independent, identify_sweep

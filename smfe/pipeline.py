@@ -52,7 +52,7 @@ from smfe.measurements import cached_identification, check_sweep, file_hash, spl
 from smfe.modal_verb import modal as modal
 from smfe.records import OWN_COLUMNS, Channel, column_names, names_itself, read_records
 from smfe.records.contents import has_no_clock, stated_units
-from smfe.records.words import listed
+from smfe.records.formats.channels import listed
 from smfe.store import check_target, pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
 from smfe.sweep_levels import belongs, level_cubes, with_levels
 from stability import ChatterVerdict, chatter_verdict, write_table

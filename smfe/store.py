@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from process.errors import InputError
-from smfe.records import hdf5_watch
+from smfe.records.formats import hdf5_guard
 
 
 def check_target(path: Path) -> None:
@@ -60,7 +60,7 @@ def read_groups(path: Path) -> dict[str, xr.Dataset]:
     """
     if not path.is_file():
         raise InputError(f"{path} does not exist; `smfe run` writes it")
-    hdf5_watch.check(path, "a NetCDF-4 file of results")
+    hdf5_guard.check(path, "a NetCDF-4 file of results")
     try:
         with xr.open_datatree(path, engine="h5netcdf") as tree:
             loaded = tree.load()

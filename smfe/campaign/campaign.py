@@ -26,8 +26,8 @@ from smfe.campaign.checks import channel_complaints, check, merge, path
 from smfe.campaign.messages import complaints
 from smfe.campaign.plan_table import PlanTable
 from smfe.datasets import Show
-from smfe.dynamometer import Dynamometer
-from smfe.records.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
+from smfe.records.dynamometer import Dynamometer
+from smfe.records.formats.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from stability import SpindleRange, Spread
 
 LOBE_POINTS = 200

@@ -14,8 +14,14 @@ from process.errors import InputError
 from process.labels import AXES
 from smfe.campaign.depth_levels import depth_complaints, depths_of, level_name
 from smfe.campaign.quantities import ESTIMATORS, METHODS
-from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, unit_factor
-from smfe.records.words import did_you_mean, listed
+from smfe.records.formats.channels import (
+    CHANNELS,
+    COMPLIANCE_CHANNELS,
+    RECORD_CHANNELS,
+    did_you_mean,
+    listed,
+    unit_factor,
+)
 
 Loc = tuple[str | int, ...]
 Complaint = tuple[Loc, str]

@@ -24,7 +24,7 @@ from process.friction.laws import (
 )
 from smfe.campaign import quantities as q
 from smfe.campaign.tables import Table
-from smfe.records.words import listed
+from smfe.records.formats.channels import listed
 
 LAWS: dict[str, type[FrictionLaw | MemoryLaw]] = {
     "viscous": Viscous,

@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 
 from smfe.campaign.checks import Complaint, Loc
 from smfe.campaign.schema import CampaignFile
-from smfe.records.words import did_you_mean
+from smfe.records.formats.channels import did_you_mean
 
 
 def complaints(error: ValidationError, root: type[BaseModel] = CampaignFile) -> list[Complaint]:

@@ -17,8 +17,8 @@ from process.errors import InputError
 from process.labels import AXES, place_text
 from process.plausible import FASTEST_FEED
 from smfe import datasets
+from smfe.records.formats.channels import did_you_mean, listed
 from smfe.records.read import READERS
-from smfe.records.words import did_you_mean, listed
 
 COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
 """Methods of a measurement that give a compliance; "frf" is one that another program has averaged."""

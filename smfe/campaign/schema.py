@@ -19,8 +19,8 @@ from smfe.campaign import quantities as q
 from smfe.campaign.machine_tables import Delay, FrictionTable, PositiveMass, PositiveTime, ServoTable, Viscosity
 from smfe.campaign.plan_table import PlanTable
 from smfe.campaign.tables import Table
-from smfe.dynamometer import Dynamometer
-from smfe.records.channels import check_channel_name
+from smfe.records.dynamometer import Dynamometer
+from smfe.records.formats.channels import check_channel_name
 from stability import SpindleRange
 from stability.chatter.criterion import QUANTITIES
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from process.errors import InputError
 from smfe.diagnosis.problem import Family
 from smfe.diagnosis.suspect import Suspect
-from smfe.records.words import did_you_mean, listed
+from smfe.records.formats.channels import did_you_mean, listed
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,12 @@
 """Files of measured signals -> labelled records, and back."""
 
 from smfe.records.blocks import read_blocks
-from smfe.records.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.clocks import put_on_clock, put_on_time
 from smfe.records.contents import column_names, contents, names_itself
+from smfe.records.decimate import read_reduced
+from smfe.records.formats.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.frf import read_frf, read_universal_frfs
 from smfe.records.read import READERS, read_records
-from smfe.records.reduce import read_reduced
 from smfe.records.write import (
     OWN_COLUMNS,
     record_columns,

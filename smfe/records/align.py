@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import sample_interval
-from smfe.records.channels import split_vector
+from smfe.records.formats.channels import split_vector
 
 HALF = 32
 _BETA = 10.0

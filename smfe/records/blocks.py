@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import make_record, sample_interval
-from smfe.records import netcdf
 from smfe.records.align import HALF, shift
-from smfe.records.channels import Channel, record_channels, split_vector
+from smfe.records.formats import netcdf
+from smfe.records.formats.channels import Channel, record_channels, split_vector
+from smfe.records.formats.table import Table, join, slices
 from smfe.records.read import (
     BLOCK_READERS,
     SEGMENT_READERS,
@@ -35,7 +36,6 @@ from smfe.records.read import (
     values_of,
 )
 from smfe.records.rounded_time import evened, is_rounded
-from smfe.records.table import Table, join, slices
 
 BLOCK = 1 << 16
 """Samples a block."""

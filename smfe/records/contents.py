@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.units import UNITS, known
-from smfe.records import controls, lvm, mat, netcdf, npy, parquet, tdms, text
+from smfe.records import text
+from smfe.records.formats import lvm, mat, netcdf, npy, parquet, tdms
+from smfe.records.formats.controls import traces as controls
+from smfe.records.formats.table import Column, UnknownColumn, damaged
 from smfe.records.read import Reader, reader_of
-from smfe.records.table import Column, UnknownColumn, damaged
 
 _NO_COLUMN = "\0"
 """A name that no column has: readers name theirs in the refusal, so that what is listed is what can be read."""

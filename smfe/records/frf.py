@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from process import units
 from process.errors import InputError
 from process.labels import make_compliance, place_text
-from smfe.records import uff
-from smfe.records.channels import FRF_KINDS, Channel, frf_channel, motion_of
+from smfe.records.formats import uff
+from smfe.records.formats.channels import FRF_KINDS, Channel, frf_channel, motion_of
+from smfe.records.formats.table import Table
 from smfe.records.read import columns_of, named, reader_of, values_of
-from smfe.records.table import Table
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

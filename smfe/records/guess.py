@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from process.labels import AXES
 from process.units import known
-from smfe.records.channels import CHANNELS
 from smfe.records.contents import Contents, plain_unit, without_unit
-from smfe.records.table import Column
+from smfe.records.formats.channels import CHANNELS
+from smfe.records.formats.table import Column
 
 Real = NDArray[np.float64]
 

@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, make_record
-from smfe.records import controls, lvm, mat, netcdf, npy, parquet, sinumerik, tdms, text, uff, wav
+from smfe.records import text
 from smfe.records.align import align
-from smfe.records.channels import Channel, record_channels, split_vector
+from smfe.records.formats import lvm, mat, netcdf, npy, parquet, tdms, uff, wav
+from smfe.records.formats.channels import Channel, record_channels, split_vector
+from smfe.records.formats.controls import sinumerik
+from smfe.records.formats.controls import traces as controls
+from smfe.records.formats.table import Column, Table
 from smfe.records.rounded_time import evened
-from smfe.records.table import Column, Table
 
 Reader = Callable[[Path, Sequence[Column]], list[Table]]
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from smfe.records.channels import Channel
-from smfe.records.table import Table
+from smfe.records.formats.channels import Channel
+from smfe.records.formats.table import Table
 
 
 def is_rounded(table: Table, channels: Mapping[str, Channel]) -> bool:

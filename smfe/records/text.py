@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from smfe.records import controls, csv
-from smfe.records.table import Column, Table, slices
+from smfe.records.formats import csv
+from smfe.records.formats.controls import traces as controls
+from smfe.records.formats.table import Column, Table, slices
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import io
 
 from process.labels import AXES, UNITS, axis_present, check_record
-from smfe.records.channels import Channel
+from smfe.records.formats.channels import Channel
 
 _VECTOR_HEADERS = {
     "force": "F",

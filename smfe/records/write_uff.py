@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES, RECORD_SCALARS, RECORD_VECTORS, UNITS, axis_present, check_record, sample_interval
-from smfe.records.channels import Channel
-from smfe.records.uff import EXACT
+from smfe.records.formats.channels import Channel
+from smfe.records.formats.uff import EXACT
 from smfe.records.write import in_place
 
 _TIME_RESPONSE, _FRF = 1, 4

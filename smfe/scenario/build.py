@@ -33,7 +33,7 @@ from process.machine.modes import ModalModel
 from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
 from smfe.campaign.machine_tables import AxisTable, made
 from smfe.campaign.schema import ModeTable
-from smfe.records.channels import CHANNELS, check_channel_name
+from smfe.records.formats.channels import CHANNELS, check_channel_name
 from smfe.scenario import schema
 
 _JOINTS: dict[str, type[Joint]] = {"jenkins": Jenkins, "iwan": Iwan, "cubic": CubicSpring, "gap": Gap}

@@ -9,7 +9,7 @@ from pathlib import Path
 from process.friction.laws import Viscous
 from process.machine.machine import Machine
 from process.units import show as quantity
-from smfe.records.words import listed
+from smfe.records.formats.channels import listed
 from smfe.scenario.scenario import Scenario
 
 

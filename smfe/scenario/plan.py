@@ -32,7 +32,7 @@ from process.simulation.excitation import Chirp
 from process.simulation.machine import SampledControl
 from process.simulation.milling import MillingCut, Spindle
 from process.units import show
-from smfe.records.words import did_you_mean, listed
+from smfe.records.formats.channels import did_you_mean, listed
 from smfe.scenario import schema
 
 Make = Callable[..., xr.Dataset]

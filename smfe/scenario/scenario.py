@@ -18,7 +18,7 @@ from smfe.campaign.campaign import read_toml, report
 from smfe.campaign.checks import Complaint, check
 from smfe.campaign.messages import complaint
 from smfe.campaign.quantities import COMPLIANCE_METHODS
-from smfe.records.words import did_you_mean, listed
+from smfe.records.formats.channels import did_you_mean, listed
 from smfe.scenario import schema
 from smfe.scenario.build import build_machine, build_sensors, loaded_machine
 from smfe.scenario.plan import Entry, Stand, entries

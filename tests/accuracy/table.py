@@ -27,8 +27,8 @@ from accuracy.passes import BAND, entry_errors, sweep_passes
 from truth.sweep import CUTS, Campaign, clean, measure, required
 
 from smfe import LocalPolynomial, SingleReference, SweepPass, identify_sweep
-from smfe.dynamometer import Dynamometer, compensate
 from smfe.reciprocity import symmetric
+from smfe.records.dynamometer import Dynamometer, compensate
 from smfe.spindle_orders import Orders
 
 RATE = 1000.0

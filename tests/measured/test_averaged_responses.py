@@ -10,7 +10,7 @@ from scipy import io, stats
 from process.errors import InputError
 from smfe.averaged_responses import response_std, rising_phase
 from smfe.campaign import load_campaign
-from smfe.first_look import look
+from smfe.commands.look import look
 from smfe.identification.errors.result import Identification
 from smfe.measurements import identify_measurement
 from smfe.modal import fit_modes

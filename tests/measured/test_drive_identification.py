@@ -12,10 +12,10 @@ import xarray as xr
 from process.errors import InputError
 from process.labels import make_record
 from smfe import pipeline
+from smfe.commands.look import look
 from smfe.diagnosis.audit import check
 from smfe.drive_parameters import identify_drive
 from smfe.drive_results import DriveFit, DriveParameter
-from smfe.first_look import look
 from tests.truth.drive_rig import draw, truths
 
 REPOSITORY = Path(__file__).parents[2]

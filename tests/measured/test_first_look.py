@@ -16,8 +16,8 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.cli import app
 from smfe.diagnosis.audit import check
-from smfe.record_kind import kind_of
 from smfe.records import write_record_netcdf
+from smfe.records.kind import kind_of
 
 HEADERS = {"force": "F", "acceleration": "a", "spindle_speed": "n", "sound": "Mic"}
 UNITS = {"force": "N", "acceleration": "m/s²", "spindle_speed": "U/min", "sound": "Pa"}

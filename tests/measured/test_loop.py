@@ -15,7 +15,7 @@ from smfe import pipeline
 from smfe.diagnosis.audit import check
 from smfe.loop import identify_loop
 from smfe.records import Channel, read_records
-from smfe.records.sinumerik import DIGITS, numbers
+from smfe.records.formats.controls.sinumerik import DIGITS, numbers
 from smfe.setpoint import find_period
 from smfe.store import read_groups
 

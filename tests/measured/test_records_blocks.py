@@ -30,7 +30,7 @@ from smfe.records import (
     write_record_netcdf,
     write_record_uff,
 )
-from smfe.records.reduce import low_pass, reduction
+from smfe.records.decimate import low_pass, reduction
 
 RATE = 4096.0
 

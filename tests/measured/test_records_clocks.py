@@ -12,7 +12,7 @@ from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.measurements import records_of
 from smfe.records import put_on_clock, write_record_csv
-from smfe.records.resample import resample
+from smfe.records.clocks import resample
 
 Real = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from smfe.records import (
     write_compliance_uff,
     write_record_uff,
 )
-from smfe.records.uff import read_functions
+from smfe.records.formats.uff import read_functions
 
 RATE = 51200.0
 RNG = np.random.default_rng(7)

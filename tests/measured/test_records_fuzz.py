@@ -31,7 +31,6 @@ from process.labels import make_record
 from smfe.records import (
     READERS,
     Channel,
-    hdf5_watch,
     read_blocks,
     read_records,
     write_record_csv,
@@ -39,7 +38,8 @@ from smfe.records import (
     write_record_netcdf,
     write_record_uff,
 )
-from smfe.records.sinumerik import DIGITS
+from smfe.records.formats import hdf5_guard as hdf5_watch
+from smfe.records.formats.controls.sinumerik import DIGITS
 
 N, RATE = 256, 2000.0
 CLOCK = {"time": Channel("t", "s")}

@@ -18,7 +18,8 @@ import pytest
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.records import Channel, hdf5_watch, read_records, write_record_netcdf
+from smfe.records import Channel, read_records, write_record_netcdf
+from smfe.records.formats import hdf5_guard
 from smfe.store import read_groups
 
 HERE = Path(__file__).parent
@@ -29,9 +30,10 @@ READER = """
 import json, sys, warnings
 from pathlib import Path
 from process.errors import InputError
-from smfe.records import Channel, hdf5_watch, read_blocks, read_records
+from smfe.records import Channel, read_blocks, read_records
+from smfe.records.formats import hdf5_guard
 
-hdf5_watch.SECONDS = 3.0
+hdf5_guard.SECONDS = 3.0
 clock = {"time": Channel("t", "s"), "force_x": Channel("Fx", "N"), "acceleration_x": Channel("ax", "m/s^2")}
 print("ready", flush=True)
 for line in sys.stdin:
@@ -157,7 +159,7 @@ def test_a_process_that_dies_is_a_sentence_too(tmp_path: Path, monkeypatch: pyte
     """As after a segmentation fault of the library: a probe that ends itself on one file."""
     path = make("h5", tmp_path)
     script = tmp_path / "probe.py"
-    text = hdf5_watch._SCRIPT.read_text(encoding="utf-8")
+    text = hdf5_guard._SCRIPT.read_text(encoding="utf-8")
     assert "\ndef _walk(path: str) -> None:\n" in text
     dying = f"\ndef _walk(path: str) -> None:\n    if path == {str(path)!r}:\n        sys.exit(3)\n"
     script.write_text(text.replace("\ndef _walk(path: str) -> None:\n", dying))
@@ -169,7 +171,7 @@ def test_a_process_that_dies_is_a_sentence_too(tmp_path: Path, monkeypatch: pyte
         read_records(path, CHANNELS)
     other = path.rename(tmp_path / "other.h5")
     assert read_records(other, CHANNELS)[0].sizes["time"] == 256
-    hdf5_watch._running[0].end()
+    hdf5_guard._running[0].end()
 
 
 def test_where_no_process_can_be_started_files_are_read_without(
@@ -179,7 +181,7 @@ def test_where_no_process_can_be_started_files_are_read_without(
     path = make("h5", tmp_path)
     silent = tmp_path / "silent.py"
     silent.write_text("")
-    for executable, script in (("/nowhere/python", hdf5_watch._SCRIPT), (sys.executable, silent)):
+    for executable, script in (("/nowhere/python", hdf5_guard._SCRIPT), (sys.executable, silent)):
         monkeypatch.setattr(sys, "executable", executable)
         monkeypatch.setattr(hdf5_watch, "_SCRIPT", script)
         monkeypatch.setattr(hdf5_watch, "_running", [])
@@ -193,9 +195,9 @@ def test_what_it_costs_does_not_depend_on_the_samples(tmp_path: Path) -> None:
     for name, size in (("small", 1000), ("large", 10_000_000)):
         with h5py.File(tmp_path / f"{name}.h5", "w") as file:
             file.create_dataset("x", (size,), float, chunks=(min(size, 50_000),), data=np.zeros(size))
-        hdf5_watch.check(tmp_path / f"{name}.h5", "HDF5")
+        hdf5_guard.check(tmp_path / f"{name}.h5", "HDF5")
         start = time.perf_counter()
-        hdf5_watch.check(tmp_path / f"{name}.h5", "HDF5")
+        hdf5_guard.check(tmp_path / f"{name}.h5", "HDF5")
         spent[name] = time.perf_counter() - start
     assert max(spent.values()) < 0.05
 

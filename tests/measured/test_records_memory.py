@@ -10,9 +10,10 @@ from scipy import io
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.records import Channel, memory, read_blocks, read_records, uff_columns, write_record_uff
+from smfe.records import Channel, read_blocks, read_records, uff_columns, write_record_uff
 from smfe.records.blocks import streams
-from smfe.records.mat_stream import plain_variables
+from smfe.records.formats import table as memory
+from smfe.records.formats.mat import plain_variables
 
 RATE = 51200.0
 

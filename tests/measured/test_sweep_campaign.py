@@ -11,9 +11,9 @@ from process.errors import InputError
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.campaign import load_campaign
 from smfe.demo_campaign import MACHINE, MATERIAL
-from smfe.dynamometer import Dynamometer
 from smfe.measurements import identify_measurement, sweep_estimator
 from smfe.records import write_record_netcdf
+from smfe.records.dynamometer import Dynamometer
 from smfe.spindle_orders import Orders
 from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference
 

@@ -18,8 +18,8 @@ from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced, simulate_milling
 from smfe import LocalPolynomial, Segments, SweepPass, identify_sweep
 from smfe.demo_campaign import MATERIAL
-from smfe.dynamometer import Dynamometer, compensate
 from smfe.reciprocity import reciprocity, symmetric
+from smfe.records.dynamometer import Dynamometer, compensate
 from smfe.spindle_angle import force_angle, spindle_angle, tacho_angle
 from smfe.spindle_orders import Orders
 

@@ -21,9 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.memory import refuse_larger
-from smfe.records.table import Column, Table, UnknownColumn, as_numbers, damaged, find_columns, guarded, slices
-from smfe.records.words import did_you_mean, listed
+from smfe.records.formats.channels import did_you_mean, listed
+from smfe.records.formats.table import (
+    Column,
+    Table,
+    UnknownColumn,
+    as_numbers,
+    damaged,
+    find_columns,
+    guarded,
+    refuse_larger,
+    slices,
+)
 
 Body = bytes | memoryview
 """Samples of a dataset; of a binary one a view of the mapped file."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, damaged, find_columns, guarded, join
+from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join
 
 _KIND = "a LabVIEW measurement file"
 _WHOLE = 1 << 16

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, damaged, find_columns, same_length
-from smfe.records.words import listed
+from smfe.records.formats.channels import listed
+from smfe.records.formats.table import Column, Table, damaged, find_columns, same_length
 
 DIGITS = "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ!#$`()*+-/:;=?@[]^_{|}~"
 """Digits of the base 85, in rising order."""

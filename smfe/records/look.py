@@ -1,4 +1,4 @@
-"""`smfe look`: what a file holds, what kind of record it seems to be, and a campaign file to start from."""
+"""What a file holds, what kind of record it seems to be, and a campaign file to start from."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from process.units import factor
-from smfe.record_kind import Kind, kind_of
 from smfe.records import contents, names_itself, read_records
 from smfe.records.contents import Contents
+from smfe.records.formats.table import Column
 from smfe.records.guess import Guess, frequency_column, guess_channels
-from smfe.records.table import Column
+from smfe.records.kind import Kind, kind_of
 from smfe.records.write import OWN_COLUMNS
-from smfe.store import write_atomically
 
 Real = NDArray[np.float64]
 
@@ -70,16 +69,15 @@ class Look:
         return self.size / self.sample_rate
 
 
-def look(path: str | Path, output: str | Path | None = None) -> Look:
+def examine(path: str | Path, folder: str | Path | None = None) -> Look:
     """Say what a file holds and what kind of record it seems to be.
 
     Parameters
     ----------
     path : path
         Any file that `read_records` reads.
-    output : path, optional
-        Folder for a picture, ``NAME.look.png``, and a campaign file to start from, ``NAME.look.toml``. A campaign file
-        that is there already is left as it is. None: nothing is written.
+    folder : path, optional
+        Where the campaign file is to stand, for the paths in it. None: beside the file.
 
     Returns
     -------
@@ -105,8 +103,8 @@ def look(path: str | Path, output: str | Path | None = None) -> Look:
     if not frf and not math.isfinite(rate):
         notes.append("no clock: the file states no sample rate and no column rises in even steps")
     notes += [f"'{column}' is not read: {why}" for column, why in list(found.unread.items())[:6]]
-    text = _campaign(path, path.parent if output is None else Path(output), found, guesses, frf, rate, kind)
-    result = Look(
+    text = _campaign(path, path.parent if folder is None else Path(folder), found, guesses, frf, rate, kind)
+    return Look(
         path,
         len(segments),
         _table(found, guesses, left),
@@ -118,7 +116,6 @@ def look(path: str | Path, output: str | Path | None = None) -> Look:
         tuple(notes),
         found,
     )
-    return result if output is None else _written(result, Path(output))
 
 
 def _own(path: Path) -> list[Contents]:
@@ -434,19 +431,6 @@ def _measurement_tables(file: str, used: Sequence[Guess], kind: Kind, found: Con
     if method in ("hammer", "actuator"):
         return [*lines, f'records = [{{ file = {file}, excitation = "{along}" }}]  {_CHANGE}: the axis']
     return [*lines, f"records = [{{ file = {file} }}]"]
-
-
-def _written(result: Look, folder: Path) -> Look:
-    """Write picture and campaign file into a folder."""
-    # Drawing stays out of the numerics: only the composition imports it, and only where it is called.
-    from smfe.report.first_look import draw
-
-    name = result.path.name
-    write_atomically(folder / f"{name}.look.png", lambda p: draw(result, p))
-    target = folder / f"{name}.look.toml"
-    if not target.exists():
-        write_atomically(target, lambda p: p.write_text(result.campaign, encoding="utf-8"))
-    return result
 
 
 def summary(result: Look) -> str:

@@ -15,16 +15,7 @@ from nptdms import TdmsFile
 from nptdms.log import log_manager
 
 from process.errors import InputError
-from smfe.records.table import (
-    Column,
-    Table,
-    as_numbers,
-    damaged,
-    find_columns,
-    guarded,
-    join,
-    refuse_oversize,
-)
+from smfe.records.formats.table import Column, Table, as_numbers, damaged, find_columns, guarded, join, refuse_oversize
 
 _KIND = "TDMS"
 _WHOLE = 1 << 20

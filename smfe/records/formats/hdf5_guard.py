@@ -3,7 +3,7 @@
 Nothing in a process can end a loop of a library that holds the interpreter, and most of what makes the library loop
 cannot be seen from outside: superblock and file length may be right, and a text be longer than the heap it stands in.
 So a second process, started once, opens each file first and walks through all of it but the samples
-(`smfe.records.hdf5_probe`). When it does not answer in time it is ended, and that is said in a sentence, as it is when
+(`formats.hdf5_probe`). When it does not answer in time it is ended, and that is said in a sentence, as it is when
 the library has ended the process itself.
 
 What it costs does not depend on the samples: the index of their pieces is walked through, they are not read. Where no

@@ -19,8 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.memory import refuse_larger
-from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, refuse_oversize, same_length
+from smfe.records.formats.table import (
+    Column,
+    Table,
+    as_numbers,
+    damaged,
+    find_columns,
+    refuse_larger,
+    refuse_oversize,
+    same_length,
+)
 
 _KIND = "a NumPy file"
 _MOST_COMPRESSED = 1100.0

@@ -14,8 +14,8 @@ import pandas as pd
 
 from process.errors import InputError
 from process.units import UNITS, known
-from smfe.records.complex_text import complex_column, complex_of
-from smfe.records.table import Column, Table, find_columns, guarded, join
+from smfe.records.formats.complex_text import complex_column, complex_of
+from smfe.records.formats.table import Column, Table, find_columns, guarded, join
 
 # In the order of preference where several fit. "12,5" with whitespace around it has a decimal comma; "12,5" in a
 # file whose every line splits at the comma has not.

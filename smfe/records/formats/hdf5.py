@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, as_numbers, guarded, refuse_oversize
+from smfe.records.formats.table import Column, Table, as_numbers, guarded, refuse_oversize
 
 _MOST_COMPRESSED = 1100.0
 """Deflate cannot shrink data further than this."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, as_numbers, damaged, find_columns, guarded, join, refuse_oversize
+from smfe.records.formats.table import Column, Table, as_numbers, damaged, find_columns, guarded, join, refuse_oversize
 
 _KIND = "Parquet"
 _WHOLE = 1 << 18

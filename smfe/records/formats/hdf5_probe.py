@@ -1,6 +1,6 @@
 """The process that opens HDF5 files first: whatever a damaged one does to the library, it does it here.
 
-Run as a script by `smfe.records.hdf5_watch`, never imported: it reads names of files from its input, one in a line as
+Run as a script by `formats.hdf5_guard`, never imported: it reads names of files from its input, one in a line as
 JSON, walks through everything but the samples, and answers with a line. It imports h5py and nothing of smfe, so that it
 starts quickly.
 """

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from process import units
 from process.errors import InputError
 from process.labels import AXES, RECORD_SCALARS, RECORD_VECTORS
-from smfe.records.words import did_you_mean
 
 _DIMENSION_OF_VECTOR = {
     "force": "force",
@@ -217,3 +217,23 @@ def split_vector(name: str) -> tuple[str, str] | None:
 def record_channels(channels: Mapping[str, Channel]) -> dict[str, Channel]:
     """Return the channels that belong to a record; refuse names that are not known."""
     return {name: channel for name, channel in channels.items() if check_channel_name(name) in RECORD_CHANNELS}
+
+
+# --- Half-sentences for messages about names.
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``" (did you mean 'column'?)"`` for a name near a known one, else nothing."""
+    choices = list(known)
+    near = difflib.get_close_matches(name, choices, n=1, cutoff=0.6)
+    if not near:
+        lower = {choice.lower(): choice for choice in choices}
+        near = [lower[key] for key in difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=0.6)]
+    return f" (did you mean '{near[0]}'?)" if near else ""
+
+
+def listed(names: Iterable[object], most: int = 30) -> str:
+    """Return names in quotes with commas between, shortened when there are many."""
+    quoted = [f"'{name}'" for name in names]
+    more = f", and {len(quoted) - most} more" if len(quoted) > most else ""
+    return (", ".join(quoted[:most]) + more) or "none"

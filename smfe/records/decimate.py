@@ -18,7 +18,7 @@ from scipy import signal
 
 from process.errors import InputError
 from smfe.records.blocks import BLOCK, Samples, Stream, streams
-from smfe.records.channels import Channel, split_vector
+from smfe.records.formats.channels import Channel, split_vector
 from smfe.records.read import read_records
 
 PASS_BAND = 0.4

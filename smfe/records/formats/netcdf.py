@@ -10,9 +10,9 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import RECORD_SCALARS, RECORD_VECTORS, UNITS
-from smfe.records import hdf5_watch
-from smfe.records.hdf5 import columns_of, open_file, read_places
-from smfe.records.table import Column, Table, damaged, find_columns, guarded, join
+from smfe.records.formats import hdf5_guard
+from smfe.records.formats.hdf5 import columns_of, open_file, read_places
+from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join
 
 _KIND = "NetCDF-4 or HDF5"
 _WHOLE = 1 << 62
@@ -85,4 +85,4 @@ def _check_signature(path: Path) -> None:
         raise InputError(f"{path.name}: the file is empty")
     if head[:3] == b"CDF":
         raise InputError(f"{path.name}: a NetCDF-3 file; convert it with: nccopy -k nc4 {path.name} new.nc")
-    hdf5_watch.check(path, _KIND)
+    hdf5_guard.check(path, _KIND)

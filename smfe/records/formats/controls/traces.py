@@ -19,8 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.memory import refuse_larger
-from smfe.records.table import Column, Table, damaged, find_columns
+from smfe.records.formats.table import Column, Table, damaged, find_columns, refuse_larger
 
 _TIMES = 12.0
 """Peak of the memory over the size of a file of text that is read whole."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.records.table import Column, Table, damaged, find_columns, guarded, join, refuse_oversize
+from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join, refuse_oversize
 
 _KIND = "WAV"
 _WHOLE = 1 << 20
