@@ -9,7 +9,7 @@ import xarray as xr
 
 from process.labels import make_record
 from smfe.campaign import load_campaign
-from smfe.measurements import split_levels
+from smfe.identification.measurement import split_levels
 from smfe.records.write import write_record_netcdf
 
 RATE = 5000.0

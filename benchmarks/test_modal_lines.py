@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import AAA
 
-from smfe.modal import fit_modes
-from smfe.modal_data import ResponseMatrix
+from smfe.modes.fit_modes import fit_modes
+from smfe.modes.response_matrix import ResponseMatrix
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

@@ -11,7 +11,7 @@ from process.cut import engagement
 from process.labels import make_record
 from smfe import LocalPolynomial, Segments, SingleReference, SweepPass, identify_sweep
 from smfe.demo_campaign import TOOL, sweep_passes
-from smfe.spindle_orders import Orders
+from smfe.identification.sweep.orders import Orders
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,10 @@ import stability  # noqa: F401  (fails with a clear sentence when a user's own p
 from process.errors import InputError
 from smfe.campaign import Campaign, load_campaign
 from smfe.conversion import convert
-from smfe.hammer import identify_hammer
-from smfe.actuator import identify_actuator
+from smfe.identification.hammer.hammer import identify_hammer
+from smfe.identification.actuator.stepped_sine import identify_actuator
 from smfe.identification.errors.result import Identification
-from smfe.intervals import interval
+from smfe.identification.errors.intervals import interval
 from smfe.limits import LobeResult
 from smfe.cutting_coefficients import Coefficients, coefficients
 from smfe.commands.look import look
@@ -26,8 +26,8 @@ from smfe.records.look import Look
 from smfe.pipeline import chatter, demo, identify, lobes, run
 from smfe.records import read_blocks, read_records, read_reduced
 from smfe.scenario import simulate
-from smfe.sweep import identify_sweep
-from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
+from smfe.identification.sweep.sweep import identify_sweep
+from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference, SweepPass
 
 __all__ = [
     "Campaign",

@@ -22,17 +22,16 @@ from smfe.cutting_coefficients import coefficients as find_coefficients
 from smfe.demo_campaign import DEMO_SEED
 from smfe.diagnosis import audit, verbs
 from smfe.diagnosis.finding import explain
-from smfe.drives import FILE as DRIVE_FILE
-from smfe.drives import drive_lines
-from smfe.failures import Failures, unpack
-from smfe.loops import FILE as LOOP_FILE
-from smfe.loops import loop_lines
+from smfe.identification.drive.drives import FILE as DRIVE_FILE
+from smfe.identification.drive.drives import drive_lines
+from smfe.identification.drive.loops import FILE as LOOP_FILE
+from smfe.identification.drive.loops import loop_lines
 from smfe.plan_verify import explain as explain_verification
 from smfe.plan_verify import verify as verify_plan
 from smfe.progress import bar
 from smfe.records.look import summary as summary_of_look
+from smfe.results import Failures, unpack, unpack_warnings
 from smfe.scenario import simulate as simulate_scenario
-from smfe.store import unpack_warnings
 
 app = typer.Typer(
     help="Machine-tool dynamics: measured records -> compliance -> stability lobes -> chatter verdicts.",

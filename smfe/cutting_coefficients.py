@@ -31,7 +31,7 @@ from smfe.diagnosis.cutting_forces import CuttingForces, cutting_family
 from smfe.diagnosis.cutting_orders import SteadyCut, cutting_orders
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import read_records
-from smfe.store import write_atomically
+from smfe.results import write_atomically
 
 Real = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import write_record_csv, write_record_mat, write_record_netcdf
-from smfe.store import write_atomically
+from smfe.results import write_atomically
 
 MACHINE = ModalModel(
     frequency=np.array([33.37, 57.44, 58.61]),

@@ -16,14 +16,13 @@ from process.units import parse, show
 from smfe.campaign import load_campaign
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
-from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.identification.errors.result import Progress, silent
-from smfe.measurements import cached_identification
-from smfe.modal import ModalFit, fit_modes
+from smfe.identification.levels import with_levels
+from smfe.identification.measurement import cached_identification
+from smfe.modes.fit_modes import ModalFit, fit_modes
 from smfe.records import read_universal_frfs
+from smfe.results import MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
 from smfe.scenario.toml import table as toml_table
-from smfe.store import read_groups, write_atomically, write_csv
-from smfe.sweep_levels import with_levels
 
 KEPT = ".kept"
 

@@ -1,7 +1,7 @@
 """Compliances of several measurements as one, over the feed along the cut and the force that each feed was tried with.
 
 What is stacked must be comparable: one controller and one position (`smfe.cut_conditions`), a motion along the cut, and
-a level that is the amplitude of a sine. A hit is not: its level is had from its spectrum (`smfe.impact_level`).
+a level that is the amplitude of a sine. A hit is not: its level is had from its spectrum (`hammer.level`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import xarray as xr
 from process.errors import InputError
 from smfe.campaign import Campaign, Measurement
 from smfe.cut_conditions import ALIKE, Feed, apart, direction_text, feed_of, turned
-from smfe.impact_level import impact_level
+from smfe.identification.hammer.level import impact_level
 
 
 def over_conditions(

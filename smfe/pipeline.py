@@ -31,30 +31,41 @@ from process.units import parse
 from smfe import __version__
 from smfe.campaign import Campaign, Measurement, Model, load_campaign, load_channels
 from smfe.campaign.quantities import COMPLIANCE_METHODS
-from smfe.compare import compare as compare_compliances
-from smfe.compliances import labelled
-from smfe.conditions import condition_cubes
+from smfe.comparison.compare import compare as compare_compliances
+from smfe.comparison.compliances import labelled
+from smfe.comparison.explained import explain
 from smfe.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.suspect import as_rows as suspect_rows
 from smfe.diagnosis.verbs import finding_of
-from smfe.drives import FILE as DRIVE_FILE
-from smfe.drives import drives_of, notes_of, write_drives
-from smfe.explained import explain
-from smfe.failures import MEASUREMENT, Failures, as_rows, attempt, pack
+from smfe.identification.drive.drives import FILE as DRIVE_FILE
+from smfe.identification.drive.drives import drives_of, notes_of, write_drives
+from smfe.identification.drive.loops import FILE as LOOP_FILE
+from smfe.identification.drive.loops import loops_of, write_loops
 from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.levels import belongs, condition_cubes, level_cubes, with_levels
+from smfe.identification.measurement import cached_identification, check_sweep, file_hash, split_levels
 from smfe.limits import LobeResult, all_lobes, joined, write_lobes
-from smfe.loops import FILE as LOOP_FILE
-from smfe.loops import loops_of, write_loops
-from smfe.measurements import cached_identification, check_sweep, file_hash, split_levels
 from smfe.modal_verb import modal as modal
 from smfe.records import OWN_COLUMNS, Channel, column_names, names_itself, read_records
 from smfe.records.contents import has_no_clock, stated_units
 from smfe.records.formats.channels import listed
-from smfe.store import check_target, pack_warnings, read_groups, unpack_warnings, write_csv, write_groups, write_json
-from smfe.sweep_levels import belongs, level_cubes, with_levels
+from smfe.results import (
+    MEASUREMENT,
+    Failures,
+    as_rows,
+    attempt,
+    check_target,
+    pack,
+    pack_warnings,
+    read_groups,
+    unpack_warnings,
+    write_csv,
+    write_groups,
+    write_json,
+)
 from stability import ChatterVerdict, chatter_verdict, write_table
 from stability.chatter.criterion import FREQUENCY_RANGE
 

@@ -1,4 +1,4 @@
-"""How wrong each compliance will be: the estimators of `smfe.sweep`, worked through on the forces of a plan.
+"""How wrong each compliance will be: the estimators of `sweep.sweep`, worked through on the forces of a plan.
 
 **Bands.** Over a band of half width w the estimator fits ``Phi(f + w u) = C_0 + C_1 u + C_2 u^2`` to the lines of all
 records. With the energy ``G(f) = sum over records of F F^H`` the normal matrix is ``M_ab = integral u^(a+b) G ds``:
@@ -11,7 +11,7 @@ records. With the energy ``G(f) = sum over records of F F^H`` the normal matrix 
 - forces: their noise is in the regressors, too, and is taken out of M; the residual keeps it, so that ``M^-1`` becomes
   ``M^-1 (M + N) M^-1``, N over all lines, the air included. Records whose air does not show N keep it in M, and the
   compliance comes out too small by ``Phi (1 - M (M + N)^-1)``; where that may be more than
-  `smfe.local_polynomial.MOST_OPEN` of it, or where N is most of the weakest direction of the forces, the estimator
+  `local_polynomial.MOST_OPEN` of it, or where N is most of the weakest direction of the forces, the estimator
   solves nothing.
 
 The estimator takes, row by row, the widest band that agrees with all narrower ones, in units of the standard deviation
@@ -20,7 +20,7 @@ noise of variance ``V_narrow - V_wide``, so that they agree with the probability
 square errors of the bands are added with the probabilities that they are taken.
 
 **Model.** The default estimator takes its rational model (`smfe.plan_rational`) where no entry of a row differs from
-the band by more than `smfe.local_polynomial.model_agreement` standard deviations, else the band. An efficient model and
+the band by more than `local_polynomial.model_agreement` standard deviations, else the band. An efficient model and
 its difference d to the band are independent, so that falling back adds ``E[|d_j|^2; any |d_k|^2 > a_k]`` of
 exponentially distributed squares: the band is taken exactly where it is far off.
 
@@ -30,7 +30,7 @@ will err by scatters about its root mean square as the root of a chi-square over
 squared over the variance (Satterthwaite 1946). With nu those of the model, to the variance contribute
 
 - the model: ``2 n^2 (n^2 + 2 b^2)/nu`` of a noise n beside a systematic error b, which does not scatter;
-- `smfe.local_polynomial.MODEL_ERROR`, below which no estimate is stated: the square of its mean square, since it is an
+- `local_polynomial.MODEL_ERROR`, below which no estimate is stated: the square of its mean square, since it is an
   order of magnitude;
 - what is not worked out: the square of the whole times `UNKNOWN` twice.
 """
@@ -48,12 +48,12 @@ from scipy import ndimage, stats
 from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
-from smfe.local_polynomial import LARGEST_SHARE, MODEL_ERROR, MOST_OPEN, SAME, model_agreement
+from smfe.identification.sweep.estimators import BANDS, LocalPolynomial
+from smfe.identification.sweep.local_polynomial import LARGEST_SHARE, MODEL_ERROR, MOST_OPEN, SAME, model_agreement
+from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.plan_forces import Forces, ForceSensor, SweepPlan, force_sensor
 from smfe.plan_rational import ExpectedModel, expected_model
 from smfe.plan_task import Estimate
-from smfe.sweep import REFUSE_CONDITION
-from smfe.sweep_estimators import BANDS, LocalPolynomial
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -143,14 +143,14 @@ def expected(
     frequency : ndarray, shape (f,)
         Frequencies of the evaluation [Hz].
     estimator : LocalPolynomial, optional
-        Default: that of `smfe.sweep.identify_sweep`, with its rational model.
+        Default: that of `smfe.identification.sweep.sweep.identify_sweep`, with its rational model.
 
     Returns
     -------
     xarray.Dataset
         ``compliance`` of the estimate, ``compliance_std`` (root mean square of the error to be expected, noise and
         systematic), ``noise_std`` (noise alone), ``force_condition``, ``half_width`` (mean of what will be taken [Hz]);
-        with a rational model also ``bands_std``, what `smfe.sweep_estimators.BANDS` would err by, ``error_freedom``
+        with a rational model also ``bands_std``, what `estimators.BANDS` would err by, ``error_freedom``
         (response, excitation), by which the error of one sweep scatters, and the number of its ``poles`` as an
         attribute. ``force_condition`` is infinite where the noise of the forces leaves nothing to solve; the attribute
         ``force_noise_ratio`` is that noise over the greatest with which all frequencies are solved.
@@ -274,7 +274,7 @@ def _with_model(noise: Real, systematic: Complex, bands: list[_Band], taken: Rea
 
 
 def _usable(estimator: LocalPolynomial, plan: SweepPlan) -> list[float]:
-    """Return the half widths that the records can fill: twice as many lines as unknowns (`smfe.sweep`)."""
+    """Return the half widths that the records can fill: twice as many lines as unknowns (`sweep.sweep`)."""
     seconds = plan.records * plan.record
     needed = 2.0 * estimator.unknowns([False] * plan.records)
     usable = [w for w in sorted(estimator.half_widths) if 2.0 * w * seconds >= needed]

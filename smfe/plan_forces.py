@@ -24,7 +24,7 @@ from scipy import special
 from process.cut.engagement import Engagement, engagement
 from process.cut.force import CuttingCoefficients, force_harmonics, force_projection
 from process.cut.tool import Tool
-from smfe.force_noise import ALIKE, BOUNDED, MARGIN, SHORTEST, median_spread
+from smfe.identification.sweep.noise import ALIKE, BOUNDED, MARGIN, SHORTEST, median_spread
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -335,10 +335,10 @@ def force_sensor(
     sample_rate: float,
     band: tuple[float, float],
 ) -> ForceSensor:
-    """Return what the records of a plan will tell of the noise of their forces (`smfe.force_noise`).
+    """Return what the records of a plan will tell of the noise of their forces (`smfe.identification.sweep.noise`).
 
     The air is seen where the force is less than half of that in the cut; the median of its lines within the band is
-    known to `smfe.force_noise.median_spread` and no better than `smfe.force_noise.ALIKE`.
+    known to `smfe.identification.sweep.noise.median_spread` and no better than `smfe.identification.sweep.noise.ALIKE`.
 
     Parameters
     ----------

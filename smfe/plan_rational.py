@@ -1,10 +1,10 @@
-"""How wrong the rational model of the default estimator will be: `smfe.rational_fit` on the equations to be expected.
+"""How wrong the rational model of the default estimator will be: `sweep.rational` on the equations to be expected.
 
 With the energy ``G(f) = sum over records of F F^H`` and noise of density ``s_i^2`` the lines of a bin sum up to
 ``integral conj(t^p) t^q G df`` and ``integral Phi G df``, whatever the length of the records. The estimator itself is
 fitted to these sums: where it ends beside the truth is its systematic error. Its linearised covariance is the bound of
 Cramer and Rao where the forces are known; their noise N is in the lines that are summed, which adds N to the middle of
-the covariance, and how well N is known from the air adds what is wrong with it (`smfe.rational_fit`).
+the covariance, and how well N is known from the air adds what is wrong with it (`smfe.identification.sweep.rational`).
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smfe.local_equations import Equations
+from smfe.identification.sweep.equations import Equations
+from smfe.identification.sweep.rational import fit_rational
 from smfe.plan_forces import Forces, ForceSensor
 from smfe.plan_task import Estimate
-from smfe.rational_fit import fit_rational
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

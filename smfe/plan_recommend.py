@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.identification.errors.result import Progress, silent
+from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
 from smfe.plan_errors import error_interval, expected, relative_error
 from smfe.plan_forces import Forces, Pass, SweepPlan, force_level
 from smfe.plan_limits import KEYS, no_plan, rejections
 from smfe.plan_search import DEPTH_STEP, Search
 from smfe.plan_task import Task
-from smfe.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
 from stability.methods import multi_frequency, semi_discretization, zero_order
 
 Real = NDArray[np.float64]

@@ -24,6 +24,7 @@ from process.cut.engagement import CUTS
 from process.cut.tool import Tool
 from process.errors import InputError
 from smfe.identification.errors.result import Progress, silent
+from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.plan_errors import Instruments
 from smfe.plan_forces import (
     Pass,
@@ -37,7 +38,6 @@ from smfe.plan_forces import (
 )
 from smfe.plan_limits import KEYS, SHORTEST_PASS, allowed
 from smfe.plan_task import Task
-from smfe.sweep import REFUSE_CONDITION
 from stability.methods import zero_order
 
 Real = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """What a measured estimate says of a machine without its noise: a rational model of the band that is planned for.
 
 A plan asks how a resonance bends within a band; noise of a hammer test would be taken for many of them. The model is
-that of `smfe.rational_fit` with a force of one newton in every direction.
+that of `smfe.identification.sweep.rational` with a force of one newton in every direction.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.labels import AXES, full_matrix, make_compliance
-from smfe.local_equations import Equations
-from smfe.rational_fit import fit_rational
+from smfe.identification.sweep.equations import Equations
+from smfe.identification.sweep.rational import fit_rational
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

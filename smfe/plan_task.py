@@ -22,11 +22,11 @@ from smfe.campaign.plan_table import PlanTable
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.datasets import Show
 from smfe.identification.errors.result import Progress, silent
-from smfe.measurements import identify_measurement
+from smfe.identification.levels import with_levels
+from smfe.identification.measurement import identify_measurement
+from smfe.identification.sweep.estimators import LocalPolynomial
 from smfe.plan_smooth import without_noise
 from smfe.scenario import load_scenario
-from smfe.sweep_estimators import LocalPolynomial
-from smfe.sweep_levels import with_levels
 from stability import SpindleRange
 
 Real = NDArray[np.float64]

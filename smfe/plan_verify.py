@@ -29,8 +29,8 @@ from smfe.pipeline import identify
 from smfe.plan_errors import error_interval
 from smfe.plan_files import scenario_text
 from smfe.plan_recommend import Plan
+from smfe.results import read_groups, write_csv
 from smfe.scenario import simulate
-from smfe.store import read_groups, write_csv
 
 Real = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from process.errors import InputError
-from smfe import cli, failures, pipeline
+from smfe import cli, pipeline
+from smfe import results as failures
 from smfe.diagnosis.audit import check
-from smfe.failures import Failure, attempt, of_file, unpack
-from smfe.store import read_groups
+from smfe.results import Failure, attempt, of_file, read_groups, unpack
 
 CAMPAIGN = """
 [campaign]

@@ -12,9 +12,10 @@ from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import savemat
 
 from process.errors import InputError
-from smfe import cli, measurements, pipeline
+from smfe import cli, pipeline
 from smfe.demo_campaign import CUTTING_TESTS, MACHINE
-from smfe.store import read_groups
+from smfe.identification import measurement as measurements
+from smfe.results import read_groups
 from stability import LOBE_COLUMNS
 
 

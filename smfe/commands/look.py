@@ -6,7 +6,7 @@ from pathlib import Path
 
 from smfe.records.look import Look, examine
 from smfe.report.first_look import draw
-from smfe.store import write_atomically
+from smfe.results import write_atomically
 
 
 def look(path: str | Path, output: str | Path | None = None) -> Look:

@@ -34,12 +34,12 @@ from smfe.diagnosis.size_checks import force_suspects, model_suspects, stiffness
 from smfe.diagnosis.speed_checks import speed_suspects, tooth_suspects
 from smfe.diagnosis.suspect import Suspect, suspect_table
 from smfe.diagnosis.sweep_checks import sweep_suspects
-from smfe.drives import drive_of, notes_of
-from smfe.failures import MEASUREMENT, TEST, Failure, Failures, attempt
+from smfe.identification.drive.drives import drive_of, notes_of
+from smfe.identification.drive.loop import summary
+from smfe.identification.drive.loops import loop_of
 from smfe.identification.errors.result import Identification, Progress, silent
-from smfe.loop import summary
-from smfe.loops import loop_of
-from smfe.measurements import (
+from smfe.identification.levels import levels_of, with_levels
+from smfe.identification.measurement import (
     cached_identification,
     check_sweep,
     hammer_settings,
@@ -48,10 +48,10 @@ from smfe.measurements import (
     records_of,
     sign_warnings,
 )
+from smfe.identification.sweep.estimators import SweepPass
+from smfe.identification.sweep.spindle_clock import ADVICE, judge_clock
 from smfe.records import read_records
-from smfe.sweep_clock import ADVICE, judge_clock
-from smfe.sweep_estimators import SweepPass
-from smfe.sweep_levels import levels_of, with_levels
+from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt
 
 _CORRECT = "correct the campaign file or the record; nothing can be computed from it"
 

@@ -16,7 +16,7 @@ from smfe.diagnosis.drive_control_law import ControlLaw, Gains, fit_control_law,
 from smfe.diagnosis.drive_record import DriveRecordFamily
 from smfe.diagnosis.drive_signals import Real
 from smfe.diagnosis.suspect import Suspect
-from smfe.measurements import records_of
+from smfe.identification.measurement import records_of
 
 MASS_SPREAD = 0.1
 """Prior standard deviation of a moved mass that a data sheet gives, relative."""

@@ -33,7 +33,7 @@ def compared(
     compliance : xarray.Dataset
         The mean.
     hits : xarray.Dataset, optional
-        What it is the mean of (`smfe.blows.single_hits`).
+        What it is the mean of (`smfe.identification.hammer.impacts.single_hits`).
     discrepancy : float
         Root mean square of the smooth relative error of the simulation.
     floor : float, optional

@@ -11,7 +11,7 @@ from process.machine.modes import ModalModel
 from smfe.campaign import Campaign
 from smfe.diagnosis.suspect import Suspect
 from smfe.identification.errors.result import Identification
-from smfe.modal import fit_modes
+from smfe.modes.fit_modes import fit_modes
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from process.labels import axis_present, sample_interval
 from smfe.diagnosis.suspect import Suspect
-from smfe.hits import flat_top, runs
-from smfe.sweep_clock import ADVICE, REFUSED, compare_speeds
+from smfe.identification.hammer.impacts import flat_top, runs
+from smfe.identification.sweep.spindle_clock import ADVICE, REFUSED, compare_speeds
 
 Real = NDArray[np.float64]
 

@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from smfe.campaign import Campaign, LobeRequest
-from smfe.compliances import labelled
-from smfe.conditions import condition_cubes
+from smfe.comparison.compliances import labelled
 from smfe.cutting_tests import judge_all
 from smfe.diagnosis.campaign_family import case_of
 from smfe.diagnosis.suspect import Suspect
-from smfe.failures import MEASUREMENT, Failures, attempt
 from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.levels import condition_cubes, with_levels
+from smfe.identification.measurement import split_levels
 from smfe.limits import all_lobes, pockets_of
-from smfe.measurements import split_levels
 from smfe.plan_search import Search
 from smfe.plan_task import load_task
-from smfe.sweep_levels import with_levels
+from smfe.results import MEASUREMENT, Failures, attempt
 
 SPEEDS = 3
 """Spindle speeds of a lobe request that are tried: the lowest, the highest, and those between."""

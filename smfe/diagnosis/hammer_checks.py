@@ -10,9 +10,9 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.diagnosis.suspect import Suspect
-from smfe.hammer import identify_hammer
 from smfe.identification.errors.result import Identification
-from smfe.spectra import record_source
+from smfe.identification.hammer.hammer import identify_hammer
+from smfe.identification.spectra.spectra import record_source
 
 _SPREAD = 0.1
 _CLEAR = 3.0
@@ -35,7 +35,7 @@ def hit_suspects(
     found : Identification, optional
         What was identified from these records with these settings.
     **settings : object
-        Of `smfe.hammer.identify_hammer`, but for ``exclude``.
+        Of `smfe.identification.hammer.hammer.identify_hammer`, but for ``exclude``.
     """
     if found is None:
         found = identify_hammer(name, records, **settings)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from process.labels import RECORD_VECTORS, axis_present
 from smfe.diagnosis.suspect import Suspect
 
 Part = tuple[str, str]
-"""Kind and name of what a record belongs to, as in `smfe.failures.Failure`."""
+"""Kind and name of what a record belongs to, as in `smfe.results.Failure`."""
 
 
 @dataclass(frozen=True)

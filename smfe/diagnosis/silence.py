@@ -10,7 +10,7 @@ from process.labels import sample_interval
 from smfe.campaign import Campaign, Measurement
 from smfe.diagnosis.channel_checks import channels_of, tones
 from smfe.diagnosis.suspect import Suspect
-from smfe.measurements import records_of
+from smfe.identification.measurement import records_of
 
 LOUDER, TONAL = 3.0, 0.5
 """Times the root mean square at rest, and share of the power in lines, above which an axis vibrates by itself."""

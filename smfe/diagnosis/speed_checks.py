@@ -15,8 +15,8 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
 from smfe.diagnosis.suspect import Suspect
-from smfe.force_noise import in_cut
-from smfe.spindle_angle import spindle_angle
+from smfe.identification.spectra.spindle_angle import spindle_angle
+from smfe.identification.sweep.noise import in_cut
 
 AGREE = 0.02
 """Relative difference between two statements of one speed that slip and the load of a cut explain."""

@@ -20,10 +20,10 @@ from scipy import fft, stats
 from process.errors import InputError
 from process.labels import sample_interval
 from smfe.diagnosis.suspect import Suspect
-from smfe.force_noise import in_cut
-from smfe.spectra import motion_axes
-from smfe.sweep import identify_sweep
-from smfe.sweep_estimators import LocalPolynomial, SweepPass, end_pieces, whole_record
+from smfe.identification.spectra.spectra import motion_axes
+from smfe.identification.sweep.estimators import LocalPolynomial, SweepPass, end_pieces, whole_record
+from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.sweep import identify_sweep
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -89,7 +89,7 @@ def sweep_suspects(
     name : str
         Name of the measurement.
     passes : sequence of SweepPass
-        As for `smfe.sweep.identify_sweep`.
+        As for `smfe.identification.sweep.sweep.identify_sweep`.
     teeth : int
         Of the tool.
     frequency_range : (float, float)

@@ -17,10 +17,9 @@ from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.engine import diagnose as diagnose_family
 from smfe.diagnosis.finding import Finding, explain
 from smfe.diagnosis.suspect import Suspect
-from smfe.failures import MEASUREMENT, TEST, Failures
 from smfe.identification.errors.result import Identification, Progress, silent
-from smfe.store import check_target, write_json
-from smfe.sweep_levels import with_levels
+from smfe.identification.levels import with_levels
+from smfe.results import MEASUREMENT, TEST, Failures, check_target, write_json
 
 KEPT = ".kept"
 

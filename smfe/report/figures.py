@@ -38,7 +38,7 @@ from smfe.report.look import (
     number,
 )
 from smfe.report.results import BAD_CONDITION, Lobes, Measurement, Results
-from smfe.store import write_atomically
+from smfe.results import write_atomically
 
 DPI = 150
 MOST_SPECTRA = 24

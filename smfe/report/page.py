@@ -13,7 +13,6 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smfe.failures import FAILED, LOBES, MEASUREMENT, PREDICTION, TEST
 from smfe.report import (
     conditions,
     diagnosis,
@@ -29,7 +28,7 @@ from smfe.report import (
 from smfe.report.answer import KEEP, Answer, answers, outcomes
 from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
 from smfe.report.results import Lobes, Measurement, Results, bands, read_results
-from smfe.store import write_atomically
+from smfe.results import FAILED, LOBES, MEASUREMENT, PREDICTION, TEST, write_atomically
 
 Progress = Callable[[int, int], None]
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, check_compliance
-from smfe.failures import Failures, of_file, unpack
-from smfe.store import read_groups, unpack_warnings
+from smfe.results import Failures, of_file, read_groups, unpack, unpack_warnings
 
 BAD_CONDITION = 30.0
 """Above this condition number of the forces a frequency counts as badly conditioned."""

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from smfe.modal import ModalFit
+from smfe.modes.fit_modes import ModalFit
 from smfe.report.figures import DPI, save
 from smfe.report.look import literal
 

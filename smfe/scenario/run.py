@@ -28,12 +28,12 @@ from smfe import __version__
 from smfe.datasets import Show
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
+from smfe.results import write_groups
 from smfe.scenario.batch import run_all
 from smfe.scenario.campaign_file import campaign_text
 from smfe.scenario.notices import left_behind, standing_axes, to_stderr
 from smfe.scenario.plan import Entry, Job
 from smfe.scenario.scenario import Scenario, load_scenario
-from smfe.store import write_groups
 
 CSV_VALUES = 250_000
 """Numbers in a record above which it is written as NetCDF."""

@@ -27,9 +27,9 @@ from accuracy.passes import BAND, entry_errors, sweep_passes
 from truth.sweep import CUTS, Campaign, clean, measure, required
 
 from smfe import LocalPolynomial, SingleReference, SweepPass, identify_sweep
-from smfe.reciprocity import symmetric
+from smfe.identification.errors.difference import symmetric
+from smfe.identification.sweep.orders import Orders
 from smfe.records.dynamometer import Dynamometer, compensate
-from smfe.spindle_orders import Orders
 
 RATE = 1000.0
 """Rate of the records [Hz]; the density of their noise is that of 1.5 N and 0.012 m/s2 at 5 kHz."""
@@ -141,7 +141,9 @@ def corrected(seed: int, what: Correction) -> tuple[float, float]:
     *data, last = sweep_passes(measure(this, seed, cuts), this)
     data, air = (data, [last]) if what.background else ([*data, last], [])
     unaware = (
-        mock.patch("smfe.local_polynomial._known_noise", return_value=None) if what.without_noise else nullcontext()
+        mock.patch("smfe.identification.sweep.local_polynomial._known_noise", return_value=None)
+        if what.without_noise
+        else nullcontext()
     )
     bands = LocalPolynomial(1.0, (0.25, 0.5, 1.0), rational=False)
     with unaware:

@@ -20,9 +20,9 @@ from smfe.diagnosis.campaign_hits import DISCREPANCY, compared
 from smfe.diagnosis.frf_noise import excitation_of
 from smfe.diagnosis.machine_frf import MachineFrfs
 from smfe.diagnosis.verbs import diagnose
-from smfe.hammer import Averaging, identify_hammer
 from smfe.identification.errors.result import Identification
-from smfe.measurements import cached_identification
+from smfe.identification.hammer.hammer import Averaging, identify_hammer
+from smfe.identification.measurement import cached_identification
 from smfe.records import write_record_netcdf
 
 RATE = 4096.0

@@ -21,7 +21,7 @@ from smfe.diagnosis.dry_run import refusals
 from smfe.diagnosis.same_data import Seen, same_suspects
 from smfe.diagnosis.speed_checks import tooth_suspects
 from smfe.diagnosis.suspect import Suspect
-from smfe.force_noise import in_cut
+from smfe.identification.sweep.noise import in_cut
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Multisine, all_harmonics, odd_random_harmonics
 from process.simulation.machine import simulate_axis, simulate_machine
-from smfe.distortion import Distortion, distortion
+from smfe.identification.actuator.distortion import Distortion, distortion
 
 LINES = odd_random_harmonics(1, 199, 4, 3)
 FS = 2048

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.drive_parameters import identify_drive
+from smfe.identification.drive.parameters import identify_drive
 from tests.truth.drive_rig import draw, truths
 
 KINDS = {"stroke": "one stroke", "strokes": "strokes to and fro", "step": "steps of the force", "runs": "steady runs"}

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from process.errors import InputError
 from process.labels import AXES, make_record
-from smfe.excitation_kind import identify_shaken
-from smfe.intervals import interval
+from smfe.identification.actuator.excitation_kind import identify_shaken
+from smfe.identification.errors.intervals import interval
 from tests.truth.shaker import KINDS, Shaken, draw
 
 CASES = [(kind, None) for kind in KINDS] + [("random", e) for e in ("H1", "Hv")]

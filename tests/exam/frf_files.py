@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from process.errors import InputError
 from smfe.campaign import load_campaign
-from smfe.intervals import interval
-from smfe.measurements import identify_measurement
+from smfe.identification.errors.intervals import interval
+from smfe.identification.measurement import identify_measurement
 from tests.truth.frf_files import draw
 
 RIGHT, SAID, REFUSED, WRONG, SILENT = "right", "said", "refused", "false warning", "wrong in silence"

@@ -19,8 +19,8 @@ from scipy import stats
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from process.errors import InputError
-from smfe.modal import fit_modes
-from smfe.modal_data import ResponseMatrix
+from smfe.modes.fit_modes import fit_modes
+from smfe.modes.response_matrix import ResponseMatrix
 from tests.truth.modes import Draw, draw, evidence
 
 FOUND, NAMED, BURIED, SILENT = "found", "named", "in the noise", "missed in silence"

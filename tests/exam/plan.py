@@ -32,10 +32,10 @@ from truth import sweep
 from truth.sweep import Campaign
 
 from process.errors import InputError
+from smfe.identification.sweep.sweep import identify_sweep
 from smfe.plan_errors import error_interval
 from smfe.plan_recommend import recommend
 from smfe.plan_task import load_task
-from smfe.sweep import identify_sweep
 
 BAND = (25.0, 65.0)
 RATE = 1000.0

@@ -6,10 +6,10 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.actuator import identify_actuator
-from smfe.intervals import interval
-from smfe.peaks import find_peaks
-from smfe.steps import StepRules, find_steps, fit_sine, refine_frequency
+from smfe.comparison.peaks import find_peaks
+from smfe.identification.actuator.sine_fit import StepRules, find_steps, fit_sine, refine_frequency
+from smfe.identification.actuator.stepped_sine import identify_actuator
+from smfe.identification.errors.intervals import interval
 
 # A mode of the large machine of the paper: 24 Hz, 2.2 %.
 FREQUENCY, RATIO, STIFFNESS = 24.0, 0.022, 40e6

@@ -6,8 +6,8 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.intervals import interval
-from smfe.periodic import identify_periodic
+from smfe.identification.actuator.periodic import identify_periodic
+from smfe.identification.errors.intervals import interval
 
 # 24 Hz, 2.2 % and 41 Hz, 3 %, seen in x and y.
 MODES = ((24.0, 0.022, 40e6, (1.0, 0.4)), (41.0, 0.03, 60e6, (-0.3, 1.0)))

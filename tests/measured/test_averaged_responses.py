@@ -8,12 +8,12 @@ import pytest
 from scipy import io, stats
 
 from process.errors import InputError
-from smfe.averaged_responses import response_std, rising_phase
 from smfe.campaign import load_campaign
 from smfe.commands.look import look
 from smfe.identification.errors.result import Identification
-from smfe.measurements import identify_measurement
-from smfe.modal import fit_modes
+from smfe.identification.measurement import identify_measurement
+from smfe.identification.responses import response_std, rising_phase
+from smfe.modes.fit_modes import fit_modes
 from smfe.records import Channel, read_frf
 from tests.truth.frf_files import averaged, draw, machine
 

@@ -8,8 +8,8 @@ import xarray as xr
 from process.errors import InputError
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
-from smfe.compare import CompareRules, compare, response_assurance
-from smfe.peaks import PeakRules, find_peaks, peak_table
+from smfe.comparison.compare import CompareRules, compare, response_assurance
+from smfe.comparison.peaks import PeakRules, find_peaks, peak_table
 
 # The laboratory bench of the paper: 61.37 Hz, 1.19 %, 24.94 um/N.
 BENCH_FREQUENCY, BENCH_DAMPING, BENCH_PEAK = 61.367, 0.011935, 24.94e-6

@@ -9,9 +9,9 @@ from scipy import stats
 
 from process.errors import InputError
 from process.labels import make_compliance
-from smfe.compare import compare, scale_factor
-from smfe.explained import JOINT, Design, explain, holm, judge, tracks
-from smfe.peaks import Peak, find_peaks
+from smfe.comparison.compare import compare, scale_factor
+from smfe.comparison.explained import JOINT, Design, explain, holm, judge, tracks
+from smfe.comparison.peaks import Peak, find_peaks
 
 GRID = np.arange(15.0, 60.0, 0.25)
 

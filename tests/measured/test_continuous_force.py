@@ -9,12 +9,12 @@ import xarray as xr
 from process.errors import InputError
 from process.labels import AXES, make_record
 from smfe.campaign import load_campaign
-from smfe.continuous_force import identify_continuous
-from smfe.continuous_records import clipped_share
-from smfe.excitation_kind import identify_shaken, repetition
+from smfe.identification.actuator.continuous_force import identify_continuous
+from smfe.identification.actuator.continuous_records import clipped_share
+from smfe.identification.actuator.excitation_kind import identify_shaken, repetition
+from smfe.identification.errors.intervals import interval
 from smfe.identification.errors.result import Identification
-from smfe.intervals import interval
-from smfe.measurements import identify_measurement
+from smfe.identification.measurement import identify_measurement
 from tests.truth.shaker import Shaken, draw
 
 RATE = 1024.0

@@ -6,10 +6,10 @@ import xarray as xr
 
 from process.labels import make_record
 from smfe import LocalPolynomial, Segments, SweepPass, identify_hammer, identify_sweep
-from smfe.intervals import interval, student_quantile
-from smfe.least_squares import Columns, solve
-from smfe.noise_pooling import pooled_noise
-from smfe.spindle_orders import Orders
+from smfe.identification.errors.intervals import interval, student_quantile
+from smfe.identification.sweep.least_squares import Columns, solve
+from smfe.identification.sweep.noise import pooled_noise
+from smfe.identification.sweep.orders import Orders
 
 RATE = 200.0
 STATIC = 2e-7 - 1e-7j

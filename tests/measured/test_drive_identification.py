@@ -14,8 +14,8 @@ from process.labels import make_record
 from smfe import pipeline
 from smfe.commands.look import look
 from smfe.diagnosis.audit import check
-from smfe.drive_parameters import identify_drive
-from smfe.drive_results import DriveFit, DriveParameter
+from smfe.identification.drive.parameters import identify_drive
+from smfe.identification.drive.results import DriveFit, DriveParameter
 from tests.truth.drive_rig import draw, truths
 
 REPOSITORY = Path(__file__).parents[2]

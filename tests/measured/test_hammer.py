@@ -7,9 +7,9 @@ from scipy import signal
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.averaging import average, degrees_of_freedom, deviations
-from smfe.hammer import identify_hammer
-from smfe.hits import FAULTS, HitRules, find_hits, flat_top, usable_band
+from smfe.identification.errors.averaging import average, degrees_of_freedom, deviations
+from smfe.identification.hammer.hammer import identify_hammer
+from smfe.identification.hammer.impacts import FAULTS, HitRules, find_hits, flat_top, usable_band
 
 # The laboratory bench of the paper: one mass of 11.3 kg on 1.68 N/um with 104 N s/m, peak 24.94 um/N at 61.36 Hz.
 MASS, STIFFNESS, DAMPING = 11.3, 1.68e6, 104.0

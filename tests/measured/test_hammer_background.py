@@ -18,12 +18,11 @@ from process.instruments.trials import Running, hammer_trial
 from process.labels import make_record
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import two_mass_axes
-from smfe.background import Background, quiet_spans, remove_background
-from smfe.background_doubt import shared_doubt
-from smfe.hammer import identify_hammer
-from smfe.hits import find_hits
-from smfe.intervals import interval
-from smfe.steady_tones import fit_tones
+from smfe.identification.errors.intervals import interval
+from smfe.identification.hammer.background import Background, quiet_spans, remove_background, shared_doubt
+from smfe.identification.hammer.hammer import identify_hammer
+from smfe.identification.hammer.impacts import find_hits
+from smfe.identification.spectra.tones import fit_tones
 
 MASS, STIFFNESS, DAMPING = 11.3, 1.68e6, 104.0
 RATE, PULSE = 2000.0, 4e-3

@@ -9,12 +9,12 @@ import xarray as xr
 from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import load_campaign
-from smfe.conditions import condition_cubes
-from smfe.intervals import interval
-from smfe.measurements import identify_measurement, split_levels
+from smfe.identification.errors.intervals import interval
+from smfe.identification.levels import condition_cubes
+from smfe.identification.measurement import identify_measurement, split_levels
 from smfe.pipeline import run
 from smfe.records.write import write_record_netcdf
-from smfe.store import read_groups
+from smfe.results import read_groups
 
 RATE = 2000.0
 MASS, STIFFNESS, DAMPING = 20.0, 3e6, 300.0
@@ -203,14 +203,14 @@ def test_levels_are_identified_once_and_read_back_the_same(tmp_path: Path, monke
     def again(*_: object, **__: object) -> None:
         raise AssertionError("identified again")
 
-    monkeypatch.setattr("smfe.measurements.hammer_levels", again)
+    monkeypatch.setattr("smfe.identification.measurement.hammer_levels", again)
     second = split_levels(loaded, tmp_path / "kept")
     for name, dataset in plain.items():
         xr.testing.assert_identical(dataset, first[name])
         xr.testing.assert_identical(dataset, second[name])
     # A program that identifies otherwise does not read back what an older one has kept.
     with monkeypatch.context() as changed:
-        changed.setattr("smfe.measurements.FORM", -1)
+        changed.setattr("smfe.identification.measurement.FORM", -1)
         with pytest.raises(AssertionError, match="identified again"):
             split_levels(loaded, tmp_path / "kept")
     # Other records are other results.

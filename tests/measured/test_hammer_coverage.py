@@ -7,9 +7,9 @@ from scipy import signal
 
 from process.errors import InputError
 from process.labels import make_compliance, make_record
-from smfe.error_factors import covariance_between
-from smfe.hammer import Averaging, identify_hammer
-from smfe.intervals import component_std, interval, student_quantile
+from smfe.identification.errors.covariance import covariance_between
+from smfe.identification.errors.intervals import component_std, interval, student_quantile
+from smfe.identification.hammer.hammer import Averaging, identify_hammer
 
 # Two coupled modes seen in x and y: closed form, and exact motion under a force that is linear between samples.
 FREQUENCY, DAMPING, STIFFNESS = np.array([45.0, 80.0]), np.array([0.03, 0.04]), np.array([2e6, 5e6])

@@ -11,9 +11,9 @@ import xarray as xr
 from scipy import signal
 
 from process.labels import make_record
-from smfe.hammer import identify_hammer
-from smfe.hit_direction import compared
-from smfe.hits import find_hits
+from smfe.identification.hammer.direction import compared
+from smfe.identification.hammer.hammer import identify_hammer
+from smfe.identification.hammer.impacts import find_hits
 
 RATE, SPACING, PULSE = 2000.0, 1.5, 5e-3
 # Three coupled modes: frequency [Hz], damping, stiffness [N/m], shape along x, y, z.

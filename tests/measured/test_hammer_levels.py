@@ -6,8 +6,8 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_compliance, make_record
-from smfe.conditions import force_levels, hammer_levels, stack_conditions
-from smfe.intervals import interval
+from smfe.identification.errors.intervals import interval
+from smfe.identification.levels import force_levels, hammer_levels, stack_conditions
 
 RATE = 2000.0
 

@@ -6,8 +6,8 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_compliance
-from smfe.attached_mass import without_mass
-from smfe.intervals import interval
+from smfe.identification.errors.attached_mass import without_mass
+from smfe.identification.errors.intervals import interval
 
 F = np.arange(20.0, 200.0, 1.0)
 # A machine of three coordinates, all coupled: matrices, nothing modal.

@@ -7,10 +7,10 @@ from scipy import signal
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.averaging import average, noise_ratio
-from smfe.hammer import Averaging, identify_hammer
-from smfe.peaks import find_peaks
-from smfe.windows import exponential, without_window
+from smfe.comparison.peaks import find_peaks
+from smfe.identification.errors.averaging import average, noise_ratio
+from smfe.identification.hammer.hammer import Averaging, identify_hammer
+from smfe.identification.hammer.windows import exponential, without_window
 
 # A lightly damped mode: 61.3 Hz, 0.4 %, decay constant 0.65 s.
 FREQUENCY, DAMPING, STIFFNESS = 61.3, 0.004, 1.68e6

@@ -12,9 +12,9 @@ from process.errors import InputError
 from process.labels import make_compliance, make_record
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest, Measurement
-from smfe.hammer import identify_hammer
 from smfe.identification.errors.result import silent
-from smfe.impact_level import impact_level
+from smfe.identification.hammer.hammer import identify_hammer
+from smfe.identification.hammer.level import impact_level
 from smfe.limits import all_lobes
 from tests.truth import oscillator
 

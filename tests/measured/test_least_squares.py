@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smfe.least_squares import Columns, condition_number, solve
+from smfe.identification.sweep.least_squares import Columns, condition_number, solve
 
 
 def complex_normal(rng: np.random.Generator, *shape: int) -> np.ndarray:

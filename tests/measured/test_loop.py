@@ -13,11 +13,11 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe import pipeline
 from smfe.diagnosis.audit import check
-from smfe.loop import identify_loop
+from smfe.identification.drive.loop import identify_loop
+from smfe.identification.spectra.periods import find_period
 from smfe.records import Channel, read_records
 from smfe.records.formats.controls.sinumerik import DIGITS, numbers
-from smfe.setpoint import find_period
-from smfe.store import read_groups
+from smfe.results import read_groups
 
 REPOSITORY = Path(__file__).parents[2]
 SHARED = Path(os.environ.get("SMFE_DATA", REPOSITORY.parent / "shared" / "data")) / "sinumerik_speedloop"

@@ -8,13 +8,13 @@ import pytest
 from process.cut.engagement import engagement
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe import measurements
 from smfe.campaign import load_campaign
 from smfe.demo_campaign import MACHINE, TOOL, sweep_passes
-from smfe.measurements import sign_warnings, tooth_passing_band
+from smfe.identification import measurement as measurements
+from smfe.identification.measurement import sign_warnings, tooth_passing_band
+from smfe.identification.sweep.estimators import SweepPass
+from smfe.identification.sweep.sweep import identify_sweep
 from smfe.records import read_records, write_record_netcdf
-from smfe.sweep import identify_sweep
-from smfe.sweep_estimators import SweepPass
 
 FREQUENCY = np.arange(20.0, 80.0, 0.25)
 

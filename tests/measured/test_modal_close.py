@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from truth.modes import beam_shape, term
 
-from smfe.modal import fit_modes
-from smfe.modal_data import ResponseMatrix, curves_of, running_mean
-from smfe.modal_fit import Remainders, refine, solve
-from smfe.modal_merge import merged
 from smfe.modal_verb import _as_json, as_toml
+from smfe.modes.fit_modes import fit_modes
+from smfe.modes.merge import merged
+from smfe.modes.pole_fit import Remainders, refine, solve
+from smfe.modes.response_matrix import ResponseMatrix, curves_of, running_mean
 
 
 def responses(f, modes, shapes, rigid=0.0, level=0.0, seed=0, stated=True) -> ResponseMatrix:

@@ -9,12 +9,12 @@ import pytest
 from process.errors import InputError
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
-from smfe.modal import fit_modes
-from smfe.modal_data import ResponseMatrix, curves_of, matrix_of
-from smfe.modal_fit import Remainders, solve
-from smfe.modal_order import fit_poles
-from smfe.modal_shapes import fit_shapes
-from smfe.modal_state_space import compliance_of, energy_given
+from smfe.modes.fit_modes import fit_modes
+from smfe.modes.pole_fit import Remainders, solve
+from smfe.modes.poles import fit_poles
+from smfe.modes.response_matrix import ResponseMatrix, curves_of, matrix_of
+from smfe.modes.shapes import fit_shapes
+from smfe.modes.state_space import compliance_of, energy_given
 
 AXES = "xyz"
 # The published machine of the group (facts.md): frequency [Hz], damping, stiffness [N/m], direction.

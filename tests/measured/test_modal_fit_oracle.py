@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smfe.modal import fit_modes
-from smfe.modal_data import ResponseMatrix
+from smfe.modes.fit_modes import fit_modes
+from smfe.modes.response_matrix import ResponseMatrix
 
 EMA = pytest.importorskip("sdypy.EMA", reason="sdypy-EMA is not installed; it is an optional oracle of this test")
 BEAM = (

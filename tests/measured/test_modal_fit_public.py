@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smfe.modal import fit_modes
-from smfe.modal_data import ResponseMatrix
+from smfe.modes.fit_modes import fit_modes
+from smfe.modes.response_matrix import ResponseMatrix
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data")
 

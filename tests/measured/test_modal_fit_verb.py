@@ -17,7 +17,7 @@ from process.labels import make_compliance
 from smfe import cli
 from smfe.campaign import load_campaign
 from smfe.modal_verb import modal
-from smfe.store import write_groups
+from smfe.results import write_groups
 
 GRID = np.arange(15.0, 90.0, 0.5)
 MODES = ((30.0, 0.03, 20e6, (1.0, 0.3)), (52.0, 0.02, 35e6, (-0.3, 1.0)))

@@ -16,9 +16,12 @@ from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
-from smfe.force_noise import ALIKE, BOUNDED, force_noise
-from smfe.least_squares import condition_number
-from smfe.local_polynomial import MODEL_ERROR
+from smfe.identification.spectra.spectra import BlockSpectra
+from smfe.identification.sweep.estimators import BANDS, LocalPolynomial, SweepPass, whole_record
+from smfe.identification.sweep.least_squares import condition_number
+from smfe.identification.sweep.local_polynomial import MODEL_ERROR
+from smfe.identification.sweep.noise import ALIKE, BOUNDED, force_noise
+from smfe.identification.sweep.sweep import identify_sweep
 from smfe.plan_errors import Instruments, error_interval, expected, relative_error
 from smfe.plan_forces import (
     Forces,
@@ -35,9 +38,6 @@ from smfe.plan_recommend import thin_chips
 from smfe.plan_search import covers, inverse_diagonal
 from smfe.plan_smooth import without_noise
 from smfe.plan_task import Estimate
-from smfe.spectra import BlockSpectra
-from smfe.sweep import identify_sweep
-from smfe.sweep_estimators import BANDS, LocalPolynomial, SweepPass, whole_record
 
 FREQUENCY = np.arange(20.0, 80.25, 0.25)
 STIFF = ModalModel([400.0], [0.5], [1e13], [[1.0, 1.0, 1.0]])

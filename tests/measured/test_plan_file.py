@@ -16,8 +16,8 @@ from smfe.plan_limits import KEYS
 from smfe.plan_search import Search
 from smfe.plan_task import load_task
 from smfe.plan_verify import Verification, explain, verify
+from smfe.results import read_groups
 from smfe.scenario import load_scenario
-from smfe.store import read_groups
 from stability.methods import semi_discretization, zero_order
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "datasets" / "plans" / "milling_machine.toml"

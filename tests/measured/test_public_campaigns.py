@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from smfe import pipeline
-from smfe.peaks import peak_table
-from smfe.store import read_groups
+from smfe.comparison.peaks import peak_table
+from smfe.results import read_groups
 
 REPOSITORY = Path(__file__).parents[2]
 SHARED = Path(os.environ.get("SMFE_DATA", REPOSITORY.parent / "shared" / "data"))

@@ -12,10 +12,10 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.averaging import ESTIMATORS
-from smfe.hammer import Averaging, identify_hammer
-from smfe.intervals import interval
-from smfe.peaks import find_peaks
+from smfe.comparison.peaks import find_peaks
+from smfe.identification.errors.averaging import ESTIMATORS
+from smfe.identification.errors.intervals import interval
+from smfe.identification.hammer.hammer import Averaging, identify_hammer
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data")
 RATE = 51200.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from smfe.local_equations import Lines, bin_lines
-from smfe.rational_fit import RationalFit, fit_rational
+from smfe.identification.sweep.equations import Lines, bin_lines
+from smfe.identification.sweep.rational import RationalFit, fit_rational
 
 FREQUENCY = np.arange(30.0, 50.0, 0.02)
 AT = np.arange(32.0, 48.1, 0.5)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import load_campaign
-from smfe.measurements import records_of
+from smfe.identification.measurement import records_of
 from smfe.records import put_on_clock, write_record_csv
 from smfe.records.clocks import resample
 

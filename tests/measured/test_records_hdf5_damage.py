@@ -20,7 +20,7 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.records import Channel, read_records, write_record_netcdf
 from smfe.records.formats import hdf5_guard
-from smfe.store import read_groups
+from smfe.results import read_groups
 
 HERE = Path(__file__).parent
 KINDS = ["nc", "h5", "mat73"]
@@ -163,8 +163,8 @@ def test_a_process_that_dies_is_a_sentence_too(tmp_path: Path, monkeypatch: pyte
     assert "\ndef _walk(path: str) -> None:\n" in text
     dying = f"\ndef _walk(path: str) -> None:\n    if path == {str(path)!r}:\n        sys.exit(3)\n"
     script.write_text(text.replace("\ndef _walk(path: str) -> None:\n", dying))
-    monkeypatch.setattr(hdf5_watch, "_SCRIPT", script)
-    monkeypatch.setattr(hdf5_watch, "_running", [])
+    monkeypatch.setattr(hdf5_guard, "_SCRIPT", script)
+    monkeypatch.setattr(hdf5_guard, "_running", [])
     with pytest.raises(
         InputError, match=r"r\.h5: cannot be read .*: the HDF5 library breaks down; the file is damaged"
     ):
@@ -183,9 +183,9 @@ def test_where_no_process_can_be_started_files_are_read_without(
     silent.write_text("")
     for executable, script in (("/nowhere/python", hdf5_guard._SCRIPT), (sys.executable, silent)):
         monkeypatch.setattr(sys, "executable", executable)
-        monkeypatch.setattr(hdf5_watch, "_SCRIPT", script)
-        monkeypatch.setattr(hdf5_watch, "_running", [])
-        monkeypatch.setattr(hdf5_watch, "_dead", [])
+        monkeypatch.setattr(hdf5_guard, "_SCRIPT", script)
+        monkeypatch.setattr(hdf5_guard, "_running", [])
+        monkeypatch.setattr(hdf5_guard, "_dead", [])
         assert read_records(path, CHANNELS)[0].sizes["time"] == 256
 
 
@@ -222,7 +222,7 @@ def test_every_damaged_file_is_read_or_refused_in_time(tmp_path: Path, reader: R
 
 def test_damaged_results_end_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`smfe compare` and `smfe report` read what an earlier run wrote."""
-    monkeypatch.setattr(hdf5_watch, "SECONDS", 2.0)
+    monkeypatch.setattr(hdf5_guard, "SECONDS", 2.0)
     path = make("nc", tmp_path).rename(tmp_path / "frf.nc")
     assert read_groups(path)
     hanging(path)

@@ -8,7 +8,7 @@ import pytest
 from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import load_campaign
-from smfe.measurements import records_of
+from smfe.identification.measurement import records_of
 from smfe.records import Channel, put_on_time, read_blocks, read_records
 
 CHANNELS = {"time": Channel("t", "s"), "force_x": Channel("Fx", "N")}

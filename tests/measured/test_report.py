@@ -34,7 +34,7 @@ from smfe.report.interactive import packed
 from smfe.report.look import depth_range, frequency_range, magnitude_range, number, palette
 from smfe.report.results import read_results
 from smfe.report.spectrograms import draw as draw_spectrograms
-from smfe.store import pack_warnings, write_csv, write_groups
+from smfe.results import pack_warnings, write_csv, write_groups
 from stability import write_table
 
 

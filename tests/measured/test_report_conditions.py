@@ -8,10 +8,10 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_compliance
-from smfe.conditions import stack_conditions
+from smfe.identification.levels import stack_conditions
 from smfe.report import write_report
 from smfe.report.conditions import cubes, largest_changes
-from smfe.store import read_groups, write_groups
+from smfe.results import read_groups, write_groups
 
 GRID = np.arange(20.0, 120.0, 0.25)
 

@@ -20,10 +20,10 @@ from process.machine.structure import Posture, Structure, released_modes
 from smfe import cli, pipeline, simulate
 from smfe.campaign import load_campaign
 from smfe.records import read_records
+from smfe.results import read_groups
 from smfe.scenario import load_scenario
 from smfe.scenario.notices import standing_axes
 from smfe.scenario.toml import inline, table
-from smfe.store import read_groups
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "datasets" / "scenarios"
 

@@ -12,9 +12,8 @@ from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced
 from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
-from smfe.sweep import identify_sweep
-from smfe.sweep_estimate import bands
-from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference, SweepPass
+from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference, SweepPass, bands
+from smfe.identification.sweep.sweep import identify_sweep
 
 BAND = (20.0, 80.0)
 
@@ -95,7 +94,7 @@ def test_a_record_that_ends_in_the_cut_is_solved_with_its_transient(monkeypatch:
     assert not result.tables["passes"]["from_rest_to_rest"].any()
     with_transient = entry_errors(result.compliance)
     assert with_transient.max() < 0.08
-    monkeypatch.setattr("smfe.local_polynomial.at_rest", lambda record: True)
+    monkeypatch.setattr("smfe.identification.sweep.local_polynomial.at_rest", lambda record: True)
     without = entry_errors(identify_sweep("s", data, (25.0, 75.0)).compliance)
     assert without.mean() > 2.0 * with_transient.mean()
 

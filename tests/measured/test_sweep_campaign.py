@@ -11,11 +11,11 @@ from process.errors import InputError
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.campaign import load_campaign
 from smfe.demo_campaign import MACHINE, MATERIAL
-from smfe.measurements import identify_measurement, sweep_estimator
+from smfe.identification.measurement import identify_measurement, sweep_estimator
+from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference
+from smfe.identification.sweep.orders import Orders
 from smfe.records import write_record_netcdf
 from smfe.records.dynamometer import Dynamometer
-from smfe.spindle_orders import Orders
-from smfe.sweep_estimators import LocalPolynomial, Segments, SingleReference
 
 HEAD = """
 [campaign]

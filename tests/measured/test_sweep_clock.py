@@ -19,9 +19,9 @@ from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.campaign import load_campaign
 from smfe.diagnosis.audit import check
 from smfe.diagnosis.channel_checks import clock_suspects
+from smfe.identification.sweep.ramp import stated_bounds
+from smfe.identification.sweep.spindle_clock import changed_by_clock, compare_speeds, judge_clock
 from smfe.records import write_record_netcdf
-from smfe.sweep_clock import changed_by_clock, compare_speeds, judge_clock
-from smfe.sweep_ramp import stated_bounds
 
 COARSE = LocalPolynomial(resolution=0.5, half_widths=(0.5, 1.0), rational=False)
 

@@ -12,7 +12,7 @@ from truth.sweep import drawn_modes
 from truth.sweep_strangers import draw, measure
 
 from smfe import LocalPolynomial, identify_sweep
-from smfe.sweep_delay import changed_by_delay, delay_of
+from smfe.identification.sweep.delay import changed_by_delay, delay_of
 
 BAND = (25.0, 75.0)
 COARSE = LocalPolynomial(resolution=1.0, half_widths=(0.5, 1.0, 2.0))

@@ -18,10 +18,10 @@ from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced, simulate_milling
 from smfe import LocalPolynomial, Segments, SweepPass, identify_sweep
 from smfe.demo_campaign import MATERIAL
-from smfe.reciprocity import reciprocity, symmetric
+from smfe.identification.errors.difference import reciprocity, symmetric
+from smfe.identification.spectra.spindle_angle import force_angle, spindle_angle, tacho_angle
+from smfe.identification.sweep.orders import Orders
 from smfe.records.dynamometer import Dynamometer, compensate
-from smfe.spindle_angle import force_angle, spindle_angle, tacho_angle
-from smfe.spindle_orders import Orders
 
 BAND = (20.0, 80.0)
 RATE = 400.0

@@ -22,14 +22,14 @@ from process.labels import make_compliance, make_record
 from smfe import LocalPolynomial, SweepPass
 from smfe.campaign import load_campaign
 from smfe.diagnosis.verbs import diagnose
-from smfe.intervals import interval
-from smfe.level_test import difference_of
-from smfe.measurements import cached_identification
+from smfe.identification.errors.difference import difference_of
+from smfe.identification.errors.intervals import interval
+from smfe.identification.levels import levels_of, sweep_levels, with_levels
+from smfe.identification.measurement import cached_identification
 from smfe.pipeline import compare, identify, lobes, modal, run
 from smfe.plan_task import load_task
 from smfe.records import write_record_netcdf
-from smfe.store import read_groups
-from smfe.sweep_levels import levels_of, sweep_levels, with_levels
+from smfe.results import read_groups
 
 RATE, FINE = 400.0, 8
 BAND = (22.0, 70.0)

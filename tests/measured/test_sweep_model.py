@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from smfe.local_polynomial import lack_of_fit
-from smfe.sweep_estimate import Estimate
-from smfe.sweep_estimators import LocalPolynomial
+from smfe.identification.sweep.estimators import Estimate, LocalPolynomial
+from smfe.identification.sweep.local_polynomial import lack_of_fit
 
 LINES, WIDTH = 161, 2.0
 ESTIMATOR = LocalPolynomial()

@@ -10,10 +10,10 @@ from scipy import signal
 
 from process.labels import make_compliance, make_record
 from smfe import LocalPolynomial, SweepPass, identify_sweep
-from smfe.entry_covariance import entry_covariance
-from smfe.intervals import interval
-from smfe.reciprocity import reciprocity, symmetric
-from smfe.row_correlation import noise_between, possible, shared_noise
+from smfe.identification.errors.covariance import entry_covariance
+from smfe.identification.errors.difference import reciprocity, symmetric
+from smfe.identification.errors.intervals import interval
+from smfe.identification.sweep.noise import noise_between, possible, shared_noise
 
 RATE, N = 250.0, 6000
 BAND = (25.0, 65.0)

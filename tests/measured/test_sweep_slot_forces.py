@@ -19,9 +19,9 @@ from process.machine.modes import ModalModel
 from process.simulation.milling import simulate_forced
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.diagnosis.cutting_orders import find_rotation
+from smfe.identification.spectra.spindle_angle import force_angle
+from smfe.identification.sweep.inputs import project, spindle_waves
 from smfe.records import Channel, read_records
-from smfe.spindle_angle import force_angle
-from smfe.sweep_inputs import project, spindle_waves
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data") / "milling_forces_ubc"
 FEEDS = (300, 600, 900, 1200, 1500)

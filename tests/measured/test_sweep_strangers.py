@@ -12,8 +12,8 @@ from truth.sweep_strangers import Stranger, draw, measure
 
 from process.errors import InputError
 from smfe import LocalPolynomial, SingleReference, identify_sweep
-from smfe.force_noise import force_noise
-from smfe.sweep_chatter import chatter_of
+from smfe.identification.sweep.chatter import chatter_of
+from smfe.identification.sweep.noise import force_noise
 
 BAND = (25.0, 75.0)
 

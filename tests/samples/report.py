@@ -14,7 +14,7 @@ from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel
-from smfe.store import pack_warnings, write_csv, write_groups, write_json
+from smfe.results import pack_warnings, write_csv, write_groups, write_json
 from stability import lobe_curves, lobe_table, write_table
 from stability.methods import zero_order
 

@@ -10,7 +10,7 @@ import xarray as xr
 from process import CuttingCoefficients, InputError, ModalModel, Tool
 from process.cut import engagement
 from process.labels import full_matrix, make_compliance
-from smfe.modal import fit_modes
+from smfe.modes.fit_modes import fit_modes
 from stability import critical_depth, linearised_band, lobe_curves, sampled_band
 from stability.methods import multi_frequency, operating_point, semi_discretization, zero_order
 

@@ -33,7 +33,7 @@ class Identification:
     warnings : tuple of str
         Sentences for the report.
     blows : mapping of str to xarray.Dataset
-        Excitation -> its hits one by one (`smfe.blows.single_hits`), where hits are behind the compliance.
+        Excitation -> its hits one by one (`impacts.single_hits`), where hits are behind the compliance.
     """
 
     name: str

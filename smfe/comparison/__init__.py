@@ -1,0 +1,1 @@
+"""Methods beside each other: peaks, differences, and what explains them."""

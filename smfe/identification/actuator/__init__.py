@@ -1,0 +1,1 @@
+"""Inertial actuator and shaker: stepped sine, periodic and random forces."""

@@ -1,0 +1,129 @@
+"""The drives of a campaign: identified, written to a table beside the compliances, and said in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import pandas as pd
+
+from process.errors import InputError
+from smfe.campaign import Campaign, Measurement
+from smfe.identification.drive.motion import KINDS, drives_in, moves
+from smfe.identification.drive.parameters import identify_drive
+from smfe.identification.drive.results import DriveFit
+from smfe.identification.errors.result import Progress, silent
+from smfe.identification.measurement import records_of
+from smfe.results import MEASUREMENT, Failures, attempt, write_csv
+
+FILE = "drives.csv"
+
+COLUMNS = ("measurement", "axis", "parameter", "direction", "value", "std", "low", "high", "unit", "note")
+"""Columns of the table; low and high are the 95 % interval, and a value that was not determined is empty."""
+
+
+Drives = Mapping[str, Sequence[DriveFit]]
+"""Measurement -> its drives, one an axis."""
+
+
+def drives_of(
+    campaign: Campaign, failures: Failures | None = None, progress: Progress = silent
+) -> dict[str, list[DriveFit]]:
+    """Identify every measurement of method "drive".
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    failures : list of Failure, optional
+        Collects measurements whose records do not allow it; those that it holds already are left out. None: the first
+        one is raised.
+    progress : callable, optional
+        Called with (what, done, of).
+
+    Raises
+    ------
+    InputError
+        With the measurement's name, when its records do not allow it.
+    """
+    out = {}
+    gone = {f.name for f in failures or () if f.part == MEASUREMENT}
+    wanted = [m for m in campaign.measurements if m.method == "drive" and m.name not in gone]
+    for done, m in enumerate(wanted):
+        progress(f"identifying {m.name}", done, len(wanted))
+        with attempt(failures, MEASUREMENT, m.name):
+            out[m.name] = drive_of(m)
+    return out
+
+
+def drive_of(m: Measurement) -> list[DriveFit]:
+    """Identify the axes of one measurement of method "drive"; see `drives_of`. Axes that stand still are left out."""
+    try:
+        records = [record for entry in m.records for record in records_of(entry)]
+        highest = None if m.frequency_range is None else m.frequency_range[1]
+        pairs = drives_in(records)
+        moving = [pair for pair in pairs if all(moves(r, *pair) for r in records)] or pairs
+        return [identify_drive(m.name, records, a, known=m.moving_mass, highest=highest) for _, a in moving]
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if m.name in text else f"measurement '{m.name}': {text}") from error
+
+
+def as_table(drives: Drives) -> pd.DataFrame:
+    """Return a row a parameter, with the columns `COLUMNS`."""
+    rows = []
+    for name, fits in drives.items():
+        for fit in fits:
+            for p in fit.parameters:
+                row = asdict(p) | {"measurement": name, "axis": fit.axis, "parameter": p.name}
+                rows.append({column: row[column] for column in COLUMNS})
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def write_drives(path: Path, drives: Drives, tables: Path | None = None) -> None:
+    """Write the table, and beside it friction over velocity of each axis; without any drive, take an old file away."""
+    if not drives:
+        path.unlink(missing_ok=True)
+        return
+    write_csv(path, as_table(drives))
+    for name, fits in drives.items() if tables is not None else ():
+        for fit in fits:
+            units = KINDS[fit.rotary][3]
+            named = {"velocity": f"velocity [{units['motion']}/s]"} | {
+                column: f"{column} [{units['force']}]" for column in ("force", "low", "high")
+            }
+            assert tables is not None
+            write_csv(tables / f"{name}.friction_{fit.axis}.csv", fit.friction.rename(columns=named))
+
+
+def drive_lines(path: Path) -> list[str]:
+    """Return what a table says in sentences; nothing where there is no file."""
+    if not path.is_file():
+        return []
+    rows = pd.read_csv(path, keep_default_na=False, na_values=[""]).to_dict("records")
+    return [sentence({str(key): value for key, value in row.items()}) for row in rows]
+
+
+def sentence(row: Mapping[str, object]) -> str:
+    """Return one row of the table as a sentence."""
+    value, low, high = (float(str(row[name])) for name in ("value", "low", "high"))
+    way = "" if row["direction"] == "both" else f" {row['direction']}"
+    what = f"{row['measurement']}, axis {row['axis']}: {str(row['parameter']).replace('_', ' ')}{way}"
+    note = str(row["note"]) if isinstance(row["note"], str) else ""
+    if math.isfinite(value):
+        return f"{what} {value:.4g} {row['unit']}, 95 % interval {low:.4g} to {high:.4g}" + (f"; {note}" * bool(note))
+    bound = f", at most {high:.4g} {row['unit']}" if math.isfinite(high) and high > 0.0 else ""
+    return f"{what}: {note}{bound}"
+
+
+def notes_of(drives: Drives) -> list[str]:
+    """Return what was noticed, by measurement, and whether the inertia was not determined."""
+    out = []
+    for name, fits in drives.items():
+        for fit in fits:
+            where = f"{name}, axis {fit.axis}"
+            out += [f"{where}: {note}" for note in fit.notes]
+            out += [f"{where}: {p.name} {p.note}" for p in fit.parameters if p.name == "inertia" and p.note]
+    return out

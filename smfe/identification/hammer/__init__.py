@@ -1,0 +1,1 @@
+"""Impact hammer: impacts, windows, background, direction."""

@@ -1,0 +1,159 @@
+"""Hits along the wrong axis or from the wrong side, told by the response: hits of an axis look like each other.
+
+The compliance of each hit alone, times w (a mobility, which shows the resonances), is one long vector over frequency
+and responses. Two hits of the same axis agree when these vectors have the same shape (modal assurance criterion), the
+same size within a factor of two, and the same sign. A hit that disagrees with most of the hits of its axis, while these
+agree with each other, was not made where the campaign says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smfe.identification.hammer.impacts import WRONG_DIRECTION, Hit
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+_SAME_SHAPE = 0.6
+"""Least modal assurance criterion of two hits along one axis."""
+
+_SAME_SIZE = 2.0
+"""Largest ratio of their compliances."""
+
+_SAME_LEVEL = 2.5
+"""Largest ratio of their peak forces: with friction, a strong and a weak hit rightly differ."""
+
+_STRONG = 0.01  # power, of the strongest line: where the shape is compared
+
+
+@dataclass(frozen=True)
+class HitSpectra:
+    """Hits of one axis: shapes (f,), (f, 3, M), (f, M)."""
+
+    hits: Sequence[Hit]
+    frequency: Real
+    motion: Complex
+    force: Complex
+
+
+def wrong_directions(columns: Mapping[str, HitSpectra]) -> tuple[dict[tuple[str, int], str], list[str]]:
+    """Return the hits that were made elsewhere than declared.
+
+    Parameters
+    ----------
+    columns : mapping of str to HitSpectra
+        Excitation axis -> hits with their spectra, inside the band that their force carries.
+
+    Returns
+    -------
+    faults : dict
+        (axis, place among its hits) -> reason.
+    notes : list of str
+        What cannot be decided.
+    """
+    shapes = {axis: _shapes(column) for axis, column in columns.items()}
+    faults: dict[tuple[str, int], str] = {}
+    notes = []
+    for axis, column in columns.items():
+        wrong, undecided = _outvoted(shapes[axis], column.hits)
+        notes += [f"excitation {axis}: {undecided}"] if undecided else []
+        for m in wrong:
+            faults[axis, m] = ""
+    for axis, m in faults:
+        faults[axis, m] = _reason(axis, m, shapes, faults)
+    return faults, notes
+
+
+def _shapes(column: HitSpectra) -> Complex:
+    """Return the mobility of each hit as a vector, shape (M, lines x responses); NaN: no response."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        h = column.motion / column.force[:, None, :] * (2.0 * np.pi * column.frequency)[:, None, None]
+    return np.asarray(np.moveaxis(h, 2, 0).reshape(h.shape[2], -1))
+
+
+def compared(one: Complex, other: Complex) -> tuple[float, complex]:
+    """Return the modal assurance criterion of two vectors and the gain of the first over the second.
+
+    ``|<b, a>|^2/(|a|^2 |b|^2)`` and ``<b, a>/|b|^2``, over the lines where either is above a tenth of its maximum and
+    both are known; (0, NaN) when none is.
+
+    Parameters
+    ----------
+    one, other : ndarray of complex, shape (n,)
+        The vectors a and b, in any unit.
+    """
+    both = np.isfinite(one) & np.isfinite(other)
+    if not both.any():
+        return 0.0, complex("nan")
+    a, b = one[both], other[both]
+    power_a, power_b = np.abs(a) ** 2, np.abs(b) ** 2
+    strong = (power_a > _STRONG * power_a.max()) | (power_b > _STRONG * power_b.max())
+    product = complex(np.vdot(b[strong], a[strong]))
+    aa, bb = float(power_a[strong].sum()), float(power_b[strong].sum())
+    if aa == 0.0 or bb == 0.0:
+        return 0.0, complex("nan")
+    return abs(product) ** 2 / (aa * bb), product / bb
+
+
+def _agree(one: Complex, other: Complex) -> bool:
+    shape, gain = compared(one, other)
+    return shape >= _SAME_SHAPE and gain.real > 0.0 and 1.0 / _SAME_SIZE <= abs(gain) <= _SAME_SIZE
+
+
+def _outvoted(shapes: Complex, hits: Sequence[Hit]) -> tuple[list[int], str]:
+    """Return the hits that disagree with most of those of their level, and what two hits leave open."""
+    count = len(hits)
+    level = np.abs([hit.peak_force for hit in hits])
+    near = np.maximum(level[:, None], level) <= _SAME_LEVEL * np.minimum(level[:, None], level)
+    near &= np.array([[bool(np.any(np.isfinite(a) & np.isfinite(b))) for b in shapes] for a in shapes])
+    np.fill_diagonal(near, False)
+    agree = np.array([[bool(near[i, j]) and _agree(shapes[i], shapes[j]) for j in range(count)] for i in range(count)])
+    agree = agree | agree.T
+    peers, friends = near.sum(axis=1), agree.sum(axis=1)
+    wrong = [
+        m
+        for m in range(count)
+        # Those it disagrees with must agree with each other: noise makes everybody disagree with everybody.
+        if peers[m] >= 2 and friends[m] < 0.5 * peers[m] and _united(agree, np.flatnonzero(near[m] & ~agree[m]))
+    ]
+    if count == 2 and near[0, 1] and not agree[0, 1] and compared(shapes[0], shapes[1])[0] >= _SAME_SHAPE:
+        gain = compared(shapes[0], shapes[1])[1]
+        return [], (
+            f"its two hits have the same shape but a ratio of {gain.real:.2g}: one was made elsewhere or from the "
+            "other side than its sensor says, and two cannot tell which; add a third"
+        )
+    return (wrong if 2 * len(wrong) < count else []), ""
+
+
+def _united(agree: NDArray[np.bool_], others: NDArray[np.int64]) -> bool:
+    """Tell whether more than half of the pairs agree."""
+    if others.size < 2:
+        return False
+    block = agree[np.ix_(others, others)]
+    return bool(block.sum() > 0.5 * others.size * (others.size - 1))
+
+
+def _reason(axis: str, m: int, shapes: Mapping[str, Complex], faults: Mapping[tuple[str, int], str]) -> str:
+    own = shapes[axis][m]
+    for other in (axis, *(a for a in shapes if a != axis)):
+        good = [k for k in range(len(shapes[other])) if (other, k) not in faults]
+        if not good or shapes[other].shape[1] != own.size:
+            continue
+        shape, gain = compared(own, np.mean(shapes[other][good], axis=0))
+        if shape < _SAME_SHAPE:
+            continue
+        if gain.real < 0.0:
+            return (
+                f"{WRONG_DIRECTION}: its response is that of the hits along {other} turned round (gain "
+                f"{gain.real:.2g}); hit from the other side, or a sensor has the wrong sign"
+            )
+        if other == axis:
+            return f"{WRONG_DIRECTION}: it gives {abs(gain):.2g} times the compliance of the other hits along {axis}"
+        if 1.0 / _SAME_SIZE <= abs(gain) <= _SAME_SIZE:
+            return f"{WRONG_DIRECTION}: its response is that of a hit along {other} (gain {abs(gain):.2g})"
+    return f"{WRONG_DIRECTION}: its response is not that of the other hits along {axis}"

@@ -1,0 +1,1 @@
+"""Spectra, periods, tones, spindle angle."""

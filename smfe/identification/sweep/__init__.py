@@ -1,0 +1,1 @@
+"""Sweep milling force excitation (SMFE): the cutting force as the excitation."""

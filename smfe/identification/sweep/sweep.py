@@ -1,0 +1,471 @@
+"""Sweep milling force excitation: passes in which the cutting force itself shakes the machine -> 3x3 compliance.
+
+Down, up and central milling push the tool in different directions; together they separate the nine compliances. All
+passes and lines go into one weighted least squares a frequency (`sweep.least_squares`), with all three measured forces
+as references. How records become columns is the choice of an estimator object (`smfe.identification.sweep.estimators`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.cut.engagement import Engagement
+from process.cut.force import CuttingCoefficients, force_harmonics
+from process.cut.tool import Tool
+from process.errors import InputError
+from process.labels import axis_present, make_compliance, sample_interval
+from smfe.identification.errors.difference import reciprocity, symmetric
+from smfe.identification.errors.result import Identification
+from smfe.identification.spectra.spectra import BlockSpectra, motion_axes
+from smfe.identification.sweep.chatter import without_chatter
+from smfe.identification.sweep.delay import changed_by_delay
+from smfe.identification.sweep.estimators import (
+    HANN_ERROR_LINES,
+    Estimate,
+    Estimator,
+    LocalPolynomial,
+    SingleReference,
+    SweepPass,
+    at_rest,
+    in_words,
+)
+from smfe.identification.sweep.least_squares import Columns, Solution, condition_number, solve
+from smfe.identification.sweep.local_polynomial import solve_local
+from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.orders import Orders, solve_orders
+from smfe.identification.sweep.spindle_clock import changed_by_clock, judge_clock
+
+WARN_CONDITION = 30.0
+"""Above this condition number of the forces a frequency is reported as badly conditioned."""
+
+REFUSE_CONDITION = 200.0
+"""Above this condition number a frequency is not solved."""
+
+Step = Callable[[int, int], None]
+"""Called with (done, of)."""
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def identify_sweep(
+    name: str,
+    passes: Sequence[SweepPass],
+    frequency_range: tuple[float, float],
+    estimator: Estimator | Orders | None = None,
+    progress: Step | None = None,
+    *,
+    axes: Sequence[str] = ("x", "y", "z"),
+    background: Sequence[SweepPass] = (),
+    reciprocal: bool = False,
+    teeth: int | None = None,
+) -> Identification:
+    """Identify the compliance from sweep passes.
+
+    Parameters
+    ----------
+    name : str
+        Name of the measurement.
+    passes : sequence of SweepPass
+        At least as many as there are axes, in independent directions.
+    frequency_range : (float, float)
+        Band to identify [Hz].
+    estimator : LocalPolynomial, Segments, Orders or SingleReference, optional
+        Default: `LocalPolynomial()`.
+    progress : callable, optional
+        Called with (done, of).
+    axes : sequence of str, optional
+        Axes of the forces that are references, for rigs with fewer sensors; one pass is enough for one.
+    background : sequence of SweepPass, optional
+        Air cuts over the same speeds (`LocalPolynomial`): what turns with the spindle becomes an input of its own, and
+        the noise of the forces is taken from them.
+    reciprocal : bool, optional
+        Constrain the compliance to be symmetric.
+    teeth : int, optional
+        Of the tool. The speeds that records and passes state are compared with the passing of the teeth; without it,
+        with all lines that repeat with the spindle.
+
+    Returns
+    -------
+    Identification
+        ``compliance``, ``compliance_std``, ``compliance_covariance`` (``E[d_j conj(d_k)]`` of the errors in one row,
+        [m2/N2]), for `LocalPolynomial` ``entry_covariance`` (the same of all entries); ``coherence`` (adjusted multiple
+        coherence; NaN for `SingleReference`, where three columns for three unknowns leave nothing to judge by),
+        ``force_condition`` and, for `LocalPolynomial`, the ``half_width`` chosen [Hz]; ``degrees_of_freedom`` of
+        Student's t for each part; ``compliance_gradient`` and its standard deviation where the fit depends on position:
+        change from the middle to the end of a pass. Frequencies whose condition number exceeds `REFUSE_CONDITION` are
+        NaN.
+
+    Raises
+    ------
+    InputError
+        Too few passes; a record without the forces or without motion; a band that the records do not hold; records too
+        short for the estimator; a speed that the passing of the teeth contradicts (`spindle_clock`); too few passes
+        without chatter (`smfe.identification.sweep.chatter`); passes that are
+        not independent, by their arcs or by the measured forces in more than
+        half of the band.
+    """
+    chosen = LocalPolynomial() if estimator is None else estimator
+    axes = [a for a in "xyz" if a in axes]
+    response = _check_passes([*passes, *background], len(passes), axes)
+    _check_band(passes, frequency_range)
+    if len(axes) == 3:
+        check_independent([(p.label, p.arc) for p in passes])
+    clock = judge_clock(name, passes, teeth)
+    passes, chatter = without_chatter(name, passes, teeth, len(axes))
+    frequency = chosen.axis(frequency_range, passes)
+    found = _estimate(chosen, passes, frequency, axes, response, background, progress)
+    refused = ~(found.condition <= REFUSE_CONDITION)
+    if refused.mean() > 0.5:
+        raise InputError(
+            f"sweep '{name}': the measured forces of the passes ({', '.join(p.label for p in passes)}) are not "
+            f"independent: their condition number exceeds {REFUSE_CONDITION:g} at {refused.sum()} of {refused.size} "
+            "frequencies, so nine compliances cannot be told apart; add a pass with another width or kind of cut"
+            + (
+                ", or cut deeper and record from air to air: noise of the force sensor leaves the compliance open"
+                if np.isinf(found.condition).mean() > 0.25
+                else ""
+            )
+        )
+    found.compliance[refused], found.covariance[refused] = np.nan, np.nan
+    if found.between is not None:
+        found.between[refused] = np.nan
+    delay = found.delay if found.delay is not None and found.delay.real else None
+    moved = []
+    if clock.difference:
+        acceleration = motion_axes(passes[0].record)[0] == "acceleration"
+        moved.append(changed_by_clock(found.compliance, frequency, clock.difference, acceleration))
+    if delay is not None:
+        moved.append(changed_by_delay(found.compliance, frequency, delay.late))
+    for change in moved:
+        found = replace(found, covariance=found.covariance + change[..., :, None] * change[..., None, :].conj())
+    attrs = {"method": "sweep", "estimator": repr(chosen), "error_lines": found.error_lines}
+    dataset = _labelled(frequency, found, response, axes, attrs)
+    warnings = (
+        *clock.warnings,
+        *chatter,
+        *([delay.in_words()] if delay is not None else []),
+        *_condition_warnings(frequency, found.condition),
+        *found.warnings,
+        *_fewer_axes(axes),
+    )
+    if reciprocal:
+        test = reciprocity(dataset)
+        dataset = symmetric(dataset)
+        if test.chance < 1e-4:
+            warnings += (
+                f"the compliance is not reciprocal: Phi_ij and Phi_ji differ by {100.0 * test.size:.2g} % beyond noise "
+                f"(chance {test.chance:.1e}, most at {test.worst:.4g} Hz), and were forced to be equal; leave "
+                "reciprocal out, or look for a sensor that is turned or away from the tool",
+            )
+    return Identification(name, "sweep", dataset, {"passes": _pass_table(passes, axes)}, warnings)
+
+
+def _estimate(
+    chosen: Estimator | Orders,
+    passes: Sequence[SweepPass],
+    frequency: Real,
+    axes: Sequence[str],
+    response: Sequence[str],
+    background: Sequence[SweepPass],
+    progress: Step | None,
+) -> Estimate:
+    """Solve with the estimator that was chosen."""
+    if isinstance(chosen, LocalPolynomial):
+        return solve_local(chosen, passes, frequency, axes, response, background, progress)
+    if background:
+        raise InputError(
+            f"an air cut is subtracted by the local polynomial only, and the estimator is {type(chosen).__name__}; "
+            "take background or estimator out"
+        )
+    if isinstance(chosen, SingleReference):
+        if len(axes) < 3:
+            raise InputError("a single reference needs the forces on x, y and z; take estimator or axes out")
+        return _single(chosen, passes, frequency, response)
+    if isinstance(chosen, Orders):
+        return solve_orders(chosen, passes, frequency, axes, response, progress)
+    columns = chosen.columns(passes, frequency, response, axes)
+    return _by_columns(list(columns), frequency, len(axes), HANN_ERROR_LINES, progress)
+
+
+def _labelled(
+    frequency: Real, found: Estimate, response: Sequence[str], axes: Sequence[str], attrs: dict[str, Any]
+) -> xr.Dataset:
+    """Return the compliance with its labels; a second set of excitations is the change along the pass."""
+    three, e = ("frequency", "response", "excitation"), len(axes)
+    covariance, std = found.covariance[..., :e, :e], found.std
+    extra: dict[str, Any] = {
+        "compliance_std": (three, std[..., :e]),
+        "compliance_covariance": ((*three, "other_excitation"), covariance),
+        "coherence": (three[:2], found.coherence),
+        "force_condition": (three[:1], found.condition),
+    }
+    if found.between is not None:
+        whole = found.between[:, :, :e, :, :e].copy()
+        for r in range(len(response)):
+            whole[:, r, :, r] = covariance[:, r]
+        extra["entry_covariance"] = ((*three, "other_response", "other_excitation"), whole)
+    if found.compliance.shape[2] > e:
+        extra["compliance_gradient"] = (three, found.compliance[..., e:])
+        extra["compliance_gradient_std"] = (three, std[..., e:])
+    if found.half_width is not None:
+        extra["half_width"] = (three[:2], found.half_width)
+    if found.freedom is not None:
+        # All entries of a row have the same residual; the label is that of every method.
+        extra["degrees_of_freedom"] = (three, np.repeat(found.freedom[..., None], e, axis=2))
+    return make_compliance(frequency, found.compliance[..., :e], response, list(axes), extra=extra, attrs=attrs)
+
+
+def _fewer_axes(axes: Sequence[str]) -> tuple[str, ...]:
+    missing = [a for a in "xyz" if a not in axes]
+    if not missing:
+        return ()
+    return (
+        f"forces along {' and '.join(missing)} are no references: what they cause is noise where it is unlike the "
+        f"others, and counted to {' and '.join(axes)} where it is alike, which no standard deviation shows",
+    )
+
+
+# --- what is refused before anything is solved -----------------------------------------------------------------------
+
+
+def _check_passes(passes: Sequence[SweepPass], cutting: int, axes: Sequence[str]) -> list[str]:
+    """Return the response axes that all passes share."""
+    if not axes:
+        raise InputError('no axis is a reference; give axes = ["x", "y", "z"] or those whose forces are recorded')
+    if cutting < len(axes):
+        number = {3: "nine", 2: "four", 1: "one"}[len(axes)]
+        raise InputError(
+            f"a sweep measurement with {cutting} passes ({', '.join(p.label for p in passes)}); {number} compliances "
+            f"need {('one pass', 'two passes', 'three passes')[len(axes) - 1]} that push in different directions: add "
+            "a down, an up or a central pass"
+        )
+    shared: list[str] = ["x", "y", "z"]
+    for p in passes:
+        missing = [a for a in axes if a not in axis_present(p.record, "force")]
+        if missing:
+            raise InputError(
+                f"pass '{p.label}' has no force_{missing[0]}; all three forces are needed as references: "
+                "declare it in [channels], or name those there are in axes"
+            )
+        shared = [a for a in shared if a in motion_axes(p.record)[1]]
+    if not shared:
+        raise InputError("the passes have no axis of motion in common; record the same accelerations in each")
+    return shared
+
+
+def _check_band(passes: Sequence[SweepPass], band: tuple[float, float]) -> None:
+    for p in passes:
+        nyquist = 0.5 / sample_interval(p.record)
+        if not 0.0 < band[0] < band[1] < nyquist:
+            raise InputError(
+                f"the frequency range {band[0]:g} to {band[1]:g} Hz does not lie between 0 and the Nyquist frequency "
+                f"of {nyquist:g} Hz of pass '{p.label}'; give a frequency_range that rises within it"
+            )
+
+
+def check_independent(arcs: Sequence[tuple[str, Engagement | None]]) -> None:
+    """Refuse passes whose forces are dependent by geometry.
+
+    Forces add up over the arc: a pass whose arc is the sum of others brings nothing new at any harmonic, for any tool
+    and material. All distinct arcs together must span three directions in at least one of the first harmonics of a
+    probe with unlike coefficients. Passes of unknown arc are left to the measured forces.
+
+    Parameters
+    ----------
+    arcs : sequence of (str, Engagement or None)
+        What each pass is called, and its arc.
+
+    Raises
+    ------
+    InputError
+        When they do not.
+    """
+    distinct = {arc: label for label, arc in arcs if arc is not None}
+    if any(arc is None for _, arc in arcs) or _best_condition(list(distinct)) <= 1e6:
+        return
+    raise InputError(
+        f"the passes {', '.join(distinct.values())} are not independent: cutting forces add up over the arc of "
+        "engagement, so a pass whose arc is the sum of the others repeats them (half-immersion down and up milling "
+        "add up to the slot) and the nine compliances cannot be separated; change one width, e.g. widths of 30, 50 "
+        "and 85 % of the diameter for down, up and central milling"
+    )
+
+
+def _best_condition(arcs: Sequence[Engagement]) -> float:
+    """Smallest condition number of the force directions over the first harmonics, equal teeth."""
+    if len(arcs) < 3:
+        return float("inf")
+    coefficients = CuttingCoefficients(1.0, 0.4, 0.15, 1e-4, 1.5e-4, 1e-5)
+    probe = Tool(1.0, 2, np.pi / 4)
+    conditions = []
+    for harmonic in (1, 2, 3):
+        force = [force_harmonics(probe, arc, coefficients, 1.0, 1e-4, [harmonic])[0] for arc in arcs]
+        unit = [f / max(float(np.linalg.norm(f)), 1e-300) for f in force]
+        conditions.append(condition_number(np.array(unit, dtype=np.complex128).T))
+    return min(conditions)
+
+
+# --- the other estimators ---------------------------------------------------------------------------------------------
+
+
+def _by_columns(
+    columns: Sequence[Columns], frequency: Real, excitations: int, error_lines: float, progress: Step | None
+) -> Estimate:
+    """Solve with segments as columns, weighted with the inverse noise of their pass."""
+    short = [(c, f) for c, f in zip(columns, frequency, strict=True) if c.response.shape[1] <= c.regressors.shape[0]]
+    if len(short) > len(columns) // 2:
+        least, at = short[0]
+        raise InputError(
+            f"the passes give {least.response.shape[1]} columns for {least.regressors.shape[0]} unknowns at {at:g} Hz "
+            "and elsewhere; record longer passes, or choose a coarser resolution or a wider band"
+        )
+    noise = _noise(columns, excitations)
+    solutions = []
+    for i, c in enumerate(columns):
+        solutions.append(solve(c, excitations, noise[i]))
+        if progress is not None:
+            progress(i + 1, len(columns))
+    found = _stack(solutions, error_lines)
+    if not short:
+        return found
+    where = in_words(frequency, np.isin(frequency, [f for _, f in short]))
+    text = f"not solved: too few columns for the unknowns in {where}; sweep more slowly, or choose a wider band"
+    return replace(found, warnings=(text,))
+
+
+def _stack(solutions: Sequence[Solution], error_lines: float) -> Estimate:
+    return Estimate(
+        np.array([s.compliance for s in solutions]),
+        np.array([s.covariance for s in solutions]),
+        np.array([s.coherence for s in solutions]),
+        np.array([s.condition for s in solutions]),
+        error_lines,
+        freedom=np.array([s.freedom for s in solutions]),
+    )
+
+
+def _single(
+    estimator: SingleReference, passes: Sequence[SweepPass], frequency: Real, response: Sequence[str]
+) -> Estimate:
+    reach = float(frequency[0]), float(frequency[-1])
+    sxf, sff = estimator.cross_spectra(passes, reach, response)
+    gains, conditions = [], []
+    for x, f in zip(sxf, sff, strict=True):
+        conditions.append(condition_number(f))
+        singular = not np.isfinite(conditions[-1])
+        gains.append(np.full((*x.shape[:1], 3), np.nan) if singular else np.linalg.lstsq(f.T, x.T, rcond=None)[0].T)
+    phi = np.array(gains, dtype=complex)
+    inverse = np.linalg.pinv(sff)
+    # Errors of the cross-spectra of a pass, (f, r, passes): scatter of its segments, and what leaks through the window.
+    variance, leaked, freedom = [], [], []
+    slopes = [np.gradient(phi, frequency, axis=0)]
+    slopes.append(np.gradient(slopes[0], frequency, axis=0))
+    for p in passes:
+        x, f, blocks = estimator.products(p, reach, response)
+        scatter, independent = _scatter_of_mean(x - np.einsum("fre,fes->frs", phi, f), blocks)
+        variance.append(scatter)
+        freedom.append(independent)
+        bias = np.zeros_like(x[..., 0])
+        for order, slope in enumerate(slopes, start=1):
+            through = estimator.products(p, reach, response, order)[1].mean(axis=2)
+            bias += np.einsum("fre,fe->fr", slope, through) * _LEAKS[order] * (estimator.resolution) ** order
+        leaked.append(bias)
+    bias = np.einsum("frp,fpe->fre", np.stack(leaked, axis=2), inverse)
+    covariance = np.einsum("frp,fpe,fpg->freg", np.stack(variance, axis=2), inverse, inverse.conj(), optimize=True)
+    covariance = covariance + bias[..., :, None] * bias[..., None, :].conj()
+    return Estimate(
+        phi,
+        covariance,
+        np.full(phi.shape[:2], np.nan),
+        np.array(conditions),
+        HANN_ERROR_LINES,
+        freedom=np.full(phi.shape[:2], 2.0 * min(freedom)),
+    )
+
+
+_LEAKS = {1: 0.5j, 2: -0.25}
+"""Terms of a Hann window, ``Phi^(n)/(n! (-2 pi j)^n)`` times the force through its nth derivative, where this is taken
+without its factor ``(2 pi df)^n/2``."""
+
+
+def _scatter_of_mean(residual: Complex, blocks: BlockSpectra) -> tuple[Real, float]:
+    """Return the variance of the mean over segments, (f, r), and how many segments it rests on.
+
+    Segments in which the sweep is far from a line say nothing of it: each counts with its own residual (White 1980),
+    and as much more as neighbours share noise.
+    """
+    power = np.abs(residual) ** 2
+    rho = blocks.neighbour_correlation
+    shared = 1.0 + 2.0 * float(np.sum(rho[1:] ** 2))
+    effective = np.median(power.sum(axis=2) ** 2 / np.maximum((power**2).sum(axis=2), 1e-300)) / shared
+    used = max(float(effective) - 1.0, 1.0)
+    # The mean of the residual is zero by construction, which takes one segment.
+    variance = shared * power.sum(axis=2) / power.shape[2] ** 2 * (used + 1.0) / used
+    return np.asarray(variance), used
+
+
+def _noise(columns: Sequence[Columns], excitations: int, rounds: int = 4) -> Real:
+    """Learn the noise power of each response in each pass, shape (f, r, tests).
+
+    The first round weights all passes alike, so that a noisy one leaves its mark on the residual of the quiet ones;
+    solving again with what was learnt takes it away.
+    """
+    noise: Real | None = None
+    for _ in range(rounds):
+        residual = [solve(c, excitations, None if noise is None else noise[i]).residual for i, c in enumerate(columns)]
+        noise = _smooth_noise(np.array(residual))
+    assert noise is not None
+    return noise
+
+
+def _smooth_noise(residual: Real, reach: int = 8) -> Real:
+    """Take the median residual power over neighbouring frequencies; keep weights within 1:1000."""
+    filled = pd.DataFrame(residual.reshape(residual.shape[0], -1))
+    smooth = filled.rolling(2 * reach + 1, center=True, min_periods=1).median().bfill().ffill().to_numpy()
+    noise = smooth.reshape(residual.shape)
+    largest = np.max(np.nan_to_num(noise), axis=2, keepdims=True)
+    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
+    return np.where(np.isfinite(noise), np.maximum(noise, floor), 1.0)
+
+
+# --- tables and words -------------------------------------------------------------------------------------------------
+
+
+def _pass_table(passes: Sequence[SweepPass], axes: Sequence[str]) -> pd.DataFrame:
+    """Return a row a pass: rms of each force over the record, and of their magnitude, with its peak, in the cut."""
+    rows = []
+    for p in passes:
+        force = p.record["force"].sel(axis=list(axes)).values
+        rms = np.sqrt(np.mean(force**2, axis=1))
+        whole = np.sum(force[:, in_cut(p.record)] ** 2, axis=0)
+        rows.append(
+            {
+                "pass": p.label,
+                "duration_s": p.record.sizes["time"] * sample_interval(p.record),
+                **{f"force_{a}_rms_N": value for a, value in zip(axes, rms, strict=True)},
+                "force_rms_N": np.sqrt(np.mean(whole)),
+                "force_peak_N": np.sqrt(np.max(whole)),
+                "from_rest_to_rest": at_rest(p.record),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _condition_warnings(frequency: Real, condition: Real) -> tuple[str, ...]:
+    out = []
+    refused = ~(condition <= REFUSE_CONDITION)
+    for mask, text in (
+        (refused, f"not solved: condition number of the forces above {REFUSE_CONDITION:g}"),
+        (~refused & (condition > WARN_CONDITION), f"badly conditioned (above {WARN_CONDITION:g})"),
+    ):
+        if mask.any():
+            out.append(f"{text} in {in_words(frequency, mask)}")
+    return tuple(out)

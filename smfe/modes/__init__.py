@@ -1,0 +1,1 @@
+"""Modal fit of a compliance."""

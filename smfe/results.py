@@ -1,0 +1,199 @@
+"""Files of results: labelled arrays as groups of one NetCDF-4 file, everything moved into place when complete."""
+
+from __future__ import annotations
+
+import json
+import os
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import xarray as xr
+
+from process.errors import InputError
+from smfe.records.formats import hdf5_guard
+
+
+def check_target(path: Path) -> None:
+    """Refuse a file of results that cannot be written where it is asked for; long work asks before it begins.
+
+    Raises
+    ------
+    InputError
+        When a folder has its name, or a file the name of one of its folders.
+    """
+    if path.is_dir():
+        raise InputError(f"'{path}' is a folder; name the file to write, '{path}/NAME'")
+    for folder in path.parents:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"'{folder}' is a file, so that '{path}' cannot be written; name another folder")
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
+    """Call ``write(temporary path)`` and move the result to `path`; leave nothing behind when it fails."""
+    check_target(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def write_groups(path: Path, groups: Mapping[str, xr.Dataset], attrs: Mapping[str, str] | None = None) -> Path:
+    """Write datasets as the groups of one NetCDF-4 file (complex numbers natively), with attributes of the file."""
+    root = {"/": xr.Dataset(attrs=attrs)} if attrs else {}
+    tree = xr.DataTree.from_dict({**root, **{f"/{name}": dataset for name, dataset in groups.items()}})
+    return write_atomically(path, lambda p: tree.to_netcdf(p, engine="h5netcdf"))
+
+
+def read_groups(path: Path) -> dict[str, xr.Dataset]:
+    """Read what `write_groups` wrote: group path -> dataset, groups without data left out.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or is not such a file.
+    """
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; `smfe run` writes it")
+    hdf5_guard.check(path, "a NetCDF-4 file of results")
+    try:
+        with xr.open_datatree(path, engine="h5netcdf") as tree:
+            loaded = tree.load()
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise InputError(f"{path} is not a readable NetCDF-4 file of results ({error}); write it again") from error
+    nodes = {node.path.lstrip("/"): node.to_dataset() for node in loaded.subtree}
+    return {name: dataset for name, dataset in nodes.items() if dataset.data_vars}
+
+
+def write_csv(path: Path, frame: pd.DataFrame) -> Path:
+    """Write a table as CSV; empty where there is no number."""
+    return write_atomically(path, lambda p: frame.to_csv(p, index=False, lineterminator="\n"))
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write JSON, indented."""
+    text = json.dumps(content, indent=2, sort_keys=True) + "\n"
+    return write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+
+
+def pack_warnings(dataset: xr.Dataset, warnings: Sequence[str]) -> xr.Dataset:
+    """Return the dataset with its warnings as a JSON list in ``attrs["warnings"]``."""
+    return dataset.assign_attrs(warnings=json.dumps(list(warnings)))
+
+
+def unpack_warnings(dataset: xr.Dataset) -> list[str]:
+    """Return the warnings that `pack_warnings` put into a dataset."""
+    found: list[str] = json.loads(dataset.attrs.get("warnings", "[]"))
+    return found
+
+
+# --- Parts of a campaign that fail: each alone, with its reason kept for every output.
+
+FAILED = "failed"
+"""What stands in a table where a verdict or a prediction would have stood."""
+
+MEASUREMENT, LOBES, TEST, PREDICTION = "measurement", "lobes", "cutting test", "prediction"
+"""Kinds of parts that the report shows in a place of their own."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One part that failed.
+
+    Parameters
+    ----------
+    part : str
+        What it is: "measurement", "lobes", "cutting test", "prediction", "comparison", "diagnosis", ...
+    name : str
+        Which one: a measurement, "lobes_1, SOURCE", the file of a cutting test; empty where there is one only.
+    reason : str
+        Why, with what to do.
+    """
+
+    part: str
+    name: str
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """Part, name and reason as one line."""
+        return f"{self.part}{f' {self.name}' if self.name else ''}: {self.reason}"
+
+
+Failures = list[Failure]
+"""Collects what failed."""
+
+
+@contextmanager
+def attempt(failures: Failures | None, part: str, name: str = "") -> Iterator[None]:
+    """Carry out a part; what goes wrong in it is added to `failures`, and the rest goes on.
+
+    Input that cannot be used is the usual reason. Any other error is a mistake of this package: it costs the part, not
+    the results of the others, and is said with the place where it happened. An interruption ends everything.
+
+    Parameters
+    ----------
+    failures : list of Failure or None
+        Where to add it. None: nothing is caught.
+    part, name : str
+        As in `Failure`.
+    """
+    try:
+        yield
+    except Exception as error:
+        if failures is None:
+            raise
+        failures.append(failure_of(part, name, error))
+
+
+def failure_of(part: str, name: str, error: Exception) -> Failure:
+    """Return what an error makes of a part; its reason does not say once more which part it was."""
+    return Failure(part, name, _reason(error).removeprefix(f"{part} '{name}': "))
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}: {error.filename or ''}"
+    if isinstance(error, MemoryError):
+        return "the memory of this computer does not hold it; give shorter records or fewer at a time"
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(at.filename).name}, line {at.lineno}"
+    return f"a mistake in smfe ({type(error).__name__} in {place}: {error}); please report it with the records"
+
+
+def pack(failures: Iterable[Failure]) -> dict[str, str]:
+    """Return attributes for a file of results that say what is missing in it."""
+    rows = [asdict(f) for f in failures]
+    return {"failures": json.dumps(rows)} if rows else {}
+
+
+def unpack(content: Mapping[str, object]) -> Failures:
+    """Return the failures in the attributes of a file, or in what provenance.json holds."""
+    found = content.get("failures", [])
+    rows = json.loads(found) if isinstance(found, str) else found
+    if not isinstance(rows, list):
+        return []
+    return [Failure(*(str(r.get(k, "")) for k in ("part", "name", "reason"))) for r in rows if isinstance(r, dict)]
+
+
+def of_file(path: Path) -> Failures:
+    """Return what a NetCDF-4 file of results says is missing in it."""
+    if not path.is_file():
+        return []
+    with xr.open_dataset(path, engine="h5netcdf") as root:
+        return unpack(dict(root.attrs))
+
+
+def as_rows(failures: Iterable[Failure]) -> list[dict[str, str]]:
+    """Return one row a failure, for JSON."""
+    return [asdict(f) for f in failures]
