@@ -26,7 +26,7 @@ from process.errors import InputError
 from process.labels import AXES, axis_present
 from process.plausible import RANGES, implausible
 from smfe.campaign import load_campaign
-from smfe.datasets import Show
+from smfe.campaign.datasets import Show
 from smfe.diagnosis.cutting_forces import CuttingForces, cutting_family
 from smfe.diagnosis.cutting_orders import SteadyCut, cutting_orders
 from smfe.identification.errors.result import Progress, silent

@@ -14,15 +14,15 @@ from process.errors import InputError
 from process.labels import AXES
 from process.units import parse, show
 from smfe.campaign import load_campaign
+from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
-from smfe.datasets import Show
+from smfe.campaign.toml import table as toml_table
 from smfe.identification.errors.result import Progress, silent
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import cached_identification
 from smfe.modes.fit_modes import ModalFit, fit_modes
 from smfe.records import read_universal_frfs
 from smfe.results import MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
-from smfe.scenario.toml import table as toml_table
 
 KEPT = ".kept"
 

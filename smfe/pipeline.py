@@ -30,12 +30,12 @@ from process.labels import AXES, full_matrix, make_compliance, not_measured
 from process.units import parse
 from smfe import __version__
 from smfe.campaign import Campaign, Measurement, Model, load_campaign, load_channels
+from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.comparison.compare import compare as compare_compliances
 from smfe.comparison.compliances import labelled
 from smfe.comparison.explained import explain
 from smfe.cutting_tests import Verdicts, judge_all, write_verdicts
-from smfe.datasets import Show
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.suspect import as_rows as suspect_rows

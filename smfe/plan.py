@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from smfe.datasets import Show
+from smfe.campaign.datasets import Show
 from smfe.identification.errors.result import Progress, silent
 from smfe.plan_files import check_target, write_plan
 from smfe.plan_recommend import Plan, recommend, summary

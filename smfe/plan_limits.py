@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from process.units import show
-from smfe.campaign.plan_table import PlanTable
+from smfe.campaign.schema import PlanTable
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.plan_task import Task
 

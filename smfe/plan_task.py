@@ -18,9 +18,9 @@ from process.labels import AXES, full_matrix
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.campaign import read_toml
-from smfe.campaign.plan_table import PlanTable
+from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
-from smfe.datasets import Show
+from smfe.campaign.schema import PlanTable
 from smfe.identification.errors.result import Progress, silent
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import identify_measurement

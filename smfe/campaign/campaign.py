@@ -22,10 +22,9 @@ from process.friction.laws import FrictionLaw, MemoryLaw
 from process.labels import RECORD_SCALARS
 from process.machine.modes import ModalModel
 from smfe.campaign import schema
-from smfe.campaign.checks import channel_complaints, check, merge, path
-from smfe.campaign.messages import complaints
-from smfe.campaign.plan_table import PlanTable
-from smfe.datasets import Show
+from smfe.campaign.checks import channel_complaints, check, complaints, merge, path
+from smfe.campaign.datasets import Show
+from smfe.campaign.schema import PlanTable
 from smfe.records.dynamometer import Dynamometer
 from smfe.records.formats.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from stability import SpindleRange, Spread

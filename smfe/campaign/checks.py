@@ -5,15 +5,20 @@ Works on the raw file, so that these errors are found together with those of the
 
 from __future__ import annotations
 
+import types
+import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
 from process import units
 from process.errors import InputError
 from process.labels import AXES
-from smfe.campaign.depth_levels import depth_complaints, depths_of, level_name
 from smfe.campaign.quantities import ESTIMATORS, METHODS
+from smfe.campaign.schema import CampaignFile
 from smfe.records.formats.channels import (
     CHANNELS,
     COMPLIANCE_CHANNELS,
@@ -412,3 +417,135 @@ def path(where: Loc) -> str:
     for part in where:
         text += f"[{part}]" if isinstance(part, int) else f".{part}"
     return text.lstrip(".")
+
+
+# --- Depths of cut as the force levels of a sweep: how they are called, and what each of them needs.
+
+TooFew = Callable[[set[tuple[str, float | None]]], str]
+
+SAME_DEPTH = 1e-7
+"""Depths of cut that differ by less are one [m]."""
+
+
+def level_name(name: str, depth: float) -> str:
+    """Return what the passes of one depth of cut [m] of a measurement are called."""
+    return f"{name}, {units.show(depth, 'mm', 'length')}"
+
+
+def rounded(depth: float | None) -> float | None:
+    """Return a depth of cut [m] as it counts as a level."""
+    return None if depth is None else round(depth / SAME_DEPTH) * SAME_DEPTH
+
+
+def depths_of(table: Raw, records: Sequence[Raw]) -> list[float | None]:
+    """Return the depth of cut of each record of a measurement [m]; None where neither of them states one."""
+    return [rounded(_length(record, "depth_of_cut") or _length(table, "depth_of_cut")) for record in records]
+
+
+def depth_complaints(table: Raw, records: Sequence[Raw], needed: int, too_few: TooFew) -> Iterator[str]:
+    """Yield what keeps the depths of cut of a sweep from being force levels.
+
+    Parameters
+    ----------
+    table : mapping
+        The measurement.
+    records : sequence of mapping
+        Its records.
+    needed : int
+        Passes that differ in cut or width which an estimate needs.
+    too_few : callable
+        Says of (cut, width) pairs what is missing.
+    """
+    wish, depths = table.get("split_levels"), depths_of(table, records)
+    known = sorted({d for d in depths if d is not None})
+    if wish is False:
+        return
+    if len(known) < 2:
+        if wish is True:
+            yield "split_levels = true tells depths of cut apart, and its records do not state several; take it out"
+        return
+    said = ", ".join(units.show(d, "mm", "length") for d in known)
+    if None in depths:
+        yield (
+            f"some passes state a depth of cut ({said}) and others none, so their force level is not known; give each "
+            "its depth_of_cut, or split_levels = false for one estimate of all"
+        )
+        return
+    for depth in known:
+        here = [r for r, d in zip(records, depths, strict=True) if d == depth]
+        passes = {(str(r.get("cut")), _length(r, "width_of_cut")) for r in here}
+        if len(passes) < needed:
+            cuts = " and ".join(_pass(cut, width) for cut, width in sorted(passes, key=str))
+            yield (
+                f"at a depth of cut of {units.show(depth, 'mm', 'length')} there is only {cuts}: {too_few(passes)} at "
+                f"this depth, or give split_levels = false for one estimate of all depths ({said})"
+            )
+
+
+def _pass(cut: str, width: float | None) -> str:
+    return cut if width is None else f"{cut} {units.show(width, 'mm', 'length')}"
+
+
+def _length(table: Raw, key: str) -> float | None:
+    """Return a length where it is one; what is wrong with it the field says itself."""
+    try:
+        return units.parse(table[key], "length")
+    except (InputError, KeyError, TypeError):
+        return None
+
+
+# --- From what pydantic found to sentences: where, what was given, what is needed, what to do.
+
+
+def complaints(error: ValidationError, root: type[BaseModel] = CampaignFile) -> list[Complaint]:
+    """Return every error of the validation of a file whose tables begin at `root`, as (place, sentence)."""
+    return [complaint(details, root) for details in error.errors()]
+
+
+def complaint(details: ErrorDetails, root: type[BaseModel]) -> Complaint:
+    """Return one error as (place, sentence)."""
+    # A key of a table that is itself wrong is marked by pydantic with "[key]" behind it.
+    where: Loc = tuple(part for part in details["loc"] if part != "[key]")
+    cause = details.get("ctx", {}).get("error")
+    if cause is not None:
+        return where, str(cause)
+    if details["type"] == "extra_forbidden":
+        known = keys_at(where[:-1], root)
+        near = did_you_mean(str(where[-1]), known)
+        return where, f"this key is not known{near}; known here: {', '.join(sorted(known))}"
+    if details["type"] == "missing":
+        return where, "is missing; add it"
+    message = details["msg"].replace("Input should be", "must be")
+    shown = repr(details["input"])
+    return where, f"{shown if len(shown) < 60 else shown[:57] + '...'}: {message}"
+
+
+def keys_at(where: Loc, root: type[BaseModel] = CampaignFile) -> list[str]:
+    """Return the keys that the table at a place of the file may have."""
+    annotation: Any = root
+    for part in where:
+        annotation = _below(_table(annotation), part)
+    table = _table(annotation)
+    if not (isinstance(table, type) and issubclass(table, BaseModel)):
+        return []
+    return [field.alias or name for name, field in table.model_fields.items()]
+
+
+def _below(annotation: Any, part: str | int) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        # A key that is a word of Python ("from", "with") is a field of another name.
+        return next(
+            field.annotation for name, field in annotation.model_fields.items() if (field.alias or name) == part
+        )
+    arguments = typing.get_args(annotation)
+    return arguments[-1] if typing.get_origin(annotation) is dict else arguments[0]
+
+
+def _table(annotation: Any) -> Any:
+    """Strip ``Annotated`` and ``| None``."""
+    while True:
+        origin = typing.get_origin(annotation)
+        if origin is typing.Annotated or origin in (types.UnionType, typing.Union):
+            annotation = typing.get_args(annotation)[0]
+        else:
+            return annotation

@@ -21,8 +21,8 @@ from smfe.campaign import (
     RigidDrive,
     load_campaign,
 )
+from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
-from smfe.datasets import Show
 from smfe.diagnosis.campaign_drive import unlogged_suspects
 from smfe.diagnosis.channel_checks import channel_suspects, clock_suspects, tone_suspects
 from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspects, skew_suspects

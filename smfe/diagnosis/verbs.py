@@ -8,8 +8,8 @@ from pathlib import Path
 
 from process.errors import InputError
 from smfe.campaign import AxisModel, Campaign, LimitsOf, ModesOf, load_campaign
+from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
-from smfe.datasets import Show
 from smfe.diagnosis.audit import Audit, audited
 from smfe.diagnosis.campaign_case import Case
 from smfe.diagnosis.campaign_family import case_of

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import UNITS
 from smfe.campaign import Campaign, Measurement
-from smfe.campaign.depth_levels import level_name, rounded
+from smfe.campaign.checks import level_name, rounded
 from smfe.comparison.explained import holm
 from smfe.identification.errors.covariance import ENTRY
 from smfe.identification.errors.difference import difference_of

@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import shutil
+import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -19,21 +21,182 @@ from scipy import linalg
 from process.drive.sampled_servo import SampledServo
 from process.drive.servo import Servo
 from process.errors import InputError
+from process.friction.laws import Viscous
 from process.instruments.trials import Running
+from process.labels import RECORD_SCALARS
 from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import Posture
 from process.simulation.machine import SampledControl
+from process.units import show as quantity
 from smfe import __version__
-from smfe.datasets import Show
+from smfe.campaign.datasets import Show
+from smfe.campaign.toml import table
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
+from smfe.records.formats.channels import listed
 from smfe.results import write_groups
-from smfe.scenario.batch import run_all
-from smfe.scenario.campaign_file import campaign_text
-from smfe.scenario.notices import left_behind, standing_axes, to_stderr
-from smfe.scenario.plan import Entry, Job
+from smfe.scenario.jobs import Entry, Job
 from smfe.scenario.scenario import Scenario, load_scenario
+
+
+def to_stderr(text: str) -> None:
+    """Show a notice where nothing else is given to show it."""
+    print(f"notice: {text}", file=sys.stderr)
+
+
+def standing_axes(scenario: Scenario) -> list[str]:
+    """Return a sentence for each sweep or cut that pushes an axis which stands still on friction that is not viscous.
+
+    Such a machine is not linear: the axis sticks or slides with the cutting force.
+    """
+    machine = scenario.machine
+    if not isinstance(machine, Machine):
+        return []
+    found: dict[tuple[int, str], str] = {}
+    for entry in scenario.entries:
+        if entry.method not in ("sweep", "cut"):
+            continue
+        feeds = machine.feeds(entry.running.feed)
+        rubbing = [a for a, axis in machine.axes.items() if not isinstance(axis.friction, Viscous)]
+        standing = [a for a in rubbing if feeds[a] == 0.0]
+        if standing:
+            found.setdefault((entry.trial, "".join(standing)), f"trial[{entry.trial}]: {_standing(standing, feeds)}")
+    return list(found.values())
+
+
+def _standing(standing: list[str], feeds: dict[str, float]) -> str:
+    moving = next((v for v in feeds.values() if v), 500e-3 / 60.0)
+    feed = ", ".join(f'{axis} = "{quantity(v or moving, "mm/min", "speed")}"' for axis, v in feeds.items())
+    return (
+        f"axis {', '.join(standing)} stands still on its friction while the cut pushes it: the result depends on the "
+        f"force; give feed = {{ {feed} }} to move it, or read it as such"
+    )
+
+
+def left_behind(folder: Path, written: Iterable[str]) -> list[str]:
+    """Return a sentence about records in the folder of records that this scenario has not written."""
+    new = set(written)
+    old = sorted(path.name for path in folder.iterdir() if path.is_file() and path.name not in new)
+    if not old:
+        return []
+    return [
+        f"{folder} also holds {len(old)} file(s) of an earlier scenario, which the campaign does not read: "
+        f"{listed(old, 8)}; delete them where nothing else does"
+    ]
+
+
+# --- The campaign file that reads the records: its text.
+
+Columns = Mapping[str, Channel]
+File = tuple[str, Columns]
+
+
+def campaign_text(scenario: Scenario, files: Sequence[Sequence[File]], notices: Sequence[str] = ()) -> str:
+    """Return the campaign file: what was used, and one table for each entry with its files.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was simulated.
+    files : sequence
+        For each entry of the scenario its records: file and the channels in it.
+    notices : sequence of str, optional
+        What its reader must know; written as comments.
+    """
+    used = [_union(columns for _, columns in one) for one in files]
+    common = _common(scenario.entries, used)
+    head = [f"Simulated from {scenario.path.name}, seed {scenario.file.scenario.seed}.", *notices]
+    parts = ["".join(f"# {line}\n" for line in head)]
+    parts.append(table("[campaign]", {"name": scenario.file.scenario.name}))
+    parts += [table(f"[{name}]", scenario.raw[name]) for name in ("tool", "material") if name in scenario.raw]
+    parts.append(table("[channels]", _declared(common)))
+    if isinstance(scenario.machine, ModalModel):
+        parts.append(table("[[model]]", {"name": "machine", "modes": scenario.raw["machine"]["modes"]}))
+    for entry, one, columns in zip(scenario.entries, files, used, strict=True):
+        own = {name: channel for name, channel in columns.items() if name not in common}
+        parts.append(_cutting_test(entry, one[0][0], own) if entry.method == "cut" else _measurement(entry, one, own))
+    parts += [table("[[lobes]]", lobes) for lobes in scenario.raw.get("lobes", ())]
+    return "\n".join(parts)
+
+
+def _common(entries: Sequence[Entry], used: Sequence[Columns]) -> Columns:
+    """Return the channels that every entry reads: those of the spindle only cuts do."""
+    cuts = [entry.method in ("sweep", "cut") for entry in entries]
+
+    def everywhere(name: str) -> bool:
+        wanted = [columns for columns, cut in zip(used, cuts, strict=True) if cut or name not in RECORD_SCALARS]
+        return all(name in columns for columns in wanted)
+
+    return {name: channel for name, channel in _union(used).items() if everywhere(name)}
+
+
+def _union(all_columns: Iterable[Columns]) -> Columns:
+    return {name: channel for columns in all_columns for name, channel in columns.items()}
+
+
+def _declared(columns: Columns) -> dict[str, Any]:
+    return {name: {"column": channel.column, "unit": channel.unit} for name, channel in columns.items()}
+
+
+def _measurement(entry: Entry, files: Sequence[File], own: Columns) -> str:
+    values: dict[str, Any] = {"name": entry.name, "method": entry.method, **entry.says}
+    values["records"] = [{"file": file, **job.says} for (file, _), job in zip(files, entry.jobs, strict=True)]
+    return table("[[measurement]]", values) + _channels("measurement", own)
+
+
+def _cutting_test(entry: Entry, file: str, own: Columns) -> str:
+    return table("[[cutting_test]]", {"file": file, **entry.says}) + _channels("cutting_test", own)
+
+
+def _channels(above: str, own: Columns) -> str:
+    return table(f"[{above}.channels]", _declared(own)) if own else ""
+
+
+# --- Many independent jobs on all cores.
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+
+def run_all(
+    work: Callable[[J], R],
+    jobs: Sequence[J],
+    workers: int | None = None,
+    progress: Progress = silent,
+    label: Callable[[J], str] = str,
+) -> list[R]:
+    """Return ``[work(job) for job in jobs]``, several at a time; the first error ends it.
+
+    Parameters
+    ----------
+    work : callable
+        Must not depend on the order of the jobs: whatever is random comes from a seed in the job.
+    jobs : sequence
+        What to work on.
+    workers : int, optional
+        Jobs at a time; default: as many as there are cores.
+    progress : callable, optional
+        Called with (label of the job that is finished, done, of).
+    label : callable, optional
+        Names a job for the progress.
+    """
+    if workers is not None and workers < 1:
+        raise InputError(f"{workers} workers; give at least 1, or none for all cores")
+    results: dict[int, R] = {}
+    progress("simulating", 0, len(jobs))
+    with ThreadPoolExecutor(max_workers=workers or os.cpu_count()) as pool:
+        futures = {pool.submit(work, job): i for i, job in enumerate(jobs)}
+        try:
+            for done, future in enumerate(as_completed(futures), 1):
+                results[futures[future]] = future.result()
+                progress(label(jobs[futures[future]]), done, len(jobs))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return [results[i] for i in range(len(jobs))]
+
+
+# --- The folder.
 
 CSV_VALUES = 250_000
 """Numbers in a record above which it is written as NetCDF."""

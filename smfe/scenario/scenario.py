@@ -15,13 +15,12 @@ from process.errors import InputError
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from smfe.campaign.campaign import read_toml, report
-from smfe.campaign.checks import Complaint, check
-from smfe.campaign.messages import complaint
+from smfe.campaign.checks import Complaint, check, complaint
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.scenario import schema
 from smfe.scenario.build import build_machine, build_sensors, loaded_machine
-from smfe.scenario.plan import Entry, Stand, entries
+from smfe.scenario.jobs import Entry, Stand, entries
 
 T = TypeVar("T")
 

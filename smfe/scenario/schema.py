@@ -11,11 +11,20 @@ from process import units
 from process.errors import InputError
 from process.instruments.trials import DEFAULT_SAMPLE_RATE
 from process.labels import AXES
-from smfe.campaign import machine_tables
 from smfe.campaign import quantities as q
-from smfe.campaign.machine_tables import Delay, PositiveMass, PositiveTime, many, values
-from smfe.campaign.schema import LobesTable, MaterialTable, ModeTable, ToolTable
-from smfe.campaign.tables import Table
+from smfe.campaign.schema import (
+    Delay,
+    LobesTable,
+    MachineAxisTable,
+    MaterialTable,
+    ModeTable,
+    PositiveMass,
+    PositiveTime,
+    Table,
+    ToolTable,
+    many,
+    values,
+)
 
 Triple = tuple[float, float, float]
 
@@ -83,7 +92,7 @@ class ScenarioTable(Table):
 # --- machine ------------------------------------------------------------------------------------------------
 
 
-class AxisTable(machine_tables.AxisTable):
+class AxisTable(MachineAxisTable):
     """``[machine.axis.x]``."""
 
     moving_mass: MachineMass

@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from process.errors import InputError
-from smfe import datasets
-from smfe.campaign import load_campaign
+from smfe.campaign import datasets, load_campaign
 
 REPOSITORY = Path(__file__).parents[2]
 CONTENT = b"t,Fx,ax\n0,1,2\n1,2,3\n"

@@ -19,11 +19,11 @@ from process.machine.modes import ModalModel
 from process.machine.structure import Posture, Structure, released_modes
 from smfe import cli, pipeline, simulate
 from smfe.campaign import load_campaign
+from smfe.campaign.toml import inline, table
 from smfe.records import read_records
 from smfe.results import read_groups
 from smfe.scenario import load_scenario
-from smfe.scenario.notices import standing_axes
-from smfe.scenario.toml import inline, table
+from smfe.scenario.run import standing_axes
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "datasets" / "scenarios"
 
@@ -576,7 +576,7 @@ def test_an_error_within_a_trial_leaves_an_earlier_result_alone(
     def fail(*arguments: object, **options: object) -> None:
         raise InputError("the machine fell over")
 
-    monkeypatch.setattr("smfe.scenario.plan.hammer_trial", fail)
+    monkeypatch.setattr("smfe.scenario.jobs.hammer_trial", fail)
     with pytest.raises(InputError, match="record 'hammer_x': the machine fell over"):
         simulate(scenario, tmp_path / "out", workers=1)
     assert {path: path.read_bytes() for path in campaign.parent.rglob("*") if path.is_file()} == before

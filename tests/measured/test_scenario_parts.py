@@ -13,7 +13,7 @@ from process.machine.structure import released_modes
 from process.simulation.excitation import HalfSine
 from process.simulation.machine import SampledControl, simulate_machine
 from smfe.scenario import run
-from smfe.scenario.batch import run_all
+from smfe.scenario.run import run_all
 
 
 def test_results_come_in_the_order_of_the_jobs_and_progress_counts_them() -> None:
