@@ -19,7 +19,7 @@ from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.actuator.stepped_sine import identify_actuator
 from smfe.identification.errors.result import Identification
 from smfe.identification.errors.intervals import interval
-from smfe.limits import LobeResult
+from smfe.limits.campaign_lobes import LobeResult
 from smfe.cutting_coefficients import Coefficients, coefficients
 from smfe.commands.look import look
 from smfe.records.look import Look

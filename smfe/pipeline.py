@@ -35,7 +35,6 @@ from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.comparison.compare import compare as compare_compliances
 from smfe.comparison.compliances import labelled
 from smfe.comparison.explained import explain
-from smfe.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.suspect import as_rows as suspect_rows
@@ -47,7 +46,8 @@ from smfe.identification.drive.loops import loops_of, write_loops
 from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.identification.levels import belongs, condition_cubes, level_cubes, with_levels
 from smfe.identification.measurement import cached_identification, check_sweep, file_hash, split_levels
-from smfe.limits import LobeResult, all_lobes, joined, write_lobes
+from smfe.limits.campaign_lobes import LobeResult, all_lobes, joined, write_lobes
+from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.modal_verb import modal as modal
 from smfe.records import OWN_COLUMNS, Channel, column_names, names_itself, read_records
 from smfe.records.contents import has_no_clock, stated_units

@@ -7,8 +7,8 @@ from pathlib import Path
 from smfe.campaign.datasets import Show
 from smfe.identification.errors.result import Progress, silent
 from smfe.plan_files import check_target, write_plan
-from smfe.plan_recommend import Plan, recommend, summary
-from smfe.plan_task import load_task
+from smfe.planning.recommend import Plan, recommend, summary
+from smfe.planning.task import load_task
 
 __all__ = ["Plan", "plan", "recommend", "summary"]
 

@@ -13,9 +13,9 @@ import pandas as pd
 from process.errors import InputError
 from process.units import show
 from smfe.campaign.toml import table
-from smfe.plan_forces import Level, Pass, SweepPlan, force_level
-from smfe.plan_recommend import Plan
-from smfe.plan_task import Task
+from smfe.planning.forces import Level, Pass, SweepPlan, force_level
+from smfe.planning.recommend import Plan
+from smfe.planning.task import Task
 from smfe.results import pack_warnings, write_atomically, write_csv, write_groups
 
 WRITTEN = ("plan.toml", "plan.csv", "prediction.nc", "scenario.toml", "plan.html")

@@ -7,7 +7,7 @@ the prediction; noise is drawn anew for each seed. Its force is linear between s
 samples is ``sinc^2(f dt)``: the truth that is compared with has that factor, 0.05 % off at 60 Hz and 5 kHz.
 
 What is found scatters about what is expected as the degrees of freedom of the prediction say, of the default estimator
-(`smfe.plan_errors.error_interval`). The prediction is confirmed where all nine entries lie in their intervals, which
+(`errors.error_interval`). The prediction is confirmed where all nine entries lie in their intervals, which
 hold with a probability of `CONFIDENCE` together; narrow bands are shown beside it and not judged.
 """
 
@@ -26,9 +26,9 @@ from process.errors import InputError
 from process.labels import AXES
 from smfe.identification.errors.result import Progress, silent
 from smfe.pipeline import identify
-from smfe.plan_errors import error_interval
 from smfe.plan_files import scenario_text
-from smfe.plan_recommend import Plan
+from smfe.planning.errors import error_interval
+from smfe.planning.recommend import Plan
 from smfe.results import read_groups, write_csv
 from smfe.scenario import simulate
 

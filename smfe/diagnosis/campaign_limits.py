@@ -9,13 +9,13 @@ from dataclasses import replace
 from process.cut.engagement import engagement
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LimitsOf
-from smfe.cut_conditions import FIXED, Source, stated
-from smfe.cutting_tests import judge
 from smfe.diagnosis.campaign_case import Case
 from smfe.diagnosis.campaign_modes import modes_named
 from smfe.diagnosis.cutting_limits import Limit, Spread, Trial, bracketed, limit_family
 from smfe.diagnosis.suspect import Suspect
 from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.limits.cut_conditions import FIXED, Source, stated
+from smfe.limits.cutting_tests import judge
 
 Cut = tuple[str, float, float]
 """Kind of cut, width [m], feed per tooth [m]: what the tests of one limit have in common besides the speed."""

@@ -10,15 +10,15 @@ import numpy as np
 
 from smfe.campaign import Campaign, LobeRequest
 from smfe.comparison.compliances import labelled
-from smfe.cutting_tests import judge_all
 from smfe.diagnosis.campaign_family import case_of
 from smfe.diagnosis.suspect import Suspect
 from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.identification.levels import condition_cubes, with_levels
 from smfe.identification.measurement import split_levels
-from smfe.limits import all_lobes, pockets_of
-from smfe.plan_search import Search
-from smfe.plan_task import load_task
+from smfe.limits.campaign_lobes import all_lobes, pockets_of
+from smfe.limits.cutting_tests import judge_all
+from smfe.planning.search import Search
+from smfe.planning.task import load_task
 from smfe.results import MEASUREMENT, Failures, attempt
 
 SPEEDS = 3

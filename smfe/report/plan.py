@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION
-from smfe.plan_forces import orders_within
-from smfe.plan_recommend import Plan
+from smfe.planning.forces import orders_within
+from smfe.planning.recommend import Plan
 from smfe.report.figures import DPI, save
 from smfe.report.look import AXIS_COLOURS, CHATTER
 from smfe.results import write_atomically

@@ -33,9 +33,9 @@ from truth.sweep import Campaign
 
 from process.errors import InputError
 from smfe.identification.sweep.sweep import identify_sweep
-from smfe.plan_errors import error_interval
-from smfe.plan_recommend import recommend
-from smfe.plan_task import load_task
+from smfe.planning.errors import error_interval
+from smfe.planning.recommend import recommend
+from smfe.planning.task import load_task
 
 BAND = (25.0, 65.0)
 RATE = 1000.0

@@ -15,7 +15,7 @@ from smfe.campaign import Campaign, LobeRequest, Measurement
 from smfe.identification.errors.result import silent
 from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.hammer.level import impact_level
-from smfe.limits import all_lobes
+from smfe.limits.campaign_lobes import all_lobes
 from tests.truth import oscillator
 
 MASS, FREQUENCY, DAMPING = 20.0, 61.0, 0.012

@@ -22,8 +22,8 @@ from smfe.identification.sweep.least_squares import condition_number
 from smfe.identification.sweep.local_polynomial import MODEL_ERROR
 from smfe.identification.sweep.noise import ALIKE, BOUNDED, force_noise
 from smfe.identification.sweep.sweep import identify_sweep
-from smfe.plan_errors import Instruments, error_interval, expected, relative_error
-from smfe.plan_forces import (
+from smfe.planning.errors import Instruments, error_interval, expected, relative_error
+from smfe.planning.forces import (
     Forces,
     Pass,
     SweepPlan,
@@ -34,10 +34,9 @@ from smfe.plan_forces import (
     orders_within,
     unit_harmonics,
 )
-from smfe.plan_recommend import thin_chips
-from smfe.plan_search import covers, inverse_diagonal
-from smfe.plan_smooth import without_noise
-from smfe.plan_task import Estimate
+from smfe.planning.recommend import thin_chips
+from smfe.planning.search import covers, inverse_diagonal
+from smfe.planning.task import Estimate, without_noise
 
 FREQUENCY = np.arange(20.0, 80.25, 0.25)
 STIFF = ModalModel([400.0], [0.5], [1e13], [[1.0, 1.0, 1.0]])

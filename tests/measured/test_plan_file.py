@@ -12,10 +12,10 @@ import pytest
 from process.errors import InputError
 from smfe import cli, simulate
 from smfe.plan import Plan, plan, recommend
-from smfe.plan_limits import KEYS
-from smfe.plan_search import Search
-from smfe.plan_task import load_task
 from smfe.plan_verify import Verification, explain, verify
+from smfe.planning.limits import KEYS
+from smfe.planning.search import Search
+from smfe.planning.task import load_task
 from smfe.results import read_groups
 from smfe.scenario import load_scenario
 from stability.methods import semi_discretization, zero_order

@@ -26,7 +26,7 @@ from samples.report import (
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.cutting_tests import with_picture
+from smfe.limits.cutting_tests import with_picture
 from smfe.report import write_report
 from smfe.report.answer import answers, pockets, score
 from smfe.report.figures import NOTHING, draw_compliance

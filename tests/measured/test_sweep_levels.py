@@ -27,7 +27,7 @@ from smfe.identification.errors.intervals import interval
 from smfe.identification.levels import levels_of, sweep_levels, with_levels
 from smfe.identification.measurement import cached_identification
 from smfe.pipeline import compare, identify, lobes, modal, run
-from smfe.plan_task import load_task
+from smfe.planning.task import load_task
 from smfe.records import write_record_netcdf
 from smfe.results import read_groups
 

@@ -1,6 +1,6 @@
 """Compliances of several measurements as one, over the feed along the cut and the force that each feed was tried with.
 
-What is stacked must be comparable: one controller and one position (`smfe.cut_conditions`), a motion along the cut, and
+What is stacked must be comparable: one controller and one position (`cut_conditions`), a motion along the cut, and
 a level that is the amplitude of a sine. A hit is not: its level is had from its spectrum (`hammer.level`).
 """
 
@@ -14,8 +14,8 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.campaign import Campaign, Measurement
-from smfe.cut_conditions import ALIKE, Feed, apart, direction_text, feed_of, turned
 from smfe.identification.hammer.level import impact_level
+from smfe.limits.cut_conditions import ALIKE, Feed, apart, direction_text, feed_of, turned
 
 
 def over_conditions(

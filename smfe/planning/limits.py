@@ -10,7 +10,7 @@ import pandas as pd
 from process.units import show
 from smfe.campaign.schema import PlanTable
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
-from smfe.plan_task import Task
+from smfe.planning.task import Task
 
 SHORTEST_PASS = 10.0
 """A pass in less time [s] is no sweep: the resonances would not rise."""

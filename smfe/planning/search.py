@@ -4,7 +4,7 @@ The grid runs over inserts, speed ranges, feed per tooth and the widths of the t
 grid, because the error falls with both: the sweep lasts as long as stroke, stock and time allow, and the depth is the
 greatest that chatter margin, force, torque and power allow (all are proportional to it). Alternatives are ranked by the
 noise alone, in one band, at the depth that the zero-order method allows; neither refuses anything. The best of each
-group are then worked through as the estimator will (`smfe.plan_errors`), at the depth that a converged method allows.
+group are then worked through as the estimator will (`planning.errors`), at the depth that a converged method allows.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from smfe.identification.errors.result import Progress, silent
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
-from smfe.plan_errors import Instruments
-from smfe.plan_forces import (
+from smfe.planning.errors import Instruments
+from smfe.planning.forces import (
     Pass,
     SweepPlan,
     energy,
@@ -36,8 +36,8 @@ from smfe.plan_forces import (
     unit_harmonics,
     with_inserts,
 )
-from smfe.plan_limits import KEYS, SHORTEST_PASS, allowed
-from smfe.plan_task import Task
+from smfe.planning.limits import KEYS, SHORTEST_PASS, allowed
+from smfe.planning.task import Task
 from stability.methods import zero_order
 
 Real = NDArray[np.float64]

@@ -16,11 +16,11 @@ from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.identification.errors.result import Progress, silent
 from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
-from smfe.plan_errors import error_interval, expected, relative_error
-from smfe.plan_forces import Forces, Pass, SweepPlan, force_level
-from smfe.plan_limits import KEYS, no_plan, rejections
-from smfe.plan_search import DEPTH_STEP, Search
-from smfe.plan_task import Task
+from smfe.planning.errors import error_interval, expected, relative_error
+from smfe.planning.forces import Forces, Pass, SweepPlan, force_level
+from smfe.planning.limits import KEYS, no_plan, rejections
+from smfe.planning.search import DEPTH_STEP, Search
+from smfe.planning.task import Task
 from stability.methods import multi_frequency, semi_discretization, zero_order
 
 Real = NDArray[np.float64]
@@ -56,7 +56,7 @@ class Plan:
     sweep : SweepPlan
         What to cut.
     prediction : xarray.Dataset
-        `smfe.plan_errors.expected`, with ``relative_error(response, excitation)`` of the default estimator, between
+        `smfe.planning.errors.expected`, with ``relative_error(response, excitation)`` of the default estimator, between
         ``relative_error_low`` and ``relative_error_high`` with a probability of `CONFIDENCE`,
         ``bands_relative_error`` of ``estimator = "bands"``, ``force_spectrum(pass, axis, frequency)`` [N s],
         ``limit_depth(pass, spindle_speed)`` [mm], and ``peak_force`` and ``mean_force`` [N] over
@@ -64,7 +64,7 @@ class Plan:
     alternatives : pandas.DataFrame
         The best of each kind, ranked, the recommended one first; ``note`` says why one that ranked better failed.
     rejected : pandas.DataFrame
-        What each limit rejected (`smfe.plan_limits.rejections`).
+        What each limit rejected (`smfe.planning.limits.rejections`).
     examined : int
         Number of alternatives looked at.
     warnings : tuple of str

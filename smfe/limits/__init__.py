@@ -1,0 +1,1 @@
+"""Lobes that a campaign asks for, and cutting tests beside them."""

@@ -1,0 +1,1 @@
+"""Which sweep to cut."""
