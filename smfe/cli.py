@@ -16,12 +16,13 @@ from process.errors import InputError
 from process.units import parse
 from smfe import __version__, pipeline
 from smfe import plan as planner
+from smfe.commands import diagnose as verbs
 from smfe.commands.look import look as look_at
 from smfe.conversion import convert as convert_file
 from smfe.cutting_coefficients import coefficients as find_coefficients
 from smfe.demo_campaign import DEMO_SEED
-from smfe.diagnosis import audit, verbs
-from smfe.diagnosis.finding import explain
+from smfe.diagnosis import audit
+from smfe.diagnosis.inference.finding import explain
 from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drive_lines
 from smfe.identification.drive.loops import FILE as LOOP_FILE

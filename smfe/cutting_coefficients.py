@@ -27,8 +27,8 @@ from process.labels import AXES, axis_present
 from process.plausible import RANGES, implausible
 from smfe.campaign import load_campaign
 from smfe.campaign.datasets import Show
-from smfe.diagnosis.cutting_forces import CuttingForces, cutting_family
-from smfe.diagnosis.cutting_orders import SteadyCut, cutting_orders
+from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family
+from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import read_records
 from smfe.results import write_atomically

@@ -32,13 +32,13 @@ from smfe import __version__
 from smfe.campaign import Campaign, Measurement, Model, load_campaign, load_channels
 from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.commands.diagnose import finding_of
 from smfe.comparison.compare import compare as compare_compliances
 from smfe.comparison.compliances import labelled
 from smfe.comparison.explained import explain
 from smfe.demo_campaign import DEMO_SEED, write_demo
 from smfe.diagnosis.audit import audited
-from smfe.diagnosis.suspect import as_rows as suspect_rows
-from smfe.diagnosis.verbs import finding_of
+from smfe.diagnosis.checks.suspect import as_rows as suspect_rows
 from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drives_of, notes_of, write_drives
 from smfe.identification.drive.loops import FILE as LOOP_FILE

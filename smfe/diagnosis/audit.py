@@ -23,17 +23,16 @@ from smfe.campaign import (
 )
 from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
-from smfe.diagnosis.campaign_drive import unlogged_suspects
-from smfe.diagnosis.channel_checks import channel_suspects, clock_suspects, tone_suspects
-from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspects, skew_suspects
+from smfe.diagnosis.cases.drive import unlogged_suspects
+from smfe.diagnosis.checks.channels import channel_suspects, clock_suspects, silence_suspects, tone_suspects
+from smfe.diagnosis.checks.compliances import factor_suspects, reciprocity_suspects, skew_suspects
+from smfe.diagnosis.checks.hammer import hit_suspects
+from smfe.diagnosis.checks.same_data import Part, Seen, same_suspects, seen
+from smfe.diagnosis.checks.sizes import force_suspects, model_suspects, stiffness_suspects
+from smfe.diagnosis.checks.speeds import speed_suspects, tooth_suspects
+from smfe.diagnosis.checks.suspect import Suspect, suspect_table
+from smfe.diagnosis.checks.sweep import sweep_suspects
 from smfe.diagnosis.dry_run import refusals
-from smfe.diagnosis.hammer_checks import hit_suspects
-from smfe.diagnosis.same_data import Part, Seen, same_suspects, seen
-from smfe.diagnosis.silence import silence_suspects
-from smfe.diagnosis.size_checks import force_suspects, model_suspects, stiffness_suspects
-from smfe.diagnosis.speed_checks import speed_suspects, tooth_suspects
-from smfe.diagnosis.suspect import Suspect, suspect_table
-from smfe.diagnosis.sweep_checks import sweep_suspects
 from smfe.identification.drive.drives import drive_of, notes_of
 from smfe.identification.drive.loop import summary
 from smfe.identification.drive.loops import loop_of

@@ -11,12 +11,12 @@ import numpy as np
 from process.cut.engagement import engagement
 from process.plausible import implausible
 from smfe.campaign import Campaign
-from smfe.diagnosis.axis_baseline import AxisBaseline
-from smfe.diagnosis.cutting_limits import CuttingLimits, Limit
-from smfe.diagnosis.drive_record import DriveRecordFamily
-from smfe.diagnosis.finding import Finding, ForceError, Own, StableDepth
-from smfe.diagnosis.machine_frf import MachineFrfs
-from smfe.diagnosis.problem import Condition, Family, Values
+from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
+from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.frf.axis import MachineFrfs
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline
+from smfe.diagnosis.inference.finding import Finding, ForceError, Own, StableDepth
+from smfe.diagnosis.inference.problem import Condition, Family, Values
 from stability.methods import zero_order
 
 SPEEDS = 41

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from process.errors import InputError
-from smfe.diagnosis.drive_record import DriveRecordFamily
-from smfe.diagnosis.evidence import Bench
-from smfe.diagnosis.fit import Target
-from smfe.diagnosis.model import Model
-from smfe.diagnosis.problem import Values
+from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.inference.fit import Target
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.problem import Values
+from smfe.diagnosis.inference.search import Bench
 from smfe.identification.errors.result import Progress, silent
 
 

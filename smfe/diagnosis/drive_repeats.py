@@ -14,13 +14,12 @@ import numpy as np
 import xarray as xr
 
 from process.errors import InputError
-from smfe.diagnosis import drive_noise as noise
-from smfe.diagnosis.drive_balance import kind_of
-from smfe.diagnosis.drive_channels import Channels
-from smfe.diagnosis.drive_record import DriveRecordFamily, ForceData
-from smfe.diagnosis.drive_signals import Motion, Real, motion
-from smfe.diagnosis.noise_draws import noise_draws
-from smfe.diagnosis.problem import Condition, Values
+from smfe.diagnosis.drive import noise
+from smfe.diagnosis.drive.balance import Channels, kind_of
+from smfe.diagnosis.drive.filters import Motion, Real, motion
+from smfe.diagnosis.drive.noise import noise_draws
+from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
+from smfe.diagnosis.inference.problem import Condition, Values
 
 _FEWEST = 4
 _SAME = 1e-3

@@ -10,8 +10,8 @@ import numpy as np
 
 from smfe.campaign import Campaign, LobeRequest
 from smfe.comparison.compliances import labelled
-from smfe.diagnosis.campaign_family import case_of
-from smfe.diagnosis.suspect import Suspect
+from smfe.diagnosis.cases.compliances import case_of
+from smfe.diagnosis.checks.suspect import Suspect
 from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.identification.levels import condition_cubes, with_levels
 from smfe.identification.measurement import split_levels

@@ -11,10 +11,10 @@ from process.instruments.trials import hammer_trial
 from process.labels import make_compliance, make_record
 from process.machine.modes import ModalModel
 from smfe.diagnosis.audit import check
-from smfe.diagnosis.channel_checks import channel_suspects, clock_suspects, converter_step, tone_suspects, tones
-from smfe.diagnosis.compliance_checks import factor_suspects, reciprocity_suspects, skew_suspects
-from smfe.diagnosis.hammer_checks import hit_suspects
-from smfe.diagnosis.suspect import suspect_table
+from smfe.diagnosis.checks.channels import channel_suspects, clock_suspects, converter_step, tone_suspects, tones
+from smfe.diagnosis.checks.compliances import factor_suspects, reciprocity_suspects, skew_suspects
+from smfe.diagnosis.checks.hammer import hit_suspects
+from smfe.diagnosis.checks.suspect import suspect_table
 
 DATASETS = Path(__file__).parents[2] / "datasets"
 RATE = 2000.0

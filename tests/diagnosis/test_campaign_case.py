@@ -17,21 +17,21 @@ from process.errors import InputError
 from process.labels import make_compliance, make_record
 from smfe.campaign import Campaign, LobeRequest, Measurement, RecordEntry, load_campaign
 from smfe.diagnosis.audit import audit
-from smfe.diagnosis.axis_baseline import AxisBaseline
-from smfe.diagnosis.campaign_case import Case
-from smfe.diagnosis.campaign_family import case_of, steadied
-from smfe.diagnosis.campaign_menu import menu
+from smfe.diagnosis.cases.case import Case
+from smfe.diagnosis.cases.compliances import case_of, steadied
+from smfe.diagnosis.cases.experiments import menu
+from smfe.diagnosis.checks.channels import silence_suspects
 from smfe.diagnosis.consequences import stable_depths
-from smfe.diagnosis.cutting_forces import cutting_family
-from smfe.diagnosis.cutting_orders import SteadyCut
-from smfe.diagnosis.drive_record import DriveRecordFamily
-from smfe.diagnosis.fit import Target, fit
-from smfe.diagnosis.frf_noise import Excited
-from smfe.diagnosis.machine_frf import MachineFrfs
-from smfe.diagnosis.model import Model
-from smfe.diagnosis.next_experiment import rank
-from smfe.diagnosis.problem import Condition
-from smfe.diagnosis.silence import silence_suspects
+from smfe.diagnosis.cutting.forces import cutting_family
+from smfe.diagnosis.cutting.orders import SteadyCut
+from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.frf.axis import MachineFrfs
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline
+from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.inference.fit import Target, fit
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.next_experiment import rank
+from smfe.diagnosis.inference.problem import Condition
 from smfe.records import Channel, read_records, write_record_netcdf
 
 DATASETS = Path(__file__).parents[2] / "datasets"

@@ -15,11 +15,10 @@ from truth.chain import Chain
 
 from process.labels import make_record
 from smfe.campaign import load_campaign
-from smfe.diagnosis.campaign_family import case_of
-from smfe.diagnosis.campaign_hits import DISCREPANCY, compared
-from smfe.diagnosis.frf_noise import excitation_of
-from smfe.diagnosis.machine_frf import MachineFrfs
-from smfe.diagnosis.verbs import diagnose
+from smfe.commands.diagnose import diagnose
+from smfe.diagnosis.cases.compliances import case_of
+from smfe.diagnosis.frf.axis import MachineFrfs
+from smfe.diagnosis.frf.noise import DISCREPANCY, compared, excitation_of
 from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.hammer import Averaging, identify_hammer
 from smfe.identification.measurement import cached_identification

@@ -11,8 +11,8 @@ from truth.milling_limits import Found
 
 from process.errors import InputError
 from smfe.campaign import load_campaign
-from smfe.diagnosis.campaign_family import case_of
-from smfe.diagnosis.verbs import diagnose
+from smfe.commands.diagnose import diagnose
+from smfe.diagnosis.cases.compliances import case_of
 
 RATE = 500.0
 

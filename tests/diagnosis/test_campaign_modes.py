@@ -11,10 +11,10 @@ from truth.modal_machine import Hidden, Setting, at_tool, modes, nominal
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from smfe.campaign import Campaign, Measurement, Model, ModesOf
-from smfe.diagnosis.campaign_family import case_of
-from smfe.diagnosis.campaign_modes import modes_named
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.modal_frf import SPREAD
+from smfe.diagnosis.cases.case import modes_named
+from smfe.diagnosis.cases.compliances import case_of
+from smfe.diagnosis.frf.modes import SPREAD
+from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.identification.errors.result import Identification
 from stability import Spread
 

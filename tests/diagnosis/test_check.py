@@ -17,10 +17,10 @@ from process.labels import make_record
 from smfe import pipeline
 from smfe.campaign import load_campaign
 from smfe.diagnosis.audit import audit, check
+from smfe.diagnosis.checks.same_data import Seen, same_suspects
+from smfe.diagnosis.checks.speeds import tooth_suspects
+from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.dry_run import refusals
-from smfe.diagnosis.same_data import Seen, same_suspects
-from smfe.diagnosis.speed_checks import tooth_suspects
-from smfe.diagnosis.suspect import Suspect
 from smfe.identification.sweep.noise import in_cut
 
 

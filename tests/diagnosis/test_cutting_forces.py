@@ -14,11 +14,11 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import Campaign
 from smfe.diagnosis.consequences import with_consequences
-from smfe.diagnosis.cutting_forces import CuttingForces, KnownForce, cutting_family
-from smfe.diagnosis.cutting_orders import SteadyCut, cutting_orders, find_rotation, rigid_orders
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.finding import Finding, explain
-from smfe.diagnosis.problem import Condition
+from smfe.diagnosis.cutting.forces import CuttingForces, KnownForce, cutting_family
+from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders, find_rotation, rigid_orders
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.finding import Finding, explain
+from smfe.diagnosis.inference.problem import Condition
 
 MILL = Mill()
 TOOL = Tool(MILL.diameter, MILL.teeth)

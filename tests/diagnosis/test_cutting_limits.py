@@ -13,9 +13,9 @@ from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.diagnosis.cutting_limits import CuttingLimits, Limit, Trial, bracketed, limit_family
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.limit_crossings import crossings, loop_of
+from smfe.diagnosis.cutting.limit_crossings import crossings, loop_of
+from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, Trial, bracketed, limit_family
+from smfe.diagnosis.inference.diagnose import diagnose
 from stability.methods.semi_discretization import limit_depth
 from stability.methods.zero_order import zero_order
 

@@ -11,15 +11,14 @@ from truth.drive import STEP, Axis, simulate
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.diagnosis.bristles import Path, presliding
-from smfe.diagnosis.drive_channels import check_balance
-from smfe.diagnosis.drive_control_law import Gains, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.balance import check_balance
+from smfe.diagnosis.drive.control_law import Gains, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.filters import Motion, Path, Resampler, filtered, kernel, motion, moves, presliding
+from smfe.diagnosis.drive.noise import Whitener, strongest_wave
+from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.drive_ladder import force_ladder
-from smfe.diagnosis.drive_noise import Whitener, strongest_wave
-from smfe.diagnosis.drive_record import DriveRecordFamily
-from smfe.diagnosis.drive_signals import Motion, Resampler, filtered, kernel, motion, moves
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.problem import Condition, Values
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.problem import Condition, Values
 
 POSITION_GAIN, VELOCITY_GAIN = 160.0, 8500.0
 MASS = 95.0

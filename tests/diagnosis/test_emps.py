@@ -17,13 +17,13 @@ import xarray as xr
 from scipy import io
 
 from process.labels import make_record
-from smfe.diagnosis.drive_control_law import Gains, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.control_law import Gains, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.drive.terms import Term
 from smfe.diagnosis.drive_ladder import ForceRung, force_ladder
-from smfe.diagnosis.drive_record import DriveRecordFamily
 from smfe.diagnosis.drive_repeats import repeatability, since_first_half
-from smfe.diagnosis.drive_terms import Term
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.problem import Cause, Parameter
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.problem import Cause, Parameter
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data")
 STEP, DRIVE_GAIN = 1e-3, 35.15065188

@@ -9,23 +9,19 @@ from scipy import stats
 from scipy.optimize import lsq_linear, nnls
 
 from process.errors import InputError
-from smfe.diagnosis.calibration import PENALTY, Score, threshold
-from smfe.diagnosis.constancy import most_changing
-from smfe.diagnosis.cross_validation import HeldOut, compare, schemes
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.evidence import Bench, fitted_misfit
-from smfe.diagnosis.finding import Estimate, Finding, FoundCause, explain
-from smfe.diagnosis.fit import Target, bounded_step, fit
-from smfe.diagnosis.intervals import deviations, estimates
-from smfe.diagnosis.isolability import isolability
-from smfe.diagnosis.misfit import Misfit, NoiseFreedom, assess
-from smfe.diagnosis.model import Model
-from smfe.diagnosis.next_experiment import chance_to_settle
-from smfe.diagnosis.power import noncentrality
-from smfe.diagnosis.problem import Cause, Condition, Parameter
-from smfe.diagnosis.signature import tangent
-from smfe.diagnosis.twin import nearest
-from smfe.diagnosis.verdict import Judgement
+from smfe.diagnosis.inference.cross_validation import HeldOut, compare, schemes
+from smfe.diagnosis.inference.diagnose import deviations, diagnose, estimates
+from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, explain
+from smfe.diagnosis.inference.fit import Target, bounded_step, fit, nearest
+from smfe.diagnosis.inference.misfit import Misfit, NoiseFreedom, assess
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.next_experiment import chance_to_settle
+from smfe.diagnosis.inference.power import isolability, noncentrality
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference.search import Bench, fitted_misfit, most_changing
+from smfe.diagnosis.inference.signature import tangent
+from smfe.diagnosis.inference.thresholds import PENALTY, Score, threshold
+from smfe.diagnosis.inference.verdict import Judgement
 from smfe.identification.errors.result import silent
 
 N = 24

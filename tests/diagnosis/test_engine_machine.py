@@ -9,15 +9,15 @@ import pytest
 from scipy import stats
 
 from process.errors import InputError
-from smfe.diagnosis.calibration import threshold
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.evidence import Bench
-from smfe.diagnosis.finding import Finding, explain
-from smfe.diagnosis.fit import Target
-from smfe.diagnosis.isolability import isolability
-from smfe.diagnosis.model import Model
-from smfe.diagnosis.problem import Cause, Condition, Parameter
-from smfe.diagnosis.verdict import fitted_misfit
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.finding import Finding, explain
+from smfe.diagnosis.inference.fit import Target
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.power import isolability
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference.search import Bench
+from smfe.diagnosis.inference.thresholds import threshold
+from smfe.diagnosis.inference.verdict import fitted_misfit
 from smfe.identification.errors.result import silent
 
 FREQUENCY = np.linspace(20.0, 80.0, 60)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smfe.diagnosis.finding import Finding, ForceError, Own, Remainder, StableDepth, explain
+from smfe.diagnosis.inference.finding import Finding, ForceError, Own, Remainder, StableDepth, explain
 from smfe.report import write_report
 from smfe.report.diagnosis import MOST, draw, pictured, section
 

@@ -16,12 +16,12 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from process.errors import InputError
-from smfe.diagnosis import helpers as helpers_module
-from smfe.diagnosis import model as model_module
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.helpers import MOST, Helpers, _parts, cores
-from smfe.diagnosis.model import Model
-from smfe.diagnosis.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference import model as model_module
+from smfe.diagnosis.inference import workers as helpers_module
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference.workers import MOST, Helpers, _parts, cores
 
 SEVERAL = pytest.mark.skipif(cores() < 2, reason="one core, or a system on which processes are not forked")
 PLACES = np.linspace(-1.0, 1.0, 30)

@@ -13,11 +13,11 @@ from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
 
 from process.drive.servo import Servo
-from smfe.diagnosis.axis_baseline import sampled
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.frf_noise import Excited, freedom_of, scatter_of, smooth_errors
-from smfe.diagnosis.machine_frf import MachineFrfs, as_hit, compliance_under
-from smfe.diagnosis.problem import Condition
+from smfe.diagnosis.frf.axis import MachineFrfs, as_hit, compliance_under
+from smfe.diagnosis.frf.axis_baseline import sampled
+from smfe.diagnosis.frf.noise import Excited, freedom_of, scatter_of, smooth_errors
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.problem import Condition
 
 LINES = np.arange(10.0, 120.0, 2.0)
 MOVING = 500.0 * MM_MIN

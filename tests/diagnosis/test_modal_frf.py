@@ -24,18 +24,18 @@ from truth.modal_machine import (
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.diagnosis.calibration import PENALTY
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.evidence import Bench
-from smfe.diagnosis.fit import Target
-from smfe.diagnosis.frf_noise import Excited
-from smfe.diagnosis.isolability import isolability
-from smfe.diagnosis.modal_causes import vector
-from smfe.diagnosis.modal_dynamics import DECAYING, Changed, Shaken, full_compliance, unchanged
-from smfe.diagnosis.modal_frf import ModalFrfs
-from smfe.diagnosis.modal_proposals import FREE_MASS, modal_proposals
-from smfe.diagnosis.model import Model
-from smfe.diagnosis.problem import Condition
+from smfe.diagnosis.cases.experiments import FREE_MASS, modal_proposals
+from smfe.diagnosis.frf.modal_causes import vector
+from smfe.diagnosis.frf.modal_dynamics import DECAYING, Changed, Shaken, full_compliance, unchanged
+from smfe.diagnosis.frf.modes import ModalFrfs
+from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.fit import Target
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.power import isolability
+from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.inference.search import Bench
+from smfe.diagnosis.inference.thresholds import PENALTY
 
 BARE = Hidden(cable=0.0)
 GAIN = "sensor_gain/force"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from smfe.diagnosis.drive_noise import fit_whitener
-from smfe.diagnosis.noise_draws import NoiseDraw, noise_draws
+from smfe.diagnosis.drive.noise import NoiseDraw, fit_whitener, noise_draws
 
 
 def moves_of(count, length, seed=0):

@@ -14,10 +14,10 @@ import xarray as xr
 
 from process.cut.engagement import engagement
 from process.cut.tool import Tool
-from smfe.diagnosis.cutting_forces import CuttingForces, cutting_family, turned
-from smfe.diagnosis.cutting_orders import MODEL_FLOOR, SteadyCut
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.finding import Finding, explain
+from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family, turned
+from smfe.diagnosis.cutting.orders import MODEL_FLOOR, SteadyCut
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.finding import Finding, explain
 from smfe.records import Channel, read_records
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data")

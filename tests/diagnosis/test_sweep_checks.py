@@ -21,7 +21,7 @@ from process.simulation.machine import simulate_machine
 from process.simulation.milling import MillingCut, Spindle
 from smfe.demo_campaign import TOOL as DEMO_TOOL
 from smfe.demo_campaign import sweep_passes
-from smfe.diagnosis.sweep_checks import posture_difference, regeneration_difference, sweep_suspects
+from smfe.diagnosis.checks.sweep import posture_difference, regeneration_difference, sweep_suspects
 from smfe.identification.sweep.estimators import SweepPass
 
 TOOL = Tool(0.08, 4, approach_angle=math.pi / 4.0)

@@ -6,8 +6,8 @@ import numpy as np
 from truth.drive import DRIVE_EFFECTS, DRIVE_OUTSIDE, FRICTION, STEP, Axis, simulate
 
 from process.labels import make_record
-from smfe.diagnosis.drive_control_law import Gains
-from smfe.diagnosis.drive_record import DriveRecordFamily
+from smfe.diagnosis.drive.control_law import Gains
+from smfe.diagnosis.drive.record import DriveRecordFamily
 
 EXPECTED = {
     "friction": "guideway_friction",

@@ -11,7 +11,7 @@ from process.cut.engagement import Engagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel
-from smfe.diagnosis.cutting_limits import Limit, limit_family
+from smfe.diagnosis.cutting.limits import Limit, limit_family
 
 SLOT = Mill(teeth=4, entry=0.0)
 """What was identified, and the cut."""

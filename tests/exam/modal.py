@@ -17,9 +17,9 @@ from truth.modal_machine import (
 )
 
 from process.machine.modes import ModalModel
-from smfe.diagnosis.frf_noise import Excited, freedom_of
-from smfe.diagnosis.modal_frf import ModalFrfs
-from smfe.diagnosis.problem import Condition
+from smfe.diagnosis.frf.modes import ModalFrfs
+from smfe.diagnosis.frf.noise import Excited, freedom_of
+from smfe.diagnosis.inference.problem import Condition
 
 SPREAD = {"frequency": 0.01, "damping": 0.2, "stiffness": 0.05}
 FLOOR = 0.002

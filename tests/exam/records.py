@@ -9,10 +9,10 @@ from truth.campaign import PRETRIGGER, SAMPLE_RATE, reduce
 
 from process.drive.axis import Drive
 from process.drive.servo import Servo
-from smfe.diagnosis.axis_baseline import AxisBaseline, sampled
-from smfe.diagnosis.frf_noise import Excited, Hits, chosen_lines, freedom_of, scatter_of, smooth_errors
-from smfe.diagnosis.machine_frf import MachineFrfs, as_hit
-from smfe.diagnosis.problem import Condition
+from smfe.diagnosis.frf.axis import MachineFrfs, as_hit
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline, sampled
+from smfe.diagnosis.frf.noise import Excited, Hits, chosen_lines, freedom_of, scatter_of, smooth_errors
+from smfe.diagnosis.inference.problem import Condition
 
 BAND = (8.0, 128.0)
 DISCREPANCY = 0.004

@@ -28,8 +28,8 @@ from exam.subjects import SUBJECTS, Without
 from exam.truths import true_values
 from scipy import optimize, stats
 
-from smfe.diagnosis.engine import diagnose
-from smfe.diagnosis.helpers import cores
+from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.inference.workers import cores
 
 SEEDS = {"null": 510_000, "effect": 420_000, "unknown": 430_000, "noisy": 440_000, "two": 450_000, "ladder": 460_000}
 """First seed of each part; the diagnosis was not tuned on any of them."""

@@ -18,7 +18,7 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.cli import app
 from smfe.cutting_coefficients import CUTTING, EDGE, average_force, mean_force_design
-from smfe.diagnosis.cutting_orders import SteadyCut, rigid_orders
+from smfe.diagnosis.cutting.orders import SteadyCut, rigid_orders
 from smfe.records import write_record_netcdf
 
 TRUE = {"Ktc": 1.8e9, "Krc": 7e8, "Kac": 2e8, "Kte": 30e3, "Kre": 40e3, "Kae": 5e3}

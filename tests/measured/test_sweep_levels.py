@@ -21,7 +21,7 @@ from process.errors import InputError
 from process.labels import make_compliance, make_record
 from smfe import LocalPolynomial, SweepPass
 from smfe.campaign import load_campaign
-from smfe.diagnosis.verbs import diagnose
+from smfe.commands.diagnose import diagnose
 from smfe.identification.errors.difference import difference_of
 from smfe.identification.errors.intervals import interval
 from smfe.identification.levels import levels_of, sweep_levels, with_levels

@@ -18,7 +18,7 @@ from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import simulate_forced
 from smfe import LocalPolynomial, SweepPass, identify_sweep
-from smfe.diagnosis.cutting_orders import find_rotation
+from smfe.diagnosis.cutting.orders import find_rotation
 from smfe.identification.spectra.spindle_angle import force_angle
 from smfe.identification.sweep.inputs import project, spindle_waves
 from smfe.records import Channel, read_records

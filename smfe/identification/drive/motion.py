@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from process.errors import InputError
 from process.labels import AXES, axis_present, sample_interval
-from smfe.diagnosis.drive_signals import filtered, half_width, kernel
+from smfe.diagnosis.drive.filters import filtered, half_width, kernel
 
 Real = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""From a campaign to what is put to the test."""

@@ -1,0 +1,120 @@
+"""What a campaign puts to the question: a family of models, and which of its conditions belong to which measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from process.errors import InputError
+from process.labels import at_tool
+from process.machine.modes import ModalModel
+from smfe.campaign import Campaign
+from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.inference.problem import Family
+from smfe.identification.errors.result import Identification
+from smfe.modes.fit_modes import fit_modes
+from smfe.records.formats.channels import did_you_mean, listed
+
+
+@dataclass(frozen=True)
+class Case:
+    """A campaign as the engine takes it.
+
+    Parameters
+    ----------
+    family : Family
+        Baseline, causes, conditions and proposals.
+    groups : mapping
+        Name of a measurement, or file of a cutting test -> names of its conditions.
+    held_out : tuple of str
+        Those of the groups that the campaign sets aside.
+    suspects : tuple of Suspect
+        What was noticed about the data on the way.
+    """
+
+    family: Family
+    groups: Mapping[str, tuple[str, ...]]
+    held_out: tuple[str, ...] = ()
+    suspects: tuple[Suspect, ...] = field(default=())
+
+    def set_aside(self, more: Iterable[str] = ()) -> tuple[str, ...]:
+        """Return the conditions that are opened at the end: those of the campaign, and of `more` measurements.
+
+        Raises
+        ------
+        InputError
+            For a measurement that is none of the campaign's, or when nothing is left to fit.
+        """
+        names = dict.fromkeys((*self.held_out, *more))
+        for name in names:
+            if name not in self.groups:
+                near = did_you_mean(name, self.groups)
+                raise InputError(f"'{name}' cannot be held out{near}; compared are {listed(self.groups)}")
+        if len(names) == len(self.groups):
+            raise InputError(f"{listed(names)}: everything is held out, nothing is left to be fitted; leave some in")
+        return tuple(condition for name in names for condition in self.groups[name])
+
+
+# --- Modes that a baseline names: those of a ``[[model]]``, or those fitted to a measured compliance.
+
+
+@dataclass(frozen=True)
+class NamedModes:
+    """Modes of a baseline.
+
+    Parameters
+    ----------
+    modal : ModalModel
+        The modes.
+    band : (float, float)
+        Lowest and highest natural frequency that count as modes of the machine [Hz].
+    suspects : tuple of Suspect
+        What the fit warns of.
+    spread : mapping
+        What a ``[[model]]`` states as its ``uncertainty``, relative; empty where it states none.
+    """
+
+    modal: ModalModel
+    band: tuple[float, float]
+    suspects: tuple[Suspect, ...] = ()
+    spread: Mapping[str, float] = field(default_factory=dict)
+
+
+def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification]) -> NamedModes:
+    """Return the modes of a model, or fit those of a measurement.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With its models.
+    name : str
+        Of a model or of a measurement.
+    found : mapping
+        Measurement name -> identification.
+
+    Raises
+    ------
+    InputError
+        When a measurement does not carry a modal model.
+    """
+    for model in campaign.models:
+        if model.name == name:
+            low, high = float(model.modal.frequency.min()), float(model.modal.frequency.max())
+            given = {n: getattr(model.spread, n) for n in ("frequency", "damping", "stiffness")}
+            return NamedModes(model.modal, (low, high), spread={n: s for n, s in given.items() if s > 0.0})
+    if name not in found:
+        raise InputError(f"baseline: measurement '{name}' is no compliance, so it has no modes; name one that is")
+    try:
+        fit = fit_modes(at_tool(found[name].compliance))
+        modal = fit.modal_model()
+    except InputError as error:
+        raise InputError(
+            f"baseline: measurement '{name}' does not give the modes of a simulation ({error}); declare them as a "
+            "[[model]] and name that"
+        ) from error
+    # Stiff modes above the measured band stand for what is not seen of the machine.
+    top = float(found[name].compliance["frequency"].max())
+    inside = modal.frequency[modal.frequency <= top]
+    advice = "see the modes with smfe modal; declare better ones as a [[model]]"
+    suspects = tuple(Suspect("missing_mode", "note", name, warning, advice) for warning in fit.warnings)
+    return NamedModes(modal, (float(inside.min()), float(inside.max())), suspects)

@@ -1,0 +1,118 @@
+"""From a campaign to the diagnosis of a moving axis: records of encoder and drive force as a family."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from process.errors import InputError
+from process.labels import axis_present, sample_interval
+from smfe.campaign import Campaign, Measurement, RigidDrive
+from smfe.diagnosis.cases.case import Case
+from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.filters import Real
+from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.identification.measurement import records_of
+
+MASS_SPREAD = 0.1
+"""Prior standard deviation of a moved mass that a data sheet gives, relative."""
+
+
+@dataclass(frozen=True)
+class _Read:
+    """One record of a drive measurement, and what to call it."""
+
+    name: str
+    measurement: Measurement
+    record: xr.Dataset
+
+
+def drive_case(campaign: Campaign, baseline: RigidDrive) -> Case:
+    """Return the case of the drive records of a campaign.
+
+    The first record that is not held out teaches band, noise and starts; all others are judged with these.
+
+    Raises
+    ------
+    InputError
+        When a record lacks a channel, or holds too little motion.
+    """
+    reads = _records(campaign)
+    if not reads or reads[0].measurement.held_out:
+        raise InputError("no measurement with method = 'drive' is left to be fitted; add one that is not held out")
+    first = _family(reads[0], baseline, None)
+    families = [first, *(_family(r, baseline, first) for r in reads[1:])]
+    groups: dict[str, tuple[str, ...]] = {}
+    for read, family in zip(reads, families, strict=True):
+        mine = tuple(c.name for c in family.conditions)
+        groups[read.measurement.name] = (*groups.get(read.measurement.name, ()), *mine)
+    return Case(
+        replace(first, conditions=tuple(c for f in families for c in f.conditions)),
+        groups,
+        tuple(dict.fromkeys(r.measurement.name for r in reads if r.measurement.held_out)),
+    )
+
+
+def _records(campaign: Campaign) -> list[_Read]:
+    """Return all drive records, those that are held out last."""
+    out = []
+    for m in sorted(campaign.measurements, key=lambda m: m.held_out):
+        if m.method == "drive":
+            found = [r for entry in m.records for r in records_of(entry)]
+            alone = len(found) == 1
+            out += [_Read(m.name if alone else f"{m.name}, {r.attrs['source']}", m, r) for r in found]
+    return out
+
+
+def _family(read: _Read, baseline: RigidDrive, like: DriveRecordFamily | None) -> DriveRecordFamily:
+    mass = baseline.moving_mass
+    try:
+        return DriveRecordFamily.from_record(
+            read.record,
+            baseline.axis,
+            mass=None if mass is None else (mass, MASS_SPREAD * mass),
+            delay=baseline.delay,
+            like=like,
+            name=f"{read.name},",
+        )
+    except InputError as error:
+        raise InputError(f"measurement '{read.name}': {error}") from error
+
+
+def unlogged_suspects(campaign: Campaign, baseline: RigidDrive) -> Iterator[Suspect]:
+    """Look in every drive record for commands that the control law does not give; without its gains nothing is said."""
+    if baseline.Kp is None or baseline.Kv is None:
+        return
+    law: ControlLaw | None = None
+    for read in _records(campaign):
+        channels = _followed(read, baseline.axis)
+        step = sample_interval(read.record)
+        law = law or fit_control_law(*channels, step, Gains(baseline.Kv, baseline.Kp))
+        pulses = unlogged_command(law, *channels, step)[1]
+        if pulses:
+            height, length = np.median([(p.height, p.end - p.begin) for p in pulses], axis=0)
+            yield Suspect(
+                "hidden_input",
+                "warning",
+                read.name,
+                f"{len(pulses)} commands that the control law with its gains does not give, of {height:.4g} N over "
+                f"{length:.3g} s (medians), the first from {pulses[0].begin:.4g} s on",
+                "find out who adds to the command, and log it",
+            )
+
+
+def _followed(read: _Read, axis: str) -> tuple[Real, Real, Real]:
+    """Return reference, position and force of a record."""
+    names = ("reference_position", "encoder_position", "drive_force")
+    lost = [n for n in names if n not in read.record or axis not in axis_present(read.record, n)]
+    if lost:
+        raise InputError(
+            f"measurement '{read.name}': no {lost[0]}_{axis}; the control law needs it: declare it, or take Kp and Kv "
+            "out of [baseline]"
+        )
+    x, q, f = (np.asarray(read.record[n].sel(axis=axis).values, dtype=float) for n in names)
+    return x, q, f

@@ -1,0 +1,286 @@
+"""What an inversion of sweeps takes for granted: an open loop, and one posture within a pass.
+
+The cut answers to vibration, so a motion that other forces cause comes back as a force: least squares then mixes the
+machine with the cut. The passing of the teeth does not depend on vibration: as an instrument it gives
+``G = S_yr/S_ur`` without that bias (joint input-output identification; Van den Hof and Schrama 1993). A machine that
+changes along a pass gives other compliances in its first and in its second half.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, stats
+
+from process.errors import InputError
+from process.labels import sample_interval
+from smfe.diagnosis.checks.suspect import Suspect
+from smfe.identification.spectra.spectra import motion_axes
+from smfe.identification.sweep.estimators import LocalPolynomial, SweepPass, end_pieces, whole_record
+from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.sweep import identify_sweep
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+HALF_WIDTH = 0.5
+"""Half of the band over which a compliance is one polynomial [Hz]; bands do not overlap."""
+
+ORDER = 2
+"""Order of that polynomial."""
+
+HARMONICS = 3
+"""Harmonics of the tooth passing frequency that are instruments."""
+
+CHANCE = 1e-4
+"""Probability below which a difference is not noise."""
+
+NOTABLE = 0.02
+"""Relative difference from which it matters, rms over the band."""
+
+
+KNOWN = 0.03
+"""Halves are compared where their difference is known to this share of the compliance."""
+
+
+FLOOR = 0.05
+"""Share of the variance of the instruments that their difference to least squares has at least."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Two estimates of one compliance.
+
+    Parameters
+    ----------
+    size : float
+        Rms of the difference beyond noise over the rms of the compliance [1].
+    chance : float
+        Probability that noise alone makes as much of it.
+    worst : float
+        Frequency at which it is most significant [Hz].
+    lines : int
+        Frequencies compared.
+    """
+
+    size: float
+    chance: float
+    worst: float
+    lines: int
+
+    @property
+    def real(self) -> bool:
+        """Whether it is more than noise, and large enough to matter."""
+        return self.chance < CHANCE and self.size > NOTABLE
+
+
+def sweep_suspects(
+    name: str, passes: Sequence[SweepPass], teeth: int, frequency_range: tuple[float, float]
+) -> list[Suspect]:
+    """Return suspicions about what an inversion of sweeps takes for granted.
+
+    Parameters
+    ----------
+    name : str
+        Name of the measurement.
+    passes : sequence of SweepPass
+        As for `smfe.identification.sweep.sweep.identify_sweep`.
+    teeth : int
+        Of the tool.
+    frequency_range : (float, float)
+        Band that is identified [Hz].
+
+    Returns
+    -------
+    list of Suspect
+        ``regeneration_bias``, ``posture``, or nothing.
+    """
+    out = []
+    biased = regeneration_difference(passes, teeth, frequency_range)
+    if biased is not None and biased.real:
+        out.append(
+            Suspect(
+                "regeneration_bias",
+                "warning",
+                name,
+                f"with the passing of the teeth as instrument the compliance differs by {100.0 * biased.size:.2g} % "
+                f"(chance {biased.chance:.1e}, most at {biased.worst:.4g} Hz): part of the forces answers to vibration "
+                "that other forces cause",
+                "cut less deep and away from chatter, find what shakes the machine, or use the instrument",
+            )
+        )
+    halves = posture_difference(passes, frequency_range)
+    if halves is not None and halves.real:
+        out.append(
+            Suspect(
+                "posture",
+                "warning",
+                name,
+                f"the first and the second half of the passes give compliances that differ by "
+                f"{100.0 * halves.size:.2g} % (chance {halves.chance:.1e}, most at {halves.worst:.4g} Hz)",
+                "sweep over a shorter way, or from other positions; feed and level change along a pass, too",
+            )
+        )
+    return out
+
+
+# --- posture within a pass --------------------------------------------------------------------------------------------
+
+
+def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float, float]) -> Difference | None:
+    """Compare compliances of the first and of the second half of the passes.
+
+    A frequency that the fundamental of the tooth passing visits in one half is visited by a harmonic in the other.
+
+    Returns
+    -------
+    Difference or None
+        None where the halves have no frequency in common that both can solve.
+    """
+    estimator = LocalPolynomial(resolution=2.0 * HALF_WIDTH, half_widths=(HALF_WIDTH,), order=ORDER, rational=False)
+    try:
+        first, second = (
+            identify_sweep("half", [_half(p, k) for p in passes], frequency_range, estimator).compliance for k in (0, 1)
+        )
+    except InputError:
+        return None
+    a, b = (v["compliance"].values for v in (first, second))
+    covariance = first["compliance_covariance"].values + second["compliance_covariance"].values
+    size = 0.5 * np.abs(a + b)
+    # Where one half says little, transients are what is left of it, not noise.
+    variance = np.trace(covariance, axis1=2, axis2=3).real.sum(axis=1)
+    known = np.nan_to_num(variance, nan=np.inf) < KNOWN**2 * np.nansum(size**2, axis=(1, 2))
+    return _compare(first["frequency"].values[known], (a - b)[known], covariance[known], size[known])
+
+
+def _half(sweep: SweepPass, which: int) -> SweepPass:
+    """Return the first (0) or second (1) half of the cut, with the air on its side."""
+    cutting = np.flatnonzero(in_cut(sweep.record))
+    middle = int(cutting[0] + cutting[-1]) // 2 if cutting.size else sweep.record.sizes["time"] // 2
+    piece = slice(None, middle) if which == 0 else slice(middle, None)
+    return SweepPass(sweep.record.isel(time=piece), sweep.label, sweep.arc)
+
+
+# --- regeneration -----------------------------------------------------------------------------------------------------
+
+
+def regeneration_difference(
+    passes: Sequence[SweepPass], teeth: int, frequency_range: tuple[float, float]
+) -> Difference | None:
+    """Compare least squares with instruments: what passes with the teeth, and nothing else.
+
+    Returns
+    -------
+    Difference or None
+        None where a pass has no ``spindle_angle``, or the instruments say too little at all frequencies.
+    """
+    if not passes or any("spindle_angle" not in p.record for p in passes):
+        return None
+    response = [a for a in "xyz" if all(a in motion_axes(p.record)[1] for p in passes)]
+    reach = (max(frequency_range[0] - HALF_WIDTH, 0.1), frequency_range[1] + HALF_WIDTH)
+    blocks = []
+    for p in passes:
+        found = whole_record(p.record, reach, response)
+        noise = end_pieces(p.record, "force")
+        dt = sample_interval(p.record)
+        power = np.minimum(noise[:, 0], noise[:, -1]) ** 2 * dt**2 * p.record.sizes["time"]
+        lines = _references(p.record, teeth, reach)
+        blocks.append((found.frequency, found.force[:, :, 0], found.displacement[:, :, 0], lines, power))
+    frequency = np.arange(frequency_range[0] + HALF_WIDTH, frequency_range[1], 2.0 * HALF_WIDTH)
+    solved = [_both(blocks, float(f)) for f in frequency]
+    kept = [i for i, s in enumerate(solved) if s is not None]
+    if not kept:
+        return None
+    parts = [s for s in solved if s is not None]
+    change, covariance = np.stack([p[0] for p in parts]), np.stack([p[1] for p in parts])
+    return _compare(frequency[kept], change, covariance, np.stack([p[2] for p in parts]))
+
+
+def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> Complex:
+    """Return transforms of ``exp(j h N theta)`` while the tool cuts, shape (f, harmonics)."""
+    dt, n = sample_interval(record), record.sizes["time"]
+    length = fft.next_fast_len(n, real=True)
+    frequency = fft.fftfreq(length, dt)
+    # As `whole_record` takes its lines.
+    low, high = np.searchsorted(frequency[: length // 2], [reach[0] - 1e-9, reach[1] + 1e-9])
+    angle, cut = record["spindle_angle"].values, in_cut(record)
+    waves = [np.exp(1j * h * teeth * angle) * cut for h in range(1, HARMONICS + 1)]
+    return np.stack([dt * fft.fft(w, length)[low:high] for w in waves], axis=1)
+
+
+_Block = tuple[Real, Complex, Complex, Complex, Real]
+
+
+def _both(blocks: Sequence[_Block], centre: float) -> tuple[Complex, Complex, Real] | None:
+    """Return instruments minus least squares, its covariance a row, and the size of the compliance, at a frequency."""
+    powers = np.arange(ORDER + 1)
+    regressors, instruments, responses = [], [], []
+    loss = np.zeros((3 * powers.size, 3 * powers.size))
+    for k, (frequency, force, motion, lines, noise) in enumerate(blocks):
+        at = slice(*np.searchsorted(frequency, [centre - HALF_WIDTH, centre + HALF_WIDTH]))
+        shift = (frequency[at] - centre) / HALF_WIDTH
+        terms = shift[None, :] ** powers[:, None]
+        regressors.append(_products(terms, force[at].T))
+        own = np.zeros((len(blocks), HARMONICS * powers.size, shift.size), dtype=complex)
+        own[k] = _products(terms, lines[at].T)
+        instruments.append(own.reshape(-1, shift.size))
+        responses.append(motion[at].T)
+        loss += np.kron(terms @ terms.T, np.diag(noise))
+    u, z, y = (np.concatenate(v, axis=1) for v in (regressors, instruments, responses))
+    rank, basis = _row_space(z)
+    if rank < u.shape[0] or y.shape[1] < 2 * rank:
+        return None
+    passed = (u @ basis.conj().T) @ basis
+    plain, by_teeth = u @ u.conj().T, passed @ passed.conj().T
+    if np.linalg.cond(by_teeth) > 1e10:
+        return None
+    inverse, through = np.linalg.inv(plain), np.linalg.inv(by_teeth)
+    squares, instrumental = y @ u.conj().T @ inverse, y @ passed.conj().T @ through
+    # Noise of the force sensor takes from least squares what is expected: E[P] = P (1 - N (U U^H)^-1).
+    change = (instrumental - squares - instrumental @ loss @ inverse)[:, :3]
+    rest = y - instrumental @ u
+    noise_power = np.sum(np.abs(rest) ** 2, axis=1) / (y.shape[1] - u.shape[0])
+    # Hausman 1978: what least squares shares with the instruments cancels. The floor keeps directions apart in which
+    # the two agree by construction.
+    spread = ((1.0 + FLOOR) * through - inverse)[:3, :3]
+    return change, noise_power[:, None, None] * spread.T, np.abs(instrumental[:, :3])
+
+
+def _products(terms: Real, signals: Complex) -> Complex:
+    """Every signal times every power of the shift, shape (powers * signals, lines)."""
+    return np.asarray((terms[:, None, :] * signals[None, :, :]).reshape(-1, terms.shape[1]))
+
+
+def _row_space(z: Complex) -> tuple[int, Complex]:
+    """Return rank and orthonormal rows of what the instruments span; instruments that are silent here span nothing."""
+    length = np.linalg.norm(z, axis=1, keepdims=True)
+    loud = (length > 1e-3 * length.max(initial=1e-300))[:, 0]
+    _, size, rows = np.linalg.svd(z[loud] / length[loud], full_matrices=False)
+    rank = int(np.sum(size > 1e-6 * size.max(initial=1e-300)))
+    return rank, rows[:rank]
+
+
+# --- significance -----------------------------------------------------------------------------------------------------
+
+
+def _compare(frequency: Real, change: Complex, covariance: Complex, size: Real) -> Difference | None:
+    """Judge differences of shape (f, rows, 3) with covariances ``E[d_j conj(d_k)]``, shape (f, rows, 3, 3)."""
+    usable = np.isfinite(change).all(axis=(1, 2)) & np.isfinite(covariance).all(axis=(1, 2, 3))
+    if not usable.any():
+        return None
+    f, d, c, p = frequency[usable], change[usable], covariance[usable], size[usable]
+    # A row at a time: 2 d^H C^-1 d of three complex numbers is chi-square with six degrees of freedom.
+    inverse = np.linalg.pinv(c, rcond=1e-10, hermitian=True)
+    statistic = 2.0 * np.einsum("frj,frjk,frk->fr", d.conj(), inverse.swapaxes(-1, -2), d).real
+    each = 6 * d.shape[1]
+    total = statistic.sum(axis=1)
+    chance = float(stats.chi2.sf(total.sum(), each * f.size))
+    variance = np.diagonal(c, axis1=2, axis2=3).real
+    beyond = max(float(np.sum(np.abs(d) ** 2 - variance)), 0.0)
+    worst = float(f[int(np.argmax(total))])
+    return Difference(math.sqrt(beyond / float(np.sum(p**2))), chance, worst, int(f.size))

@@ -1,0 +1,481 @@
+"""Diagnosis of stability limits: depths and chatter frequencies of cutting tests against modes and coefficients.
+
+A condition is a limit at one spindle speed: the depth between a stable and a chattering cut, the logarithm of which
+is compared, and the chatter frequency. The prediction is the zero-order limit (`cutting.limit_crossings`), times
+what the converged limit of the unchanged baseline is of its zero-order limit (`methods.semi_discretization`): the
+forces of few teeth change over a turn, which the mean does not know.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.cut.engagement import Engagement
+from process.cut.force import CuttingCoefficients, ProcessDamping
+from process.cut.tool import Tool
+from process.errors import InputError
+from process.machine.modes import HIGHEST_DAMPING, ModalModel
+from smfe.diagnosis.cutting.limit_crossings import crossings, loop_of
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Real, Values
+from stability.methods.semi_discretization import limit_depth
+
+MODEL_FLOOR = 0.015
+"""What a limit is trusted to, relative."""
+
+FLOOR_OF_CORRECTION = 0.25
+"""Share of the (logarithm of the) correction of the zero-order limit that is added to it."""
+
+ALIKE = 0.02
+"""Relative difference of zero-order and converged chatter frequency up to which they are the same crossing."""
+
+FREQUENCY_FLOOR = 0.003
+"""The same for its chatter frequency: a cut that chatters is deeper than the limit."""
+
+NEAR = 0.1
+"""Crossings deeper than the first by this share may be the ones that were heard."""
+
+FLANK_FRICTION = 0.3
+"""Friction coefficient between flank and work."""
+
+MINUTES = 20.0
+"""What it takes to bracket a limit."""
+
+_HEARD = 0.02
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One cutting test.
+
+    Parameters
+    ----------
+    spindle_speed : float
+        [rpm].
+    depth : float
+        Axial depth [m].
+    chatter : bool
+        Whether it chattered.
+    frequency : float, optional
+        Chatter frequency [Hz].
+    """
+
+    spindle_speed: float
+    depth: float
+    chatter: bool
+    frequency: float | None = None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit as it was found, or one that could be looked for.
+
+    Parameters
+    ----------
+    spindle_speed : float
+        [rpm].
+    depth : float, optional
+        Axial depth [m]; None: not tested yet.
+    depth_std : float, optional
+        Standard deviation of its logarithm; the `MODEL_FLOOR` is added.
+    frequency : float, optional
+        Chatter frequency [Hz].
+    frequency_std : float, optional
+        Its standard deviation [Hz]; the `FREQUENCY_FLOOR` is added.
+    feed_per_tooth : float, optional
+        [m]; with the depth it sets how hard the machine is shaken.
+    arc : Engagement, optional
+        Where it differs from the family's.
+    name : str, optional
+        For people; default made of speed and feed per tooth.
+    """
+
+    spindle_speed: float
+    depth: float | None = None
+    depth_std: float = 0.03
+    frequency: float | None = None
+    frequency_std: float = 0.5
+    feed_per_tooth: float = 1e-4
+    arc: Engagement | None = None
+    name: str = ""
+
+    @property
+    def words(self) -> str:
+        """What it is called."""
+        return self.name or f"limit at {self.spindle_speed:.6g} rpm, {self.feed_per_tooth * 1e3:.3g} mm per tooth"
+
+
+@dataclass(frozen=True)
+class _Known:
+    """A limit with the correction of its zero-order prediction: converged over zero-order depth and frequency."""
+
+    limit: Limit
+    depth_ratio: float
+    frequency_ratio: float
+
+    @property
+    def heard(self) -> float | None:
+        """Chatter frequency as the zero-order limit has it [Hz]; None where there is none to compare."""
+        f = self.limit.frequency
+        return None if f is None or abs(self.frequency_ratio - 1.0) > ALIKE else f / self.frequency_ratio
+
+    def std(self) -> Real:
+        """Standard deviations of log depth and, where it can be compared, frequency [Hz]."""
+        correction = FLOOR_OF_CORRECTION * abs(math.log(self.depth_ratio))
+        depth = math.hypot(self.limit.depth_std, MODEL_FLOOR, correction)
+        heard = self.heard
+        if self.limit.depth is not None and heard is None:
+            return np.array([depth])
+        return np.array([depth, math.hypot(self.limit.frequency_std, FREQUENCY_FLOOR * (heard or 0.0))])
+
+    def whitened(self, depth: float, frequency: float) -> Real:
+        """Return depth [m] and frequency [Hz] as a family compares them."""
+        std = self.std()
+        return np.asarray(np.array([math.log(depth), frequency])[: std.size] / std)
+
+
+def bracketed(trials: Sequence[Trial], feed_per_tooth: float = 1e-4) -> tuple[tuple[Limit, ...], tuple[str, ...]]:
+    """Turn stable and chattering tests into limits: one a spindle speed, at the geometric mean of its bracket.
+
+    The logarithm of a limit is spread evenly between the deepest stable and the shallowest chattering depth: its
+    standard deviation is that of a uniform spread, ``log(d2/d1)/sqrt(12)``.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        At several speeds and depths.
+    feed_per_tooth : float, optional
+        Of all [m].
+
+    Returns
+    -------
+    tuple of Limit, tuple of str
+        Limits, and sentences about speeds that gave none.
+
+    Raises
+    ------
+    InputError
+        When a depth is not positive.
+    """
+    if any(not t.depth > 0.0 for t in trials):
+        raise InputError("a cutting test has a depth that is not positive; give depths in m")
+    limits, notes = [], []
+    for speed in sorted({t.spindle_speed for t in trials}):
+        stable = [t.depth for t in trials if t.spindle_speed == speed and not t.chatter]
+        loud = sorted((t for t in trials if t.spindle_speed == speed and t.chatter), key=lambda t: t.depth)
+        if not stable or not loud:
+            side = "chattered" if loud else "was stable"
+            notes.append(f"at {speed:g} rpm every cut {side}: the limit is not bracketed; cut on the other side of it")
+        elif max(stable) >= loud[0].depth:
+            notes.append(
+                f"at {speed:g} rpm {max(stable) * 1e3:g} mm was stable and {loud[0].depth * 1e3:g} mm chattered: one "
+                "depth is no limit there (an island, or a wrong verdict)"
+            )
+        else:
+            width = math.log(loud[0].depth / max(stable))
+            middle = math.sqrt(loud[0].depth * max(stable))
+            heard = next((t.frequency for t in loud if t.frequency is not None), None)
+            limits.append(Limit(speed, middle, width / math.sqrt(12.0), heard, feed_per_tooth=feed_per_tooth))
+    return tuple(limits), tuple(notes)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How well the modal model is known before a cut: standard deviations, relative.
+
+    Parameters
+    ----------
+    frequency, damping, stiffness : float
+        Of each mode.
+    """
+
+    frequency: float = 0.005
+    damping: float = 0.1
+    stiffness: float = 0.03
+
+
+@dataclass(frozen=True)
+class CuttingLimits:
+    """A family for `smfe.diagnosis.inference.diagnose`: limits of one tool on one machine; see `limit_family`.
+
+    Parameters
+    ----------
+    machine : ModalModel
+        As identified at rest, or in motion.
+    tool : Tool
+        Diameter, teeth, approach angle.
+    arc : Engagement
+        Of all limits that have none of their own.
+    coefficients : CuttingCoefficients
+        Of the handbook.
+    conditions, proposals : tuple of Condition
+        Measured limits, and those that could be looked for.
+    spread : Spread
+        Priors of the machine.
+    """
+
+    machine: ModalModel
+    tool: Tool
+    arc: Engagement
+    coefficients: CuttingCoefficients
+    conditions: tuple[Condition, ...]
+    proposals: tuple[Condition, ...] = ()
+    spread: Spread = field(default_factory=Spread)
+
+    @property
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """Frequency, damping and stiffness of each mode, relative to the model."""
+        kinds = (
+            ("frequency", self.spread.frequency),
+            ("damping", self.spread.damping),
+            ("stiffness", self.spread.stiffness),
+        )
+        return tuple(
+            Parameter(f"{name}_{r + 1}", "%", 0.0, 0.5 * sd, -0.8, 4.0, sd, 100.0)
+            for r in range(self.machine.frequency.size)
+            for name, sd in kinds
+        )
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """What such a prediction lacks."""
+        speeds = [_limit(c).spindle_speed for c in self.conditions] or [1000.0]
+        return _catalogue(self.machine, self._flank_scale(min(speeds)))
+
+    def _flank_scale(self, slowest: float) -> float:
+        """Process damping [N/m] that turns the force by about 0.05 rad at a speed [rpm]."""
+        speed = math.pi * self.tool.diameter * slowest / 60.0
+        return 0.05 * self.coefficients.Ktc * speed / (2.0 * math.pi * float(self.machine.frequency.max()))
+
+    def changed(self, values: Values, limit: Limit) -> ModalModel:
+        """Return the machine under a set of values, as a limit sees it."""
+        m, modes = self.machine, range(1, self.machine.frequency.size + 1)
+
+        def of(name: str) -> Real:
+            return np.array([values.get(f"{name}_{r}", 0.0) for r in modes])
+
+        share = limit.spindle_speed / self._fastest()
+        slip = np.clip(of("micro_slip") * self._level(limit), 0.0, 0.9)
+        frequency = (
+            m.frequency * (1.0 + of("frequency")) * (1.0 + of("linear") * share) * (1.0 + of("square") * share**2)
+        )
+        frequency = frequency * np.sqrt(1.0 - slip)
+        # Iwan's joint: loss stiffness 4/(3 pi) of the stiffness that it loses, over twice what is left.
+        damping = m.damping * (1.0 + of("damping")) + 2.0 / (3.0 * math.pi) * slip / (1.0 - slip)
+        stiffness = m.stiffness * (1.0 + of("stiffness")) * (1.0 - slip)
+        damping = np.minimum(damping, HIGHEST_DAMPING)
+        model = ModalModel(frequency, damping, stiffness, _turned(m.direction, of("coupling")))
+        return _with_mode(model, values)
+
+    def _fastest(self) -> float:
+        return max((_limit(c).spindle_speed for c in self.conditions), default=1000.0)
+
+    def _level(self, limit: Limit) -> float:
+        """Cross-section of the chip over the largest that was cut; of a limit not known yet, over that of the mean."""
+        known = [(_limit(c).depth or 0.0) * _limit(c).feed_per_tooth for c in self.conditions]
+        largest = max(known, default=0.0)
+        if largest == 0.0:
+            return 0.0
+        if limit.depth is not None:
+            return limit.depth * limit.feed_per_tooth / largest
+        typical = float(np.mean([_limit(c).depth or 0.0 for c in self.conditions]))
+        return typical * limit.feed_per_tooth / largest
+
+    def limits_at(self, limit: Limit, values: Values) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return zero-order depth [m] and chatter frequency [Hz] of all crossings, the first one first."""
+        grown, ratio = 1.0 + values.get("coefficients", 0.0), 1.0 + values.get("radial", 0.0)
+        k = self.coefficients
+        material = replace(k, Ktc=k.Ktc * grown, Krc=k.Krc * grown * ratio, Kac=k.Kac * grown)
+        flank = ProcessDamping(values.get("process_damping", 0.0), FLANK_FRICTION)
+        loop = loop_of(self.tool, limit.arc or self.arc, material, limit.spindle_speed, flank)
+        return crossings(self.changed(values, limit), loop)
+
+    def predict(self, condition: Condition, values: Values) -> Real:
+        """Return log depth and chatter frequency, whitened like the data.
+
+        Raises
+        ------
+        InputError
+            Where no depth is unstable.
+        """
+        known = _known(condition)
+        depth, frequency = self.limits_at(known.limit, values)
+        if not depth.size:
+            raise InputError(
+                f"{known.limit.words}: this machine does not chatter at any depth; check modes and coefficients"
+            )
+        heard = frequency[0] if known.heard is None else frequency[_heard(depth, frequency, known.heard)]
+        return known.whitened(float(depth[0]) * known.depth_ratio, float(heard))
+
+
+def _limit(condition: Condition) -> Limit:
+    return _known(condition).limit
+
+
+def _known(condition: Condition) -> _Known:
+    assert isinstance(condition.data, _Known)
+    return condition.data
+
+
+def _heard(depth: Real, frequency: Real, observed: float) -> int:
+    """Return which crossing was heard: near the first in depth, and near what was observed.
+
+    A cut some per cent too deep may chatter at the lobe beside the deepest valley.
+    """
+    excess = np.log(depth / depth[0]) / NEAR
+    away = np.minimum(np.abs(frequency / observed - 1.0) / _HEARD, 3.0)
+    return int(np.argmin(excess**2 + away**2))
+
+
+def _turned(direction: Real, angle: Real) -> Real:
+    """Turn each mode about z by an angle [rad]."""
+    if not np.any(angle):
+        return direction
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = direction.T
+    return np.column_stack([c * x - s * y, s * x + c * y, z])
+
+
+def _with_mode(model: ModalModel, values: Values) -> ModalModel:
+    """Add the mode that is missing; one of no compliance is none."""
+    size = values.get("mode_compliance", 0.0)
+    if size <= 0.0:
+        return model
+    azimuth = values["mode_azimuth"]
+    return ModalModel(
+        np.append(model.frequency, values["mode_frequency"]),
+        np.append(model.damping, values["mode_damping"]),
+        np.append(model.stiffness, 1.0 / size),
+        np.vstack([model.direction, [math.cos(azimuth), math.sin(azimuth), 0.0]]),
+    )
+
+
+def _catalogue(machine: ModalModel, flank: float) -> tuple[Cause, ...]:
+    modes = range(1, machine.frequency.size + 1)
+    both = machine.direction[:, :2].any(axis=0).all()
+
+    def each(
+        name: str, unit: str, scale: float, low: float, high: float, shown: float = 100.0
+    ) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"{name}_{r}", unit, 0.0, scale, low, high, shown=shown) for r in modes)
+
+    damping = Parameter("process_damping", "N/mm", 0.0, flank, 0.0, 1e4 * flank, shown=1e-3)
+    size = Parameter("coefficients", "%", 0.0, 0.05, -0.9, 9.0, shown=100.0)
+    radial = Parameter("radial", "%", 0.0, 0.1, -0.9, 4.0, shown=100.0)
+    turning = "modes that change with the speed of the spindle"
+    found = [
+        Cause("process_damping", "damping by the worn flank", (damping,), starts=((5.0 * flank,),)),
+        Cause("force_coefficients", "a material that cuts harder or softer", (size,), "size"),
+        Cause("force_coefficients", "a radial force other than the handbook's", (radial,), "radial"),
+        Cause("spindle_speed_dynamics", turning, each("linear", "%", 0.01, -0.5, 0.5), "linear"),
+        Cause("spindle_speed_dynamics", turning, each("square", "%", 0.01, -0.5, 0.5), "square"),
+        Cause("joint_micro_slip", "micro-slip in a joint", each("micro_slip", "%", 0.02, 0.0, 0.8)),
+    ]
+    if both:
+        turn = each("coupling", "deg", 0.03, -0.8, 0.8, 180.0 / math.pi)
+        found.append(Cause("cross_axis_coupling", "directions of the modes: axes that are coupled", turn))
+    return (*found, _missing(machine))
+
+
+def _missing(machine: ModalModel) -> Cause:
+    low, high = 0.5 * float(machine.frequency.min()), 3.0 * float(machine.frequency.max())
+    usual = float(1.0 / machine.stiffness.min())
+    parameters = (
+        Parameter("mode_compliance", "um/N", 0.0, 0.02 * usual, 0.0, 10.0 * usual, shown=1e6),
+        Parameter("mode_frequency", "Hz", math.sqrt(low * high), 0.02 * high, low, high),
+        Parameter("mode_damping", "%", 0.04, 0.01, 0.005, 0.3, shown=100.0),
+        Parameter("mode_azimuth", "deg", 0.0, 0.3, -math.pi, math.pi, shown=180.0 / math.pi),
+    )
+    places = np.geomspace(1.05 * low, 0.95 * high, 6)
+    starts = tuple((0.1 * usual, float(f), 0.04, a) for f in places for a in (0.01, 0.5 * math.pi))
+    return Cause("missing_mode", "a mode that the model does not have", parameters, starts=starts)
+
+
+def limit_family(
+    limits: Sequence[Limit],
+    machine: ModalModel,
+    tool: Tool,
+    arc: Engagement,
+    coefficients: CuttingCoefficients,
+    proposals: Sequence[Limit] | None = None,
+    spread: Spread | None = None,
+    costs: Mapping[str, float] | None = None,
+) -> CuttingLimits:
+    """Build the family of the limits that cutting tests found.
+
+    Parameters
+    ----------
+    limits : sequence of Limit
+        With their depths.
+    machine : ModalModel
+        As identified.
+    tool, arc, coefficients
+        The cut.
+    proposals : sequence of Limit, optional
+        What could be looked for next; default `further`.
+    spread : Spread, optional
+        How well the machine is known.
+    costs : mapping, optional
+        Words of a proposal -> what it takes [min]; default `MINUTES` each.
+
+    Returns
+    -------
+    CuttingLimits
+        For `smfe.diagnosis.inference.diagnose.diagnose`.
+
+    Raises
+    ------
+    InputError
+        Without a limit, or for one whose depth or speed is not positive.
+    """
+    if not limits:
+        raise InputError("no limit to diagnose; bracket the limit at one spindle speed at least")
+    for limit in limits:
+        if limit.depth is None or not limit.depth > 0.0 or not limit.spindle_speed > 0.0:
+            raise InputError(f"{limit.words}: depth {limit.depth} m; depth and speed must be known and positive")
+    new = further(limits) if proposals is None else tuple(proposals)
+    plain = CuttingLimits(machine, tool, arc, coefficients, ())
+    known = [_corrected(plain, limit) for limit in (*limits, *new)]
+    tested = tuple(_condition(k, {}) for k in known[: len(limits)])
+    minutes = costs or {}
+    proposed = tuple(
+        _condition(k, {"minutes": minutes.get(k.limit.words, MINUTES)})
+        for k in known[len(limits) :]
+        if k.limit.words not in {c.name for c in tested}
+    )
+    return replace(plain, conditions=tested, proposals=proposed, spread=spread or Spread())
+
+
+def _corrected(plain: CuttingLimits, limit: Limit) -> _Known:
+    """Compare the converged limit of the baseline with its zero-order limit; both are one where there is none."""
+    depth, frequency = plain.limits_at(limit, {})
+    if not depth.size:
+        return _Known(limit, 1.0, 1.0)
+    arc = limit.arc or plain.arc
+    found = limit_depth(plain.machine, plain.tool, arc, plain.coefficients, limit.spindle_speed)
+    if not math.isfinite(found.limit_depth_mm):
+        return _Known(limit, 1.0, 1.0)
+    return _Known(
+        limit, 1e-3 * found.limit_depth_mm / float(depth[0]), found.chatter_frequency_Hz / float(frequency[0])
+    )
+
+
+def _condition(known: _Known, more: dict[str, float | str]) -> Condition:
+    limit = known.limit
+    settings = {"spindle_speed": limit.spindle_speed, "feed_per_tooth": limit.feed_per_tooth, **more}
+    if limit.depth is None:
+        return Condition(limit.words, settings, None, "", known)
+    return Condition(limit.words, settings, known.whitened(limit.depth, known.heard or 0.0), "", known)
+
+
+def further(limits: Sequence[Limit]) -> tuple[Limit, ...]:
+    """Return limits that could be looked for: other speeds, and a harder feed per tooth."""
+    speeds = sorted({v.spindle_speed for v in limits})
+    plain = replace(limits[0], depth=None, frequency=None, name="")
+    new = (0.5 * speeds[0], 0.7 * speeds[0], 1.4 * speeds[-1], 2.0 * speeds[-1])
+    others = tuple(replace(plain, spindle_speed=float(f"{n:.3g}")) for n in new)
+    return (*others, replace(plain, spindle_speed=speeds[0], feed_per_tooth=3.0 * plain.feed_per_tooth))

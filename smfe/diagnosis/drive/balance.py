@@ -1,0 +1,352 @@
+"""The channels of a drive record that belong to one axis, and whether they can be those of an axis at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import xarray as xr
+
+from process.errors import InputError
+from smfe.diagnosis.drive import noise
+from smfe.diagnosis.drive.filters import Motion, Real, Resampler, half_width, motion, moves
+from smfe.diagnosis.drive.noise import Whitener
+from smfe.diagnosis.drive.terms import LONGEST_DELAY, excess
+from smfe.diagnosis.inference.thresholds import FALSE_ALARM
+
+_UNITS = {"encoder_position": "m", "drive_force": "N"}
+
+INERTIAL = 0.3
+"""Least share of inertia in the drive force that says what mass is moved: the rest may be friction of any kind."""
+
+FACTOR = 10.0
+"""Mass that the force moves over the mass that is known, or the inverse, that no error of either explains."""
+
+RECEIVED = 0.3
+"""Share of its work that an axis gives back at the most: four moves that end in rest give back an eighth."""
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Channels of one axis: sample interval [s], encoder [m], drive force [N], reference position [m]."""
+
+    step: float
+    position: Real
+    force: Real
+    reference: Real | None
+
+    @classmethod
+    def read(cls, record: xr.Dataset, axis: str) -> Channels:
+        """Read them from a record; refuse what is missing, not finite or not evenly spaced in time."""
+        channels: dict[str, Real] = {}
+        for channel in ("encoder_position", "drive_force", "reference_position"):
+            if channel in record and axis in record[channel]["axis"].values:
+                values = np.asarray(record[channel].sel(axis=axis).values, dtype=float)
+                if np.all(np.isfinite(values)):
+                    channels[channel] = values
+        for needed in ("encoder_position", "drive_force"):
+            if needed not in channels:
+                raise InputError(f"the record has no {needed}_{axis}; a drive record needs it, with all its samples")
+            if np.ptp(channels[needed]) == 0.0:
+                raise InputError(
+                    f"{needed}_{axis} is {channels[needed][0]:g} {_UNITS[needed]} in all samples; a drive record needs "
+                    "an axis that moves: check the column, or take a record of moves"
+                )
+        time = np.asarray(record["time"].values, dtype=float)
+        step = float(np.mean(np.diff(time)))
+        if np.max(np.abs(np.diff(time) - step)) > 0.01 * step:
+            raise InputError("the samples of the record are not evenly spaced in time; resample them first")
+        return cls(step, channels["encoder_position"], channels["drive_force"], channels.get("reference_position"))
+
+
+def check_balance(force: Real, acceleration: Real, velocity: Real, mass: float | None) -> None:
+    """Refuse force and motion that cannot be those of an axis: a sign or a unit is wrong.
+
+    Least squares of ``F = M x'' + sigma x' + F0`` says what mass is moved, wherever inertia is a good part of the
+    force. And an axis takes up energy: over a closed path, ``int (F - F0) x' dt >= 0`` but for the kinetic energy at
+    its beginning.
+
+    Parameters
+    ----------
+    force, acceleration, velocity : ndarray, shape (n,)
+        Drive force [N], and motion [m/s2], [m/s], in the same band.
+    mass : float or None
+        Moved mass [kg], if it is known.
+
+    Raises
+    ------
+    InputError
+        When the mass is negative, or beyond a factor of ten of the known one, or the axis gives out energy.
+    """
+    columns = np.stack([acceleration, velocity, np.ones_like(velocity)], axis=1)
+    moved = float(np.linalg.lstsq(columns, force, rcond=None)[0][0])
+    work = force * (velocity - np.mean(velocity))
+    share = max(abs(moved), mass or 0.0) * float(np.std(acceleration) / np.std(force))
+    if (mass is None and not moved > 0.0) or (share > INERTIAL and moved < 0.0):
+        raise InputError(
+            f"the force accelerates a mass of {moved:.4g} kg; check the sign of drive force and encoder, or move faster"
+        )
+    if float(np.sum(work)) < -RECEIVED * float(np.sum(np.abs(work))):
+        raise InputError(
+            "the axis gives out energy while it moves: drive force and motion point against each other; check the sign "
+            "of drive force and encoder"
+        )
+    if mass is not None and share > INERTIAL and not mass / FACTOR < moved < mass * FACTOR:
+        raise InputError(
+            f"the force accelerates a mass of {moved:.4g} kg, but the moving mass is given as {mass:g} kg; check the "
+            "unit and scale of drive force and encoder, or the mass"
+        )
+
+
+# --- The force balance of a drive record, and what the record itself tells: moves, band, noise, waves, a limit.
+
+Kind = tuple[float | str, float | str]
+ANY: Kind = ("", "")
+
+_FEWEST_MOVES = 4
+WIDEST = 0.1
+"""Widest band, in units of the sample rate."""
+
+_CUT_OFF = 0.5
+"""Least share of the force beyond a limit that must be lost."""
+
+_CERTAIN = 1e-8
+"""Chance of a wave that is judged with a whitener that was learned without it: noise was given away to it."""
+
+_VALUES_EACH = 10
+"""Fewest values for each regressor of the reference."""
+
+_LIKE_ALL = 10.0
+"""Values that the noise of a kind of move is held to be that of all moves for."""
+
+_LOWEST_TONE = 3.0
+"""Lowest frequency of a tone that is looked for [Hz]; the moves are slower."""
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Both sides of the force balance in a band, over all moves, with what the reference leaves.
+
+    `runs` are moves that follow each other without a gap, each with the moves (first sample, end) that it has.
+    """
+
+    filter: Resampler
+    motion: Motion
+    runs: Sequence[Sequence[tuple[int, int]]]
+    force: Real
+    left: Real
+    regressors: Real
+
+    @property
+    def interval(self) -> float:
+        """Time between two values that are kept [s]."""
+        return self.filter.step * self.filter.every
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First sample and end of each move."""
+        return [span for run in self.runs for span in run]
+
+    @property
+    def sizes(self) -> list[int]:
+        """How many values each run has."""
+        return [(run[-1][1] - run[0][0] - 1) // self.filter.every + 1 for run in self.runs]
+
+    @property
+    def moves(self) -> list[Real]:
+        """What the reference leaves in each move."""
+        found = []
+        for run, left in zip(self.runs, np.split(self.left, np.cumsum(self.sizes)[:-1]), strict=True):
+            found += np.split(left, [(a - run[0][0]) // self.filter.every for a, _ in run[1:]])
+        return found
+
+    @property
+    def kinds(self) -> list[Kind]:
+        """Kind of each move."""
+        return [kind_of(settings_of(self.motion, begin, end)) for begin, end in self.spans]
+
+    def seen(self, samples: Real) -> Real:
+        """Pass a signal of the motion, full rate, through the filter."""
+        return _seen(self.filter, self.runs, samples)
+
+
+def _seen(filter_: Resampler, runs: Sequence[Sequence[tuple[int, int]]], samples: Real) -> Real:
+    """Return a signal behind the filter, run after run."""
+    margin = filter_.margin
+    return np.concatenate([filter_(samples[run[0][0] - margin : run[-1][1] + margin]) for run in runs])
+
+
+def balance_of(
+    raw: Channels, cutoff: float, limit: float | None, lead: float | None = None, line: float | None = None
+) -> Balance:
+    """Return the balance of a record in a band [Hz].
+
+    Parameters
+    ----------
+    raw : Channels
+        Record.
+    cutoff : float
+        Band [Hz].
+    limit : float or None
+        Drive force beyond which the reference may lose some [N].
+    lead, line : float, optional
+        Wavelength [m] and frequency [Hz] of waves that the reference has.
+    """
+    every = int(0.5 / (cutoff * raw.step) * (1.0 + 1e-9))
+    if every < 2:
+        raise InputError(
+            f"a band of {cutoff:g} Hz of a record at {1.0 / raw.step:g} Hz; the encoder is differentiated up to twice "
+            "the band, so that the rate must be at least four times the band: lower the cutoff"
+        )
+    filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * LONGEST_DELAY / raw.step))
+    moving = motion(raw.position, raw.step, 2.0 * cutoff)
+    spans = spans_of(moving, filter_)
+    runs = [list(run) for run in _without_gaps(spans)]
+    first, last = spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin
+    columns = list(noise.reference(moving[first:last]).T)
+    if limit is not None:
+        columns.append(excess(raw.force[first:last], limit))
+    for phase, period in ((moving.position[first:last], lead), (moving.time[first:last], line and 1.0 / line)):
+        if period:
+            columns += [np.cos(2.0 * math.pi * phase / period), np.sin(2.0 * math.pi * phase / period)]
+    before = np.zeros(first)  # the reference takes its measures from what is used of the record
+    force = _seen(filter_, runs, raw.force)
+    regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c])) for c in columns], axis=1)
+    _refuse_too_few(regressors, filter_)
+    return Balance(filter_, moving, runs, force, noise.residual(regressors, force), regressors)
+
+
+def _refuse_too_few(regressors: Real, filter_: Resampler) -> None:
+    """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
+    values, columns = regressors.shape
+    needed = _VALUES_EACH * columns
+    if values < needed:
+        seconds = values * filter_.step * filter_.every
+        raise InputError(
+            f"{seconds:.3g} s of motion in a band of {filter_.cutoff:.3g} Hz are {values} values, too few to "
+            f"tell noise from friction; {needed} are needed: record {needed / values:.1f} "
+            "times as many moves, or moves that accelerate faster, which widens the band"
+        )
+
+
+def _without_gaps(spans: Sequence[tuple[int, int]]) -> Iterator[Sequence[tuple[int, int]]]:
+    """Group moves of which each begins where the one before ends."""
+    breaks = [k for k in range(1, len(spans)) if spans[k][0] != spans[k - 1][1]]
+    for a, b in pairwise([0, *breaks, len(spans)]):
+        yield spans[a:b]
+
+
+def spans_of(moving: Motion, filter_: Resampler) -> list[tuple[int, int]]:
+    """Return moves (first sample, end) with all their margins inside the record."""
+    step = filter_.step
+    lost = math.ceil(3.0 * half_width(2.0 * filter_.cutoff) / step) + filter_.margin + noise.ORDER * filter_.every
+    last = moving.time.size - lost
+    if last - lost < filter_.every:
+        raise InputError(
+            f"the record lasts {moving.time.size * step:g} s; the filters alone need {2.0 * lost * step:.2g} s"
+        )
+    found = list(moves(moving.velocity, step, lost, last))
+    if len(found) < _FEWEST_MOVES:
+        raise InputError(
+            f"{len(found)} moves of 0.2 s or longer in the record; at least {_FEWEST_MOVES} are needed, so that one "
+            "can be held out: record more moves, with other speeds and both directions"
+        )
+    return found
+
+
+def settings_of(moving: Motion, begin: int, end: int) -> Mapping[str, float | str]:
+    """Return direction, speed [m/s] to one digit, and quarter of the record of a move (first sample, end)."""
+    velocity = moving.velocity[begin:end]
+    return {
+        "direction": "forward" if float(np.mean(velocity)) > 0.0 else "backward",
+        "speed": float(f"{np.median(np.abs(velocity)):.1g}"),
+        "quarter": float(4 * (begin + end) // (2 * moving.time.size)),
+    }
+
+
+def lost_beyond(raw: Channels, balance: Balance) -> float | None:
+    """Return the limit beyond which drive force that is lost explains most; None where noise explains as much.
+
+    Limits from 95 to 10 % of the largest drive force are tried, which is paid for. Where less than half is lost nothing
+    is cut off: some other force bends with the load.
+    """
+    whitener = noise.fit_whitener([balance.left])
+    used = noise.unbroken(balance.sizes, whitener.order)
+    white = whitener(balance.left) * used
+    limits = np.arange(0.95, 0.095, -0.01) * float(np.max(np.abs(raw.force)))
+    columns = np.stack([balance.seen(excess(raw.force, limit)) for limit in limits], axis=1)
+    columns -= balance.regressors @ np.linalg.lstsq(balance.regressors, columns, rcond=1e-10)[0]
+    shapes = np.stack([whitener(c) * used for c in columns.T], axis=1)
+    product, square = white @ shapes, np.sum(np.square(shapes), axis=0)
+    spread = 1.4826 * float(np.median(np.abs(white[used > 0.0])))
+    share = product / np.maximum(square, 1e-300)
+    gain = np.where(share > _CUT_OFF, share * product / spread**2, 0.0)
+    best = int(np.argmax(gain))
+    return float(limits[best]) if gain[best] > 2.0 * math.log(limits.size / FALSE_ALARM) else None
+
+
+def periodic(
+    raw: Channels, plain: Balance, limit: float | None, lead: float | None
+) -> tuple[float | None, float | None]:
+    """Return the wavelength of a ripple [m] and the frequency of a tone [Hz] in what the reference leaves, if any.
+
+    The ripple first: a screw that turns at few speeds makes lines in time as well.
+    """
+    cutoff = plain.filter.cutoff
+    if lead is None:
+        place = plain.seen(plain.motion.position)
+        slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
+        stroke = float(np.ptp(place))
+        wave = _wave(place, plain, 5.0 / stroke, cutoff / slowest, lambda w: balance_of(raw, cutoff, limit, 1.0 / w))
+        if wave is not None:
+            lead = 1.0 / wave
+            plain = balance_of(raw, cutoff, limit, lead)
+    time = plain.seen(plain.motion.time)
+    return lead, _wave(time, plain, _LOWEST_TONE, cutoff, lambda w: balance_of(raw, cutoff, limit, lead, w))
+
+
+def _wave(
+    phase: Real, plain: Balance, lowest: float, highest: float, with_wave: Callable[[float], Balance]
+) -> float | None:
+    """Return the wave that stands out of what the reference leaves, if one does.
+
+    A strong one is learned as noise by the whitener: it is looked for with one that has no memory as well, and judged
+    by one that was learned with the wave in the reference.
+    """
+    found = noise.strongest_wave(phase, plain.left, whitener_of(plain), lowest, highest, plain.sizes)
+    hidden = noise.strongest_wave(phase, plain.left, noise.without_memory(plain.moves), lowest, highest, plain.sizes)
+    for wave in (hidden, found):
+        if wave is not None:
+            own = whitener_of(with_wave(wave[0]))
+            again = noise.strongest_wave(phase, plain.left, own, lowest, highest, plain.sizes)
+            if again is not None and again[1] < _CERTAIN:
+                return again[0]
+    return None if found is None or found[1] >= FALSE_ALARM else found[0]
+
+
+def whitener_of(balance: Balance) -> Whitener:
+    """Return the whitener of what the reference leaves of the moves."""
+    return noise.fit_whitener(balance.moves, balance.regressors)
+
+
+def noise_of(balance: Balance, whitener: Whitener) -> dict[Kind, float]:
+    """Return the noise of each kind of move: a screw, a belt, a bearing is louder one way, or fast.
+
+    Kinds of which the reference leaves little to judge by are taken for as loud as all.
+    """
+    squares, freedom = dict[Kind, float](), dict[Kind, float]()
+    left = noise.freedom_left(whitener, balance.moves, balance.regressors)
+    for own, move, values in zip(balance.kinds, balance.moves, left, strict=True):
+        for kind in (own, ANY):
+            squares[kind] = squares.get(kind, 0.0) + float(np.sum(np.square(whitener(move))))
+            freedom[kind] = freedom.get(kind, 0.0) + values
+    typical = squares[ANY] / freedom[ANY]
+    return {k: math.sqrt((squares[k] + _LIKE_ALL * typical) / (freedom[k] + _LIKE_ALL)) for k in squares}
+
+
+def kind_of(settings: Mapping[str, float | str]) -> Kind:
+    """Return the kind of a move: direction and speed."""
+    return settings["direction"], settings["speed"]

@@ -1,0 +1,340 @@
+"""Filters and segments of a drive record: derivatives of an encoder, a low-pass that can shift in time, moves.
+
+One kernel does everything: the Gaussian-windowed sinc, whose response is known in closed form,
+
+``g(t) = sin(2 pi fc t)/(pi t) exp(-(pi w t)^2)``, ``G(f) = [erf((f + fc)/w) - erf((f - fc)/w)]/2``, ``w = fc/8``.
+
+It has no phase, is flat to 1.2e-5 up to 5/8 of fc and is 1/2 at fc. Its analytic derivatives differentiate a record
+within its band; evaluated at ``t + tau`` it advances a record by any fraction of a sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+from scipy.linalg import solve_banded
+
+Real = NDArray[np.float64]
+
+_ROLL = 8.0
+_REACH = 1.25
+_REST = 0.02
+_LONGEST, _SHORTEST = 2.0, 0.2
+_WIDE = 0.2
+_SETTLING = 0.05
+_TREMBLES = 4.0
+
+FINEST_SLIDE = 1e-6
+"""Shortest distance [m] over which friction is taken to give way."""
+
+
+def half_width(cutoff: float) -> float:
+    """Return the time [s] beyond which the kernel of a cutoff [Hz] is less than 2e-7 of its top."""
+    return _REACH * _ROLL / cutoff
+
+
+def kernel(time: Real, cutoff: float, order: int = 0) -> Real:
+    """Return the kernel [1/s] at times [s] of any shape, or its derivative of order 1 or 2 [1/s^(1 + order)]."""
+    b, c = 2.0 * math.pi * cutoff, math.pi * cutoff / _ROLL
+    zero = np.abs(time) < 1e-6 / cutoff
+    t = np.where(zero, 1.0, time)
+    sine = np.where(zero, b / math.pi, np.sin(b * t) / (math.pi * t))
+    window = np.exp(-np.square(c * time))
+    if order == 0:
+        return np.asarray(sine * window)
+    slope = np.where(zero, 0.0, (b * np.cos(b * t) / math.pi - sine) / t)
+    if order == 1:
+        return np.asarray((slope - 2.0 * c * c * time * sine) * window)
+    bend = np.where(zero, -(b**3) / (3.0 * math.pi), -b * b * sine - 2.0 * slope / t)
+    curvature = bend - 4.0 * c * c * time * slope + (4.0 * c**4 * np.square(time) - 2.0 * c * c) * sine
+    return np.asarray(curvature * window)
+
+
+def filtered(samples: Real, step: float, cutoff: float, order: int = 0) -> Real:
+    """Return a record low-passed and differentiated `order` times; `half_width` of either end is not valid.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n,)
+        Record.
+    step : float
+        Sample interval [s].
+    cutoff : float
+        Cutoff of the kernel [Hz].
+    order : {0, 1, 2}, optional
+        Derivative.
+    """
+    reach = math.ceil(half_width(cutoff) / step)
+    times = step * np.arange(-reach, reach + 1, dtype=np.float64)
+    padded = np.pad(samples, reach, mode="edge")
+    return np.asarray(np.convolve(padded, step * kernel(times, cutoff, order), mode="valid"))
+
+
+@dataclass(frozen=True)
+class Resampler:
+    """The low-pass of both sides of a force balance, read at every `every`-th sample.
+
+    Parameters
+    ----------
+    step : float
+        Sample interval [s].
+    cutoff : float
+        Cutoff [Hz].
+    every : int
+        Samples between two values that are kept.
+    slack : int
+        Largest shift [samples].
+    """
+
+    step: float
+    cutoff: float
+    every: int
+    slack: int
+
+    @property
+    def margin(self) -> int:
+        """Samples needed before the first and after the last value."""
+        return math.ceil(half_width(self.cutoff) / self.step) + self.slack
+
+    def __call__(self, samples: Real, advance: float = 0.0) -> Real:
+        """Return ``(g * samples)(t + advance)`` [s] at every kept sample that has its margin."""
+        every, reach = self.every, self.margin
+        weights = _weights(self.cutoff, self.step, every, reach, advance)
+        count = (samples.size - 2 * reach - 1) // every + 1
+        # Products of whole rows of `every` samples, then their sums along the diagonals: each sample is read once.
+        rows = np.zeros((count + weights.shape[0]) * every)
+        used = min(samples.size, rows.size)
+        rows[:used] = samples[:used]
+        products = rows.reshape(-1, every) @ weights.T
+        down, across = products.strides
+        diagonals = as_strided(products, (count, weights.shape[0]), (down, down + across), writeable=False)
+        return np.asarray(diagonals.sum(axis=1))
+
+
+@lru_cache(maxsize=256)
+def _weights(cutoff: float, step: float, every: int, reach: int, advance: float) -> Real:
+    """Weights of the samples around a kept one, in rows of `every`; a fit asks for each delay many times."""
+    times = step * np.arange(-reach, reach + 1, dtype=np.float64)
+    found = np.zeros(math.ceil(times.size / every) * every)
+    found[: times.size] = step * kernel(advance - times, cutoff)
+    return found.reshape(-1, every)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the encoder says, sample by sample (SI), and the time; every array has shape (n,).
+
+    `path` is the whole record, of which `first` is the first sample here, in the widest band that the encoder allows:
+    friction gives way within micrometres after a reversal, which the band of the force balance would smear.
+    """
+
+    time: Real
+    position: Real
+    velocity: Real
+    acceleration: Real
+    jerk: Real
+    snap: Real
+    path: Path = field(repr=False)
+    first: int = 0
+
+    @property
+    def rate(self) -> Real:
+        """Velocity in the wide band [m/s]."""
+        return self.path.velocity[self.first : self.first + self.time.size]
+
+    def sliding(self, slide: float, damping: float = 0.0) -> Real:
+        """Return the direction of sliding of bristles of a length [m] and a damping [s] (`bristles.Path`)."""
+        return self.path.direction(slide, damping)[self.first : self.first + self.time.size]
+
+    def built(self, speed: float, slide: float, damping: float = 0.0) -> Real:
+        """Return what bristles make of a direction that builds up over a speed [m/s] (`bristles.Path`)."""
+        return self.path.built(speed, slide, damping)[self.first : self.first + self.time.size]
+
+    @property
+    def step(self) -> float:
+        """Sample interval [s]."""
+        return float(self.time[1] - self.time[0])
+
+    def __getitem__(self, part: slice) -> Motion:
+        """Return a part of the motion."""
+        first = self.first + range(self.time.size)[part].start
+        own = (self.time, self.position, self.velocity, self.acceleration, self.jerk, self.snap)
+        time, position, velocity, acceleration, jerk, snap = (x[part] for x in own)
+        return Motion(time, position, velocity, acceleration, jerk, snap, self.path, first)
+
+
+def motion(position: Real, step: float, cutoff: float) -> Motion:
+    """Differentiate an encoder record [m] within a band [Hz]; time counts from the middle of the record."""
+    acceleration = filtered(position, step, cutoff, 2)
+    return Motion(
+        step * (np.arange(position.size, dtype=np.float64) - 0.5 * (position.size - 1)),
+        filtered(position, step, cutoff),
+        filtered(position, step, cutoff, 1),
+        acceleration,
+        filtered(acceleration, step, cutoff, 1),
+        filtered(acceleration, step, cutoff, 2),
+        _path(position, step, cutoff),
+    )
+
+
+def _path(position: Real, step: float, cutoff: float) -> Path:
+    """Follow a record up to a fifth of the sample rate, where the encoder is finer than friction gives way.
+
+    What the encoder has above tells its noise within the band, which must not pass for reversals.
+    """
+    for wide in (max(_WIDE / step, cutoff), cutoff):
+        rough = position - filtered(position, step, wide)
+        edge = math.ceil(half_width(wide) / step)
+        inner = rough[edge : rough.size - edge]
+        noise = float(np.std(inner)) if inner.size else math.inf
+        if 6.0 * noise <= FINEST_SLIDE:
+            break
+    least = _TREMBLES * noise * math.sqrt(wide / max(0.5 / step - wide, wide)) if inner.size else 0.0
+    return Path(filtered(position, step, wide), filtered(position, step, wide, 1), step, least)
+
+
+def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[int, int]]:
+    """Yield the moves of a record as (first sample, end): from rest to rest, cut where they last over 2 s.
+
+    Rest is a speed below 2 % of the greatest; what lasts less than 0.2 s is left out. Of a rest of 0.2 s or longer only
+    50 ms at either end belong to the moves: an axis that stands still shows its controller and no property of its own.
+    """
+    speed = np.abs(velocity[first:last])
+    resting = speed < _REST * speed.max()
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], resting.astype(np.int8), [0])))).reshape(-1, 2)
+    pad, begin = round(_SETTLING / step), first
+    for a, b in [*(edges + first).tolist(), [last, last]]:
+        standing = b - a >= _SHORTEST / step
+        end = min(a + pad, b) if standing else a + int(np.argmin(speed[a - first : b - first])) if b > a else last
+        pieces = max(math.ceil((end - begin) * step / _LONGEST), 1)
+        if (end - begin) * step >= _SHORTEST:
+            ends = np.linspace(begin, end, pieces + 1).astype(int)
+            yield from zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+        begin = max(b - pad, a) if standing else end
+
+
+# --- The direction of sliding along a record: bristles that follow a reversal over micrometres.
+
+
+_KEPT = 8
+
+
+def reversals(position: Real, velocity: Real, least: float = 0.0) -> tuple[float, tuple[int, ...]]:
+    """Return the direction at first, and the first sample of each way back that is longer than `least` [m]."""
+    forward = velocity >= 0.0
+    turning = np.flatnonzero(forward[1:] != forward[:-1]) + 1
+    first = way = 1.0 if forward[0] else -1.0
+    found: list[int] = []
+    farthest, at = float(position[0]), 0
+    for k in [*turning.tolist(), velocity.size - 1]:
+        ahead = way * (float(position[k]) - farthest)
+        if ahead < -least:
+            if at:
+                found.append(at)
+            else:
+                first = -first
+            way, farthest, at = -way, float(position[k]), k
+        elif ahead > 0.0:
+            farthest, at = float(position[k]), k
+    return first, tuple(found)
+
+
+def presliding(
+    position: Real, velocity: Real, slide: float, step: float = 0.0, turns: tuple[float, Sequence[int]] | None = None
+) -> Real:
+    """Return the direction of sliding [1], which follows a reversal over a distance `slide` [m] (Dahl 1968).
+
+    At the first sample it slides. With the sample interval `step` [s] a reversal is where the velocity passes zero
+    between two samples: within a millisecond an axis goes back by a good part of the distance over which its friction
+    gives way.
+
+    Parameters
+    ----------
+    position, velocity : ndarray, shape (n,)
+        Of the axis [m], [m/s].
+    slide : float
+        Distance [m].
+    step : float, optional
+        Sample interval [s]; zero: reversals are at samples.
+    turns : tuple, optional
+        What `reversals` found.
+    """
+    way, found = reversals(position, velocity) if turns is None else turns
+    out = np.full(velocity.size, way)
+    before, since = way, position[0]
+    for a, b in pairwise([*found, velocity.size]):
+        speed = velocity[a]
+        # Half of the speed times the share of the step that is left after the velocity was zero.
+        turn = position[a] - 0.5 * speed * step * speed / (speed - velocity[a - 1])
+        before = way - (way - before) * np.exp(-abs(turn - since) / slide)
+        way, since = -way, turn
+        out[a:b] = way - (way - before) * np.exp(-np.abs(position[a:b] - turn) / slide)
+    return out
+
+
+class Path:
+    """Position and velocity of a whole record in the widest band that its encoder allows.
+
+    Parameters
+    ----------
+    position, velocity : ndarray, shape (n,)
+        Of the axis [m], [m/s].
+    step : float
+        Sample interval [s].
+    least : float, optional
+        Way back [m] from which a reversal counts.
+    """
+
+    def __init__(self, position: Real, velocity: Real, step: float, least: float = 0.0) -> None:
+        self.position, self.velocity, self.step = position, velocity, step
+        self._turns = reversals(position, velocity, least)
+        self._kept: dict[tuple[float, ...], Real] = {}
+
+    def built(self, speed: float, slide: float, damping: float = 0.0) -> Real:
+        """Return what bristles make of ``[1 - exp(-|v|/speed)] sign v`` [1], shape (n,); parameters as `direction`."""
+        key = (slide, damping, speed)
+        found = self._kept.get(key)
+        if found is None:
+            ahead, way = self._ahead
+            middle = 0.5 * (np.abs(self.velocity[1:]) + np.abs(self.velocity[:-1]))
+            kept = np.exp(-ahead / slide)
+            # z[k+1] = kept[k] z[k] + (1 - kept[k]) target[k], a bidiagonal system.
+            bands = np.stack([np.ones(way.size), np.append(-kept, 0.0)])
+            begin = -way[0] * np.expm1(-abs(self.velocity[0]) / speed)
+            z = solve_banded((1, 0), bands, np.append(begin, (1.0 - kept) * -np.expm1(-middle / speed) * way[1:]))
+            found = self._keep(key, z + damping * np.gradient(z, self.step) if damping else z)
+        return found
+
+    @cached_property
+    def _ahead(self) -> tuple[Real, Real]:
+        """Way made good in each step [m], not counting what the encoder trembles, (n - 1,), and its direction, (n,)."""
+        way, found = self._turns
+        direction, made = np.full(self.position.size, way), np.zeros(self.position.size)
+        for a, b in pairwise([0, *found, self.position.size]):
+            direction[a:b] = way
+            reached = np.maximum.accumulate(way * (self.position[a:b] - self.position[max(a - 1, 0)]))
+            made[a:b] = np.maximum(np.diff(reached, prepend=0.0), 0.0)
+            way = -way
+        return made[1:], direction
+
+    def _keep(self, key: tuple[float, ...], found: Real) -> Real:
+        if len(self._kept) >= _KEPT:
+            self._kept.clear()
+        self._kept[key] = found
+        return found
+
+    def direction(self, slide: float, damping: float = 0.0) -> Real:
+        """Return the direction of sliding ``z + damping dz/dt`` [1], shape (n,), of bristles of a length [m], [s]."""
+        key = (slide, damping)
+        found = self._kept.get(key)
+        if found is None:
+            z = presliding(self.position, self.velocity, slide, self.step, self._turns)
+            found = self._keep(key, z + damping * np.gradient(z, self.step) if damping else z)
+        return found

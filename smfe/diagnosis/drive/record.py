@@ -1,0 +1,428 @@
+"""Diagnosis of a drive record: encoder position and drive force of one moving axis.
+
+The baseline is rigid and viscous, in the force domain: ``F = M x'' + sigma x' + offset``; with a loop delay tau the
+force commanded at t acts at ``t + tau``. Both sides pass the same zero-phase low-pass and are kept at twice its cutoff;
+the encoder is differentiated with a filter of twice that cutoff (`drive_signals`). The likelihood is that of residuals
+whitened with an autoregression (`drive_noise`), so that neighbouring values do not count twice.
+
+A condition is a move from rest to rest. Where the reference and the gains are known, the control law is a second,
+independent balance for each move (`drive_control_law`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import xarray as xr
+
+from process.errors import InputError
+from smfe.diagnosis.drive import noise, terms
+from smfe.diagnosis.drive.balance import (
+    ANY,
+    WIDEST,
+    Balance,
+    Channels,
+    Kind,
+    balance_of,
+    check_balance,
+    kind_of,
+    lost_beyond,
+    noise_of,
+    periodic,
+    settings_of,
+    spans_of,
+    whitener_of,
+)
+from smfe.diagnosis.drive.control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.filters import Motion, Real, Resampler, motion
+from smfe.diagnosis.drive.noise import NoiseDraw, Whitener, noise_draws
+from smfe.diagnosis.drive.terms import (
+    DELAY,
+    HIDDEN_COMMAND,
+    LONGEST_DELAY,
+    SENSOR_GAIN,
+    SERVO_GAINS,
+    Term,
+    excess,
+    saturation,
+)
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
+
+_CLOSED_LOOP = 1.0 / 6.0
+"""Share of the angle by which noise turns the force at the end of the band that the loop makes of it, one sigma."""
+
+
+@dataclass(frozen=True)
+class ForceData:
+    """A move: motion and drive force with all margins, the force low-passed with the values before it, its noise."""
+
+    motion: Motion = field(repr=False)
+    force: Real = field(repr=False)
+    noise: float
+    drive: Real = field(repr=False)
+
+
+@dataclass(frozen=True)
+class _LawData:
+    """A move of the control law: position and velocity part of the command and the unlogged pulses of height one."""
+
+    position: Real = field(repr=False)
+    velocity: Real = field(repr=False)
+    pulses: Real = field(repr=False)
+
+
+@dataclass(frozen=True)
+class DriveModel:
+    """What two records of one axis share, so that one can judge what the other has found.
+
+    Parameters
+    ----------
+    resampler : Resampler
+        Low-pass of both sides.
+    whitener : Whitener
+        Of the residual force.
+    noise : mapping
+        Kind of move (direction, speed) -> its noise in units of the whitener's; `ANY`: of all moves together.
+    nuisances : tuple of Parameter
+        Of the baseline.
+    terms : tuple of Term
+        Forces that may be missing.
+    delay : float
+        Known delay from the logged to the acting force [s].
+    mass_known : bool
+        Whether the mass has a prior, without which a gain of the force channel cannot be told from the mass.
+    peak : float
+        Largest drive force [N].
+    limit : float, optional
+        Drive force beyond which the axis seems to get less than was asked for [N].
+    law : ControlLaw, optional
+        Control law with its velocity filter.
+    draws : tuple of NoiseDraw
+        Noises that the record could as well have come from.
+    """
+
+    resampler: Resampler
+    whitener: Whitener
+    noise: Mapping[Kind, float]
+    nuisances: tuple[Parameter, ...]
+    terms: tuple[Term, ...]
+    delay: float
+    mass_known: bool
+    peak: float
+    limit: float | None = None
+    law: ControlLaw | None = None
+    draws: tuple[NoiseDraw, ...] = ()
+
+
+@dataclass(frozen=True)
+class DriveRecordFamily:
+    """Baseline, causes and conditions of one drive record; made by `from_record`.
+
+    Parameters
+    ----------
+    model : DriveModel
+        What the record is judged with.
+    conditions : tuple of Condition
+        Moves.
+    pulses : tuple of Pulse
+        Commands that the control law does not know, from the first sample of the record.
+    proposals : tuple of Condition, optional
+        Experiments that could be done.
+    known : frozenset of str, optional
+        Keys of causes that the baseline has (`settled`).
+    """
+
+    model: DriveModel
+    conditions: tuple[Condition, ...]
+    pulses: tuple[Pulse, ...] = ()
+    proposals: tuple[Condition, ...] = ()
+    known: frozenset[str] = frozenset()
+
+    @classmethod
+    def from_record(
+        cls,
+        record: xr.Dataset,
+        axis: str = "x",
+        *,
+        mass: tuple[float, float] | None = None,
+        gains: Gains | None = None,
+        delay: float = 0.0,
+        lead: float | None = None,
+        cutoff: float | None = None,
+        like: DriveRecordFamily | None = None,
+        name: str = "",
+    ) -> DriveRecordFamily:
+        """Make the family of a record.
+
+        Parameters
+        ----------
+        record : xarray.Dataset
+            With ``encoder_position`` and ``drive_force``; with `gains` also ``reference_position``.
+        axis : str, optional
+            Axis of the record.
+        mass : tuple of float, optional
+            Moved mass and its standard deviation [kg], if it is known apart from this record.
+        gains : Gains, optional
+            Gains of the controller.
+        delay : float, optional
+            Known delay from the logged to the acting force [s], such as the half sample for which a command is held.
+        lead : float, optional
+            Known wavelength of the ripple of screw, rack or magnets [m]. Default: the one that stands out, if one does
+            beyond what noise alone would show at some wavelength; a ripple is in the catalogue in these cases only.
+        cutoff : float, optional
+            Band of the comparison [Hz]. Default: as far as the force stands 23 dB above what no model explains, at
+            most a tenth of the sample rate.
+        like : DriveRecordFamily, optional
+            Take filter, noise, starts and catalogue from another record of the same axis (a held-out record).
+        name : str, optional
+            Put before the names of the conditions.
+        """
+        if not 0.0 <= delay <= LONGEST_DELAY:
+            raise InputError(f"known delay {delay:g} s; give one from 0 to {LONGEST_DELAY:g} s")
+        if lead is not None and not 0.0 < lead < math.inf:
+            raise InputError(f"lead {lead:g} m; give a positive one, or none")
+        raw = Channels.read(record, axis)
+        if like is None:
+            shared = _learn(raw, mass, gains, delay, lead, cutoff)
+        elif like.model.resampler.step != raw.step:
+            raise InputError(f"sample interval {raw.step:g} s, {like.model.resampler.step:g} s of the other record")
+        else:
+            shared = like.model
+        moving = motion(raw.position, raw.step, 2.0 * shared.resampler.cutoff)
+        conditions = list(_force_conditions(raw, moving, shared, name))
+        pulses: tuple[Pulse, ...] = ()
+        if shared.law is not None and raw.reference is not None:
+            more, pulses = _law_conditions(raw, moving, shared, shared.law, name)
+            conditions += more
+        return cls(shared, tuple(conditions), pulses)
+
+    @property
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """Mass, viscous friction, offset and what the known delay is off by."""
+        return self.model.nuisances
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Everything that a rigid, viscous axis with a perfect loop leaves out."""
+        found = [t.cause for t in self.model.terms] + [DELAY]
+        if self.model.limit is not None:
+            found.append(saturation(self.model.peak, self.model.limit))
+        if self.model.mass_known:
+            found.append(SENSOR_GAIN)
+        if self.model.law is not None:
+            found.append(SERVO_GAINS)
+            if self.pulses:
+                found.append(HIDDEN_COMMAND)
+        return tuple(c for c in found if c.key not in self.known)
+
+    def with_terms(self, more: Sequence[Term]) -> DriveRecordFamily:
+        """Return the family with more forces in its catalogue."""
+        return replace(self, model=replace(self.model, terms=(*self.model.terms, *more)))
+
+    def settled(self, causes: Sequence[str], values: Values, source: str = "") -> DriveRecordFamily:
+        """Return the family with some causes in its baseline, started at `values`, and the moves of one source."""
+        known = {p.name for c in self.causes if c.key in causes for p in c.parameters}
+        missing = sorted(set(causes) - {c.key for c in self.causes})
+        if missing:
+            raise InputError(f"no cause {missing[0]!r}; this record has {', '.join(c.key for c in self.causes)}")
+        more = [p for c in self.causes for p in c.parameters if p.name in known]
+        nuisances = tuple(replace(p, start=values[p.name]) for p in (*self.nuisances, *more))
+        kept = tuple(c for c in self.conditions if source in ("", c.source))
+        return replace(self, model=replace(self.model, nuisances=nuisances), conditions=kept, known=frozenset(causes))
+
+    def predict(self, condition: Condition, values: Values) -> Real:
+        """Return the whitened drive force of a move, or its whitened command after the control law."""
+        if isinstance(condition.data, ForceData):
+            return self.model.whitener(self.force(condition.data, values)) / condition.data.noise
+        if isinstance(condition.data, _LawData) and self.model.law is not None:
+            return _law_force(condition.data, values) / self.model.law.noise
+        raise InputError(f"condition {condition.name} is not one of this family")
+
+    def noises(self, columns: Sequence[tuple[Condition, Real]]) -> list[Real]:
+        """Return products of the columns of all conditions, (m, m): one covariance for each noise that may be true.
+
+        Parameters
+        ----------
+        columns : sequence of tuple
+            Conditions in their order in time, with an array (n, m) each.
+        """
+        moving = [(c, x) for c, x in columns if isinstance(c.data, ForceData)]
+        others = [x for c, x in columns if not isinstance(c.data, ForceData)]
+        rest = sum((x.T @ x for x in others), np.zeros((columns[0][1].shape[1],) * 2))
+        found: list[Real] = []
+        for draw in self.model.draws if moving else ():
+            joined = np.concatenate([x * draw.size.get(kind_of(c.settings), 1.0) for c, x in moving])
+            through = draw.coloured_products(joined)
+            found.append(rest + through.T @ through)
+        return found
+
+    @property
+    def noise_freedom(self) -> float:
+        """Degrees of freedom with which the slowest noise is known: 2 over the variance of the log of its power."""
+        powers = [math.log(abs(float(np.sum(d.above) / np.sum(d.below)))) * 2.0 for d in self.model.draws]
+        return 2.0 / float(np.var(powers)) if len(powers) > 1 else math.inf
+
+    def force_error(self, values: Values, conditions: Sequence[Condition] | None = None) -> float:
+        """Return rms(measured - predicted force)/rms(measured force) [1], in the band, over moves (default: all)."""
+        wrong, whole = 0.0, 0.0
+        for c in self.conditions if conditions is None else conditions:
+            if isinstance(c.data, ForceData):
+                order = self.model.whitener.order
+                measured = c.data.force[order:]
+                wrong += float(np.sum(np.square(measured - self.force(c.data, values)[order:])))
+                whole += float(np.sum(np.square(measured)))
+        return math.sqrt(wrong / whole)
+
+    def force(self, data: ForceData, values: Values) -> Real:
+        """Return the low-passed drive force of a move [N]."""
+        m = data.motion
+        total = values["mass"] * m.acceleration + values["viscous"] * m.velocity + values["offset"]
+        for term in self.model.terms:
+            if any(values[p.name] != p.start for p in term.cause.parameters):
+                total = total + term.force(m, values)
+        if self.model.mass_known:
+            total = total * (1.0 + values["force_gain.error"])
+        delay = self.model.delay + values["delay.error"] + values["loop_delay.delay"]
+        needed = self.model.resampler(total, delay)
+        cut = values.get("saturation.cut", 0.0)
+        if self.model.limit is None or cut == 0.0:
+            return needed
+        return needed + self.model.resampler(excess(data.drive, self.model.peak - cut))
+
+
+def _learn(
+    raw: Channels,
+    mass: tuple[float, float] | None,
+    gains: Gains | None,
+    delay: float,
+    lead: float | None,
+    cutoff: float | None,
+) -> DriveModel:
+    """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
+    if cutoff is None:
+        wide = balance_of(raw, WIDEST / raw.step, None)
+        cut = lost_beyond(raw, wide)
+        wide = wide if cut is None else balance_of(raw, WIDEST / raw.step, cut)
+        cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff, wide.sizes)
+    limit = lost_beyond(raw, balance_of(raw, cutoff, None))
+    plain = balance_of(raw, cutoff, limit)
+    known, (lead, line) = lead is not None, periodic(raw, plain, limit, lead)
+    full = balance_of(raw, cutoff, limit, lead, line)
+    whitener = whitener_of(full)
+    law = None
+    if gains is not None and raw.reference is not None:
+        law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
+    nuisances = (*_nuisances(full, mass), _timing(cutoff))
+    place = plain.seen(plain.motion.position)
+    centre, stroke = float(np.mean(place)), float(np.ptp(place))
+    catalogue = [
+        terms.coulomb(),
+        terms.stribeck(),
+        terms.shear(),
+        terms.asymmetry(),
+        terms.position_slope(centre),
+        terms.position_bend(centre, stroke),
+        terms.drift(),
+        terms.offset_drift(),
+        terms.missing_mode(nuisances[0].start),
+    ]
+    if lead is not None:
+        catalogue.append(terms.ripple(lead, centre, known))
+    if line is not None:
+        catalogue.append(terms.tone(line, raw.step * raw.force.size))
+    boxes = noise.boxes(full.left, whitener, full.seen(full.motion.time), full.sizes)
+    if boxes:
+        catalogue.append(terms.hidden_force(boxes))
+    return DriveModel(
+        resampler=full.filter,
+        whitener=whitener,
+        noise=noise_of(full, whitener),
+        nuisances=nuisances,
+        terms=tuple(catalogue),
+        delay=delay,
+        mass_known=mass is not None,
+        peak=float(np.max(np.abs(raw.force))),
+        limit=limit,
+        law=law,
+        draws=noise_draws(whitener, full.moves, full.regressors, full.kinds),
+    )
+
+
+def _nuisances(balance: Balance, mass: tuple[float, float] | None) -> tuple[Parameter, ...]:
+    """Start the baseline at its least squares."""
+    m, force = balance.motion, balance.force
+    columns = [balance.seen(x) for x in (m.acceleration, m.velocity, np.ones_like(m.velocity))]
+    check_balance(force, columns[0], columns[1], None if mass is None else mass[0])
+    found = np.linalg.lstsq(np.stack(columns, axis=1), force, rcond=None)[0]
+    heavy, prior = (float(found[0]), math.inf) if mass is None else mass
+    viscous = max(float(found[1]), 0.0)
+    return (
+        Parameter("mass", "kg", heavy, 0.01 * heavy, low=0.0, prior=prior),
+        Parameter("viscous", "N s/m", viscous, max(0.01 * viscous, 1e-3 * heavy), low=0.0),
+        Parameter("offset", "N", float(found[2]), 0.01 * float(np.sqrt(np.mean(np.square(force))))),
+    )
+
+
+def _timing(cutoff: float) -> Parameter:
+    """Return what the known delay is off by, 4 us in a band of 33 Hz.
+
+    No record would tell: the controller answers the disturbances that the balance takes for noise (bias of the direct
+    method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung, Automatica 35,
+    1999). At the end of the band that share is one in `noise.ABOVE`: by so large an angle noise may turn the force
+    there. What comes from the loop is taken for a sixth of it, one sigma, as linearisation at the truth showed for
+    Coulomb friction at 1 kHz; at other rates and bands it is an extrapolation.
+    """
+    off = _CLOSED_LOOP / (noise.ABOVE * 2.0 * math.pi * cutoff)
+    return Parameter("delay.error", "ms", 0.0, off, prior=off, shown=1e3)
+
+
+def _named(moving: Motion, shared: DriveModel, name: str) -> list[tuple[str, Mapping[str, float | str], str, int, int]]:
+    """Return name, settings, source, first sample and end of each move."""
+    found = []
+    spans = spans_of(moving, shared.resampler)
+    for k, (begin, end) in enumerate(spans):
+        settings = settings_of(moving, begin, end)
+        way, speed = settings["direction"], 1e3 * float(np.median(np.abs(moving.velocity[begin:end])))
+        half = "first half" if moving.time[(begin + end) // 2] < 0.0 else "second half"
+        text = f"{name + ' ' if name else ''}move {k + 1}, {way}, {speed:.0f} mm/s"
+        found.append((text, settings, half, begin, end))
+    return found
+
+
+def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: str) -> Sequence[Condition]:
+    filter_ = shared.resampler
+    before = filter_.margin + shared.whitener.order * filter_.every
+    found = []
+    for text, settings, half, begin, end in _named(moving, shared, name):
+        part = slice(begin - before, end + filter_.margin)
+        force = filter_(raw.force[part])
+        data = ForceData(moving[part], force, shared.noise.get(kind_of(settings), shared.noise[ANY]), raw.force[part])
+        found.append(Condition(text, settings, shared.whitener(force) / data.noise, half, data))
+    return found
+
+
+def _law_conditions(
+    raw: Channels, moving: Motion, shared: DriveModel, law: ControlLaw, name: str
+) -> tuple[list[Condition], tuple[Pulse, ...]]:
+    assert raw.reference is not None
+    position, velocity = law.force(raw.reference, raw.position, raw.step)
+    pulses = unlogged_command(law, raw.reference, raw.position, raw.force, raw.step)[1]
+    pattern = np.zeros_like(position)
+    for p in pulses:
+        pattern[round(p.begin / raw.step) : round(p.end / raw.step)] = math.copysign(1.0, p.height)
+    found = []
+    for text, settings, half, begin, end in _named(moving, shared, name):
+        part = slice(begin, end, shared.resampler.every)
+        data = _LawData(position[part], velocity[part], pattern[part])
+        found.append(Condition(f"control law, {text}", settings, raw.force[part] / law.noise, half, data))
+    return found, pulses
+
+
+def _law_force(data: _LawData, values: Values) -> Real:
+    velocity_gain = 1.0 + values["servo_gains.velocity"]
+    position_gain = 1.0 + values["servo_gains.position"]
+    command = velocity_gain * (position_gain * data.position + data.velocity)
+    return np.asarray(command + values.get("hidden.command", 0.0) * data.pulses)

@@ -1,0 +1,256 @@
+"""Forces that a rigid, viscous axis leaves out, each a cause of the diagnosis of a drive record.
+
+Every force is a function of the motion alone and is zero at the null values of its parameters, and every admissible
+friction opposes the motion (it is passive). Causes that can act together have ids of their own; the Stribeck boost and
+its opposite are variants of one. ``s`` stands for the direction of sliding, which the bristles of the guideway follow
+within micrometres (`direction`): all friction goes through the same bristles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from smfe.diagnosis.drive.filters import Motion, Real
+from smfe.diagnosis.inference.problem import Cause, Parameter, Values
+
+_REST = 2e-4
+"""v0 [m/s]."""
+_SPEEDS = ((0.0, 0.005), (0.0, 0.02), (0.0, 0.05))
+"""No force, and speeds [m/s] over which it may change."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A cause that adds a force [N] to what the drive has to give.
+
+    Parameters
+    ----------
+    cause : Cause
+        Name and parameters.
+    force : callable
+        Of the motion and the values.
+    """
+
+    cause: Cause
+    force: Callable[[Motion, Values], Real]
+
+
+def direction(m: Motion, p: Values) -> Real:
+    """Return the direction of sliding [1], that of the bristles: ``z + tau dz/dt`` (`bristles.Path`, `coulomb`).
+
+    Without Coulomb friction nothing tells how long they are: the smooth sign ``tanh(v/v0)``. A friction that builds up
+    within the slowest speeds would be Coulomb friction by another name, and cheaper.
+    """
+    if p.get("coulomb.force", 0.0) == 0.0:
+        return np.tanh(m.rate / _REST)
+    return m.sliding(p["coulomb.slide"], p["coulomb.damping"])
+
+
+def built(m: Motion, p: Values, speed: float) -> Real:
+    """Return the direction of sliding of a friction that builds up over a speed [m/s], ``1 - exp(-|v|/speed)`` [1]."""
+    if p.get("coulomb.force", 0.0) == 0.0:
+        return np.asarray(-np.expm1(-np.abs(m.rate) / speed) * direction(m, p))
+    return m.built(speed, p["coulomb.slide"], p["coulomb.damping"])
+
+
+def coulomb() -> Term:
+    """Return Coulomb friction, ``F (z + tau dz/dt)`` with z the direction after pre-sliding.
+
+    The damping of the bristles, ``tau = sigma_1/sigma_0`` of LuGre (Canudas de Wit et al., IEEE Transactions on
+    Automatic Control 40, 1995), acts within the pre-sliding only; without it a reversal comes late by tau.
+    """
+    force = Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0)
+    slide = Parameter("coulomb.slide", "um", 2e-6, 1e-6, 1e-7, 1e-4, shown=1e6)
+    # Little friction says little of it: the prior keeps it where bristles of steel on steel or plastic have it.
+    damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3)
+
+    def at(m: Motion, p: Values) -> Real:
+        return np.asarray(p["coulomb.force"] * m.sliding(p["coulomb.slide"], p["coulomb.damping"]))
+
+    start = (0.0, 2e-6, 0.0)
+    return Term(Cause("guideway_friction", "Coulomb friction", (force, slide, damping), "coulomb", starts=(start,)), at)
+
+
+def stribeck() -> Term:
+    """Return the boost of the friction near rest, ``B exp(-|v|/vs) s(v)`` with B >= 0 (Stribeck)."""
+    boost = Parameter("stribeck.boost", "N", 0.0, 1.0, low=0.0)
+    speed = Parameter("stribeck.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3)
+
+    def force(m: Motion, p: Values) -> Real:
+        return np.asarray(p["stribeck.boost"] * (direction(m, p) - built(m, p, p["stribeck.speed"])))
+
+    title = "Stribeck friction: higher near rest"
+    return Term(Cause("low_speed_friction", title, (boost, speed), "stribeck", starts=_SPEEDS), force)
+
+
+def shear() -> Term:
+    """Return a friction that builds up with speed and saturates, ``A [1 - exp(-|v|/vs)] s(v)`` with A >= 0.
+
+    The opposite of a Stribeck boost: grease that thins under shear, a lubricant film that forms.
+    """
+    amount = Parameter("shear.force", "N", 0.0, 1.0, low=0.0)
+    # What builds up within less is Coulomb friction.
+    speed = Parameter("shear.speed", "mm/s", 0.02, 0.01, 5e-3, 0.1, shown=1e3)
+
+    def force(m: Motion, p: Values) -> Real:
+        return np.asarray(p["shear.force"] * built(m, p, p["shear.speed"]))
+
+    title = "lubricant friction: lower near rest"
+    return Term(Cause("low_speed_friction", title, (amount, speed), "shear", starts=_SPEEDS), force)
+
+
+def asymmetry() -> Term:
+    """Return viscous friction that depends on the direction, ``d |v|``: ``sigma +- d`` forwards and backwards.
+
+    A Coulomb force that depends on the direction is the same as an offset, which the baseline has.
+    """
+    difference = Parameter("asymmetry.viscous", "N s/m", 0.0, 5.0)
+    cause = Cause("friction_asymmetry", "friction that depends on the direction", (difference,))
+    return Term(cause, lambda m, p: p["asymmetry.viscous"] * np.abs(m.velocity))
+
+
+def position_slope(centre: float) -> Term:
+    """Return friction and offset linear in position, ``(a + b s(v)) (x - centre)``."""
+    both = Parameter("position.offset", "N/m", 0.0, 1.0)
+    friction = Parameter("position.friction", "N/m", 0.0, 1.0)
+
+    def force(m: Motion, p: Values) -> Real:
+        slope = p["position.offset"] + p["position.friction"] * direction(m, p)
+        return np.asarray(slope * (m.position - centre))
+
+    cause = Cause("position_friction", "force that changes along the stroke", (both, friction))
+    return Term(cause, force)
+
+
+def position_bend(centre: float, stroke: float) -> Term:
+    """Return friction and offset with a slope and a bend over the stroke, each way its own (`position_slope`, bent)."""
+    names = ("offset_slope", "offset_bend", "friction_slope", "friction_bend")
+    numbers = tuple(Parameter(f"bend.{n}", "N", 0.0, 0.1) for n in names)
+
+    def force(m: Motion, p: Values) -> Real:
+        x = 2.0 * (m.position - centre) / stroke
+        a, b, c, d = (p[q.name] for q in numbers)
+        return np.asarray(a * x + b * x * x + direction(m, p) * (c * x + d * x * x))
+
+    title = "force that changes and bends along the stroke"
+    return Term(Cause("position_friction", title, numbers, "bent"), force)
+
+
+def ripple(lead: float, centre: float, known: bool) -> Term:
+    """Return a force periodic in position, ``a cos(2 pi (x - centre)/lead) + b sin(...)``: screw, rack, magnets.
+
+    A lead that is known is free by 0.1 %, one that was found in the record by 3 %.
+    """
+    free = 1e-3 if known else 0.03
+    wave = Parameter("ripple.lead", "mm", lead, 1e-3 * lead, (1.0 - free) * lead, (1.0 + free) * lead, shown=1e3)
+    cosine = Parameter("ripple.cosine", "N", 0.0, 0.1)
+    sine = Parameter("ripple.sine", "N", 0.0, 0.1)
+
+    def force(m: Motion, p: Values) -> Real:
+        angle = 2.0 * math.pi * (m.position - centre) / p["ripple.lead"]
+        return np.asarray(p["ripple.cosine"] * np.cos(angle) + p["ripple.sine"] * np.sin(angle))
+
+    cause = Cause("position_ripple", "ripple of the screw", (cosine, sine, wave), starts=((0.0, 0.0, lead),))
+    return Term(cause, force)
+
+
+def tone(frequency: float, duration: float) -> Term:
+    """Return a line in the force channel, ``a cos(2 pi f t) + b sin(2 pi f t)``; f is free by one over the duration."""
+    line = Parameter(
+        "tone.frequency", "Hz", frequency, 0.1 / duration, frequency - 1.0 / duration, frequency + 1.0 / duration
+    )
+    cosine = Parameter("tone.cosine", "N", 0.0, 0.1)
+    sine = Parameter("tone.sine", "N", 0.0, 0.1)
+
+    def force(m: Motion, p: Values) -> Real:
+        angle = 2.0 * math.pi * p["tone.frequency"] * m.time
+        return np.asarray(p["tone.cosine"] * np.cos(angle) + p["tone.sine"] * np.sin(angle))
+
+    title = "tone in the drive force"
+    starts = ((0.0, 0.0, frequency),)
+    return Term(Cause("background_tone", title, (cosine, sine, line), kind="measurement", starts=starts), force)
+
+
+def drift() -> Term:
+    """Return viscous friction that changes with time, ``r (t - middle) v``."""
+    rate = Parameter("drift.viscous", "N s/m/s", 0.0, 0.1)
+    cause = Cause("drift", "viscous friction that drifts", (rate,))
+    return Term(cause, lambda m, p: p["drift.viscous"] * m.time * m.velocity)
+
+
+def offset_drift() -> Term:
+    """Return an offset that changes with time, ``r (t - middle)``: a counterweight, a sensor that warms up."""
+    rate = Parameter("drift.offset", "N/s", 0.0, 0.01)
+    cause = Cause("drift", "offset that drifts", (rate,), "offset")
+    return Term(cause, lambda m, p: p["drift.offset"] * m.time)
+
+
+def missing_mode(mass: float) -> Term:
+    """Return the force of a flexible mode between drive and encoder, ``K x''''`` with K >= 0 [N s4/m].
+
+    Motor mass a M and load (1 - a) M on a spring of frequency f: ``F = M x'' + M a (1 - a)/(2 pi f)^2 x''''`` below
+    the mode, shown as the frequency would be for a = 1/2.
+    """
+    snap = Parameter("mode.compliance", "N s4/m", 0.0, mass / (8.0 * math.pi * 100.0) ** 2, low=0.0)
+    cause = Cause("missing_mode", "flexible mode between drive and encoder", (snap,))
+    return Term(cause, lambda m, p: p["mode.compliance"] * m.snap)
+
+
+def hidden_force(windows: Sequence[tuple[float, float, float]]) -> Term:
+    """Return an unmeasured force, the same in all windows: begin, end [s on the clock of the record] and sign."""
+    force = Parameter("hidden.force", "N", 0.0, 1.0)
+    cause = Cause("hidden_input", "unmeasured force on the axis", (force,), "force")
+
+    def pulses(m: Motion, p: Values) -> Real:
+        total = np.zeros_like(m.time)
+        for begin, end, sign in windows:
+            total[(m.time >= begin) & (m.time < end)] = sign * p["hidden.force"]
+        return total
+
+    return Term(cause, pulses)
+
+
+# --- Causes that a drive record can name besides friction: delay, cut-off force, gains, a command nobody logged.
+
+LONGEST_DELAY = 5e-3
+"""Largest loop delay that is looked for [s]."""
+
+DELAY = Cause(
+    "loop_delay",
+    "delay between command and force",
+    (Parameter("loop_delay.delay", "ms", 0.0, 1e-4, 0.0, LONGEST_DELAY, shown=1e3),),
+)
+
+
+def excess(drive: Real, limit: float) -> Real:
+    """Return what a drive force [N] has beyond a limit."""
+    return drive - np.clip(drive, -limit, limit)
+
+
+def saturation(peak: float, limit: float) -> Cause:
+    """Return the cause that drive force beyond a limit never acts: what the limit is below the largest force [N]."""
+    cut = Parameter("saturation.cut", "N", 0.0, peak - limit, low=0.0, high=0.95 * peak)
+    return Cause("drive_saturation", "drive force that is cut off", (cut,), starts=((peak - limit,),))
+
+
+SENSOR_GAIN = Cause(
+    "sensor_gain",
+    "gain of the force channel",
+    (Parameter("force_gain.error", "%", 0.0, 0.01, -0.5, 1.0, shown=100.0),),
+    kind="measurement",
+)
+SERVO_GAINS = Cause(
+    "servo_gains",
+    "gains of the controller",
+    (
+        Parameter("servo_gains.position", "%", 0.0, 0.01, -0.9, 9.0, shown=100.0),
+        Parameter("servo_gains.velocity", "%", 0.0, 0.01, -0.9, 9.0, shown=100.0),
+    ),
+)
+HIDDEN_COMMAND = Cause(
+    "hidden_input", "command that was not logged", (Parameter("hidden.command", "N", 0.0, 1.0),), "command"
+)

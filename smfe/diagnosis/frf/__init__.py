@@ -1,0 +1,1 @@
+"""Causes seen in compliances."""

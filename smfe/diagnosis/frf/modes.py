@@ -1,0 +1,350 @@
+"""Diagnosis of a modal model of the machine: compliances from hits or sines in x, y, z, under many conditions.
+
+The prediction is closed form. The modes take up the changes that a cause makes under the settings of a condition
+(`smfe.diagnosis.frf.modal_dynamics`); the sensors come last (`smfe.diagnosis.frf.modes`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from process.errors import InputError
+from process.machine.modes import ModalModel
+from smfe.diagnosis.frf.modal_causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
+from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
+from smfe.diagnosis.frf.noise import Complex, Excited
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Real, Values
+
+SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
+"""Prior standard deviation of what the baseline says of a mode, relative."""
+
+SENSORS = {"laser": 0.0, "two": 2.0}
+"""Setting ``sensor`` -> accelerometers that the tool carries; one without it."""
+
+_KEPT = 4000
+
+
+@dataclass(frozen=True)
+class ModalFrfs:
+    """A family for `smfe.diagnosis.inference.diagnose`: a modal machine under many conditions.
+
+    Settings of a condition that count: ``position`` [m]; ``order`` (0 first, 1 last in the session); ``spindle_speed``
+    [rad/s]; ``added_mass`` [kg]; ``sensor`` (``"laser"`` weighs nothing and has no axes, ``"two"`` has a twin beside
+    it); ``free_mass`` [kg], a mass on soft springs in the machine's place. What is not given is zero.
+
+    Parameters
+    ----------
+    model : ModalModel
+        The baseline.
+    conditions : tuple of Condition
+        Measured compliances (`smfe.diagnosis.frf.noise.condition_of`).
+    proposals : tuple of Condition, optional
+        Experiments that could be done next.
+    without : sequence of str, optional
+        Keys or ids of causes that are left out of the catalogue.
+    spread : mapping, optional
+        Prior standard deviation of ``frequency``, ``damping``, ``stiffness`` of a mode, relative; default `SPREAD`.
+    """
+
+    model: ModalModel
+    conditions: tuple[Condition, ...]
+    proposals: tuple[Condition, ...] = ()
+    without: Sequence[str] = ()
+    spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
+    _kept: dict[tuple[int, Changed], Complex] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _alive: dict[int, Excited] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _seen: dict[tuple[object, ...], Real] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Refuse conditions of another kind."""
+        for c in self.conditions:
+            if not isinstance(c.data, Excited):
+                raise InputError(f"{c.name}: not a compliance; a modal model can be held against compliances only")
+
+    @cached_property
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """Frequency, damping and stiffness of each mode."""
+        m, found = self.model, []
+        for r in range(m.frequency.size):
+            for name, unit, start, step, shown in (
+                ("frequency", "Hz", m.frequency[r], 0.01, 1.0),
+                ("damping", "%", m.damping[r], 0.1, 100.0),
+                ("stiffness", "N/um", m.stiffness[r], 0.05, 1e-6),
+            ):
+                prior = self.spread[name] * start
+                low, high = 0.1 * start, 10.0 * start
+                found.append(
+                    Parameter(f"{name}_{r + 1}", unit, float(start), step * start, low, high, prior, shown=shown)
+                )
+        return tuple(found)
+
+    @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Every candidate but those left out."""
+        data = self._data
+        band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
+        size = float(np.abs(self.model.matrix(np.linspace(*band, 400))).max())
+        places = {self._place(c) for c in self._every}
+        reach = {"position": max(map(abs, places)) or 1.0, "places": float(len(places))}
+        every = modal_causes(self.model.frequency.size, band, size, reach)
+        return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
+
+    @cached_property
+    def _every(self) -> tuple[Condition, ...]:
+        return (*self.conditions, *self.proposals)
+
+    @cached_property
+    def _data(self) -> list[Excited]:
+        found = [c.data for c in self._every if isinstance(c.data, Excited)]
+        if not found:
+            raise InputError("no compliance was given; a modal model has nothing to be held against")
+        return found
+
+    @cached_property
+    def _fastest(self) -> float:
+        """Largest speed of the spindle [rad/s]; 1 where it stands still in all conditions."""
+        return max((float(c.settings.get("spindle_speed", 0.0)) for c in self._every), default=0.0) or 1.0
+
+    @cached_property
+    def _reference(self) -> float:
+        """Amplitude of reference: the middle one of all conditions."""
+        plain = unchanged(self.model)
+        return float(np.median([amplitude(plain, d.method, d.level) for d in self._data])) or 1.0
+
+    @cached_property
+    def _first_place(self) -> float:
+        """Position of the first condition that gives one [m]."""
+        return next((float(c.settings["position"]) for c in self._every if "position" in c.settings), 0.0)
+
+    def _place(self, condition: Condition) -> float:
+        """Position from that of the first condition that gives one [m]."""
+        settings = condition.settings
+        return float(settings["position"]) - self._first_place if "position" in settings else 0.0
+
+    def predict(self, condition: Condition, values: Values) -> Real:
+        """Return the compliance that a set of values predicts, whitened like the data.
+
+        Raises
+        ------
+        InputError
+            When no machine has these values.
+        """
+        excited = condition.data
+        assert isinstance(excited, Excited)
+        self._alive[id(excited)] = excited  # what is kept is found by this number: it must not be given away
+        free = float(condition.settings.get("free_mass", 0.0))
+        machine = free + self._carried(condition, values) if free else self.changed(condition, values)
+        laser = condition.settings.get("sensor") == "laser"
+        key = (id(excited), machine, laser, tuple([values.get(n, 0.0) for n in SEEN]))
+        if key not in self._seen:
+            _make_room(self._seen)
+            phi = seen(self._at_tool(excited, machine), excited.frequency, values, accelerometer=not laser)
+            rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
+            self._seen[key] = excited.whitened(phi[:, rows, columns])
+        return self._seen[key]
+
+    def _at_tool(self, excited: Excited, machine: Changed | float) -> Complex:
+        """Compliance at the tool, or of a free mass [kg], [m/N], shape (f, 3, 3)."""
+        if isinstance(machine, float):
+            return np.asarray(-np.eye(3) / (machine * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2) + 0j)
+        key = (id(excited), machine)
+        if key not in self._kept:
+            _make_room(self._kept)
+            shaken = Shaken(excited.method, excited.level, self._reference)
+            self._kept[key] = full_compliance(machine, excited.frequency, shaken)
+        return self._kept[key]
+
+    def _carried(self, condition: Condition, values: Values) -> float:
+        """Mass that the tool carries beyond its own [kg]."""
+        settings = condition.settings
+        count = SENSORS.get(str(settings.get("sensor", "")), 1.0)
+        return float(settings.get("added_mass", 0.0)) + count * values.get("sensor_mass", 0.0)
+
+    def changed(self, condition: Condition, values: Values) -> Changed:
+        """Return the machine that a set of values comes to under the settings of a condition.
+
+        Parameters
+        ----------
+        condition : Condition
+            Its settings count.
+        values : mapping
+            Nuisances, and of the causes those that are active; what is not there has its null value.
+        """
+        names = self._names
+        heavier, scale = 1.0 + values.get("mass_error", 0.0), 1.0 + values.get("scale_error", 0.0)
+        root = math.sqrt(heavier)
+        return Changed(
+            tuple(values[n] / root for n in names["frequency"]),
+            tuple(values[n] / root for n in names["damping"]),
+            tuple(values[n] * scale for n in names["stiffness"]),
+            self._directions(values),
+            self._springs(condition, values),
+            self._gyroscopic(condition, values),
+            self._carried(condition, values),
+            _joint(values, "joint_micro_slip", names["joint_micro_slip"]),
+            _joint(values, "joint_hardening", names["joint_hardening"]),
+            _mode(values),
+            _residual(values),
+        )
+
+    @cached_property
+    def _frames(self) -> Real:
+        """Each mode vector, and two across it of the same length, shape (M, 3, 3)."""
+        vectors = self.model.direction
+        frames = []
+        for u in vectors:
+            least = np.eye(3)[int(np.argmin(np.abs(u)))]
+            length = float(np.linalg.norm(u))
+            a = np.cross(u, least)
+            a *= length / np.linalg.norm(a)
+            frames.append([u, a, np.cross(u, a) / length])
+        return np.array(frames)
+
+    def _directions(self, values: Values) -> tuple[float, ...]:
+        """Mode vectors, turned as a whole without a change of length."""
+        turns = [(values.get(a, 0.0), values.get(b, 0.0)) for a, b in zip(*self._turns, strict=True)]
+        if not any(p or q for p, q in turns):
+            return self._as_given
+        out: list[float] = []
+        for (u, a, b), (p, q) in zip(self._frames, turns, strict=True):
+            angle = math.hypot(p, q)
+            turned = u if angle == 0.0 else math.cos(angle) * u + math.sin(angle) / angle * (p * a + q * b)
+            out += turned.tolist()
+        return tuple(out)
+
+    @cached_property
+    def _as_given(self) -> tuple[float, ...]:
+        return unchanged(self.model).direction
+
+    @cached_property
+    def _turns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return self._names["turn_a"], self._names["turn_b"]
+
+    def _springs(self, condition: Condition, values: Values) -> tuple[float, ...]:
+        """Change of the modal stiffnesses with position, order and speed, and by itself, (M^2,); empty for none."""
+        speed = float(condition.settings.get("spindle_speed", 0.0)) / self._fastest
+        trends = {"posture": self._place(condition), "drift": float(condition.settings.get("order", 0.0))}
+        trends |= {f"{b}bearings": speed**2 for b in TWICE}
+        trends["coupling"] = 1.0
+        trends["curved"] = trends["posture"] * (1.0 + values.get("posture_bend", 0.0) * trends["posture"])
+        count = self.model.frequency.size
+        found = {w: [values.get(n, 0.0) for n in self._names[w]] for w, by in trends.items() if by != 0.0}
+        acting = [trends[w] * np.array(x) for w, x in found.items() if any(x)]
+        if not acting:
+            return ()
+        out = np.zeros((count, count))
+        out[np.triu_indices(count)] = np.sum(acting, axis=0)
+        return tuple((out + np.triu(out, 1).T).ravel().tolist())
+
+    def _gyroscopic(self, condition: Condition, values: Values) -> tuple[float, ...]:
+        """Skew coupling of the modes by the turning spindle [1/Hz], (M^2,); empty for none."""
+        speed = float(condition.settings.get("spindle_speed", 0.0)) / self._fastest
+        if speed == 0.0:
+            return ()
+        found = [[values.get(n, 0.0) for n in self._names[f"{b}gyroscopic"]] for b in TWICE]
+        if not any(map(any, found)):
+            return ()
+        total = np.sum(found, axis=0)
+        root = np.sqrt(self.model.frequency)
+        out = np.zeros((root.size, root.size))
+        out[np.triu_indices(root.size, 1)] = speed * total
+        return tuple(((out - out.T) / np.outer(root, root)).ravel().tolist())
+
+    @cached_property
+    def _names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the parameters of each mode, and of those that fill a matrix, row by row of its upper half."""
+        whole = pairs(self.model.frequency.size)
+        across = tuple((r, s) for r, s in whole if r < s)
+        names = {what: whole for what in ("posture", "curved", "drift", "coupling", *(f"{b}bearings" for b in TWICE))}
+        names |= {f"{b}gyroscopic": across for b in TWICE}
+        found = {what: tuple(f"{what}_{r}{s}" for r, s in where) for what, where in names.items()}
+        modes = range(1, self.model.frequency.size + 1)
+        found |= {w: tuple(f"{w}_{r}" for r in modes) for w in (*self.spread, "turn_a", "turn_b")}
+        return found | {w: tuple(f"{w}_angle_{r}" for r in modes[:-1]) for w in ("joint_micro_slip", "joint_hardening")}
+
+
+def _make_room(kept: dict[Any, Any]) -> None:
+    if len(kept) >= _KEPT:
+        kept.clear()
+
+
+def _joint(values: Values, name: str, angles: Sequence[str]) -> tuple[float, ...]:
+    """Return size and unit vector of a joint; empty for none."""
+    size = values.get(name, 0.0)
+    return (size, *vector([values[a] for a in angles])) if size > 0.0 else ()
+
+
+def _mode(values: Values) -> tuple[float, ...]:
+    """Return a further mode; empty for none."""
+    size = values.get("mode_compliance", 0.0)
+    if size <= 0.0:
+        return ()
+    turn, lift = values["mode_azimuth"], values["mode_elevation"]
+    flat = math.sqrt(size) * math.cos(lift)
+    vector = (flat * math.cos(turn), flat * math.sin(turn), math.sqrt(size) * math.sin(lift))
+    return (*vector, values["mode_frequency"], values["mode_damping"])
+
+
+def _residual(values: Values) -> tuple[float, ...]:
+    found = tuple(values.get(n, 0.0) for n in RESIDUAL)
+    return found if any(found) else ()
+
+
+# --- What the sensors make of a compliance: gains and signs, exchanged and turned axes, a time skew.
+
+_NAMES = (
+    *(f"{what}_{a}" for what in ("gain", "turned") for a in AXES),
+    *(f"exchanged_{a}{b}" for a, b in PLANES),
+)
+SEEN = (*_NAMES, "gain_force", "skew")
+"""Parameters of the sensors."""
+
+
+def seen(phi: Complex, frequency: Real, values: Values, accelerometer: bool = True) -> Complex:
+    """Return a compliance (f, 3, 3) as the sensors show it.
+
+    Parameters
+    ----------
+    phi : ndarray, shape (f, 3, 3)
+        At the tool [m/N].
+    frequency : ndarray, shape (f,)
+        [Hz].
+    values : mapping
+        ``gain_force``, ``gain_x`` ..., ``exchanged_xy`` ..., ``turned_x`` ... [rad], ``skew`` [s].
+    accelerometer : bool, optional
+        Whether the motion is seen by the accelerometer, or by a laser that shares none of its faults.
+    """
+    factor = 1.0 + values.get("gain_force", 0.0)
+    out = phi * factor if factor != 1.0 else phi
+    if accelerometer and any(values.get(n, 0.0) for n in _NAMES):
+        out = mounting(values) @ out
+    skew = values.get("skew", 0.0)
+    return out * np.exp(-2j * np.pi * frequency * skew)[:, None, None] if skew else out
+
+
+def mounting(values: Values) -> Real:
+    """Matrix from the motion to what the channels x, y, z of the accelerometer show: turned, exchanged, scaled."""
+    x, y, z = (values.get(f"turned_{a}", 0.0) for a in AXES)
+    out = _about(0, x) @ _about(1, y) @ _about(2, z) if x or y or z else np.eye(3)
+    for a, b in PLANES:
+        if values.get(f"exchanged_{a}{b}", 0.0) > 0.5:
+            rows = [AXES.index(a), AXES.index(b)]
+            out[rows] = out[rows[::-1]]
+    for i, a in enumerate(AXES):
+        out[i] *= 1.0 + values.get(f"gain_{a}", 0.0)
+    return out
+
+
+def _about(axis: int, angle: float) -> Real:
+    """Rotation about an axis [rad]."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    out = np.eye(3)
+    out[i, i] = out[j, j] = math.cos(angle)
+    out[i, j], out[j, i] = -math.sin(angle), math.sin(angle)
+    return out

@@ -1,0 +1,1 @@
+"""Nested models, likelihood ratios, cross-validation: knows no machine tool."""

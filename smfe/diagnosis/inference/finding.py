@@ -1,0 +1,412 @@
+"""What a diagnosis found, as it is kept in ``finding.json`` and as it is said in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from smfe.diagnosis.inference.cross_validation import Gain
+from smfe.diagnosis.inference.fit import Fit, Target, residuals
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.next_experiment import Proposal
+from smfe.diagnosis.inference.power import Detectable
+from smfe.diagnosis.inference.problem import Real
+from smfe.diagnosis.inference.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of a cause with its 95 % interval, in the unit shown; infinite where no interval can be given."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class FoundCause:
+    """A cause in the model that explains the data best.
+
+    Attributes
+    ----------
+    id, variant, title, kind : str
+        As in the catalogue.
+    parameters : tuple of Estimate
+        Fitted.
+    ratio : float
+        Likelihood ratio: what leaving it out costs.
+    gain_db, gain_sd_db : float or None
+        What it is worth on held-out conditions; None where none could be held out.
+    """
+
+    id: str
+    variant: str
+    title: str
+    kind: str
+    parameters: tuple[Estimate, ...]
+    ratio: float
+    gain_db: float | None
+    gain_sd_db: float | None
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the best model leaves, on conditions that it was not fitted to wherever some could be held out.
+
+    Attributes
+    ----------
+    misfit_db : float
+        Squares of the residuals over those of noise [dB], the uncertainty of the prediction counted as noise.
+    chance : float
+        Probability that noise alone looks as bad.
+    beyond_noise : bool
+        Whether it is more than noise (99 %).
+    share : float or None
+        Share of the baseline's repeatable error that remains; None where nothing was held out.
+    carriers : tuple of str
+        Conditions that carry it; none where it looks like noise.
+    """
+
+    misfit_db: float
+    chance: float
+    beyond_noise: bool
+    share: float | None
+    carriers: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A step of the search: what was tried, what it gave, whether it was kept."""
+
+    change: str
+    ratio: float
+    threshold: float
+    gain_db: float | None
+    gain_sd_db: float | None
+    misfit_db: float
+    accepted: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class StableDepth:
+    """Limit depth of a cut with the machine as the campaign gives it and as the finding repairs it.
+
+    Attributes
+    ----------
+    where : str
+        Lobes or cutting test that ask for it.
+    spindle_speed_rpm, feed_mm_min : float
+        The cut.
+    before_mm, after_mm : float
+        Infinite: no limit. Zero: at this feed the axis vibrates without any cut.
+    """
+
+    where: str
+    spindle_speed_rpm: float
+    feed_mm_min: float
+    before_mm: float
+    after_mm: float
+
+
+@dataclass(frozen=True)
+class ForceError:
+    """Error of the drive force over the moves that were fitted, or set aside: rms over rms of the force [1]."""
+
+    held_out: bool
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Own:
+    """A parameter of the baseline that the campaign gives, and what the fit makes of it, in the unit shown.
+
+    Attributes
+    ----------
+    name, unit : str
+        Of the parameter.
+    given, fitted : float
+        As the campaign has it (or the data sheet), and in the best model.
+    spread : float
+        Standard deviation with which `given` is trusted: within it the fit may move it without blame.
+    """
+
+    name: str
+    given: float
+    fitted: float
+    spread: float
+    unit: str
+
+    @property
+    def blamed(self) -> bool:
+        """Whether the data put it further away than is trusted."""
+        return abs(self.fitted - self.given) > TRUSTED * self.spread
+
+
+TRUSTED = 2.0
+"""Standard deviations of what is given within which a baseline counts as what the campaign says."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A diagnosis.
+
+    Attributes
+    ----------
+    verdict : {"consistent", "named", "ambiguous", "unknown", "insufficient_data"}
+        The verdict.
+    reason : str
+        What it rests on.
+    causes : tuple of FoundCause
+        Causes of the best model. Each has passed the calibrated threshold and gains on held-out conditions, whatever
+        the verdict; the verdict says whether they are all ("named"), whether another could stand in for one of them
+        ("ambiguous", see `alternatives`), or whether something else is left ("unknown", see `remainder`).
+    alternatives : tuple of tuple of FoundCause
+        Sets that cannot be told apart; each begins with the cause that fits best. Causes of the best model that are in
+        none are beyond doubt.
+    ladder : tuple of Rung
+        Steps of the search.
+    misfit_before_db, misfit_after_db : float or None
+        Misfit of the baseline and of the best model, over noise; 0 dB is noise alone.
+    gain : Gain or None
+        Of all causes together, on conditions held out in turn.
+    opened : Gain or None
+        The same on the conditions that were set aside beforehand and opened at the end.
+    remainder : Remainder or None
+        What the best model leaves.
+    power : tuple of Detectable
+        Size of each cause that would have been seen in the baseline's residual with 95 %.
+    inseparable : tuple of tuple of str
+        Causes that do nearly the same in these conditions: only strong effects can be told apart.
+    unconverged : mapping
+        Hypothesis -> why its fit was not used.
+    next_experiment : Proposal or None
+        What would settle what is open.
+    threshold : float
+        Of the likelihood ratio of the first cause, less two for each of its parameters.
+    conditions : tuple of ConditionMisfit
+        Misfit of each condition before and after.
+    values, values_before : mapping
+        Parameters of the best model, and of the baseline fitted to the same data (SI).
+    stable_depth : tuple of StableDepth
+        Where the finding repairs the machine of a campaign that asks for stable depths.
+    force_error : tuple of ForceError
+        Where it repairs the model of a drive.
+    baseline : tuple of Own
+        The baseline's own parameters, as given and as fitted: a verdict is about what is beyond them.
+    """
+
+    verdict: Verdict
+    reason: str
+    causes: tuple[FoundCause, ...] = ()
+    alternatives: tuple[tuple[FoundCause, ...], ...] = ()
+    ladder: tuple[Rung, ...] = ()
+    misfit_before_db: float | None = None
+    misfit_after_db: float | None = None
+    gain: Gain | None = None
+    opened: Gain | None = None
+    remainder: Remainder | None = None
+    power: tuple[Detectable, ...] = ()
+    inseparable: tuple[tuple[str, ...], ...] = ()
+    unconverged: tuple[tuple[str, str], ...] = ()
+    next_experiment: Proposal | None = None
+    threshold: float | None = None
+    conditions: tuple[ConditionMisfit, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    values_before: Mapping[str, float] = field(default_factory=dict)
+    stable_depth: tuple[StableDepth, ...] = ()
+    force_error: tuple[ForceError, ...] = ()
+    baseline: tuple[Own, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for ``finding.json``; numbers that are not finite become None."""
+        found = asdict(self)
+        found["misfit_db"] = {"before": found.pop("misfit_before_db"), "after": found.pop("misfit_after_db")}
+        found["unconverged"] = dict(self.unconverged)
+        plain: dict[str, Any] = _plain(found)
+        return plain
+
+
+def _plain(x: Any) -> Any:
+    if isinstance(x, dict):
+        return {key: _plain(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [_plain(value) for value in x]
+    if isinstance(x, float):
+        return x if math.isfinite(x) else None
+    return x
+
+
+def explain(finding: Finding) -> str:
+    """Say a finding in plain sentences.
+
+    Parameters
+    ----------
+    finding : Finding
+        From `smfe.diagnosis.inference.diagnose.diagnose`.
+    """
+    opening = _PARTLY if finding.verdict == "unknown" and finding.causes else _OPENING[finding.verdict]
+    parts = [f"{opening}: {finding.reason}.", *_misfit(finding), *_own(finding.baseline)]
+    parts += [_cause(c) for c in finding.causes]
+    parts += [f"The data do not tell apart: {', '.join(c.title for c in s)}." for s in finding.alternatives]
+    parts += _gains(finding)
+    parts += [_force_error(e) for e in finding.force_error]
+    for where in dict.fromkeys(row.where for row in finding.stable_depth):
+        parts += _stable_depth([row for row in finding.stable_depth if row.where == where])
+    parts += _remainder(finding)
+    if finding.next_experiment is not None:
+        parts.append(_next(finding.next_experiment))
+    elif finding.verdict == "ambiguous":
+        parts.append("None of the proposed experiments would settle it.")
+    if finding.verdict == "consistent":
+        parts += _power(finding.power)
+    parts += [f"Not used as evidence: {name}: {why}." for name, why in finding.unconverged]
+    return "\n".join(parts)
+
+
+_OPENING = {
+    "consistent": "The data are consistent with the baseline",
+    "named": "The baseline leaves something out",
+    "ambiguous": "The baseline leaves something out, and it remains open what",
+    "unknown": "The baseline is wrong for a reason that the catalogue does not hold",
+    "insufficient_data": "The data do not suffice for a verdict",
+}
+
+_PARTLY = "Part of what the baseline leaves out is found, part of it remains unknown"
+
+
+def _misfit(finding: Finding) -> list[str]:
+    if finding.misfit_before_db is None:
+        return []
+    text = f"The baseline's misfit is {finding.misfit_before_db:.2f} dB over noise"
+    if finding.causes and finding.misfit_after_db is not None:
+        text += f", the extended model's {finding.misfit_after_db:.2f} dB"
+    return [text + "."]
+
+
+def _own(baseline: Sequence[Own]) -> list[str]:
+    moved = [f"{p.name} {p.fitted:.4g}{unit_of(p.unit)} in place of {p.given:.4g}" for p in baseline if p.blamed]
+    if not moved:
+        return []
+    return [f"These data give the baseline other values than the campaign does: {'; '.join(moved)}."]
+
+
+def _cause(cause: FoundCause) -> str:
+    values = "; ".join(f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({_interval(e)})" for e in cause.parameters)
+    proof = f"likelihood ratio {cause.ratio:.0f}"
+    if cause.gain_db is None:
+        return f"Not proven on conditions it was not fitted to: {cause.title}: {values} ({proof})."
+    gain = f"worth {cause.gain_db:.1f} dB there"
+    return f"Accepted on conditions it was not fitted to: {cause.title}: {values}; {gain} ({proof})."
+
+
+def _interval(e: Estimate) -> str:
+    return f"{e.low:.4g} to {e.high:.4g}" if math.isfinite(e.high - e.low) else "not told from others by these data"
+
+
+def unit_of(unit: str) -> str:
+    """Return a unit as it stands behind a number; a pure number has none."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def _next(n: Proposal) -> str:
+    price = "" if n.minutes is None else f" (about {n.minutes:.0f} min)"
+    return f"Measure next: {n.name}{price}; {n.expected}."
+
+
+def _force_error(error: ForceError) -> str:
+    where = "moves set aside beforehand" if error.held_out else "the moves that were fitted"
+    return f"Force error over {where}: {100.0 * error.before:.1f} % before, {100.0 * error.after:.1f} % after."
+
+
+def _stable_depth(rows: Sequence[StableDepth]) -> list[str]:
+    where, out = f"Stable depth ({rows[0].where})", []
+    known = [r for r in rows if 0.0 < r.before_mm < math.inf and 0.0 < r.after_mm < math.inf]
+    if known:
+        worst = max(known, key=lambda r: abs(math.log(r.after_mm / r.before_mm)))
+        most = "" if len(known) == 1 else "the largest change is "
+        out.append(
+            f"{where}: {most}at {worst.spindle_speed_rpm:g} rpm, {worst.after_mm:.3g} mm with the extended model, "
+            f"{worst.before_mm:.3g} mm with the baseline."
+        )
+    silent = [r.spindle_speed_rpm for r in rows if r.after_mm == 0.0]
+    if silent:
+        speeds = f"{min(silent):g} rpm" if len(silent) == 1 else f"{min(silent):g} to {max(silent):g} rpm"
+        out.append(f"{where}: at the feed of {speeds} the axis of the extended model vibrates without any cut.")
+    return out
+
+
+def _remainder(finding: Finding) -> list[str]:
+    left = finding.remainder
+    if left is None or not (left.beyond_noise and left.carriers):
+        return []
+    share = "" if left.share is None else f", {100.0 * left.share:.2g} % of the repeatable error of the baseline"
+    found = [f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {'; '.join(left.carriers)}."]
+    if finding.causes:
+        found.append("The intervals include its scatter; a cause that is not in the catalogue may still shift them.")
+    return found
+
+
+def _gains(finding: Finding) -> list[str]:
+    found = []
+    for gain, where in ((finding.gain, "held out in turn"), (finding.opened, "set aside beforehand")):
+        if gain is not None and finding.causes:
+            found.append(
+                f"On conditions {where} the extension explains {100.0 * gain.share:.3g} % of the repeatable error "
+                f"({gain.db:.1f} dB, sd {gain.sd:.1f} dB; the error with its noise falls by {gain.error_db:.2f} dB)."
+            )
+    return found
+
+
+def _power(power: Sequence[Detectable]) -> list[str]:
+    found = [
+        f"{p.title} above {p.size:.2g}{unit_of(p.unit)} ({p.parameter}) would have been seen with 95 %."
+        for p in power
+        if p.admissible
+    ]
+    hidden = dict.fromkeys(f"{p.title} ({p.parameter})" for p in power if not p.admissible)
+    return [*found, *([f"Would not have been seen in these conditions: {'; '.join(hidden)}."] if hidden else [])]
+
+
+# --- What the baseline and the best model leave of each condition, those that were set aside included.
+
+
+@dataclass(frozen=True)
+class ConditionMisfit:
+    """Squares of the residuals of a condition over those of noise [dB].
+
+    Attributes
+    ----------
+    name : str
+        Of the condition.
+    before_db, after_db : float or None
+        Of the baseline, of the best model; None where it predicts nothing there.
+    held_out : bool
+        Whether no fit has seen it.
+    """
+
+    name: str
+    before_db: float | None
+    after_db: float | None
+    held_out: bool
+
+
+def by_condition(model: Model, before: Fit, after: Fit, aside: Mapping[int, Real]) -> tuple[ConditionMisfit, ...]:
+    """Return the misfit of each condition, in the order of the campaign."""
+    opened = [residuals(model, Target(aside, f.u), f.u) or {} for f in (before, after)]
+    every = [{**f.residual, **more} for f, more in zip((before, after), opened, strict=True)]
+    return tuple(
+        ConditionMisfit(model.conditions[r].name, _decibel(every[0].get(r)), _decibel(every[1].get(r)), r in aside)
+        for r in sorted({*before.residual, *aside})
+    )
+
+
+def _decibel(residual: Real | None) -> float | None:
+    return None if residual is None else 10.0 * math.log10(max(float(np.mean(residual**2)), 1e-300))

@@ -1,0 +1,236 @@
+"""A family with all its parameters in one scaled vector, its predictions kept.
+
+``u = (value - start)/scale``: zero is the most likely baseline without any cause. Predictions and their slopes are
+asked for condition by condition, because a fit that leaves a condition out needs the others only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+from smfe.diagnosis.inference.misfit import NoiseFreedom
+from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
+from smfe.diagnosis.inference.workers import Answer, Helpers
+
+Real = NDArray[np.float64]
+Index = NDArray[np.int64]
+Blocks = Mapping[int, Real]
+"""Number of a condition -> an array with one row a value of it."""
+
+Stencil = Sequence[tuple[float, float]]
+"""Steps of a difference and what they are multiplied with."""
+
+STEP = 0.02
+"""Half of the step of a central difference, in units of the scale of a parameter.
+
+Small enough for what is curved over a scale, large enough for a time simulation, whose steps change with the values.
+"""
+
+LARGEST_STEP = 0.5
+"""The same where predictions are rough."""
+
+ABOVE = 20.0
+"""How far a step takes a prediction that is rough, over how rough it is."""
+
+WORTH_HELP = 0.001
+"""Mean time of a prediction [s] from which several processes make them; shorter ones take as long to hand over."""
+
+WORTH_A_START = 1.0
+"""Time that predictions have taken [s] before others are started to help."""
+
+KEPT = 4_000_000
+"""Numbers of predictions that are kept."""
+
+
+class Model:
+    """Predictions of a family, as functions of one vector of scaled parameters.
+
+    Parameters
+    ----------
+    family : Family
+        What predicts.
+    conditions : sequence of Condition
+        All that may be asked for: measured, held out and proposed.
+    helpers : Helpers, optional
+        Processes that predict where it takes long.
+    """
+
+    def __init__(self, family: Family, conditions: Sequence[Condition], helpers: Helpers | None = None) -> None:
+        self.family = family
+        self.helpers = Helpers(1) if helpers is None else helpers
+        self.conditions = tuple(conditions)
+        self.causes: tuple[Cause, ...] = tuple(family.causes)
+        parameters = [*family.nuisances, *(p for cause in self.causes for p in cause.parameters)]
+        self.parameters: tuple[Parameter, ...] = tuple(parameters)
+        self.names = tuple(p.name for p in parameters)
+        _refuse_twins("parameter", self.names)
+        _refuse_twins("cause", [c.key for c in self.causes])
+        _refuse_twins("condition", [c.name for c in self.conditions if c.observed is not None])
+        self.start = np.array([p.start for p in parameters], dtype=float)
+        self.scale = np.array([p.scale for p in parameters], dtype=float)
+        self.low = (np.array([p.low for p in parameters], dtype=float) - self.start) / self.scale
+        self.high = (np.array([p.high for p in parameters], dtype=float) - self.start) / self.scale
+        self.weight = self.scale / np.array([p.prior for p in parameters], dtype=float)
+        self.nuisance: Index = np.arange(len(family.nuisances))
+        ends = np.cumsum([len(family.nuisances), *(len(c.parameters) for c in self.causes)])
+        self.of_cause = tuple(np.arange(a, b) for a, b in pairwise(ends.tolist()))
+        self.trouble = ""
+        self._roughness = float(getattr(family, "roughness", 0.0))
+        self._step = np.full(len(parameters), STEP)
+        self._kept: OrderedDict[tuple[int, bytes], Answer] = OrderedDict()
+        self._stored = 0
+        self._spent, self._asked = 0.0, 0
+
+    def free(self, causes: Sequence[int]) -> Index:
+        """Indices of the parameters that a hypothesis fits: the nuisances first, then its causes in their order."""
+        return np.concatenate([self.nuisance, *(self.of_cause[k] for k in sorted(causes))]).astype(np.int64)
+
+    @property
+    def noise_freedom(self) -> NoiseFreedom:
+        """How well the noise of the data is known: by the family, and by what it was measured with."""
+        own = {row: float(getattr(c.data, "noise_freedom", math.inf)) for row, c in enumerate(self.conditions)}
+        return NoiseFreedom(float(getattr(self.family, "noise_freedom", math.inf)), own)
+
+    def null(self) -> Real:
+        """Return the baseline at its most likely nuisances."""
+        return np.zeros(len(self.parameters))
+
+    def values(self, u: Real) -> dict[str, float]:
+        """Parameter name -> value (SI)."""
+        return dict(zip(self.names, (self.start + self.scale * u).tolist(), strict=True))
+
+    def predict(self, row: int, u: Real) -> Real | None:
+        """Return the prediction of a condition, shape (n,); None where the family cannot give one (see `trouble`)."""
+        key = (row, u.tobytes())
+        if key in self._kept:
+            self._kept.move_to_end(key)
+        else:
+            self._keep(key, self._ask(row, u))
+        found, why = self._kept[key]
+        self.trouble = why or self.trouble
+        return found
+
+    def prepare(self, wanted: Sequence[tuple[int, Real]]) -> None:
+        """Predict several conditions side by side, to have them at hand, where a prediction takes long."""
+        if self.helpers.count == 1 or self._spent < max(WORTH_A_START, WORTH_HELP * self._asked):
+            return
+        new = {(row, u.tobytes()): (row, u) for row, u in wanted if (row, u.tobytes()) not in self._kept}
+        if len(new) > 1:
+            for key, answer in zip(new, self.helpers.answers(self._ask, list(new.values())), strict=True):
+                self._keep(key, answer)
+
+    def _keep(self, key: tuple[int, bytes], answer: Answer) -> None:
+        self._kept[key] = answer
+        self._stored += _numbers(answer)
+        while self._stored > KEPT and len(self._kept) > 1:
+            self._stored -= _numbers(self._kept.popitem(last=False)[1])
+
+    def _ask(self, row: int, u: Real) -> Answer:
+        condition = self.conditions[row]
+        begin = perf_counter()
+        try:
+            given = self.family.predict(condition, self.values(u))
+        except InputError as problem:
+            return None, f"{condition.name}: {problem}"
+        self._spent, self._asked = self._spent + perf_counter() - begin, self._asked + 1
+        found = np.asarray(given, dtype=float)
+        wanted = found.shape if condition.observed is None else condition.observed.shape
+        if found.ndim != 1 or found.shape != wanted:
+            raise InputError(
+                f"{condition.name}: predicted {found.shape} values for {wanted} observed; "
+                "a family must predict a condition in the form of its data"
+            )
+        if not np.all(np.isfinite(found)):
+            return None, f"{condition.name}: a predicted value is not finite"
+        return found, ""
+
+    def slopes(self, rows: Sequence[int], u: Real, free: Index, rough: bool = False) -> dict[int, Real] | None:
+        """Return the derivatives of each condition with the scaled parameters `free`: central differences, (n, p).
+
+        On a bound the difference is one-sided and of second order; rough ones are one-sided and of first order
+        everywhere, for half of the predictions. None where the family predicts neither way.
+
+        Where the family says that its predictions are rough, the steps of parameters that do little are longer: hits
+        that break a guideway away depend on them as on a fine saw besides.
+        """
+        self.prepare([(row, at) for j in free for at in self._beside(u, int(j), rough) for row in rows])
+        columns = [self._slope(rows, u, int(j), rough) for j in free]
+        again = [n for n, c in enumerate(columns) if c is not None and self._unfit(int(free[n]), c)]
+        if again:
+            self.prepare([(row, at) for n in again for at in self._beside(u, int(free[n]), rough) for row in rows])
+            for n in again:
+                columns[n] = self._slope(rows, u, int(free[n]), rough)
+        if any(c is None for c in columns):
+            return None
+        return {
+            row: np.stack([c[row] for c in columns if c is not None], axis=1)
+            if columns
+            else np.zeros((self.size(row, u), 0))
+            for row in rows
+        }
+
+    def _unfit(self, j: int, column: Mapping[int, Real]) -> bool:
+        """Set the step of a parameter by what it does; say whether it was taken much too short or too long."""
+        does, before = math.sqrt(sum(float(x @ x) for x in column.values())), self._step[j]
+        if self._roughness == 0.0 or does == 0.0:
+            return False
+        self._step[j] = np.clip(ABOVE * self._roughness / does, STEP, LARGEST_STEP)
+        return bool(max(self._step[j] / before, before / self._step[j]) > 3.0)
+
+    def size(self, row: int, u: Real) -> int:
+        """Return how many values a condition has."""
+        found = self.predict(row, u)
+        return 0 if found is None else int(found.size)
+
+    def _beside(self, u: Real, j: int, rough: bool) -> list[Real]:
+        """Return the values at which the difference that is tried first is taken."""
+        unit = np.eye(u.size)[j]
+        return [u + step * unit for stencil in self._stencils(u, j, rough)[:1] for step, _ in stencil]
+
+    def _slope(self, rows: Sequence[int], u: Real, j: int, rough: bool) -> dict[int, Real] | None:
+        for stencil in self._stencils(u, j, rough):
+            found = self._difference(rows, u, j, stencil)
+            if found is not None:
+                return found
+        return None
+
+    def _stencils(self, u: Real, j: int, rough: bool) -> list[Stencil]:
+        """Return the differences that the bounds leave room for, the best first."""
+        room, h = (self.low[j] - u[j], self.high[j] - u[j]), float(self._step[j])
+        central = ((-h, -0.5 / h), (h, 0.5 / h))
+        forward, backward = (
+            tuple((s * step, s * c / h) for step, c in ((0.0, -1.5), (h, 2.0), (2.0 * h, -0.5))) for s in (1.0, -1.0)
+        )
+        onward, back = (((0.0, -s / h), (s * h, s / h)) for s in (1.0, -1.0))
+        wanted: tuple[Stencil, ...] = (onward, back) if rough else (central, forward, backward)
+        return [stencil for stencil in wanted if all(room[0] <= step <= room[1] for step, _ in stencil)]
+
+    def _difference(self, rows: Sequence[int], u: Real, j: int, stencil: Stencil) -> dict[int, Real] | None:
+        total: dict[int, Real] = {}
+        for step, coefficient in stencil:
+            at = u.copy()
+            at[j] += step
+            for row in rows:
+                found = self.predict(row, at)
+                if found is None:
+                    return None
+                total[row] = total[row] + coefficient * found if row in total else coefficient * found
+        return total
+
+
+def _numbers(answer: Answer) -> int:
+    return 1 if answer[0] is None else answer[0].size
+
+
+def _refuse_twins(what: str, names: Sequence[str]) -> None:
+    twins = sorted({n for n in names if list(names).count(n) > 1})
+    if twins:
+        raise InputError(f"two of the family have the same {what} name {twins[0]!r}; give each its own")

@@ -1,0 +1,221 @@
+"""Which experiment would settle what remains open: T-optimal discrimination (Atkinson, Fedorov, Biometrika 62, 1975).
+
+``D(e) = min over pairs of min |y_i - y_j|^2`` over the parameters and nuisances of j, on what was measured and the
+proposal e together, with the data that hypothesis i predicts. The likelihood ratio between the two is then about
+normal with mean D and variance 4 D, which gives the chance that the experiment settles the pair. An experiment that
+takes t minutes and settles it with the chance p, repeated until it does, takes t/p: the least of these comes first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from smfe.diagnosis.inference.fit import Fit, Target, refit
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.power import SEEN, Detectable, detectable
+from smfe.diagnosis.inference.signature import tangent
+
+Real = NDArray[np.float64]
+
+MARGIN = float(stats.chi2.ppf(0.99, 1))
+"""Likelihood ratio by which the best hypothesis must at least lead."""
+
+TRIED = 5
+"""Proposals that are examined with the rivals fitted anew."""
+
+_NOTHING = 0.1  # of chi-square
+MINUTES = 5.0
+"""What a proposal takes that does not say."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An experiment that could be done next.
+
+    Attributes
+    ----------
+    name : str
+        Of the condition.
+    discrimination : float
+        D of the pair that it separates worst [chi-square], what was measured included; NaN where nothing has to be
+        told apart and it is to show what could be hidden.
+    chance : float
+        Probability that it settles that pair, or shows what it is said to show.
+    expected : str
+        What to look for.
+    minutes : float or None
+        What it takes; None where nothing is said about it.
+    """
+
+    name: str
+    discrimination: float
+    chance: float
+    expected: str
+    minutes: float | None = None
+
+
+def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: Sequence[int]) -> Fit | None:
+    """Fit a rival to what another hypothesis predicts for the measured conditions and `rows`; its chi2 is D."""
+    every = [*target.observed, *rows]
+    predicted = {r: y for r in every if (y := model.predict(r, truth.u)) is not None}
+    slope = model.slopes(rows, rival.u, rival.free)
+    if len(predicted) < len(every) or slope is None:
+        return None
+    centre = np.where(np.isin(np.arange(truth.u.size), truth.free), truth.u, target.centre)
+    return refit(model, Target(predicted, centre), replace(rival, slope={**rival.slope, **slope}))
+
+
+def chance_to_settle(found: float) -> float:
+    """Probability that a likelihood ratio of mean D and variance 4 D exceeds the margin."""
+    return float(stats.norm.cdf((found - MARGIN) / (2.0 * math.sqrt(found)))) if found > 0.0 else 0.0
+
+
+def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int], title: str = "") -> list[Proposal]:
+    """Rank proposals, the one that is expected to settle the matter soonest first.
+
+    Only the `TRIED` that could tell most, if no parameter gave way, are examined.
+
+    Parameters
+    ----------
+    model, target : Model, Target
+        What predicts; the data measured so far.
+    open_ : sequence of Fit
+        Hypotheses that remain.
+    rows : sequence of int
+        Conditions that could be measured.
+    title : str, optional
+        What the hypotheses are about, for the words.
+    """
+    found = []
+    for row in _promising(model, open_, rows):
+        pairs = [(a, discrimination(model, target, a, b, [row])) for a, b in permutations(open_, 2)]
+        fits = [f for a, f in pairs if f is None or not _imitates(f, a)]
+        if not fits or any(f is None or not f.converged for f in fits):
+            continue
+        worst = min((f for f in fits if f is not None), key=lambda f: f.chi2)
+        apart = math.sqrt(float(np.mean(worst.residual[row] ** 2)))
+        chance = chance_to_settle(worst.chi2)
+        words = (
+            f"there the predictions of {title or 'the hypotheses'} differ by {apart:.2g} times the noise (rms) at "
+            f"least; the chance that it settles the question is {100.0 * chance:.0f} %"
+        )
+        found.append(Proposal(model.conditions[row].name, worst.chi2, chance, words, _stated_minutes(model, row)))
+    return sorted(found, key=lambda p: ((p.minutes or MINUTES) / max(p.chance, 1e-9), -p.discrimination))
+
+
+def _imitates(rival: Fit, truth: Fit) -> bool:
+    """Return whether a rival with more parameters contains the truth: then no experiment tells, but parsimony does."""
+    return rival.converged and rival.chi2 < _NOTHING and rival.free.size > truth.free.size
+
+
+def _promising(model: Model, open_: Sequence[Fit], rows: Sequence[int]) -> list[int]:
+    """Return the rows whose predictions differ most for each minute: a rival that is not fitted anew bounds D."""
+    worth: dict[int, float] = {}
+    for row in rows:
+        predicted = [model.predict(row, f.u) for f in open_]
+        known = [y for y in predicted if y is not None]
+        if len(known) == len(predicted):
+            apart = min((float(np.sum((a - b) ** 2)) for a, b in combinations(known, 2)), default=0.0)
+            worth[row] = apart / (_stated_minutes(model, row) or MINUTES)
+    return sorted(worth, key=lambda row: -worth[row])[:TRIED]
+
+
+def _stated_minutes(model: Model, row: int) -> float | None:
+    said = model.conditions[row].settings.get("minutes")
+    return None if said is None else float(said)
+
+
+# --- What the measured conditions do not show, and which experiment would: the next step where nothing was found.
+
+_BLIND = 100.0
+"""Scales that a cause counts with that would never be seen."""
+
+_TOLD = 1.5
+"""Ratio of a hidden size before and after from which a proposal is worth its time, and a cause is told of."""
+
+_MOST = 6
+"""Causes that are told of."""
+
+
+def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Sequence[int]) -> Proposal | None:
+    """Return the proposal that shows most of what the measured conditions hide; None where none does.
+
+    Parameters
+    ----------
+    model, target : Model, Target
+        What predicts; the data measured so far.
+    null : Fit
+        The baseline, fitted.
+    limit : float
+        Threshold of ``LR - 2 parameters``.
+    rows : sequence of int
+        Conditions that could be measured.
+    """
+    before = _sizes(model, detectable(model, tangent(model, target, null), limit))
+    hidden = {key: size for key, size in before.items() if size > 1.0}
+    best: tuple[float, int, dict[tuple[str, str], float]] | None = None
+    for row in rows if hidden else ():
+        after = _with(model, target, null, limit, row, {key for key, _ in hidden})
+        if after is None:
+            continue
+        worth = sum(math.log(size / max(after.get(key, size), 1.0)) for key, size in hidden.items())
+        rate = worth / _minutes(model, row)
+        if worth > math.log(_TOLD) and (best is None or rate > best[0]):
+            best = rate, row, after
+    return None if best is None else _proposal(model, best[1], hidden, best[2])
+
+
+def _minutes(model: Model, row: int) -> float:
+    return float(model.conditions[row].settings.get("minutes", MINUTES))
+
+
+def _sizes(model: Model, seen: Sequence[Detectable]) -> dict[tuple[str, str], float]:
+    """Cause and parameter -> size that is seen [scales]."""
+    unit = {p.name: p.scale * p.shown for c in model.causes for p in c.parameters}
+    return {(d.cause, d.parameter): min(d.size / unit[d.parameter], _BLIND) for d in seen}
+
+
+def _with(
+    model: Model, target: Target, null: Fit, limit: float, row: int, causes: set[str]
+) -> dict[tuple[str, str], float] | None:
+    """Sizes that would be seen if a condition were measured as well and showed what the baseline predicts."""
+    predicted, slope = model.predict(row, null.u), model.slopes([row], null.u, null.free)
+    if predicted is None or slope is None:
+        return None
+    more = Target({**target.observed, row: predicted}, target.centre)
+    fit = replace(null, residual={**null.residual, row: np.zeros_like(predicted)}, slope={**null.slope, **slope})
+    wanted = [k for k, c in enumerate(model.causes) if c.key in causes]
+    return _sizes(model, detectable(model, tangent(model, more, fit, wanted), limit))
+
+
+def _proposal(
+    model: Model,
+    row: int,
+    before: Mapping[tuple[str, str], float],
+    after: Mapping[tuple[str, str], float],
+) -> Proposal:
+    gains = {key: size / max(after.get(key, size), 1.0) for key, size in before.items()}
+    told = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > _TOLD][:_MOST]
+    words = "; ".join(_words(model, key, before[key], after[key]) for key in told)
+    minutes = model.conditions[row].settings.get("minutes")
+    return Proposal(
+        model.conditions[row].name,
+        math.nan,
+        SEEN,
+        f"there would be seen with {100 * SEEN:.0f} % what the data so far hide: {words}",
+        None if minutes is None else float(minutes),
+    )
+
+
+def _words(model: Model, key: tuple[str, str], before: float, after: float) -> str:
+    cause, p = next((c, p) for c in model.causes for p in c.parameters if (c.key, p.name) == key)
+    unit = "" if p.unit == "1" else f" {p.unit}"
+    now, then = (f"{size * p.scale * p.shown:.2g}{unit}" for size in (before, after))
+    return f"{cause.title} ({p.name}) of {then}" + (f", so far {now}" if before < _BLIND else "")

@@ -1,0 +1,200 @@
+"""What size of each cause would have been seen: the other half of "nothing was found".
+
+A cause of size s has the noncentrality ``s^2 g`` with g the square of its signature; seen with 95 % is the size at
+which the noncentral distribution of the likelihood ratio lies above the threshold with that probability. Where the
+effect has a shape (the speed of a Stribeck effect, the frequency of a mode), the one that shows least counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special, stats
+
+from process.errors import InputError
+from smfe.diagnosis.inference.fit import Fit, Target
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.problem import Condition, Family
+from smfe.diagnosis.inference.signature import Signature, Tangent, orthonormal, tangent
+from smfe.diagnosis.inference.thresholds import PENALTY, parameters_of, score, threshold
+
+Real = NDArray[np.float64]
+
+SEEN = 0.95
+
+PROVEN = 36.0
+"""Likelihood ratio at which a gain that scatters by ``2 sqrt(LR)`` is three of its standard deviations."""
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """Smallest size of one parameter of a cause that is seen with 95 %.
+
+    Attributes
+    ----------
+    cause, title, parameter : str
+        Key and title of the cause, name of the parameter.
+    size : float
+        Change from the null, as shown; infinite where these conditions do not show it.
+    proven_size : float
+        The size that is named with 95 %: its gain on held-out conditions is three standard deviations as well.
+    unit : str
+        Of the sizes.
+    admissible : bool
+        Whether the parameter can get that large.
+    """
+
+    cause: str
+    title: str
+    parameter: str
+    size: float
+    proven_size: float
+    unit: str
+    admissible: bool
+
+
+def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...]:
+    """Return the detectable size of each parameter of each cause that is not in the fit, at a threshold.
+
+    Parameters
+    ----------
+    model : Model
+        What predicts.
+    at : Tangent
+        The fit, linearised.
+    limit : float
+        Threshold of ``LR - 2 parameters``.
+    """
+    found = []
+    for k, cause in enumerate(model.causes):
+        own = [s for s in at.signatures if s.cause == k]
+        if k in at.fit.causes:
+            continue
+        for j, parameter in zip(model.of_cause[k], cause.parameters, strict=True):
+            acting = [s for s in own if j in s.free]
+            if own and not acting:
+                continue
+            level = limit + PENALTY * parameters_of(model, [k])
+            seen, proven = (
+                max((_size(model, s, int(j), x) for s in acting), default=math.inf) for x in (level, max(level, PROVEN))
+            )
+            unit = parameter.scale * parameter.shown
+            possible = bool(seen <= max(model.high[j], -model.low[j]))
+            found.append(
+                Detectable(cause.key, cause.title, parameter.name, seen * unit, proven * unit, parameter.unit, possible)
+            )
+    return tuple(found)
+
+
+def _size(model: Model, signature: Signature, j: int, level: float) -> float:
+    """Size of a scaled parameter whose likelihood ratio exceeds a level with 95 %."""
+    place = int(np.flatnonzero(signature.free == j)[0])
+    own = score(model, [signature])
+    square = float(signature.columns[:, place] @ signature.columns[:, place])
+    if square <= 0.0:
+        return math.inf
+    one_sided = bool(own.gram.shape[0] == 1 and not (own.up[0] and own.down[0]))
+    return math.sqrt(noncentrality(max(level, 1e-6), own.gram.shape[0], one_sided) / square)
+
+
+def noncentrality(level: float, freedom: int, one_sided: bool = False) -> float:
+    """Return the noncentrality with which a chi-square statistic exceeds a level with 95 %."""
+    if one_sided:
+        return (math.sqrt(level) + float(stats.norm.ppf(SEEN))) ** 2
+    return float(special.chndtrinc(level, freedom, 1.0 - SEEN))
+
+
+# --- What a set of conditions can tell apart, before any data: cosines between the signatures of the causes.
+
+
+COLLINEAR = 0.95
+"""Cosine of two signatures above which they count as one."""
+
+
+@dataclass(frozen=True)
+class Isolability:
+    """What conditions can tell apart and see.
+
+    Attributes
+    ----------
+    causes : tuple of str
+        Keys of the causes.
+    cosine : ndarray, shape (c, c)
+        Between the signatures; zero for a cause without any, or where one can do more than the other.
+    groups : tuple of tuple of str
+        Causes that cannot be told apart.
+    power : tuple of Detectable
+        What size of each would be seen.
+    """
+
+    causes: tuple[str, ...]
+    cosine: Real
+    groups: tuple[tuple[str, ...], ...]
+    power: tuple[Detectable, ...]
+
+
+def isolability(family: Family, conditions: Sequence[Condition] | None = None, seed: int = 0) -> Isolability:
+    """Say what conditions can tell apart and see; no observed value is used.
+
+    Parameters
+    ----------
+    family : Family
+        Baseline and causes.
+    conditions : sequence of Condition, optional
+        Measured or proposed ones. Default: the measured ones of the family.
+    seed : int, optional
+        Of the calibration of the threshold.
+    """
+    chosen = tuple(family.conditions if conditions is None else conditions)
+    if not chosen:
+        raise InputError("no condition was given; what can be told apart depends on the conditions that are measured")
+    model = Model(family, chosen)
+    at = nominal(model, range(len(chosen)))
+    limit = threshold(model, at, np.random.default_rng([seed, 1, 0]))
+    cosine = cosines(model, at)
+    keys = tuple(c.key for c in model.causes)
+    together = tuple(tuple(keys[k] for k in g) for g in groups(model, cosine))
+    return Isolability(keys, cosine, together, detectable(model, at, limit))
+
+
+def nominal(model: Model, rows: Sequence[int]) -> Tangent:
+    """Linearise the baseline at its most likely nuisances."""
+    u = model.null()
+    predicted = {r: y for r in rows if (y := model.predict(r, u)) is not None}
+    slope = model.slopes(rows, u, model.nuisance)
+    if len(predicted) < len(rows) or slope is None:
+        raise InputError(
+            f"no prediction of the baseline at its most likely values ({model.trouble}); correct the family"
+        )
+    fit = Fit((), model.nuisance, u, 0.0, {r: np.zeros(y.size) for r, y in predicted.items()}, slope, True)
+    return tangent(model, Target(predicted, u), fit)
+
+
+def cosines(model: Model, at: Tangent) -> Real:
+    """Return the cosine of the largest angle between the signatures of any two causes, the nearest of their shapes."""
+    found = np.zeros((len(model.causes), len(model.causes)))
+    bases = [(s.cause, orthonormal(s.columns)) for s in at.signatures]
+    for i, a in bases:
+        for j, b in bases:
+            if a.shape[1] == b.shape[1] > 0:
+                smallest = float(np.linalg.svd(a.T @ b, compute_uv=False).min())
+                found[i, j] = max(found[i, j], min(smallest, 1.0))
+    return found
+
+
+def groups(model: Model, cosine: Real) -> list[tuple[int, ...]]:
+    """Return causes that are linked by collinear signatures; variants of one cause alone are no group."""
+    linked = cosine > COLLINEAR
+    left, found = set(range(len(model.causes))), []
+    while left:
+        group = {left.pop()}
+        while more := {j for i in group for j in np.flatnonzero(linked[i]).tolist()} - group:
+            group |= more
+        left -= group
+        if len({model.causes[k].id for k in group}) > 1:
+            found.append(tuple(sorted(group)))
+    return sorted(found)

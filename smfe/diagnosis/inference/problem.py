@@ -1,0 +1,146 @@
+"""What a diagnosis works on: parameters, causes that nest a baseline, conditions with whitened data, a family.
+
+A family predicts every condition from one set of values. With every cause at its null value it is the baseline; the
+engine (`smfe.diagnosis.inference.diagnose`) knows nothing else about the physics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.errors import InputError
+
+Real = NDArray[np.float64]
+Values = Mapping[str, float]
+"""Parameter name -> value (SI)."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model.
+
+    Parameters
+    ----------
+    name : str
+        Unique within the family, e.g. ``"loop_delay.delay"``.
+    unit : str
+        As shown to people.
+    start : float
+        Of a nuisance the most likely value, of a cause the null value (SI).
+    scale : float
+        Size of a change that matters (SI); fits work in units of it.
+    low, high : float, optional
+        Admissible range (SI): outside, the model is not physics.
+    prior : float, optional
+        Standard deviation of a Gaussian prior around `start` (SI); infinite: none.
+    shown : float, optional
+        Number shown for one SI unit (1000 for mm).
+    """
+
+    name: str
+    unit: str
+    start: float
+    scale: float
+    low: float = -math.inf
+    high: float = math.inf
+    prior: float = math.inf
+    shown: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse a parameter that cannot be fitted."""
+        if not (self.scale > 0.0 and self.prior > 0.0 and self.low <= self.start <= self.high):
+            raise InputError(
+                f"parameter {self.name}: start {self.start:g} in {self.low:g} to {self.high:g}, scale {self.scale:g}, "
+                f"prior {self.prior:g}; the start must be admissible, scale and prior positive"
+            )
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Something that the baseline leaves out. At the null values of its parameters it leaves the baseline unchanged.
+
+    Parameters
+    ----------
+    id : str
+        Cause id, the same everywhere (``"guideway_friction"``).
+    title : str
+        For people, e.g. ``"Stribeck friction of the guideway"``.
+    parameters : tuple of Parameter
+        What a fit finds.
+    variant : str, optional
+        Tells several models of one cause apart (``"stribeck"``).
+    kind : {"physics", "measurement"}, optional
+        A measurement fault is excluded before physics is blamed.
+    starts : tuple of tuple of float, optional
+        More values to start a fit from (SI), besides what the linearised score suggests.
+    twin : callable, optional
+        From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
+        fit alike the nearer to the null is told.
+    """
+
+    id: str
+    title: str
+    parameters: tuple[Parameter, ...]
+    variant: str = ""
+    kind: str = "physics"
+    starts: tuple[tuple[float, ...], ...] = ()
+    twin: Callable[[Mapping[str, float]], tuple[float, ...]] | None = None
+
+    @property
+    def key(self) -> str:
+        """Id and variant."""
+        return f"{self.id}/{self.variant}" if self.variant else self.id
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One condition of the campaign: the unit that is held out as a whole.
+
+    Parameters
+    ----------
+    name : str
+        For people, e.g. ``"actuator x, 500 mm/min, 50 N, K2"``.
+    settings : mapping
+        Feed, level, direction, controller, position, added mass, order in time ... as far as they are known.
+    observed : ndarray, shape (n,), optional
+        Real data whitened to unit variance (complex values as real and imaginary parts); None: a proposed experiment.
+    source : str, optional
+        Independent experiment that it belongs to: parameters must agree between sources.
+    data : object, optional
+        Whatever the family needs to predict it.
+    """
+
+    name: str
+    settings: Mapping[str, float | str]
+    observed: Real | None = field(default=None, repr=False)
+    source: str = ""
+    data: object = field(default=None, repr=False)
+
+
+class Family(Protocol):
+    """A baseline with its nuisances, the causes that extend it, and the conditions that were measured."""
+
+    @property
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """Parameters of the baseline that every hypothesis fits anew."""
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Candidates."""
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """What was measured."""
+
+    @property
+    def proposals(self) -> tuple[Condition, ...]:
+        """Experiments that could be done next, without data."""
+
+    def predict(self, condition: Condition, values: Values) -> Real:
+        """Return the prediction of a condition, whitened like its data, shape (n,)."""

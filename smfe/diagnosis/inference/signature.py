@@ -1,0 +1,185 @@
+"""What each cause would do to the data, to first order, beyond what the nuisances can imitate.
+
+The slopes of a cause at its null value, with the tangent of all fitted parameters (priors included) projected off.
+A parameter that does nothing at the null (a Stribeck speed without Stribeck friction) is a shape: the signature is
+taken at several of its values, and the best of them counts (Davies, Biometrika 64, 1977).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smfe.diagnosis.inference.fit import Fit, Target, stacked
+from smfe.diagnosis.inference.model import Index, Model
+
+Real = NDArray[np.float64]
+
+SILENT = 1e-7
+"""Norm of a slope [noise sd per scale], or its share of the largest of a cause, below which it counts as nothing."""
+
+CONFOUNDED = 1e-4
+"""Share of a signature's norm that must survive the projection; less is the error of the differences."""
+
+
+@dataclass(frozen=True)
+class Signature:
+    """First-order effect of one cause, for one value of its shape.
+
+    Attributes
+    ----------
+    cause : int
+        Number of the cause.
+    free : ndarray of int, shape (m,)
+        Its parameters that act.
+    u : ndarray
+        Scaled parameters it was taken at, the shape included.
+    columns : ndarray, shape (N, m)
+        Slopes after the projection: all data, then the priors of the fit.
+    raw : ndarray, shape (m,)
+        Norms before it.
+    slope : mapping
+        Slopes of the conditions, (n, parameters of the cause), before it.
+    """
+
+    cause: int
+    free: Index
+    u: Real
+    columns: Real
+    raw: Real
+    slope: Mapping[int, Real]
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """A fit, linearised.
+
+    Attributes
+    ----------
+    fit : Fit
+        Where.
+    basis : ndarray, shape (N, r)
+        Orthonormal basis of all that the fitted parameters do.
+    residual : ndarray, shape (N,)
+        Residuals, then prior deviations.
+    signatures : tuple of Signature
+        Of the causes that are not in the fit.
+    silent : tuple of int
+        Causes whose slopes the family could not give.
+    """
+
+    fit: Fit
+    basis: Real
+    residual: Real
+    signatures: tuple[Signature, ...]
+    silent: tuple[int, ...]
+
+
+def orthonormal(columns: Real) -> Real:
+    """Return an orthonormal basis of the columns, as many as can be told apart."""
+    if columns.shape[1] == 0:
+        return np.zeros((columns.shape[0], 0))
+    size = np.linalg.norm(columns, axis=0)
+    unit = columns[:, size > 0.0] / size[size > 0.0]
+    if unit.shape[1] == 0:
+        return np.zeros((columns.shape[0], 0))
+    left, singular, _ = np.linalg.svd(unit, full_matrices=False)
+    return np.asarray(left[:, singular > 1e-7 * singular[0]])
+
+
+def inside(model: Model, fit: Fit) -> NDArray[np.bool_]:
+    """Which fitted parameters are not on a bound; those on one cannot imitate anything, to first order."""
+    u, low, high = fit.u[fit.free], model.low[fit.free], model.high[fit.free]
+    return np.asarray((u > low + 1e-9) & (u < high - 1e-9) | np.isin(fit.free, model.nuisance))
+
+
+def tangent(model: Model, target: Target, fit: Fit, causes: Sequence[int] | None = None) -> Tangent:
+    """Linearise a fit and take the signatures of all other causes there, or of some of them."""
+    slope, residual = stacked(model, target, fit.free, fit.u, fit.residual, fit.slope)
+    basis = orthonormal(slope[:, inside(model, fit)])
+    found: list[Signature] = []
+    silent: list[int] = []
+    for k in range(len(model.causes)) if causes is None else causes:
+        if k not in fit.causes:
+            own = _signatures(model, target, fit, k, basis)
+            found += own
+            if not own:
+                silent.append(k)
+    return Tangent(fit, basis, residual, tuple(found), tuple(silent))
+
+
+def _signatures(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> list[Signature]:
+    rows, mine = list(target.observed), model.of_cause[k]
+    slope = model.slopes(rows, fit.u, mine)
+    if slope is None:
+        return []
+    norms = np.linalg.norm(np.concatenate([slope[r] for r in rows]), axis=0)
+    acting = norms > SILENT * max(1.0, float(norms.max()))
+    if not acting.any():
+        return _secants(model, target, fit, k, basis)
+    found = []
+    for shape in _shapes(model, fit, k, mine[~acting]):
+        at = fit.u.copy()
+        at[mine[~acting]] = shape
+        here = slope if np.array_equal(at, fit.u) else model.slopes(rows, at, mine)
+        if here is not None:
+            found.append(_signature(model, target, k, mine[acting], at, here, acting, basis))
+    return found
+
+
+def _signature(
+    model: Model,
+    target: Target,
+    k: int,
+    free: Index,
+    at: Real,
+    slope: Mapping[int, Real],
+    acting: NDArray[np.bool_],
+    basis: Real,
+) -> Signature:
+    data = np.concatenate([slope[r][:, acting] for r in target.observed])
+    columns = np.concatenate([data, np.zeros((basis.shape[0] - data.shape[0], data.shape[1]))])
+    raw = np.linalg.norm(columns, axis=0)
+    columns = columns - basis @ (basis.T @ columns)
+    columns[:, np.linalg.norm(columns, axis=0) < CONFOUNDED * raw] = 0.0
+    return Signature(k, free, at, columns, raw, slope)
+
+
+_JOINTLY = 2
+"""Shape parameters that are varied; of more, most are silent because the sensors do not see them."""
+
+
+def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
+    """Values of the shape parameters to take the signature at."""
+    own = fit.u[silent]
+    if silent.size == 0:
+        return [own]
+    position = silent - model.of_cause[k][0]
+    given = [np.array(s, dtype=float)[position] for s in model.causes[k].starts]
+    found = [own, *((g - model.start[silent]) / model.scale[silent] for g in given)]
+    if not given and silent.size <= _JOINTLY:
+        found += [own + np.array(step) for step in product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=silent.size)]
+    inside_bounds = [np.clip(f, model.low[silent], model.high[silent]) for f in found]
+    return list({f.tobytes(): f for f in inside_bounds}.values())
+
+
+def _secants(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> list[Signature]:
+    """Signatures of a cause without slope at its null, such as the square of a parameter: from a step of one scale."""
+    rows, mine = list(target.observed), model.of_cause[k]
+    found = []
+    for j, sign in product(mine, (1.0, -1.0)):
+        at = fit.u.copy()
+        at[j] = np.clip(at[j] + sign, model.low[j], model.high[j])
+        before, after = ({r: model.predict(r, u) for r in rows} for u in (fit.u, at))
+        step = at[j] - fit.u[j]
+        if step == 0.0 or any(after[r] is None or before[r] is None for r in rows):
+            continue
+        slope = {r: np.zeros((target.observed[r].size, mine.size)) for r in rows}
+        for r in rows:
+            slope[r][:, j - mine[0]] = (np.asarray(after[r]) - np.asarray(before[r])) / step
+        found.append(_signature(model, target, k, np.array([j]), at, slope, mine == j, basis))
+    return found
