@@ -6,8 +6,8 @@ import zipfile
 PACKAGES = {"smfe", "process", "stability"}
 DATA = {
     *(f"{package}/py.typed" for package in PACKAGES),
-    "smfe/report/static/plotly-cartesian.min.js",
-    "smfe/report/static/plotly-cartesian.min.js.LICENSE.txt",
+    "smfe/reporting/static/plotly-cartesian.min.js",
+    "smfe/reporting/static/plotly-cartesian.min.js.LICENSE.txt",
 }
 
 if __name__ == "__main__":

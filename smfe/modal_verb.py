@@ -125,7 +125,7 @@ def model_name(measurement: str) -> str:
 
 def _write(path: Path, fits: Mapping[str, ModalFit], refused: Mapping[str, str]) -> None:
     # Drawing stays out of the numerics: only the composition imports it, and only where it is called.
-    from smfe.report.stabilisation import write_stabilisation
+    from smfe.reporting.modal import write_stabilisation
 
     frames = [fit.table().assign(measurement=name) for name, fit in fits.items()]
     table = pd.concat(frames, ignore_index=True)

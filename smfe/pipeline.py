@@ -206,7 +206,7 @@ def demo(out: Path | str, seed: int = DEMO_SEED, progress: Progress = silent) ->
 def report(folder: Path | str, progress: Progress = silent) -> Path:
     """Write the report of a folder of results again."""
     # Drawing stays out of the numerics: only the composition imports it, and only where it is called.
-    from smfe.report import write_report
+    from smfe.reporting import write_report
 
     progress("writing the report", 0, 1)
     return write_report(Path(folder))

@@ -52,7 +52,7 @@ def write_plan(found: Plan, out: Path) -> None:
     out : Path
         Folder; made when missing.
     """
-    from smfe.report.plan import write_page
+    from smfe.reporting.planning import write_page
 
     passes = passes_table(found)
     texts = {"plan.toml": campaign_text(found)}

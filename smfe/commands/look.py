@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from smfe.records.look import Look, examine
-from smfe.report.first_look import draw
+from smfe.reporting.first_look import draw
 from smfe.results import write_atomically
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from smfe.diagnosis.inference.finding import Finding, ForceError, Own, Remainder, StableDepth, explain
-from smfe.report import write_report
-from smfe.report.diagnosis import MOST, draw, pictured, section
+from smfe.reporting import write_report
+from smfe.reporting.diagnosis import MOST, draw, pictured, section
 
 
 def finding(count: int = 4, **more: Any) -> dict[str, Any]:

@@ -27,13 +27,13 @@ from samples.report import (
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.limits.cutting_tests import with_picture
-from smfe.report import write_report
-from smfe.report.answer import answers, pockets, score
-from smfe.report.figures import NOTHING, draw_compliance
-from smfe.report.interactive import packed
-from smfe.report.look import depth_range, frequency_range, magnitude_range, number, palette
-from smfe.report.results import read_results
-from smfe.report.spectrograms import draw as draw_spectrograms
+from smfe.reporting import write_report
+from smfe.reporting.draw_matplotlib import NOTHING, draw_compliance
+from smfe.reporting.draw_plotly import packed
+from smfe.reporting.headline import answers, pockets, score
+from smfe.reporting.results import read_results
+from smfe.reporting.spectrograms import draw as draw_spectrograms
+from smfe.reporting.style import depth_range, frequency_range, magnitude_range, number, palette
 from smfe.results import pack_warnings, write_csv, write_groups
 from stability import write_table
 

@@ -9,8 +9,8 @@ import xarray as xr
 from process.errors import InputError
 from process.labels import make_compliance
 from smfe.identification.levels import stack_conditions
-from smfe.report import write_report
-from smfe.report.conditions import cubes, largest_changes
+from smfe.reporting import write_report
+from smfe.reporting.conditions import cubes, largest_changes
 from smfe.results import read_groups, write_groups
 
 GRID = np.arange(20.0, 120.0, 0.25)

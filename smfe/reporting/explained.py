@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from smfe.report.tables import Table, table, true
+from smfe.reporting.tables import Table, table, true
 
 SHOWN = (
     *("response", "excitation", "frequency_Hz", "quantity", "factor", "lowest", "highest", "effect_percent"),

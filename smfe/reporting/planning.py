@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION
 from smfe.planning.forces import orders_within
 from smfe.planning.recommend import Plan
-from smfe.report.figures import DPI, save
-from smfe.report.look import AXIS_COLOURS, CHATTER
+from smfe.reporting.draw_matplotlib import DPI, save
+from smfe.reporting.style import AXIS_COLOURS, CHATTER
 from smfe.results import write_atomically
 
 _HERE = Path(__file__).parent

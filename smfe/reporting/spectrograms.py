@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from smfe.report.interactive import common_end
-from smfe.report.look import CHATTER, literal, number
+from smfe.reporting.draw_plotly import common_end
+from smfe.reporting.style import CHATTER, literal, number
 
 RANGE_DB = 60.0
 """Range of the colours below the highest level [dB]."""

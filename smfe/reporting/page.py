@@ -13,21 +13,13 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smfe.report import (
-    conditions,
-    diagnosis,
-    drives,
-    explained,
-    figures,
-    interactive,
-    interactive_compliance,
-    loops,
-    spectrograms,
-    tables,
-)
-from smfe.report.answer import KEEP, Answer, answers, outcomes
-from smfe.report.look import METHODS, OUTCOMES, Line, band_text, number, palette
-from smfe.report.results import Lobes, Measurement, Results, bands, read_results
+from smfe.reporting import conditions, diagnosis, drives, explained, loops, spectrograms, tables
+from smfe.reporting import draw_matplotlib as figures
+from smfe.reporting import draw_plotly as interactive
+from smfe.reporting import draw_plotly as interactive_compliance
+from smfe.reporting.headline import KEEP, Answer, answers, outcomes
+from smfe.reporting.results import Lobes, Measurement, Results, bands, read_results
+from smfe.reporting.style import METHODS, OUTCOMES, Line, band_text, number, palette
 from smfe.results import FAILED, LOBES, MEASUREMENT, PREDICTION, TEST, write_atomically
 
 Progress = Callable[[int, int], None]

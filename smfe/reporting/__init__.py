@@ -3,6 +3,6 @@
 - `write_report`: write ``report.html`` and ``figures/*.png`` into a folder of results.
 """
 
-from smfe.report.page import write_report
+from smfe.reporting.page import write_report
 
 __all__ = ["write_report"]

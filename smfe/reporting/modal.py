@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from smfe.modes.fit_modes import ModalFit
-from smfe.report.figures import DPI, save
-from smfe.report.look import literal
+from smfe.reporting.draw_matplotlib import DPI, save
+from smfe.reporting.style import literal
 
 LEVELS: tuple[tuple[int, str, dict[str, Any]], ...] = (
     (0, "pole: new", {"marker": ".", "color": "#bbbbbb", "markersize": 3}),

@@ -19,11 +19,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from smfe.report import diagnosis, drives, loops, spectrograms
-from smfe.report.answer import outcomes
-from smfe.report.conditions import cubes
-from smfe.report.interactive import amplitude_label, common_end, harmonic_bands, predicted_lines, spectrum_span
-from smfe.report.look import (
+from smfe.reporting import diagnosis, drives, loops, spectrograms
+from smfe.reporting.conditions import cubes
+from smfe.reporting.draw_plotly import amplitude_label, common_end, harmonic_bands, predicted_lines, spectrum_span
+from smfe.reporting.headline import outcomes
+from smfe.reporting.results import BAD_CONDITION, Lobes, Measurement, Results
+from smfe.reporting.style import (
     AXIS_COLOURS,
     CHATTER,
     EXCITATION_DASHES,
@@ -37,7 +38,6 @@ from smfe.report.look import (
     magnitude_range,
     number,
 )
-from smfe.report.results import BAD_CONDITION, Lobes, Measurement, Results
 from smfe.results import write_atomically
 
 DPI = 150

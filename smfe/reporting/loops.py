@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure as Picture
 
-from smfe.report.interactive import LEGEND, axis_look, base_layout, packed
-from smfe.report.look import number
+from smfe.reporting.draw_plotly import LEGEND, axis_look, base_layout, packed
+from smfe.reporting.style import number
 
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
 GAIN, PHASE, FREQUENCY = "gain [dB]", "phase [deg]", "frequency [Hz]"

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as Picture
 
-from smfe.report.interactive import LEGEND, axis_look, base_layout, packed
-from smfe.report.look import translucent
-from smfe.report.tables import table
+from smfe.reporting.draw_plotly import LEGEND, axis_look, base_layout, packed
+from smfe.reporting.style import translucent
+from smfe.reporting.tables import table
 
 _RECORD, _CURVE, _RUNS = "#9A9A9A", "#0072B2", "#E69F00"
 _PREFIX = "friction_"

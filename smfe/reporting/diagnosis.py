@@ -8,9 +8,9 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from smfe.report.interactive import axis_look, base_layout, packed, plain
-from smfe.report.look import literal, number
-from smfe.report.tables import Row, Table
+from smfe.reporting.draw_plotly import axis_look, base_layout, packed, plain
+from smfe.reporting.style import literal, number
+from smfe.reporting.tables import Row, Table
 
 _WORDS = {
     "consistent": "nothing is wrong",
