@@ -7,7 +7,7 @@ import pytest
 
 from process.cut import engagement
 from process.labels import make_compliance
-from smfe.demo_campaign import MACHINE, MATERIAL, TOOL
+from smfe.commands.demo import MACHINE, MATERIAL, TOOL
 from stability import floquet_multipliers
 from stability.bands.depth_quantiles import linearised_band, sampled_band
 from stability.bands.error_model import Spread

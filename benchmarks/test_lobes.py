@@ -9,7 +9,7 @@ import pytest
 
 from process import directional_matrix
 from process.cut import engagement
-from smfe.demo_campaign import MACHINE, MATERIAL, TOOL
+from smfe.commands.demo import MACHINE, MATERIAL, TOOL
 from stability.methods import zero_order
 
 ARC = engagement("down", 0.04, 0.08)

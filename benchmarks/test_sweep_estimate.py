@@ -10,7 +10,7 @@ from scipy import fft
 from process.cut import engagement
 from process.labels import make_record
 from smfe import LocalPolynomial, Segments, SingleReference, SweepPass, identify_sweep
-from smfe.demo_campaign import TOOL, sweep_passes
+from smfe.commands.demo import TOOL, sweep_passes
 from smfe.identification.sweep.orders import Orders
 
 

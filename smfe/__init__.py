@@ -1,33 +1,45 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
-The verbs of the command line are functions: `run`, `demo`, `identify`, `lobes`, `chatter`, `convert`, `simulate` here,
-and ``compare``, ``modal`` and ``report`` in `smfe.pipeline`, ``plan`` in `smfe.plan`, whose names are taken by what
-does the work.
+The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
+`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`.
 """
-
-# ruff: noqa: I001  (the version and the check for a foreign process.py come before everything that needs them)
-
-import importlib.metadata
-
-__version__ = importlib.metadata.version("smfe")
 
 import stability  # noqa: F401  (fails with a clear sentence when a user's own process.py shadows ours)
 from process.errors import InputError
+from smfe._version import __version__
 from smfe.campaign import Campaign, load_campaign
-from smfe.conversion import convert
-from smfe.identification.hammer.hammer import identify_hammer
-from smfe.identification.actuator.stepped_sine import identify_actuator
-from smfe.identification.errors.result import Identification
-from smfe.identification.errors.intervals import interval
-from smfe.limits.campaign_lobes import LobeResult
-from smfe.cutting_coefficients import Coefficients, coefficients
+from smfe.commands.chatter import chatter
+from smfe.commands.coefficients import Coefficients, coefficients
+from smfe.commands.compare import compare
+from smfe.commands.convert import convert
+from smfe.commands.demo import demo
+from smfe.commands.diagnose import diagnose
+from smfe.commands.identify import identify
+from smfe.commands.lobes import lobes
 from smfe.commands.look import look
-from smfe.records.look import Look
-from smfe.pipeline import chatter, demo, identify, lobes, run
-from smfe.records import read_blocks, read_records, read_reduced
-from smfe.scenario import simulate
-from smfe.identification.sweep.sweep import identify_sweep
+from smfe.commands.modal import modal
+from smfe.commands.plan import plan
+from smfe.commands.report import report
+from smfe.commands.run import run
+from smfe.diagnosis.audit import check
+from smfe.identification.actuator.stepped_sine import identify_actuator
+from smfe.identification.drive.friction import (
+    constant_force,
+    fit_coulomb_curve,
+    fit_friction_curve,
+    fit_friction_record,
+    friction_runs,
+)
+from smfe.identification.errors.intervals import interval
+from smfe.identification.errors.result import Identification
+from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference, SweepPass
+from smfe.identification.sweep.sweep import identify_sweep
+from smfe.limits.campaign_lobes import LobeResult
+from smfe.modes.fit_modes import fit_modes
+from smfe.records import read_blocks, read_records, read_reduced
+from smfe.records.look import Look
+from smfe.scenario import simulate
 
 __all__ = [
     "Campaign",
@@ -42,9 +54,18 @@ __all__ = [
     "SweepPass",
     "__version__",
     "chatter",
+    "check",
     "coefficients",
+    "compare",
+    "constant_force",
     "convert",
     "demo",
+    "diagnose",
+    "fit_coulomb_curve",
+    "fit_friction_curve",
+    "fit_friction_record",
+    "fit_modes",
+    "friction_runs",
     "identify",
     "identify_actuator",
     "identify_hammer",
@@ -53,9 +74,12 @@ __all__ = [
     "load_campaign",
     "lobes",
     "look",
+    "modal",
+    "plan",
     "read_blocks",
     "read_records",
     "read_reduced",
+    "report",
     "run",
     "simulate",
 ]

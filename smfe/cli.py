@@ -12,23 +12,24 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+import smfe
 from process.errors import InputError
 from process.units import parse
-from smfe import __version__, pipeline
-from smfe import plan as planner
+from smfe._version import __version__
 from smfe.commands import diagnose as verbs
+from smfe.commands import plan as planner
+from smfe.commands.coefficients import coefficients as find_coefficients
+from smfe.commands.convert import convert as convert_file
+from smfe.commands.demo import DEMO_SEED
 from smfe.commands.look import look as look_at
-from smfe.conversion import convert as convert_file
-from smfe.cutting_coefficients import coefficients as find_coefficients
-from smfe.demo_campaign import DEMO_SEED
+from smfe.commands.plan import explain as explain_verification
+from smfe.commands.plan import verify as verify_plan
 from smfe.diagnosis import audit
 from smfe.diagnosis.inference.finding import explain
 from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drive_lines
 from smfe.identification.drive.loops import FILE as LOOP_FILE
 from smfe.identification.drive.loops import loop_lines
-from smfe.plan_verify import explain as explain_verification
-from smfe.plan_verify import verify as verify_plan
 from smfe.progress import bar
 from smfe.records.look import summary as summary_of_look
 from smfe.results import Failures, unpack, unpack_warnings
@@ -70,7 +71,7 @@ def demo(
 ) -> None:
     """Simulate a whole measuring campaign and run it."""
     with bar(console) as progress:
-        report = pipeline.demo(folder, seed, progress)
+        report = smfe.demo(folder, seed, progress)
     _finish(report)
 
 
@@ -83,7 +84,7 @@ def run(
 ) -> None:
     """Do everything a campaign asks for: compliances, comparison, lobes, verdicts, report."""
     with bar(console) as progress:
-        report = pipeline.run(campaign, folder, fresh, progress, _show)
+        report = smfe.run(campaign, folder, fresh, progress, _show)
     _finish(report, as_json)
 
 
@@ -95,7 +96,7 @@ def identify(
     """Identify the compliances of a campaign."""
     failures: Failures = []
     with bar(console) as progress:
-        found = pipeline.identify(campaign, output, progress, _show, failures)
+        found = smfe.identify(campaign, output, progress, _show, failures)
     for name, item in found.items():
         sizes = " x ".join(str(item.compliance.sizes[d]) for d in ("frequency", "response", "excitation"))
         out.print(f"{name}: {item.method}, {sizes} (frequencies x responses x excitations)", highlight=False)
@@ -115,7 +116,7 @@ def compare(
     ),
 ) -> None:
     """Compare the measurements of a compliance file, peak by peak."""
-    table = pipeline.compare(frf, output)
+    table = smfe.compare(frf, output)
     out.print(f"{len(table)} rows written: {output}", highlight=False)
 
 
@@ -133,7 +134,7 @@ def modal(
     """Fit modes to measured compliances and write them as models for a campaign file."""
     failures: Failures = []
     with bar(console) as progress:
-        fits = pipeline.modal(source, output, measurement, band, progress, _show, failures)
+        fits = smfe.modal(source, output, measurement, band, progress, _show, failures)
     for name, fit in fits.items():
         for row in fit.table().to_dict("records"):
             stiffness = f", {row['stiffness_N_um']:.4g} N/um" if "stiffness_N_um" in row else ""
@@ -154,7 +155,7 @@ def lobes(
     """Compute the stability lobes that a campaign asks for."""
     failures: Failures = []
     with bar(console) as progress:
-        results = pipeline.lobes(campaign, output, table, frf, progress, failures)
+        results = smfe.lobes(campaign, output, table, frf, progress, failures)
     heads = ("lobes", "source", "smallest limit [mm]", "at [rpm]", "largest limit [mm]", "at [rpm]")
     shown = Table(*map(escape, heads))
     for r in results:
@@ -197,7 +198,7 @@ def chatter(
     ] = None,
 ) -> None:
     """Judge one cut by the spectral chatter criterion: WAV, CSV, TDMS, whatever smfe reads."""
-    verdict = pipeline.chatter(
+    verdict = smfe.chatter(
         record,
         speed,
         teeth,
@@ -365,7 +366,7 @@ def look(
 def report(folder: Annotated[Path, typer.Argument(help="Folder of results.", show_default=False)]) -> None:
     """Write the report of a folder of results again."""
     with bar(console) as progress:
-        path = pipeline.report(folder, progress)
+        path = smfe.report(folder, progress)
     _done(path)
 
 

@@ -100,6 +100,9 @@ def unpack_warnings(dataset: xr.Dataset) -> list[str]:
 FAILED = "failed"
 """What stands in a table where a verdict or a prediction would have stood."""
 
+KEPT = ".kept"
+"""Folder, inside the results, of what a second run reads back."""
+
 MEASUREMENT, LOBES, TEST, PREDICTION = "measurement", "lobes", "cutting test", "prediction"
 """Kinds of parts that the report shows in a place of their own."""
 
@@ -197,3 +200,9 @@ def of_file(path: Path) -> Failures:
 def as_rows(failures: Iterable[Failure]) -> list[dict[str, str]]:
     """Return one row a failure, for JSON."""
     return [asdict(f) for f in failures]
+
+
+def require_something(found: Sequence[object], failures: Failures | None) -> None:
+    """Refuse to write a file in which everything failed: an older one says more."""
+    if failures and not found:
+        raise InputError("\n  ".join(["nothing could be computed", *(f.sentence for f in failures)]))

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import smfe
 from process.errors import InputError
-from smfe import cli, pipeline
+from smfe import cli
 from smfe import results as failures
 from smfe.diagnosis.audit import check
 from smfe.results import Failure, attempt, of_file, read_groups, unpack
@@ -74,7 +75,7 @@ def cut() -> pd.DataFrame:
     return pd.DataFrame({"t": t, "Fx": 10 * motion, "ax": motion})
 
 
-def smfe(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """Run the command line in this process and return its exit code."""
     monkeypatch.setattr(sys, "argv", ["smfe", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
@@ -117,14 +118,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def results(folder: Path) -> Path:
-    return pipeline.run(folder / "campaign.toml", folder / "results").parent
+    return smfe.run(folder / "campaign.toml", folder / "results").parent
 
 
 def test_what_does_not_fail_is_as_it_would_have_been(folder: Path, results: Path) -> None:
     text = (folder / "campaign.toml").read_text().replace(SECOND, "").replace(', "broken"', "")
     text = text[: text.rindex("[[lobes]]")] + CUTTING_TEST
     (folder / "healthy.toml").write_text(text)
-    alone = pipeline.run(folder / "healthy.toml", folder / "alone").parent
+    alone = smfe.run(folder / "healthy.toml", folder / "alone").parent
     assert set(read_groups(results / "frf.nc")) == {"hammer", "m"}
     assert read_groups(results / "frf.nc")["hammer"].identical(read_groups(alone / "frf.nc")["hammer"])
     for source in ("hammer", "m"):
@@ -163,14 +164,14 @@ def test_every_output_says_in_its_place_what_failed(results: Path) -> None:
 def test_exit_code_3_and_what_failed_in_the_terminal(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert smfe(monkeypatch, "run", folder / "campaign.toml", "--out", folder / "again", "--json") == 3
+    assert command(monkeypatch, "run", folder / "campaign.toml", "--out", folder / "again", "--json") == 3
     said = capsys.readouterr()
     assert {f["name"] for f in json.loads(said.out)["failures"]} >= {"broken", "other.csv"}
     assert "failed, cutting test other.csv: " in said.err
     frf, lobes = folder / "single.nc", folder / "lobes.nc"
-    assert smfe(monkeypatch, "identify", folder / "campaign.toml", "-o", frf) == 3
+    assert command(monkeypatch, "identify", folder / "campaign.toml", "-o", frf) == 3
     assert [f.name for f in of_file(frf)] == ["broken"]
-    assert smfe(monkeypatch, "lobes", folder / "campaign.toml", "-o", lobes, "--table", folder / "t.csv") == 3
+    assert command(monkeypatch, "lobes", folder / "campaign.toml", "-o", lobes, "--table", folder / "t.csv") == 3
     assert set(read_groups(lobes)) == {"lobes_1/hammer", "lobes_1/m"}
     assert "failed, lobes lobes_2, hammer + m: " in capsys.readouterr().err
 
@@ -178,9 +179,9 @@ def test_exit_code_3_and_what_failed_in_the_terminal(
 def test_a_command_of_which_nothing_is_left_writes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = CAMPAIGN.replace("hit.csv", "broken.csv")
     (folder / "nothing.toml").write_text(text)
-    assert smfe(monkeypatch, "identify", folder / "nothing.toml", "-o", folder / "nothing.nc") == 1
+    assert command(monkeypatch, "identify", folder / "nothing.toml", "-o", folder / "nothing.nc") == 1
     assert not (folder / "nothing.nc").exists()
-    assert smfe(monkeypatch, "run", folder / "nothing.toml", "--out", folder / "nothing") == 3
+    assert command(monkeypatch, "run", folder / "nothing.toml", "--out", folder / "nothing") == 3
     assert "measurement hammer failed" in (folder / "nothing" / "report.html").read_text()
 
 
@@ -205,7 +206,7 @@ def test_a_cut_under_another_controller_is_not_compared_and_every_output_says_so
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     text = CAMPAIGN + 'controller = "K1"\n' + LOBES.format(method="zero_order").replace(', "broken", "m"', "")
     (tmp_path / "campaign.toml").write_text(text + CUTTING_TEST + 'controller = "K2"\n')
-    out = pipeline.run(tmp_path / "campaign.toml", tmp_path / "results").parent
+    out = smfe.run(tmp_path / "campaign.toml", tmp_path / "results").parent
     (row,) = pd.read_csv(out / "chatter.csv", keep_default_na=False).to_dict("records")
     assert (row["verdict"], row["predicted_hammer"], row["limit_hammer_mm"]) == ("stable", "not compared", "")
     assert row["not_compared"] == "hammer: controller K1, the cut K2"

@@ -7,7 +7,7 @@ import pytest
 
 from process import MillingCut, Spindle, simulate_milling
 from process.cut import engagement
-from smfe.demo_campaign import MACHINE, MATERIAL, TOOL
+from smfe.commands.demo import MACHINE, MATERIAL, TOOL
 from stability.methods import semi_discretization, zero_order
 
 COMPLIANCE = MACHINE.compliance(np.arange(5.0, 150.0, 0.1))

@@ -11,11 +11,14 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import savemat
 
+import smfe
 from process.errors import InputError
-from smfe import cli, pipeline
-from smfe.demo_campaign import CUTTING_TESTS, MACHINE
+from smfe import cli
+from smfe.campaign import load_campaign
+from smfe.commands.demo import CUTTING_TESTS, MACHINE, write_demo
+from smfe.commands.run import Notes, _provenance
 from smfe.identification import measurement as measurements
-from smfe.results import read_groups
+from smfe.results import KEPT, read_groups
 from stability import LOBE_COLUMNS
 
 
@@ -23,11 +26,11 @@ from stability import LOBE_COLUMNS
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a demonstration that has been run."""
     folder = tmp_path_factory.mktemp("demo")
-    pipeline.demo(folder)
+    smfe.demo(folder)
     return folder
 
 
-def smfe(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """Run the command line in this process and return its exit code."""
     monkeypatch.setattr(sys, "argv", ["smfe", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
@@ -124,25 +127,25 @@ def test_a_second_run_reads_back_what_the_first_has_identified(demo: Path, monke
         raise AssertionError(f"identified again: {measurement}")
 
     monkeypatch.setattr(measurements, "identify_measurement", identified)
-    results, kept = demo / "results", demo / "results" / pipeline.KEPT
+    results, kept = demo / "results", demo / "results" / KEPT
     before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
     compliance = read_groups(results / "frf.nc")["sweep"]
-    pipeline.run(demo / "campaign.toml", results)
+    smfe.run(demo / "campaign.toml", results)
     assert json.loads((results / "provenance.json").read_text())["failures"] == []
     assert {p.name: p.stat().st_mtime_ns for p in kept.iterdir()} == before
     assert read_groups(results / "frf.nc")["sweep"].identical(compliance)
     with pytest.raises(AssertionError, match="identified again"):
-        pipeline.identify(demo / "campaign.toml", demo / "elsewhere" / "frf.nc")
+        smfe.identify(demo / "campaign.toml", demo / "elsewhere" / "frf.nc")
 
 
 def test_a_changed_record_is_identified_again(demo: Path, tmp_path: Path) -> None:
     shutil.copytree(demo, tmp_path / "demo")
     record = tmp_path / "demo" / "records" / "hammer_x.csv"
     text = record.read_text()
-    kept = tmp_path / "demo" / "results" / pipeline.KEPT
+    kept = tmp_path / "demo" / "results" / KEPT
     before = sorted(p.name for p in kept.glob("hammer-*"))
     record.write_text(text.replace("\n", "\n", 1).rsplit("\n", 2)[0] + "\n")
-    pipeline.identify(tmp_path / "demo" / "campaign.toml", tmp_path / "demo" / "results" / "frf.nc")
+    smfe.identify(tmp_path / "demo" / "campaign.toml", tmp_path / "demo" / "results" / "frf.nc")
     after = sorted(p.name for p in kept.glob("hammer-*"))
     assert before != after
     assert len(after) == 1
@@ -162,25 +165,26 @@ def test_provenance_names_air_cuts(tmp_path: Path, demo: Path) -> None:
     assert text.count('method = "sweep"') > 1
     shutil.copy(next((tmp_path / "demo" / "records").glob("sweep*")), tmp_path / "demo" / "air.csv")
     path.write_text(text.replace('method = "sweep"', 'method = "sweep"\nbackground = "air.csv"', 1), encoding="utf-8")
-    named = {e["file"] for e in pipeline._provenance(pipeline.load_campaign(path), pipeline.Notes())["inputs"]}
+    named = {e["file"] for e in _provenance(load_campaign(path), Notes())["inputs"]}
     assert "air.csv" in named
 
 
 def test_the_single_verbs_do_their_part(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign, frf = demo / "campaign.toml", demo / "results" / "frf.nc"
     assert (
-        smfe(monkeypatch, "lobes", campaign, "--frf", frf, "-o", tmp_path / "l.nc", "--table", tmp_path / "t.csv") == 0
+        command(monkeypatch, "lobes", campaign, "--frf", frf, "-o", tmp_path / "l.nc", "--table", tmp_path / "t.csv")
+        == 0
     )
-    assert smfe(monkeypatch, "compare", frf, "-o", tmp_path / "c.csv") == 0
+    assert command(monkeypatch, "compare", frf, "-o", tmp_path / "c.csv") == 0
     record = demo / "records" / "cut_700rpm_5mm.csv"
-    assert smfe(monkeypatch, "chatter", record, "--speed", "700 rpm", "--teeth", 2) == 0
-    assert smfe(monkeypatch, "report", demo / "results") == 0
+    assert command(monkeypatch, "chatter", record, "--speed", "700 rpm", "--teeth", 2) == 0
+    assert command(monkeypatch, "report", demo / "results") == 0
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "t.csv"), pd.read_csv(demo / "results" / "lobe_table.csv"))
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "c.csv"), pd.read_csv(demo / "results" / "comparison.csv"))
 
 
 def test_the_same_seed_makes_the_same_records(demo: Path, tmp_path: Path) -> None:
-    pipeline.write_demo(tmp_path)
+    write_demo(tmp_path)
     for name in ("hammer_z.csv", "cut_950rpm_8.5mm.csv"):
         assert (tmp_path / "records" / name).read_bytes() == (demo / "records" / name).read_bytes()
 
@@ -361,7 +365,7 @@ def test_bad_input_is_one_clear_message_and_exit_code_1_or_3(
     write(tmp_path)  # type: ignore[operator]
     out = tmp_path / "results"
     code = 1 if case in FILE_IS_WRONG else 3
-    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", out) == code
+    assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", out) == code
     said = capsys.readouterr()
     assert "Traceback" not in said.err + said.out
     for word in words:
@@ -379,25 +383,25 @@ def test_bad_input_is_one_clear_message_and_exit_code_1_or_3(
 def test_good_input_of_the_same_kind_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     hit_table().to_csv(tmp_path / "hit.csv", index=False)
-    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
+    assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
     assert (tmp_path / "results" / "report.html").is_file()
 
 
 def contents(folder: Path) -> dict[Path, bytes]:
     files = [p for p in folder.rglob("*") if p.is_file()]
-    return {p: p.read_bytes() for p in files if pipeline.KEPT not in p.relative_to(folder).parts}
+    return {p: p.read_bytes() for p in files if KEPT not in p.relative_to(folder).parts}
 
 
 def test_a_campaign_file_that_is_wrong_leaves_an_older_folder_of_results_as_it_was(tmp_path: Path) -> None:
     campaign, out = tmp_path / "campaign.toml", tmp_path / "results"
     with_cut(tmp_path)
     campaign.write_text(CAMPAIGN + CUTTING_TEST)
-    pipeline.run(campaign, out)
+    smfe.run(campaign, out)
     before = contents(out)
     assert {"frf.nc", "chatter.csv", "provenance.json"} <= {p.name for p in before}
     campaign.write_text(CAMPAIGN.replace('name = "hammer"', 'name = "other"') + CUTTING_TEST + "teeth = 4\n")
     with pytest.raises(InputError, match="teeth"):
-        pipeline.run(campaign, out)
+        smfe.run(campaign, out)
     assert contents(out) == before
 
 
@@ -432,7 +436,7 @@ LOBES = {"lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json"}
 def test_a_campaign_without_a_measurement_runs(text: str, written: set[str], tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(text)
     with_cut(tmp_path)
-    results = pipeline.run(tmp_path / "campaign.toml", tmp_path / "results").parent
+    results = smfe.run(tmp_path / "campaign.toml", tmp_path / "results").parent
     files = {p.name for p in results.iterdir() if p.is_file()}
     always = {"frf.nc", "comparison.csv", "explained.csv", "model_error.csv", "provenance.json", "report.html"}
     assert files == always | written
@@ -449,7 +453,7 @@ def test_lobes_makes_the_folder_of_its_table(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "campaign.toml").write_text(HEAD + MODEL)
     new = tmp_path / "new"
     arguments = ("lobes", tmp_path / "campaign.toml", "-o", new / "a" / "l.nc", "--table", new / "b" / "t.csv")
-    assert smfe(monkeypatch, *arguments) == 0
+    assert command(monkeypatch, *arguments) == 0
     assert (new / "a" / "l.nc").is_file()
     assert (new / "b" / "t.csv").is_file()
 
@@ -462,7 +466,7 @@ def test_chatter_takes_the_default_columns_that_a_file_has(columns: list[str], s
         table.to_csv(path, index=False)
     else:
         savemat(path, {name: table[name].to_numpy() for name in columns})
-    verdict = pipeline.chatter(path, "1500 rpm", 2)
+    verdict = smfe.chatter(path, "1500 rpm", 2)
     assert verdict.verdict == "stable"
     assert verdict.axes == ("x",)
     assert verdict.quantity == ("acceleration" if "ax" in columns else "force")
@@ -474,7 +478,7 @@ def test_chatter_takes_the_channels_of_a_tdms_file_with_its_clock(tmp_path: Path
     clock = {"wf_increment": step, "wf_start_offset": 0.0, "wf_samples": len(table), "unit_string": "m/s^2"}
     with TdmsWriter(path) as writer:
         writer.write_segment([RootObject(), ChannelObject("run 1", "ax", table["ax"].to_numpy(), clock)])
-    verdict = pipeline.chatter(path, "1500 rpm", 2)
+    verdict = smfe.chatter(path, "1500 rpm", 2)
     assert verdict.verdict == "stable"
     assert verdict.quantity == "acceleration"
 
@@ -484,16 +488,16 @@ def test_chatter_says_what_it_looked_for_and_hides_no_other_fault(tmp_path: Path
     for columns in ({"ax": "acc", "Fx": "F"}, {"t": "time"}):
         cut_table().rename(columns=columns).to_csv(path, index=False)
         with pytest.raises(InputError, match=r"looked for .* t \[s\], Fx \[N\], .*az \[m/s\^2\].*needed"):
-            pipeline.chatter(path, "1500 rpm", 2)
+            smfe.chatter(path, "1500 rpm", 2)
     with_nan(cut_table()).to_csv(path, index=False)
     with pytest.raises(InputError, match=r"acceleration_x .* sample 77"):
-        pipeline.chatter(path, "1500 rpm", 2)
+        smfe.chatter(path, "1500 rpm", 2)
 
 
 def test_wrong_usage_is_exit_code_2(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert smfe(monkeypatch, "run") == 2
-    assert smfe(monkeypatch, "fly") == 2
-    assert smfe(monkeypatch, "--version") == 0
+    assert command(monkeypatch, "run") == 2
+    assert command(monkeypatch, "fly") == 2
+    assert command(monkeypatch, "--version") == 0
 
 
 def test_warnings_are_printed_where_the_run_was_started(
@@ -501,7 +505,7 @@ def test_warnings_are_printed_where_the_run_was_started(
 ) -> None:
     (tmp_path / "campaign.toml").write_text(CAMPAIGN + SWEEPS_LOBES)
     hit_table().to_csv(tmp_path / "hit.csv", index=False)
-    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
+    assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
     assert "partial matrix" in capsys.readouterr().err
 
 
@@ -520,7 +524,7 @@ def test_a_wrong_speed_is_found_out_by_the_speed_in_the_record(
     demo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record = demo / "records" / "cut_950rpm_5mm.csv"
-    assert smfe(monkeypatch, "chatter", record, "--speed", "900 rpm", "--teeth", 2) == 1
+    assert command(monkeypatch, "chatter", record, "--speed", "900 rpm", "--teeth", 2) == 1
     assert "950" in capsys.readouterr().err
 
 
@@ -533,7 +537,7 @@ def test_dependent_sweeps_are_refused_before_any_record_is_read(
     for cut, width in (("down", 40), ("up", 40), ("central", 80)):
         text = text.replace(f'cut = "{cut}", width_of_cut = "12 mm"', f'cut = "{cut}", width_of_cut = "{width} mm"')
     (tmp_path / "campaign.toml").write_text(text)
-    assert smfe(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 3
+    assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 3
     said = capsys.readouterr().err
     assert "add up to the slot" in said
     assert "identifying" not in said
@@ -555,9 +559,9 @@ def test_a_target_that_cannot_be_written_is_refused_before_the_work(
     (tmp_path / "taken").write_text("mine")
     verb, option = command
     target = tmp_path / "taken" if verb == "run" else tmp_path / "taken" / "finding.json"
-    assert smfe(monkeypatch, verb, tmp_path / "campaign.toml", option, target) == 1
+    assert command(monkeypatch, verb, tmp_path / "campaign.toml", option, target) == 1
     assert "is a file, so that" in capsys.readouterr().err
     assert (tmp_path / "taken").read_text() == "mine"
     if verb == "diagnose":
-        assert smfe(monkeypatch, verb, tmp_path / "campaign.toml", option, tmp_path) == 1
+        assert command(monkeypatch, verb, tmp_path / "campaign.toml", option, tmp_path) == 1
         assert "is a folder; name the file to write" in capsys.readouterr().err

@@ -19,9 +19,7 @@ from smfe.diagnosis.inference.diagnose import diagnose as diagnose_family
 from smfe.diagnosis.inference.finding import Finding, explain
 from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.identification.levels import with_levels
-from smfe.results import MEASUREMENT, TEST, Failures, check_target, write_json
-
-KEPT = ".kept"
+from smfe.results import KEPT, MEASUREMENT, TEST, Failures, check_target, write_json
 
 
 def diagnose(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from smfe.records.look import Look, examine
-from smfe.reporting.first_look import draw
 from smfe.results import write_atomically
 
 
@@ -31,6 +30,9 @@ def look(path: str | Path, output: str | Path | None = None) -> Look:
     """
     if output is None:
         return examine(path)
+    # Drawing stays out of the numerics: imported where it is called.
+    from smfe.reporting.first_look import draw
+
     folder = Path(output)
     result = examine(path, folder)
     name = result.path.name

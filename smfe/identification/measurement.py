@@ -23,7 +23,7 @@ from process.cut.engagement import Engagement, engagement
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import sample_interval
-from smfe import __version__
+from smfe._version import __version__
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.identification.actuator.excitation_kind import identify_shaken
 from smfe.identification.errors.attached_mass import without_mass

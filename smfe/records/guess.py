@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from process.errors import InputError
 from process.labels import AXES
 from process.units import known
-from smfe.records.contents import Contents, plain_unit, without_unit
-from smfe.records.formats.channels import CHANNELS
+from smfe.records.contents import (
+    Contents,
+    column_names,
+    has_no_clock,
+    names_itself,
+    plain_unit,
+    stated_units,
+    without_unit,
+)
+from smfe.records.formats.channels import CHANNELS, Channel, listed
 from smfe.records.formats.table import Column
+from smfe.records.write import OWN_COLUMNS
 
 Real = NDArray[np.float64]
 
@@ -188,3 +199,44 @@ def _unit_of(channel: str, unit: str | None) -> tuple[str, bool]:
     if unit is not None and known(unit, dimension):
         return unit, True
     return usual.get(dimension, "Pa"), False
+
+
+# --- the channels that a file has where nobody declares any --------------------------------------------------------
+
+DEFAULT_CHANNELS: tuple[tuple[str, Channel], ...] = (*OWN_COLUMNS.items(), ("sound", Channel("p", "Pa")))
+"""Columns that are looked for in a file when no campaign declares others: those that `smfe convert` and `smfe simulate`
+write. A unit that the file states itself takes the place of the one here."""
+
+
+def default_channels(path: Path) -> dict[str, Channel]:
+    """Return those of `DEFAULT_CHANNELS` that a file has, in the units that it states, where it does.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or has the time alone or none of them.
+    """
+    if names_itself(path):
+        return {}
+    names = column_names(path)
+    units = stated_units(path, names)
+    # A channel that only one group has needs no group: "run 1/ax" is "ax".
+    inside = [str(name).rpartition("/")[2] for name in names]
+    known = {n: full for n, full in zip(inside, names, strict=True) if inside.count(n) == 1} | {n: n for n in names}
+    found: dict[str, Channel] = {}
+    for name, channel in DEFAULT_CHANNELS:
+        if channel.column in known and name not in found:
+            column = known[channel.column]
+            found[name] = replace(channel, column=column, unit=units.get(column, channel.unit) or channel.unit)
+    if not found.keys() - {"time"} or ("time" not in found and has_no_clock(path)):
+        raise InputError(_no_default_channels(path))
+    return found
+
+
+def _no_default_channels(path: Path) -> str:
+    time, *rest = (f"{channel.column} [{channel.unit}]" for _, channel in DEFAULT_CHANNELS)
+    return (
+        f"{path.name}: looked for the columns {time}, {', '.join(rest)}; the time and at least one of the others are "
+        f"needed, and the file has {listed(column_names(path))}: rename the columns, or give the campaign file whose "
+        f"[channels] declare them (smfe look {path.name} writes one)"
+    )

@@ -29,7 +29,7 @@ from process.machine.modes import ModalModel
 from process.machine.structure import Posture
 from process.simulation.machine import SampledControl
 from process.units import show as quantity
-from smfe import __version__
+from smfe._version import __version__
 from smfe.campaign.datasets import Show
 from smfe.campaign.toml import table
 from smfe.identification.errors.result import Progress, silent

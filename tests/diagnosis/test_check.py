@@ -14,14 +14,15 @@ from truth import workshop
 from process.cut.engagement import CUTS, Engagement, engagement
 from process.cut.tool import Tool
 from process.labels import make_record
-from smfe import pipeline
 from smfe.campaign import load_campaign
+from smfe.commands import run as run_command
 from smfe.diagnosis.audit import audit, check
 from smfe.diagnosis.checks.same_data import Seen, same_suspects
 from smfe.diagnosis.checks.speeds import tooth_suspects
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.dry_run import refusals
 from smfe.identification.sweep.noise import in_cut
+from smfe.results import read_groups
 
 
 @pytest.fixture
@@ -72,19 +73,19 @@ def test_a_planted_fault_is_said_before_anything_is_computed(fault: str, cause: 
 def test_a_run_leaves_out_what_the_check_finds_and_computes_the_rest(
     shop: workshop.Workshop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "report", lambda folder, progress: Path(folder) / "report.html")
+    monkeypatch.setattr(run_command, "report", lambda folder, progress: Path(folder) / "report.html")
     part = shop.parts[1]
     for record, _ in part.records:
         for name in record.data:
             record.data[name] = record.data[name] * (workshop.G if name.startswith("acceleration") else 1.0)
         workshop.write_record(shop, record, tmp_path)
-    pipeline.run(tmp_path / "campaign.toml", tmp_path / "results")
+    run_command.run(tmp_path / "campaign.toml", tmp_path / "results")
     kept = json.loads((tmp_path / "results" / "provenance.json").read_text())
     (failed,) = (f for f in kept["failures"] if f["part"] == "measurement")
     assert failed["name"] == "hammer_2"
     assert "acceleration in g" in failed["reason"]
     assert {s["cause"] for s in kept["check"] if s["level"] == "fault"} == {"unit_error"}
-    assert "tip 1" in pipeline.read_groups(tmp_path / "results" / "frf.nc")
+    assert "tip 1" in read_groups(tmp_path / "results" / "frf.nc")
 
 
 def test_one_record_for_two_conditions_is_a_fault_and_for_two_methods_is_none() -> None:

@@ -19,8 +19,8 @@ from process.machine.structure import Posture, two_mass_axes
 from process.simulation.excitation import Multisine, all_harmonics
 from process.simulation.machine import simulate_machine
 from process.simulation.milling import MillingCut, Spindle
-from smfe.demo_campaign import TOOL as DEMO_TOOL
-from smfe.demo_campaign import sweep_passes
+from smfe.commands.demo import TOOL as DEMO_TOOL
+from smfe.commands.demo import sweep_passes
 from smfe.diagnosis.checks.sweep import posture_difference, regeneration_difference, sweep_suspects
 from smfe.identification.sweep.estimators import SweepPass
 

@@ -27,7 +27,7 @@ sys.modules.setdefault("truth", truth)
 from truth import workshop  # noqa: E402
 
 from process.errors import InputError  # noqa: E402
-from smfe import pipeline  # noqa: E402
+from smfe.commands import run as run_command  # noqa: E402
 from smfe.diagnosis.audit import check  # noqa: E402
 
 DRAWN = 5
@@ -61,15 +61,15 @@ def sitting(job: tuple[int, bool]) -> dict[str, object]:
 
 def _runs(folder: Path, seed: int) -> list[dict[str, str]] | None:
     """Return what failed in a run; None where it was refused."""
-    report = pipeline.report
+    report = run_command.report
     if seed % DRAWN:
-        pipeline.report = lambda out, progress: Path(out) / "report.html"
+        run_command.report = lambda out, progress: Path(out) / "report.html"
     try:
-        out = pipeline.run(folder / "campaign.toml", folder / "results").parent
+        out = run_command.run(folder / "campaign.toml", folder / "results").parent
     except InputError:
         return None
     finally:
-        pipeline.report = report
+        run_command.report = report
     return json.loads((out / "provenance.json").read_text(encoding="utf-8"))["failures"]
 
 

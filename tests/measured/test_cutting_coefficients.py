@@ -17,7 +17,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_record
 from smfe.cli import app
-from smfe.cutting_coefficients import CUTTING, EDGE, average_force, mean_force_design
+from smfe.commands.coefficients import CUTTING, EDGE, average_force, mean_force_design
 from smfe.diagnosis.cutting.orders import SteadyCut, rigid_orders
 from smfe.records import write_record_netcdf
 

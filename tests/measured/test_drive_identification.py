@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+import smfe
 from process.errors import InputError
 from process.labels import make_record
-from smfe import pipeline
 from smfe.commands.look import look
 from smfe.diagnosis.audit import check
 from smfe.identification.drive.parameters import identify_drive
@@ -247,7 +247,7 @@ records = [{ file = "stroke.csv" }]
 def test_a_run_writes_the_drive_into_its_results_and_its_report(tmp_path: Path) -> None:
     written(tmp_path)
     (tmp_path / "c.toml").write_text(CAMPAIGN)
-    report = pipeline.run(tmp_path / "c.toml", tmp_path / "out")
+    report = smfe.run(tmp_path / "c.toml", tmp_path / "out")
     table = pd.read_csv(tmp_path / "out" / "drives.csv")
     row = table[table["parameter"] == "inertia"].iloc[0]
     assert row["low"] < MASS < row["high"]
@@ -274,7 +274,7 @@ def test_a_drive_that_cannot_be_identified_fails_alone_and_the_check_says_so(tmp
     assert fault["where"] == "turned"
     assert "give out energy" in fault["evidence"]
     failures: list = []
-    pipeline.identify(tmp_path / "c.toml", tmp_path / "frf.nc", failures=failures)
+    smfe.identify(tmp_path / "c.toml", tmp_path / "frf.nc", failures=failures)
     assert [f.name for f in failures] == ["turned"]
     assert set(pd.read_csv(tmp_path / "drives.csv")["measurement"]) == {"stroke"}
 
@@ -284,6 +284,6 @@ def test_the_starter_of_a_stroke_checks_and_gives_numbers(tmp_path: Path) -> Non
     assert result.kind.name == "drive stroke"
     starter = tmp_path / "stroke.csv.look.toml"
     assert not (check(starter)["level"] == "fault").any()
-    pipeline.identify(starter, tmp_path / "frf.nc")
+    smfe.identify(starter, tmp_path / "frf.nc")
     row = pd.read_csv(tmp_path / "drives.csv").query("parameter == 'inertia'").iloc[0]
     assert row["low"] < MASS < row["high"]

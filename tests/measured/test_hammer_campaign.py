@@ -8,11 +8,11 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_record
+from smfe import run
 from smfe.campaign import load_campaign
 from smfe.identification.errors.intervals import interval
 from smfe.identification.levels import condition_cubes
 from smfe.identification.measurement import identify_measurement, split_levels
-from smfe.pipeline import run
 from smfe.records.write import write_record_netcdf
 from smfe.results import read_groups
 

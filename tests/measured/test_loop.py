@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
+import smfe
 from process.errors import InputError
 from process.labels import make_record
-from smfe import pipeline
 from smfe.diagnosis.audit import check
 from smfe.identification.drive.loop import identify_loop
 from smfe.identification.spectra.periods import find_period
@@ -196,8 +196,8 @@ def test_what_is_known_of_the_speed_loop_is_found_through_its_campaign(trace: Pa
         pytest.skip("the campaign files of the public data sets are not beside the tests")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SMFE_DATA", str(SHARED.parent))
-        pipeline.run(campaign, tmp_path / "results")
-        pipeline.identify(campaign, tmp_path / "frf.nc")
+        smfe.run(campaign, tmp_path / "results")
+        smfe.identify(campaign, tmp_path / "frf.nc")
         audit = check(campaign)
     table = json.loads(read_groups(tmp_path / "results" / "loops.nc")["speed_loop"].attrs["summary"])
     assert len(table) == 2

@@ -9,7 +9,7 @@ from process.cut.engagement import engagement
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.campaign import load_campaign
-from smfe.demo_campaign import MACHINE, TOOL, sweep_passes
+from smfe.commands.demo import MACHINE, TOOL, sweep_passes
 from smfe.identification import measurement as measurements
 from smfe.identification.measurement import sign_warnings, tooth_passing_band
 from smfe.identification.sweep.estimators import SweepPass

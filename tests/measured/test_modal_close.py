@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from truth.modes import beam_shape, term
 
-from smfe.modal_verb import _as_json, as_toml
+from smfe.commands.modal import _as_json, as_toml
 from smfe.modes.fit_modes import fit_modes
 from smfe.modes.merge import merged
 from smfe.modes.pole_fit import Remainders, refine, solve

@@ -16,7 +16,7 @@ from process.errors import InputError
 from process.labels import make_compliance
 from smfe import cli
 from smfe.campaign import load_campaign
-from smfe.modal_verb import modal
+from smfe.commands.modal import modal
 from smfe.results import write_groups
 
 GRID = np.arange(15.0, 90.0, 0.5)

@@ -15,7 +15,7 @@ from process.errors import InputError
 from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
-from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
+from smfe.commands.demo import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.identification.spectra.spectra import BlockSpectra
 from smfe.identification.sweep.estimators import BANDS, LocalPolynomial, SweepPass, whole_record
 from smfe.identification.sweep.least_squares import condition_number

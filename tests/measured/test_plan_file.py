@@ -11,8 +11,7 @@ import pytest
 
 from process.errors import InputError
 from smfe import cli, simulate
-from smfe.plan import Plan, plan, recommend
-from smfe.plan_verify import Verification, explain, verify
+from smfe.commands.plan import Plan, Verification, explain, plan, recommend, verify
 from smfe.planning.limits import KEYS
 from smfe.planning.search import Search
 from smfe.planning.task import load_task

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from smfe import pipeline
+import smfe
 from smfe.comparison.peaks import peak_table
 from smfe.results import read_groups
 
@@ -28,7 +28,7 @@ def run_public(tmp_path_factory: pytest.TempPathFactory):
             pytest.skip("the campaign files of the public data sets are not beside the tests")
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("SMFE_DATA", str(SHARED))
-            return pipeline.run(campaign, tmp_path_factory.mktemp(name)).parent
+            return smfe.run(campaign, tmp_path_factory.mktemp(name)).parent
 
     return run
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import smfe
 from process.drive.servo import Servo
 from process.errors import InputError
 from process.friction.laws import Viscous
@@ -17,7 +18,7 @@ from process.machine.joints import Jenkins
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.modes import ModalModel
 from process.machine.structure import Posture, Structure, released_modes
-from smfe import cli, pipeline, simulate
+from smfe import cli, simulate
 from smfe.campaign import load_campaign
 from smfe.campaign.toml import inline, table
 from smfe.records import read_records
@@ -140,7 +141,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def smfe(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     monkeypatch.setattr(sys, "argv", ["smfe", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
         cli.app_entry()
@@ -156,7 +157,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def results(simulated: Path) -> Path:
-    pipeline.run(simulated / "campaign.toml", simulated / "results")
+    smfe.run(simulated / "campaign.toml", simulated / "results")
     return simulated / "results"
 
 
@@ -261,7 +262,7 @@ def test_the_mass_of_an_accelerometer_is_in_the_records_and_not_in_the_truth(tmp
     heavy = '[sensors.accelerometer]\nmass = "8 kg"\n'
     trial = '[[trial]]\nmethod = "hammer"\ndirections = ["x"]\nimpulse = "4 N s"\nhits = 3\n'
     campaign = simulate(write(tmp_path, one + heavy + trial), tmp_path / "out")
-    found = pipeline.identify(campaign, tmp_path / "frf.nc")["hammer"].compliance["compliance"]
+    found = smfe.identify(campaign, tmp_path / "frf.nc")["hammer"].compliance["compliance"]
     peak = float(found["frequency"][np.argmax(np.abs(found.sel(response="x", excitation="x").values))])
     mass = 10e6 / (2 * np.pi * 50.0) ** 2
     assert peak == pytest.approx(50.0 * np.sqrt(mass / (mass + 8.0)), abs=0.5)
@@ -539,7 +540,7 @@ def test_what_is_wrong_is_said_and_nothing_is_written(
 ) -> None:
     assert change[0] in text
     scenario = write(tmp_path, text.replace(*change))
-    assert smfe(monkeypatch, "simulate", scenario, "-o", tmp_path / "out") == 1
+    assert command(monkeypatch, "simulate", scenario, "-o", tmp_path / "out") == 1
     told = capfd.readouterr().err
     assert message in told
     assert "Traceback" not in told
@@ -558,11 +559,11 @@ def test_two_trials_of_one_name_are_refused(tmp_path: Path) -> None:
 
 
 def test_wrong_usage_is_two_and_done_is_nought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert smfe(monkeypatch, "simulate") == 2
-    assert smfe(monkeypatch, "simulate", "x.toml", "--workers", "0") == 2
+    assert command(monkeypatch, "simulate") == 2
+    assert command(monkeypatch, "simulate", "x.toml", "--workers", "0") == 2
     scenario = write(tmp_path, SHORT)
-    assert smfe(monkeypatch, "simulate", scenario, "-o", tmp_path / "out") == 0
-    assert smfe(monkeypatch, "simulate", tmp_path / "missing.toml", "-o", tmp_path / "none") == 1
+    assert command(monkeypatch, "simulate", scenario, "-o", tmp_path / "out") == 0
+    assert command(monkeypatch, "simulate", tmp_path / "missing.toml", "-o", tmp_path / "none") == 1
     assert not (tmp_path / "none").exists()
 
 

@@ -11,7 +11,7 @@ from process.instruments.trials import Sensors, milling_trial
 from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced
-from smfe.demo_campaign import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
+from smfe.commands.demo import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference, SweepPass, bands
 from smfe.identification.sweep.sweep import identify_sweep
 
@@ -104,7 +104,7 @@ def test_a_lightly_damped_machine_keeps_its_peaks_and_its_error_is_stated(
     damping: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine = ModalModel([30.0, 52.0, 60.0], [damping] * 3, 2 * MACHINE.stiffness, MACHINE.direction)
-    monkeypatch.setattr("smfe.demo_campaign.MACHINE", machine)
+    monkeypatch.setattr("smfe.commands.demo.MACHINE", machine)
     records = sweep_passes(seed=1, sensors=Sensors(acceleration_noise=(2e-3, 2e-3, 2e-3)))
     found = identify_sweep("s", passes(records, dict.fromkeys(records, 0.012)), BAND).compliance
     value, truth = found["compliance"].values, machine.matrix(found["frequency"].values)

@@ -10,7 +10,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.campaign import load_campaign
-from smfe.demo_campaign import MACHINE, MATERIAL
+from smfe.commands.demo import MACHINE, MATERIAL
 from smfe.identification.measurement import identify_measurement, sweep_estimator
 from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference
 from smfe.identification.sweep.orders import Orders

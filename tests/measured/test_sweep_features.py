@@ -17,7 +17,7 @@ from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced, simulate_milling
 from smfe import LocalPolynomial, Segments, SweepPass, identify_sweep
-from smfe.demo_campaign import MATERIAL
+from smfe.commands.demo import MATERIAL
 from smfe.identification.errors.difference import reciprocity, symmetric
 from smfe.identification.spectra.spindle_angle import force_angle, spindle_angle, tacho_angle
 from smfe.identification.sweep.orders import Orders

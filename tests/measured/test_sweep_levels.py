@@ -19,14 +19,13 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_compliance, make_record
-from smfe import LocalPolynomial, SweepPass
+from smfe import LocalPolynomial, SweepPass, compare, identify, lobes, modal, run
 from smfe.campaign import load_campaign
 from smfe.commands.diagnose import diagnose
 from smfe.identification.errors.difference import difference_of
 from smfe.identification.errors.intervals import interval
 from smfe.identification.levels import levels_of, sweep_levels, with_levels
 from smfe.identification.measurement import cached_identification
-from smfe.pipeline import compare, identify, lobes, modal, run
 from smfe.planning.task import load_task
 from smfe.records import write_record_netcdf
 from smfe.results import read_groups

@@ -22,6 +22,7 @@ from process.instruments.sensors import Sensors, Tone
 from process.instruments.trials import actuator_trial, hammer_trial, milling_trial
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle
+from smfe.commands.run import run
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import write_record_csv, write_record_mat, write_record_netcdf
 from smfe.results import write_atomically
@@ -186,6 +187,15 @@ def _cutting_tests() -> str:
         f'feed_per_tooth = "{FEED_PER_TOOTH * 1e3:g} mm"\n'
         for speed, depth in CUTTING_TESTS
     )
+
+
+def demo(out: Path | str, seed: int = DEMO_SEED, progress: Progress = silent) -> Path:
+    """Simulate a whole measuring campaign, write it to ``out/`` and run it into ``out/results``.
+
+    Records and campaign file are made anew each time; the same seed makes the same records.
+    """
+    folder = Path(out)
+    return run(write_demo(folder, seed, progress), folder / "results", progress=progress)
 
 
 _HEAD = """\

@@ -22,9 +22,7 @@ from smfe.identification.levels import with_levels
 from smfe.identification.measurement import cached_identification
 from smfe.modes.fit_modes import ModalFit, fit_modes
 from smfe.records import read_universal_frfs
-from smfe.results import MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
-
-KEPT = ".kept"
+from smfe.results import KEPT, MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
 
 
 def modal(

@@ -11,7 +11,6 @@ import xarray as xr
 from process.errors import InputError
 from smfe.campaign import load_channels
 from smfe.identification.errors.result import Progress, silent
-from smfe.pipeline import default_channels
 from smfe.records import (
     Channel,
     column_names,
@@ -24,6 +23,7 @@ from smfe.records import (
     write_record_uff,
 )
 from smfe.records.formats.channels import listed
+from smfe.records.guess import default_channels
 
 PIECEWISE: dict[str, Callable[[Iterable[xr.Dataset], Path], Path]] = {
     ".nc": write_pieces_netcdf,
@@ -62,7 +62,7 @@ def convert(
         File to write: .nc, .csv, .mat, .uff or .unv. Of several segments each gets a file, with ``_0``, ``_1``, ...
         before the suffix.
     campaign : path, optional
-        Campaign file whose [channels] say which column is which; default: `smfe.pipeline.DEFAULT_CHANNELS`. A NetCDF
+        Campaign file whose [channels] say which column is which; default: `guess.DEFAULT_CHANNELS`. A NetCDF
         file in our own layout needs none.
     progress : callable, optional
         Called with (what, done, of).

@@ -1,0 +1,150 @@
+"""`smfe identify`: every measurement of a campaign -> compliances with uncertainty, in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import xarray as xr
+
+from process.errors import InputError
+from smfe.campaign import Campaign, Measurement, load_campaign
+from smfe.campaign.datasets import Show
+from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.comparison.compliances import labelled
+from smfe.identification.drive.drives import FILE as DRIVE_FILE
+from smfe.identification.drive.drives import drives_of, write_drives
+from smfe.identification.drive.loops import FILE as LOOP_FILE
+from smfe.identification.drive.loops import loops_of, write_loops
+from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.levels import belongs, condition_cubes, level_cubes, with_levels
+from smfe.identification.measurement import cached_identification, check_sweep, split_levels
+from smfe.results import (
+    KEPT,
+    MEASUREMENT,
+    Failures,
+    attempt,
+    check_target,
+    pack,
+    pack_warnings,
+    require_something,
+    write_groups,
+)
+
+CONDITIONS = "conditions.nc"
+"""File of what was measured at several levels or feeds."""
+
+
+def identify(
+    campaign: Path | str,
+    output: Path | str,
+    progress: Progress = silent,
+    licence: Show | None = None,
+    failures: Failures | None = None,
+) -> dict[str, Identification]:
+    """Identify every measurement of a campaign and write the compliances to one NetCDF file.
+
+    A sweep at several depths of cut is identified at each of them, too. As after `run`, `conditions.nc` beside the file
+    holds what was measured at several levels or feeds, ``loops.nc`` the responses of drive loops and ``drives.csv`` the
+    inertia and friction of drives, which are no compliances; where the campaign has none, such a file of an earlier run
+    is taken away.
+
+    Parameters
+    ----------
+    campaign, output : path
+        Campaign file; file to write.
+    progress : callable, optional
+        Called with (what, done, of).
+    licence : callable, optional
+        Called with the licence of a public data set before it is fetched.
+    failures : list of Failure, optional
+        Collects measurements that cannot be identified, which the file names in its attribute ``failures``; the rest
+        is written. None: the first one is raised, and nothing is written.
+
+    Raises
+    ------
+    InputError
+        When the campaign file is wrong, the output has the name of one of the files beside it, or nothing at all can
+        be identified.
+    """
+    path = Path(output)
+    if path.name in (CONDITIONS, LOOP_FILE, DRIVE_FILE):
+        raise InputError(f"{path.name} is what another file beside the compliances is called; write to frf.nc")
+    loaded = load_campaign(Path(campaign), licence)
+    check_target(path)
+    found, levels = identify_all(loaded, path.parent / KEPT, progress, failures)
+    loops, drives = loops_of(loaded, failures), drives_of(loaded, failures, progress)
+    compliances = labelled(with_levels(loaded), found)
+    cubes, _ = conditions_of(loaded, compliances, levels, path.parent / KEPT, failures)
+    require_something([*found, *loops, *drives], failures)
+    write_groups(path, with_warnings(compliances, found), pack(failures or ()))
+    write_loops(path.with_name(LOOP_FILE), loops)
+    write_drives(path.with_name(DRIVE_FILE), drives)
+    write_conditions(path.with_name(CONDITIONS), cubes)
+    return found
+
+
+def identify_all(
+    campaign: Campaign, kept: Path, progress: Progress, failures: Failures | None = None
+) -> tuple[dict[str, Identification], dict[str, xr.Dataset]]:
+    """Return all measurements and levels of sweeps, and the latter as arrays over the depth of cut."""
+    whole = with_levels(campaign)
+    possible = []
+    for measurement in whole.measurements:
+        if any(f.part == MEASUREMENT and belongs(campaign, measurement.name, f.name) for f in failures or ()):
+            continue
+        with attempt(failures, MEASUREMENT, measurement.name):
+            check_sweep(whole, measurement)
+            possible.append(measurement)
+    found = {}
+    for i, measurement in enumerate(possible):
+        if measurement.method not in COMPLIANCE_METHODS:
+            progress(left_out(measurement), i, len(possible))
+            continue
+        progress(f"identifying {measurement.name}", i, len(possible))
+        with attempt(failures, MEASUREMENT, measurement.name):
+            found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
+    pooled: dict[str, Identification] = {}
+    cubes: dict[str, xr.Dataset] = {}
+    with attempt(failures, "levels of the sweeps"):
+        pooled, cubes = level_cubes(campaign, found)
+    return found | pooled, cubes
+
+
+def conditions_of(
+    campaign: Campaign,
+    compliances: Mapping[str, xr.Dataset],
+    levels: Mapping[str, xr.Dataset],
+    kept: Path,
+    failures: Failures | None,
+) -> tuple[dict[str, xr.Dataset], list[str]]:
+    """Return what ``conditions.nc`` holds, and what could not be stacked.
+
+    Measurements are stacked by the depth of cut of their records; levels of one sweep are stacked already.
+    """
+    names = {m.name for m in campaign.measurements}
+    whole = [m for m in with_levels(campaign).measurements if m.name in names]
+    stacked, notes = condition_cubes(whole, compliances)
+    return {**levels, **stacked, **split_levels(campaign, kept, failures)}, notes
+
+
+def left_out(measurement: Measurement) -> str:
+    """Return the sentence that says where the result of a measurement stands that gives no compliance."""
+    if measurement.method == "loop":
+        return f"{measurement.name}: a loop gives no compliance; its response stands in {LOOP_FILE}"
+    if measurement.method == "drive":
+        return f"{measurement.name}: a drive gives no compliance; its inertia and friction stand in {DRIVE_FILE}"
+    return f"{measurement.name}: method '{measurement.method}' gives no compliance; only a diagnosis reads it"
+
+
+def with_warnings(compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification]) -> dict[str, xr.Dataset]:
+    """Return compliances with the warnings of their identification in an attribute."""
+    return {n: pack_warnings(d, found[n].warnings if n in found else ()) for n, d in compliances.items()}
+
+
+def write_conditions(path: Path, cubes: Mapping[str, xr.Dataset]) -> None:
+    """Write ``conditions.nc``, or take that of an earlier run away where there is nothing to stack."""
+    if cubes:
+        write_groups(path, cubes)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,202 @@
+"""`smfe run`: from a campaign file to a folder of results.
+
+Everything is computed before the first result is written, and every file is written to a temporary name and moved into
+place: a folder of results belongs together. Only identified measurements are kept at once, so that a second run
+continues where the first stopped. Each part (a measurement, the lobes of one source, a cutting test, ...) fails alone:
+what is asked of it is missing, every output says so in its place, and the rest is as it would have been.
+"""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from smfe._version import __version__
+from smfe.campaign import Campaign, load_campaign
+from smfe.campaign.datasets import Show
+from smfe.commands.compare import compared, model_errors, single_levels
+from smfe.commands.diagnose import finding_of
+from smfe.commands.identify import CONDITIONS, conditions_of, identify_all, left_out, with_warnings, write_conditions
+from smfe.commands.report import report
+from smfe.comparison.compliances import labelled
+from smfe.comparison.explained import explain
+from smfe.diagnosis.audit import audited
+from smfe.diagnosis.checks.suspect import as_rows as suspect_rows
+from smfe.identification.drive.drives import FILE as DRIVE_FILE
+from smfe.identification.drive.drives import drives_of, notes_of, write_drives
+from smfe.identification.drive.loops import FILE as LOOP_FILE
+from smfe.identification.drive.loops import loops_of, write_loops
+from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.levels import with_levels
+from smfe.identification.measurement import file_hash
+from smfe.limits.campaign_lobes import LobeResult, all_lobes, write_lobes
+from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
+from smfe.results import (
+    KEPT,
+    MEASUREMENT,
+    Failures,
+    as_rows,
+    attempt,
+    check_target,
+    pack,
+    unpack_warnings,
+    write_csv,
+    write_groups,
+    write_json,
+)
+
+
+@dataclass
+class Notes:
+    """What happened on the way: seconds a stage, warnings, what failed, and what the check of the data found."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    failures: Failures = field(default_factory=list)
+    check: list[dict[str, str]] = field(default_factory=list)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Time a stage."""
+        start = time.perf_counter()
+        yield
+        self.seconds[stage] = round(time.perf_counter() - start, 3)
+
+
+def run(
+    campaign: Path | str,
+    out: Path | str,
+    fresh: bool = False,
+    progress: Progress = silent,
+    licence: Show | None = None,
+) -> Path:
+    """Do everything that a campaign asks for and write the results.
+
+    It starts with the audit of `smfe check`: a measurement or cutting test with a fault is left out, and has failed.
+
+    Parameters
+    ----------
+    campaign : path
+        Campaign file.
+    out : path
+        Folder of the results; made when missing.
+    fresh : bool, optional
+        Identify every measurement again instead of reading back what an earlier run has kept.
+    progress : callable, optional
+        Called with (what, done, of).
+    licence : callable, optional
+        Called with the licence of a public data set before it is fetched; without it nothing is fetched.
+
+    Returns
+    -------
+    Path
+        The report. What failed stands in ``provenance.json`` beside it, as a list ``failures`` of objects with part,
+        name and reason, and in its place in every other file; the rest is as it would have been without.
+
+    Raises
+    ------
+    InputError
+        When the campaign file is wrong or the results cannot be written; no result is then written or touched.
+    """
+    loaded, folder, notes = load_campaign(Path(campaign), licence), Path(out), Notes()
+    failures = notes.failures
+    check_target(folder / "report.html")
+    if fresh:
+        shutil.rmtree(folder / KEPT, ignore_errors=True)
+    with notes.timed("check"):
+        checked = audited(loaded, progress, folder / KEPT)
+        failures += checked.excluded
+        notes.check = suspect_rows(checked.suspects)
+    with notes.timed("identify"):
+        found, levels = identify_all(loaded, folder / KEPT, progress, failures)
+        loops = loops_of(loaded, failures)
+        drives = drives_of(loaded, failures, progress)
+    whole = with_levels(loaded)
+    compliances = labelled(whole, found)
+    cubes, unstacked = conditions_of(loaded, compliances, levels, folder / KEPT, failures)
+    comparison, explained, errors = compared({}), explain({}), model_errors({}, ())
+    with notes.timed("compare"):
+        progress("comparing", 0, 1)
+        told = single_levels({n: compliances[n] for n in found})
+        with attempt(failures, "comparison"):
+            comparison = compared(told)
+        with attempt(failures, "comparison", "what feed, level and method explain"):
+            explained = explain(told)
+        with attempt(failures, "comparison", "with the models"):
+            errors = model_errors(found, loaded.models)
+    with notes.timed("lobes"):
+        results = all_lobes(whole, compliances, progress, failures)
+    with notes.timed("cutting tests"):
+        verdicts = judge_all(whole, compliances, progress, failures)
+    finding = None
+    with notes.timed("diagnosis"), attempt(failures, "diagnosis"):
+        finding = finding_of(loaded, found, checked.suspects, progress) if loaded.baseline is not None else None
+    gone = {f.name for f in failures if f.part == MEASUREMENT}
+    notes.warnings += [left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *drives, *gone}]
+    notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
+    notes.warnings += notes_of(drives)
+    notes.warnings += _warnings(found, results, verdicts)
+    notes.warnings += unstacked
+    notes.warnings += [
+        f"{s.where}: {s.evidence}; {s.advice}"
+        for s in checked.suspects
+        if s.level == "warning" or (s.level == "fault" and not s.excludes)
+    ]
+    # From here on nothing depends on the input any more.
+    _write_identifications(folder, compliances, found, failures)
+    write_loops(folder / LOOP_FILE, loops, folder / "tables")
+    write_drives(folder / DRIVE_FILE, drives, folder / "tables")
+    write_conditions(folder / CONDITIONS, cubes)
+    write_csv(folder / "comparison.csv", comparison)
+    write_csv(folder / "explained.csv", explained)
+    write_csv(folder / "model_error.csv", errors)
+    write_lobes(folder, results, loaded, failures)
+    write_verdicts(folder, verdicts)
+    if finding is None:
+        (folder / "finding.json").unlink(missing_ok=True)
+    else:
+        write_json(folder / "finding.json", finding)
+    write_json(folder / "provenance.json", _provenance(loaded, notes))
+    return report(folder, progress)
+
+
+def _warnings(found: Mapping[str, Identification], lobes: Sequence[LobeResult], verdicts: Verdicts) -> list[str]:
+    out = [f"{name}: {w}" for name, item in found.items() for w in item.warnings]
+    out += [f"{r.request}, {r.source}: {w}" for r in lobes for w in unpack_warnings(r.lobes)]
+    out += verdicts.warnings
+    return out + [f"{r['file']}: undecided: {r['reason']}" for r in verdicts.rows if r["verdict"] == "undecided"]
+
+
+def _write_identifications(
+    folder: Path, compliances: Mapping[str, xr.Dataset], found: Mapping[str, Identification], failures: Failures
+) -> None:
+    missing = pack(f for f in failures if f.part == MEASUREMENT)
+    write_groups(folder / "frf.nc", with_warnings(compliances, found), missing)
+    shutil.rmtree(folder / "tables", ignore_errors=True)
+    for name, item in found.items():
+        for table, frame in item.tables.items():
+            write_csv(folder / "tables" / f"{name}.{table}.csv", frame)
+
+
+def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
+    packages = ("smfe", "numpy", "scipy", "numba", "xarray", "pandas", "h5netcdf")
+    return {
+        "campaign": campaign.name,
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "versions": {"smfe": __version__, **{p: importlib.metadata.version(p) for p in packages[1:]}},
+        "inputs": [{"file": f.name, "sha256": file_hash(f)} for f in (campaign.path, *campaign.files)],
+        "settings": {m.name: m.settings() for m in campaign.measurements},
+        "seconds": notes.seconds,
+        "warnings": notes.warnings,
+        "failures": as_rows(notes.failures),
+        "check": notes.check,
+    }
