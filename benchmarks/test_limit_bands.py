@@ -5,14 +5,13 @@ import time
 import numpy as np
 import pytest
 
-from process.cut import engagement
+from process import engagement
 from process.labels import make_compliance
 from smfe.commands.demo import MACHINE, MATERIAL, TOOL
-from stability import floquet_multipliers
+from stability import floquet_multipliers, zero_order
 from stability.bands.depth_quantiles import linearised_band, sampled_band
 from stability.bands.error_model import Spread
 from stability.boundary import Axis, find_boundary, pointwise
-from stability.methods import zero_order
 
 ARC = engagement("down", 0.04, 0.08)
 SPEED = np.linspace(300.0, 1500.0, 200)

@@ -7,10 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from process import directional_matrix
-from process.cut import engagement
+from process import directional_matrix, engagement
 from smfe.commands.demo import MACHINE, MATERIAL, TOOL
-from stability.methods import zero_order
+from stability import zero_order
 
 ARC = engagement("down", 0.04, 0.08)
 FREQUENCY = np.linspace(5.0, 205.0, 10_000)

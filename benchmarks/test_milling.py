@@ -6,8 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from process import CuttingCoefficients, MillingCut, ModalModel, Spindle, Tool, simulate_milling
-from process.cut import engagement
+from process import CuttingCoefficients, MillingCut, ModalModel, Spindle, Tool, engagement, simulate_milling
 from process.simulation import _milling_kernels as _kernels
 
 MACHINE = ModalModel([33.37, 57.44, 58.61], [0.061, 0.0822, 0.0287], [45.5e6, 32.1e6, 36.7e6], np.eye(3))

@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from process import CuttingCoefficients, ModalModel, Tool
-from process.cut import engagement
+from process import CuttingCoefficients, ModalModel, Tool, engagement
 from process.cut.engagement import Engagement
 from process.cut.force import chip_projection, force_projection, gram_matrix
-from stability import floquet_multipliers
-from stability.methods import semi_discretization
+from stability import floquet_multipliers, semi_discretization
 
 MATERIAL = CuttingCoefficients(6e8, 2e8, 0.0)
 TOOL = Tool(10e-3, 2)

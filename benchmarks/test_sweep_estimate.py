@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from process.cut import engagement
+from process import engagement
 from process.labels import make_record
 from smfe import LocalPolynomial, Segments, SingleReference, SweepPass, identify_sweep
 from smfe.commands.demo import TOOL, sweep_passes

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from process import MillingCut, Spindle, simulate_milling
-from process.cut import engagement
+from process import MillingCut, Spindle, engagement, simulate_milling
 from smfe.commands.demo import MACHINE, MATERIAL, TOOL
-from stability.methods import semi_discretization, zero_order
+from stability import semi_discretization, zero_order
 
 COMPLIANCE = MACHINE.compliance(np.arange(5.0, 150.0, 0.1))
 

@@ -17,7 +17,7 @@ from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
 from smfe.diagnosis.inference.finding import Finding, ForceError, Own, StableDepth
 from smfe.diagnosis.inference.problem import Condition, Family, Values
-from stability.methods import zero_order
+from stability import zero_order
 
 SPEEDS = 41
 """Spindle speeds of a request at which the depth is computed, at most."""

@@ -28,13 +28,16 @@ from stability import (
     carries_errors,
     lobe_curves,
     lobe_table,
+    multi_frequency,
+    operating_point,
+    presets,
     sampled_band,
+    semi_discretization,
     with_band,
     write_presets,
     write_table,
+    zero_order,
 )
-from stability.methods import multi_frequency, operating_point, semi_discretization, zero_order
-from stability.tables import presets
 
 MADE = ("lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json")
 """Files that lobes make."""

@@ -21,7 +21,7 @@ from smfe.planning.forces import Forces, Pass, SweepPlan, force_level
 from smfe.planning.limits import KEYS, no_plan, rejections
 from smfe.planning.search import DEPTH_STEP, Search
 from smfe.planning.task import Task
-from stability.methods import multi_frequency, semi_discretization, zero_order
+from stability import multi_frequency, semi_discretization, zero_order
 
 Real = NDArray[np.float64]
 

@@ -38,7 +38,7 @@ from smfe.planning.forces import (
 )
 from smfe.planning.limits import KEYS, SHORTEST_PASS, allowed
 from smfe.planning.task import Task
-from stability.methods import zero_order
+from stability import zero_order
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from truth.sweep import Campaign
 
-from process.cut import engagement
+from process import engagement
 from process.labels import make_record
 from smfe import SweepPass
 

@@ -9,7 +9,7 @@ from typing import Any
 import xarray as xr
 from truth.sweep_strangers import CUTS, Stranger
 
-from process.cut import engagement
+from process import engagement
 from process.labels import make_record
 from smfe import SweepPass
 

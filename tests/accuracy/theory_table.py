@@ -28,7 +28,7 @@ from accuracy.synthetic import (
     whole_pass,
 )
 
-from process.cut import engagement
+from process import engagement
 from process.labels import make_record
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 

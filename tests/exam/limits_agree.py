@@ -27,7 +27,7 @@ from truth.milling_map import TurnMap
 
 from process import CuttingCoefficients, InputError, ModalModel, Tool
 from process.cut.engagement import Engagement
-from stability.methods import multi_frequency, semi_discretization
+from stability import multi_frequency, semi_discretization
 
 FIRST_SEED = 810_000
 CUTS = 2000

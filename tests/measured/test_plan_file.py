@@ -17,7 +17,7 @@ from smfe.planning.search import Search
 from smfe.planning.task import load_task
 from smfe.results import read_groups
 from smfe.scenario import load_scenario
-from stability.methods import semi_discretization, zero_order
+from stability import semi_discretization, zero_order
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "datasets" / "plans" / "milling_machine.toml"
 

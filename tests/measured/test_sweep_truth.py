@@ -15,7 +15,7 @@ from accuracy.table import CORRECTIONS, corrected
 from truth import sweep
 from truth.sweep import Campaign, Modes, drawn_modes, required
 
-from process.cut import engagement
+from process import engagement
 from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel

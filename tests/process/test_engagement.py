@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from process import CuttingCoefficients, InputError, MillingCut, ModalModel, Spindle, Tool, simulate_milling
-from process.cut import engagement
+from process import CuttingCoefficients, InputError, MillingCut, ModalModel, Spindle, Tool, engagement, simulate_milling
 from process.cut.engagement import Engagement, Engagements, engagement_of_strips
 from process.cut.force import gram_matrix
 

@@ -15,8 +15,7 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel
 from smfe.results import pack_warnings, write_csv, write_groups, write_json
-from stability import lobe_curves, lobe_table, write_table
-from stability.methods import zero_order
+from stability import lobe_curves, lobe_table, write_table, zero_order
 
 MACHINE = ModalModel(
     frequency=[27.0, 61.4, 74.0, 118.0],

@@ -10,8 +10,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_record
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
-from stability import chatter_verdict
-from stability.methods import zero_order
+from stability import chatter_verdict, zero_order
 
 TEETH = 4
 RPM = 1500.0  # spindle order 25 Hz, tooth passing 100 Hz

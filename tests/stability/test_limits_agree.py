@@ -10,8 +10,7 @@ from truth.milling_map import MillingCut, TurnMap
 
 from process import CuttingCoefficients, ModalModel, Tool
 from process.cut.engagement import engagement
-from stability import floquet_multipliers
-from stability.methods import multi_frequency, semi_discretization
+from stability import floquet_multipliers, multi_frequency, semi_discretization
 from stability.methods.floquet_crossings import is_unstable
 
 ARC = engagement("down", 4e-3, 16e-3)

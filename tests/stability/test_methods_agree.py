@@ -7,7 +7,7 @@ import pytest
 
 from process import MillingCut, Spindle, simulate_milling
 from process.simulation.milling import default_step
-from stability.methods import multi_frequency, semi_discretization, zero_order
+from stability import multi_frequency, semi_discretization, zero_order
 
 SPEEDS = (700.0, 950.0, 1150.0, 1450.0)
 TURNS, A_TURN = 300, 100

@@ -7,12 +7,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from process import CuttingCoefficients, InputError, ModalModel, Tool
-from process.cut import engagement
+from process import CuttingCoefficients, InputError, ModalModel, Tool, engagement
 from process.labels import full_matrix, make_compliance
 from smfe.modes.fit_modes import fit_modes
-from stability import critical_depth, linearised_band, lobe_curves, sampled_band
-from stability.methods import multi_frequency, operating_point, semi_discretization, zero_order
+from stability import (
+    critical_depth,
+    linearised_band,
+    lobe_curves,
+    multi_frequency,
+    operating_point,
+    sampled_band,
+    semi_discretization,
+    zero_order,
+)
 
 MACHINE = ModalModel([410.0, 520.0], [0.03, 0.025], [1.2e7, 1.5e7], [[1, 0, 0], [0, 1, 0]])
 CUT = (Tool(16e-3, 3), engagement("down", 6e-3, 16e-3), CuttingCoefficients(7e8, 2.5e8, 0.0))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from process import InputError, ModalModel
-from stability.methods import multi_frequency, semi_discretization, zero_order
+from stability import multi_frequency, semi_discretization, zero_order
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data")
 SPEEDS = [700, 950, 1150, 1450]

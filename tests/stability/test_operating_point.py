@@ -8,7 +8,7 @@ import xarray as xr
 
 from process import InputError
 from process.cut.force import force_harmonics
-from stability.methods import zero_order
+from stability import zero_order
 from stability.methods.operating_point import operating_point
 
 SPEEDS = np.linspace(500.0, 2500.0, 12)

@@ -8,8 +8,7 @@ import pytest
 
 from process.cut.tool import Tool
 from process.errors import InputError
-from stability import lobe_table
-from stability.methods import zero_order
+from stability import lobe_table, zero_order
 from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
 from stability.tables.presets import PRESET_SCHEMA, PresetContext, check_presets, presets, read_presets, write_presets
 

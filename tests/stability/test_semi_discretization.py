@@ -9,10 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from process import CuttingCoefficients, InputError, ModalModel, Tool
-from process.cut import engagement
-from stability import floquet_multipliers, limit_depth, stability_bands
-from stability.methods import multi_frequency, semi_discretization, zero_order
+from process import CuttingCoefficients, InputError, ModalModel, Tool, engagement
+from stability import (
+    floquet_multipliers,
+    limit_depth,
+    multi_frequency,
+    semi_discretization,
+    stability_bands,
+    zero_order,
+)
 
 DATA = Path(os.environ.get("SMFE_DATA") or Path(__file__).parents[3] / "shared" / "data")
 

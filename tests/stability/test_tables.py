@@ -7,8 +7,7 @@ import pytest
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
-from stability import LOBE_COLUMNS, lobe_table, read_table, write_table
-from stability.methods import zero_order
+from stability import LOBE_COLUMNS, lobe_table, read_table, write_table, zero_order
 
 COLUMNS = (  # design.md, in this order
     "source,spindle_speed_rpm,limit_depth_mm,limit_depth_p05_mm,limit_depth_p95_mm,safe_depth_mm,width_of_cut_mm,"

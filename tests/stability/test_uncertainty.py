@@ -9,9 +9,9 @@ import pytest
 
 from process.errors import InputError
 from process.labels import make_compliance
+from stability import semi_discretization, zero_order
 from stability.bands.depth_quantiles import corrected_quantiles, linearised_band, sampled_band, with_band
 from stability.bands.error_model import ModalError, Spread, measured_error
-from stability.methods import semi_discretization, zero_order
 
 SPEEDS = [1000.0, 1200.0, 1500.0, 2000.0]
 THREE = ("frequency", "response", "excitation")

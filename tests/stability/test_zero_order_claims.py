@@ -11,9 +11,8 @@ from process.cut.force import CuttingCoefficients, directional_matrix
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_compliance
-from stability import critical_depth, lobe_curves, zero_order_from_matrix
+from stability import critical_depth, lobe_curves, zero_order, zero_order_from_matrix
 from stability.methods import _zero_order_kernels as _kernels
-from stability.methods import zero_order
 
 RAM_SPEEDS = np.linspace(200, 800, 301)
 

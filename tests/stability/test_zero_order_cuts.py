@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from process import CuttingCoefficients, InputError, ModalModel, Tool
-from process.cut import engagement
+from process import CuttingCoefficients, InputError, ModalModel, Tool, engagement
 from process.cut.engagement import Engagement, Engagements, engagement_of_strips
 from process.labels import make_compliance
-from stability.methods import multi_frequency, semi_discretization, zero_order
+from stability import multi_frequency, semi_discretization, zero_order
 from stability.problem import Cut
 
 SPEEDS = np.linspace(400.0, 2500.0, 60)

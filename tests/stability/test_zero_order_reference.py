@@ -5,8 +5,7 @@ import pytest
 
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
-from stability import critical_depth, critical_depth_from_matrix, zero_order_from_matrix
-from stability.methods import zero_order
+from stability import critical_depth, critical_depth_from_matrix, zero_order, zero_order_from_matrix
 
 
 def test_textbook_two_axis_tool(textbook):
