@@ -47,29 +47,29 @@ demo: $(READY)
 	$(BIN)/smfe demo --out demo
 
 test: $(READY)
-	$(RUN) $(BIN)/pytest -m "not slow" -n $(JOBS) --dist loadscope $(ARGS)
+	$(RUN) $(BIN)/pytest -m "not slow" -n $(JOBS) --dist worksteal $(ARGS)
 
 # Exit code 5 says that no test is marked slow.
 slow: $(READY)
-	$(RUN) $(BIN)/pytest -m slow -n $(JOBS) --dist loadscope $(ARGS) || [ $$? -eq 5 ]
+	$(RUN) $(BIN)/pytest -m slow -n $(JOBS) --dist worksteal $(ARGS) || [ $$? -eq 5 ]
 
 exam: $(READY)
-	$(RUN) $(BIN)/python tests/exam/sitting.py docs/exam.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.sitting docs/exam.md --jobs $(JOBS) $(ARGS)
 
 accuracy: $(READY)
-	$(RUN) $(BIN)/python tests/accuracy/table.py docs/accuracy_table.md $(ARGS)
-	$(RUN) $(BIN)/python tests/accuracy/theory_table.py docs/sweep_table.md
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m accuracy.table docs/accuracy_table.md $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m accuracy.theory_table docs/sweep_table.md
 
 strangers: $(READY)
-	$(RUN) $(BIN)/python tests/exam/sweep_strangers.py docs/sweep_strangers_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/modes.py docs/modes_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/frf_files.py docs/frf_files_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/excitations.py docs/excitations_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/check.py docs/check_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/plan.py docs/plan_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/limits_agree.py docs/limits_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/chatter.py docs/chatter_table.md --jobs $(JOBS) $(ARGS)
-	$(RUN) $(BIN)/python tests/exam/drive_records.py docs/drive_records_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.sweep_strangers docs/sweep_strangers_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.modes docs/modes_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.frf_files docs/frf_files_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.excitations docs/excitations_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.check docs/check_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.plan docs/plan_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.limits_agree docs/limits_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.chatter docs/chatter_table.md --jobs $(JOBS) $(ARGS)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.drive_records docs/drive_records_table.md --jobs $(JOBS) $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -17,15 +17,11 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[1] / "measured"))
-    import conftest  # noqa: F401
-
 import numpy as np
 import xarray as xr
-from accuracy.passes import BAND, entry_errors, sweep_passes
 from truth.sweep import CUTS, Campaign, clean, measure, required
 
+from accuracy.passes import BAND, entry_errors, sweep_passes
 from smfe import LocalPolynomial, SingleReference, SweepPass, identify_sweep
 from smfe.identification.errors.difference import symmetric
 from smfe.identification.sweep.orders import Orders

@@ -8,11 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[1] / "measured"))
-    import conftest  # noqa: F401
-
 import numpy as np
+
 from accuracy.synthetic import (
     DIAMETER,
     RATE,
@@ -27,7 +24,6 @@ from accuracy.synthetic import (
     own_lines,
     whole_pass,
 )
-
 from process import engagement
 from process.labels import make_record
 from smfe import LocalPolynomial, SweepPass, identify_sweep

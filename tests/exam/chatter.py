@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from scipy.stats import beta
 from truth.chatter import draw

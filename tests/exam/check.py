@@ -8,27 +8,19 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
 import time
-import types
 import warnings
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pandas as pd
+from truth import workshop
 
-tests = Path(__file__).parents[1]
-truth = types.ModuleType("truth")
-truth.__path__ = [str(tests / "truth")]
-sys.modules.setdefault("truth", truth)
-
-from truth import workshop  # noqa: E402
-
-from process.errors import InputError  # noqa: E402
-from smfe.commands import run as run_command  # noqa: E402
-from smfe.diagnosis.audit import check  # noqa: E402
+from process.errors import InputError
+from smfe.commands import run as run_command
+from smfe.diagnosis.audit import check
 
 DRAWN = 5
 """Every how many campaigns the report is drawn as well, which takes longer than everything else."""

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pandas as pd
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
+from truth.drive_rig import draw, truths
 
 from process.errors import InputError
 from process.labels import make_record
 from smfe.identification.drive.parameters import identify_drive
-from tests.truth.drive_rig import draw, truths
 
 KINDS = {"stroke": "one stroke", "strokes": "strokes to and fro", "step": "steps of the force", "runs": "steady runs"}
 NAMES = {"inertia": 0, "coulomb": 1, "viscous": 2, "static": 3, "stribeck_speed": 4}

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -14,14 +13,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import xarray as xr
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
+from truth.shaker import KINDS, Shaken, draw
 
 from process.errors import InputError
 from process.labels import AXES, make_record
 from smfe.identification.actuator.excitation_kind import identify_shaken
 from smfe.identification.errors.intervals import interval
-from tests.truth.shaker import KINDS, Shaken, draw
 
 CASES = [(kind, None) for kind in KINDS] + [("random", e) for e in ("H1", "Hv")]
 """Kind of force and estimator."""

@@ -6,20 +6,17 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
+from truth.frf_files import draw
 
 from process.errors import InputError
 from smfe.campaign import load_campaign
 from smfe.identification.errors.intervals import interval
 from smfe.identification.measurement import identify_measurement
-from tests.truth.frf_files import draw
 
 RIGHT, SAID, REFUSED, WRONG, SILENT = "right", "said", "refused", "false warning", "wrong in silence"
 

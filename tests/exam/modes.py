@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -15,13 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from scipy import stats
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
+from truth.modes import Draw, draw, evidence
 
 from process.errors import InputError
 from smfe.modes.fit_modes import fit_modes
 from smfe.modes.response_matrix import ResponseMatrix
-from tests.truth.modes import Draw, draw, evidence
 
 FOUND, NAMED, BURIED, SILENT = "found", "named", "in the noise", "missed in silence"
 

@@ -14,7 +14,6 @@ import argparse
 import json
 import math
 import os
-import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -24,9 +23,6 @@ if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from accuracy.passes import sweep_passes
 from truth import sweep
 from truth.sweep import Campaign

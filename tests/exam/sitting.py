@@ -24,10 +24,10 @@ if __name__ == "__main__":
     import conftest  # noqa: F401
 
 import numpy as np
-from exam.subjects import SUBJECTS, Without
-from exam.truths import true_values
 from scipy import optimize, stats
 
+from exam.subjects import SUBJECTS, Without
+from exam.truths import true_values
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.workers import cores
 

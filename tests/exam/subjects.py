@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
+from truth.blind import draw
+
 from exam import drive, limits, modal
 from exam.records import family as axis_family
-from truth.blind import draw
 
 AXIS = {
     "friction_level": "guideway_friction",

@@ -8,16 +8,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[1] / "measured"))
-    import conftest  # noqa: F401
 
 import numpy as np
 from accuracy.strangers import stranger_passes

@@ -1,10 +1,11 @@
 """What a finding should estimate: the true value of the parameter that an effect changes, in the unit shown."""
 
 import numpy as np
-from exam import drive
 from truth.axis import Truth
 from truth.blind import chosen, seed_of
 from truth.effects import CUBIC_PER_SHIFT, SHARE_PER_DROP
+
+from exam import drive
 
 AXIS = {
     "friction_level": ("friction_level", 100.0),

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import sys
-import types
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +13,6 @@ from process.cut.engagement import Engagement, engagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel
-
-# `tests/truth` and `tests/exam` are importable as ``truth`` and ``exam``, whatever the import mode and the path.
-for name in ("truth", "exam"):
-    package = types.ModuleType(name)
-    package.__path__ = [str(Path(__file__).parents[1] / name)]
-    sys.modules.setdefault(name, package)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Exams: hidden effects and records that nobody prepared, scored."""

@@ -1,0 +1,310 @@
+"""Claims: a campaign file puts the same question as the records by hand, and what is proposed next can be done."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from places import DATA, DATASETS
+
+from process.cut.engagement import engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.errors import InputError
+from process.labels import make_compliance, make_record
+from smfe.campaign import Campaign, LobeRequest, Measurement, RecordEntry, load_campaign
+from smfe.diagnosis.audit import audit
+from smfe.diagnosis.cases.case import Case
+from smfe.diagnosis.cases.compliances import case_of, steadied
+from smfe.diagnosis.cases.experiments import menu
+from smfe.diagnosis.checks.channels import silence_suspects
+from smfe.diagnosis.consequences import stable_depths
+from smfe.diagnosis.cutting.forces import cutting_family
+from smfe.diagnosis.cutting.orders import SteadyCut
+from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.frf.axis import MachineFrfs
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline
+from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.inference.fit import Target, fit
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.next_experiment import rank
+from smfe.diagnosis.inference.problem import Condition
+from smfe.records import Channel, read_records, write_record_netcdf
+
+
+def public(name: str, monkeypatch: pytest.MonkeyPatch) -> Campaign:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"{DATA / name} is not here; set SMFE_DATA to the folder of public data")
+    monkeypatch.setenv("SMFE_DATA", str(DATA))
+    return load_campaign(DATASETS / f"{name}.toml")
+
+
+# --- records of a moving axis -------------------------------------------------------------------------------
+
+
+def test_a_drive_campaign_is_the_family_of_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The record that is held out has no say in filter, noise and starts, and its moves are the ones set aside."""
+    campaign = public("emps", monkeypatch)
+    case = case_of(campaign, {})
+    records = [read_records(m.records[0].files[0], m.records[0].channels)[0] for m in campaign.measurements]
+    first = DriveRecordFamily.from_record(records[0])
+    other = DriveRecordFamily.from_record(records[1], like=first)
+    for mine, byhand in zip(case.family.conditions, (*first.conditions, *other.conditions), strict=True):
+        np.testing.assert_array_equal(mine.observed, byhand.observed)
+    assert case.set_aside() == case.groups["moves with pulses"]
+    assert len(case.set_aside()) == len(other.conditions)
+
+
+def test_commands_that_nobody_logged_are_found_in_the_record_that_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """25 pulses of 5 V, which are 175.8 N; none in the other record."""
+    (found,) = [s for s in audit(public("emps", monkeypatch)) if s.cause == "hidden_input"]
+    assert found.where == "moves with pulses"
+    assert found.evidence.startswith("25 commands")
+    assert float(found.evidence.split("of ")[1].split(" N")[0]) == pytest.approx(175.8, rel=0.02)
+
+
+def drive_campaign(folder: Path, record: xr.Dataset, more: str = "") -> Campaign:
+    write_record_netcdf(record, folder / "moved.nc")
+    (folder / "campaign.toml").write_text(
+        "[campaign]\nname = 'axis'\n[[measurement]]\nname = 'moved'\nmethod = 'drive'\n"
+        "records = [{ file = 'moved.nc' }]\n"
+        f"[baseline]\ndrive = 'rigid'\naxis = 'x'\n{more}",
+        encoding="utf-8",
+    )
+    return load_campaign(folder / "campaign.toml")
+
+
+def to_and_fro(**channels: np.ndarray) -> xr.Dataset:
+    time = np.arange(6000) * 1e-3
+    given = {"encoder_position": 0.1 * np.sin(2.0 * np.pi * 0.5 * time), "drive_force": np.ones_like(time), **channels}
+    return make_record(time, {name: {"x": v} for name, v in given.items() if v is not None})
+
+
+@pytest.mark.parametrize(
+    ("lost", "said"),
+    [
+        ({"encoder_position": None}, "measurement 'moved': the record has no encoder_position_x"),
+        ({"encoder_position": np.zeros(6000)}, "measurement 'moved': encoder_position_x is 0 m in all samples"),
+        ({}, "measurement 'moved': drive_force_x is 1 N in all samples"),
+    ],
+)
+def test_a_drive_record_that_lacks_something_is_told_so(tmp_path: Path, lost: dict, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        case_of(drive_campaign(tmp_path, to_and_fro(**lost)), {})
+
+
+def test_a_control_law_without_its_reference_is_told_so(tmp_path: Path) -> None:
+    campaign = drive_campaign(tmp_path, to_and_fro(), "Kp = '8 N s/m'\nKv = '16 1/s'\n")
+    found = audit(campaign)
+    assert any("no reference_position_x; the control law needs it" in str(s) for s in found), found
+
+
+def test_what_is_held_out_must_be_measured_and_leave_something() -> None:
+    case = Case(None, {"a": ("a, move 1", "a, move 2"), "b": ("b, move 1",)}, ("b",))
+    assert case.set_aside() == ("b, move 1",)
+    with pytest.raises(InputError, match="'c' cannot be held out; compared are 'a', 'b'"):
+        case.set_aside(["c"])
+    with pytest.raises(InputError, match="everything is held out"):
+        case.set_aside(["a"])
+
+
+# --- forces of cuts -----------------------------------------------------------------------------------------
+
+
+def test_a_campaign_of_cuts_is_the_family_of_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign = public("milling_forces_ubc", monkeypatch)
+    case = case_of(campaign, {})
+    test = campaign.cutting_tests[-1]
+    cut = SteadyCut(6000.0 * np.pi / 30.0, 0.125e-3, 3e-3, engagement("down", 0.025, 0.025))
+    byhand = cutting_family(
+        {"cut": (read_records(test.file, test.channels)[0], cut)}, Tool(0.025, 2), (900e6, 300e6, 150e6)
+    )
+    (aside,) = case.set_aside()
+    assert aside == "cut at 6000 rpm, 0.125 mm per tooth, 3 mm deep"
+    (mine,) = [c for c in case.family.conditions if c.name == aside]
+    np.testing.assert_allclose(mine.observed, byhand.conditions[0].observed, rtol=1e-12)
+    names = [p.name for p in case.family.proposals]
+    assert names[0] == "cut at 6000 rpm, 0.25 mm per tooth, 3 mm deep"
+    assert "spindle in air at 6000 rpm" in names
+
+
+def test_known_edge_forces_belong_to_the_baseline() -> None:
+    """At the null values a baseline with edge forces predicts what one without them does when they are added."""
+    tool, arc = Tool(0.025, 2), engagement("down", 0.0125, 0.025)
+    cut = SteadyCut(600.0, 1e-4, 2e-3, arc)
+    rng = np.random.default_rng(1)
+    record = make_record(np.arange(40000) * 1e-4, {"force": {a: rng.standard_normal(40000) for a in "xyz"}})
+    coefficients, edge = (900e6, 300e6, 150e6), (3e4, 2e4, 1e4)
+    plain, known = (cutting_family({"cut": (record, cut)}, tool, coefficients, **more) for more in ({}, {"edge": edge}))
+
+    def null(family):
+        return {p.name: p.start for p in (*family.nuisances, *(p for c in family.causes for p in c.parameters))}
+
+    with_edge = {**null(plain), "Kte": edge[0], "Kre": edge[1], "Kae": edge[2]}
+    here = plain.conditions[0]
+    np.testing.assert_allclose(known.predict(here, null(known)), plain.predict(here, with_edge), rtol=1e-12)
+
+
+# --- what could be measured next ----------------------------------------------------------------------------
+
+BASELINE = AxisBaseline(
+    Drive(23.1, 11.3, 1.68e6, 104.0, sigma=168.0),
+    {"K2": Servo(6268.0, 10.9e-3, 45.5), "K3": Servo(10590.0, 6.5e-3, 76.9)},
+)
+F = np.linspace(10.0, 150.0, 40)
+
+
+def values(**more: float) -> dict[str, float]:
+    causes = (p for c in BASELINE.causes() for p in c.parameters)
+    return {p.name: p.start for p in (*BASELINE.nuisances(), *causes)} | more
+
+
+def condition(name: str, feed: float, level: float = 1.0, **settings: float | str) -> Condition:
+    excited = Excited(F, (("x", "x"),), np.full((F.size, 1), 3e-8), "hammer", level, 4e-3, {"x": feed / 6e4}, "K2")
+    given = {"method": "hammer", "feed": feed / 6e4, "level": level, "controller": "K2", "order": 0.0, **settings}
+    return Condition(name, given, None, name, excited)
+
+
+def machine(true: dict[str, float], *conditions: Condition) -> MachineFrfs:
+    every = MachineFrfs(BASELINE, conditions)
+    return replace(every, conditions=tuple(replace(c, observed=every.predict(c, true)) for c in conditions))
+
+
+def test_each_proposal_changes_one_thing_and_none_was_measured() -> None:
+    family = machine(values(), condition("idle", 0.0), condition("moving", 500.0), condition("slow", 100.0))
+    proposals = menu(family)
+    names = [p.name for p in proposals]
+    assert "as moving, but at 50 mm/min" in names
+    assert "as moving, but at -500 mm/min, the other direction" in names
+    assert "as idle, but with controller K3" in names
+    assert not [n for n in names if n.startswith("as moving, but at 100 ")]
+    measured = {c.name: c for c in family.conditions}
+    for p in proposals:
+        base = measured[p.name.removeprefix("as ").split(", but")[0]]
+        other = {k for k in p.settings if k != "minutes" and p.settings[k] != base.settings.get(k)}
+        assert len(other) == 1
+        assert p.settings["minutes"] >= 5.0
+
+
+def test_a_named_place_tells_apart_and_a_length_counts() -> None:
+    family = machine(values(), condition("near", 500.0, position=0.1))
+    further = [p for p in menu(family) if "further along" in p.name]
+    assert [p.settings["position"] for p in further] == [pytest.approx(0.4)]
+
+
+def test_between_coulomb_and_stribeck_it_asks_for_a_feed_of_the_transition() -> None:
+    """Light hits stick at rest and slide alike at 500 mm/min: only in between does the fall of the friction show.
+
+    Stribeck friction contains Coulomb's, so that no experiment could tell were Coulomb's the truth.
+    """
+    true = {"stribeck_coulomb": 40.0, "static_rise": 15.0, "stribeck_speed": 2e-3}
+    family = machine(values(**true), condition("idle", 0.0, 0.05), condition("moving", 500.0, 0.05))
+    feeds = [condition(f"at {f:g}", f, 0.05, minutes=5.0) for f in (50.0, 250.0, 1000.0)]
+    model = Model(family, [*family.conditions, *feeds])
+    target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+    keys = [c.key for c in model.causes]
+    pair = []
+    for variant, start in (("coulomb", {"coulomb": 40.0}), ("stribeck", true)):
+        near = np.array([values(**start).get(n, s) for n, s in zip(model.names, model.start, strict=True)])
+        pair.append(
+            fit(model, target, [keys.index(f"guideway_friction/{variant}")], (near - model.start) / model.scale)
+        )
+    assert pair[0].chi2 < 6.0
+    found = rank(model, target, pair, range(2, 5))
+    assert found[0].name == "at 50"
+    assert found[0].chance > 0.99 > 0.05 > max(p.chance for p in found[1:])
+
+
+def test_of_two_experiments_that_tell_the_same_the_shorter_comes_first() -> None:
+    family = machine(values(), condition("moving", 500.0))
+    twice = [condition("long", 50.0, minutes=30.0), condition("short", 50.0, minutes=5.0)]
+    model = Model(family, [*family.conditions, *twice])
+    target = Target({0: family.conditions[0].observed}, model.null())
+    keys = [c.key for c in model.causes]
+    null = fit(model, target, [], model.null())
+    other = fit(model, target, [keys.index("servo_gains")], model.null())
+    found = rank(model, target, [null, other], [1, 2])
+    assert [p.name for p in found] == ["short", "long"]
+    assert found[0].minutes == 5.0
+
+
+# --- what it means ------------------------------------------------------------------------------------------
+
+
+def cut_campaign() -> Campaign:
+    request = LobeRequest((), "zero_order", "down", 0.1, 0.2e-3, np.array([300.0, 450.0, 600.0]))
+    return Campaign(
+        Path("campaign.toml"),
+        "cut",
+        tool=Tool(0.125, 8, approach_angle=np.pi / 4),
+        coefficients=CuttingCoefficients(1900e6, 500e6, 300e6),
+        lobes=(request,),
+    )
+
+
+def test_the_stable_depth_of_an_unchanged_machine_is_unchanged() -> None:
+    for row in stable_depths(cut_campaign(), BASELINE, values()):
+        assert row.after_mm == row.before_mm
+        assert row.feed_mm_min == pytest.approx(1.6 * row.spindle_speed_rpm)
+
+
+def test_a_machine_twice_as_heavy_stiff_and_damped_cuts_twice_as_deep() -> None:
+    """All impedances times two: the compliance halves, and the limit depth is inverse to it."""
+    start = values()
+    twice = {n: 2.0 * start[n] for n in ("moving_mass", "tip_mass", "stiffness", "damping", "viscous")}
+    for row in stable_depths(cut_campaign(), BASELINE, values(**twice, Kp_error=1.0)):
+        assert row.after_mm == pytest.approx(2.0 * row.before_mm, rel=1e-6)
+
+
+def test_an_axis_that_vibrates_without_a_cut_has_no_stable_depth() -> None:
+    """Friction that falls steeply with the speed takes more damping than the loop has."""
+    falling = values(stribeck_coulomb=5.0, static_rise=600.0, stribeck_speed=8e-3, viscous=1.0, Kp_error=-0.8)
+    assert [row.after_mm for row in stable_depths(cut_campaign(), BASELINE, falling)] == [0.0, 0.0, 0.0]
+
+
+# --- records without excitation -----------------------------------------------------------------------------
+
+
+def silent_campaign(folder: Path, moving: np.ndarray) -> Campaign:
+    time = np.arange(moving.size) * 1e-3
+    rest = 0.01 * np.random.default_rng(1).standard_normal(moving.size)
+    out = []
+    for name, samples, feed in (("rest", rest, 0.0), ("moving", moving, 0.01)):
+        write_record_netcdf(make_record(time, {"acceleration": {"x": samples}}), folder / f"{name}.nc")
+        entry = RecordEntry(files=(folder / f"{name}.nc",), channels={"time": Channel()}, feed={"x": feed})
+        out.append(Measurement(name=name, method="silent", records=(entry,), channels={}, feed={"x": feed}))
+    return Campaign(folder / "campaign.toml", "silence", measurements=tuple(out))
+
+
+def test_an_axis_that_vibrates_by_itself_is_named_and_a_loud_one_is_not(tmp_path: Path) -> None:
+    time, rng = np.arange(8000) * 1e-3, np.random.default_rng(2)
+    loud = 0.5 * rng.standard_normal(time.size)
+    assert list(silence_suspects(silent_campaign(tmp_path, loud))) == []
+    sine = np.sin(2.0 * np.pi * 61.3 * time) + 0.05 * rng.standard_normal(time.size)
+    (found,) = silence_suspects(silent_campaign(tmp_path, sine))
+    assert found.cause == "limit_cycle"
+    assert found.where == "moving, acceleration_x"
+
+
+# --- how well a compliance is known -------------------------------------------------------------------------
+
+
+def test_residuals_of_noise_have_unit_variance_whatever_the_number_of_hits() -> None:
+    """The standard deviation of a line from four hits would make their mean square 1.5."""
+    rng, lines, hits = np.random.default_rng(7), 4000, 4
+    f = np.linspace(10.0, 110.0, lines)
+    noise = 1e-8 * (20.0 / f)[:, None] * (rng.standard_normal((lines, hits)) + 1j * rng.standard_normal((lines, hits)))
+    std = np.sqrt(np.sum(np.abs(noise - noise.mean(axis=1)[:, None]) ** 2, axis=1) / (hits - 1) / hits)
+    std[:9] = np.nan
+    dims = ("frequency", "response", "excitation")
+    given = make_compliance(
+        f, noise.mean(axis=1)[:, None, None], ["x"], ["x"], extra={"compliance_std": (dims, std[:, None, None])}
+    )
+    square = np.abs(given["compliance"].values.ravel()) ** 2
+    raw, smooth = (d["compliance_std"].values.ravel() for d in (given, steadied(given)))
+    assert np.nanmean(square / raw**2) > 1.3
+    assert np.nanmean(square / smooth**2) == pytest.approx(1.0, abs=0.08)
+    np.testing.assert_array_equal(np.isnan(smooth), np.isnan(raw))

@@ -1,0 +1,1 @@
+"""Independent simulators: they share no model code with the packages."""
