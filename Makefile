@@ -27,12 +27,13 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo test slow exam accuracy strangers lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo test slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
 	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
 	@echo "make slow    the slow tests"
+	@echo "make calibrations  tests that count over many seeds"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
 	@echo "make strangers  records that nobody prepared, drawn at random: writes the tables in docs/ (an hour)"
@@ -47,11 +48,14 @@ demo: $(READY)
 	$(BIN)/smfe demo --out demo
 
 test: $(READY)
-	$(RUN) $(BIN)/pytest -m "not slow" -n $(JOBS) --dist worksteal $(ARGS)
+	$(RUN) $(BIN)/pytest -m "not slow and not exam" -n $(JOBS) --dist worksteal $(ARGS)
 
 # Exit code 5 says that no test is marked slow.
 slow: $(READY)
-	$(RUN) $(BIN)/pytest -m slow -n $(JOBS) --dist worksteal $(ARGS) || [ $$? -eq 5 ]
+	$(RUN) $(BIN)/pytest -m "slow and not exam" -n $(JOBS) --dist worksteal $(ARGS) || [ $$? -eq 5 ]
+
+calibrations: $(READY)
+	$(RUN) $(BIN)/pytest -m exam -n $(JOBS) --dist worksteal $(ARGS)
 
 exam: $(READY)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.sitting docs/exam.md --jobs $(JOBS) $(ARGS)
