@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+
 from truth import kernels
 
 MM_MIN = 1.0 / 6e4

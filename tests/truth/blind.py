@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+
 from truth.axis import Truth
 from truth.campaign import DESIGNS, Record, measure, reduce
 from truth.chain import Chain

@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+
 from truth import chain as instruments
 from truth.axis import MM_MIN, Setting, Truth, shows_rest, simulate
 from truth.chain import SAMPLE_RATE, Chain

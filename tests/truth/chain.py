@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import signal
+
 from truth.axis import RATE
 
 DIVISION = 4

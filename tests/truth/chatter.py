@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import fft, signal
+
 from truth.chatter_kernel import march, push, speed_at
 
 STEPS_A_WAVE = 36

@@ -19,9 +19,7 @@ def speed_at(t, span, base, drift, sag, sag_time, wave, wave_rate):
 
 
 @njit(cache=True, nogil=True)
-def march(  # noqa: C901
-    spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, bend, noise, hold, seed, out, clock
-):
+def march(spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, bend, noise, hold, seed, out, clock):
     """March a cut and fill out (n, m + 2) with modal accelerations and forces, clock (n,) with times [s].
 
     spindle: what `speed_at` takes; arc: entry, exit [rad], steps a turn; ramps: begin and end of the entry, those of

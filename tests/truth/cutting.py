@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from scipy import signal
+
 from truth import chain as instruments
 from truth.blind import Answer, Sealed, seed_of
 

@@ -71,7 +71,7 @@ def machine(rng: np.random.Generator, points: int, f: np.ndarray) -> np.ndarray:
     return np.linalg.inv(stiffness - w**2 * np.diag(m) + 1j * w * damping)
 
 
-def draw(seed: int, folder: Path, formats: tuple[str, ...] = FORMATS) -> FrfFile:  # noqa: C901
+def draw(seed: int, folder: Path, formats: tuple[str, ...] = FORMATS) -> FrfFile:
     """Draw a machine, one entry of its response, and a file that holds it."""
     rng = np.random.default_rng(seed)
     kind = str(rng.choice(list(UNITS)))

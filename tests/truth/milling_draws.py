@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
 from truth.milling_map import MillingCut
 
 PITCHES = ("equal", "alternating", "linear", "any", "repeated")

@@ -98,7 +98,7 @@ def _multisine(rng: np.random.Generator, period: int, rate: float, band: tuple[f
     return np.asarray(lines * (rng.random(f.size) > rng.choice([0.0, 0.2])))
 
 
-def draw(seed: int, kind: str | None = None) -> Shaken:  # noqa: C901
+def draw(seed: int, kind: str | None = None) -> Shaken:
     """Draw machine, exciter, signal, sensors and recorder."""
     rng = np.random.default_rng(seed)
     kind = str(rng.choice(KINDS)) if kind is None else kind

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from scipy import linalg, signal
+
 from truth import chain as instruments
 from truth.sweep_kernel import march
 

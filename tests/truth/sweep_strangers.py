@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage, signal
+
 from truth import chain as instruments
 from truth.sweep import CUTS, INNER_RATE, Campaign, Modes, _steps
 from truth.sweep_kernel import march

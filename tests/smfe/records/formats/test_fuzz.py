@@ -74,7 +74,7 @@ CONTROLS = {
 }
 
 
-def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:  # noqa: C901 (a branch a format)
+def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
     """Write a short record in a format; return it with its channels."""
     rng = np.random.default_rng(5)
     t = np.arange(N) / RATE
