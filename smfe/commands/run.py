@@ -27,10 +27,10 @@ from smfe.commands.compare import compared, model_errors, single_levels
 from smfe.commands.diagnose import finding_of
 from smfe.commands.identify import CONDITIONS, conditions_of, identify_all, left_out, with_warnings, write_conditions
 from smfe.commands.report import report
-from smfe.comparison.compliances import labelled
 from smfe.comparison.explained import explain
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.checks.suspect import as_rows as suspect_rows
+from smfe.identification.compliances import labelled
 from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drives_of, notes_of, write_drives
 from smfe.identification.drive.loops import FILE as LOOP_FILE

@@ -1,1 +1,1 @@
-"""Methods beside each other: peaks, differences, and what explains them."""
+"""Compliances compared: peaks, matched differences, and which conditions explain them."""

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from smfe.campaign import Campaign, LobeRequest
-from smfe.comparison.compliances import labelled
 from smfe.diagnosis.cases.compliances import case_of
 from smfe.diagnosis.checks.suspect import Suspect
+from smfe.identification.compliances import labelled
 from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.identification.levels import condition_cubes, with_levels
 from smfe.identification.measurement import split_levels
