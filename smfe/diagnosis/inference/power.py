@@ -8,19 +8,15 @@ effect has a shape (the speed of a Stribeck effect, the frequency of a mode), th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from process.errors import InputError
-from smfe.diagnosis.inference.fit import Fit, Target
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.problem import Condition, Family
-from smfe.diagnosis.inference.signature import Signature, Tangent, orthonormal, tangent
-from smfe.diagnosis.inference.thresholds import PENALTY, parameters_of, score, threshold
+from smfe.diagnosis.inference.signature import Signature, Tangent, orthonormal
+from smfe.diagnosis.inference.thresholds import PENALTY, parameters_of, score
 
 Real = NDArray[np.float64]
 
@@ -108,70 +104,10 @@ def noncentrality(level: float, freedom: int, one_sided: bool = False) -> float:
     return float(special.chndtrinc(level, freedom, 1.0 - SEEN))
 
 
-# --- What a set of conditions can tell apart, before any data: cosines between the signatures of the causes.
-
+# --- Causes that do nearly the same in these conditions: cosines between their signatures.
 
 COLLINEAR = 0.95
 """Cosine of two signatures above which they count as one."""
-
-
-@dataclass(frozen=True)
-class Isolability:
-    """What conditions can tell apart and see.
-
-    Attributes
-    ----------
-    causes : tuple of str
-        Keys of the causes.
-    cosine : ndarray, shape (c, c)
-        Between the signatures; zero for a cause without any, or where one can do more than the other.
-    groups : tuple of tuple of str
-        Causes that cannot be told apart.
-    power : tuple of Detectable
-        What size of each would be seen.
-    """
-
-    causes: tuple[str, ...]
-    cosine: Real
-    groups: tuple[tuple[str, ...], ...]
-    power: tuple[Detectable, ...]
-
-
-def isolability(family: Family, conditions: Sequence[Condition] | None = None, seed: int = 0) -> Isolability:
-    """Say what conditions can tell apart and see; no observed value is used.
-
-    Parameters
-    ----------
-    family : Family
-        Baseline and causes.
-    conditions : sequence of Condition, optional
-        Measured or proposed ones. Default: the measured ones of the family.
-    seed : int, optional
-        Of the calibration of the threshold.
-    """
-    chosen = tuple(family.conditions if conditions is None else conditions)
-    if not chosen:
-        raise InputError("no condition was given; what can be told apart depends on the conditions that are measured")
-    model = Model(family, chosen)
-    at = nominal(model, range(len(chosen)))
-    limit = threshold(model, at, np.random.default_rng([seed, 1, 0]))
-    cosine = cosines(model, at)
-    keys = tuple(c.key for c in model.causes)
-    together = tuple(tuple(keys[k] for k in g) for g in groups(model, cosine))
-    return Isolability(keys, cosine, together, detectable(model, at, limit))
-
-
-def nominal(model: Model, rows: Sequence[int]) -> Tangent:
-    """Linearise the baseline at its most likely nuisances."""
-    u = model.null()
-    predicted = {r: y for r in rows if (y := model.predict(r, u)) is not None}
-    slope = model.slopes(rows, u, model.nuisance)
-    if len(predicted) < len(rows) or slope is None:
-        raise InputError(
-            f"no prediction of the baseline at its most likely values ({model.trouble}); correct the family"
-        )
-    fit = Fit((), model.nuisance, u, 0.0, {r: np.zeros(y.size) for r, y in predicted.items()}, slope, True)
-    return tangent(model, Target(predicted, u), fit)
 
 
 def cosines(model: Model, at: Tangent) -> Real:

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 import xarray as xr
 from places import DATA
+from samples.drive_steps import ForceStep, Repeats, force_steps
 from scipy import io
 
 from process.labels import make_record
 from smfe.diagnosis.drive.control_law import Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.drive.terms import Term
-from smfe.diagnosis.drive_ladder import ForceRung, force_ladder
-from smfe.diagnosis.drive_repeats import repeatability, since_first_half
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.problem import Cause, Parameter
 
@@ -58,48 +57,50 @@ def pulses(first: DriveRecordFamily) -> DriveRecordFamily:
 
 
 @pytest.fixture(scope="module")
-def ladder(first: DriveRecordFamily, pulses: DriveRecordFamily) -> tuple[ForceRung, ...]:
-    return force_ladder(first, [*NAMED, "position_ripple", "position_friction"], [pulses])
+def steps(first: DriveRecordFamily, pulses: DriveRecordFamily) -> tuple[ForceStep, ...]:
+    return force_steps(first, [*NAMED, "position_ripple", "position_friction"], [pulses])
 
 
-def test_the_force_error_falls_on_the_record_that_was_not_fitted(ladder: tuple[ForceRung, ...]) -> None:
+@pytest.mark.slow
+def test_the_force_error_falls_on_the_record_that_was_not_fitted(steps: tuple[ForceStep, ...]) -> None:
     """Below 30 Hz from 19 % to 3.0 % and better; the mass agrees with 95.15 kg of the authors within 1 %."""
-    baseline, named = ladder[0], ladder[len(NAMED)]
+    baseline, named = steps[0], steps[len(NAMED)]
     assert 0.16 < baseline.held_out[0] < 0.20
     assert named.held_out[0] <= 0.030
     assert named.error <= 0.020
-    assert ladder[-1].error <= 0.016
-    assert ladder[-1].held_out[0] <= 0.030
+    assert steps[-1].error <= 0.016
+    assert steps[-1].held_out[0] <= 0.030
     assert named.values["mass"] == pytest.approx(95.15, rel=0.01)
 
 
-def test_the_loop_is_late_and_not_flexible(first: DriveRecordFamily, ladder: tuple[ForceRung, ...]) -> None:
+@pytest.mark.slow
+def test_the_loop_is_late_and_not_flexible(first: DriveRecordFamily, steps: tuple[ForceStep, ...]) -> None:
     """0.65 to 0.85 ms; a flexible mode gains nothing at all. The screw has its lead of 2.5 mm."""
-    values = ladder[-1].values
+    values = steps[-1].values
     assert 0.65e-3 <= values["loop_delay.delay"] <= 0.85e-3
     assert values["ripple.lead"] == pytest.approx(2.5e-3, rel=0.005)
     assert values["asymmetry.viscous"] == pytest.approx(-0.5 * (240.42 - 166.71), rel=0.08)
-    flexible = force_ladder(first, [*NAMED, "position_ripple", "position_friction", "missing_mode"])[-1]
-    assert flexible.chi2 == pytest.approx(ladder[-1].chi2, abs=0.1)
+    flexible = force_steps(first, [*NAMED, "position_ripple", "position_friction", "missing_mode"])[-1]
+    assert flexible.chi2 == pytest.approx(steps[-1].chi2, abs=0.1)
     assert flexible.values["mode.compliance"] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.slow
 def test_friction_near_rest_hides_behind_the_delay(first: DriveRecordFamily) -> None:
     """Without the delay it gains less than 1 dB of misfit, with it more than 3 dB; it falls towards rest."""
-    before = force_ladder(first, ["guideway_friction/coulomb", "friction_asymmetry", "low_speed_friction/shear"])
-    after = force_ladder(
+    before = force_steps(first, ["guideway_friction/coulomb", "friction_asymmetry", "low_speed_friction/shear"])
+    after = force_steps(
         first, ["guideway_friction/coulomb", "friction_asymmetry", "loop_delay", "low_speed_friction/shear"]
     )
     assert 10.0 * np.log10(before[-2].chi2 / before[-1].chi2) < 1.0
     assert 10.0 * np.log10(after[-2].chi2 / after[-1].chi2) > 3.0
-    boost = force_ladder(first, ["guideway_friction/coulomb", "loop_delay", "low_speed_friction/stribeck"])[-1]
+    boost = force_steps(first, ["guideway_friction/coulomb", "loop_delay", "low_speed_friction/stribeck"])[-1]
     assert boost.values["stribeck.boost"] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.slow
 def test_a_term_without_physics_gains_nothing_on_the_other_record(
-    first: DriveRecordFamily, pulses: DriveRecordFamily, ladder: tuple[ForceRung, ...]
+    first: DriveRecordFamily, pulses: DriveRecordFamily, steps: tuple[ForceStep, ...]
 ) -> None:
     """a |a| makes the first record 0.3 dB better, and the second by less than a tenth of what has to be gained."""
     factor = Parameter("factor", "N s4/m2", 0.0, 0.1)
@@ -108,9 +109,9 @@ def test_a_term_without_physics_gains_nothing_on_the_other_record(
     )
     more = first.with_terms([term])
     other = DriveRecordFamily.from_record(record("DATA_EMPS_PULSES.mat"), like=more)
-    found = force_ladder(more, [*NAMED, "position_ripple", "position_friction", "no_physics"], [other])[-1]
-    assert 20.0 * math.log10(ladder[-1].error / found.error) > 0.2
-    assert 20.0 * math.log10(ladder[-1].held_out[0] / found.held_out[0]) < 0.1
+    found = force_steps(more, [*NAMED, "position_ripple", "position_friction", "no_physics"], [other])[-1]
+    assert 20.0 * math.log10(steps[-1].error / found.error) > 0.2
+    assert 20.0 * math.log10(steps[-1].held_out[0] / found.held_out[0]) < 0.1
 
 
 @pytest.mark.slow
@@ -127,7 +128,7 @@ def test_the_hidden_command_is_named() -> None:
     assert cause.parameters[0].value == pytest.approx(5.0 * DRIVE_GAIN, rel=0.02)
 
 
-def test_the_control_law_tells_the_pulses_that_were_added() -> None:
+def test_the_control_law_finds_the_pulses_that_were_added() -> None:
     """25 pulses of 5 V: within 2 %, correlation 0.999, edges within 2 ms; the first record has none."""
     channels = [
         (d["qg"], d["qm"], DRIVE_GAIN * d["vir"]) for d in map(content, ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"))
@@ -170,20 +171,21 @@ def test_the_engine_finds_the_causes_and_says_what_remains(first: DriveRecordFam
     assert delay.high - delay.low < 0.06
     assert finding.opened.share > 0.9
     accepted = [f"{c.id}/{c.variant}" if c.variant else c.id for c in finding.causes]
-    values = force_ladder(first, accepted, [pulses])[-1]
+    values = force_steps(first, accepted, [pulses])[-1]
     assert values.held_out[0] <= 0.030
     assert all(c.gain_db > 2.0 for c in finding.causes)
 
 
-def test_what_the_model_leaves_comes_again(first: DriveRecordFamily, ladder: tuple[ForceRung, ...]) -> None:
+@pytest.mark.slow
+def test_what_the_model_leaves_comes_again(first: DriveRecordFamily, steps: tuple[ForceStep, ...]) -> None:
     """The moves repeat after 6.24 s, to less than 0.3 N; the model leaves three times as much, each time the same.
 
     That is why the verdict on the whole record is "unknown": 2 % of the force are no noise, and no cause explains them.
     """
-    found = repeatability(record("DATA_EMPS.mat"), "x", first, ladder[-1].values)
-    assert found.period == pytest.approx(6.24, abs=1e-9)
-    assert 0.15 < found.scatter < 0.35
-    assert 2.0 * found.scatter < found.remainder < 5.0 * found.scatter
+    period, scatter, remainder = Repeats(record("DATA_EMPS.mat"), "x", first, steps[-1].values).repeatability()
+    assert period == pytest.approx(6.24, abs=1e-9)
+    assert 0.15 < scatter < 0.35
+    assert 2.0 * scatter < remainder < 5.0 * scatter
 
 
 @pytest.mark.slow
@@ -191,8 +193,8 @@ def test_nothing_has_changed_between_the_halves(first: DriveRecordFamily) -> Non
     """The model of the first half, with what it left there, against the second, with the scatter between repeats."""
     causes = [*NAMED, "position_ripple"]
     half = first.settled([], {p.name: p.start for p in first.nuisances}, "first half")
-    values = force_ladder(half, causes)[-1].values
-    later = since_first_half(record("DATA_EMPS.mat"), "x", first.settled(causes, values), values)
+    values = force_steps(half, causes)[-1].values
+    later = Repeats(record("DATA_EMPS.mat"), "x", first.settled(causes, values), values).since_first_half()
     finding = diagnose(later)
     assert finding.causes == ()
     assert finding.verdict == "consistent"

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from exam.drive import EXPECTED, axis_of, family_of, record_of
 from exam.drive import family as hidden
+from exam.subjects import Without
+from samples.drive_steps import force_steps
 from truth.drive import STEP, Axis, simulate
 
 from process.errors import InputError
@@ -16,9 +18,7 @@ from smfe.diagnosis.drive.control_law import Gains, fit_control_law, unlogged_co
 from smfe.diagnosis.drive.filters import Motion, Path, Resampler, filtered, kernel, motion, moves, presliding
 from smfe.diagnosis.drive.noise import Whitener, strongest_wave
 from smfe.diagnosis.drive.record import DriveRecordFamily
-from smfe.diagnosis.drive_ladder import force_ladder
 from smfe.diagnosis.inference.diagnose import diagnose
-from smfe.diagnosis.inference.problem import Condition, Values
 
 POSITION_GAIN, VELOCITY_GAIN = 160.0, 8500.0
 MASS = 95.0
@@ -193,15 +193,15 @@ def test_admissible_friction_never_drives_the_axis(full: DriveRecordFamily) -> N
 def test_planted_values_are_found(full: DriveRecordFamily) -> None:
     """Friction 20 N, asymmetry -37 N s/m, 0.5 ms of the hold and 0.25 ms, ripple of 1 N at 2.5 mm, mass 95 kg."""
     causes = ["guideway_friction/coulomb", "friction_asymmetry", "loop_delay", "position_ripple"]
-    rungs = force_ladder(full, causes)
-    found = rungs[-1].values
+    steps = force_steps(full, causes)
+    found = steps[-1].values
     assert found["mass"] == pytest.approx(MASS, rel=0.01)
     assert found["coulomb.force"] == pytest.approx(20.0, rel=0.03)
     assert found["asymmetry.viscous"] == pytest.approx(-37.0, rel=0.05)
     assert found["loop_delay.delay"] == pytest.approx(0.75e-3, abs=0.06e-3)
     assert np.hypot(found["ripple.cosine"], found["ripple.sine"]) == pytest.approx(1.0, rel=0.1)
     assert found["ripple.lead"] == pytest.approx(2.5e-3, rel=2e-3)
-    errors = [r.error for r in rungs]
+    errors = [r.error for r in steps]
     assert errors == sorted(errors, reverse=True)
 
 
@@ -225,7 +225,7 @@ def test_a_silent_control_law_has_no_pulses(full: DriveRecordFamily) -> None:
 def test_other_gains_are_found_from_the_control_law() -> None:
     """Gains documented 10 % too low and 5 % too high."""
     wrong = family(Axis(coulomb=20.0), seconds=12.0, gains=Gains(POSITION_GAIN / 1.1, VELOCITY_GAIN / 0.95))
-    found = force_ladder(wrong, ["servo_gains"])[-1].values
+    found = force_steps(wrong, ["servo_gains"])[-1].values
     assert found["servo_gains.position"] == pytest.approx(0.1, abs=1e-3)
     assert found["servo_gains.velocity"] == pytest.approx(-0.05, abs=1e-3)
 
@@ -303,23 +303,11 @@ def test_effects_of_the_least_size_are_named(effect: str) -> None:
 def test_without_its_cause_an_effect_has_no_name(effect: str) -> None:
     made, expected = hidden(effect, 3001)
     without = [t for t in made.model.terms if t.cause.id != expected]
-    assert diagnose(_Without(replace(made, model=replace(made.model, terms=tuple(without))), expected)).verdict in (
+    assert diagnose(Without(replace(made, model=replace(made.model, terms=tuple(without))), expected)).verdict in (
         "unknown",
         "insufficient_data",
         "ambiguous",
     )
-
-
-class _Without:
-    """A family that lacks a cause."""
-
-    def __init__(self, family: DriveRecordFamily, lacks: str) -> None:
-        self.nuisances, self.conditions, self.proposals = family.nuisances, family.conditions, family.proposals
-        self.causes = tuple(c for c in family.causes if c.id != lacks)
-        self._family, self._rest = family, {p.name: p.start for c in family.causes for p in c.parameters}
-
-    def predict(self, condition: Condition, values: Values) -> np.ndarray:
-        return self._family.predict(condition, {**self._rest, **values})
 
 
 def test_a_hidden_command_is_named_from_the_control_law() -> None:

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 from exam.modal import ALL, NAMES, PAIRS, draw, family, machine, pair
+from samples.isolability import isolability
 from scipy.integrate import solve_ivp
 from truth.modal_machine import (
     LINES,
@@ -32,7 +33,6 @@ from smfe.diagnosis.frf.noise import Excited
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.fit import Target
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.power import isolability
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.search import Bench
 from smfe.diagnosis.inference.thresholds import PENALTY

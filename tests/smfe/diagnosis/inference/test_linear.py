@@ -5,6 +5,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from samples.isolability import isolability
 from scipy import stats
 from scipy.optimize import lsq_linear, nnls
 
@@ -16,7 +17,7 @@ from smfe.diagnosis.inference.fit import Target, bounded_step, fit, nearest
 from smfe.diagnosis.inference.misfit import Misfit, NoiseFreedom, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import chance_to_settle
-from smfe.diagnosis.inference.power import isolability, noncentrality
+from smfe.diagnosis.inference.power import noncentrality
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
 from smfe.diagnosis.inference.search import Bench, fitted_misfit, most_changing
 from smfe.diagnosis.inference.signature import tangent
@@ -542,8 +543,6 @@ def test_what_contradicts_itself_is_refused():
         diagnose(replace(family, conditions=(replace(family.conditions[0], observed=np.zeros(3)),)))
     with pytest.raises(InputError, match="not finite"):
         diagnose(replace(family, conditions=(replace(family.conditions[0], observed=np.full(N, np.nan)),)))
-    with pytest.raises(InputError, match="no condition"):
-        isolability(family, ())
     assert diagnose(replace(family, conditions=())).verdict == "insufficient_data"
 
 

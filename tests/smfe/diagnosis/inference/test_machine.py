@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from samples.isolability import isolability
 from scipy import stats
 
 from process.errors import InputError
@@ -13,7 +14,6 @@ from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.finding import Finding, explain
 from smfe.diagnosis.inference.fit import Target
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.power import isolability
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
 from smfe.diagnosis.inference.search import Bench
 from smfe.diagnosis.inference.thresholds import threshold

@@ -156,9 +156,9 @@ def test_helpers_end_with_who_started_them_however_it_ends():
     script = textwrap.dedent("""
         import os, time
         import numpy as np
-        from smfe.diagnosis import helpers
+        from smfe.diagnosis.inference import workers
         os.sched_getaffinity = lambda _: {0, 1}
-        with helpers.Helpers(2) as two:
+        with workers.Helpers(2) as two:
             two.answers(lambda row, u: (u, ""), [(0, np.zeros(1)), (1, np.ones(1))])
             print(*(p.pid for p in two._pool._processes.values()), flush=True)
             time.sleep(60.0)
