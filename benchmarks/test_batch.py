@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from smfe.scenario import simulate
+from smfe.commands.simulate import simulate
 
 SCENARIO = Path(__file__).resolve().parents[1] / "datasets" / "scenarios" / "ram_axis.toml"
 

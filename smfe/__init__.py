@@ -9,6 +9,7 @@ from process.errors import InputError
 from smfe._version import __version__
 from smfe.campaign import Campaign, load_campaign
 from smfe.commands.chatter import chatter
+from smfe.commands.check import check
 from smfe.commands.coefficients import Coefficients, coefficients
 from smfe.commands.compare import compare
 from smfe.commands.convert import convert
@@ -21,7 +22,7 @@ from smfe.commands.modal import modal
 from smfe.commands.plan import plan
 from smfe.commands.report import report
 from smfe.commands.run import run
-from smfe.diagnosis.audit import check
+from smfe.commands.simulate import simulate
 from smfe.identification.actuator.stepped_sine import identify_actuator
 from smfe.identification.drive.friction import (
     constant_force,
@@ -39,7 +40,6 @@ from smfe.limits.campaign_lobes import LobeResult
 from smfe.modes.fit_modes import fit_modes
 from smfe.records import read_blocks, read_records, read_reduced
 from smfe.records.look import Look
-from smfe.scenario import simulate
 
 __all__ = [
     "Campaign",

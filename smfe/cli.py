@@ -16,15 +16,8 @@ import smfe
 from process.errors import InputError
 from process.units import parse
 from smfe._version import __version__
-from smfe.commands import diagnose as verbs
-from smfe.commands import plan as planner
-from smfe.commands.coefficients import coefficients as find_coefficients
-from smfe.commands.convert import convert as convert_file
+from smfe.commands import plan as planning
 from smfe.commands.demo import DEMO_SEED
-from smfe.commands.look import look as look_at
-from smfe.commands.plan import explain as explain_verification
-from smfe.commands.plan import verify as verify_plan
-from smfe.diagnosis import audit
 from smfe.diagnosis.inference.finding import explain
 from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drive_lines
@@ -33,7 +26,6 @@ from smfe.identification.drive.loops import loop_lines
 from smfe.progress import bar
 from smfe.records.look import summary as summary_of_look
 from smfe.results import Failures, unpack, unpack_warnings
-from smfe.scenario import simulate as simulate_scenario
 
 app = typer.Typer(
     help="Machine-tool dynamics: measured records -> compliance -> stability lobes -> chatter verdicts.",
@@ -240,7 +232,7 @@ def simulate(
 ) -> None:
     """Simulate the trials of a scenario; write their records and the campaign file that reads them."""
     with bar(console) as progress:
-        campaign = simulate_scenario(scenario, output, workers, progress)
+        campaign = smfe.simulate(scenario, output, workers, progress)
     out.print(f"written: {campaign}; next: smfe run {campaign}", highlight=False, soft_wrap=True)
 
 
@@ -253,14 +245,14 @@ def plan(
 ) -> None:
     """Say before cutting which sweep will work: passes, speeds, depth, expected error of each compliance."""
     with bar(console) as progress:
-        found = planner.plan(campaign, output, progress, _show)
+        found = smfe.plan(campaign, output, progress, _show)
     for warning in found.warnings:
         console.print(f"note: {warning}", markup=False, highlight=False, soft_wrap=True)
-    out.print(planner.summary(found), markup=False, highlight=False, soft_wrap=True)
+    out.print(planning.summary(found), markup=False, highlight=False, soft_wrap=True)
     if verified:
         with bar(console) as progress:
-            result = verify_plan(found, output, tuple(range(1, seeds + 1)), progress)
-        out.print(explain_verification(result), markup=False, highlight=False, soft_wrap=True)
+            result = planning.verify(found, output, tuple(range(1, seeds + 1)), progress)
+        out.print(planning.explain(result), markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output / 'plan.html'}; next: cut {output / 'plan.csv'}", highlight=False, soft_wrap=True)
     if verified and not result.confirmed:
         raise typer.Exit(3)
@@ -273,7 +265,7 @@ def check(
 ) -> None:
     """Audit the data of a campaign, and try in short all that it asks for: exit code 3 where there is a fault."""
     with bar(console) as progress:
-        table = audit.check(campaign, progress, _show)
+        table = smfe.check(campaign, progress, _show)
     if as_json:
         typer.echo(table.to_json(orient="records", indent=2, force_ascii=False))
         raise typer.Exit(3 if (table["level"] == "fault").any() else 0)
@@ -304,7 +296,7 @@ def diagnose(
 ) -> None:
     """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains."""
     with bar(console) as progress:
-        finding = verbs.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show, workers)
+        finding = smfe.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show, workers)
     out.print(explain(finding), markup=False, highlight=False, soft_wrap=True)
     # `smfe report` looks for this name.
     then = f"; next: smfe report {output.parent}" if output.name == "finding.json" else ""
@@ -320,7 +312,7 @@ def convert(
     """Write a record in another format, in SI units and with the corrections of its channels."""
     with bar(console) as progress:
         left: list[str] = []
-        written = convert_file(source, target, campaign, progress, left.append)
+        written = smfe.convert(source, target, campaign, progress, left.append)
     for text in left:
         console.print(f"warning, {text}", markup=False, highlight=False, soft_wrap=True)
     for path in written:
@@ -336,7 +328,7 @@ def coefficients(
 ) -> None:
     """Find the cutting coefficients from measured cuts, with intervals, as a table of the material to paste."""
     with bar(console) as progress:
-        found = find_coefficients(campaign, output, progress, _show)
+        found = smfe.coefficients(campaign, output, progress, _show)
     for fit in found:
         out.print(fit.material(fit.method), markup=False, highlight=False)
         out.print(f"# residual {100.0 * fit.residual:.3g} % of the forces\n", highlight=False)
@@ -355,7 +347,7 @@ def look(
     """Say what a file holds and what it seems to be; draw it; write a campaign file to start from."""
     target = output / f"{record.name}.look.toml"
     kept = target.exists()
-    found = look_at(record, output)
+    found = smfe.look(record, output)
     out.print(summary_of_look(found), markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output / f'{record.name}.look.png'}", highlight=False, soft_wrap=True)
     state = "kept as it was" if kept else "written"

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import pandas as pd
 import xarray as xr
 
 from process.cut.engagement import engagement
@@ -19,9 +18,7 @@ from smfe.campaign import (
     ModesOf,
     RecordEntry,
     RigidDrive,
-    load_campaign,
 )
-from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.diagnosis.cases.drive import unlogged_suspects
 from smfe.diagnosis.checks.channels import channel_suspects, clock_suspects, silence_suspects, tone_suspects
@@ -30,9 +27,8 @@ from smfe.diagnosis.checks.hammer import hit_suspects
 from smfe.diagnosis.checks.same_data import Part, Seen, same_suspects, seen
 from smfe.diagnosis.checks.sizes import force_suspects, model_suspects, stiffness_suspects
 from smfe.diagnosis.checks.speeds import speed_suspects, tooth_suspects
-from smfe.diagnosis.checks.suspect import Suspect, suspect_table
+from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.checks.sweep import sweep_suspects
-from smfe.diagnosis.dry_run import refusals
 from smfe.identification.drive.drives import drive_of, notes_of
 from smfe.identification.drive.loop import summary
 from smfe.identification.drive.loops import loop_of
@@ -53,36 +49,6 @@ from smfe.records import read_records
 from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt
 
 _CORRECT = "correct the campaign file or the record; nothing can be computed from it"
-
-
-def check(campaign: Path | str, progress: Progress = silent, show: Show | None = None) -> pd.DataFrame:
-    """Audit the data of a campaign, and try in short everything that it asks for.
-
-    Parameters
-    ----------
-    campaign : path
-        Campaign file.
-    progress : callable, optional
-        Called with (what, done, of).
-    show : callable, optional
-        Shows the licence of a public data set before it is fetched.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row a suspicion, faults first: cause, level (fault, warning, note), where, evidence, advice. What a later
-        command would refuse has the cause "unusable". No rows: nothing was found.
-
-    Raises
-    ------
-    InputError
-        When the campaign file is wrong.
-    """
-    loaded = load_campaign(campaign, show)
-    found = audited(loaded, progress)
-    refused = refusals(loaded, found.identified, found.excluded, progress)
-    progress("checking", 1, 1)
-    return suspect_table([*found.suspects, *refused])
 
 
 @dataclass

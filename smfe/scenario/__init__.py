@@ -1,6 +1,5 @@
 """The scenario file: a known machine, instruments and trials -> records and the campaign that reads them."""
 
-from smfe.scenario.run import simulate
 from smfe.scenario.scenario import Scenario, load_scenario
 
-__all__ = ["Scenario", "load_scenario", "simulate"]
+__all__ = ["Scenario", "load_scenario"]

@@ -1,15 +1,13 @@
-"""From a scenario to a folder: records, the campaign that reads them, what is true, and the scenario itself."""
+"""What becomes of a scenario: the records of its trials, the campaign file that reads them, and what is true.
+
+The folder that holds them is made by `smfe.simulate`.
+"""
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
-import shutil
-import sys
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -29,20 +27,28 @@ from process.machine.modes import ModalModel
 from process.machine.structure import Posture
 from process.simulation.machine import SampledControl
 from process.units import show as quantity
-from smfe._version import __version__
-from smfe.campaign.datasets import Show
 from smfe.campaign.toml import table
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
-from smfe.records.formats.channels import listed
-from smfe.results import write_groups
 from smfe.scenario.jobs import Entry, Job
-from smfe.scenario.scenario import Scenario, load_scenario
+from smfe.scenario.scenario import Scenario
 
+J = TypeVar("J")
+R = TypeVar("R")
 
-def to_stderr(text: str) -> None:
-    """Show a notice where nothing else is given to show it."""
-    print(f"notice: {text}", file=sys.stderr)
+Columns = Mapping[str, Channel]
+
+CSV_VALUES = 250_000
+"""Numbers in a record above which it is written as NetCDF."""
+
+_TRUE_STEP = 0.25
+"""Largest step of the true compliance [Hz]."""
+
+_LEAST_BAND = 100.0
+"""Frequency to which the true compliance goes at least [Hz]."""
+
+_LEAST_DAMPING = 1e-3
+"""Damping ratio below which the true compliance is not sampled more finely."""
 
 
 def standing_axes(scenario: Scenario) -> list[str]:
@@ -58,8 +64,8 @@ def standing_axes(scenario: Scenario) -> list[str]:
         if entry.method not in ("sweep", "cut"):
             continue
         feeds = machine.feeds(entry.running.feed)
-        rubbing = [a for a, axis in machine.axes.items() if not isinstance(axis.friction, Viscous)]
-        standing = [a for a in rubbing if feeds[a] == 0.0]
+        sliding = [a for a, axis in machine.axes.items() if not isinstance(axis.friction, Viscous)]
+        standing = [a for a in sliding if feeds[a] == 0.0]
         if standing:
             found.setdefault((entry.trial, "".join(standing)), f"trial[{entry.trial}]: {_standing(standing, feeds)}")
     return list(found.values())
@@ -74,89 +80,44 @@ def _standing(standing: list[str], feeds: dict[str, float]) -> str:
     )
 
 
-def left_behind(folder: Path, written: Iterable[str]) -> list[str]:
-    """Return a sentence about records in the folder of records that this scenario has not written."""
-    new = set(written)
-    old = sorted(path.name for path in folder.iterdir() if path.is_file() and path.name not in new)
-    if not old:
-        return []
-    return [
-        f"{folder} also holds {len(old)} file(s) of an earlier scenario, which the campaign does not read: "
-        f"{listed(old, 8)}; delete them where nothing else does"
-    ]
+@dataclass(frozen=True)
+class Written:
+    """A record on disk: its file, as the campaign names it, and the channels that read it."""
+
+    file: str
+    channels: Mapping[str, Channel]
 
 
-# --- The campaign file that reads the records: its text.
+def write_records(
+    scenario: Scenario, folder: Path, workers: int | None = None, progress: Progress = silent
+) -> list[list[Written]]:
+    """Simulate the records of a scenario and write them to ``folder/records``; return those of each entry.
 
-Columns = Mapping[str, Channel]
-File = tuple[str, Columns]
-
-
-def campaign_text(scenario: Scenario, files: Sequence[Sequence[File]], notices: Sequence[str] = ()) -> str:
-    """Return the campaign file: what was used, and one table for each entry with its files.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        What was simulated.
-    files : sequence
-        For each entry of the scenario its records: file and the channels in it.
-    notices : sequence of str, optional
-        What its reader must know; written as comments.
+    Each record has a stream of noise of its own, from the seed of the scenario: the numbers do not depend on `workers`.
     """
-    used = [_union(columns for _, columns in one) for one in files]
-    common = _common(scenario.entries, used)
-    head = [f"Simulated from {scenario.path.name}, seed {scenario.file.scenario.seed}.", *notices]
-    parts = ["".join(f"# {line}\n" for line in head)]
-    parts.append(table("[campaign]", {"name": scenario.file.scenario.name}))
-    parts += [table(f"[{name}]", scenario.raw[name]) for name in ("tool", "material") if name in scenario.raw]
-    parts.append(table("[channels]", _declared(common)))
-    if isinstance(scenario.machine, ModalModel):
-        parts.append(table("[[model]]", {"name": "machine", "modes": scenario.raw["machine"]["modes"]}))
-    for entry, one, columns in zip(scenario.entries, files, used, strict=True):
-        own = {name: channel for name, channel in columns.items() if name not in common}
-        parts.append(_cutting_test(entry, one[0][0], own) if entry.method == "cut" else _measurement(entry, one, own))
-    parts += [table("[[lobes]]", lobes) for lobes in scenario.raw.get("lobes", ())]
-    return "\n".join(parts)
+    (folder / "records").mkdir()
+    jobs = [job for entry in scenario.entries for job in entry.jobs]
+    seeds = np.random.SeedSequence(scenario.file.scenario.seed).spawn(len(jobs))
+
+    def record(task: tuple[Job, np.random.SeedSequence]) -> Written:
+        return _write_record(*task, folder / "records")
+
+    tasks = list(zip(jobs, seeds, strict=True))
+    written = iter(run_all(record, tasks, workers, progress, lambda task: f"record {task[0].file}"))
+    return [[next(written) for _ in entry.jobs] for entry in scenario.entries]
 
 
-def _common(entries: Sequence[Entry], used: Sequence[Columns]) -> Columns:
-    """Return the channels that every entry reads: those of the spindle only cuts do."""
-    cuts = [entry.method in ("sweep", "cut") for entry in entries]
-
-    def everywhere(name: str) -> bool:
-        wanted = [columns for columns, cut in zip(used, cuts, strict=True) if cut or name not in RECORD_SCALARS]
-        return all(name in columns for columns in wanted)
-
-    return {name: channel for name, channel in _union(used).items() if everywhere(name)}
-
-
-def _union(all_columns: Iterable[Columns]) -> Columns:
-    return {name: channel for columns in all_columns for name, channel in columns.items()}
-
-
-def _declared(columns: Columns) -> dict[str, Any]:
-    return {name: {"column": channel.column, "unit": channel.unit} for name, channel in columns.items()}
-
-
-def _measurement(entry: Entry, files: Sequence[File], own: Columns) -> str:
-    values: dict[str, Any] = {"name": entry.name, "method": entry.method, **entry.says}
-    values["records"] = [{"file": file, **job.says} for (file, _), job in zip(files, entry.jobs, strict=True)]
-    return table("[[measurement]]", values) + _channels("measurement", own)
-
-
-def _cutting_test(entry: Entry, file: str, own: Columns) -> str:
-    return table("[[cutting_test]]", {"file": file, **entry.says}) + _channels("cutting_test", own)
-
-
-def _channels(above: str, own: Columns) -> str:
-    return table(f"[{above}.channels]", _declared(own)) if own else ""
-
-
-# --- Many independent jobs on all cores.
-
-J = TypeVar("J")
-R = TypeVar("R")
+def _write_record(job: Job, seed: np.random.SeedSequence, folder: Path) -> Written:
+    try:
+        record = job.make(rng=np.random.default_rng(seed))
+    except InputError as error:
+        raise InputError(f"record '{job.file}': {error}") from error
+    channels = record_columns(record)
+    if record.sizes["time"] * len(channels) > CSV_VALUES:
+        path = write_record_netcdf(record, folder / f"{job.file}.nc")
+    else:
+        path = write_record_csv(record, folder / f"{job.file}.csv")
+    return Written(f"records/{path.name}", channels)
 
 
 def run_all(
@@ -196,135 +157,65 @@ def run_all(
     return [results[i] for i in range(len(jobs))]
 
 
-# --- The folder.
-
-CSV_VALUES = 250_000
-"""Numbers in a record above which it is written as NetCDF."""
-
-_TRUE_STEP = 0.25
-"""Largest step of the true compliance [Hz]."""
-
-_LEAST_BAND = 100.0
-"""Frequency to which the true compliance goes at least [Hz]."""
-
-_LEAST_DAMPING = 1e-3
-"""Damping ratio below which the true compliance is not sampled more finely."""
-
-
-@dataclass(frozen=True)
-class _Task:
-    """One record: its job, its seed, and where it goes."""
-
-    job: Job
-    seed: np.random.SeedSequence
-    folder: Path
-
-
-@dataclass(frozen=True)
-class Written:
-    """A record on disk: its name and the channels that read it."""
-
-    file: str
-    channels: Mapping[str, Channel]
-
-
-def simulate(
-    scenario: Path | str,
-    out: Path | str,
-    workers: int | None = None,
-    progress: Progress = silent,
-    show: Show = to_stderr,
-) -> Path:
-    """Simulate the trials of a scenario and write their records with the campaign file that reads them.
-
-    Everything is made in a temporary folder and moved to `out` when it is complete. The same scenario makes the same
-    numbers, with any number of workers.
+def campaign_text(scenario: Scenario, records: Sequence[Sequence[Written]], notices: Sequence[str] = ()) -> str:
+    """Return the campaign file: what was used, and one table for each entry with its files.
 
     Parameters
     ----------
-    scenario : path
-        Scenario file.
-    out : path
-        Folder for ``campaign.toml``, ``records/``, ``truth.nc`` and ``scenario.toml``; made when missing.
-    workers : int, optional
-        Records at a time; default: as many as there are cores.
-    progress : callable, optional
-        Called with (record that is finished, done, of).
-    show : callable, optional
-        Called with each notice: axes that stand still in a cut, records of an earlier scenario in `out`; default:
-        printed to stderr.
-
-    Returns
-    -------
-    Path
-        The campaign file.
-
-    Raises
-    ------
-    InputError
-        When the scenario is wrong; nothing is then written.
+    scenario : Scenario
+        What was simulated.
+    records : sequence
+        For each entry of the scenario its records.
+    notices : sequence of str, optional
+        What its reader must know; written as comments.
     """
-    loaded = load_scenario(scenario)
-    true = truths(loaded)
-    notices = standing_axes(loaded)
-    for notice in notices:
-        show(notice)
-    with _made_aside(Path(out)) as folder:
-        (folder / "records").mkdir()
-        jobs = [job for entry in loaded.entries for job in entry.jobs]
-        seeds = np.random.SeedSequence(loaded.file.scenario.seed).spawn(len(jobs))
-        tasks = [_Task(job, seed, folder / "records") for job, seed in zip(jobs, seeds, strict=True)]
-        written = iter(run_all(_record, tasks, workers, progress, lambda task: f"record {task.job.file}"))
-        records = [[next(written) for _ in entry.jobs] for entry in loaded.entries]
-        write_groups(folder / "truth.nc", true)
-        (folder / "scenario.toml").write_text(_with_versions(loaded), encoding="utf-8")
-        text = campaign_text(loaded, [[(w.file, w.channels) for w in one] for one in records], notices)
-        (folder / "campaign.toml").write_text(text, encoding="utf-8")
-    for notice in left_behind(Path(out) / "records", (Path(w.file).name for one in records for w in one)):
-        show(notice)
-    return Path(out) / "campaign.toml"
+    used = [_union(record.channels for record in one) for one in records]
+    common = _common(scenario.entries, used)
+    head = [f"Simulated from {scenario.path.name}, seed {scenario.file.scenario.seed}.", *notices]
+    parts = ["".join(f"# {line}\n" for line in head)]
+    parts.append(table("[campaign]", {"name": scenario.file.scenario.name}))
+    parts += [table(f"[{name}]", scenario.raw[name]) for name in ("tool", "material") if name in scenario.raw]
+    parts.append(table("[channels]", _declared(common)))
+    if isinstance(scenario.machine, ModalModel):
+        parts.append(table("[[model]]", {"name": "machine", "modes": scenario.raw["machine"]["modes"]}))
+    for entry, one, columns in zip(scenario.entries, records, used, strict=True):
+        own = {name: channel for name, channel in columns.items() if name not in common}
+        parts.append(_cutting_test(entry, one[0].file, own) if entry.method == "cut" else _measurement(entry, one, own))
+    parts += [table("[[lobes]]", lobes) for lobes in scenario.raw.get("lobes", ())]
+    return "\n".join(parts)
 
 
-def _record(task: _Task) -> Written:
-    """Simulate and write one record."""
-    try:
-        record = task.job.make(rng=np.random.default_rng(task.seed))
-    except InputError as error:
-        raise InputError(f"record '{task.job.file}': {error}") from error
-    channels = record_columns(record)
-    if record.sizes["time"] * len(channels) > CSV_VALUES:
-        path = write_record_netcdf(record, task.folder / f"{task.job.file}.nc")
-    else:
-        path = write_record_csv(record, task.folder / f"{task.job.file}.csv")
-    return Written(f"records/{path.name}", channels)
+def _common(entries: Sequence[Entry], used: Sequence[Columns]) -> Columns:
+    """Return the channels that every entry reads: those of the spindle only cuts do."""
+    cuts = [entry.method in ("sweep", "cut") for entry in entries]
+
+    def everywhere(name: str) -> bool:
+        wanted = [columns for columns, cut in zip(used, cuts, strict=True) if cut or name not in RECORD_SCALARS]
+        return all(name in columns for columns in wanted)
+
+    return {name: channel for name, channel in _union(used).items() if everywhere(name)}
 
 
-def _with_versions(scenario: Scenario) -> str:
-    packages = ("numpy", "scipy", "numba", "xarray")
-    versions = ", ".join([f"smfe {__version__}", *(f"{p} {importlib.metadata.version(p)}" for p in packages)])
-    text = scenario.path.read_text(encoding="utf-8")
-    return f"# simulated with seed {scenario.file.scenario.seed} by {versions}\n{text}"
+def _union(all_columns: Iterable[Columns]) -> Columns:
+    return {name: channel for columns in all_columns for name, channel in columns.items()}
 
 
-@contextmanager
-def _made_aside(out: Path) -> Iterator[Path]:
-    """Yield an empty folder beside `out`; what is in it in the end goes to `out`, the campaign file last."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out} is a file; name a folder")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))
-    try:
-        yield aside
-        for path in sorted(p for p in aside.rglob("*") if p.is_file() and p.name != "campaign.toml"):
-            target = out / path.relative_to(aside)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(path, target)
-        os.replace(aside / "campaign.toml", out / "campaign.toml")
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+def _declared(columns: Columns) -> dict[str, Any]:
+    return {name: {"column": channel.column, "unit": channel.unit} for name, channel in columns.items()}
 
 
-# --- what is true -------------------------------------------------------------------------------------------
+def _measurement(entry: Entry, records: Sequence[Written], own: Columns) -> str:
+    values: dict[str, Any] = {"name": entry.name, "method": entry.method, **entry.says}
+    values["records"] = [{"file": record.file, **job.says} for record, job in zip(records, entry.jobs, strict=True)]
+    return table("[[measurement]]", values) + _channels("measurement", own)
+
+
+def _cutting_test(entry: Entry, file: str, own: Columns) -> str:
+    return table("[[cutting_test]]", {"file": file, **entry.says}) + _channels("cutting_test", own)
+
+
+def _channels(above: str, own: Columns) -> str:
+    return table(f"[{above}.channels]", _declared(own)) if own else ""
 
 
 def truths(scenario: Scenario) -> dict[str, xr.Dataset]:

@@ -20,7 +20,7 @@ from truth import workshop
 
 from process.errors import InputError
 from smfe.commands import run as run_command
-from smfe.diagnosis.audit import check
+from smfe.commands.check import check
 
 DRAWN = 5
 """Every how many campaigns the report is drawn as well, which takes longer than everything else."""

@@ -12,7 +12,7 @@ import smfe
 from process.errors import InputError
 from smfe import cli
 from smfe import results as failures
-from smfe.diagnosis.audit import check
+from smfe.commands.check import check
 from smfe.results import Failure, attempt, of_file, read_groups, unpack
 
 CAMPAIGN = """

@@ -10,7 +10,7 @@ from places import DATASETS
 from process.instruments.trials import hammer_trial
 from process.labels import make_compliance, make_record
 from process.machine.modes import ModalModel
-from smfe.diagnosis.audit import check
+from smfe.commands.check import check
 from smfe.diagnosis.checks.channels import channel_suspects, clock_suspects, converter_step, tone_suspects, tones
 from smfe.diagnosis.checks.compliances import factor_suspects, reciprocity_suspects, skew_suspects
 from smfe.diagnosis.checks.hammer import hit_suspects

@@ -16,7 +16,8 @@ from process.cut.tool import Tool
 from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.commands import run as run_command
-from smfe.diagnosis.audit import audit, check
+from smfe.commands.check import check
+from smfe.diagnosis.audit import audit
 from smfe.diagnosis.checks.same_data import Seen, same_suspects
 from smfe.diagnosis.checks.speeds import tooth_suspects
 from smfe.diagnosis.checks.suspect import Suspect

@@ -15,7 +15,7 @@ import smfe
 from process.errors import InputError
 from process.labels import make_record
 from smfe.cli import app
-from smfe.diagnosis.audit import check
+from smfe.commands.check import check
 from smfe.records import write_record_netcdf
 from smfe.records.kind import kind_of
 

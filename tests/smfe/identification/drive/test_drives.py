@@ -14,8 +14,8 @@ from truth.drive_rig import draw, truths
 import smfe
 from process.errors import InputError
 from process.labels import make_record
+from smfe.commands.check import check
 from smfe.commands.look import look
-from smfe.diagnosis.audit import check
 from smfe.identification.drive.parameters import identify_drive
 from smfe.identification.drive.results import DriveFit, DriveParameter
 

@@ -13,7 +13,7 @@ from scipy import signal
 import smfe
 from process.errors import InputError
 from process.labels import make_record
-from smfe.diagnosis.audit import check
+from smfe.commands.check import check
 from smfe.identification.drive.loop import identify_loop
 from smfe.identification.spectra.periods import find_period
 from smfe.records import Channel, read_records

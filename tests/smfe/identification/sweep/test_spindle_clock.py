@@ -17,7 +17,7 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.campaign import load_campaign
-from smfe.diagnosis.audit import check
+from smfe.commands.check import check
 from smfe.diagnosis.checks.channels import clock_suspects
 from smfe.identification.sweep.ramp import stated_bounds
 from smfe.identification.sweep.spindle_clock import changed_by_clock, compare_speeds, judge_clock
