@@ -17,8 +17,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 from nptdms import ChannelObject, RootObject, TdmsWriter
-from numpy.typing import NDArray
 from scipy import signal
+
+from process.types import Real
 
 RATE = 51_200
 NAMES = ("Fx", "Fy", "Fz", "ax", "ay", "az", "n")
@@ -70,7 +71,7 @@ print(time.perf_counter() - start, (peak() - before) / 1024, before / 1024)
 """
 
 
-def pieces(seconds: int) -> Iterator[NDArray[np.float64]]:
+def pieces(seconds: int) -> Iterator[Real]:
     """Yield a second at a time: a random force along x, what a mode at 50 Hz answers, and noise in all the rest."""
     rng = np.random.default_rng(0)
     poles = np.exp((-0.03 + 1j) * 2.0 * np.pi * 50.0 / RATE)

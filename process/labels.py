@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.errors import InputError
+from process.types import Complex, Real
 
 AXES: tuple[str, str, str] = ("x", "y", "z")
 
@@ -188,7 +189,7 @@ def make_record(
     return check_record(label(record))
 
 
-def _as_long_as(time: NDArray[np.float64], samples: ArrayLike, name: str) -> NDArray[np.float64]:
+def _as_long_as(time: Real, samples: ArrayLike, name: str) -> Real:
     values = np.asarray(samples, dtype=float)
     if time.ndim != 1 or values.shape != time.shape:
         raise InputError(
@@ -266,7 +267,7 @@ def axis_present(record: xr.Dataset, channel: str) -> list[str]:
 
 def make_compliance(
     frequency: ArrayLike,
-    compliance: NDArray[np.complex128],
+    compliance: Complex,
     response: Sequence[str] = AXES,
     excitation: Sequence[str] = AXES,
     extra: Mapping[str, tuple[tuple[str, ...], ArrayLike]] | None = None,
@@ -330,7 +331,7 @@ def not_measured(dataset: xr.Dataset) -> xr.DataArray:
     return check_compliance(dataset)["compliance"].isnull().all("frequency")
 
 
-def full_matrix(dataset: xr.Dataset) -> NDArray[np.complex128]:
+def full_matrix(dataset: xr.Dataset) -> Complex:
     """Return the compliance as an array of shape (frequencies, 3, 3) with zeros where it was not measured.
 
     Notes

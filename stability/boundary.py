@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 
-Real = NDArray[np.float64]
 Nodes = NDArray[np.int64]
 Edges = NDArray[np.int64]
 

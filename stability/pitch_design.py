@@ -20,16 +20,14 @@ from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.types import Real
 from stability.methods.semi_discretization import LimitDepth, limit_depth
 from stability.problem import Machine, check_spindle_speed
-
-Real = NDArray[np.float64]
 
 CHECK_COLUMNS: tuple[str, ...] = (
     "spindle_speed_rpm",

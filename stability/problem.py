@@ -16,6 +16,7 @@ from process.cut.force import CuttingCoefficients, directional_matrix
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, at_tool, check_compliance, full_matrix, not_measured
+from process.types import Complex, Real
 
 EDGE_SIZE = 0.15
 """Share of its peak below which a compliance should be at its last sample."""
@@ -51,7 +52,7 @@ class Cut:
     arc: AnyEngagement
     coefficients: CuttingCoefficients
 
-    def directional_matrix(self) -> NDArray[np.complex128]:
+    def directional_matrix(self) -> Complex:
         """Return the mean directional matrix A0 [N/m2] of all teeth, shape (3, 3), per axial depth; any pitch."""
         return directional_matrix(replace(self.tool, pitch_angles=None), self.arc, self.coefficients)
 
@@ -75,7 +76,7 @@ class Cut:
             )
 
 
-def check_spindle_speed(spindle_speed: ArrayLike) -> NDArray[np.float64]:
+def check_spindle_speed(spindle_speed: ArrayLike) -> Real:
     """Return spindle speeds [rpm] as an array of shape (speeds,).
 
     Raises
@@ -108,8 +109,8 @@ class Samples:
         What the user must know about the data.
     """
 
-    frequency: NDArray[np.float64]
-    matrix: NDArray[np.complex128]
+    frequency: Real
+    matrix: Complex
     bridged: NDArray[np.bool_]
     warnings: tuple[str, ...]
 
@@ -172,7 +173,7 @@ def edge_warnings(samples: Samples) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _noise(compliance: xr.Dataset) -> NDArray[np.float64]:
+def _noise(compliance: xr.Dataset) -> Real:
     """Return the standard deviation of the whole matrix at each frequency [m/N]; zero where it is not known."""
     if "compliance_std" not in compliance:
         return np.zeros(compliance.sizes["frequency"])
@@ -180,9 +181,7 @@ def _noise(compliance: xr.Dataset) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.nansum(std.reshape(std.shape[0], -1) ** 2, axis=1)))
 
 
-def _active_warning(
-    frequency: NDArray[np.float64], matrix: NDArray[np.complex128], noise: NDArray[np.float64]
-) -> list[str]:
+def _active_warning(frequency: Real, matrix: Complex, noise: Real) -> list[str]:
     """Say when a compliance gives energy: ``j (Phi - Phi^H)/2`` of a passive machine has no negative eigenvalue."""
     size = np.linalg.norm(matrix, axis=(1, 2))
     n = matrix.shape[1]
@@ -201,7 +200,7 @@ def _active_warning(
     ]
 
 
-def _determinant(m: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _determinant(m: Complex) -> Complex:
     """Return determinants of small matrices, shape (n, k, k), k up to 3, without a call each."""
     if m.shape[1] == 1:
         return m[:, 0, 0]
@@ -211,7 +210,7 @@ def _determinant(m: NDArray[np.complex128]) -> NDArray[np.complex128]:
     return np.asarray(sum((-1) ** i * m[:, 0, i] * _determinant(minor) for i, minor in enumerate(minors)))
 
 
-def _long_steps(frequency: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _long_steps(frequency: Real) -> NDArray[np.bool_]:
     """Mark the steps that are longer than `GAP_FACTOR` times the longer of their neighbours."""
     step = np.diff(frequency)
     if step.size < 2:
@@ -243,7 +242,7 @@ def partial_warning(response: ArrayLike, excitation: ArrayLike, missing: xr.Data
     ]
 
 
-def _gap_warnings(frequency: NDArray[np.float64], bridged: NDArray[np.bool_]) -> list[str]:
+def _gap_warnings(frequency: Real, bridged: NDArray[np.bool_]) -> list[str]:
     """Say which bands are missing, in one sentence."""
     gaps = np.flatnonzero(~bridged)
     if gaps.size == 0:
@@ -257,9 +256,6 @@ def _gap_warnings(frequency: NDArray[np.float64], bridged: NDArray[np.bool_]) ->
 
 
 # --- What both converged methods start from: the pattern in which the teeth pass, and the machine in its modes.
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 NO_LOBE = -1

@@ -18,11 +18,12 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.cut.engagement import AnyEngagement
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.types import Complex, Real
 
 
 @dataclass(frozen=True)
@@ -59,12 +60,12 @@ class CuttingCoefficients:
             raise InputError(f"K_tc is {self.Ktc / 1e6:g} N/mm^2; the tangential coefficient must be positive")
 
     @property
-    def cutting(self) -> NDArray[np.float64]:
+    def cutting(self) -> Real:
         """(K_tc, K_rc, K_ac) [N/m2]."""
         return np.array([self.Ktc, self.Krc, self.Kac])
 
     @property
-    def edge(self) -> NDArray[np.float64]:
+    def edge(self) -> Real:
         """(K_te, K_re, K_ae) [N/m]."""
         return np.array([self.Kte, self.Kre, self.Kae])
 
@@ -111,7 +112,7 @@ NO_DAMPING = ProcessDamping(0.0)
 """A sharp edge."""
 
 
-def force_projection(triple: NDArray[np.float64], approach_angle: float) -> NDArray[np.float64]:
+def force_projection(triple: Real, approach_angle: float) -> Real:
     """Return P with ``T(phi) K = P (sin phi, cos phi, 1)`` for a triple K = (tangential, radial, axial).
 
     ``P = [[-K_n, -K_t, 0], [K_t, -K_n, 0], [0, 0, K_z]]`` with ``K_n = K_r sin k + K_a cos k`` and
@@ -124,12 +125,12 @@ def force_projection(triple: NDArray[np.float64], approach_angle: float) -> NDAr
     return np.array([[-normal, -tangential, 0.0], [tangential, -normal, 0.0], [0.0, 0.0, along]])
 
 
-def chip_projection(approach_angle: float) -> NDArray[np.float64]:
+def chip_projection(approach_angle: float) -> Real:
     """Return ``Q = diag(1, 1, -cot k)``: edge length times chip thickness is ``a_p (s, c, 1) Q d``."""
     return np.diag([1.0, 1.0, -1.0 / math.tan(approach_angle)])
 
 
-def _antiderivative(power: int, phi: ArrayLike) -> NDArray[np.complex128]:
+def _antiderivative(power: int, phi: ArrayLike) -> Complex:
     """Return the integral of ``exp(-j power phi)``."""
     phi = np.asarray(phi, dtype=float)
     return phi.astype(complex) if power == 0 else np.exp(-1j * power * phi) / (-1j * power)
@@ -140,7 +141,7 @@ _TRIG = {1: np.array([-0.5j, 0.5, 0.0]), -1: np.array([0.5j, 0.5, 0.0]), 0: np.a
 
 
 @lru_cache(maxsize=256)
-def gram_matrix(arc: AnyEngagement, order: int = 0) -> NDArray[np.complex128]:
+def gram_matrix(arc: AnyEngagement, order: int = 0) -> Complex:
     """Return ``integral (s, c, 1)(s, c, 1)^T exp(-j order phi) dphi`` over all arcs, in closed form, shape (3, 3).
 
     Kept from call to call and therefore read-only: a fit of coefficients asks for the same arcs thousands of times.
@@ -155,9 +156,7 @@ def gram_matrix(arc: AnyEngagement, order: int = 0) -> NDArray[np.complex128]:
     return total
 
 
-def directional_matrix(
-    tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients, order: int = 0
-) -> NDArray[np.complex128]:
+def directional_matrix(tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients, order: int = 0) -> Complex:
     """Return the Fourier coefficient of the directional matrix, ``A_r = N/(2 pi) P Gram_r Q``.
 
     `order` r counts tooth passing harmonics; ``F = a_p A_0 (1 - exp(-j w T)) Phi F`` is the zero-order loop.
@@ -202,7 +201,7 @@ def force_harmonics(
     depth: float,
     feed_per_tooth: float,
     orders: ArrayLike,
-) -> NDArray[np.complex128]:
+) -> Complex:
     """Return the harmonics of the static cutting force on a tool with equal teeth and no run-out.
 
     ``F_h = (N/pi) integral f(phi) exp(-j h N phi) dphi`` with

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.plausible import check_diameter
+from process.types import Real
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,13 @@ class Tool:
         """Whether no tooth stands out: the tool has no run-out."""
         return self.runout is None or float(np.ptp(self.runout)) == 0.0
 
-    def tooth_angles(self) -> NDArray[np.float64]:
+    def tooth_angles(self) -> Real:
         """Return how far each tooth runs behind tooth 0 [rad], shape (teeth,)."""
         if self.pitch_angles is None or self.equal_pitch:
             return np.linspace(0.0, 2.0 * math.pi, self.teeth, endpoint=False)
         return np.concatenate([[0.0], np.cumsum(self.pitch_angles)[:-1]])
 
-    def tooth_offsets(self) -> NDArray[np.float64]:
+    def tooth_offsets(self) -> Real:
         """Return the radial position of each tooth relative to the mean [m], shape (teeth,)."""
         return np.zeros(self.teeth) if self.runout is None else np.asarray(self.runout, dtype=float)
 

@@ -24,9 +24,7 @@ from scipy import ndimage, optimize
 from process.drive.servo import Plant, QuasiPolynomial, Servo, position_characteristic, require_stable
 from process.errors import InputError
 from process.labels import axis_present, label, make_compliance, sample_interval
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 _EXCITED = 1e-3
 _NEIGHBOURS = 9
@@ -102,7 +100,7 @@ class Drive:
         # Eq. (2); its denominator is (m_m s^2 + sigma s + c s + k)(m_t s^2 + c s + k) - (c s + k)^2.
         return Plant((k, c, mt), (0.0, sigma * k, k * (mm + mt) + sigma * c, c * (mm + mt) + sigma * mt, mm * mt))
 
-    def tip_transfer(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def tip_transfer(self, s: ArrayLike) -> Complex:
         """Return the tip compliance [m/N] at complex s [rad/s], stable or not (the formula and nothing else).
 
         ``Phi = (m_m s^2 + (c + sigma) s + k + G)/((m_t s^2 + c s + k)(m_m s^2 + (c + sigma) s + k + G) - (c s + k)^2)``
@@ -118,7 +116,7 @@ class Drive:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(carriage / ((self.tip_mass * s**2 + joint) * carriage - s * joint**2))
 
-    def tip_compliance(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def tip_compliance(self, frequency: ArrayLike) -> Complex:
         """Return the closed-loop compliance of the tip [m/N] at frequencies [Hz], corrected Eq. (4) (`tip_transfer`).
 
         Raises
@@ -129,7 +127,7 @@ class Drive:
         self.require_stable()
         return self.tip_transfer(2j * np.pi * np.asarray(frequency, dtype=float))
 
-    def locked_compliance(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def locked_compliance(self, frequency: ArrayLike) -> Complex:
         """Return the tip compliance [m/N] with the carriage held, ``1/(m_t s^2 + c s + k)``, at frequencies [Hz]."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
         return np.asarray(1.0 / (self.tip_mass * s**2 + self.damping * s + self.stiffness))
@@ -139,7 +137,7 @@ class Drive:
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
         return make_compliance(f, self.tip_compliance(f)[:, None, None], [axis], [axis])
 
-    def open_loop(self, frequency: ArrayLike, delay: float | None = None) -> NDArray[np.complex128]:
+    def open_loop(self, frequency: ArrayLike, delay: float | None = None) -> Complex:
         """Return carriage position over drive force [m/N] at frequencies [Hz], Eq. (2).
 
         Parameters
@@ -161,14 +159,14 @@ class Drive:
             return QuasiPolynomial(Polynomial(plant.denominator[1:]), Polynomial([0.0]), 0.0)
         return position_characteristic(self.servo, plant)
 
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> Complex:
         """Return the poles [rad/s], rightmost first; with a dead time those within ``|s| < pi/tau``.
 
         Without servo the rigid-body pole at s = 0 is left out.
         """
         return self.characteristic().roots()
 
-    def modes(self) -> NDArray[np.float64]:
+    def modes(self) -> Real:
         """Return natural frequency [Hz] and damping ratio [1] of each oscillating pole, shape (modes, 2), sorted.
 
         ``f = |s|/2 pi``, ``zeta = -Re s/|s|``; negative damping is an unstable pole.
@@ -193,7 +191,7 @@ class Drive:
         if self.servo is not None:
             require_stable(self.characteristic(), f"the axis (friction slope {self.sigma:g} N s/m)", self.servo)
 
-    def state_space(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def state_space(self) -> tuple[Real, Real, Real, Real]:
         """Return A, B, C, K of ``q' = A q + B F_tip - E K q(t - tau)``, ``x_tip = C q``.
 
         State ``q = (x_t, x_t', x_m, x_m', int x_m)``, deviations from the ramp; ``E = (0, 0, 0, 1/m_m, 0)``. The servo
@@ -376,9 +374,7 @@ def _distortion(frequency: Real, response: Complex, force: Real, noise: Real) ->
     return np.asarray(np.abs(response) / force * np.sqrt(np.maximum(smooth[at], 0.0)))
 
 
-def _periods_of(
-    record: xr.Dataset, axis: str, period: float, skip: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _periods_of(record: xr.Dataset, axis: str, period: float, skip: int) -> tuple[Real, Real, float]:
     """Drive force and position without its ramp, each (periods, samples a period), and the slope of the ramp [m/s]."""
     for channel in ("encoder_position", "drive_force"):
         if axis not in axis_present(record, channel):
@@ -446,7 +442,7 @@ class OpenLoopFit:
     drive: Drive
     delay: float
     std: dict[str, float]
-    covariance: NDArray[np.float64]
+    covariance: Real
     misfit: float
 
 
@@ -497,11 +493,11 @@ def fit_open_loop(
     theta0 = np.array([*np.log([first.moving_mass, first.tip_mass, first.stiffness, first.damping]), 0.0, 0.0])
     unit = np.array([1.0, 1.0, 1.0, 1.0, 2.0 * np.pi * f.min() * (first.moving_mass + first.tip_mass), 1e-3])
 
-    def model(theta: NDArray[np.float64]) -> tuple[Drive, float]:
+    def model(theta: Real) -> tuple[Drive, float]:
         mm, mt, k, c = np.exp(np.clip(theta[:4], -50.0, 50.0))
         return Drive(float(mm), float(mt), float(k), float(c), None, float(theta[4] * unit[4])), float(theta[5] * 1e-3)
 
-    def residual(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(theta: Real) -> Real:
         drive, delay = model(theta)
         x = drive.open_loop(f, delay)
         r = np.log(x / h) if weight is None else (x - h) * weight
@@ -542,9 +538,7 @@ def _require_sound(fit: OpenLoopFit, frequency: Real, weighted: bool) -> None:
             )
 
 
-def _with_uncertainty(
-    drive: Drive, delay: float, jacobian: NDArray[np.float64], residual: NDArray[np.float64], unit: NDArray[np.float64]
-) -> OpenLoopFit:
+def _with_uncertainty(drive: Drive, delay: float, jacobian: Real, residual: Real, unit: Real) -> OpenLoopFit:
     variance = float(residual @ residual) / max(1, residual.size - len(PARAMETERS))
     # d parameter/d theta: a logarithm's is the parameter itself. A direction that changes nothing is uncertain without
     # end, which a pseudo-inverse would call certain.
@@ -559,7 +553,7 @@ def _with_uncertainty(
     return OpenLoopFit(drive, delay, std, covariance, misfit)
 
 
-def _first_guess(f: NDArray[np.float64], h: NDArray[np.complex128]) -> Drive:
+def _first_guess(f: Real, h: Complex) -> Drive:
     """Read ``|w^2 H|``: 1/(m_m + m_t) at low frequency, its least at f_t, its greatest at f_t sqrt(1 + m_t/m_m)."""
     mobility = np.abs(h) * (2.0 * np.pi * f) ** 2
     low = int(np.argmin(mobility[: max(3, int(np.argmax(mobility)))]))

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from process.errors import InputError
+from process.types import Complex, Real
 
 _PHASE_STEP = 0.3
 _ROUNDS = 60
 
 
 def right_half_plane_zeros(
-    characteristic: Callable[[NDArray[np.complex128]], NDArray[np.complex128]],
-    scales: NDArray[np.float64],
+    characteristic: Callable[[Complex], Complex],
+    scales: Real,
     longest_delay: float = 0.0,
 ) -> int:
     """Return how many zeros of a monic retarded quasi-polynomial lie in Re s > 0.
@@ -48,16 +48,16 @@ def right_half_plane_zeros(
     return max(1, _count(characteristic(np.asarray(1j * w, dtype=np.complex128))))
 
 
-def _count(r: NDArray[np.complex128]) -> int:
+def _count(r: Complex) -> int:
     turn = float(np.sum(np.angle(r[1:] / r[:-1]))) - float(np.angle(r[-1]))
     return round(-turn / math.pi)
 
 
 def _contour(
-    characteristic: Callable[[NDArray[np.complex128]], NDArray[np.complex128]],
-    scales: NDArray[np.float64],
+    characteristic: Callable[[Complex], Complex],
+    scales: Real,
     longest_delay: float,
-) -> NDArray[np.float64]:
+) -> Real:
     """First grid [rad/s]: dense around every scale, fine against the delay, far enough for r to be 1."""
     far = 20.0 * float(scales.max())
     for _ in range(60):
@@ -74,8 +74,6 @@ def _contour(
 
 # --- Linear equations with several dead times: poles, characteristic function, Pade state space.
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _COLLOCATION = 24
 _NEWTON = 30
@@ -221,7 +219,7 @@ class DelayEquation:
         return a, b, c
 
 
-def chebyshev_derivative(order: int) -> NDArray[np.float64]:
+def chebyshev_derivative(order: int) -> Real:
     """Return the differentiation matrix on the points cos(pi i/order), i = 0..order (Trefethen 2000, p. 54)."""
     x = np.cos(np.pi * np.arange(order + 1) / order)
     c = np.ones(order + 1)

@@ -15,15 +15,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from process.drive.axis import Drive
 from process.drive.servo import Margins, Servo, bandwidth, frequency_grid, margins
 from process.errors import InputError
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 _MASSES = 4
 _CARRIAGE, _CARRIAGE_SPEED = 2, 3

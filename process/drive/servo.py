@@ -12,13 +12,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import optimize
 
 from process.drive.delay_equation import chebyshev_derivative, right_half_plane_zeros
 from process.errors import InputError
+from process.types import Complex, Real
 
-Response = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
+Response = Callable[[Real], Complex]
 
 _COLLOCATION = 36
 _HALF_POWER = math.sqrt(0.5)
@@ -67,16 +68,16 @@ class Servo:
         if not math.isfinite(self.feed_forward):
             raise InputError(f"the feed-forward is {self.feed_forward:g}; it must be a number, usually 0 or 1")
 
-    def velocity_controller(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def velocity_controller(self, s: ArrayLike) -> Complex:
         """Return ``Kp (1 + 1/(Ti s)) exp(-s tau)`` [N s/m] at complex frequencies s [rad/s]."""
         s = np.asarray(s, dtype=np.complex128)
         return np.asarray(self.Kp * (1.0 + 1.0 / (self.Ti * s)) * np.exp(-self.delay * s))
 
-    def feedback(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def feedback(self, s: ArrayLike) -> Complex:
         """Return ``G(s) = (s + Kv) Kp (1 + 1/(Ti s)) exp(-s tau)`` [N/m]: drive force over minus carriage position."""
         return np.asarray((np.asarray(s) + self.Kv) * self.velocity_controller(s))
 
-    def command(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def command(self, s: ArrayLike) -> Complex:
         """Return ``(a s + Kv) Kp (1 + 1/(Ti s)) exp(-s tau)`` [N/m]: drive force over reference position."""
         return np.asarray((self.feed_forward * np.asarray(s) + self.Kv) * self.velocity_controller(s))
 
@@ -143,7 +144,7 @@ class Plant:
                 "2 poles more"
             )
 
-    def __call__(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def __call__(self, s: ArrayLike) -> Complex:
         """Return position over force [m/N] at complex frequencies s [rad/s]."""
         s = np.asarray(s, dtype=np.complex128)
         return np.asarray(Polynomial(self.numerator)(s) / Polynomial(self.denominator)(s))
@@ -179,7 +180,7 @@ class QuasiPolynomial:
         # The size of the product of the roots, to the power 1/n.
         object.__setattr__(self, "scale", abs(total[0] / total[-1]) ** (1.0 / (total.size - 1)))
 
-    def __call__(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def __call__(self, s: ArrayLike) -> Complex:
         """Return its value at complex s [rad/s]."""
         s = np.asarray(s, dtype=np.complex128)
         return np.asarray(self.plain(s) + self.delayed(s) * np.exp(-self.delay * s))
@@ -193,12 +194,12 @@ class QuasiPolynomial:
         sizes = np.concatenate([[self.scale], np.abs(roots), np.abs(roots.imag)])
         return right_half_plane_zeros(self._ratio, sizes[sizes > 0.0], self.delay)
 
-    def _ratio(self, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def _ratio(self, s: Complex) -> Complex:
         n = self.plain.degree()
         lead = self.plain.coef[-1] * self.scale**n
         return np.asarray(self(s) / (lead * (s / self.scale + 1.0) ** n))
 
-    def roots(self) -> NDArray[np.complex128]:
+    def roots(self) -> Complex:
         """Return the zeros [rad/s], rightmost first; with a delay the unstable ones and those within ``|s| < pi/tau``.
 
         Eigenvalues of the delay equation on 37 Chebyshev points (Breda, Maset, Vermiglio 2005), each then brought onto
@@ -210,7 +211,7 @@ class QuasiPolynomial:
             found = self._polished(self._collocated())
         return np.asarray(found[np.lexsort((found.imag, -found.real))])
 
-    def _collocated(self) -> NDArray[np.complex128]:
+    def _collocated(self) -> Complex:
         """Eigenvalues [rad/s] of the companion system with its history on Chebyshev points, time in units 1/scale."""
         n, w, tau = self.plain.degree(), self.scale, self.delay * self.scale
         powers = w ** np.arange(n)
@@ -225,7 +226,7 @@ class QuasiPolynomial:
         matrix[:n, :n], matrix[:n, -n:] = now, past
         return np.asarray(np.linalg.eigvals(matrix) * w)
 
-    def _polished(self, start: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def _polished(self, start: Complex) -> Complex:
         """Newton steps to the exact zeros; keep each once, and only those near the origin or unstable."""
         near = 1.2 * math.pi / self.delay
         s = start[(np.abs(start) < near) | (start.real > -0.2 * near)].astype(np.complex128)
@@ -280,20 +281,20 @@ def require_stable(characteristic: QuasiPolynomial, what: str, servo: Servo) -> 
         )
 
 
-def _s(frequency: ArrayLike) -> NDArray[np.complex128]:
+def _s(frequency: ArrayLike) -> Complex:
     f = np.asarray(frequency, dtype=float)
     if not np.all(f > 0.0):
         raise InputError(f"the lowest frequency is {f.min():g} Hz; a loop with an integrator needs f > 0")
     return np.asarray(2j * np.pi * f)
 
 
-def open_velocity_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> NDArray[np.complex128]:
+def open_velocity_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> Complex:
     """Return the velocity loop gain ``Kp (1 + 1/(Ti s)) e^(-s tau) s N/D`` [1] at frequencies [Hz]."""
     s = _s(frequency)
     return np.asarray(servo.velocity_controller(s) * s * plant(s))
 
 
-def velocity_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> NDArray[np.complex128]:
+def velocity_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> Complex:
     """Return the closed velocity loop [1], carriage velocity over commanded velocity, at frequencies [Hz].
 
     Raises
@@ -306,13 +307,13 @@ def velocity_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> NDArray[n
     return np.asarray(gain / (1.0 + gain))
 
 
-def open_position_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> NDArray[np.complex128]:
+def open_position_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> Complex:
     """Return the position loop gain ``Kv/s T_v`` [1] around the closed velocity loop ``T_v``, at frequencies [Hz]."""
     gain = open_velocity_loop(servo, plant, frequency)
     return np.asarray(servo.Kv / _s(frequency) * gain / (1.0 + gain))
 
 
-def position_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> NDArray[np.complex128]:
+def position_loop(servo: Servo, plant: Plant, frequency: ArrayLike) -> Complex:
     """Return the closed position loop [1], carriage position over reference position, at frequencies [Hz].
 
     ``(a s + Kv) K e^(-s tau) H/(1 + G H)`` with ``K = Kp (1 + 1/(Ti s))``, H the plant, a the feed-forward.
@@ -395,7 +396,7 @@ def velocity_bandwidth(servo: Servo, plant: Plant) -> float:
     """Return the -3 dB frequency [Hz] of the closed velocity loop (the lowest one)."""
     require_stable(velocity_characteristic(servo, plant), "the velocity loop", servo)
 
-    def closed(f: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def closed(f: Real) -> Complex:
         gain = open_velocity_loop(servo, plant, f)
         return np.asarray(gain / (1.0 + gain))
 
@@ -403,7 +404,7 @@ def velocity_bandwidth(servo: Servo, plant: Plant) -> float:
     return bandwidth(closed, grid[0], grid[-1])
 
 
-def frequency_grid(servo: Servo, plant: Plant) -> NDArray[np.float64]:
+def frequency_grid(servo: Servo, plant: Plant) -> Real:
     """Return frequencies [Hz] over all that the position loop does, dense at its lightly damped roots."""
     characteristic = position_characteristic(servo, plant)
     plain, delayed = characteristic.plain, characteristic.delayed
@@ -418,7 +419,7 @@ def _crossing(function: Callable[[float], float], low: float, high: float) -> fl
     return float(optimize.brentq(function, low, high, xtol=1e-12 * high, rtol=1e-13))
 
 
-def margins(loop: Response, f: NDArray[np.float64]) -> Margins:
+def margins(loop: Response, f: Real) -> Margins:
     """Return the margins of a stable loop.
 
     Parameters
@@ -433,7 +434,7 @@ def margins(loop: Response, f: NDArray[np.float64]) -> Margins:
     def value(x: float) -> complex:
         return complex(loop(np.array([x]))[0])
 
-    def crossings(level: NDArray[np.float64], of: Callable[[float], float]) -> list[float]:
+    def crossings(level: Real, of: Callable[[float], float]) -> list[float]:
         return [_crossing(of, f[i], f[i + 1]) for i in np.flatnonzero(level[:-1] * level[1:] < 0.0)]
 
     unity = crossings(np.abs(gain) - 1.0, lambda x: abs(value(x)) - 1.0)

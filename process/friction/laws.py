@@ -13,10 +13,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.errors import InputError
 from process.friction import _kernels as kernels
+from process.types import Real
 
 
 def _positive(**values: float) -> None:
@@ -43,18 +44,18 @@ class FrictionLaw(ABC):
     """Friction without memory: a force for each velocity. Subclasses are frozen dataclasses."""
 
     @abstractmethod
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
+    def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters, as `process.friction._kernels` takes them."""
 
-    def force(self, velocity: ArrayLike) -> NDArray[np.float64]:
+    def force(self, velocity: ArrayLike) -> Real:
         """Return the force [N] that opposes the motion at velocities [m/s] of any shape."""
         return self._filled(kernels.friction_forces, velocity)
 
-    def slope(self, velocity: ArrayLike) -> NDArray[np.float64]:
+    def slope(self, velocity: ArrayLike) -> Real:
         """Return the local damping ``d force / d velocity`` [N s/m] at velocities [m/s] of any shape."""
         return self._filled(kernels.friction_slopes, velocity)
 
-    def _filled(self, kernel: Callable[..., Any], velocity: ArrayLike) -> NDArray[np.float64]:
+    def _filled(self, kernel: Callable[..., Any], velocity: ArrayLike) -> Real:
         v = np.asarray(velocity, dtype=float)
         out = np.empty(v.size)
         kernel(*self.packed(), np.ascontiguousarray(v).reshape(-1), out)
@@ -77,7 +78,7 @@ class Viscous(FrictionLaw):
         """Refuse a negative coefficient."""
         _not_negative(sigma=self.sigma)
 
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
+    def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters."""
         return kernels.VISCOUS, np.array([self.sigma])
 
@@ -94,7 +95,7 @@ class _Step(FrictionLaw):
         _not_negative(coulomb_force=self.coulomb, sigma=self.sigma)
         _positive(kt=self.kt)
 
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
+    def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters."""
         return kernels.COULOMB, np.array([self.coulomb, self.sigma, self.kt])
 
@@ -178,7 +179,7 @@ class Andersson(FrictionLaw):
     def _one_way(self) -> list[float]:
         return [self.coulomb, self.static, self.stribeck_speed, self.sigma, self.kt, self.delta]
 
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
+    def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters."""
         backwards = self if self.negative is None else self.negative
         return kernels.ANDERSSON, np.array(self._one_way() + backwards._one_way())
@@ -194,7 +195,7 @@ class MemoryLaw(ABC):
     delta: float
 
     @abstractmethod
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
+    def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters, as `process.friction._kernels.friction_step` takes them."""
 
     @property
@@ -211,14 +212,14 @@ class MemoryLaw(ABC):
         """Return the law that counts in the direction of a velocity [m/s], alike both ways."""
         return self
 
-    def steady_force(self, velocity: ArrayLike) -> NDArray[np.float64]:
+    def steady_force(self, velocity: ArrayLike) -> Real:
         """Return the force [N] under constant velocity: ``s(v) sign(v) + sigma v`` with the Stribeck curve s."""
         return self._steady().force(velocity)
 
     def _steady(self) -> Andersson:
         return Andersson(self.coulomb, self.static, self.stribeck_speed, self.sigma, math.inf, self.delta)
 
-    def history(self, velocity: ArrayLike, step: float) -> NDArray[np.float64]:
+    def history(self, velocity: ArrayLike, step: float) -> Real:
         """Return the force [N] at the end of each step [s] of a velocity history [m/s], shape (n,), from rest."""
         v = np.ascontiguousarray(velocity, dtype=float)
         if v.ndim != 1 or not step > 0.0:
@@ -300,7 +301,7 @@ class LuGre(MemoryLaw):
         curve = [self.coulomb, self.static, self.stribeck_speed, self.delta]
         return [self.bristle_damping, self.sigma, *curve]
 
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
+    def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters."""
         backwards = self if self.negative is None else self.negative
         return kernels.LUGRE, np.array([self.bristle_stiffness, *self._one_way(), *backwards._one_way()])
@@ -362,7 +363,7 @@ class GeneralisedMaxwellSlip(MemoryLaw):
         if not math.isclose(sum(self.share), 1.0, rel_tol=1e-6):
             raise InputError(f"the shares sum to {sum(self.share):g}; they must sum to 1")
 
-    def packed(self) -> tuple[int, NDArray[np.float64]]:
+    def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters."""
         curve = [self.coulomb, self.static, self.stribeck_speed, self.delta, self.sigma, self.attraction]
         elements = [x for pair in zip(self.element_stiffness, self.share, strict=True) for x in pair]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 from scipy.special import ive
@@ -26,6 +26,7 @@ from process.friction.laws import (
     MemoryLaw,
     Viscous,
 )
+from process.types import Complex, Real
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class FrictionImpedance:
     residue: float = 0.0
     rate: float = 0.0
 
-    def __call__(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def __call__(self, s: ArrayLike) -> Complex:
         """Return ``s`` times the impedance [N/m], a dynamic stiffness, at complex s [rad/s]."""
         s = np.asarray(s, dtype=np.complex128)
         if self.residue == 0.0:
@@ -114,7 +115,7 @@ def _scale(law: FrictionLaw) -> float:
     return scale if 0.0 < scale < math.inf else 1.0
 
 
-def equivalent_damping(law: FrictionLaw, feed: ArrayLike, amplitude: ArrayLike) -> NDArray[np.float64]:
+def equivalent_damping(law: FrictionLaw, feed: ArrayLike, amplitude: ArrayLike) -> Real:
     """Return the equivalent damping c_eq(v0, V) of a law [N s/m].
 
     ``c_eq = 2/(pi V) int_0^pi f(v0 + V cos t) cos t dt`` by Gauss-Legendre quadrature on panels graded towards the
@@ -148,7 +149,7 @@ def equivalent_damping(law: FrictionLaw, feed: ArrayLike, amplitude: ArrayLike) 
     return np.where(still, law.slope(bias), out / moving).reshape(v.shape)
 
 
-def coulomb_damping(coulomb: float, feed: ArrayLike, amplitude: ArrayLike) -> NDArray[np.float64]:
+def coulomb_damping(coulomb: float, feed: ArrayLike, amplitude: ArrayLike) -> Real:
     """Return c_eq of pure Coulomb friction ``F sign(v)`` in closed form [N s/m].
 
     Zero for V <= v0, else ``4 F/(pi V) sqrt(1 - (v0/V)^2)``; its largest value is ``2 F/(pi v0)``, at V = sqrt(2) v0.
@@ -164,7 +165,7 @@ def coulomb_damping(coulomb: float, feed: ArrayLike, amplitude: ArrayLike) -> ND
     return np.asarray(4.0 * coulomb / (np.pi * v) * np.sqrt(np.clip(1.0 - (v0 / v) ** 2, 0.0, None)))
 
 
-def stribeck_damping(law: Andersson, feed: ArrayLike, amplitude: ArrayLike) -> NDArray[np.float64]:
+def stribeck_damping(law: Andersson, feed: ArrayLike, amplitude: ArrayLike) -> Real:
     """Return c_eq of a sliding contact that never reverses, in closed form [N s/m].
 
     ``sigma - 2 (Fs - Fc) exp(-v0/vs) I1(V/vs)/V`` for delta = 1 and V < v0, where tanh(kt v) is 1 throughout.
@@ -238,8 +239,8 @@ class DampingCurve:
     lowest: float = 1e-8
     highest: float = 1.0
     per_decade: int = 50
-    amplitude: NDArray[np.float64] = field(init=False, repr=False, compare=False)
-    damping: NDArray[np.float64] = field(init=False, repr=False, compare=False)
+    amplitude: Real = field(init=False, repr=False, compare=False)
+    damping: Real = field(init=False, repr=False, compare=False)
     _curve: PchipInterpolator = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -256,7 +257,7 @@ class DampingCurve:
         object.__setattr__(self, "damping", damping)
         object.__setattr__(self, "_curve", PchipInterpolator(np.log(grid), damping))
 
-    def __call__(self, amplitude: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, amplitude: ArrayLike) -> Real:
         """Return the equivalent damping [N s/m] at amplitudes [m/s], by monotone cubics in log V."""
         inside = np.clip(np.asarray(amplitude, dtype=float), self.lowest, self.highest)
         return np.asarray(self._curve(np.log(inside)), dtype=float)
@@ -297,7 +298,7 @@ def damping_table(law: FrictionLaw, feed: Sequence[float], amplitude: ArrayLike)
 def transient_damping(
     law: FrictionLaw,
     feed: float,
-    response: Callable[[float], NDArray[np.float64]],
+    response: Callable[[float], Real],
     tolerance: float = 1e-4,
     iterations: int = 200,
 ) -> float:

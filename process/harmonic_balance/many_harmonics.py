@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from process.errors import InputError
 from process.friction.linearised import steepness
 from process.harmonic_balance import _kernels as kernels
-from process.harmonic_balance.network import Balance, Complex, FrictionPoint, Network, Real, checked
+from process.harmonic_balance.network import Balance, FrictionPoint, Network, checked
+from process.types import Complex, Real
 
 LADDER = (9, 25, 70, 140)
 """Highest harmonics that are tried one after the other."""

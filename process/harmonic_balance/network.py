@@ -25,9 +25,8 @@ from process.friction.laws import Andersson, FrictionLaw
 from process.friction.linearised import DampingCurve, equivalent_damping, steepness
 from process.harmonic_balance import _kernels as kernels
 from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
+from process.types import Complex, Real
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Compliance = Callable[[Real], Complex]
 """Frequency [Hz], shape (n,) -> compliance [m/N], shape (n, T + P, T + P); response before excitation."""
 

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
 from process.harmonic_balance import _kernels as kernels
-from process.harmonic_balance.network import Balance, Complex, Network, Real, checked
+from process.harmonic_balance.network import Balance, Network, checked
+from process.types import Complex, Real
 
 _SWEEPS = 3
 _NEWTON_STEPS = 25

@@ -21,21 +21,13 @@ from process.errors import InputError
 from process.friction.laws import FrictionLaw, Viscous
 from process.friction.linearised import FrictionImpedance
 from process.harmonic_balance.many_harmonics import as_many_as_needed
-from process.harmonic_balance.network import (
-    Balance,
-    Complex,
-    Compliance,
-    FrictionPoint,
-    JointPoint,
-    Network,
-    Real,
-    checked,
-)
+from process.harmonic_balance.network import Balance, Compliance, FrictionPoint, JointPoint, Network, checked
 from process.harmonic_balance.one_harmonic import single_harmonic
 from process.labels import AXES, axis_index, make_compliance
 from process.machine.machine import FEW_MICROSLIP, FeedAxis, Machine
 from process.machine.operating_point import OperatingPoint, SlideImpedance
 from process.machine.structure import Structure
+from process.types import Complex, Real
 
 METHODS = ("single harmonic", "many harmonics", "not converged", "not periodic")
 TOLERANCE = 1e-3

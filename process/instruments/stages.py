@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft, interpolate, signal
 
 from process.errors import InputError
 from process.labels import AXES, RECORD_VECTORS, axis_index, sample_interval
+from process.types import Complex, Real
 
-Real = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 FINE = 8
@@ -96,7 +96,7 @@ class Resonance(Stage):
         _split(self.channel)
         _positive(natural_frequency=self.frequency, damping=self.damping)
 
-    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, frequency: ArrayLike) -> Complex:
         """Return the complex gain [1] at frequencies [Hz]."""
         r = np.asarray(frequency, dtype=float) / self.frequency
         return np.asarray(1.0 / (1.0 - r**2 + 2j * self.damping * r))
@@ -107,9 +107,7 @@ class Resonance(Stage):
         return _filtered(record, self.channel, self.response, settle)
 
 
-def _filtered(
-    record: xr.Dataset, channel: str, response: Callable[[Real], NDArray[np.complex128]], settle: float
-) -> xr.Dataset:
+def _filtered(record: xr.Dataset, channel: str, response: Callable[[Real], Complex], settle: float) -> xr.Dataset:
     """Multiply the spectrum of a channel by a response [1]; both ends are continued point-symmetrically by `settle`."""
     vector, rows = _split(channel)
     interval = sample_interval(record)
@@ -336,7 +334,7 @@ class AntiAlias(Stage):
         if not 1 <= self.order <= 20:
             raise InputError(f"an anti-alias filter of order {self.order}; give 1 to 20")
 
-    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, frequency: ArrayLike) -> Complex:
         """Return the complex gain [1] at frequencies [Hz]."""
         _, poles, _ = signal.butter(self.order, 1.0, analog=True, output="zpk")
         s = 1j * np.asarray(frequency, dtype=float) / self.corner

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from scipy import interpolate
 
 from process.errors import InputError
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 
 def tacho_angle(time: Real, level: Real, pulses_per_revolution: float = 1.0) -> Real:

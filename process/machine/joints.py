@@ -12,13 +12,12 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import optimize
 
 from process.errors import InputError
 from process.friction import _kernels as kernels
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 
 def _amplitude(amplitude: ArrayLike) -> Real:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.drive.servo import Servo
 from process.errors import InputError
@@ -23,8 +23,7 @@ from process.machine.joints import Joint
 from process.machine.operating_point import OperatingPoint, SlideImpedance
 from process.machine.structure import Posture, Structure
 from process.plausible import check_feed
-
-Real = NDArray[np.float64]
+from process.types import Complex, Real
 
 FEW_MICROSLIP = 1e-12
 """Amplitude [m] at which a joint has its small-signal stiffness."""
@@ -197,7 +196,7 @@ class Machine:
             structure.mass, structure.damping, structure.stiffness + added, structure.tool, structure.slides
         )
 
-    def idle_compliance(self, frequency: ArrayLike, position: float | None = None) -> NDArray[np.complex128]:
+    def idle_compliance(self, frequency: ArrayLike, position: float | None = None) -> Complex:
         """Return the tool compliance [m/N], shape (f, 3, 3), with every slide held, at frequencies [Hz]."""
         return OperatingPoint(self._with_joints(self.structure_at(position)).locked(), ()).matrix(frequency)
 
@@ -292,12 +291,12 @@ def _feeds(axes: Mapping[str, FeedAxis], feed: float | Mapping[str, float]) -> d
 
 
 def _base_stiffness(
-    w: NDArray[np.float64],
+    w: Real,
     axes: Mapping[str, FeedAxis],
     moving_mass: Mapping[str, float],
     feeds: Mapping[str, float],
     controller: str | None,
-) -> NDArray[np.complex128]:
+) -> Complex:
     """``G + j w f' - w^2 M`` of each slide, shape (f, axes, axes), diagonal."""
     out = np.zeros((w.size, len(axes), len(axes)), dtype=np.complex128)
     s = 1j * w

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from process.types import Complex, Real
 
 HIGHEST_DAMPING = 0.999
 """Largest damping ratio that a search may try: at 1 a mode does not vibrate any more and is refused."""
@@ -39,10 +40,10 @@ class ModalModel:
         When shapes differ or a frequency, stiffness or damping ratio is not positive.
     """
 
-    frequency: NDArray[np.float64]
-    damping: NDArray[np.float64]
-    stiffness: NDArray[np.float64]
-    direction: NDArray[np.float64] = field(repr=False)
+    frequency: Real
+    damping: Real
+    stiffness: Real
+    direction: Real = field(repr=False)
 
     def __post_init__(self) -> None:
         """Store plain float arrays and refuse what is not a passive machine."""
@@ -66,11 +67,11 @@ class ModalModel:
             )
 
     @property
-    def mass(self) -> NDArray[np.float64]:
+    def mass(self) -> Real:
         """Modal mass [kg], ``k / (2 pi f)^2``."""
         return self.stiffness / (2.0 * np.pi * self.frequency) ** 2
 
-    def matrix(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def matrix(self, frequency: ArrayLike) -> Complex:
         """Return the compliance matrix [m/N], shape (frequencies, 3, 3), at frequencies [Hz]."""
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
         ratio = f[:, None] / self.frequency
@@ -88,7 +89,7 @@ class ModalModel:
 
     def state_space(
         self,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Real, Real, Real]:
         """Return A, B, C of ``q' = A q + B F``, ``r = C q`` with modal positions first, then velocities."""
         n = self.frequency.size
         w = 2.0 * np.pi * self.frequency
@@ -103,7 +104,7 @@ class ModalModel:
         return a, b, c
 
 
-def displacement_over_acceleration(frequency: ArrayLike) -> NDArray[np.float64]:
+def displacement_over_acceleration(frequency: ArrayLike) -> Real:
     """Return ``-1/w^2`` [s2], the factor from acceleration to displacement for ``exp(+j w t)``.
 
     At 0 Hz, where an acceleration says nothing about a displacement, the factor is NaN.

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.drive.delay_equation import DelayEquation, right_half_plane_zeros
 from process.drive.servo import Servo
@@ -17,9 +17,7 @@ from process.errors import InputError
 from process.friction.linearised import FrictionImpedance
 from process.labels import AXES, make_compliance
 from process.machine.structure import Structure
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 _ORIGIN = 1e-6
 """Poles below this share of the largest rest at the origin."""

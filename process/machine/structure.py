@@ -10,14 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.drive.axis import Drive
 from process.errors import InputError
 from process.labels import AXES, axis_index
 from process.machine.modes import ModalModel
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 _WRONG = {
     "mass": "not positive definite; a mode may not carry more mass than the axis that it rides on: check both",

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
 from process.errors import InputError
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 _PIECE = 8192
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import linalg
 
 from process.drive.axis import Drive
@@ -44,6 +43,7 @@ from process.simulation.record import (
     march,
 )
 from process.simulation.step_maps import System, fastest_pole, system_of
+from process.types import Real
 
 STEPS_PER_EVENT = 8
 """Steps in the shortest event of an excitation, at least."""
@@ -273,7 +273,6 @@ def require_fine(p: Problem, fastest: float, step: float) -> None:
 
 # --- A machine in uniform motion that is struck again and again: all but the blow is made ready once.
 
-Real = NDArray[np.float64]
 
 _ANY = HalfSine(1.0)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import signal
 
 from process.cut import _kernels as cutting
@@ -22,6 +22,7 @@ from process.labels import AXES, make_record
 from process.machine.modes import ModalModel
 from process.plausible import check_feed
 from process.simulation import _milling_kernels as _kernels
+from process.types import Real
 
 CHANNELS = ("force", "displacement", "acceleration")
 
@@ -81,7 +82,7 @@ class Spindle:
                 f"the speed varies with {self.variation_frequency:g} Hz; variation_frequency must be positive"
             )
 
-    def angle(self, time: ArrayLike) -> NDArray[np.float64]:
+    def angle(self, time: ArrayLike) -> Real:
         """Return the spindle angle [rad] at times [s]."""
         t = np.asarray(time, dtype=float)
         steady = self.angle0 + self.rotation * t + 0.5 * self.acceleration * t**2
@@ -90,7 +91,7 @@ class Spindle:
         w = self._variation_omega
         return np.asarray(steady + self.variation * self.rotation / w * (1.0 - np.cos(w * t)))
 
-    def speed(self, time: ArrayLike) -> NDArray[np.float64]:
+    def speed(self, time: ArrayLike) -> Real:
         """Return the spindle speed [rpm] at times [s]."""
         return self._rotation_at(np.asarray(time, dtype=float)) * 30.0 / math.pi
 
@@ -115,11 +116,11 @@ class Spindle:
     def _variation_omega(self) -> float:
         return 2.0 * math.pi * self.variation_frequency
 
-    def _rotation_at(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _rotation_at(self, t: Real) -> Real:
         swing = self.variation * np.sin(self._variation_omega * t)
         return np.asarray(self.rotation * (1.0 + swing) + self.acceleration * t)
 
-    def _turning_points(self, start: float, end: float) -> NDArray[np.float64]:
+    def _turning_points(self, start: float, end: float) -> Real:
         """Times [s] at which the rotation is stationary, ``A rotation w cos(w t) = -acceleration``."""
         steepest = self.variation * self.rotation * self._variation_omega
         if abs(steepest) <= abs(self.acceleration):
@@ -214,15 +215,15 @@ def _discretise(machine: ModalModel, step: float) -> _kernels.Modes:
     return _kernels.Modes(rows, np.ascontiguousarray(machine.direction), law)
 
 
-def _decimated(samples: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+def _decimated(samples: Real, factor: int) -> Real:
     """Low-pass (zero phase, the same for every channel) and keep every `factor`-th sample."""
     if factor == 1:
         return samples
-    out: NDArray[np.float64] = signal.decimate(samples, factor, ftype="fir", axis=-1, zero_phase=True)
+    out: Real = signal.decimate(samples, factor, ftype="fir", axis=-1, zero_phase=True)
     return out
 
 
-def simulate_forced(machine: ModalModel, force: NDArray[np.float64], sample_rate: float, keep: int = 1) -> xr.Dataset:
+def simulate_forced(machine: ModalModel, force: Real, sample_rate: float, keep: int = 1) -> xr.Dataset:
     """Return the record of a machine under a given force.
 
     Parameters
@@ -355,7 +356,7 @@ def milling_step_error(
     )
 
 
-def _smoothed(samples: NDArray[np.float64], half_width: int) -> NDArray[np.float64]:
+def _smoothed(samples: Real, half_width: int) -> Real:
     """Mean over 2 half_width samples, weighted by a Hann window; the half widths at both ends are left out."""
     window = 0.5 + 0.5 * np.cos(np.pi * np.arange(-half_width, half_width + 1) / half_width)
     return np.asarray(signal.oaconvolve(samples, window[None, :] / half_width, mode="valid", axes=-1))
@@ -436,19 +437,19 @@ def pack_teeth(cut: MillingCut, step: float, slowest: float, fastest: float) -> 
     )
 
 
-def flat_surfaces(teeth: cutting.Teeth) -> NDArray[np.float64]:
+def flat_surfaces(teeth: cutting.Teeth) -> Real:
     """Return the surfaces of a block that no tooth has touched, shape (elements, ring)."""
     return np.zeros((teeth.lag.size, teeth.nodes + teeth.back))
 
 
-def _slice_lags(cut: MillingCut, angle_step: float) -> NDArray[np.float64]:
+def _slice_lags(cut: MillingCut, angle_step: float) -> Real:
     """Angles by which slices along a helical edge trail the tip; one slice where the edge is straight."""
     turn = 2.0 * cut.depth * math.tan(cut.tool.helix_angle) / cut.tool.diameter
     count = max(1, math.ceil(turn / max(angle_step, 0.02)))
     return (np.arange(count) + 0.5) * turn / count
 
 
-def _as_record(channels: dict[str, NDArray[np.float64]], dt: float) -> xr.Dataset:
+def _as_record(channels: dict[str, Real], dt: float) -> xr.Dataset:
     n = next(iter(channels.values())).shape[1]
     vectors = {name: dict(zip(AXES, rows, strict=True)) for name, rows in channels.items()}
     return make_record(np.arange(n) * dt, vectors)

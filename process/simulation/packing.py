@@ -21,8 +21,7 @@ from process.simulation.excitation import Excitation
 from process.simulation.milling import MillingCut, Spindle, flat_surfaces, pack_motion, pack_teeth
 from process.simulation.problem import Problem, Rubbing
 from process.simulation.step_maps import System, exact_maps, gains, reach
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 HALVINGS = 8
 """How often a step may be halved."""

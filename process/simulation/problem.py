@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.drive.servo import Servo
 from process.errors import InputError
@@ -18,8 +17,6 @@ from process.machine.machine import Machine
 from process.machine.structure import Posture, Structure
 from process.simulation.excitation import Excitation
 from process.simulation.milling import MillingCut, Spindle
-
-Real = NDArray[np.float64]
 
 FAST = 10.0
 """Speed [m/s] at which friction is past all that is special about slow motion."""

@@ -29,9 +29,8 @@ from process.simulation.packing import (
 )
 from process.simulation.problem import Problem
 from process.simulation.step_maps import System, gains, reach
+from process.types import Real
 from process.units import from_si
-
-Real = NDArray[np.float64]
 
 AT_REST = 1e-12
 """Share of the largest states and forces below which a machine that nothing excites any more is at rest."""

@@ -6,14 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.drive.servo import Servo
 from process.labels import axis_index
 from process.machine.structure import Structure
 from process.simulation.problem import Problem
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 _SERIES_NORM = 0.25
 _SERIES_TERMS = 12

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from process.cut.force import CuttingCoefficients
@@ -21,6 +20,7 @@ from process.errors import InputError
 from process.friction.laws import FrictionLaw, MemoryLaw
 from process.labels import RECORD_SCALARS
 from process.machine.modes import ModalModel
+from process.types import Real
 from smfe.campaign import schema
 from smfe.campaign.checks import channel_complaints, check, complaints, merge, path
 from smfe.campaign.datasets import Show
@@ -351,7 +351,7 @@ class LobeRequest:
     cut: str
     width_of_cut: float
     feed_per_tooth: float
-    spindle_speed: NDArray[np.float64] = field(repr=False)
+    spindle_speed: Real = field(repr=False)
     maximum_depth: float | None = None
     feed_direction: float = 0.0
 

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from process.cut.engagement import engagement
@@ -25,6 +24,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, axis_present
 from process.plausible import RANGES, implausible
+from process.types import Real
 from smfe.campaign import load_campaign
 from smfe.campaign.datasets import Show
 from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family
@@ -32,8 +32,6 @@ from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders
 from smfe.identification.errors.result import Progress, silent
 from smfe.records import read_records
 from smfe.results import write_atomically
-
-Real = NDArray[np.float64]
 
 CUTTING = ("Ktc", "Krc", "Kac")
 EDGE = ("Kte", "Kre", "Kae")

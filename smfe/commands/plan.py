@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES
+from process.types import Complex, Real
 from process.units import show
 from smfe.campaign.datasets import Show
 from smfe.campaign.toml import table
@@ -266,7 +266,6 @@ def scenario_text(task: Task, sweep: SweepPlan, seed: int) -> str:
 
 # --- Is the prediction right? Simulate the planned sweep, identify it, compare the errors entry by entry.
 
-Real = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 """Probability with which all entries of a right prediction lie in their intervals."""
@@ -398,7 +397,7 @@ def _scale(found: Plan) -> Real:
     return found.task.estimate.scale(found.task.frequency)
 
 
-def _identified(found: Plan, seed: int) -> tuple[dict[str, xr.Dataset], NDArray[np.complex128]]:
+def _identified(found: Plan, seed: int) -> tuple[dict[str, xr.Dataset], Complex]:
     """Return what each estimator finds from simulated records, and the truth on its frequencies."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.comparison.explained import LEVEL, error_covariance, holm
 from smfe.comparison.peaks import Peak, PeakRules, entries, entry_peaks
 
@@ -131,10 +132,10 @@ def _columns() -> list[str]:
 
 
 def response_assurance(
-    frequency_a: NDArray[np.float64],
-    compliance_a: NDArray[np.complex128],
-    frequency_b: NDArray[np.float64],
-    compliance_b: NDArray[np.complex128],
+    frequency_a: Real,
+    compliance_a: Complex,
+    frequency_b: Real,
+    compliance_b: Complex,
 ) -> tuple[float, float]:
     """Return FRAC and relative difference of two compliances over their common band.
 
@@ -164,10 +165,10 @@ def response_assurance(
 
 
 def scale_factor(
-    frequency_a: NDArray[np.float64],
-    compliance_a: NDArray[np.complex128],
-    frequency_b: NDArray[np.float64],
-    compliance_b: NDArray[np.complex128],
+    frequency_a: Real,
+    compliance_a: Complex,
+    frequency_b: Real,
+    compliance_b: Complex,
 ) -> float:
     """Return the cross signature scale factor of two compliances over their common band: amplitude and shape.
 
@@ -186,11 +187,11 @@ def scale_factor(
 
 
 def _on_common_lines(
-    frequency_a: NDArray[np.float64],
-    compliance_a: NDArray[np.complex128],
-    frequency_b: NDArray[np.float64],
-    compliance_b: NDArray[np.complex128],
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    frequency_a: Real,
+    compliance_a: Complex,
+    frequency_b: Real,
+    compliance_b: Complex,
+) -> tuple[Complex, Complex]:
     """Return both compliances on the lines of the coarser in the common band; empty for fewer than two lines."""
     low, high = max(frequency_a[0], frequency_b[0]), min(frequency_a[-1], frequency_b[-1])
     in_a = (frequency_a >= low) & (frequency_a <= high)
@@ -206,8 +207,8 @@ def _on_common_lines(
 class _Curve:
     """One entry without its gaps: frequency [Hz] and compliance [m/N]."""
 
-    frequency: NDArray[np.float64]
-    compliance: NDArray[np.complex128]
+    frequency: Real
+    compliance: Complex
 
     def holds(self, frequency: float) -> bool:
         """Whether a frequency lies in the band."""

@@ -29,13 +29,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from process.errors import InputError
+from process.types import Real
 from smfe.comparison.peaks import Peak, PeakRules, entries, entry_peaks
-
-Real = NDArray[np.float64]
 
 QUANTITIES = ("frequency", "damping", "amplitude")
 CONDITIONS = ("method", "controller", "feed", "level", "position", "added_mass", "temperature")

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage, optimize, signal
 
 from process.errors import InputError
 from process.labels import check_compliance
+from process.types import Complex, Real
 
 CLEAR_SIGNIFICANCE = 4.0
 """How many times more significant than another a peak must be that is low beside the highest one."""
@@ -93,9 +93,9 @@ class Peak:
 
 
 def find_peaks(
-    frequency: NDArray[np.float64],
-    compliance: NDArray[np.complex128],
-    std: NDArray[np.float64] | None = None,
+    frequency: Real,
+    compliance: Complex,
+    std: Real | None = None,
     rules: PeakRules | None = None,
     error_lines: float = 1.0,
 ) -> list[Peak]:
@@ -218,11 +218,11 @@ def entry_peaks(dataset: xr.Dataset, response: str, excitation: str, rules: Peak
 class _Noise:
     """Smoothed noise level, shape (n,), and whether it was given or guessed from the roughness of the curve."""
 
-    level: NDArray[np.float64]
+    level: Real
     given: bool
 
 
-def _noise_level(h: NDArray[np.complex128], std: NDArray[np.float64] | None) -> _Noise:
+def _noise_level(h: Complex, std: Real | None) -> _Noise:
     """Return the local root mean square error [m/N].
 
     A standard deviation from few repeats scatters itself: its mean square over nine lines is used. Without one, the
@@ -238,7 +238,7 @@ def _noise_level(h: NDArray[np.complex128], std: NDArray[np.float64] | None) -> 
     return _Noise(np.sqrt(np.pad(level, 1, mode="edge")), False)
 
 
-def _tops(h: NDArray[np.complex128], noise: NDArray[np.float64], rules: PeakRules) -> list[int]:
+def _tops(h: Complex, noise: Real, rules: PeakRules) -> list[int]:
     """Return the lines of the maxima that stand out."""
     size = np.abs(h)
     tops, found = signal.find_peaks(size, prominence=0.0)
@@ -250,7 +250,7 @@ def _tops(h: NDArray[np.complex128], noise: NDArray[np.float64], rules: PeakRule
     return [int(top) for top in tops[keep]]
 
 
-def _half_width(f: NDArray[np.float64], h: NDArray[np.complex128], top: int) -> float:
+def _half_width(f: Real, h: Complex, top: int) -> float:
     """Return half the width [Hz] over which ``|H|`` stays above 1/sqrt(2) of its maximum: a first guess only."""
     low = np.abs(h) < np.abs(h[top]) / np.sqrt(2.0)
     left, right = np.flatnonzero(low[:top]), np.flatnonzero(low[top:])
@@ -275,9 +275,7 @@ class _Guess:
     high: float
 
 
-def _groups(
-    f: NDArray[np.float64], h: NDArray[np.complex128], tops: Sequence[int], rules: PeakRules
-) -> Iterable[list[_Guess]]:
+def _groups(f: Real, h: Complex, tops: Sequence[int], rules: PeakRules) -> Iterable[list[_Guess]]:
     """Yield peaks whose bands of fit touch: they are fitted together."""
     group: list[_Guess] = []
     fences = np.concatenate([[f[0]], 0.5 * (f[tops[1:]] + f[tops[:-1]]), [f[-1]]])
@@ -308,7 +306,7 @@ def _distinct(peaks: list[Peak]) -> list[Peak]:
 # --- the fit -------------------------------------------------------------------------------------------------------
 
 
-def _basis(f: NDArray[np.float64], poles: NDArray[np.float64], centre: float) -> NDArray[np.float64]:
+def _basis(f: Real, poles: Real, centre: float) -> Real:
     """Return the model matrix for (Re r, Im r) of each pole and the remainders, real part over imaginary part.
 
     Parameters
@@ -341,14 +339,14 @@ def _basis(f: NDArray[np.float64], poles: NDArray[np.float64], centre: float) ->
 class _Fit:
     """A converged fit: poles, linear coefficients, covariance of both together (poles first)."""
 
-    poles: NDArray[np.float64]
-    linear: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    poles: Real
+    linear: Real
+    covariance: Real
     centre: float
-    band: NDArray[np.float64]
+    band: Real
     misfit: float
 
-    def model(self, f: NDArray[np.float64], parameters: NDArray[np.float64] | None = None) -> NDArray[np.complex128]:
+    def model(self, f: Real, parameters: Real | None = None) -> Complex:
         """Return H [m/N] at frequencies inside the band."""
         count = self.poles.size
         poles = self.poles if parameters is None else parameters[:count].reshape(-1, 2)
@@ -360,7 +358,7 @@ class _Fit:
         return np.asarray(value[:half] + 1j * value[half:])[1:-1]
 
 
-def _band(f: NDArray[np.float64], group: Sequence[_Guess], rules: PeakRules) -> slice:
+def _band(f: Real, group: Sequence[_Guess], rules: PeakRules) -> slice:
     """Return the lines round a group, at least so many that the fit has as many left over as it uses."""
     low = max(min(g.frequency - rules.width * g.width for g in group), group[0].low)
     high = min(max(g.frequency + rules.width * g.width for g in group), group[-1].high)
@@ -372,8 +370,8 @@ def _band(f: NDArray[np.float64], group: Sequence[_Guess], rules: PeakRules) -> 
 
 
 def _fit_group(
-    f: NDArray[np.float64],
-    h: NDArray[np.complex128],
+    f: Real,
+    h: Complex,
     noise: _Noise,
     group: list[_Guess],
     rules: PeakRules,
@@ -397,9 +395,9 @@ def _fit_group(
 
 
 def _fit(
-    f: NDArray[np.float64],
-    h: NDArray[np.complex128],
-    noise: NDArray[np.float64],
+    f: Real,
+    h: Complex,
+    noise: Real,
     given: bool,
     group: Sequence[_Guess],
     error_lines: float,
@@ -415,12 +413,12 @@ def _fit(
     first = np.array([g.frequency for g in group])
     start = np.stack([first / widths, np.log(np.clip(widths / (2.0 * first), 1e-4, 0.4))], axis=1)
 
-    def poles(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    def poles(p: Real) -> Real:
         # Frequencies in half-power widths and logarithms of damping: steps of one mean something everywhere.
         pairs = p.reshape(-1, 2)
         return np.stack([pairs[:, 0] * widths, np.exp(pairs[:, 1])], axis=1)
 
-    def residual(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(p: Real) -> Real:
         matrix = _basis(f, poles(p), centre) * weight[:, None]
         return np.asarray(data - matrix @ np.linalg.lstsq(matrix, data, rcond=None)[0])
 
@@ -441,9 +439,7 @@ def _fit(
     return _Fit(solution, linear, covariance, centre, f, float(np.sqrt(chi)))
 
 
-def _pole_columns(
-    f: NDArray[np.float64], poles: NDArray[np.float64], linear: NDArray[np.float64], centre: float
-) -> NDArray[np.float64]:
+def _pole_columns(f: Real, poles: Real, linear: Real, centre: float) -> Real:
     """Return the derivative of the model with respect to the poles, shape (2 n, 2 poles), by central differences."""
     columns = []
     for k in range(poles.size):
@@ -455,7 +451,7 @@ def _pole_columns(
     return np.stack(columns, axis=1)
 
 
-def _inverse_gram(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+def _inverse_gram(jacobian: Real) -> Real:
     """Return ``(J^T J)^-1``, scaled column by column first so that Hz and m/N do not meet."""
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -494,7 +490,7 @@ def _peak(fit: _Fit, k: int, given: bool) -> Peak | None:
     )
 
 
-def _amplitude_gradient(fit: _Fit, top: NDArray[np.float64]) -> NDArray[np.float64]:
+def _amplitude_gradient(fit: _Fit, top: Real) -> Real:
     """Return the derivative of ``|H|`` at its maximum with respect to all parameters.
 
     The maximum does not move to first order when the parameters do, so the gradient is taken at a fixed frequency.

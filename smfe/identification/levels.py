@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS
+from process.types import Real
 from smfe.campaign import Campaign, Measurement
 from smfe.campaign.checks import level_name, rounded
 from smfe.comparison.explained import holm
@@ -30,8 +31,6 @@ from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.hammer.impacts import HitRules, find_hits, longest_block
 from smfe.identification.sweep.estimators import SweepPass
 from smfe.identification.sweep.sweep import identify_sweep
-
-Real = NDArray[np.float64]
 
 LEVEL_GAP = 1.6
 """Ratio of neighbouring peak forces from which they are two levels: a hand repeats a blow to a third or so."""

@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from process.types import Complex, Real
 from smfe.campaign import Measurement
 from smfe.identification.errors.result import Identification
 from smfe.records import read_frf
 from smfe.records.formats.channels import FRF_KINDS, frf_channel
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 SAME_LINE = 1e-3
 """Lines of two files that are closer than this share of their spacing are one."""

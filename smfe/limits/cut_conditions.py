@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.labels import AXES, at_tool, full_matrix, make_compliance, not_measured
 from process.machine.modes import ModalModel
+from process.types import Real
 from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement
 from stability.problem import partial_warning
 
@@ -141,7 +141,7 @@ def direction_text(angle: float) -> str:
 # --- the frame of the cut --------------------------------------------------------------------------------------------
 
 
-def rotation(angle: float) -> NDArray[np.float64]:
+def rotation(angle: float) -> Real:
     """Return the matrix R whose rows are the axes of a cut fed along a direction [rad]; quarter turns are exact."""
     c, s = (0.0 if abs(v) < 1e-12 else v for v in (math.cos(angle), math.sin(angle)))
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from process.machine.modes import ModalModel
+from process.types import Complex, Real
 from smfe.modes.merge import merged
 from smfe.modes.pole_fit import PoleFit, remainder_modes
 from smfe.modes.poles import (
@@ -35,9 +36,6 @@ from smfe.modes.search import doubtful
 from smfe.modes.shapes import ShapeFit, components, fit_shapes
 from smfe.modes.state_space import StateSpace, energy_given, place_matrix, state_space
 from smfe.modes.unexplained import resolution, unexplained
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 INTERVAL = 1.96
 """Standard deviations to either side of a 95 % interval."""

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from process.types import Complex, Real
 from smfe.modes.pole_fit import (
     LEAST_DAMPING,
     MOST_DAMPING,
@@ -34,9 +35,6 @@ from smfe.modes.pole_fit import (
     triangular,
 )
 from smfe.modes.response_matrix import Curves
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 CHANCE = 1e-9
 """Probability that noise alone calls for a mode: a record has a thousand places to look at."""

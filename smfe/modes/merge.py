@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 
 from smfe.modes.response_matrix import Curves
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 ENOUGH_LINES = 1000
 """A record with fewer lines stays as it is."""
 

@@ -22,12 +22,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from process.types import Complex, Real
 from smfe.modes.response_matrix import Curves
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 UPPER_AT, UPPER_DAMPING = 4.0, 0.2
 """Frequency over that of the last line, and damping ratio, of the mode that stands for all above the band."""

@@ -20,14 +20,12 @@ from numpy.typing import NDArray
 from scipy.cluster import hierarchy
 
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.modes.local import alike
 from smfe.modes.pole_fit import PoleFit as Fit
 from smfe.modes.pole_fit import Remainders, basis_of, refine, solve, sorted_fit, without
 from smfe.modes.response_matrix import Curves, ResponseMatrix
 from smfe.modes.search import divided, grown, needed
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LARGEST_SYSTEM = 72
 """Most unknowns of D: order times excitations."""

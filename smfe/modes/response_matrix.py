@@ -17,14 +17,11 @@ from functools import cached_property
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from process.errors import InputError
 from process.labels import check_compliance
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 FEWEST_LINES = 12
 """Below this number of frequencies no fit is tried."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, signal
 
+from process.types import Real
 from smfe.modes.local import DOUBTFUL, REACH, Local, Window, evidence, fit_window, takes_enough, threshold, window
 from smfe.modes.pole_fit import LEAST_DAMPING, PoleFit, refine, solve
 from smfe.modes.response_matrix import running_mean
-
-Real = NDArray[np.float64]
 
 MOST_PLACES = 24
 """Places that are looked at in one round, largest first."""

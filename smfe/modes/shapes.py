@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.modes.pole_fit import (
     GAIN,
     LEAST_DAMPING,
@@ -31,9 +32,6 @@ from smfe.modes.pole_fit import (
     unit_mode,
 )
 from smfe.modes.response_matrix import Curves
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 STRONG = 0.5
 """A mode is strong when its peak is above this share of the highest."""

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from process.types import Complex, Real
 from smfe.modes.pole_fit import PoleFit, pole_values, remainder_modes
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 StateSpace = tuple[Real, Real, Real, Real]
 
 RANK = 1e-13

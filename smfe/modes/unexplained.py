@@ -15,14 +15,12 @@ is the resolution of the record at that mode: two modes nearer than that, and of
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from process.types import Real
 from smfe.modes.local import REACH, threshold, window
 from smfe.modes.pole_fit import PoleFit
 from smfe.modes.response_matrix import running_mean
-
-Real = NDArray[np.float64]
 
 STANDS_OUT = 10.0
 """Power of a peak over the median around it from which on it is named when no mode describes it."""

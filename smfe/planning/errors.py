@@ -48,6 +48,7 @@ from scipy import ndimage, stats
 from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from process.types import Complex, Real
 from smfe.identification.sweep.equations import Equations
 from smfe.identification.sweep.estimators import BANDS, LocalPolynomial
 from smfe.identification.sweep.local_polynomial import LARGEST_SHARE, MODEL_ERROR, MOST_OPEN, SAME, model_agreement
@@ -55,9 +56,6 @@ from smfe.identification.sweep.rational import fit_rational
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.planning.forces import Forces, ForceSensor, SweepPlan, force_sensor
 from smfe.planning.task import Estimate
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 UNKNOWN = 0.1
 """Relative standard deviation of the expected error itself: forces by cutting coefficients that are known to a tenth,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
+from process.types import Real
 from smfe.identification.errors.result import Progress, silent
 from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
 from smfe.planning.errors import error_interval, expected, relative_error
@@ -22,8 +22,6 @@ from smfe.planning.limits import KEYS, no_plan, rejections
 from smfe.planning.search import DEPTH_STEP, Search
 from smfe.planning.task import Task
 from stability import multi_frequency, semi_discretization, zero_order
-
-Real = NDArray[np.float64]
 
 REFINED = 10
 """Alternatives that are worked through as the estimator will."""

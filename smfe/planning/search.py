@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from process.cut.engagement import CUTS
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.identification.errors.result import Progress, silent
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.planning.errors import Instruments
@@ -39,9 +40,6 @@ from smfe.planning.forces import (
 from smfe.planning.limits import KEYS, SHORTEST_PASS, allowed
 from smfe.planning.task import Task
 from stability import zero_order
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 WIDTHS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)
 """Widths of cut that are tried, as shares of the diameter."""

@@ -16,6 +16,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, full_matrix, make_compliance
 from process.machine.modes import ModalModel
+from process.types import Complex, Real
 from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.campaign import read_toml
 from smfe.campaign.datasets import Show
@@ -29,9 +30,6 @@ from smfe.identification.sweep.estimators import LocalPolynomial
 from smfe.identification.sweep.rational import fit_rational
 from smfe.scenario import load_scenario
 from stability import SpindleRange
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 RIGID = 0.1
 """An axis is compared with at least this share of the softest one: errors of a rigid axis matter little."""

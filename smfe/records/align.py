@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import sample_interval
+from process.types import Real
 from smfe.records.formats.channels import split_vector
 
 HALF = 32
@@ -58,7 +58,7 @@ def align(record: xr.Dataset, delay: Mapping[str, float]) -> xr.Dataset:
     return out
 
 
-def shift(samples: NDArray[np.float64], by: float, first: int, last: int) -> NDArray[np.float64]:
+def shift(samples: Real, by: float, first: int, last: int) -> Real:
     """Return ``x(n + by)`` for n = first .. last - 1 from samples ``x(0), x(1), ...``.
 
     A Kaiser-windowed sinc over 65 samples, with its sum set to one: exact for whole samples and for a constant;
@@ -75,5 +75,5 @@ def shift(samples: NDArray[np.float64], by: float, first: int, last: int) -> NDA
         padded = np.pad(samples, half, mode="reflect", reflect_type="odd")
         samples = np.correlate(padded, weights / weights.sum(), mode="valid")
     index = np.clip(np.arange(first, last) + whole, 0, samples.size - 1)
-    shifted: NDArray[np.float64] = samples[index]
+    shifted: Real = samples[index]
     return shifted

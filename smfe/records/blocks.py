@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import make_record, sample_interval
+from process.types import Real
 from smfe.records.align import HALF, shift
 from smfe.records.formats import netcdf
 from smfe.records.formats.channels import Channel, record_channels, split_vector
@@ -40,7 +40,7 @@ from smfe.records.rounded_time import evened, is_rounded
 BLOCK = 1 << 16
 """Samples a block."""
 
-Samples = dict[str, NDArray[np.float64]]
+Samples = dict[str, Real]
 """Channel, and "time" -> samples in the unit of its label."""
 
 
@@ -67,7 +67,7 @@ class Stream:
 
     def record(self, samples: Samples) -> xr.Dataset:
         """Return samples as a labelled record."""
-        vectors: dict[str, dict[str, NDArray[np.float64]]] = {}
+        vectors: dict[str, dict[str, Real]] = {}
         scalars: Samples = {}
         for name, values in samples.items():
             vector = split_vector(name)
@@ -198,7 +198,7 @@ def _corrected(
         raise InputError(f"{source}: the record has {before} samples; at least 2 are needed")
 
 
-def _check_clock(source: str, time: NDArray[np.float64], before: int, last: Mapping[str, float]) -> None:
+def _check_clock(source: str, time: Real, before: int, last: Mapping[str, float]) -> None:
     stamps = np.concatenate([[last["time"]], time]) if last else time
     if stamps.size < 2:
         return

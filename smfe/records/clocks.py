@@ -21,10 +21,9 @@ from scipy import signal
 
 from process.errors import InputError
 from process.labels import axis_present, make_record, sample_interval
+from process.types import Real
 from smfe.records.decimate import low_pass
 from smfe.records.formats.channels import split_vector
-
-Real = NDArray[np.float64]
 
 _LEAST_CORRELATION = 0.7
 _LEAST_MARGIN = 0.03

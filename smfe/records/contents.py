@@ -11,9 +11,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from process.units import UNITS, known
 from smfe.records import text
 from smfe.records.formats import lvm, mat, netcdf, npy, parquet, tdms
@@ -51,7 +51,7 @@ class Contents:
     """
 
     source: str
-    columns: Mapping[Column, NDArray[np.float64]]
+    columns: Mapping[Column, Real]
     units: Mapping[Column, str] = field(default_factory=dict)
     sample_rate: float | None = None
     start: float = 0.0

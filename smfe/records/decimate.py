@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import signal
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.blocks import BLOCK, Samples, Stream, streams
 from smfe.records.formats.channels import Channel, split_vector
 from smfe.records.read import read_records
@@ -91,7 +91,7 @@ def reduction(rate: float, highest_frequency: float) -> int:
     return most
 
 
-def low_pass(factor: int) -> NDArray[np.float64]:
+def low_pass(factor: int) -> Real:
     """Return the coefficients of the filter before a decimation by `factor`; their sum is 1."""
     half = _SPANS * factor // 2
     taps = np.sinc(np.arange(-half, half + 1) / factor) * signal.windows.kaiser(2 * half + 1, _BETA)
@@ -140,7 +140,7 @@ def _decimated(first: Samples, blocks: Iterator[Samples], factor: int) -> Iterat
         yield {name: _filtered(name, values, taps, factor, count) for name, values in held.items()}
 
 
-def _beyond(name: str, values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _beyond(name: str, values: Real, count: int) -> Real:
     """Return what lies before the first sample, the nearest first."""
     vector = split_vector(name)
     if vector is not None and vector[0] in ("force", "acceleration", "displacement"):
@@ -152,9 +152,7 @@ def _joined(held: Samples, more: Samples) -> Samples:
     return {name: np.concatenate([values, more[name]]) for name, values in held.items()}
 
 
-def _filtered(
-    name: str, values: NDArray[np.float64], taps: NDArray[np.float64], factor: int, count: int
-) -> NDArray[np.float64]:
+def _filtered(name: str, values: Real, taps: Real, factor: int, count: int) -> Real:
     if name == "time":
         return values[taps.size // 2 :: factor][:count].copy()
     # The first coefficient of the convolution that lies within the record is number taps.size - 1 = _SPANS factor.

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 
 from process.errors import InputError
 from process.labels import AXES, axis_present, sample_interval
+from process.types import Complex, Real
 
 BAND = 0.7
 """Share of the natural frequency up to which the resonance is compensated; above it the factor stays as it is there."""
@@ -55,7 +56,7 @@ class Dynamometer:
                 "damping are zero or more, the natural frequency is positive"
             )
 
-    def inverse_response(self, frequency: ArrayLike, axis: str) -> NDArray[np.complex128]:
+    def inverse_response(self, frequency: ArrayLike, axis: str) -> Complex:
         """Return ``1/H`` at frequencies [Hz], held above `BAND` of the natural frequency."""
         natural = float(np.broadcast_to(np.asarray(self.frequency, dtype=float), 3)[AXES.index(axis)])
         r = np.minimum(np.asarray(frequency, dtype=float) / natural, BAND)
@@ -91,7 +92,7 @@ def compensate(record: xr.Dataset, dynamometer: Dynamometer) -> xr.Dataset:
     return record.assign(force=force)
 
 
-def _acceleration(record: xr.Dataset, axis: str, frequency: NDArray[np.float64], length: int) -> NDArray[np.float64]:
+def _acceleration(record: xr.Dataset, axis: str, frequency: Real, length: int) -> Real:
     if "acceleration" in record and axis in axis_present(record, "acceleration"):
         return np.asarray(record["acceleration"].sel(axis=axis).values)
     if "displacement" in record and axis in axis_present(record, "displacement"):

@@ -23,13 +23,11 @@ from numpy.typing import NDArray
 from process import units
 from process.errors import InputError
 from process.labels import make_compliance, place_text
+from process.types import Complex, Real
 from smfe.records.formats import uff
 from smfe.records.formats.channels import FRF_KINDS, Channel, frf_channel, motion_of
 from smfe.records.formats.table import Table
 from smfe.records.read import columns_of, named, reader_of, values_of
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 MIRRORED = 1e-6
 """Two halves of a spectrum that differ by less than this share of its size are one and its mirror."""

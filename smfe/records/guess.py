@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES
+from process.types import Real
 from process.units import known
 from smfe.records.contents import (
     Contents,
@@ -25,8 +25,6 @@ from smfe.records.contents import (
 from smfe.records.formats.channels import CHANNELS, Channel, listed
 from smfe.records.formats.table import Column
 from smfe.records.write import OWN_COLUMNS
-
-Real = NDArray[np.float64]
 
 _WORDS: tuple[tuple[str, str], ...] = (
     ("reference_speed", r"(cmd|des|ref|soll|set)\w*[_ .|]*(speed|vel|geschw)|cmd_speed|vref"),

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal, stats
 
-Real = NDArray[np.float64]
+from process.types import Real
 
 _WINDOWS = 150
 _LEAST_WINDOW = 64

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from process.types import Real
 from process.units import factor
 from smfe.records import contents, names_itself, read_records
 from smfe.records.contents import Contents
@@ -20,8 +20,6 @@ from smfe.records.formats.table import Column
 from smfe.records.guess import Guess, frequency_column, guess_channels
 from smfe.records.kind import Kind, kind_of
 from smfe.records.write import OWN_COLUMNS
-
-Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, make_record
+from process.types import Real
 from smfe.records import text
 from smfe.records.align import align
 from smfe.records.formats import lvm, mat, netcdf, npy, parquet, tdms, uff, wav
@@ -131,7 +131,7 @@ def columns_of(source: str, channels: Mapping[str, Channel]) -> list[Column]:
     return columns
 
 
-def values_of(source: str, name: str, channel: Channel, table: Table, before: int = 0) -> NDArray[np.float64]:
+def values_of(source: str, name: str, channel: Channel, table: Table, before: int = 0) -> Real:
     """Return a channel in the unit of its label, all finite; `before` samples came before this block of it."""
     assert channel.column is not None
     numbers = table.columns[channel.column]
@@ -150,8 +150,8 @@ def _record(
     source: str, table: Table, channels: Mapping[str, Channel], attrs: Mapping[str, Any] | None = None
 ) -> xr.Dataset:
     table = evened(source, table, channels)
-    vectors: dict[str, dict[str, NDArray[np.float64]]] = {}
-    scalars: dict[str, NDArray[np.float64]] = {}
+    vectors: dict[str, dict[str, Real]] = {}
+    scalars: dict[str, Real] = {}
     for name, channel in channels.items():
         if name == "time":
             continue
@@ -172,7 +172,7 @@ def notes_of(table: Table) -> dict[str, str]:
     return {"notes": "\n".join(table.notes)} if table.notes else {}
 
 
-def time_of(source: str, table: Table, channel: Channel | None, before: int = 0) -> NDArray[np.float64]:
+def time_of(source: str, table: Table, channel: Channel | None, before: int = 0) -> Real:
     """Return the times of a table [s], of which `before` samples came before."""
     if channel is not None and channel.column is not None:
         return values_of(source, "time", channel, table, before)
@@ -190,7 +190,7 @@ def time_of(source: str, table: Table, channel: Channel | None, before: int = 0)
 
 def own_table(record: xr.Dataset, declared: Mapping[str, Channel]) -> tuple[Table, dict[str, Channel]]:
     """Return a record in our own layout as columns, each named after its channel, with the corrections declared."""
-    columns: dict[Column, NDArray[np.float64]] = {"time": record["time"].values.astype(float)}
+    columns: dict[Column, Real] = {"time": record["time"].values.astype(float)}
     for variable, array in record.data_vars.items():
         if "axis" not in array.dims:
             columns[str(variable)] = array.values.astype(float)

@@ -14,10 +14,10 @@ import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import io
 
 from process.labels import AXES, UNITS, axis_present, check_record
+from process.types import Real
 from smfe.records.formats.channels import Channel
 
 _VECTOR_HEADERS = {
@@ -139,7 +139,7 @@ def record_columns(record: xr.Dataset) -> dict[str, Channel]:
     return channels
 
 
-def _named_columns(record: xr.Dataset) -> dict[str, NDArray[np.float64]]:
+def _named_columns(record: xr.Dataset) -> dict[str, Real]:
     check_record(record)
     columns = {"t": record["time"].values}
     for variable in map(str, record.data_vars):

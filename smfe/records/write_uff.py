@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES, RECORD_SCALARS, RECORD_VECTORS, UNITS, axis_present, check_record, sample_interval
+from process.types import Complex, Real
 from smfe.records.formats.channels import Channel
 from smfe.records.formats.uff import EXACT
 from smfe.records.write import in_place
@@ -134,7 +134,7 @@ def _dataset(
     labels: tuple[str, str, str],
     first: float,
     step: float,
-    values: NDArray[np.float64] | NDArray[np.complex128],
+    values: Real | Complex,
 ) -> bytes:
     """Return one dataset 58b: delimiter, header of 11 lines, little-endian doubles, delimiter."""
     body = values.astype("<c16" if np.iscomplexobj(values) else "<f8").tobytes()

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from process.types import Complex, Real
 from smfe.reporting.headline import outcomes
 from smfe.reporting.results import BAD_CONDITION, Lobes, Measurement, bands
 from smfe.reporting.style import (
@@ -89,9 +90,7 @@ def base_layout(height: int, **more: Any) -> dict[str, Any]:
     }
 
 
-def polygons(
-    x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def polygons(x: Real, low: Real, high: Real) -> tuple[Real, Real]:
     """Return the outline between two curves, one polygon a run of known values."""
     xs: list[ArrayLike] = []
     ys: list[ArrayLike] = []
@@ -412,7 +411,7 @@ def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, L
     return {"data": data, "layout": layout}
 
 
-def _views(values: NDArray[np.complex128]) -> list[dict[str, str]]:
+def _views(values: Complex) -> list[dict[str, str]]:
     scaled = 1e6 * values
     # A displacement lags its force: from -270 to 90 degrees, noise about -180 does not jump.
     phase = (np.angle(np.where(np.isfinite(values), values, np.nan), deg=True) + 270.0) % 360.0 - 270.0
@@ -570,7 +569,7 @@ def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line
     return {"data": data, "layout": _quality_layout(responses, conditioned, span)}
 
 
-def _quality_line(m: Measurement, look: Line, values: NDArray[np.float64], what: str) -> Figure:
+def _quality_line(m: Measurement, look: Line, values: Real, what: str) -> Figure:
     return {
         "type": "scatter",
         "mode": "lines",

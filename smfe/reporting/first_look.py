@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from process.types import Real
 from smfe.records.look import Look
-
-Real = NDArray[np.float64]
 
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#4D4D4D")
 _MOST_PANELS = 6

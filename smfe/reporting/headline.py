@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
+from process.types import Real
 from smfe.reporting.results import Lobes, Results
 
 KEEP = 0.8
@@ -139,9 +139,7 @@ def pockets(table: pd.DataFrame) -> list[Pocket]:
     return [found[k] for k in order[:_SHOWN]]
 
 
-def _pocket(
-    table: pd.DataFrame, speed: NDArray[np.float64], level: NDArray[np.float64], plateau: tuple[int, int]
-) -> Pocket:
+def _pocket(table: pd.DataFrame, speed: Real, level: Real, plateau: tuple[int, int]) -> Pocket:
     first, last = plateau
     held = level >= KEEP * level[first]
     below = np.flatnonzero(~held)
@@ -165,7 +163,7 @@ def _at(table: pd.DataFrame, name: str, row: int) -> float:
     return float(_column(table, name)[row])
 
 
-def _column(table: pd.DataFrame, name: str) -> NDArray[np.float64]:
+def _column(table: pd.DataFrame, name: str) -> Real:
     if name not in table:
         return np.full(len(table), np.nan)
     return table[name].to_numpy(dtype=float)

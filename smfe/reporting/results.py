@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import UNITS, check_compliance
+from process.types import Complex, Real
 from smfe.results import Failures, of_file, read_groups, unpack, unpack_warnings
 
 BAD_CONDITION = 30.0
@@ -58,7 +59,7 @@ class Measurement:
         return self.method == "model"
 
     @property
-    def frequency(self) -> NDArray[np.float64]:
+    def frequency(self) -> Real:
         """Frequency [Hz]."""
         return np.asarray(self.data["frequency"].values, dtype=float)
 
@@ -68,12 +69,12 @@ class Measurement:
         pairs = ((str(r), str(e)) for r in self.data["response"].values for e in self.data["excitation"].values)
         return [pair for pair in pairs if np.isfinite(self.entry(*pair)).any()]
 
-    def entry(self, response: str, excitation: str) -> NDArray[np.complex128]:
+    def entry(self, response: str, excitation: str) -> Complex:
         """Return one compliance [m/N] over frequency."""
         values = self.data["compliance"].sel(response=response, excitation=excitation).values
         return np.asarray(values, dtype=np.complex128)
 
-    def std(self, response: str, excitation: str) -> NDArray[np.float64] | None:
+    def std(self, response: str, excitation: str) -> Real | None:
         """Return the standard deviation [m/N] of one entry, None where nothing is known of it."""
         if "compliance_std" not in self.data:
             return None
@@ -86,7 +87,7 @@ class Measurement:
         array = self.data["compliance"].transpose("frequency", ...).values
         return np.asarray(np.isfinite(array).any(axis=(1, 2)))
 
-    def coherences(self, response: str) -> list[tuple[str, NDArray[np.float64]]]:
+    def coherences(self, response: str) -> list[tuple[str, Real]]:
         """Return (excitation or "", coherence over frequency) of one response."""
         if "coherence" not in self.data or response not in self.data["response"].values:
             return []
@@ -97,7 +98,7 @@ class Measurement:
             pairs = [("", array.values)]
         return [(e, np.asarray(v, dtype=float)) for e, v in pairs if np.isfinite(v).any()]
 
-    def condition(self) -> NDArray[np.float64] | None:
+    def condition(self) -> Real | None:
         """Return the condition number of the forces over frequency, for a sweep."""
         if "force_condition" not in self.data:
             return None
@@ -131,11 +132,11 @@ class Lobes:
     table: pd.DataFrame = field(repr=False)
     warnings: tuple[str, ...] = ()
 
-    def values(self, name: str) -> NDArray[np.float64]:
+    def values(self, name: str) -> Real:
         """Return a variable over the spindle speeds."""
         return np.asarray(self.data[name].values, dtype=float)
 
-    def band(self) -> tuple[NDArray[np.float64], NDArray[np.float64], str] | None:
+    def band(self) -> tuple[Real, Real, str] | None:
         """Return lowest and highest quantile of the limit depth [mm] and what they are called."""
         if "limit_depth_quantile" not in self.data:
             return None
@@ -144,7 +145,7 @@ class Lobes:
         label = f"{100 * levels[0]:.3g} % to {100 * levels[-1]:.3g} %"
         return np.asarray(array.values[0], dtype=float), np.asarray(array.values[-1], dtype=float), label
 
-    def curves(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    def curves(self) -> tuple[Real, Real, Real] | None:
         """Return speed [rpm], depth [mm], chatter frequency [Hz] of the single lobes, NaN between two."""
         names = ("curve_spindle_speed", "curve_limit_depth", "curve_chatter_frequency")
         if any(name not in self.data for name in names):
@@ -273,7 +274,7 @@ def read_results(folder: Path) -> Results:
     )
 
 
-def bands(frequency: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
+def bands(frequency: Real, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Return the contiguous bands [Hz] in which a mask over frequency holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     pairs = zip(edges[::2], edges[1::2], strict=True)

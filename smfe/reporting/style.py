@@ -8,9 +8,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
+from process.types import Complex, Real
 from smfe.reporting.results import Measurement, Results
 
 # Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis.
@@ -122,7 +122,7 @@ def frequency_range(measurements: Sequence[Measurement]) -> tuple[float, float]:
     return 0.0, min(end, 1.25 * last)
 
 
-def _resonance(magnitude: NDArray[np.float64]) -> float:
+def _resonance(magnitude: Real) -> float:
     """Return the highest peak that stands out by 10 dB, else the highest value.
 
     The lowest frequencies of an integrated acceleration drift upwards without a peak.
@@ -148,7 +148,7 @@ def part_ranges(measurements: Sequence[Measurement], span: tuple[float, float]) 
     return _padded(joined.real), _padded(joined.imag)
 
 
-def _shown_values(measurements: Sequence[Measurement], span: tuple[float, float]) -> NDArray[np.complex128]:
+def _shown_values(measurements: Sequence[Measurement], span: tuple[float, float]) -> Complex:
     """Return all compliances [um/N] of a band that do not exceed the highest resonance."""
     values = [np.empty(0, dtype=complex)]
     top = 0.0
@@ -162,22 +162,20 @@ def _shown_values(measurements: Sequence[Measurement], span: tuple[float, float]
     return np.asarray(joined[np.abs(joined) <= top])
 
 
-def _padded(values: NDArray[np.float64]) -> list[float]:
+def _padded(values: Real) -> list[float]:
     low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     margin = 0.06 * (high - low) or 1.0
     return [low - margin, high + margin]
 
 
-def magnitude_band(
-    values: NDArray[np.complex128], std: NDArray[np.float64], floor: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def magnitude_band(values: Complex, std: Real, floor: float) -> tuple[Real, Real]:
     """Return magnitude -+ two standard deviations [um/N], not below a floor for the logarithmic axis."""
     magnitude = 1e6 * np.abs(values)
     spread = 2e6 * std
     return np.maximum(magnitude - spread, floor), magnitude + spread
 
 
-def depth_range(depths: Sequence[NDArray[np.float64]], tests: NDArray[np.float64]) -> float:
+def depth_range(depths: Sequence[Real], tests: Real) -> float:
     """Return the upper end of the axis of depths [mm]: tests and lobes, but not a lone high peak."""
     joined = np.concatenate([d[np.isfinite(d)] for d in depths]) if depths else np.empty(0)
     highest_test = 1.3 * float(tests.max(initial=0.0))

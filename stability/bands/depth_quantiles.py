@@ -31,15 +31,8 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
 from process.machine.modes import ModalModel
-from stability.bands.error_model import (
-    Complex,
-    ErrorModel,
-    ModalError,
-    Real,
-    Spread,
-    changed_coefficients,
-    measured_error,
-)
+from process.types import Complex, Real
+from stability.bands.error_model import ErrorModel, ModalError, Spread, changed_coefficients, measured_error
 from stability.methods.vibration_mode import modal_samples
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
 from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, modes_of, pattern_of_pitch

@@ -31,9 +31,7 @@ from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, at_tool, axis_index, not_measured
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 LEVEL_WIDTH = 6.0
 """The level of the errors is averaged over this many shared widths: a few repeats tell that of one line badly."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from process.machine.modes import displacement_over_acceleration
+from process.types import Complex, Real
 from stability.chatter.cut_interval import CutPart
 from stability.chatter.line_spectrum import (
     STANDS_OUT,
@@ -93,8 +94,8 @@ class Evidence:
 
     axis: str
     spectrum: LineSpectrum
-    amplitude: NDArray[np.float64]
-    left: NDArray[np.float64]
+    amplitude: Real
+    left: Real
     masked: NDArray[np.bool_]
     in_air: NDArray[np.bool_]
     base: float
@@ -114,7 +115,7 @@ class Evidence:
     half_reference: float | None
     alternating: tuple[float, float]
     short: Short
-    samples: NDArray[np.float64]
+    samples: Real
     dt: float
 
     @property
@@ -122,7 +123,7 @@ class Evidence:
         """The highest harmonic, or what counts at least."""
         return max(self.tooth_amplitude, self.order_amplitude, self.least, self.floor)
 
-    def peak(self, where: NDArray[np.bool_], amplitude: NDArray[np.float64]) -> tuple[float, float]:
+    def peak(self, where: NDArray[np.bool_], amplitude: Real) -> tuple[float, float]:
         """Return frequency and amplitude of the highest of the points marked; NaN, 0 for none."""
         if not where.any():
             return math.nan, 0.0
@@ -387,9 +388,7 @@ def gather(
     )
 
 
-def _order_amplitudes(
-    phasors: NDArray[np.complex128], base: float, band: tuple[float, float], integrate: bool
-) -> NDArray[np.float64]:
+def _order_amplitudes(phasors: Complex, base: float, band: tuple[float, float], integrate: bool) -> Real:
     """Return the amplitudes of orders 1, 2, ...; zero outside of the band."""
     frequency = base * np.arange(1, phasors.shape[1] + 1)
     size = np.abs(phasors[0]) * (np.abs(displacement_over_acceleration(frequency)) if integrate else 1.0)
@@ -399,9 +398,9 @@ def _order_amplitudes(
 def _in_air(
     part: CutPart,
     spectrum: LineSpectrum,
-    amplitude: NDArray[np.float64],
+    amplitude: Real,
     band: tuple[float, float],
-    scale: NDArray[np.float64],
+    scale: Real,
 ) -> NDArray[np.bool_]:
     """Mark lines that are there in air with half of their amplitude or more: hum, pumps, fans."""
     nothing = np.zeros(amplitude.size, dtype=bool)
@@ -463,7 +462,7 @@ def _remaining_error(spectrum: LineSpectrum, base: float, count: int, tolerance:
 
 
 def _highest_line(
-    spectrum: LineSpectrum, amplitude: NDArray[np.float64], base: float, stride: int, error: float
+    spectrum: LineSpectrum, amplitude: Real, base: float, stride: int, error: float
 ) -> tuple[float, float]:
     """Return frequency [Hz] and amplitude of the highest of the multiples 1, 1 + stride, ... of `base` in the band."""
     multiples = base * np.arange(1, int(spectrum.frequency[-1] / base) + 1, stride)
@@ -494,7 +493,7 @@ def _growth(part: CutPart, frequency: float, teeth: int) -> float:
         return math.nan
     length = max(1, round(4.0 * turn / part.raw_dt))
 
-    def mean_size(piece: NDArray[np.float64], line: float) -> float:
+    def mean_size(piece: Real, line: float) -> float:
         parts = [piece[:, i : i + length] for i in range(0, piece.shape[1] - length + 1, length)]
         return math.sqrt(
             sum(float(np.abs(order_phasors(p, part.raw_dt, line, 1)).max()) ** 2 for p in parts) / len(parts)

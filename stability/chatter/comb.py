@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import fft, signal
 
 from process.labels import UNITS, sample_interval
+from process.types import Real
 from stability.chatter.cut_interval import CutPart
 from stability.chatter.line_spectrum import STANDS_OUT, LineSpectrum, hann_spectrum, order_phasors, stands_out
 from stability.chatter.spindle_speed import spindle_from_lines
@@ -173,7 +173,7 @@ def spectrogram(
     return xr.Dataset(data, coords=coords, attrs={"window_s": n * dt})
 
 
-def _reduced(values: NDArray[np.float64], most: int, how=np.max) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]
+def _reduced(values: Real, most: int, how=np.max) -> Real:  # type: ignore[no-untyped-def]
     """Take neighbours along the last axis together until `most` are left."""
     each = math.ceil(values.shape[-1] / most)
     parts = [how(values[..., i : i + each], axis=-1) for i in range(0, values.shape[-1], each)]

@@ -18,6 +18,7 @@ from scipy import ndimage
 from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
+from process.types import Real
 from stability.chatter.spindle_speed import resampled
 
 SPEED_MISMATCH = 0.01
@@ -47,12 +48,12 @@ class CutPart:
     frequency [Hz] once it is known. Over turns (`stability.chatter.spindle_speed`), `dt` is that of the mean speed.
     """
 
-    samples: NDArray[np.float64]
-    cut: NDArray[np.float64]
+    samples: Real
+    cut: Real
     dt: float
     interval: tuple[float, float]
     bounds: tuple[float, float, float, float]
-    air: NDArray[np.float64]
+    air: Real
     raw_dt: float
     base: float = 0.0
 
@@ -122,20 +123,20 @@ def stretches(
     return found
 
 
-def _air(samples: NDArray[np.float64], first: int, last: int, turn: int) -> NDArray[np.float64]:
+def _air(samples: Real, first: int, last: int, turn: int) -> Real:
     """Return the longer of the pieces before and after the cut, less two turns beside it."""
     before, after = samples[:, : max(0, first - 2 * turn)], samples[:, last + 2 * turn :]
     return before if before.shape[1] >= after.shape[1] else after
 
 
-def _rows(channel: xr.DataArray, axes: list[str]) -> NDArray[np.float64]:
+def _rows(channel: xr.DataArray, axes: list[str]) -> Real:
     """Return samples, shape (axes, n); a channel without axes is one row."""
     if "axis" not in channel.dims:
         return np.asarray(channel.values, dtype=float)[None]
     return np.asarray(channel.sel(axis=axes).transpose("axis", "time").values, dtype=float)
 
 
-def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[int, int, int, int]:
+def _find_cut(samples: Real, turn: int, static: bool) -> tuple[int, int, int, int]:
     """Return first and last sample of the cut (the longest stretch of turns that is not air), and of its steady part.
 
     A turn counts as cut when its level is nearer to that of the loud turns than to that of the quiet ones
@@ -177,7 +178,7 @@ def _find_cut(samples: NDArray[np.float64], turn: int, static: bool) -> tuple[in
     return start * turn, min(stop * turn, n), begin * turn, max(end - 1, begin + 1) * turn
 
 
-def _longest_cut(level: NDArray[np.float64]) -> tuple[int, int]:
+def _longest_cut(level: Real) -> tuple[int, int]:
     """Return first and last turn, exclusive, of the longest stretch whose level is that of a cut."""
     # A cut may swell and fade: a gap of a tenth of the record is none.
     gap = max(1, level.size // 10)
@@ -191,7 +192,7 @@ def _longest_cut(level: NDArray[np.float64]) -> tuple[int, int]:
     return int(starts[longest]), int(stops[longest])
 
 
-def _air_below(level: NDArray[np.float64]) -> float:
+def _air_below(level: Real) -> float:
     """Return the level between air and cut."""
     loud, quiet = float(np.quantile(level, 0.95)), float(np.quantile(level, 0.05))
     # A record without air has nothing much quieter; an entry may be louder than all that follows.
@@ -206,7 +207,7 @@ def axis_part(part: CutPart, row: int) -> CutPart:
     return replace(part, samples=part.samples[rows], cut=part.cut[rows], air=part.air[rows])
 
 
-def over_turns(part: CutPart, turns: NDArray[np.float64], highest: float) -> CutPart:
+def over_turns(part: CutPart, turns: Real, highest: float) -> CutPart:
     """Return a part at equal steps of the angle, at the interval of the mean speed; `highest`: frequency [Hz]."""
     base = float(turns[-1] - turns[0]) / ((turns.size - 1) * part.raw_dt)
     steps = math.ceil(2.5 * highest / base)
@@ -225,7 +226,7 @@ def with_angle(record: xr.Dataset) -> tuple[xr.Dataset, tuple[str, ...]]:
     return record.assign(spindle_angle=("time", angle, {"units": "rad"})), ()
 
 
-def measured_turns(record: xr.Dataset, part: CutPart) -> NDArray[np.float64] | None:
+def measured_turns(record: xr.Dataset, part: CutPart) -> Real | None:
     """Return the turns at each judged sample from the spindle angle of a record; None where it has none."""
     if "spindle_angle" not in record:
         return None
@@ -285,7 +286,7 @@ def _check_same(measured: float, nominal: float, tolerance: float, what: str) ->
         raise InputError(f"{what} {60.0 * measured:g} rpm, {60.0 * nominal:g} rpm were given: correct one of them")
 
 
-def _check_constant(speed: NDArray[np.float64]) -> None:
+def _check_constant(speed: Real) -> None:
     """Refuse a sweep."""
     low, high = float(speed.min()), float(speed.max())
     if high - low > MOST_CHANGE * abs(high):

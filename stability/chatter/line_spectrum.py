@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
+from process.types import Complex, Real
+
 PADDING = 4
 """Grid points a bin of 1/T."""
 
@@ -42,14 +44,14 @@ class LineSpectrum:
         1/T [Hz].
     """
 
-    frequency: NDArray[np.float64]
-    phasor: NDArray[np.complex128]
+    frequency: Real
+    phasor: Complex
     resolution: float
 
     @property
-    def vector_amplitude(self) -> NDArray[np.float64]:
+    def vector_amplitude(self) -> Real:
         """Root of the sum of squares over the axes, shape (n,); a rotated sensor reads the same."""
-        total: NDArray[np.float64] = np.sqrt((np.abs(self.phasor) ** 2).sum(axis=0))
+        total: Real = np.sqrt((np.abs(self.phasor) ** 2).sum(axis=0))
         return total
 
     def near(self, frequency: float, half_width: float) -> NDArray[np.bool_]:
@@ -58,7 +60,7 @@ class LineSpectrum:
         return np.asarray((distance <= half_width) | (distance == distance.min()), dtype=bool)
 
 
-def hann_spectrum(samples: NDArray[np.float64], dt: float, band: tuple[float, float]) -> LineSpectrum:
+def hann_spectrum(samples: Real, dt: float, band: tuple[float, float]) -> LineSpectrum:
     """Return the spectrum of samples, shape (axes, n), at an interval dt [s], within a band [Hz]."""
     n = samples.shape[1]
     window = signal.windows.hann(n, sym=False)
@@ -69,7 +71,7 @@ def hann_spectrum(samples: NDArray[np.float64], dt: float, band: tuple[float, fl
     return LineSpectrum(frequency[inside], spectrum[:, inside], 1.0 / (n * dt))
 
 
-def order_phasors(samples: NDArray[np.float64], dt: float, base: float, count: int) -> NDArray[np.complex128]:
+def order_phasors(samples: Real, dt: float, base: float, count: int) -> Complex:
     """Return the peak phasors at ``base, 2 base, .. count base`` [Hz], shape (axes, count), exactly there."""
     n = samples.shape[1]
     window = signal.windows.hann(n, sym=False)
@@ -78,7 +80,7 @@ def order_phasors(samples: NDArray[np.float64], dt: float, base: float, count: i
     return np.asarray(values * (2.0 / window.sum()), dtype=np.complex128)
 
 
-def alternating(phasors: NDArray[np.complex128], teeth: int) -> tuple[float, float]:
+def alternating(phasors: Complex, teeth: int) -> tuple[float, float]:
     """Return the size of order Z/2 and its odd multiples over that of all other orders that are no tooth harmonics.
 
     The radii of the teeth repeat with the turn, so run-out puts lines on every order m + k Z, in the shares of the
@@ -100,7 +102,7 @@ def alternating(phasors: NDArray[np.complex128], teeth: int) -> tuple[float, flo
     return found[0], found[1] if power.size >= 1.5 * teeth else 0.1 * found[0]
 
 
-def without_orders(spectrum: LineSpectrum, phasors: NDArray[np.complex128], base: float) -> NDArray[np.float64]:
+def without_orders(spectrum: LineSpectrum, phasors: Complex, base: float) -> Real:
     """Return the vector amplitude left when steady lines at the orders of `base` [Hz] are subtracted.
 
     What is left inside a masked order is not steady and synchronous: a line beside the order, or a speed that
@@ -112,11 +114,11 @@ def without_orders(spectrum: LineSpectrum, phasors: NDArray[np.complex128], base
         bins = (spectrum.frequency - (i + 1) * base) / spectrum.resolution
         close = np.abs(bins) < 8.0
         left[:, close] -= phasors[:, i : i + 1] * hann_kernel(bins[close])
-    amplitude: NDArray[np.float64] = np.sqrt((np.abs(left) ** 2).sum(axis=0))
+    amplitude: Real = np.sqrt((np.abs(left) ** 2).sum(axis=0))
     return amplitude
 
 
-def hann_kernel(bins: NDArray[np.float64]) -> NDArray[np.complex128]:
+def hann_kernel(bins: Real) -> Complex:
     """Return ``exp(-j pi u) sinc(u)/(1 - u^2)``, the Hann spectrum of a line u bins away (1/2 at u = +-1)."""
     singular = np.abs(np.abs(bins) - 1.0) < 1e-9
     u = np.where(singular, 0.0, bins)
@@ -124,9 +126,7 @@ def hann_kernel(bins: NDArray[np.float64]) -> NDArray[np.complex128]:
     return np.asarray(value * np.exp(-1j * np.pi * bins), dtype=complex)
 
 
-def noise_rms(
-    spectrum: LineSpectrum, amplitude: NDArray[np.float64], free: NDArray[np.bool_], frequency: float
-) -> float:
+def noise_rms(spectrum: LineSpectrum, amplitude: Real, free: NDArray[np.bool_], frequency: float) -> float:
     """Return the rms noise amplitude in the neighbourhood of a frequency, from the median of the free bins.
 
     The power of d axes of noise is Gamma(d) distributed, with median d - 0.31 of a mean d.
@@ -160,7 +160,7 @@ def comb_speed(spectrum: LineSpectrum, base: float, teeth: int, tolerance: float
 
 def _best_comb(
     spectrum: LineSpectrum,
-    gain: NDArray[np.float64],
+    gain: Real,
     base: float,
     orders: NDArray[np.int64],
     tolerance: float,
@@ -189,6 +189,6 @@ def highest_visible_order(spectrum: LineSpectrum, base: float, count: int) -> in
     return next((order for order in range(count, 0, -1) if stands_out(spectrum, order * base, 0.5)), 0)
 
 
-def _centred(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+def _centred(samples: Real) -> Real:
     """Take out the mean, so that it does not leak into the band."""
     return np.asarray(samples - samples.mean(axis=1, keepdims=True), dtype=float)

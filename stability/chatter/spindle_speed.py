@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
 
+from process.types import Complex, Real
 from stability.chatter.line_spectrum import STANDS_OUT, LineSpectrum
 
 CLEAR = 1.5
@@ -57,7 +57,7 @@ def spindle_from_lines(spectrum: LineSpectrum, teeth: int, bounds: tuple[float, 
     return _spindle(spectrum, amplitude, math.sqrt(floor), fundamental, teeth, bounds)
 
 
-def _fundamental(spectrum: LineSpectrum, gain: NDArray[np.float64], low: float, high: float) -> float | None:
+def _fundamental(spectrum: LineSpectrum, gain: Real, low: float, high: float) -> float | None:
     """Return the spacing [Hz] of the comb that explains the lines best, from low to high."""
     grid = spectrum.frequency
     step = float(grid[1] - grid[0])
@@ -84,7 +84,7 @@ def _fundamental(spectrum: LineSpectrum, gain: NDArray[np.float64], low: float, 
 
 def _spindle(
     spectrum: LineSpectrum,
-    amplitude: NDArray[np.float64],
+    amplitude: Real,
     floor: float,
     fundamental: float,
     teeth: int,
@@ -104,7 +104,7 @@ def _spindle(
     return fundamental if spindle else fundamental / teeth
 
 
-def _height(spectrum: LineSpectrum, amplitude: NDArray[np.float64], frequency: float) -> float:
+def _height(spectrum: LineSpectrum, amplitude: Real, frequency: float) -> float:
     """Amplitude within a bin of a frequency; 0 beyond the spectrum."""
     if not spectrum.frequency[0] <= frequency <= spectrum.frequency[-1]:
         return 0.0
@@ -113,7 +113,6 @@ def _height(spectrum: LineSpectrum, amplitude: NDArray[np.float64], frequency: f
 
 # --- A cut over turns of the spindle instead of time: the spindle followed by the comb of its own orders.
 
-Real = NDArray[np.float64]
 
 DRIFT = 0.012
 """Relative change of the speed from the begin to the end of what is judged that is looked for [1]."""
@@ -129,7 +128,7 @@ _MOST_GAIN = 3.0
 _LINE = 16.0  # a bin counts from this many times the median power
 
 
-def windows(samples: Real, dt: float, length: float, step: float) -> tuple[Real, Real, NDArray[np.complex128]]:
+def windows(samples: Real, dt: float, length: float, step: float) -> tuple[Real, Real, Complex]:
     """Return short-time spectra with a Hann window, zero-padded four times.
 
     Parameters

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from process.types import Complex, Real
 from stability.methods import _semi_discretization_kernels as kernels
-from stability.problem import Complex, Real
 
 
 @dataclass(frozen=True)

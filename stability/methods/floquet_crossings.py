@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from stability.problem import Complex, Real
+from process.types import Complex, Real
 
 Curve = Callable[[Real], Sequence[Complex] | Complex]
 """Angles, shape (n,) -> for each the eigenvalues [1/m], shape (any,), in any order."""

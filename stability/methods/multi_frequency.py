@@ -32,6 +32,7 @@ from process.cut.engagement import AnyEngagement, Engagement
 from process.cut.force import CuttingCoefficients, chip_projection, force_projection, gram_matrix
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.types import Complex, Real
 from stability.methods.floquet_crossings import (
     NEGLIGIBLE,
     Crossing,
@@ -44,11 +45,9 @@ from stability.methods.floquet_crossings import (
 from stability.methods.semi_discretization import LimitDepth, labelled_limits
 from stability.problem import (
     NO_LOBE,
-    Complex,
     Cut,
     Machine,
     Pattern,
-    Real,
     Samples,
     check_spindle_speed,
     complete_samples,

@@ -26,14 +26,13 @@ from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import at_tool, check_compliance, label
+from process.types import Complex, Real
 from stability.methods.vibration_mode import vibration
 from stability.methods.zero_order import first_limits, labelled
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
 from stability.problem import (
     NO_LOBE,
-    Complex,
     Cut,
-    Real,
     Samples,
     check_spindle_speed,
     complete_samples,

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.cut.force import chip_projection, force_projection
+from process.types import Complex, Real
 from stability.methods import _semi_discretization_kernels as kernels
-from stability.problem import Complex, Cut, Modes, Pattern, Real
+from stability.problem import Cut, Modes, Pattern
 
 Element = tuple[float, float, list[int]]
 """From which angle [rad], how far, and with which teeth engaged."""

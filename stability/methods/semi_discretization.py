@@ -35,6 +35,7 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
+from process.types import Complex, Real
 from stability.methods import _semi_discretization_kernels as kernels
 from stability.methods.dense_problem import Dense, dense
 from stability.methods.floquet_crossings import (
@@ -47,18 +48,7 @@ from stability.methods.floquet_crossings import (
     relative_change,
 )
 from stability.methods.period_mesh import FEWEST_NODES, Mesh, cut_at_speed, lay_mesh
-from stability.problem import (
-    NO_LOBE,
-    Complex,
-    Cut,
-    Machine,
-    Modes,
-    Pattern,
-    Real,
-    check_spindle_speed,
-    modes_of,
-    pattern_of,
-)
+from stability.problem import NO_LOBE, Cut, Machine, Modes, Pattern, check_spindle_speed, modes_of, pattern_of
 
 Krylov = Callable[[int], tuple[Complex, Complex, int]]
 

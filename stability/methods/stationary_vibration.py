@@ -19,9 +19,10 @@ from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients, force_projection
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.types import Complex, Real
 from stability.methods.dense_problem import dense
 from stability.methods.period_mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
-from stability.problem import Complex, Cut, Machine, Modes, Real, check_spindle_speed, modes_of, pattern_of
+from stability.problem import Cut, Machine, Modes, check_spindle_speed, modes_of, pattern_of
 
 METHOD = "stationary vibration"
 

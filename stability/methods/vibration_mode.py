@@ -7,11 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from process.types import Complex, Real
 from stability.methods.zero_order_branches import Branches
 from stability.problem import Modes, Samples
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 NO_MODE = 0
 """Number of the mode where nothing crosses."""

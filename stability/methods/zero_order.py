@@ -34,6 +34,7 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, label
+from process.types import Complex, Real
 from stability.methods.vibration_mode import NO_MODE, dominant_modes, modal_samples, vibration
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
 from stability.problem import (
@@ -49,7 +50,7 @@ from stability.problem import (
     pattern_of_pitch,
 )
 
-Crossings: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+Crossings: TypeAlias = tuple[Real, Real, NDArray[np.int64]]
 """Depth [m], chatter frequency [Hz] and lobe at each speed."""
 
 EQUAL_PITCH = 1e-9
@@ -134,7 +135,7 @@ def zero_order(
 
 
 def zero_order_from_matrix(
-    compliance: xr.Dataset, directional: NDArray[np.complex128], teeth: int, spindle_speed: ArrayLike
+    compliance: xr.Dataset, directional: Complex, teeth: int, spindle_speed: ArrayLike
 ) -> xr.Dataset:
     """Return the zero-order limit for any mean directional matrix, e.g. turning (one "tooth").
 
@@ -166,9 +167,9 @@ def zero_order_from_matrix(
 
 def _limits(
     samples: Samples,
-    directional: NDArray[np.complex128],
-    pitch: NDArray[np.float64],
-    speed: NDArray[np.float64],
+    directional: Complex,
+    pitch: Real,
+    speed: Real,
     modes: Modes | None = None,
     told: Sequence[str] = (),
 ) -> xr.Dataset:
@@ -188,12 +189,12 @@ def _limits(
     return labelled(speed, (depth, chatter, lobe, moved, mode), branches, warnings)
 
 
-def first_limits(branches: Branches, pitch: NDArray[np.float64], speed: NDArray[np.float64]) -> Crossings:
+def first_limits(branches: Branches, pitch: Real, speed: Real) -> Crossings:
     """Return depth [m], chatter frequency [Hz] and lobe of the first limit at speeds [rpm], for pitch angles [rad]."""
     return (_equal if np.ptp(pitch) < EQUAL_PITCH else _unequal)(branches, pitch, speed)
 
 
-def _equal(branches: Branches, pitch: NDArray[np.float64], speed: NDArray[np.float64]) -> Crossings:
+def _equal(branches: Branches, pitch: Real, speed: Real) -> Crossings:
     """Take each lobe explicitly; shape (speeds,) each."""
     period = 60.0 / (pitch.size * speed)
     rising = np.argsort(period, kind="stable")
@@ -202,7 +203,7 @@ def _equal(branches: Branches, pitch: NDArray[np.float64], speed: NDArray[np.flo
     return depth, chatter, lobe
 
 
-def _unequal(branches: Branches, pitch: NDArray[np.float64], speed: NDArray[np.float64]) -> Crossings:
+def _unequal(branches: Branches, pitch: Real, speed: Real) -> Crossings:
     """Scan the frequency at each speed; shape (speeds,) each."""
     turn = 60.0 / speed
     found = np.array([branches.first_crossing(pitch / (2.0 * np.pi) * t) for t in turn])
@@ -269,7 +270,7 @@ def critical_depth(
     return critical_depth_from_matrix(compliance, cut.directional_matrix())
 
 
-def critical_depth_from_matrix(compliance: xr.Dataset, directional: NDArray[np.complex128]) -> CriticalDepth:
+def critical_depth_from_matrix(compliance: xr.Dataset, directional: Complex) -> CriticalDepth:
     """Return the smallest limit over all speeds for any mean directional matrix [N/m2], shape (3, 3)."""
     branches = _branches(compliance, directional)
     frequency, mu = branches.refined(64)
@@ -280,7 +281,7 @@ def critical_depth_from_matrix(compliance: xr.Dataset, directional: NDArray[np.c
     return CriticalDepth(500.0 / float(real[top]), float(frequency[top]), branches.samples.warnings)
 
 
-def _branches(compliance: xr.Dataset, directional: NDArray[np.complex128]) -> Branches:
+def _branches(compliance: xr.Dataset, directional: Complex) -> Branches:
     return eigenvalue_branches(complete_samples(compliance), directional)
 
 
@@ -300,8 +301,8 @@ def _speed_range(spindle_speed: Sequence[float]) -> tuple[float, float]:
 
 def _branch_curves(
     number: int,
-    frequency: NDArray[np.float64],
-    mu: NDArray[np.complex128],
+    frequency: Real,
+    mu: Complex,
     teeth: int,
     speeds: tuple[float, float],
 ) -> pd.DataFrame:
@@ -328,7 +329,7 @@ def _branch_curves(
     return pd.concat(parts, ignore_index=True)
 
 
-def _unlimited_warning(branches: Branches, depth: NDArray[np.float64]) -> list[str]:
+def _unlimited_warning(branches: Branches, depth: Real) -> list[str]:
     """Say that infinity means "as far as the data reach"."""
     count = int(np.isinf(depth).sum())
     if count == 0:
@@ -340,9 +341,7 @@ def _unlimited_warning(branches: Branches, depth: NDArray[np.float64]) -> list[s
     ]
 
 
-def _cut_off_warning(
-    branches: Branches, teeth: int, speed: NDArray[np.float64], depth: NDArray[np.float64]
-) -> list[str]:
+def _cut_off_warning(branches: Branches, teeth: int, speed: Real, depth: Real) -> list[str]:
     """Say when a lobe within the speed range ends at an edge of the data while it is the lowest one."""
     s = branches.samples
     below = np.concatenate([[True], ~s.bridged])
@@ -366,12 +365,12 @@ def _cut_off_warning(
 
 
 def _lowest_ends(
-    mu: NDArray[np.complex128],
+    mu: Complex,
     frequency: float,
     teeth: int,
-    speed: NDArray[np.float64],
-    depth: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    speed: Real,
+    depth: Real,
+) -> Real:
     """Return speeds at which a lobe ends at `frequency` and is, within 2 %, the envelope at the nearest speed asked."""
     out = []
     for value in mu[mu.real > 0.0]:
@@ -384,7 +383,7 @@ def _lowest_ends(
     return np.sort(np.concatenate(out))[::-1] if out else np.empty(0)
 
 
-def labelled(speed: NDArray[np.float64], found: tuple[Any, ...], branches: Branches, warnings: list[str]) -> xr.Dataset:
+def labelled(speed: Real, found: tuple[Any, ...], branches: Branches, warnings: list[str]) -> xr.Dataset:
     """Put names and units on a result; depth comes in metres."""
     depth, chatter, lobe, moved, mode = found
     f = branches.samples.frequency

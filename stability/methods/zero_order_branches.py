@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Complex, Real
 from stability.methods import _zero_order_kernels as _kernels
 from stability.problem import Samples
 
@@ -36,14 +37,12 @@ class Branches:
     """
 
     samples: Samples
-    eigenvalue: NDArray[np.complex128]
+    eigenvalue: Complex
     start: NDArray[np.int64]
-    newton: NDArray[np.complex128]
+    newton: Complex
     inverse: NDArray[np.bool_]
 
-    def envelope(
-        self, period: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    def envelope(self, period: Real) -> tuple[Real, Real, NDArray[np.int64]]:
         """Return lowest limit depth [m], its frequency [Hz] and its lobe for rising tooth periods [s]."""
         s = self.samples
         depth, chatter, lobe = _kernels.envelope(
@@ -51,7 +50,7 @@ class Branches:
         )
         return depth, chatter, lobe
 
-    def first_crossing(self, delay: NDArray[np.float64]) -> tuple[float, float]:
+    def first_crossing(self, delay: Real) -> tuple[float, float]:
         """Return lowest limit depth [m] and its frequency [Hz] for the delays of all teeth [s], shape (teeth,)."""
         s = self.samples
         depth, chatter = _kernels.first_crossing(
@@ -59,7 +58,7 @@ class Branches:
         )
         return float(depth), float(chatter)
 
-    def compliance_at(self, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def compliance_at(self, frequency: Real) -> Complex:
         """Return the compliance [m/N], shape (m, 3, 3), between samples: a cubic through the four about each."""
         f, matrix = self.samples.frequency, self.samples.matrix
         step = np.clip(np.searchsorted(f, frequency, side="right") - 1, 0, f.size - 2)
@@ -74,14 +73,14 @@ class Branches:
                 weight[:, k] *= np.where(apart, (frequency - f[index[:, other]]) / gap, 1.0)
         return np.asarray(np.einsum("mk,mkij->mij", weight, matrix[index]))
 
-    def refined(self, pieces: int) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    def refined(self, pieces: int) -> tuple[Real, Complex]:
         """Return frequency [Hz] and mu [1/m], each step cut into `pieces`; NaN in gaps."""
         s = self.samples
         frequency, mu = _kernels.refine(s.frequency, s.bridged, self.start, self.newton, self.inverse, pieces)
         return frequency, mu
 
 
-def eigenvalue_branches(samples: Samples, directional: NDArray[np.complex128]) -> Branches:
+def eigenvalue_branches(samples: Samples, directional: Complex) -> Branches:
     """Return the branches of ``eig(A0 Phi(f))``.
 
     Parameters
@@ -112,7 +111,7 @@ def eigenvalue_branches(samples: Samples, directional: NDArray[np.complex128]) -
     return _interpolated(samples, kept)
 
 
-def _interpolated(samples: Samples, mu: NDArray[np.complex128]) -> Branches:
+def _interpolated(samples: Samples, mu: Complex) -> Branches:
     """Attach to each step the smoother of the two cubics."""
     f = samples.frequency
     start, order = _stencils(samples.bridged)
@@ -137,8 +136,8 @@ def _stencils(bridged: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np
 
 
 def _divided_differences(
-    f: NDArray[np.float64], values: NDArray[np.complex128], start: NDArray[np.int64], order: NDArray[np.int64]
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    f: Real, values: Complex, start: NDArray[np.int64], order: NDArray[np.int64]
+) -> tuple[Complex, Real]:
     """Return Newton's coefficients, shape (branches, n-1, 4), and the relative size of the last term."""
     index = np.minimum(start[:, None] + np.arange(4), f.size - 1)
     x, table = f[index], values[:, index]

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.types import Real
 
 LOBE_COLUMNS: tuple[str, ...] = (
     "source",
@@ -169,7 +169,7 @@ def read_table(path: str | Path) -> pd.DataFrame:
     return frame
 
 
-def _limit_depth(lobes: xr.Dataset) -> NDArray[np.float64]:
+def _limit_depth(lobes: xr.Dataset) -> Real:
     """Return the limit depth [mm] of checked lobes."""
     for name in ("limit_depth", "chatter_frequency", "lobe"):
         if name not in lobes:
@@ -183,7 +183,7 @@ def _limit_depth(lobes: xr.Dataset) -> NDArray[np.float64]:
     return depth
 
 
-def _quantile(lobes: xr.Dataset, level: float) -> NDArray[np.float64]:
+def _quantile(lobes: xr.Dataset, level: float) -> Real:
     """Return one quantile of the limit depth [mm], NaN where it has not been computed."""
     if "limit_depth_quantile" in lobes:
         levels = lobes["quantile"].values.astype(float)

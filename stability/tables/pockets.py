@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from process.errors import InputError
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 POCKET_COLUMNS: tuple[str, ...] = (
     "source",

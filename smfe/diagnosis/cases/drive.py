@@ -10,11 +10,11 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
+from process.types import Real
 from smfe.campaign import Campaign, Measurement, RigidDrive
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, unlogged_command
-from smfe.diagnosis.drive.filters import Real
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.identification.measurement import records_of
 

@@ -6,17 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from process.labels import axis_present, sample_interval
+from process.types import Real
 from smfe.campaign import Campaign, Measurement
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.identification.hammer.impacts import flat_top, runs
 from smfe.identification.measurement import records_of
 from smfe.identification.sweep.spindle_clock import ADVICE, REFUSED, compare_speeds
-
-Real = NDArray[np.float64]
 
 VECTORS = ("force", "acceleration", "displacement", "encoder_position", "drive_force")
 """Channels with an axis."""

@@ -6,12 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 FACTORS: dict[str, float] = {
     "a force in kN taken as N, or the like": 1e3,

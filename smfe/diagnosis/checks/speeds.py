@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
+from process.types import Real
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.identification.spectra.spindle_angle import spindle_angle
 from smfe.identification.sweep.noise import in_cut
@@ -160,7 +160,7 @@ def tooth_suspects(record: xr.Dataset, where: str, speed: float, tool: Tool, arc
     ]
 
 
-def _again(size: NDArray[np.float64], order: int) -> bool:
+def _again(size: Real, order: int) -> bool:
     """Whether the second or third multiple of an order stands above its neighbours: teeth do that, a mode does not."""
     near = [size[n - 1] / max(size[n - 2], size[n]) for n in (2 * order, 3 * order) if n < size.size]
     return max(near, default=0.0) > STANDS_OUT

@@ -14,19 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import fft, stats
 
 from process.errors import InputError
 from process.labels import sample_interval
+from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.identification.spectra.spectra import motion_axes
 from smfe.identification.sweep.estimators import LocalPolynomial, SweepPass, end_pieces, whole_record
 from smfe.identification.sweep.noise import in_cut
 from smfe.identification.sweep.sweep import identify_sweep
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 0.5
 """Half of the band over which a compliance is one polynomial [Hz]; bands do not overlap."""

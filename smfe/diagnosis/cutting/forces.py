@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES
+from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.cutting.orders import (
     CROSSTALK,
@@ -26,9 +26,7 @@ from smfe.diagnosis.cutting.orders import (
     hidden_orders,
     rigid_orders,
 )
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Real, Values
-
-Complex = NDArray[np.complex128]
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 
 LOT_SCATTER = 0.3
 """Standard deviation of the coefficients about the handbook's, over the largest of them."""

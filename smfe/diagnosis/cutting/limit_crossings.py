@@ -26,9 +26,7 @@ from process.cut.force import (
 )
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 PER_TOOTH_PERIOD = 14
 """Samples in which the phase of a wave turns once."""

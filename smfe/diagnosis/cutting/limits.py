@@ -13,15 +13,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.cut.engagement import Engagement
 from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
+from process.types import Real
 from smfe.diagnosis.cutting.limit_crossings import crossings, loop_of
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Real, Values
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 from stability.methods.semi_discretization import limit_depth
 
 MODEL_FLOOR = 0.015
@@ -285,7 +285,7 @@ class CuttingLimits:
         typical = float(np.mean([_limit(c).depth or 0.0 for c in self.conditions]))
         return typical * limit.feed_per_tooth / largest
 
-    def limits_at(self, limit: Limit, values: Values) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def limits_at(self, limit: Limit, values: Values) -> tuple[Real, Real]:
         """Return zero-order depth [m] and chatter frequency [Hz] of all crossings, the first one first."""
         grown, ratio = 1.0 + values.get("coefficients", 0.0), 1.0 + values.get("radial", 0.0)
         k = self.coefficients

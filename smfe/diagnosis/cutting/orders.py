@@ -20,10 +20,8 @@ from process.cut.engagement import Engagement
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, sample_interval
+from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 REFERENCE_CHIP = 5e-5
 """Chip thickness at which a size effect leaves the coefficients as they are [m]."""

@@ -11,8 +11,9 @@ import numpy as np
 import xarray as xr
 
 from process.errors import InputError
+from process.types import Real
 from smfe.diagnosis.drive import noise
-from smfe.diagnosis.drive.filters import Motion, Real, Resampler, half_width, motion, moves
+from smfe.diagnosis.drive.filters import Motion, Resampler, half_width, motion, moves
 from smfe.diagnosis.drive.noise import Whitener
 from smfe.diagnosis.drive.terms import LONGEST_DELAY, excess
 from smfe.diagnosis.inference.thresholds import FALSE_ALARM

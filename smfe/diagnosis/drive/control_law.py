@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from process.errors import InputError
-from smfe.diagnosis.drive.filters import Real
+from process.types import Real
 
 _TAPS = 4
 _TRIM = 6.0

@@ -18,10 +18,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-Real = NDArray[np.float64]
+from process.types import Real
 
 _ROLL = 8.0
 _REACH = 1.25

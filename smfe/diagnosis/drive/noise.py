@@ -25,10 +25,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from smfe.diagnosis.drive.filters import FINEST_SLIDE, Motion, Real
+from process.types import Real
+from smfe.diagnosis.drive.filters import FINEST_SLIDE, Motion
 
 ORDER = 10
 _SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 1.0)
@@ -222,7 +222,7 @@ def reference(m: Motion) -> Real:
     return np.stack(columns, axis=1)
 
 
-def _hats(x: Real, nodes: Sequence[float] | NDArray[np.float64]) -> list[Real]:
+def _hats(x: Real, nodes: Sequence[float] | Real) -> list[Real]:
     unit = np.eye(len(nodes))
     return [np.interp(x, nodes, row) for row in unit]
 

@@ -19,6 +19,7 @@ import numpy as np
 import xarray as xr
 
 from process.errors import InputError
+from process.types import Real
 from smfe.diagnosis.drive import noise, terms
 from smfe.diagnosis.drive.balance import (
     ANY,
@@ -37,7 +38,7 @@ from smfe.diagnosis.drive.balance import (
     whitener_of,
 )
 from smfe.diagnosis.drive.control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
-from smfe.diagnosis.drive.filters import Motion, Real, Resampler, motion
+from smfe.diagnosis.drive.filters import Motion, Resampler, motion
 from smfe.diagnosis.drive.noise import NoiseDraw, Whitener, noise_draws
 from smfe.diagnosis.drive.terms import (
     DELAY,

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smfe.diagnosis.drive.filters import Motion, Real
+from process.types import Real
+from smfe.diagnosis.drive.filters import Motion
 from smfe.diagnosis.inference.problem import Cause, Parameter, Values
 
 _REST = 2e-4

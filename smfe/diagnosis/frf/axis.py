@@ -21,13 +21,14 @@ from process.harmonic_balance.quasi_frf import quasi_compliance
 from process.machine.machine import Machine
 from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.machine import Struck
+from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import Effective
-from smfe.diagnosis.frf.noise import Complex, Excited, scatter_of, smooth_errors
+from smfe.diagnosis.frf.noise import Excited, scatter_of, smooth_errors
 from smfe.diagnosis.frf.noise import condition_of as condition_of
 from smfe.diagnosis.frf.noise import excitation_of as excitation_of
 from smfe.diagnosis.inference.fit import Target, roughly
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Real, Values
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 
 _RATE = 2000.0  # samples and steps a second of a simulated hit
 _ACCURACY = 1e-4  # of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters

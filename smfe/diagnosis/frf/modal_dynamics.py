@@ -17,13 +17,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 RAYLEIGH_LOSS = 4.0 / (3.0 * np.pi)
 """Loss factor over loss of stiffness of a joint whose stiffness falls in proportion to the amplitude."""

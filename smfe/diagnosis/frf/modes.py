@@ -16,10 +16,11 @@ import numpy as np
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
+from process.types import Complex, Real
 from smfe.diagnosis.frf.modal_causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
-from smfe.diagnosis.frf.noise import Complex, Excited
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Real, Values
+from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
 """Prior standard deviation of what the baseline says of a mode, relative."""

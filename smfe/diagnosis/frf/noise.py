@@ -17,9 +17,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from smfe.diagnosis.inference.problem import Condition, Real
-
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
+from smfe.diagnosis.inference.problem import Condition
 
 MOST_LINES = 120
 """Lines of a condition that are compared, at most."""

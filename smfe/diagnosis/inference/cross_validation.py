@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from process.types import Real
 from smfe.diagnosis.inference.fit import Fit, Target, bounded_step, refit, residuals, stacked
 from smfe.diagnosis.inference.misfit import Group, Misfit, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.signature import orthonormal
 
-Real = NDArray[np.float64]
 Fold = tuple[int, ...]
 Scheme = tuple[Fold, ...]
 

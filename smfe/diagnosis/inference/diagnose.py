@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.diagnosis.inference.cross_validation import BAND, Gain, compare, opened
 from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, Remainder, Rung, by_condition
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
@@ -92,7 +93,7 @@ class _Laid:
     """Conditions laid out for a search: those to fit, those that are set aside, those that could be measured."""
 
     bench: Bench
-    aside: dict[int, NDArray[np.float64]]
+    aside: dict[int, Real]
     proposals: range
 
 
@@ -159,7 +160,7 @@ def _finding(laid: _Laid, at: Fit, ladder: Sequence[Step]) -> Finding:
     )
 
 
-def _refuse_gaps(model: Model, data: dict[int, NDArray[np.float64]]) -> None:
+def _refuse_gaps(model: Model, data: dict[int, Real]) -> None:
     for r, y in data.items():
         if y.ndim != 1 or y.size == 0 or not np.all(np.isfinite(y)):
             raise InputError(
@@ -225,7 +226,7 @@ def _alternatives(bench: Bench, at: Fit, judged: Judgement) -> tuple[tuple[Found
     return tuple(found)
 
 
-def _opened(bench: Bench, at: Fit, aside: dict[int, NDArray[np.float64]]) -> Gain | None:
+def _opened(bench: Bench, at: Fit, aside: dict[int, Real]) -> Gain | None:
     """Gain on the conditions that were set aside."""
     if not aside or not at.causes:
         return None
@@ -286,7 +287,7 @@ def estimates(bench: Bench, at: Fit, k: int, judged: Judgement) -> tuple[Estimat
     return tuple(found)
 
 
-def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64]:
+def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
     """Return the standard deviations of the scaled fitted parameters.
 
     They are those of white noise, or the mean over the noises that the data could have come from. Where more than that
@@ -316,7 +317,7 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> NDArray[np.float64
     return sd
 
 
-def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> Real:
     """Return the standard deviations that errors of the predictions add to some scaled fitted parameters."""
     family, count = model.family, int(moving.sum())
     share = float(getattr(family, "model_error", 0.0))
@@ -337,7 +338,7 @@ def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> NDArray[np.float64
     return np.asarray(share * np.sqrt(len(slope) / 2.0 / count * np.sum(np.square(taken), axis=1)))
 
 
-def _real(each: Sequence[NDArray[np.complex128]]) -> NDArray[np.float64]:
+def _real(each: Sequence[Complex]) -> Real:
     """Complex rows of several conditions as real ones: real parts, then imaginary ones."""
     whole = np.concatenate(list(each))
     return np.concatenate([whole.real, whole.imag])

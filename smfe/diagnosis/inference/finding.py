@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.fit import Fit, Target, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal
 from smfe.diagnosis.inference.power import Detectable
-from smfe.diagnosis.inference.problem import Real
 from smfe.diagnosis.inference.verdict import Verdict
 
 

@@ -13,13 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
+from process.types import Real
 from smfe.diagnosis.inference.model import Index, Model
-
-Real = NDArray[np.float64]
 
 TOLERANCE = 0.1
 """Decrease of the misfit [chi-square] that a converged fit may still leave; thresholds are 100 times that."""

@@ -13,10 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Real = NDArray[np.float64]
+from process.types import Real
 
 SLOW = 4
 """Cosines of each half of a condition."""

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from smfe.diagnosis.inference.misfit import NoiseFreedom
 from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
 from smfe.diagnosis.inference.workers import Answer, Helpers
 
-Real = NDArray[np.float64]
 Index = NDArray[np.int64]
 Blocks = Mapping[int, Real]
 """Number of a condition -> an array with one row a value of it."""

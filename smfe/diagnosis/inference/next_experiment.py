@@ -14,15 +14,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from smfe.diagnosis.inference.fit import Fit, Target, refit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.power import SEEN, Detectable, detectable
 from smfe.diagnosis.inference.signature import tangent
-
-Real = NDArray[np.float64]
 
 MARGIN = float(stats.chi2.ppf(0.99, 1))
 """Likelihood ratio by which the best hypothesis must at least lead."""

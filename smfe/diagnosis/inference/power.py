@@ -11,14 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special, stats
 
+from process.types import Real
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.signature import Signature, Tangent, orthonormal
 from smfe.diagnosis.inference.thresholds import PENALTY, parameters_of, score
-
-Real = NDArray[np.float64]
 
 SEEN = 0.95
 

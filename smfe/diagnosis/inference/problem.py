@@ -11,12 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from process.errors import InputError
+from process.types import Real
 
-Real = NDArray[np.float64]
 Values = Mapping[str, float]
 """Parameter name -> value (SI)."""
 

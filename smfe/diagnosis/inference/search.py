@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from process.types import Real
 from smfe.diagnosis.inference.cross_validation import BAND, Gain, HeldOut, Scheme, compare, held_out, usable, within
 from smfe.diagnosis.inference.fit import (
     OPTIMISM,
@@ -44,8 +44,6 @@ from smfe.diagnosis.inference.thresholds import (
     upper,
 )
 from smfe.identification.errors.result import Progress
-
-Real = NDArray[np.float64]
 
 PAIRED = 4
 """How many pairs are tried."""

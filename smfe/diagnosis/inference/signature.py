@@ -14,10 +14,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from process.types import Real
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.model import Index, Model
-
-Real = NDArray[np.float64]
 
 SILENT = 1e-7
 """Norm of a slope [noise sd per scale], or its share of the largest of a cause, below which it counts as nothing."""

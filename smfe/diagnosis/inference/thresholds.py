@@ -17,11 +17,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from process.types import Real
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.signature import Signature, Tangent
-
-Real = NDArray[np.float64]
 
 FALSE_ALARM = 0.0004
 """Chance that noise makes any cause of the whole catalogue pass.

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from process.types import Real
 from smfe.diagnosis.inference.cross_validation import BAND, Gain
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.misfit import Misfit, carriers
@@ -26,7 +26,6 @@ from smfe.diagnosis.inference.search import Bench, Step, fitted_misfit, on_bound
 from smfe.diagnosis.inference.signature import orthonormal
 from smfe.diagnosis.inference.thresholds import DRAWS, FALSE_ALARM, PENALTY, parameters_of, products_of_noise
 
-Real = NDArray[np.float64]
 Verdict = Literal["consistent", "named", "ambiguous", "unknown", "insufficient_data"]
 
 

@@ -21,12 +21,9 @@ from concurrent.futures.process import BrokenProcessPool
 from itertools import groupby
 from types import TracebackType
 
-import numpy as np
-from numpy.typing import NDArray
-
 from process.errors import InputError
+from process.types import Real
 
-Real = NDArray[np.float64]
 Wanted = tuple[int, Real]
 """Number of a condition and all scaled values."""
 Answer = tuple[Real | None, str]

@@ -22,6 +22,7 @@ from scipy import fft, ndimage
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from process.types import Complex, Real
 from smfe.identification.actuator.continuous_records import (
     Column,
     Records,
@@ -45,9 +46,6 @@ from smfe.identification.actuator.welch import LEAKED, averaged_blocks
 from smfe.identification.errors.result import Identification
 from smfe.identification.spectra.spectra import check_records
 from smfe.identification.sweep.estimators import LocalPolynomial, in_words
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ESTIMATORS: tuple[str, ...] = ("local_polynomial", "H1", "H2", "Hv")
 """How records of a continuous force become a compliance."""

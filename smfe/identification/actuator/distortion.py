@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import label, sample_interval
+from process.types import Complex, Real
 from smfe.identification.spectra.spectra import block_spectra, force_samples, motion_axes, record_source
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Index = NDArray[np.int64]
 
 ORDER = 2

@@ -18,6 +18,7 @@ from scipy import fft, ndimage, signal
 
 from process.errors import InputError
 from process.labels import AXES, sample_interval
+from process.types import Real
 from smfe.identification.actuator.continuous_force import identify_continuous
 from smfe.identification.actuator.periodic import identify_periodic
 from smfe.identification.actuator.sine_fit import StepRules, find_steps
@@ -26,8 +27,6 @@ from smfe.identification.errors.result import Identification
 from smfe.identification.spectra.spectra import check_records, force_samples, record_source
 from smfe.records.clocks import resample
 from smfe.records.kind import kind_of
-
-Real = NDArray[np.float64]
 
 REPEATS = 0.97
 """Correlation of a force with itself one period later from which it repeats itself."""

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 ORDER = 2
 """Order of the polynomials."""

@@ -19,12 +19,10 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES, axis_index, make_compliance, sample_interval
+from process.types import Complex, Real
 from smfe.identification.errors.averaging import degrees_of_freedom
 from smfe.identification.errors.result import Identification
 from smfe.identification.spectra.spectra import block_spectra, check_records, force_samples, record_source
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _WEAK = 1e-4
 """Power of a line, of the strongest, below which it is not excited: -40 dB."""
@@ -275,7 +273,7 @@ def _assemble(name: str, columns: Sequence[_Column], wanted: tuple[float, float]
         )
     rows = [r for r in range(len(AXES)) if any(np.isfinite(c.compliance[lines, r]).any() for c in columns)]
 
-    def stack(attribute: str) -> NDArray[np.complex128]:
+    def stack(attribute: str) -> Complex:
         return np.stack([getattr(c, attribute)[lines][:, rows] for c in columns], axis=2)
 
     dims = ("frequency", "response", "excitation")

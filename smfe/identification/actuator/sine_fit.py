@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
 
+from process.types import Complex, Real
+
 _HARMONICS = 5  # the highest that is fitted
 _NEIGHBOURS = 8  # lines to either side that tell the noise
 
@@ -82,7 +84,7 @@ class SineFit:
     samples: int
     harmonics: tuple[float, ...] = ()
 
-    def values(self, dt: float) -> NDArray[np.float64]:
+    def values(self, dt: float) -> Real:
         """Return the fitted sine with its offset at the n samples, shape (n,)."""
         angle = 2.0 * np.pi * self.frequency * dt * np.arange(self.samples)
         return np.asarray((self.amplitude * np.exp(1j * angle)).real + self.offset)
@@ -96,14 +98,14 @@ class SineFit:
 # --- sine fits -----------------------------------------------------------------------------------------------------
 
 
-def _basis(frequency: float, count: int, dt: float, harmonics: int) -> NDArray[np.float64]:
+def _basis(frequency: float, count: int, dt: float, harmonics: int) -> Real:
     """Return columns cos, -sin of each harmonic and a constant, so that (a, b) is the amplitude a + j b."""
     angle = 2.0 * np.pi * frequency * dt * np.arange(count)
     columns = [part for h in range(1, harmonics + 1) for part in (np.cos(h * angle), -np.sin(h * angle))]
     return np.stack([*columns, np.ones(count)], axis=1)
 
 
-def fit_sine(samples: NDArray[np.float64], dt: float, frequency: float, fitted_frequency: bool = False) -> SineFit:
+def fit_sine(samples: Real, dt: float, frequency: float, fitted_frequency: bool = False) -> SineFit:
     """Fit a sine of known frequency (three parameters).
 
     Parameters
@@ -136,7 +138,7 @@ def fit_sine(samples: NDArray[np.float64], dt: float, frequency: float, fitted_f
     )
 
 
-def _harmonics(samples: NDArray[np.float64], dt: float, frequency: float) -> tuple[float, ...]:
+def _harmonics(samples: Real, dt: float, frequency: float) -> tuple[float, ...]:
     """Return the amplitudes of the second to the fifth harmonic over that of the first."""
     highest = min(_HARMONICS, int(0.5 / (frequency * dt) * (1.0 - 1e-6)))
     found = np.full(_HARMONICS - 1, np.nan)
@@ -148,7 +150,7 @@ def _harmonics(samples: NDArray[np.float64], dt: float, frequency: float) -> tup
     return tuple(found.tolist())
 
 
-def neighbour_lines(residuals: NDArray[np.float64], dt: float, frequency: float) -> NDArray[np.complex128]:
+def neighbour_lines(residuals: Real, dt: float, frequency: float) -> Complex:
     """Return what is left of fitted sines beside their frequency, in amplitudes: the noise that also sits on the line.
 
     ``2/n sum_t r(t) exp(-j 2 pi (f + k/T) t)``, k = -8 .. 8 but for 0, lines at or below zero, next to a harmonic, or
@@ -180,7 +182,7 @@ def neighbour_lines(residuals: NDArray[np.float64], dt: float, frequency: float)
     return np.asarray(2.0 / n * residuals @ np.exp(angle))
 
 
-def refine_frequency(samples: NDArray[np.float64], dt: float, frequency: float) -> float:
+def refine_frequency(samples: Real, dt: float, frequency: float) -> float:
     """Return the frequency [Hz] of the sine that fits best (four parameters, Gauss-Newton).
 
     Each step solves ``A cos wt + B sin wt + C + dw t (B cos wt - A sin wt)`` for A, B, C and dw (IEEE Std 1057). Time
@@ -210,7 +212,7 @@ def refine_frequency(samples: NDArray[np.float64], dt: float, frequency: float) 
     return float(w / (2.0 * np.pi * half))
 
 
-def _least_squares(basis: NDArray[np.float64], samples: NDArray[np.float64]) -> NDArray[np.float64]:
+def _least_squares(basis: Real, samples: Real) -> Real:
     """Solve by the normal equations: over some cycles the columns are nearly orthogonal, and there are thousands."""
     gram, right = basis.T @ basis, basis.T @ samples
     try:
@@ -222,7 +224,7 @@ def _least_squares(basis: NDArray[np.float64], samples: NDArray[np.float64]) -> 
 # --- finding steps -------------------------------------------------------------------------------------------------
 
 
-def find_steps(force: NDArray[np.float64], dt: float) -> list[tuple[int, int, float]]:
+def find_steps(force: Real, dt: float) -> list[tuple[int, int, float]]:
     """Find the stretches in which a force is a sine of constant frequency and amplitude.
 
     1. Frames of four cycles of the lowest frequency (below which 0.5 % of the energy lies), an eighth of a frame
@@ -268,15 +270,13 @@ def find_steps(force: NDArray[np.float64], dt: float) -> list[tuple[int, int, fl
     return sorted(found)
 
 
-def _lowest_frequency(force: NDArray[np.float64], dt: float) -> float:
+def _lowest_frequency(force: Real, dt: float) -> float:
     energy = np.cumsum(np.abs(fft.rfft(force)) ** 2)
     line = int(np.searchsorted(energy, 0.005 * energy[-1]))
     return max(line, 1) / (force.size * dt)
 
 
-def _frame_frequencies(
-    force: NDArray[np.float64], starts: NDArray[np.intp], frame: int, dt: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _frame_frequencies(force: Real, starts: NDArray[np.intp], frame: int, dt: float) -> tuple[Real, Real]:
     """Return frequency [Hz] and amplitude of the strongest line of each frame (parabola through its logarithm)."""
     window = signal.get_window("hann", frame)
     padded = fft.next_fast_len(4 * frame, real=True)
@@ -292,7 +292,7 @@ def _frame_frequencies(
     return frequency, size
 
 
-def _steady_runs(force: NDArray[np.float64], dt: float, frame: int, loudest: float) -> list[tuple[int, int, float]]:
+def _steady_runs(force: Real, dt: float, frame: int, loudest: float) -> list[tuple[int, int, float]]:
     """Return start, stop and frequency of runs of frames whose frequency stays, the longest first."""
     starts = np.arange(0, force.size - frame + 1, max(frame // 8, 1))
     frequency, size = _frame_frequencies(force, starts, frame, dt)
@@ -314,9 +314,7 @@ def _shared(step: tuple[int, int, float], other: tuple[int, int, float]) -> floa
     return max(common, 0) / min(step[1] - step[0], other[1] - other[0])
 
 
-def _grown(
-    force: NDArray[np.float64], start: int, stop: int, frequency: float, dt: float
-) -> tuple[int, int, float] | None:
+def _grown(force: Real, start: int, stop: int, frequency: float, dt: float) -> tuple[int, int, float] | None:
     """Return the extent of a step, found again from its own middle while that makes it longer."""
     step = _extent(force, start, stop, frequency, dt)
     for _ in range(5):
@@ -327,9 +325,7 @@ def _grown(
     return step
 
 
-def _extent(
-    force: NDArray[np.float64], start: int, stop: int, frequency: float, dt: float
-) -> tuple[int, int, float] | None:
+def _extent(force: Real, start: int, stop: int, frequency: float, dt: float) -> tuple[int, int, float] | None:
     """Return where the force stays with the sine fitted to the middle of a run, or None when it is no step."""
     quarter = (stop - start) // 4
     middle = slice(start + quarter, stop - quarter)
@@ -357,9 +353,7 @@ def _extent(
     return None if abs(bend) > 0.45 * limit else (low + first, low + last, frequency)
 
 
-def _relative_to_sine(
-    force: NDArray[np.float64], part: slice, middle: slice, frequency: float, dt: float
-) -> tuple[NDArray[np.complex128], float]:
+def _relative_to_sine(force: Real, part: slice, middle: slice, frequency: float, dt: float) -> tuple[Complex, float]:
     """Return the force as a complex multiple of the sine in the middle, and the limit of its phase [rad]."""
     mixed = force[part] * np.exp(-2j * np.pi * frequency * dt * np.arange(part.start, part.stop))
     cycle = max(round(1.0 / (frequency * dt)), 1)

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import stats
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance, sample_interval
+from process.types import Real
 from smfe.identification.actuator.sine_fit import (
     SineFit,
     StepRules,
@@ -194,7 +194,7 @@ def fit_steps(record: xr.Dataset, excitation: str, index: int = 0, rules: StepRu
     return steps
 
 
-def _no_steps(force: NDArray[np.float64], source: str, excitation: str) -> InputError:
+def _no_steps(force: Real, source: str, excitation: str) -> InputError:
     departure = np.abs(force - np.median(force))
     if float(np.mean(departure > 0.2 * departure.max())) < 0.1:
         looks = "it looks like hammer hits: declare method = 'hammer'"
@@ -228,8 +228,8 @@ class _PartFits:
 
 
 def _fit_part(
-    force: NDArray[np.float64],
-    motion: Mapping[str, NDArray[np.float64]],
+    force: Real,
+    motion: Mapping[str, Real],
     channel: str,
     part: slice,
     frequency: float,
@@ -246,8 +246,8 @@ def _fit_part(
 
 
 def _fit_channels(
-    force: NDArray[np.float64],
-    motion: Mapping[str, NDArray[np.float64]],
+    force: Real,
+    motion: Mapping[str, Real],
     channel: str,
     part: slice,
     frequency: float,

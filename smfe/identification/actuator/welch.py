@@ -24,13 +24,11 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.identification.actuator.continuous_records import Column, Records, Response, column_of
 from smfe.identification.errors.averaging import average, noise_ratio
 from smfe.identification.spectra.spectra import hann, overlap_correlation
 from smfe.identification.sweep.estimators import in_words
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 HOP = 1.0 / 3.0
 """Distance of blocks, of their length."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Real = NDArray[np.float64]
+from process.types import Real
 
 
 def independent_values(residual: Real, run: NDArray[np.int64]) -> float:

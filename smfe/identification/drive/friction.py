@@ -20,8 +20,7 @@ from scipy.optimize import least_squares, nnls
 from process.errors import InputError
 from process.friction.laws import Andersson
 from process.labels import axis_present, sample_interval
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 PARAMETERS = ("coulomb", "static", "stribeck_speed", "sigma")
 """What steady runs identify, for each direction."""

@@ -27,10 +27,8 @@ from scipy import ndimage
 
 from process.errors import InputError
 from process.labels import axis_present, label, sample_interval
+from process.types import Complex, Real
 from smfe.identification.spectra.periods import Period, find_period
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 PAIRS = {"speed": ("reference_speed", "encoder_speed"), "position": ("reference_position", "encoder_position")}
 """Loop -> its setpoint and actual value. Positions are differenced, which removes the feed and cancels in T."""

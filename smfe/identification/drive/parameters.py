@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from process.errors import InputError
+from process.types import Real
 from smfe.identification.drive.correlated_residual import covariance_of, independent_values, underestimate
 from smfe.identification.drive.motion import (
     KINDS,
@@ -49,7 +50,6 @@ from smfe.identification.drive.ripple import ripple_columns, waves_of
 from smfe.identification.drive.runs import steady_points
 from smfe.identification.drive.stribeck import Allowed, Curve, Grid, allowed, drawn, grid_of, refined, speed_interval
 
-Real = NDArray[np.float64]
 Name = tuple[str, str]
 Weights = dict[Name, float]
 

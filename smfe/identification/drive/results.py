@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
-Real = NDArray[np.float64]
+from process.types import Real
 
 LEVEL = 0.95
 """Probability of the intervals."""

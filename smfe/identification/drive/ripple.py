@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special, stats
 
+from process.types import Real
 from smfe.identification.drive.correlated_residual import independent_values
 from smfe.identification.drive.motion import Balance
-
-Real = NDArray[np.float64]
 
 _MOST_WAVES = 3
 _FALSE = 1e-3

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from process.types import Real
 from smfe.identification.drive.motion import Balance, Kept, fading
 from smfe.identification.drive.results import LEVEL, Estimate
-
-Real = NDArray[np.float64]
 
 SHAPES = (1.0, 1.2, 1.4, 1.6, 1.8, 2.0)
 """Exponents of the curve that are tried: 1 of Table 1 of Franco et al. 2024, 2 of Armstrong-Helouvry 1991."""

@@ -12,13 +12,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.identification.errors.covariance import ENTRY, deviation_of, error_variables
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _AMPLIFIED = 3.0
 """Growth of errors by the correction above which it is worth a warning."""

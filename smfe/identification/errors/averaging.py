@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 ESTIMATORS: tuple[str, ...] = ("H1", "H2", "Hv")
 """Ways to average; see `average`."""

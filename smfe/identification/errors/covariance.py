@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from process.errors import InputError
+from process.types import Complex
 
-Complex = NDArray[np.complex128]
 Variables = dict[str, tuple[tuple[str, ...], ArrayLike]]
 
 ENTRY = ("frequency", "response", "excitation")

@@ -20,10 +20,8 @@ from scipy import stats
 
 from process.errors import InputError
 from process.labels import UNITS
+from process.types import Complex, Real
 from smfe.identification.errors.covariance import entry_covariance, scaled_inverse, with_entries
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 FEWEST = 3.0
 """Degrees of freedom of a variance below which its mean is not corrected any more."""

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import stats
 
 from process.errors import InputError
 from process.labels import check_compliance
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 
 def interval(compliance: xr.Dataset, probability: float = 0.95) -> xr.Dataset:

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from process.labels import AXES, axis_index, sample_interval
+from process.types import Complex, Real
 from smfe.identification.hammer.impacts import Hit
 from smfe.identification.spectra.spectra import block_spectra, motion_axes
 from smfe.identification.spectra.tones import NONE, Tones, alike, fit_tones, multiples
 
-Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _CLEAR = 40.0  # power of a line over the noise round it: chance exceeds it in exp(-40) of the lines
@@ -270,8 +270,6 @@ def _goes_on(samples: Real, quiet: Mask, late: Mask, dt: float, frequencies: lis
 
 
 # --- What the tones that were taken off a record may be wrong by, as part of the error of the compliance.
-
-Complex = NDArray[np.complex128]
 
 
 def doubts(record: xr.Dataset, starts: Sequence[int], taper: Real, tones: Mapping[str, Tones]) -> Complex:

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from process.types import Complex, Real
 from smfe.identification.hammer.impacts import WRONG_DIRECTION, Hit
-
-Complex = NDArray[np.complex128]
-Real = NDArray[np.float64]
 
 _SAME_SHAPE = 0.6
 """Least modal assurance criterion of two hits along one axis."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import AXES, axis_index, make_compliance, sample_interval
+from process.types import Complex, Real
 from smfe.identification.errors.attached_mass import without_mass
 from smfe.identification.errors.averaging import ESTIMATORS, average, degrees_of_freedom, deviations, noise_ratio
 from smfe.identification.errors.covariance import error_variables
@@ -247,13 +248,13 @@ class _Gathered:
 
     hits: Sequence[Hit]
     records: Sequence[_Blocks]
-    frequency: NDArray[np.float64]
-    motion: NDArray[np.complex128]
-    force: NDArray[np.complex128]
+    frequency: Real
+    motion: Complex
+    force: Complex
     noise: float
     band: tuple[float, float]
     channel: str
-    doubt: NDArray[np.complex128]
+    doubt: Complex
 
     def only(self, kept: Sequence[int]) -> _Gathered:
         """Return some of the hits."""
@@ -304,14 +305,14 @@ class _Column:
     """
 
     excitation: str
-    frequency: NDArray[np.float64]
+    frequency: Real
     block_length: float
-    compliance: NDArray[np.complex128]
-    deviation: NDArray[np.complex128]
-    freedom: NDArray[np.float64]
-    coherence: NDArray[np.float64]
+    compliance: Complex
+    deviation: Complex
+    freedom: Real
+    coherence: Real
     band: tuple[float, float]
-    force: NDArray[np.float64]
+    force: Real
     warnings: tuple[str, ...]
 
 
@@ -348,7 +349,7 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
     )
 
 
-def _quarters(column: _Gathered) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def _quarters(column: _Gathered) -> tuple[Complex, Complex]:
     """Return the velocity in the first and the last quarter of the blocks, shape (quarter lines, 3, hits).
 
     Velocity shows the resonances; displacement also shows the drift of the accelerometer.
@@ -362,7 +363,7 @@ def _quarters(column: _Gathered) -> tuple[NDArray[np.complex128], NDArray[np.com
     return w * first, w * last
 
 
-def _cut_off(column: _Gathered, compliance: NDArray[np.complex128], plan: _Plan) -> NDArray[np.complex128]:
+def _cut_off(column: _Gathered, compliance: Complex, plan: _Plan) -> Complex:
     """Return what the end of the block may have cut off the compliance, in any phase, shape (f, 3, 2)."""
     first, last = _quarters(column)
     tau = plan.averaging.exponential_window
@@ -376,7 +377,7 @@ def _cut_off(column: _Gathered, compliance: NDArray[np.complex128], plan: _Plan)
     return np.asarray((share * compliance)[..., None] * np.array([1.0, 1.0j]) / np.sqrt(2.0))
 
 
-def _noise_ratio(column: _Gathered, plan: _Plan) -> NDArray[np.float64]:
+def _noise_ratio(column: _Gathered, plan: _Plan) -> Real:
     """Return the ratio of the noise variances of displacement and force at each line [m2/N2], shape (f, 3)."""
     if plan.averaging.noise_ratio is None:
         return noise_ratio(column.motion, column.force, column.noise)
@@ -389,15 +390,15 @@ def _noise_ratio(column: _Gathered, plan: _Plan) -> NDArray[np.float64]:
 class _Blocks:
     """Spectra of the blocks of one record, and what is needed to judge decay and force noise."""
 
-    frequency: NDArray[np.float64]
-    motion: NDArray[np.complex128]
-    force: NDArray[np.complex128]
-    quarter_frequency: NDArray[np.float64]
-    first_quarter: NDArray[np.complex128]
-    last_quarter: NDArray[np.complex128]
+    frequency: Real
+    motion: Complex
+    force: Complex
+    quarter_frequency: Real
+    first_quarter: Complex
+    last_quarter: Complex
     noise_energy: float
     """Expected ``|F|^2`` of the force noise in one block [N^2 s^2]; zero for a force cut to exact zeros."""
-    doubt: NDArray[np.complex128]
+    doubt: Complex
     """What the background that was taken off may be wrong by, shape (f, 3, hits, p)."""
 
 
@@ -442,7 +443,7 @@ def _centred(record: xr.Dataset) -> xr.Dataset:
     return record.assign({name: record[name] - record[name].median("time") for name in channels})
 
 
-def _all_axes(spectrum: NDArray[np.complex128], axes: Sequence[str]) -> NDArray[np.complex128]:
+def _all_axes(spectrum: Complex, axes: Sequence[str]) -> Complex:
     """Return the spectrum with a row for each of x, y, z; NaN where it was not recorded."""
     full = np.full((spectrum.shape[0], len(AXES), spectrum.shape[2]), np.nan, dtype=complex)
     full[:, axis_index(axes)] = spectrum
@@ -502,7 +503,7 @@ def _within(band: tuple[float, float], wanted: tuple[float, float] | None) -> tu
     return band if wanted is None else (max(band[0], wanted[0]), min(band[1], wanted[1]))
 
 
-def _force_noise_note(axis: str, column: _Gathered, power: NDArray[np.float64], plan: _Plan) -> Iterable[str]:
+def _force_noise_note(axis: str, column: _Gathered, power: Real, plan: _Plan) -> Iterable[str]:
     if any(b.noise_energy == 0.0 for b in column.records):
         yield (
             f"excitation {axis}: the force is exactly constant between hits (windowed before it was stored); "
@@ -558,7 +559,7 @@ def _assemble(name: str, columns: Sequence[_Column], plan: _Plan) -> xr.Dataset:
         )
     recorded = [row for row in range(len(AXES)) if any(np.isfinite(c.compliance[0, row]) for c in columns)]
 
-    def stack(attribute: str) -> NDArray[np.complex128]:
+    def stack(attribute: str) -> Complex:
         parts = []
         for c, claimed in zip(columns, claims, strict=True):
             parts.append(np.where(claimed[:, None], getattr(c, attribute)[lines][:, recorded], np.nan))
@@ -590,7 +591,7 @@ def _assemble(name: str, columns: Sequence[_Column], plan: _Plan) -> xr.Dataset:
 
 def _stacked_deviations(
     columns: Sequence[_Column], claims: Sequence[NDArray[np.bool_]], lines: NDArray[np.intp], recorded: list[int]
-) -> NDArray[np.complex128]:
+) -> Complex:
     """Return what each hit of each column adds to the error, shape (hits, f, responses, columns)."""
     sizes = [c.deviation.shape[2] for c in columns]
     out = np.zeros((sum(sizes), lines.size, len(recorded), len(columns)), dtype=complex)
@@ -602,7 +603,7 @@ def _stacked_deviations(
     return out
 
 
-def _shared_axis(name: str, columns: Sequence[_Column]) -> NDArray[np.float64]:
+def _shared_axis(name: str, columns: Sequence[_Column]) -> Real:
     frequency = columns[0].frequency
     for column in columns[1:]:
         shared = min(frequency.size, column.frequency.size)

@@ -20,6 +20,7 @@ from scipy import fft, ndimage
 
 from process.errors import InputError
 from process.labels import AXES, sample_interval
+from process.types import Complex, Real
 from smfe.identification.spectra.spectra import force_samples, motion_axes, record_source
 
 FAULTS: tuple[str, ...] = ("overloaded", "double_hit", "direction")
@@ -181,9 +182,7 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
     return _flag_outliers(hits, pulse)
 
 
-def _pulses(
-    pulse: NDArray[np.float64], threshold: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+def _pulses(pulse: Real, threshold: float) -> tuple[NDArray[np.intp], NDArray[np.intp], Real]:
     """Return where pulses start and stop, and their sides: what rebounds is no hit from the other side."""
     back = max(threshold, _OTHER_SIDE * float(pulse.max()))
     (starts, stops), (other_starts, other_stops) = runs(pulse > threshold), runs(-pulse > back)
@@ -200,7 +199,7 @@ def _no_hammer(source: str, excitation: str) -> InputError:
     )
 
 
-def quiet_state(force: NDArray[np.float64]) -> tuple[float, float, float]:
+def quiet_state(force: Real) -> tuple[float, float, float]:
     """Return offset [N], direction of the hits (+1, -1) and noise [N] of a force that is mostly quiet."""
     level = float(np.median(force))
     departure = force - level
@@ -221,9 +220,7 @@ def _capacity(onset: int, following: int | None, size: int, pre_trigger: float) 
     return min(size, int((size - onset) / (1.0 - pre_trigger)))
 
 
-def _measure(
-    pulse: NDArray[np.float64], starts: NDArray[np.intp], stops: NDArray[np.intp], dt: float, rules: HitRules
-) -> Hit:
+def _measure(pulse: Real, starts: NDArray[np.intp], stops: NDArray[np.intp], dt: float, rules: HitRules) -> Hit:
     """Return peak, impulse, duration, overload and second pulse of one group of pulses."""
     tops = np.array([a + np.argmax(pulse[a:b]) for a, b in zip(starts, stops, strict=True)])
     peaks = pulse[tops]
@@ -257,7 +254,7 @@ def _measure(
     )
 
 
-def flat_top(samples: NDArray[np.float64]) -> bool:
+def flat_top(samples: Real) -> bool:
     """Tell whether the largest values of a signal are cut off.
 
     A cut-off signal holds at least three consecutive samples at the maximum and leaves them steeply. A smooth maximum
@@ -285,7 +282,7 @@ def flat_top(samples: NDArray[np.float64]) -> bool:
     return bool(drop) and min(drop) > ((1.0 + beyond / half) ** 2 + 2.0) * tolerance
 
 
-def _converter_step(samples: NDArray[np.float64], scale: float) -> float:
+def _converter_step(samples: Real, scale: float) -> float:
     """Return the step of the converter that all samples are multiples of, or 0 when there is none to be seen."""
     steps = np.diff(np.unique(samples))
     smallest = float(steps[steps > 1e-9 * scale].min())
@@ -293,7 +290,7 @@ def _converter_step(samples: NDArray[np.float64], scale: float) -> float:
     return smallest if float(np.max(np.abs(counts - np.round(counts)))) < 0.1 else 0.0
 
 
-def _flag_outliers(hits: list[Hit], pulse: NDArray[np.float64]) -> list[Hit]:
+def _flag_outliers(hits: list[Hit], pulse: Real) -> list[Hit]:
     """Flag hits far above the others (five medians, twice the next) whose largest value occurs twice: full scale.
 
     Several strong hits among weak ones are a level of their own, and none of them stands alone.
@@ -382,7 +379,7 @@ def _faults(hit: Hit, exclude: Collection[str], rules: HitRules) -> Iterable[str
         yield f"double hit: {hit.second_force:.3g} N after {hit.second_delay * 1e3:.3g} ms"
 
 
-def usable_band(frequency: NDArray[np.float64], power: NDArray[np.float64], noise: float = 0.0) -> tuple[float, float]:
+def usable_band(frequency: Real, power: Real, noise: float = 0.0) -> tuple[float, float]:
     """Return the band [Hz] round the maximum of a force spectrum in which it stays above -20 dB and out of its noise.
 
     Parameters
@@ -453,9 +450,9 @@ CONTACT = 25e-3
 def single_hits(
     records: Sequence[xr.Dataset],
     hits: Sequence[Hit],
-    frequency: NDArray[np.float64],
-    motion: NDArray[np.complex128],
-    force: NDArray[np.complex128],
+    frequency: Real,
+    motion: Complex,
+    force: Complex,
     window: float,
 ) -> xr.Dataset:
     """Return the accepted hits of one excitation.
@@ -499,7 +496,7 @@ def single_hits(
     )
 
 
-def _contact(record: xr.Dataset, hit: Hit, time: NDArray[np.float64]) -> NDArray[np.float64]:
+def _contact(record: xr.Dataset, hit: Hit, time: Real) -> Real:
     """Force of a hit [N] at times [s] from `LEAD` before it was seen; zero outside the record."""
     samples, interval = force_samples(record, hit.excitation), sample_interval(record)
     level, _, _ = quiet_state(samples)

@@ -10,13 +10,10 @@ j w.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from process.errors import InputError
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 REACH = 5
 """Lines to either side over which a compliance is a rational function."""

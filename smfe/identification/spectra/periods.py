@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from process.errors import InputError
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 _SAME = 1e-6
 """Mean square change from one period to the next, of the variance, up to which a setpoint repeats itself."""

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import fft, signal
 
 from process.errors import InputError
 from process.labels import axis_index, axis_present, sample_interval
 from process.machine.modes import displacement_over_acceleration
+from process.types import Complex, Real
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class BlockSpectra:
         Time from one block to the next [s].
     """
 
-    frequency: NDArray[np.float64]
-    displacement: NDArray[np.complex128]
-    force: NDArray[np.complex128]
+    frequency: Real
+    displacement: Complex
+    force: Complex
     response: tuple[str, ...]
     excitation: tuple[str, ...]
-    neighbour_correlation: NDArray[np.float64]
+    neighbour_correlation: Real
     hop: float
 
 
@@ -58,9 +58,7 @@ def motion_axes(record: xr.Dataset) -> tuple[str, list[str]]:
     raise InputError("the record holds neither acceleration nor displacement; declare one in [channels]")
 
 
-def as_displacement(
-    spectrum: NDArray[np.complex128], frequency: NDArray[np.float64], channel: str
-) -> NDArray[np.complex128]:
+def as_displacement(spectrum: Complex, frequency: Real, channel: str) -> Complex:
     """Turn transforms of a motion channel into transforms of displacement.
 
     Parameters
@@ -82,7 +80,7 @@ def block_spectra(
     record: xr.Dataset,
     starts: Sequence[int],
     length: int,
-    window: NDArray[np.float64] | None = None,
+    window: Real | None = None,
     frequency_range: tuple[float, float] | None = None,
     detrend: bool = True,
     response: Sequence[str] | None = None,
@@ -131,7 +129,7 @@ def block_spectra(
         keep = slice(int(low), int(high))
     taper = np.ones(length) if window is None else window
 
-    def transform(name: str, axes: list[str]) -> NDArray[np.complex128]:
+    def transform(name: str, axes: list[str]) -> Complex:
         out = np.empty((frequency[keep].size, len(axes), len(starts)), dtype=complex)
         # One channel at a time: a long record has no room for three and their transforms.
         for row, axis in enumerate(axes):
@@ -155,7 +153,7 @@ def block_spectra(
     )
 
 
-def overlap_correlation(window: NDArray[np.float64], hop: int) -> NDArray[np.float64]:
+def overlap_correlation(window: Real, hop: int) -> Real:
     """Return the correlation of white noise between windowed blocks 0, 1, 2, ... hops apart.
 
     ``rho_m = sum_n w(n) w(n + m hop) / sum_n w(n)^2``; for Hann blocks that overlap by half it is (1, 1/6).
@@ -165,9 +163,9 @@ def overlap_correlation(window: NDArray[np.float64], hop: int) -> NDArray[np.flo
     return np.array([float(window[: window.size - lag] @ window[lag:]) / energy for lag in lags])
 
 
-def hann(length: int) -> NDArray[np.float64]:
+def hann(length: int) -> Real:
     """Return the periodic Hann window."""
-    window: NDArray[np.float64] = signal.get_window("hann", length, fftbins=True)
+    window: Real = signal.get_window("hann", length, fftbins=True)
     return window
 
 
@@ -188,7 +186,7 @@ def check_records(name: str, records: Mapping[str, Sequence[xr.Dataset]]) -> Non
             motion_axes(record)
 
 
-def force_samples(record: xr.Dataset, excitation: str, source: str = "the record") -> NDArray[np.float64]:
+def force_samples(record: xr.Dataset, excitation: str, source: str = "the record") -> Real:
     """Return the force [N] along `excitation`, shape (time,); `InputError` when it was not recorded."""
     present = axis_present(record, "force")
     if excitation not in present:
@@ -197,7 +195,7 @@ def force_samples(record: xr.Dataset, excitation: str, source: str = "the record
             f"{source} was excited along {excitation} but holds {found}; "
             f"declare force_{excitation} in [channels] or correct the excitation of the record"
         )
-    samples: NDArray[np.float64] = record["force"].sel(axis=excitation).values
+    samples: Real = record["force"].sel(axis=excitation).values
     return samples
 
 

@@ -13,8 +13,7 @@ from scipy import interpolate, ndimage, signal
 from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
-
-Real = NDArray[np.float64]
+from process.types import Real
 
 SOURCES = ("spindle_angle", "tacho", "spindle_speed", "force")
 """Where an angle comes from, best first."""

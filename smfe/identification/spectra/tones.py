@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-Real = NDArray[np.float64]
+from process.types import Complex, Real
+
 Mask = NDArray[np.bool_]
 
 STEPS = 8
@@ -259,7 +260,7 @@ def _ties(found: _Fit, samples: int, length: float) -> tuple[Real, Real]:
     return multiple, np.array([first, *f[alone]])
 
 
-def _turning(f: Real, origin: float, first: int, count: int, dt: float) -> NDArray[np.complex128]:
+def _turning(f: Real, origin: float, first: int, count: int, dt: float) -> Complex:
     """Return ``exp(j w t)`` at `count` samples from `first` on, shape (count, n); time counts from the origin.
 
     A product of two short series: several times faster than as many sines.

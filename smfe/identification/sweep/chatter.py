@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import sample_interval
@@ -21,8 +20,6 @@ from smfe.identification.sweep.comb import force_over_angle, piece_in_cut, turns
 from smfe.identification.sweep.estimators import SweepPass
 from smfe.identification.sweep.noise import in_cut
 from smfe.identification.sweep.spindle_clock import angle_in_step
-
-Real = NDArray[np.float64]
 
 SHARE = 0.25
 """Rms of the forces between whole orders over that at them, above which a window chatters."""

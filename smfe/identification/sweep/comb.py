@@ -11,10 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.labels import axis_present
+from process.types import Real
 from smfe.identification.spectra.spectra import hann
 from smfe.identification.sweep.noise import in_cut
-
-Real = NDArray[np.float64]
 
 REACH = 0.08
 """Ratios that are looked for lie within 1 and this [1]."""

@@ -14,10 +14,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 TURNED = 3e-3
 """What the model, and damping that is a little out of proportion, turn a mode by [rad]."""

@@ -17,8 +17,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from process.types import Complex, Real
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,12 @@ from scipy import fft
 from process.cut.engagement import Engagement
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
+from process.types import Complex, Real
 from smfe.identification.spectra.spectra import BlockSpectra, block_spectra, hann, motion_axes
 from smfe.identification.sweep.delay import Delay
 from smfe.identification.sweep.least_squares import Columns
 
-Frequencies = NDArray[np.float64]
+Frequencies = Real
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ class SingleReference:
 
     def cross_spectra(
         self, passes: Sequence[SweepPass], reach: tuple[float, float], response: Sequence[str]
-    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    ) -> tuple[Complex, Complex]:
         """Return S_XF and S_FF with the reference, each of shape (frequencies, rows, passes)."""
         sxf, sff = [], []
         for p in passes:
@@ -234,7 +235,7 @@ class SingleReference:
 
     def products(
         self, sweep: SweepPass, reach: tuple[float, float], response: Sequence[str], derivative: int = 0
-    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], BlockSpectra]:
+    ) -> tuple[Complex, Complex, BlockSpectra]:
         """Return the products of motion and force with the reference, segment by segment, and the segments.
 
         With a `derivative` the force is seen through that of the window, the reference through the window itself.
@@ -255,7 +256,7 @@ def whole_record(record: xr.Dataset, reach: tuple[float, float], response: Seque
     return block_spectra(record, [0], n, None, reach, detrend=False, response=response, padded=length)
 
 
-def end_pieces(record: xr.Dataset, channel: str, duration: float = 0.1) -> NDArray[np.float64]:
+def end_pieces(record: xr.Dataset, channel: str, duration: float = 0.1) -> Real:
     """Return the rms of consecutive pieces of a channel, shape (axes, pieces)."""
     n = record.sizes["time"]
     piece = min(max(8, round(duration / sample_interval(record))), n)
@@ -285,7 +286,7 @@ def at_rest(record: xr.Dataset) -> bool:
     return bool(np.all(np.maximum(motion[:, 0], motion[:, -1]) <= quiet))
 
 
-def _overlap_matrix(blocks: Sequence[BlockSpectra], frequency: float) -> NDArray[np.complex128]:
+def _overlap_matrix(blocks: Sequence[BlockSpectra], frequency: float) -> Complex:
     """Correlation of white noise between all segments of all tests at one frequency, ``E[n_a conj(n_b)]``."""
     sizes = [b.force.shape[2] for b in blocks]
     out = np.zeros((sum(sizes), sum(sizes)), dtype=complex)
@@ -302,9 +303,6 @@ def _overlap_matrix(blocks: Sequence[BlockSpectra], frequency: float) -> NDArray
 
 
 # --- What every estimator of a sweep returns, and the words for bands of frequency.
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import fft
 
 from process.errors import InputError
 from process.labels import sample_interval
+from process.types import Complex, Real
 from smfe.identification.spectra.spindle_angle import spindle_angle
 from smfe.identification.sweep.equations import Lines
 from smfe.identification.sweep.estimators import SweepPass, whole_record
 from smfe.identification.sweep.noise import in_cut
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 HARMONICS = 3
 """Harmonics of the tooth passing that are instruments."""

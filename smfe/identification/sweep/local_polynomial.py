@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from process.errors import InputError
+from process.types import Complex, Real
 from smfe.identification.sweep.delay import delay_of
 from smfe.identification.sweep.equations import (
     Bands,
@@ -45,8 +46,6 @@ from smfe.identification.sweep.noise import floored, force_noise, noise_between,
 from smfe.identification.sweep.rational import fit_rational
 
 Step = Callable[[int, int], None]
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 NOISE_REACH = 2.0
 """Noise powers of the motion are the median over this distance to either side [Hz]."""

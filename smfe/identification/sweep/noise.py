@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft, ndimage, special, stats
 
 from process.labels import axis_present, sample_interval
+from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann
-
-Real = NDArray[np.float64]
 
 MARGIN = 0.1
 """Time that is left out on either side of the cut [s]."""
@@ -174,7 +173,6 @@ def _floor_of_cut(force: Real, cutting: NDArray[np.int64], dt: float, reach: tup
 
 # --- Errors that the rows of a compliance share because the noise of their sensors is not independent.
 
-Complex = NDArray[np.complex128]
 
 BY_CHANCE = 1e-3
 """Probability with which independent noise shows a coherence that is taken for one."""

@@ -24,14 +24,13 @@ from scipy.interpolate import BSpline
 from process.errors import InputError
 from process.labels import sample_interval
 from process.machine.modes import displacement_over_acceleration
+from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann, motion_axes
 from smfe.identification.spectra.spindle_angle import spindle_angle
 from smfe.identification.sweep.estimators import Estimate, SweepPass
 from smfe.identification.sweep.least_squares import condition_number
 from smfe.identification.sweep.noise import in_cut
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Step = Callable[[int, int], None]
 
 MARGIN = 2.0

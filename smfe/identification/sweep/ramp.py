@@ -15,15 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import sample_interval
+from process.types import Real
 from smfe.identification.spectra.spindle_angle import force_angle
 from smfe.identification.sweep.comb import piece_in_cut
 from smfe.identification.sweep.noise import force_level, in_cut
-
-Real = NDArray[np.float64]
 
 HOLDS = 3e-3
 """Relative difference to which a spindle holds the speed that it is set to."""

@@ -17,12 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from process.types import Complex, Real
 from smfe.identification.sweep.equations import Equations, ring
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 COARSE = 0.25
 """Width of the bins that are joined to find the poles [Hz]."""

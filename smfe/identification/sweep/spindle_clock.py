@@ -17,18 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
+from process.types import Complex, Real
 from smfe.identification.spectra.spindle_angle import spindle_angle
 from smfe.identification.sweep.comb import REACH, find_comb, force_over_angle, local_ratios, piece_in_cut, turns_of
 from smfe.identification.sweep.estimators import SweepPass
 from smfe.identification.sweep.ramp import Bounds, angle_of_ramp, stated_bounds
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 FEWEST_WINDOWS = 3
 """Windows that must fit into a cut."""

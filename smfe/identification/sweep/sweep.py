@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.cut.engagement import Engagement
 from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, make_compliance, sample_interval
+from process.types import Complex, Real
 from smfe.identification.errors.difference import reciprocity, symmetric
 from smfe.identification.errors.result import Identification
 from smfe.identification.spectra.spectra import BlockSpectra, motion_axes
@@ -50,9 +50,6 @@ REFUSE_CONDITION = 200.0
 
 Step = Callable[[int, int], None]
 """Called with (done, of)."""
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 def identify_sweep(

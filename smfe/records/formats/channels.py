@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process import units
 from process.errors import InputError
 from process.labels import AXES, RECORD_SCALARS, RECORD_VECTORS
+from process.types import Real
 
 _DIMENSION_OF_VECTOR = {
     "force": "force",
@@ -105,7 +105,7 @@ class Channel:
     spacing: float | None = None
     start: float | None = None
 
-    def to_si(self, name: str, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_si(self, name: str, numbers: Real) -> Real:
         """Return the numbers of channel `name` in the unit of its label (SI; a spindle speed in rpm)."""
         factor = self.sign * self.scale * unit_factor(name, self.unit)
         if is_decibel(self.unit):

@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
+
+from process.types import Complex
 
 _PART = r"(?:\d+\.?\d*(?:[eEdD][+-]?\d+)?|\.\d+(?:[eEdD][+-]?\d+)?|nan|inf)"
 _BOTH = re.compile(
@@ -44,7 +45,7 @@ def _number(text: str) -> float:
     return float(text.lower().replace("d", "e"))
 
 
-def complex_column(fields: Iterable[object], decimal: str) -> tuple[NDArray[np.complex128], int | None]:
+def complex_column(fields: Iterable[object], decimal: str) -> tuple[Complex, int | None]:
     """Return a column of texts as complex numbers, NaN where a field is empty, and the first row that is no number.
 
     Parameters

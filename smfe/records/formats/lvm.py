@@ -10,9 +10,9 @@ from typing import Any, TextIO
 
 import lvm_read
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join
 
 _KIND = "a LabVIEW measurement file"
@@ -120,7 +120,7 @@ def _thinned(
     said = f"{source}: {part.rows} of the {stated} samples that its header states"
     lines = _lines(path, part.begin, part.rows)
     segment = _parsed(prefix, lines)
-    data: NDArray[np.float64] = np.atleast_2d(segment["data"])
+    data: Real = np.atleast_2d(segment["data"])
     complete = bool(lines) and lines[-1].endswith("\n") and bool(np.all(np.isfinite(data[-1, : len(names)])))
     factor = _whole(stated / max(part.rows, 1))
     recorded, _ = _clock(segment)
@@ -154,7 +154,7 @@ def _blocks(
     with _opened(path) as stream:
         rows = islice(stream, part.begin, part.begin + part.rows)
         while lines := list(islice(rows, block)):
-            data: NDArray[np.float64] = np.atleast_2d(_parsed(prefix, lines)["data"])
+            data: Real = np.atleast_2d(_parsed(prefix, lines)["data"])
             yield Table({column: np.ascontiguousarray(data[:, index]) for column, index in at.items()}, *clock)
 
 

@@ -13,10 +13,10 @@ from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 from scipy import io
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.formats import hdf5_guard
 from smfe.records.formats.hdf5 import Place, open_file, read_places
 from smfe.records.formats.table import (
@@ -284,7 +284,7 @@ class Variable:
     begin: int
     stored: np.dtype[np.generic]
 
-    def blocks(self, path: Path, first: int, count: int, block: int) -> Iterator[NDArray[np.float64]]:
+    def blocks(self, path: Path, first: int, count: int, block: int) -> Iterator[Real]:
         """Yield `count` samples from number `first` on, `block` at a time."""
         size = self.stored.itemsize
         with path.open("rb") as file:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.formats.channels import did_you_mean, listed
 
 Column = str | int
@@ -37,7 +37,7 @@ class Table:
         What the user should know of the file although it can be read.
     """
 
-    columns: Mapping[Column, NDArray[np.float64]]
+    columns: Mapping[Column, Real]
     sample_rate: float | None = None
     start: float = 0.0
     notes: tuple[str, ...] = ()
@@ -114,7 +114,7 @@ def _find_column(source: str, names: Sequence[str], column: Column, count: int) 
     return hits[0]
 
 
-def as_numbers(source: str, column: Column, values: object) -> NDArray[np.float64]:
+def as_numbers(source: str, column: Column, values: object) -> Real:
     """Return an array of a file as real numbers, shape (n,), or say that it holds none."""
     array = np.asarray(values)
     if array.dtype.kind == "c":
@@ -143,7 +143,7 @@ def slices(table: Table, block: int) -> Iterator[Table]:
         yield Table(columns, table.sample_rate, table.start, table.notes)
 
 
-def same_length(source: str, columns: Mapping[Column, NDArray[np.float64]] | Mapping[Column, int]) -> None:
+def same_length(source: str, columns: Mapping[Column, Real] | Mapping[Column, int]) -> None:
     """Refuse columns, or lengths of them, that differ in length."""
     lengths = {column: values if isinstance(values, int) else values.size for column, values in columns.items()}
     if len(set(lengths.values())) > 1:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.records.formats.table import (
     Column,
@@ -80,7 +81,7 @@ class Function:
     abscissa: str
     first: float
     step: float
-    x: NDArray[np.float64] | None
+    x: Real | None
     y: NDArray[Any]
     kind: int = 0
     response: tuple[str, str] = ("", "")
@@ -88,11 +89,11 @@ class Function:
     numerator: tuple[int, str] = (0, "")
     denominator: tuple[int, str] = (0, "")
 
-    def axis(self) -> NDArray[np.float64]:
+    def axis(self) -> Real:
         """Return the abscissae."""
         return np.asarray(self.first + self.step * np.arange(self.y.size)) if self.x is None else self.x
 
-    def columns(self) -> dict[str, NDArray[np.float64]]:
+    def columns(self) -> dict[str, Real]:
         """Return the function as real columns."""
         if np.iscomplexobj(self.y):
             return {f"{self.name} real": self.y.real.copy(), f"{self.name} imag": self.y.imag.copy()}
@@ -149,7 +150,7 @@ class _Steps:
     def __init__(self, function: Function) -> None:
         self.first, self.step, self.size = function.first, function.step, function.y.size
 
-    def __getitem__(self, part: slice) -> NDArray[np.float64]:
+    def __getitem__(self, part: slice) -> Real:
         return np.asarray(self.first + self.step * np.arange(*part.indices(self.size)))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
@@ -408,7 +409,7 @@ def _direction(text: str) -> str:
     return name.replace("+", "-") if code < 0 else name
 
 
-def _binary_numbers(body: Body, line: bytes, kind: int, even: bool, count: int) -> NDArray[np.float64]:
+def _binary_numbers(body: Body, line: bytes, kind: int, even: bool, count: int) -> Real:
     """Return the values of a binary dataset."""
     words = line.decode("latin-1").lower().split("b", 1)[1].split()
     if words[1] != "2":
@@ -425,7 +426,7 @@ def _binary_numbers(body: Body, line: bytes, kind: int, even: bool, count: int) 
     return np.column_stack([rows["x"].astype(np.float64), rows["y"].astype(np.float64)]).ravel()
 
 
-def _text_numbers(body: Body, kind: int, even: bool) -> NDArray[np.float64]:
+def _text_numbers(body: Body, kind: int, even: bool) -> Real:
     """Return the values of a dataset in text: by white space, or by the columns of the format where they touch."""
     text = bytes(body).decode("ascii").replace("D", "E").replace("d", "e")
     widths = [13] * 6

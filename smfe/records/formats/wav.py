@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join, refuse_oversize
 
 _KIND = "WAV"
@@ -115,7 +115,7 @@ def _blocks(path: Path, layout: _Layout, at: dict[Column, int], block: int) -> I
             yield Table({c: np.ascontiguousarray(values[:, k]) for c, k in at.items()}, float(layout.rate))
 
 
-def _numbers(raw: bytes, layout: _Layout) -> NDArray[np.float64]:
+def _numbers(raw: bytes, layout: _Layout) -> Real:
     """Return samples as numbers: integers as shares of full scale (8 bits are unsigned around 128)."""
     if layout.tag == _FLOAT:
         return np.frombuffer(raw, f"<f{layout.bytes_each}").astype(np.float64)

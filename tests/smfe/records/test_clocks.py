@@ -5,16 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.labels import make_record
+from process.types import Real
 from smfe.campaign import load_campaign
 from smfe.identification.measurement import records_of
 from smfe.records import put_on_clock, write_record_csv
 from smfe.records.clocks import resample
-
-Real = NDArray[np.float64]
 
 
 def force(t: Real) -> Real:

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.formats.channels import listed
 from smfe.records.formats.table import Column, Table, damaged, find_columns, same_length
 
@@ -50,7 +50,7 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
         return [_table(path, dict(zip(at, segment, strict=True))) for segment in zip(*runs, strict=True)]
 
 
-def numbers(text: str) -> NDArray[np.float64]:
+def numbers(text: str) -> Real:
     """Return the doubles of an array as text to the base 85.
 
     Raises
@@ -100,7 +100,7 @@ def _table(path: Path, series: dict[Column, ET.Element]) -> Table:
     return Table(columns, float(f"{(size - 1) / (end - start):.12g}"), start)
 
 
-def _values(path: Path, series: ET.Element) -> NDArray[np.float64]:
+def _values(path: Path, series: ET.Element) -> Real:
     array = series.find("NumericArray")
     if array is None or array.get("format") != "base85" or array.get("elementtype") != "double":
         raise ValueError("a time series without an array of doubles to the base 85")

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from process.errors import InputError
+from process.types import Real
 from smfe.records.formats.table import Column, Table, damaged, find_columns, refuse_larger
 
 _TIMES = 12.0
@@ -64,7 +64,7 @@ def _halscope(path: Path, text: str, wanted: Sequence[Column]) -> Table:
     return Table({c: np.ascontiguousarray(values[:, k]) for c, k in at.items()}, 1e9 / period)
 
 
-def _rows_below_names(path: Path, lines: Sequence[str], text: str) -> tuple[list[str], NDArray[np.float64]]:
+def _rows_below_names(path: Path, lines: Sequence[str], text: str) -> tuple[list[str], Real]:
     """The newer form: names in a line, then comments on the screen, then rows, all with semicolons."""
     rows = [line for line in lines if line.strip() and not line.startswith("#")]
     if len(rows) < 2:
@@ -75,7 +75,7 @@ def _rows_below_names(path: Path, lines: Sequence[str], text: str) -> tuple[list
     return names, _numbers(path, fields)
 
 
-def _pairs(path: Path, lines: Sequence[str]) -> tuple[list[str], NDArray[np.float64]]:
+def _pairs(path: Path, lines: Sequence[str]) -> tuple[list[str], Real]:
     """The older form: rows of ``name value name value``; the last one it reads beyond the end of its buffer."""
     fields = [line.split() for line in lines if line.strip()]
     if len(fields) < 3:
@@ -97,7 +97,7 @@ def _refuse_ragged(path: Path, fields: Sequence[Sequence[str]], count: int, whol
     raise InputError(f"{path.name}: data row {row} is incomplete; the file is {what}: record or copy it again")
 
 
-def _numbers(path: Path, fields: Sequence[Sequence[str]]) -> NDArray[np.float64]:
+def _numbers(path: Path, fields: Sequence[Sequence[str]]) -> Real:
     """Return rows of text as numbers; a trace that was written under a locale has decimal commas."""
     try:
         return np.array([[float(f.replace(",", ".")) for f in row] for row in fields])
@@ -128,7 +128,7 @@ def _twincat(path: Path, text: str, wanted: Sequence[Column]) -> Table:
     places = [k for k, field in enumerate(header) if field and field != "Name"]
     at = find_columns(path.name, [header[k] for k in places], wanted, len(places))
     comma = delimiter != "," and any("," in row for row in rows)
-    columns: dict[Column, NDArray[np.float64]] = {}
+    columns: dict[Column, Real] = {}
     times = {}
     fields = pd.DataFrame([row.split(delimiter) for row in rows])
     for column, index in at.items():
@@ -143,7 +143,7 @@ def _twincat(path: Path, text: str, wanted: Sequence[Column]) -> Table:
     return Table(columns, *_one_clock(path, {str(c): t for c, t in times.items()}))
 
 
-def _filled(path: Path, fields: pd.DataFrame, place: int, comma: bool) -> NDArray[np.float64]:
+def _filled(path: Path, fields: pd.DataFrame, place: int, comma: bool) -> Real:
     """Return the numbers of a column down to its last; shorter columns are filled up with blanks."""
     if place >= fields.shape[1]:
         raise InputError(f"{path.name}: column {place + 1} has no values; the file is truncated: export it again")
@@ -156,7 +156,7 @@ def _filled(path: Path, fields: pd.DataFrame, place: int, comma: bool) -> NDArra
     return np.asarray(numbers, dtype=np.float64)
 
 
-def _one_clock(path: Path, times: dict[str, NDArray[np.float64]]) -> tuple[float, float]:
+def _one_clock(path: Path, times: dict[str, Real]) -> tuple[float, float]:
     """Return sample rate [Hz] and first time [s] of columns that share them.
 
     Raises
@@ -214,7 +214,7 @@ def read_capture(path: Path, wanted: Sequence[Column]) -> list[Table]:
         return _runs(path, {c: values[:, k] for c, k in at.items()}, cycle, step)
 
 
-def _capture_values(path: Path, rows: Sequence[Any], count: int) -> NDArray[np.float64]:
+def _capture_values(path: Path, rows: Sequence[Any], count: int) -> Real:
     if len(rows) < 2:
         raise InputError(f"{path.name}: a capture of {len(rows)} cycles; record at least 2")
     short = next((k for k, row in enumerate(rows) if len(row) != count), None)
@@ -227,9 +227,7 @@ def _capture_values(path: Path, rows: Sequence[Any], count: int) -> NDArray[np.f
     return np.array([[np.nan if value is None else float(value) for value in row] for row in rows])
 
 
-def _runs(
-    path: Path, columns: dict[Column, NDArray[np.float64]], cycle: NDArray[np.float64], step: float
-) -> list[Table]:
+def _runs(path: Path, columns: dict[Column, Real], cycle: Real, step: float) -> list[Table]:
     """Return one table for each run of cycles without a gap; runs of a single cycle are no record."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(cycle) != 1.0) + 1, [cycle.size]])
     runs = [slice(a, b) for a, b in pairwise(edges) if b - a > 1]

@@ -1,9 +1,9 @@
 """When the rational model of a sweep gives way to a band: not because of noise, and where the bands contradict it."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from process.types import Complex
 from smfe.identification.sweep.estimators import Estimate, LocalPolynomial
 from smfe.identification.sweep.local_polynomial import lack_of_fit
 
@@ -11,13 +11,13 @@ LINES, WIDTH = 161, 2.0
 ESTIMATOR = LocalPolynomial()
 
 
-def estimate(compliance: NDArray[np.complex128], std: float) -> Estimate:
+def estimate(compliance: Complex, std: float) -> Estimate:
     covariance = np.broadcast_to(std**2 * np.eye(3), (LINES, 3, 3, 3)).astype(complex)
     width = np.full((LINES, 3), WIDTH)
     return Estimate(compliance, covariance, np.ones((LINES, 3)), np.ones(LINES), 1.0, width)
 
 
-def errors(rng: np.random.Generator) -> NDArray[np.complex128]:
+def errors(rng: np.random.Generator) -> Complex:
     """Errors of bands of unit variance: white noise through the kernel of a parabola, alike within a row."""
     x = np.arange(-8, 9) / 8.0
     kernel = 9.0 - 15.0 * x**2
