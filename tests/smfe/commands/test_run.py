@@ -543,9 +543,9 @@ def test_dependent_sweeps_are_refused_before_any_record_is_read(
     assert "identifying" not in said
 
 
-@pytest.mark.parametrize("command", [("run", "--out"), ("diagnose", "-o")])
+@pytest.mark.parametrize("asked", [("run", "--out"), ("diagnose", "-o")])
 def test_a_target_that_cannot_be_written_is_refused_before_the_work(
-    command: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    asked: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A file where a folder is needed, a folder where a file is: said at once, with what to do, and left as it was."""
     records = "records = [{ file = 'moved.csv' }]\n"
@@ -557,7 +557,7 @@ def test_a_target_that_cannot_be_written_is_refused_before_the_work(
         encoding="utf-8",
     )
     (tmp_path / "taken").write_text("mine")
-    verb, option = command
+    verb, option = asked
     target = tmp_path / "taken" if verb == "run" else tmp_path / "taken" / "finding.json"
     assert command(monkeypatch, verb, tmp_path / "campaign.toml", option, target) == 1
     assert "is a file, so that" in capsys.readouterr().err

@@ -156,7 +156,7 @@ class TestEscaping:
 
 def page_scripts(folder: Path) -> int:
     """Return the number of script elements: data, plotly, ours, and those that plotly itself names."""
-    bundle = CHECKOUT / "smfe" / "report" / "static" / "plotly-cartesian.min.js"
+    bundle = CHECKOUT / "smfe" / "reporting" / "static" / "plotly-cartesian.min.js"
     return 3 + bundle.read_text(encoding="utf-8").count("<script")
 
 
