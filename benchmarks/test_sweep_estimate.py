@@ -11,7 +11,7 @@ from process import engagement
 from process.labels import make_record
 from smfe import LocalPolynomial, Segments, SingleReference, SweepPass, identify_sweep
 from smfe.commands.demo import TOOL, sweep_passes
-from smfe.identification.sweep.orders import Orders
+from smfe.identification.sweep.order_tracking import Orders
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,9 @@ from smfe.identification.drive.friction import (
 from smfe.identification.errors.intervals import interval
 from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.hammer import identify_hammer
-from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference, SweepPass
+from smfe.identification.sweep.local_polynomial import LocalPolynomial
+from smfe.identification.sweep.passes import SweepPass
+from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.sweep import identify_sweep
 from smfe.limits.campaign_lobes import LobeResult
 from smfe.modes.fit_modes import fit_modes

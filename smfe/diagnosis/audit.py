@@ -43,7 +43,7 @@ from smfe.identification.measurement import (
     records_of,
     sign_warnings,
 )
-from smfe.identification.sweep.estimators import SweepPass
+from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.spindle_clock import ADVICE, judge_clock
 from smfe.records import read_records
 from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt

@@ -29,7 +29,7 @@ from smfe.identification.errors.difference import difference_of
 from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.hammer.impacts import HitRules, find_hits, longest_block
-from smfe.identification.sweep.estimators import SweepPass
+from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.sweep import identify_sweep
 
 LEVEL_GAP = 1.6

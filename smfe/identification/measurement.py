@@ -33,9 +33,11 @@ from smfe.identification.hammer.hammer import Averaging, identify_hammer
 from smfe.identification.hammer.impacts import HitRules
 from smfe.identification.levels import hammer_levels
 from smfe.identification.responses import identify_averaged, rising_phase, turned_text
-from smfe.identification.sweep.estimators import BANDS, Estimator, LocalPolynomial, Segments, SingleReference, SweepPass
-from smfe.identification.sweep.orders import Orders
-from smfe.identification.sweep.sweep import check_independent, identify_sweep
+from smfe.identification.sweep.local_polynomial import BANDS, LocalPolynomial
+from smfe.identification.sweep.order_tracking import Orders
+from smfe.identification.sweep.passes import SweepPass
+from smfe.identification.sweep.segments import Segments, SingleReference
+from smfe.identification.sweep.sweep import Estimator, check_independent, identify_sweep
 from smfe.records import put_on_clock, put_on_time, read_records, read_reduced
 from smfe.records.dynamometer import compensate
 from smfe.results import MEASUREMENT, Failures, attempt, pack_warnings, read_groups, unpack_warnings, write_groups

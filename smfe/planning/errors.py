@@ -49,9 +49,16 @@ from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from process.types import Complex, Real
-from smfe.identification.sweep.equations import Equations
-from smfe.identification.sweep.estimators import BANDS, LocalPolynomial
-from smfe.identification.sweep.local_polynomial import LARGEST_SHARE, MODEL_ERROR, MOST_OPEN, SAME, model_agreement
+from smfe.identification.sweep.least_squares import Equations
+from smfe.identification.sweep.local_polynomial import (
+    BANDS,
+    LARGEST_SHARE,
+    MODEL_ERROR,
+    MOST_OPEN,
+    SAME,
+    LocalPolynomial,
+    model_agreement,
+)
 from smfe.identification.sweep.rational import fit_rational
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.planning.forces import Forces, ForceSensor, SweepPlan, force_sensor

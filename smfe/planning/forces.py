@@ -25,7 +25,8 @@ from process.cut.engagement import Engagement, engagement
 from process.cut.force import CuttingCoefficients, force_harmonics, force_projection
 from process.cut.tool import Tool
 from process.types import Complex, Real
-from smfe.identification.sweep.noise import ALIKE, BOUNDED, MARGIN, SHORTEST, median_spread
+from smfe.identification.sweep.noise import ALIKE, BOUNDED, median_spread
+from smfe.identification.sweep.passes import MARGIN, SHORTEST
 
 ANGLES = 360
 """Angles within a tooth period at which the force is looked at for its peak."""

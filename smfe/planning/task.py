@@ -25,8 +25,8 @@ from smfe.campaign.schema import PlanTable
 from smfe.identification.errors.result import Progress, silent
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import identify_measurement
-from smfe.identification.sweep.equations import Equations
-from smfe.identification.sweep.estimators import LocalPolynomial
+from smfe.identification.sweep.least_squares import Equations
+from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.rational import fit_rational
 from smfe.scenario import load_scenario
 from stability import SpindleRange

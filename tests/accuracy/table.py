@@ -24,7 +24,7 @@ from truth.sweep import CUTS, Campaign, clean, measure, required
 from accuracy.passes import BAND, entry_errors, sweep_passes
 from smfe import LocalPolynomial, SingleReference, SweepPass, identify_sweep
 from smfe.identification.errors.difference import symmetric
-from smfe.identification.sweep.orders import Orders
+from smfe.identification.sweep.order_tracking import Orders
 from smfe.records.dynamometer import Dynamometer, compensate
 
 RATE = 1000.0

@@ -16,7 +16,7 @@ from process.labels import axis_present
 from smfe.campaign import Model
 from smfe.diagnosis.checks.compliances import FACTORS
 from smfe.diagnosis.checks.suspect import Suspect
-from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.passes import in_cut
 
 DYNAMIC_STIFFNESS = (1e3, 1e11)
 """Least and greatest dynamic stiffness at the largest resonance that a machine has at its tool [N/m].

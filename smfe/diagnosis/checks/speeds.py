@@ -16,7 +16,7 @@ from process.labels import axis_present, sample_interval
 from process.types import Real
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.identification.spectra.spindle_angle import spindle_angle
-from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.passes import in_cut
 
 AGREE = 0.02
 """Relative difference between two statements of one speed that slip and the load of a cut explain."""

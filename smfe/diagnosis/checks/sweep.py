@@ -21,8 +21,8 @@ from process.labels import sample_interval
 from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.identification.spectra.spectra import motion_axes
-from smfe.identification.sweep.estimators import LocalPolynomial, SweepPass, end_pieces, whole_record
-from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.local_polynomial import LocalPolynomial
+from smfe.identification.sweep.passes import SweepPass, end_pieces, in_cut, whole_record
 from smfe.identification.sweep.sweep import identify_sweep
 
 HALF_WIDTH = 0.5

@@ -43,9 +43,9 @@ from smfe.identification.actuator.local_response import (
     with_poles,
 )
 from smfe.identification.actuator.welch import LEAKED, averaged_blocks
-from smfe.identification.errors.result import Identification
+from smfe.identification.errors.result import Identification, in_words
 from smfe.identification.spectra.spectra import check_records
-from smfe.identification.sweep.estimators import LocalPolynomial, in_words
+from smfe.identification.sweep.local_polynomial import LocalPolynomial
 
 ESTIMATORS: tuple[str, ...] = ("local_polynomial", "H1", "H2", "Hv")
 """How records of a continuous force become a compliance."""

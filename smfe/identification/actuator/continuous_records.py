@@ -15,9 +15,10 @@ from scipy import fft, ndimage
 from process.errors import InputError
 from process.labels import axis_index, sample_interval
 from process.types import Complex, Real
+from smfe.identification.errors.result import in_words
 from smfe.identification.spectra.spectra import as_displacement, force_samples, motion_axes, record_source
-from smfe.identification.sweep.estimators import in_words
-from smfe.identification.sweep.noise import SHORTEST, air_pieces, density_of
+from smfe.identification.sweep.noise import density_of
+from smfe.identification.sweep.passes import SHORTEST, air_pieces
 
 POWERLESS = 1e-5
 """Power of the force, of what it has nearly everywhere at most, below which a line is not claimed: -50 dB."""

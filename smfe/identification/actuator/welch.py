@@ -27,8 +27,8 @@ from process.errors import InputError
 from process.types import Complex, Real
 from smfe.identification.actuator.continuous_records import Column, Records, Response, column_of
 from smfe.identification.errors.averaging import average, noise_ratio
+from smfe.identification.errors.result import in_words
 from smfe.identification.spectra.spectra import hann, overlap_correlation
-from smfe.identification.sweep.estimators import in_words
 
 HOP = 1.0 / 3.0
 """Distance of blocks, of their length."""

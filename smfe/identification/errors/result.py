@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
+
+from process.types import Real
 
 Progress = Callable[[str, int, int], None]
 """How a long job tells where it is: called with what is being done, how many are done, and of how many."""
@@ -42,3 +46,14 @@ class Identification:
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     blows: Mapping[str, xr.Dataset] = field(default_factory=dict)
+
+
+def bands(frequency: Real, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return the contiguous bands [Hz] where a mask over frequency holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [(float(frequency[a]), float(frequency[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def in_words(frequency: Real, mask: NDArray[np.bool_]) -> str:
+    """Return the bands of a mask as text."""
+    return ", ".join(f"{a:g}-{b:g} Hz" if b > a else f"{a:g} Hz" for a, b in bands(frequency, mask))

@@ -16,10 +16,8 @@ import xarray as xr
 from process.errors import InputError
 from process.labels import sample_interval
 from smfe.identification.spectra.spectra import hann
-from smfe.identification.sweep.comb import force_over_angle, piece_in_cut, turns_of, windows
-from smfe.identification.sweep.estimators import SweepPass
-from smfe.identification.sweep.noise import in_cut
-from smfe.identification.sweep.spindle_clock import angle_in_step
+from smfe.identification.sweep.passes import SweepPass, in_cut, piece_in_cut
+from smfe.identification.sweep.spindle_clock import angle_in_step, force_over_angle, turns_of, windows
 
 SHARE = 0.25
 """Rms of the forces between whole orders over that at them, above which a window chatters."""

@@ -1,5 +1,8 @@
 """The default estimator of a sweep: whole-record transforms, local polynomials of several widths, a rational model.
 
+Over a band of neighbouring lines the compliance is a polynomial (Pintelon and Schoukens 2012, ch. 7): free of leakage
+at any sweep rate for a record that runs from rest to rest; otherwise a polynomial takes up the transient.
+
 Everything is one errors-in-variables least squares: columns are the lines of all passes, inputs are the forces, a
 transient for each pass that does not run from rest to rest, and what repeats with the spindle where an air cut was
 recorded. The noise of the forces is taken out of the normal equations, the noise of the motion weights the passes.
@@ -12,15 +15,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from process.errors import InputError
 from process.types import Complex, Real
+from smfe.identification.errors.result import in_words
 from smfe.identification.sweep.delay import delay_of
-from smfe.identification.sweep.equations import (
+from smfe.identification.sweep.least_squares import (
     Bands,
     Equations,
+    Estimate,
     Lines,
     bin_lines,
     residual_power,
@@ -29,31 +35,29 @@ from smfe.identification.sweep.equations import (
     shift_matrix,
     solve_bands,
 )
-from smfe.identification.sweep.estimators import Estimate, LocalPolynomial, SweepPass, at_rest, in_words
-from smfe.identification.sweep.inputs import (
+from smfe.identification.sweep.noise import floored, force_noise, noise_between, pooled_noise, possible, shared_noise
+from smfe.identification.sweep.passes import SweepPass, at_rest, place_along, seconds, whole_record
+from smfe.identification.sweep.rational import fit_rational
+from smfe.identification.sweep.spindle_orders import (
     HARMONICS,
     background_noise,
-    force_lines,
     instrumented,
     orders_in_band,
-    place_along,
-    seconds,
     spindle_waves,
-    transients,
-    with_inputs,
 )
-from smfe.identification.sweep.noise import floored, force_noise, noise_between, pooled_noise, possible, shared_noise
-from smfe.identification.sweep.rational import fit_rational
 
 Step = Callable[[int, int], None]
 
+
 NOISE_REACH = 2.0
 """Noise powers of the motion are the median over this distance to either side [Hz]."""
+
 
 SAME = 5e-4
 """Relative difference below which two estimates of an entry are the same, however quiet the sensors.
 
 An entry known to a thousandth must not keep the rest of its row, which is not, from a wide band."""
+
 
 MODEL_ERROR = 2e-4
 """What the estimate errs by with sensors without noise, as a share of the rms of a row [1].
@@ -61,44 +65,85 @@ MODEL_ERROR = 2e-4
 Force linear between samples, a compliance that is a polynomial within a band, ends of records: median 0.5 to 2 parts in
 ten thousand in sweeps of 10 to 30 s of twelve machines. No interval is narrower."""
 
+
 MOST_OPEN = 0.3
 """Share of the compliance that the noise of the forces may leave open; above, a frequency is not solved."""
+
 
 LARGEST_SHARE = 0.7
 """Share of noise in the weakest direction of the forces above which a frequency is not solved."""
 
+
 LACK_REACH = 4.0
 """Distance to either side over which what a model lacks is pooled [Hz]."""
+
 
 FALSE_ALARM = 0.01
 """Probability with which noise makes a row of a rational model that is right disagree with a band anywhere."""
 
 
 @dataclass(frozen=True)
-class _Data:
-    """Bins of all passes: raw for residuals, clean to solve, seen for what the solution rests on.
+class LocalPolynomial:
+    """Whole-record transform; over a band around each frequency the compliance is a polynomial.
 
-    Without instruments, clean and seen are raw without the noise of the forces.
+    A wide band averages more noise, a narrow one bends with a lightly damped mode. Each band of `half_widths` is tried
+    and, row by row, the widest one is taken that agrees with all narrower ones within `agreement` standard deviations
+    of these (Lepski's rule).
+
+    Parameters
+    ----------
+    resolution : float, optional
+        Step of the resulting frequency axis [Hz].
+    half_widths : tuple of float, optional
+        Half widths of the bands to choose from [Hz], rising.
+    order : int, optional
+        Order of the polynomial.
+    agreement : float, optional
+        Largest accepted difference, in standard deviations.
+    rational : bool, optional
+        Fit a rational model to the whole band, too, and take it but where a band contradicts it (`sweep.rational`).
+    instrument_teeth : int, optional
+        Teeth of the tool, to use the passing of the teeth as instrument: only the part of the forces that goes with
+        harmonics of the spindle angle counts. Against bias by regeneration.
+    position_dependent : bool, optional
+        Let the compliance change along the pass, in proportion to the way from its middle; twice as many unknowns.
     """
 
-    raw: Equations
-    clean: Equations
-    seen: Equations
-    spread: Equations
-    frequency: Real
-    first: NDArray[np.int64]
-    excitations: int
-    trusted: bool
-    """Whether the noise of the forces is known, and taken out; else it is bounded, and charged."""
-    noise_spread: float
-    """Relative standard deviation of the noise power of the forces; 0 where it is not known."""
-    force_noise: Complex
-    """Noise of the forces a line, shape (b, tests, e, e)."""
+    resolution: float = 0.25
+    half_widths: tuple[float, ...] = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
+    order: int = 2
+    agreement: float = 2.0
+    rational: bool = True
+    instrument_teeth: int | None = None
+    position_dependent: bool = False
 
-    @property
-    def solved(self) -> Equations:
-        """What the solution comes from."""
-        return self.clean if self.trusted else self.raw
+    def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Real:
+        """Return the frequency axis [Hz]."""
+        low, high = (round(f / self.resolution) for f in frequency_range)
+        return np.asarray(np.arange(low, high + 1) * self.resolution)
+
+    def reach(self, frequency: Real) -> tuple[float, float]:
+        """Return the band [Hz] whose lines are needed."""
+        widest = max(self.half_widths)
+        return max(float(frequency[0]) - widest, 0.1), float(frequency[-1]) + widest
+
+    def unknowns(self, restless: Sequence[bool]) -> int:
+        """Return the number of unknowns a row, with three forces and no air cut."""
+        return (self.order + 1) * (3 + sum(restless))
+
+    def error_lines(self, half_width: float) -> float:
+        """Return how many lines of the axis share an error.
+
+        The estimate at the centre is a weighted mean over the band; ``1/sum(weight^2)`` is its effective width, 8/9 of
+        the half width for order 2.
+        """
+        shift = np.linspace(-1.0, 1.0, 401)
+        weight = np.linalg.pinv(shift[:, None] ** np.arange(self.order + 1))[0]
+        return max(1.0, 2.0 * half_width / (self.resolution * shift.size * float(weight @ weight)))
+
+
+BANDS = LocalPolynomial(half_widths=(0.125, 0.25, 0.5, 1.0), agreement=2.5, rational=False)
+"""Narrow bands alone. The default errs less."""
 
 
 def solve_local(
@@ -216,6 +261,40 @@ def _tests(
     return transients(tests, restless), e, noise
 
 
+def force_lines(
+    sweep: SweepPass, reach: tuple[float, float], axes: Sequence[str], response: Sequence[str], moving: bool
+) -> Lines:
+    """Return forces and displacements of a pass at its lines.
+
+    With `moving`, the forces come twice: as they are, and times the place along the pass, from -1 to 1.
+    """
+    found = whole_record(sweep.record, reach, response)
+    rows = [found.excitation.index(a) for a in axes]
+    inputs = [found.force[:, rows, 0]]
+    if moving:
+        force = sweep.record["force"]
+        place = xr.DataArray(place_along(sweep.record), {"time": force["time"]}, ("time",))
+        moved = whole_record(sweep.record.assign(force=force * place), reach, response)
+        inputs.append(moved.force[:, rows, 0])
+    return Lines(found.frequency, np.concatenate(inputs, axis=1), found.displacement[:, :, 0])
+
+
+def with_inputs(lines: Lines, more: Complex) -> Lines:
+    """Return the lines with more inputs behind those they have."""
+    return Lines(lines.frequency, np.concatenate([lines.inputs, more], axis=1), lines.response)
+
+
+def transients(tests: Sequence[Lines], restless: Sequence[bool]) -> list[Lines]:
+    """Give each restless test one input of its own, 1 at all lines: the transient of its ends."""
+    out = []
+    for k, lines in enumerate(tests):
+        own = np.zeros((lines.frequency.size, sum(restless)), dtype=complex)
+        if restless[k]:
+            own[:, sum(restless[:k])] = 1.0
+        out.append(with_inputs(lines, own))
+    return out
+
+
 def _instruments(
     estimator: LocalPolynomial, passes: Sequence[SweepPass], tests: Sequence[Lines], frequency: Real, excitations: int
 ) -> tuple[list[Lines] | None, Real]:
@@ -304,6 +383,33 @@ def usable_widths(estimator: LocalPolynomial, passes: Sequence[SweepPass], input
             "more slowly or add passes"
         )
     return usable
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Bins of all passes: raw for residuals, clean to solve, seen for what the solution rests on.
+
+    Without instruments, clean and seen are raw without the noise of the forces.
+    """
+
+    raw: Equations
+    clean: Equations
+    seen: Equations
+    spread: Equations
+    frequency: Real
+    first: NDArray[np.int64]
+    excitations: int
+    trusted: bool
+    """Whether the noise of the forces is known, and taken out; else it is bounded, and charged."""
+    noise_spread: float
+    """Relative standard deviation of the noise power of the forces; 0 where it is not known."""
+    force_noise: Complex
+    """Noise of the forces a line, shape (b, tests, e, e)."""
+
+    @property
+    def solved(self) -> Equations:
+        """What the solution comes from."""
+        return self.clean if self.trusted else self.raw
 
 
 def _data(

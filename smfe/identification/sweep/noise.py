@@ -8,6 +8,9 @@ What is quiet need not be air: a tool that rubs and a cut that fades have lines 
 lies between them, too. So N is a median over lines, of the quietest pieces, and at most what the cut itself shows
 between its lines: the noise of a sensor does not fall while it cuts. Where no air was recorded that bound is all there
 is, and N is anything up to it.
+
+Noise of the motion channels weights the passes: its power in a pass is known from few lines, so the passes are pooled
+(`pooled_noise`); and where the noise of two rows is not independent, their errors are not either (`shared_noise`).
 """
 
 from __future__ import annotations
@@ -20,28 +23,32 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, ndimage, special, stats
 
-from process.labels import axis_present, sample_interval
+from process.labels import sample_interval
 from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann
-
-MARGIN = 0.1
-"""Time that is left out on either side of the cut [s]."""
-
-SHORTEST = 0.2
-"""Air in one piece from which a spectrum is taken [s]."""
-
+from smfe.identification.sweep.passes import air_pieces, in_cut
 
 WINDOW = 1.0
 """Pieces of the cut in which its floor is looked for [s]."""
 
+
 ALIKE = 0.1
 """Relative standard deviation of a noise power that no number of lines takes away: it need not be white."""
+
 
 BOUNDED = 0.8
 """Relative standard deviation of a noise power of which only a bound is known."""
 
+
 SAME = 2.5
 """Pieces of air belong to the quietest while they are louder by fewer standard deviations of their logarithm."""
+
+
+BY_CHANCE = 1e-3
+"""Probability with which independent noise shows a coherence that is taken for one."""
+
+
+# --- of the forces ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -61,38 +68,6 @@ class ForceNoise:
     density: Real
     spread: float
     air: bool
-
-
-def in_cut(record: xr.Dataset) -> NDArray[np.bool_]:
-    """Mark the samples in the cut: force over 50 ms above a fifth of its upper quartile."""
-    level = force_level(record)
-    return np.asarray(level > 0.2 * np.quantile(level, 0.75))
-
-
-def force_level(record: xr.Dataset) -> Real:
-    """Return the magnitude of the force, mean over 50 ms [N]."""
-    total = np.zeros(record.sizes["time"])
-    for axis in axis_present(record, "force"):
-        total += record["force"].sel(axis=axis).values ** 2
-    width = max(1, round(0.05 / sample_interval(record)))
-    return np.asarray(ndimage.uniform_filter1d(np.sqrt(total, out=total), width))
-
-
-def air_pieces(record: xr.Dataset) -> list[slice]:
-    """Return the samples before and after the cut, at least `SHORTEST` long; none where the record has no air.
-
-    Air is where the force stays below its quietest level and a fifth of the way to that of the cut; a record whose
-    force hardly changes has none.
-    """
-    level = force_level(record)
-    loud, quiet = float(np.quantile(level, 0.75)), float(level.min())
-    if not quiet < 0.5 * loud:
-        return []
-    cutting = np.flatnonzero(level > quiet + 0.2 * (loud - quiet))
-    dt, n = sample_interval(record), level.size
-    margin, shortest = round(MARGIN / dt), max(8, round(SHORTEST / dt))
-    pieces = slice(0, max(int(cutting[0]) - margin, 0)), slice(min(int(cutting[-1]) + margin, n), n)
-    return [p for p in pieces if p.stop - p.start >= shortest]
 
 
 def force_noise(records: Sequence[xr.Dataset], axes: list[str], reach: tuple[float, float]) -> ForceNoise | None:
@@ -171,11 +146,35 @@ def _floor_of_cut(force: Real, cutting: NDArray[np.int64], dt: float, reach: tup
     return [density_of(force[:, s : s + size], dt, reach, 0.25)[0] for s in starts]
 
 
-# --- Errors that the rows of a compliance share because the noise of their sensors is not independent.
+# --- of the motion: power of each pass, and what two rows share -------------------------------------------------------
 
 
-BY_CHANCE = 1e-3
-"""Probability with which independent noise shows a coherence that is taken for one."""
+def pooled_noise(power: Real, lines: Real) -> Real:
+    """Return noise powers of passes, drawn together by as much as they differ by chance.
+
+    Parameters
+    ----------
+    power : ndarray, shape (f, tests, r)
+        Positive.
+    lines : ndarray, shape (f, tests)
+        Independent lines that each is the mean of.
+    """
+    tests = power.shape[1]
+    if tests < 2:
+        return power
+    log = np.log(power)
+    chance = special.polygamma(1, np.maximum(lines, 0.5))[..., None]
+    away = log - log.mean(axis=1, keepdims=True)
+    scatter = np.sum(away**2, axis=1, keepdims=True) / (tests - 1)
+    own = np.maximum(1.0 - chance.mean(axis=1, keepdims=True) / np.maximum(scatter, 1e-300), 0.0)
+    return np.asarray(np.exp(log.mean(axis=1, keepdims=True) + own * away))
+
+
+def floored(noise: Real) -> Real:
+    """Keep noise powers (f, tests, r) of the passes within 1:1e6, and unknown ones out of the way."""
+    largest = np.max(np.nan_to_num(noise), axis=1, keepdims=True)
+    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
+    return np.where(np.isfinite(noise), np.maximum(noise, floor), floor)
 
 
 def shared_noise(products: Complex, lines: Real, reach: int) -> Complex:
@@ -269,34 +268,3 @@ def possible(covariance: Complex, between: Complex, smallest: float = 1e-3) -> C
     lowest = np.linalg.eigvalsh(0.5 * (k + k.conj().swapaxes(1, 2)))[:, 0]
     shrink = np.where(lowest < 0.0, np.minimum(1.0, (1.0 - smallest) / np.maximum(-lowest, 1e-12)), 1.0)
     return np.asarray(between * shrink[:, None, None, None, None])
-
-
-# --- Noise powers of several passes that are each known from few lines.
-
-
-def pooled_noise(power: Real, lines: Real) -> Real:
-    """Return noise powers of passes, drawn together by as much as they differ by chance.
-
-    Parameters
-    ----------
-    power : ndarray, shape (f, tests, r)
-        Positive.
-    lines : ndarray, shape (f, tests)
-        Independent lines that each is the mean of.
-    """
-    tests = power.shape[1]
-    if tests < 2:
-        return power
-    log = np.log(power)
-    chance = special.polygamma(1, np.maximum(lines, 0.5))[..., None]
-    away = log - log.mean(axis=1, keepdims=True)
-    scatter = np.sum(away**2, axis=1, keepdims=True) / (tests - 1)
-    own = np.maximum(1.0 - chance.mean(axis=1, keepdims=True) / np.maximum(scatter, 1e-300), 0.0)
-    return np.asarray(np.exp(log.mean(axis=1, keepdims=True) + own * away))
-
-
-def floored(noise: Real) -> Real:
-    """Keep noise powers (f, tests, r) of the passes within 1:1e6, and unknown ones out of the way."""
-    largest = np.max(np.nan_to_num(noise), axis=1, keepdims=True)
-    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
-    return np.where(np.isfinite(noise), np.maximum(noise, floor), floor)

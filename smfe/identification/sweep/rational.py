@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from process.types import Complex, Real
-from smfe.identification.sweep.equations import Equations, ring
+from smfe.identification.sweep.least_squares import Equations, ring
 
 COARSE = 0.25
 """Width of the bins that are joined to find the poles [Hz]."""

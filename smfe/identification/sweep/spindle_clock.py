@@ -1,46 +1,96 @@
 """Whether the clock of a cut agrees with its spindle: stated speed against the tooth passing in the forces.
 
 A record holds the speed twice: in a channel (``spindle_speed``, ``spindle_angle``, ``tacho``) or in what was stated,
-and in the passing of the teeth. Over the stated angle the forces have lines at ``k r``, k the orders of the spindle and
-``r = f_found/f_stated``; r is 1 unless the time base or the channel is wrong. A comb finds r, the phase of its lines
-from window to window refines it. A channel that comes late by d reads ``r = 1 + d W'/W`` while the speed W changes,
-which is no error of a clock; r and d are fitted together.
+and in the passing of the teeth. Over the angle of the spindle all that repeats with it lies at whole orders k, however
+the speed changes; over the stated angle the forces have lines at ``k r`` with ``r = f_found/f_stated``, and r is 1
+unless the time base or the channel is wrong. A comb finds r, the phase of its lines from window to window refines it. A
+channel that comes late by d reads ``r = 1 + d W'/W`` while the speed W changes, which is no error of a clock; r and d
+are fitted together.
 
-Speeds that are stated of a ramp are those at which the cut begins and ends (`smfe.identification.sweep.ramp`).
+Speeds that are stated of a ramp are those at which the cut begins and ends, by a control with a clock of its own. The
+record shows the speed of the spindle at any time, by its own clock, and the force shows when the cut began: not before
+the force rises from its level in the air, and not after it has reached half of its level in the cut. A record without
+air begins after the cut. So each end bounds r; both must hold, but where they contradict each other the statement does
+not belong to the ends of the cut, and r may be anything between.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
 from process.types import Complex, Real
-from smfe.identification.spectra.spindle_angle import spindle_angle
-from smfe.identification.sweep.comb import REACH, find_comb, force_over_angle, local_ratios, piece_in_cut, turns_of
-from smfe.identification.sweep.estimators import SweepPass
-from smfe.identification.sweep.ramp import Bounds, angle_of_ramp, stated_bounds
+from smfe.identification.spectra.spectra import hann
+from smfe.identification.spectra.spindle_angle import force_angle, spindle_angle
+from smfe.identification.sweep.passes import SweepPass, force_level, in_cut, piece_in_cut
 
 FEWEST_WINDOWS = 3
 """Windows that must fit into a cut."""
 
+
 HARMONICS = 3
 """Harmonics of the tooth passing up to which orders are looked at."""
+
 
 PHASE = 0.5
 """What the response of the machine may turn the phase of a tooth harmonic by along a sweep [rad]."""
 
+
 NOTABLE = 5e-4
 """Relative difference that is said."""
 
+
 REFUSED = 0.01
 """Relative difference from which nothing is identified: at a damping of 2 % it moves a peak by half of its width."""
+
+
+REACH = 0.08
+"""Ratios that are looked for lie within 1 and this [1]."""
+
+
+PASSAGES = 80
+"""Tooth passages of a window over the angle."""
+
+
+STANDS_OUT = 6.0
+"""The comb stands above the median of all ratios by so many times what their lower half scatters by."""
+
+
+LIFTED = 1.3
+"""And it is so many times the median [1]."""
+
+
+HOLDS = 3e-3
+"""Relative difference to which a spindle holds the speed that it is set to."""
+
+
+TURNS, SECONDS = 3.0, 0.5
+"""The speed is the slope of a parabola through the angle over so many turns, and so long at least."""
+
+
+ABOVE_AIR, IN_CUT = 0.05, 0.5
+"""Shares of the level of the cut between which a force rises: above the air, and surely in the cut."""
+
+
+OTHER_HARMONICS = (0.25, 1.0 / 3.0, 0.5, 1.0, 2.0, 3.0, 4.0)
+"""By what a path through the forces alone may be off: it may follow every second tooth, or the second harmonic."""
+
+
+BY_FORCE = 0.2
+"""Relative difference from the stated speeds that is believed where only the forces tell the speed."""
+
+
+ON_PATH = 1.0
+"""Rms from a smooth ramp from which a path through the forces is none [rad of the tooth passing]."""
 
 
 @dataclass(frozen=True)
@@ -94,53 +144,6 @@ ADVICE = {
 }
 
 
-def compare_speeds(record: xr.Dataset, teeth: int | None) -> list[SpeedComparison]:
-    """Compare every channel that states the speed of a cut with the passing of the teeth in its forces.
-
-    Parameters
-    ----------
-    record : xarray.Dataset
-        With force, and ``spindle_speed``, ``spindle_angle`` or ``tacho``.
-    teeth : int or None
-        Of the tool; None: the lines of any order are compared.
-
-    Returns
-    -------
-    list of SpeedComparison
-        Nothing of what the forces do not tell: cuts of too few turns, or without lines that stand out.
-    """
-    if "force" not in record or not axis_present(record, "force"):
-        return []
-    piece = piece_in_cut(record)
-    if piece is None:
-        return []
-    every = (_compared(record, piece, angle[piece], teeth, source) for source, angle in _angles(record))
-    return [found for found in every if found is not None]
-
-
-def angle_in_step(record: xr.Dataset, teeth: int | None) -> Real | None:
-    """Return the angle of the spindle [rad] in step with the teeth, shape (n,), or None where nothing tells it.
-
-    Parameters
-    ----------
-    record : xarray.Dataset
-        With force and what tells the angle of the spindle.
-    teeth : int or None
-        Of the tool; needed where only the forces tell the angle.
-    """
-    piece = piece_in_cut(record)
-    with suppress(InputError):
-        angle, source = spindle_angle(record, teeth)
-        angle = np.unwrap(angle) if source == "spindle_angle" else angle
-        found = None
-        if piece is not None and source != "force":
-            found = _compared(record, piece, angle[piece], teeth, source)
-        if found is not None:
-            return _earlier(record["time"].values, angle, found.late) * (1.0 + found.difference)
-        return angle
-    return None
-
-
 @dataclass(frozen=True)
 class Clock:
     """What the comparisons of all passes say together.
@@ -155,20 +158,6 @@ class Clock:
 
     difference: float
     warnings: tuple[str, ...]
-
-
-def _earlier(time: Real, angle: Real, late: float) -> Real:
-    """Return the angle at ``time + late``, which a late channel shows at `time`; a parabola where the record ends."""
-    moved = np.asarray(np.interp(time + late, time, angle))
-    for outside, near in (
-        (time + late > time[-1], time > time[-1] - 1.0 - abs(late)),
-        (time + late < time[0], time < time[0] + 1.0 + abs(late)),
-    ):
-        if outside.any():
-            middle = float(time[near].mean())
-            parabola = np.polyfit(time[near] - middle, angle[near], 2)
-            moved[outside] = np.polyval(parabola, time[outside] + late - middle)
-    return moved
 
 
 def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Clock:
@@ -216,6 +205,53 @@ def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Cl
     return Clock(largest, tuple(warnings))
 
 
+def compare_speeds(record: xr.Dataset, teeth: int | None) -> list[SpeedComparison]:
+    """Compare every channel that states the speed of a cut with the passing of the teeth in its forces.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With force, and ``spindle_speed``, ``spindle_angle`` or ``tacho``.
+    teeth : int or None
+        Of the tool; None: the lines of any order are compared.
+
+    Returns
+    -------
+    list of SpeedComparison
+        Nothing of what the forces do not tell: cuts of too few turns, or without lines that stand out.
+    """
+    if "force" not in record or not axis_present(record, "force"):
+        return []
+    piece = piece_in_cut(record)
+    if piece is None:
+        return []
+    every = (_compared(record, piece, angle[piece], teeth, source) for source, angle in _angles(record))
+    return [found for found in every if found is not None]
+
+
+def angle_in_step(record: xr.Dataset, teeth: int | None) -> Real | None:
+    """Return the angle of the spindle [rad] in step with the teeth, shape (n,), or None where nothing tells it.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With force and what tells the angle of the spindle.
+    teeth : int or None
+        Of the tool; needed where only the forces tell the angle.
+    """
+    piece = piece_in_cut(record)
+    with suppress(InputError):
+        angle, source = spindle_angle(record, teeth)
+        angle = np.unwrap(angle) if source == "spindle_angle" else angle
+        found = None
+        if piece is not None and source != "force":
+            found = _compared(record, piece, angle[piece], teeth, source)
+        if found is not None:
+            return _earlier(record["time"].values, angle, found.late) * (1.0 + found.difference)
+        return angle
+    return None
+
+
 def changed_by_clock(compliance: Complex, frequency: Real, difference: float, acceleration: bool) -> Complex:
     """Return by how much a compliance changes where the time base is what is wrong, same shape.
 
@@ -243,29 +279,6 @@ def changed_by_clock(compliance: Complex, frequency: Real, difference: float, ac
     return np.asarray((moved - flat).reshape(compliance.shape))
 
 
-def _stated(passes: Sequence[SweepPass], teeth: int | None) -> tuple[str, SpeedComparison] | None:
-    """Return the pass whose cut is nearest to its stated speeds, where all passes are off to the same side."""
-    seen: list[tuple[SweepPass, Bounds]] = []
-    for p in passes:
-        if p.speeds is not None:
-            if _angles(p.record) or teeth is None:
-                angle = angle_in_step(p.record, teeth)
-            else:
-                angle = angle_of_ramp(p.record, teeth, p.speeds)
-            found = None if angle is None else stated_bounds(p.record, angle, p.speeds)
-            if found is None:
-                return None
-            seen.append((p, found))
-    if not seen:
-        return None
-    p, nearest = min(seen, key=lambda pair: abs(pair[1].beyond))
-    if any(found.beyond * nearest.beyond <= 0.0 for _, found in seen):
-        return None
-    assert p.speeds is not None
-    ends = (teeth or 1) * p.speeds[0] / (2.0 * np.pi), (teeth or 1) * p.speeds[1] / (2.0 * np.pi)
-    return p.label, SpeedComparison("stated", nearest.middle, nearest.std, 0.0, ends)
-
-
 def _angles(record: xr.Dataset) -> list[tuple[str, Real]]:
     """Return source and angle [rad] of all channels that state the speed."""
     out: list[tuple[str, Real]] = []
@@ -278,6 +291,20 @@ def _angles(record: xr.Dataset) -> list[tuple[str, Real]]:
         with suppress(InputError):  # said where the tacho is used
             out.append(("tacho", tacho_angle(record["time"].values, record["tacho"].values, pulses)))
     return out
+
+
+def _earlier(time: Real, angle: Real, late: float) -> Real:
+    """Return the angle at ``time + late``, which a late channel shows at `time`; a parabola where the record ends."""
+    moved = np.asarray(np.interp(time + late, time, angle))
+    for outside, near in (
+        (time + late > time[-1], time > time[-1] - 1.0 - abs(late)),
+        (time + late < time[0], time < time[0] + 1.0 + abs(late)),
+    ):
+        if outside.any():
+            middle = float(time[near].mean())
+            parabola = np.polyfit(time[near] - middle, angle[near], 2)
+            moved[outside] = np.polyval(parabola, time[outside] + late - middle)
+    return moved
 
 
 def _compared(record: xr.Dataset, piece: slice, angle: Real, teeth: int | None, source: str) -> SpeedComparison | None:
@@ -334,3 +361,231 @@ def _constant_and_delay(difference: Real, weight: Real, slope: Real | None) -> t
     spread = inverse @ middle @ inverse * 4.0 * (difference.size / 4.0) / freedom
     late = float(found[1]) if a.shape[1] > 1 else 0.0
     return float(found[0]), float(np.sqrt(max(spread[0, 0], 0.0))), late
+
+
+# --- forces over the angle of the spindle, and the comb of lines at its orders ----------------------------------------
+
+
+def turns_of(teeth: int | None) -> int:
+    """Return the turns of a window: some `PASSAGES` of teeth, a multiple of four."""
+    return 4 * max(2, round(0.25 * PASSAGES / (teeth or 6)))
+
+
+def force_over_angle(record: xr.Dataset, piece: slice, angle: Real, cells: int) -> Real:
+    """Return the mean force in each of `cells` equal parts of every turn, shape (axes, cells of all turns).
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With force.
+    piece : slice
+        Samples that are used.
+    angle : ndarray, shape (n,)
+        At these samples, rising [rad].
+    cells : int
+        Of a turn.
+    """
+    force = record["force"].sel(axis=axis_present(record, "force")).values[:, piece]
+    rising = np.maximum.accumulate(angle + 1e-9 * np.arange(angle.size))
+    turns = int((rising[-1] - rising[0]) / (2.0 * np.pi))
+    edges = rising[0] + 2.0 * np.pi / cells * np.arange(turns * cells + 1)
+    at = np.interp(edges, rising, np.arange(angle.size))
+    total = np.concatenate([np.zeros((force.shape[0], 1)), np.cumsum(force, axis=1)], axis=1)
+    sums = np.array([np.interp(at + 0.5, np.arange(angle.size + 1), row) for row in total])
+    return np.asarray(np.diff(sums, axis=1) / np.maximum(np.diff(at), 1e-9))
+
+
+def windows(force: Real, cells: int, turns: int, hop: int) -> Real:
+    """Return windows of some turns, every so many turns, shape (axes, windows, cells of all turns)."""
+    return np.lib.stride_tricks.sliding_window_view(force, turns * cells, axis=1)[:, :: hop * cells]
+
+
+def find_comb(force: Real, cells: int, turns: int, highest: int) -> tuple[float, NDArray[np.int64]] | None:
+    """Return the ratio whose comb stands out, and the orders that have lines; None where none does."""
+    size, pad = turns * cells, 8
+    pieces = windows(force, cells, turns, turns // 2)
+    power = np.zeros(pad * size // 2 + 1)
+    for row in pieces:
+        power += np.sum(np.abs(np.fft.rfft(row * hann(size), pad * size, axis=1)) ** 2, axis=0)
+    amplitude = np.sqrt(power)
+    step = cells / (pad * size)
+    reach = REACH
+    ratios = 1.0 + np.arange(-reach, reach, 0.5 * step / highest)
+    each = [np.interp(k * ratios, step * np.arange(amplitude.size), amplitude) for k in range(1, highest + 1)]
+    score = np.sum(each, axis=0)
+    best = int(score.argmax())
+    typical = float(np.median(score))
+    # Beside strong lines the upper half holds their leakage.
+    scatter = (typical - float(np.quantile(score, 0.1))) / 1.28
+    clear = score[best] > LIFTED * typical and score[best] - typical > STANDS_OUT * min(scatter, 0.2 * typical)
+    if not clear or best in (0, ratios.size - 1):
+        return None
+    heights = np.array([e[best] for e in each])
+    floor = np.array([np.median(e) for e in each])
+    loud = (heights > 2.0 * floor) & (heights > 0.1 * heights.max())
+    if not loud.any():
+        return None
+    return float(ratios[best]), np.flatnonzero(loud) + 1
+
+
+def local_ratios(
+    force: Real, cells: int, turns: int, orders: NDArray[np.int64], ratio: float
+) -> tuple[Real, Real, Real]:
+    """Return middle [turns], ratio and weight between successive windows, from the phases of the orders."""
+    hop = turns // 4
+    pieces = windows(force, cells, turns, hop)
+    shape, place = hann(turns * cells), np.arange(turns * cells) / cells
+    starts = hop * np.arange(pieces.shape[1])
+    for limit in (float(orders.min()), float(orders.max())):
+        # The lowest order first: its phase does not come round.
+        used = orders[orders <= max(limit, float(orders.min()))]
+        drift, weight = np.zeros(starts.size - 1), np.full(starts.size - 1, 1e-300)
+        for k in used:
+            line = (pieces * shape) @ np.exp(-2j * np.pi * k * ratio * place)
+            line = line * np.exp(-2j * np.pi * k * ratio * starts)
+            between = np.sum(line[:, 1:] * line[:, :-1].conj(), axis=0)
+            drift += k * np.abs(between) * np.angle(between)
+            weight += k**2 * np.abs(between)
+        local = ratio + drift / weight / (2.0 * np.pi * hop)
+        ratio = float(np.sum(weight * local) / np.sum(weight))
+    return np.asarray(starts[:-1] + 0.5 * (turns + hop), dtype=float), np.asarray(local), np.asarray(weight)
+
+
+# --- speeds stated of a ramp ------------------------------------------------------------------------------------------
+
+
+def _stated(passes: Sequence[SweepPass], teeth: int | None) -> tuple[str, SpeedComparison] | None:
+    """Return the pass whose cut is nearest to its stated speeds, where all passes are off to the same side."""
+    seen: list[tuple[SweepPass, Bounds]] = []
+    for p in passes:
+        if p.speeds is not None:
+            if _angles(p.record) or teeth is None:
+                angle = angle_in_step(p.record, teeth)
+            else:
+                angle = angle_of_ramp(p.record, teeth, p.speeds)
+            found = None if angle is None else stated_bounds(p.record, angle, p.speeds)
+            if found is None:
+                return None
+            seen.append((p, found))
+    if not seen:
+        return None
+    p, nearest = min(seen, key=lambda pair: abs(pair[1].beyond))
+    if any(found.beyond * nearest.beyond <= 0.0 for _, found in seen):
+        return None
+    assert p.speeds is not None
+    ends = (teeth or 1) * p.speeds[0] / (2.0 * np.pi), (teeth or 1) * p.speeds[1] / (2.0 * np.pi)
+    return p.label, SpeedComparison("stated", nearest.middle, nearest.std, 0.0, ends)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of the speed found over that stated, minus 1; infinite where the record leaves a side open."""
+
+    low: float
+    high: float
+
+    @property
+    def beyond(self) -> float:
+        """What no spindle that holds its speed explains; 0 where nothing is beyond."""
+        return max(self.low - HOLDS, 0.0) + min(self.high + HOLDS, 0.0)
+
+    @property
+    def middle(self) -> float:
+        """Middle of the bounds; the bound where one side is open."""
+        finite = [v for v in (self.low, self.high) if math.isfinite(v)]
+        return float(np.mean(finite)) if finite else 0.0
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of anything between the bounds."""
+        wide = self.high - self.low
+        return float(np.hypot(wide / math.sqrt(12.0) if math.isfinite(wide) else 0.0, 0.25 * HOLDS))
+
+
+def stated_bounds(record: xr.Dataset, angle: Real, stated: tuple[float, float]) -> Bounds | None:
+    """Return the bounds that the ends of the cut set, or None where the forces do not tell a cut.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With force.
+    angle : ndarray, shape (n,)
+        Of the spindle, in step with the teeth [rad].
+    stated : (float, float)
+        Spindle rotation where the cut begins and ends [rad/s].
+    """
+    level, dt = force_level(record), sample_interval(record)
+    loud, quiet = float(np.median(level[in_cut(record)])), float(level.min())
+    if not loud > 0.0 or not np.isfinite(angle).all():
+        return None
+    begin = _rise(level, quiet, loud)
+    back = _rise(level[::-1], quiet, loud)
+    last = level.size - 1
+    ends = []
+    for (earliest, latest), speed, sign in ((begin, stated[0], 1), (back, stated[1], -1)):
+        at = np.linspace(latest if earliest is None else earliest, latest, 7)
+        seen = [_speed(angle, round(v) if sign > 0 else last - round(v), dt) / speed - 1.0 for v in at]
+        low, high = min(seen), max(seen)
+        # What lies outside the record is on the far side of what it shows of the ramp.
+        if earliest is None and sign * (stated[1] - stated[0]) > 0.0:
+            low = -math.inf
+        elif earliest is None:
+            high = math.inf
+        ends.append((low, high))
+    (a, b), (c, d) = ends
+    if max(a, c) <= min(b, d):
+        return Bounds(max(a, c), min(b, d))
+    return Bounds(min(a, c), max(b, d))
+
+
+def angle_of_ramp(record: xr.Dataset, teeth: int, stated: tuple[float, float]) -> Real | None:
+    """Return the angle of the spindle [rad] of a ramp that only the forces tell, or None where they do not.
+
+    Which harmonic the path through the forces follows is taken from the stated speeds.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With force.
+    teeth : int
+        Of the tool.
+    stated : (float, float)
+        Spindle rotation where the cut begins and ends [rad/s].
+    """
+    piece, dt = piece_in_cut(record), sample_interval(record)
+    with suppress(InputError):
+        path = force_angle(record, teeth)
+        margin = round(1.0 / dt)
+        if piece is None or piece.stop - piece.start < 4 * margin:
+            return None
+        inner = slice(piece.start + margin, piece.stop - margin)
+        middle = 0.5 * (inner.start + inner.stop)
+        reach = 0.5 * (inner.stop - inner.start)
+        place = (np.arange(path.size) - middle) / reach
+        smooth = np.polyfit(place[inner], path[inner], 3)
+        if teeth * np.std(path[inner] - np.polyval(smooth, place[inner])) > ON_PATH:
+            return None
+        ratio = float(smooth[2]) / (reach * dt) / (0.5 * (stated[0] + stated[1]))
+        factor = min(OTHER_HARMONICS, key=lambda q: abs(math.log(max(q * ratio, 1e-9))))
+        return np.asarray(factor * np.polyval(smooth, place)) if abs(factor * ratio - 1.0) < BY_FORCE else None
+    return None
+
+
+def _rise(level: Real, quiet: float, loud: float) -> tuple[int | None, int]:
+    """Return the earliest and the latest sample at which the cut may begin; no earliest where the record has no air."""
+    latest = int(np.argmax(level > IN_CUT * loud))
+    below = np.flatnonzero(level[:latest] <= max(1.3 * quiet, quiet + ABOVE_AIR * (loud - quiet)))
+    if not below.size or not quiet < IN_CUT * loud:
+        return None, latest
+    # A rise begins in the noise: as long again before it is seen.
+    first = int(below[-1]) + 1
+    return max(2 * first - latest, 0), latest
+
+
+def _speed(angle: Real, at: int, dt: float) -> float:
+    """Return the rotation [rad/s] at a sample."""
+    mean = (angle[-1] - angle[0]) / (dt * (angle.size - 1))
+    half = round(0.5 * max(SECONDS, 2.0 * math.pi * TURNS / max(mean, 1e-9)) / dt)
+    piece = slice(max(at - half, 0), min(at + half + 1, angle.size))
+    time = dt * (np.arange(piece.start, piece.stop) - at)
+    return float(np.polyfit(time, angle[piece], 2)[1])

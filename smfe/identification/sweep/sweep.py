@@ -2,7 +2,8 @@
 
 Down, up and central milling push the tool in different directions; together they separate the nine compliances. All
 passes and lines go into one weighted least squares a frequency (`sweep.least_squares`), with all three measured forces
-as references. How records become columns is the choice of an estimator object (`smfe.identification.sweep.estimators`).
+as references. How records become columns is the choice of an estimator object: `LocalPolynomial`, `Segments`,
+`SingleReference` or `Orders`.
 """
 
 from __future__ import annotations
@@ -20,26 +21,17 @@ from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, make_compliance, sample_interval
-from process.types import Complex, Real
+from process.types import Real
 from smfe.identification.errors.difference import reciprocity, symmetric
-from smfe.identification.errors.result import Identification
-from smfe.identification.spectra.spectra import BlockSpectra, motion_axes
+from smfe.identification.errors.result import Identification, in_words
+from smfe.identification.spectra.spectra import motion_axes
 from smfe.identification.sweep.chatter import without_chatter
 from smfe.identification.sweep.delay import changed_by_delay
-from smfe.identification.sweep.estimators import (
-    HANN_ERROR_LINES,
-    Estimate,
-    Estimator,
-    LocalPolynomial,
-    SingleReference,
-    SweepPass,
-    at_rest,
-    in_words,
-)
-from smfe.identification.sweep.least_squares import Columns, Solution, condition_number, solve
-from smfe.identification.sweep.local_polynomial import solve_local
-from smfe.identification.sweep.noise import in_cut
-from smfe.identification.sweep.orders import Orders, solve_orders
+from smfe.identification.sweep.least_squares import Estimate, condition_number
+from smfe.identification.sweep.local_polynomial import LocalPolynomial, solve_local
+from smfe.identification.sweep.order_tracking import Orders
+from smfe.identification.sweep.passes import SweepPass, at_rest, in_cut
+from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.spindle_clock import changed_by_clock, judge_clock
 
 WARN_CONDITION = 30.0
@@ -47,6 +39,8 @@ WARN_CONDITION = 30.0
 
 REFUSE_CONDITION = 200.0
 """Above this condition number a frequency is not solved."""
+
+Estimator = LocalPolynomial | Segments | SingleReference | Orders
 
 Step = Callable[[int, int], None]
 """Called with (done, of)."""
@@ -56,7 +50,7 @@ def identify_sweep(
     name: str,
     passes: Sequence[SweepPass],
     frequency_range: tuple[float, float],
-    estimator: Estimator | Orders | None = None,
+    estimator: Estimator | None = None,
     progress: Step | None = None,
     *,
     axes: Sequence[str] = ("x", "y", "z"),
@@ -118,7 +112,15 @@ def identify_sweep(
     clock = judge_clock(name, passes, teeth)
     passes, chatter = without_chatter(name, passes, teeth, len(axes))
     frequency = chosen.axis(frequency_range, passes)
-    found = _estimate(chosen, passes, frequency, axes, response, background, progress)
+    if isinstance(chosen, LocalPolynomial):
+        found = solve_local(chosen, passes, frequency, axes, response, background, progress)
+    elif background:
+        raise InputError(
+            f"an air cut is subtracted by the local polynomial only, and the estimator is {type(chosen).__name__}; "
+            "take background or estimator out"
+        )
+    else:
+        found = chosen.solve(passes, frequency, axes, response, progress)
     refused = ~(found.condition <= REFUSE_CONDITION)
     if refused.mean() > 0.5:
         raise InputError(
@@ -163,33 +165,6 @@ def identify_sweep(
                 "reciprocal out, or look for a sensor that is turned or away from the tool",
             )
     return Identification(name, "sweep", dataset, {"passes": _pass_table(passes, axes)}, warnings)
-
-
-def _estimate(
-    chosen: Estimator | Orders,
-    passes: Sequence[SweepPass],
-    frequency: Real,
-    axes: Sequence[str],
-    response: Sequence[str],
-    background: Sequence[SweepPass],
-    progress: Step | None,
-) -> Estimate:
-    """Solve with the estimator that was chosen."""
-    if isinstance(chosen, LocalPolynomial):
-        return solve_local(chosen, passes, frequency, axes, response, background, progress)
-    if background:
-        raise InputError(
-            f"an air cut is subtracted by the local polynomial only, and the estimator is {type(chosen).__name__}; "
-            "take background or estimator out"
-        )
-    if isinstance(chosen, SingleReference):
-        if len(axes) < 3:
-            raise InputError("a single reference needs the forces on x, y and z; take estimator or axes out")
-        return _single(chosen, passes, frequency, response)
-    if isinstance(chosen, Orders):
-        return solve_orders(chosen, passes, frequency, axes, response, progress)
-    columns = chosen.columns(passes, frequency, response, axes)
-    return _by_columns(list(columns), frequency, len(axes), HANN_ERROR_LINES, progress)
 
 
 def _labelled(
@@ -308,129 +283,6 @@ def _best_condition(arcs: Sequence[Engagement]) -> float:
         unit = [f / max(float(np.linalg.norm(f)), 1e-300) for f in force]
         conditions.append(condition_number(np.array(unit, dtype=np.complex128).T))
     return min(conditions)
-
-
-# --- the other estimators ---------------------------------------------------------------------------------------------
-
-
-def _by_columns(
-    columns: Sequence[Columns], frequency: Real, excitations: int, error_lines: float, progress: Step | None
-) -> Estimate:
-    """Solve with segments as columns, weighted with the inverse noise of their pass."""
-    short = [(c, f) for c, f in zip(columns, frequency, strict=True) if c.response.shape[1] <= c.regressors.shape[0]]
-    if len(short) > len(columns) // 2:
-        least, at = short[0]
-        raise InputError(
-            f"the passes give {least.response.shape[1]} columns for {least.regressors.shape[0]} unknowns at {at:g} Hz "
-            "and elsewhere; record longer passes, or choose a coarser resolution or a wider band"
-        )
-    noise = _noise(columns, excitations)
-    solutions = []
-    for i, c in enumerate(columns):
-        solutions.append(solve(c, excitations, noise[i]))
-        if progress is not None:
-            progress(i + 1, len(columns))
-    found = _stack(solutions, error_lines)
-    if not short:
-        return found
-    where = in_words(frequency, np.isin(frequency, [f for _, f in short]))
-    text = f"not solved: too few columns for the unknowns in {where}; sweep more slowly, or choose a wider band"
-    return replace(found, warnings=(text,))
-
-
-def _stack(solutions: Sequence[Solution], error_lines: float) -> Estimate:
-    return Estimate(
-        np.array([s.compliance for s in solutions]),
-        np.array([s.covariance for s in solutions]),
-        np.array([s.coherence for s in solutions]),
-        np.array([s.condition for s in solutions]),
-        error_lines,
-        freedom=np.array([s.freedom for s in solutions]),
-    )
-
-
-def _single(
-    estimator: SingleReference, passes: Sequence[SweepPass], frequency: Real, response: Sequence[str]
-) -> Estimate:
-    reach = float(frequency[0]), float(frequency[-1])
-    sxf, sff = estimator.cross_spectra(passes, reach, response)
-    gains, conditions = [], []
-    for x, f in zip(sxf, sff, strict=True):
-        conditions.append(condition_number(f))
-        singular = not np.isfinite(conditions[-1])
-        gains.append(np.full((*x.shape[:1], 3), np.nan) if singular else np.linalg.lstsq(f.T, x.T, rcond=None)[0].T)
-    phi = np.array(gains, dtype=complex)
-    inverse = np.linalg.pinv(sff)
-    # Errors of the cross-spectra of a pass, (f, r, passes): scatter of its segments, and what leaks through the window.
-    variance, leaked, freedom = [], [], []
-    slopes = [np.gradient(phi, frequency, axis=0)]
-    slopes.append(np.gradient(slopes[0], frequency, axis=0))
-    for p in passes:
-        x, f, blocks = estimator.products(p, reach, response)
-        scatter, independent = _scatter_of_mean(x - np.einsum("fre,fes->frs", phi, f), blocks)
-        variance.append(scatter)
-        freedom.append(independent)
-        bias = np.zeros_like(x[..., 0])
-        for order, slope in enumerate(slopes, start=1):
-            through = estimator.products(p, reach, response, order)[1].mean(axis=2)
-            bias += np.einsum("fre,fe->fr", slope, through) * _LEAKS[order] * (estimator.resolution) ** order
-        leaked.append(bias)
-    bias = np.einsum("frp,fpe->fre", np.stack(leaked, axis=2), inverse)
-    covariance = np.einsum("frp,fpe,fpg->freg", np.stack(variance, axis=2), inverse, inverse.conj(), optimize=True)
-    covariance = covariance + bias[..., :, None] * bias[..., None, :].conj()
-    return Estimate(
-        phi,
-        covariance,
-        np.full(phi.shape[:2], np.nan),
-        np.array(conditions),
-        HANN_ERROR_LINES,
-        freedom=np.full(phi.shape[:2], 2.0 * min(freedom)),
-    )
-
-
-_LEAKS = {1: 0.5j, 2: -0.25}
-"""Terms of a Hann window, ``Phi^(n)/(n! (-2 pi j)^n)`` times the force through its nth derivative, where this is taken
-without its factor ``(2 pi df)^n/2``."""
-
-
-def _scatter_of_mean(residual: Complex, blocks: BlockSpectra) -> tuple[Real, float]:
-    """Return the variance of the mean over segments, (f, r), and how many segments it rests on.
-
-    Segments in which the sweep is far from a line say nothing of it: each counts with its own residual (White 1980),
-    and as much more as neighbours share noise.
-    """
-    power = np.abs(residual) ** 2
-    rho = blocks.neighbour_correlation
-    shared = 1.0 + 2.0 * float(np.sum(rho[1:] ** 2))
-    effective = np.median(power.sum(axis=2) ** 2 / np.maximum((power**2).sum(axis=2), 1e-300)) / shared
-    used = max(float(effective) - 1.0, 1.0)
-    # The mean of the residual is zero by construction, which takes one segment.
-    variance = shared * power.sum(axis=2) / power.shape[2] ** 2 * (used + 1.0) / used
-    return np.asarray(variance), used
-
-
-def _noise(columns: Sequence[Columns], excitations: int, rounds: int = 4) -> Real:
-    """Learn the noise power of each response in each pass, shape (f, r, tests).
-
-    The first round weights all passes alike, so that a noisy one leaves its mark on the residual of the quiet ones;
-    solving again with what was learnt takes it away.
-    """
-    noise: Real | None = None
-    for _ in range(rounds):
-        residual = [solve(c, excitations, None if noise is None else noise[i]).residual for i, c in enumerate(columns)]
-        noise = _smooth_noise(np.array(residual))
-    assert noise is not None
-    return noise
-
-
-def _smooth_noise(residual: Real, reach: int = 8) -> Real:
-    """Take the median residual power over neighbouring frequencies; keep weights within 1:1000."""
-    filled = pd.DataFrame(residual.reshape(residual.shape[0], -1))
-    smooth = filled.rolling(2 * reach + 1, center=True, min_periods=1).median().bfill().ffill().to_numpy()
-    noise = smooth.reshape(residual.shape)
-    largest = np.max(np.nan_to_num(noise), axis=2, keepdims=True)
-    floor = np.where(largest > 0.0, 1e-6 * largest, 1.0)
-    return np.where(np.isfinite(noise), np.maximum(noise, floor), 1.0)
 
 
 # --- tables and words -------------------------------------------------------------------------------------------------

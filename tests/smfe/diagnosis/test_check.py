@@ -22,7 +22,7 @@ from smfe.diagnosis.checks.same_data import Seen, same_suspects
 from smfe.diagnosis.checks.speeds import tooth_suspects
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.dry_run import refusals
-from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.passes import in_cut
 from smfe.results import read_groups
 
 

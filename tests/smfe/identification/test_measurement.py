@@ -12,7 +12,7 @@ from smfe.campaign import load_campaign
 from smfe.commands.demo import MACHINE, TOOL, sweep_passes
 from smfe.identification import measurement as measurements
 from smfe.identification.measurement import sign_warnings, tooth_passing_band
-from smfe.identification.sweep.estimators import SweepPass
+from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.sweep import identify_sweep
 from smfe.records import read_records, write_record_netcdf
 

@@ -17,10 +17,10 @@ from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.commands.demo import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.identification.spectra.spectra import BlockSpectra
-from smfe.identification.sweep.estimators import BANDS, LocalPolynomial, SweepPass, whole_record
 from smfe.identification.sweep.least_squares import condition_number
-from smfe.identification.sweep.local_polynomial import MODEL_ERROR
+from smfe.identification.sweep.local_polynomial import BANDS, MODEL_ERROR, LocalPolynomial
 from smfe.identification.sweep.noise import ALIKE, BOUNDED, force_noise
+from smfe.identification.sweep.passes import SweepPass, whole_record
 from smfe.identification.sweep.sweep import identify_sweep
 from smfe.planning.errors import Instruments, error_interval, expected, relative_error
 from smfe.planning.forces import (

@@ -22,7 +22,7 @@ from process.simulation.milling import MillingCut, Spindle
 from smfe.commands.demo import TOOL as DEMO_TOOL
 from smfe.commands.demo import sweep_passes
 from smfe.diagnosis.checks.sweep import posture_difference, regeneration_difference, sweep_suspects
-from smfe.identification.sweep.estimators import SweepPass
+from smfe.identification.sweep.passes import SweepPass
 
 TOOL = Tool(0.08, 4, approach_angle=math.pi / 4.0)
 WIDTHS = {"down": 0.024, "up": 0.04, "central": 0.068}

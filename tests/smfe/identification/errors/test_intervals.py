@@ -9,7 +9,7 @@ from smfe import LocalPolynomial, Segments, SweepPass, identify_hammer, identify
 from smfe.identification.errors.intervals import interval, student_quantile
 from smfe.identification.sweep.least_squares import Columns, solve
 from smfe.identification.sweep.noise import pooled_noise
-from smfe.identification.sweep.orders import Orders
+from smfe.identification.sweep.order_tracking import Orders
 
 RATE = 200.0
 STATIC = 2e-7 - 1e-7j

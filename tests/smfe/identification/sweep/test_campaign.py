@@ -12,8 +12,9 @@ from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.campaign import load_campaign
 from smfe.commands.demo import MACHINE, MATERIAL
 from smfe.identification.measurement import identify_measurement, sweep_estimator
-from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference
-from smfe.identification.sweep.orders import Orders
+from smfe.identification.sweep.local_polynomial import LocalPolynomial
+from smfe.identification.sweep.order_tracking import Orders
+from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.records import write_record_netcdf
 from smfe.records.dynamometer import Dynamometer
 

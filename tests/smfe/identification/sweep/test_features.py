@@ -20,7 +20,7 @@ from smfe import LocalPolynomial, Segments, SweepPass, identify_sweep
 from smfe.commands.demo import MATERIAL
 from smfe.identification.errors.difference import reciprocity, symmetric
 from smfe.identification.spectra.spindle_angle import force_angle, spindle_angle, tacho_angle
-from smfe.identification.sweep.orders import Orders
+from smfe.identification.sweep.order_tracking import Orders
 from smfe.records.dynamometer import Dynamometer, compensate
 
 BAND = (20.0, 80.0)

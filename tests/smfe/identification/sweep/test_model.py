@@ -4,8 +4,8 @@ import numpy as np
 from scipy import ndimage
 
 from process.types import Complex
-from smfe.identification.sweep.estimators import Estimate, LocalPolynomial
-from smfe.identification.sweep.local_polynomial import lack_of_fit
+from smfe.identification.sweep.least_squares import Estimate
+from smfe.identification.sweep.local_polynomial import LocalPolynomial, lack_of_fit
 
 LINES, WIDTH = 161, 2.0
 ESTIMATOR = LocalPolynomial()

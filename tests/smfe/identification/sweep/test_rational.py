@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from smfe.identification.sweep.equations import Lines, bin_lines
+from smfe.identification.sweep.least_squares import Lines, bin_lines
 from smfe.identification.sweep.rational import RationalFit, fit_rational
 
 FREQUENCY = np.arange(30.0, 50.0, 0.02)

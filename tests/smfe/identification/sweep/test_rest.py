@@ -6,7 +6,7 @@ import xarray as xr
 from scipy import signal
 
 from process.labels import make_record
-from smfe.identification.sweep.estimators import at_rest
+from smfe.identification.sweep.passes import at_rest
 
 RATE = 1000.0
 

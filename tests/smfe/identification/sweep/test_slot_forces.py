@@ -19,7 +19,7 @@ from process.simulation.milling import simulate_forced
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.diagnosis.cutting.orders import find_rotation
 from smfe.identification.spectra.spindle_angle import force_angle
-from smfe.identification.sweep.inputs import project, spindle_waves
+from smfe.identification.sweep.spindle_orders import project, spindle_waves
 from smfe.records import Channel, read_records
 
 FORCES = DATA / "milling_forces_ubc"

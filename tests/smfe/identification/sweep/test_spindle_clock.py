@@ -19,8 +19,7 @@ from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.campaign import load_campaign
 from smfe.commands.check import check
 from smfe.diagnosis.checks.channels import clock_suspects
-from smfe.identification.sweep.ramp import stated_bounds
-from smfe.identification.sweep.spindle_clock import changed_by_clock, compare_speeds, judge_clock
+from smfe.identification.sweep.spindle_clock import changed_by_clock, compare_speeds, judge_clock, stated_bounds
 from smfe.records import write_record_netcdf
 
 COARSE = LocalPolynomial(resolution=0.5, half_widths=(0.5, 1.0), rational=False)

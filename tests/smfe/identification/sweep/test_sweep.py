@@ -12,7 +12,10 @@ from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced
 from smfe.commands.demo import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
-from smfe.identification.sweep.estimators import LocalPolynomial, Segments, SingleReference, SweepPass, bands
+from smfe.identification.errors.result import bands
+from smfe.identification.sweep.local_polynomial import LocalPolynomial
+from smfe.identification.sweep.passes import SweepPass
+from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.sweep import identify_sweep
 
 BAND = (20.0, 80.0)

@@ -1,4 +1,4 @@
-"""The inputs of a sweep: forces, what turns with the spindle, transients; and the noise on them.
+"""What turns with the spindle: taken out with an air cut, or used as the instrument that the passing of the teeth is.
 
 What repeats with the spindle (an unbalance, a gear) is one more input: the transform of ``exp(j k angle)`` for each
 order k of the spindle, the same in the cut and in the air, with a response that is smooth in frequency. An air cut
@@ -21,69 +21,23 @@ from process.errors import InputError
 from process.labels import sample_interval
 from process.types import Complex, Real
 from smfe.identification.spectra.spindle_angle import spindle_angle
-from smfe.identification.sweep.equations import Lines
-from smfe.identification.sweep.estimators import SweepPass, whole_record
-from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.least_squares import Lines
+from smfe.identification.sweep.passes import SweepPass, in_cut
 
 HARMONICS = 3
 """Harmonics of the tooth passing that are instruments."""
 
+
 BLOCK = 4.0
 """Band over which forces are projected on the instruments [Hz]."""
+
 
 BLOCK_ORDER = 3
 """Order of the polynomials that let the amplitude of the instruments change within it."""
 
+
 QUIET = 1e-3
 """An instrument or spindle order below this share of the loudest is not there."""
-
-
-def seconds(record: xr.Dataset) -> float:
-    """Return the length of a record [s]."""
-    return record.sizes["time"] * sample_interval(record)
-
-
-def force_lines(
-    sweep: SweepPass, reach: tuple[float, float], axes: Sequence[str], response: Sequence[str], moving: bool
-) -> Lines:
-    """Return forces and displacements of a pass at its lines.
-
-    With `moving`, the forces come twice: as they are, and times the place along the pass, from -1 to 1.
-    """
-    found = whole_record(sweep.record, reach, response)
-    rows = [found.excitation.index(a) for a in axes]
-    inputs = [found.force[:, rows, 0]]
-    if moving:
-        force = sweep.record["force"]
-        place = xr.DataArray(place_along(sweep.record), {"time": force["time"]}, ("time",))
-        moved = whole_record(sweep.record.assign(force=force * place), reach, response)
-        inputs.append(moved.force[:, rows, 0])
-    return Lines(found.frequency, np.concatenate(inputs, axis=1), found.displacement[:, :, 0])
-
-
-def place_along(record: xr.Dataset) -> Real:
-    """Return the place along the pass: -1 where the cut begins, 1 where it ends, at a constant feed."""
-    cutting = np.flatnonzero(in_cut(record))
-    first, last = int(cutting[0]), int(cutting[-1])
-    return np.asarray(
-        np.clip(np.interp(np.arange(record.sizes["time"]), [first, max(last, first + 1)], [-1.0, 1.0]), -1, 1)
-    )
-
-
-def with_inputs(lines: Lines, more: Complex) -> Lines:
-    """Return the lines with more inputs behind those they have."""
-    return Lines(lines.frequency, np.concatenate([lines.inputs, more], axis=1), lines.response)
-
-
-def transients(tests: Sequence[Lines], restless: Sequence[bool]) -> list[Lines]:
-    """Give each restless test one input of its own, 1 at all lines: the transient of its ends."""
-    out = []
-    for k, lines in enumerate(tests):
-        own = np.zeros((lines.frequency.size, sum(restless)), dtype=complex)
-        if restless[k]:
-            own[:, sum(restless[:k])] = 1.0
-        out.append(with_inputs(lines, own))
-    return out
 
 
 def spindle_waves(

@@ -27,9 +27,8 @@ from process.machine.modes import displacement_over_acceleration
 from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann, motion_axes
 from smfe.identification.spectra.spindle_angle import spindle_angle
-from smfe.identification.sweep.estimators import Estimate, SweepPass
-from smfe.identification.sweep.least_squares import condition_number
-from smfe.identification.sweep.noise import in_cut
+from smfe.identification.sweep.least_squares import Estimate, condition_number
+from smfe.identification.sweep.passes import SweepPass, in_cut
 
 Step = Callable[[int, int], None]
 
@@ -86,6 +85,58 @@ class Orders:
         low, high = (round(f / self.resolution) for f in frequency_range)
         return np.asarray(np.arange(low, high + 1) * self.resolution)
 
+    def solve(
+        self,
+        passes: Sequence[SweepPass],
+        frequency: Real,
+        axes: Sequence[str],
+        response: Sequence[str],
+        progress: Step | None = None,
+    ) -> Estimate:
+        """Solve for the splines of all entries at once.
+
+        Parameters
+        ----------
+        passes : sequence of SweepPass
+            From rest to rest.
+        frequency : ndarray, shape (f,)
+            [Hz].
+        axes, response : sequence of str
+            Axes of the forces and of the motion.
+        progress : callable, optional
+            Called with (done, of).
+
+        Raises
+        ------
+        InputError
+            For passes that are shorter than a window, that hold different motions, or whose orders miss the band.
+        """
+        channels = {motion_axes(p.record)[0] for p in passes}
+        if len(channels) > 1:
+            raise InputError("some passes hold acceleration and others displacement; give the same channel in each")
+        reach = max(float(frequency[0]) - MARGIN, 0.5 * float(frequency[0])), float(frequency[-1]) + MARGIN
+        angles = [spindle_angle(p.record, self.teeth)[0] for p in passes]
+        places = [w for k, p in enumerate(passes) for w in _places(self, p, angles[k], k, reach)]
+        knots, spacing = _knots(self, len(places), len(axes), reach)
+        parts = []
+        for k, p in enumerate(passes):
+            own = [w for w in places if w.test == k]
+            parts.append(_columns(self, p, angles[k], own, knots, axes, response))
+            if progress is not None:
+                progress(k + 1, len(passes) + len(response))
+        whole = _Columns(
+            np.concatenate([c.splines for c in parts]),
+            np.concatenate([c.force for c in parts]),
+            np.concatenate([c.motion for c in parts]),
+            sparse.csr_array(sparse.block_diag([c.correlation for c in parts])),
+        )
+        rows, basis = [], _splines(frequency, knots)
+        for i in range(len(response)):
+            rows.append(_row(whole, places, i, basis, frequency))
+            if progress is not None:
+                progress(len(passes) + i + 1, len(passes) + len(response))
+        return _together(rows, whole, places, frequency, spacing / self.resolution)
+
 
 @dataclass(frozen=True)
 class _Window:
@@ -108,61 +159,6 @@ class _Columns:
     force: Complex
     motion: Complex
     correlation: sparse.csr_array
-
-
-def solve_orders(
-    estimator: Orders,
-    passes: Sequence[SweepPass],
-    frequency: Real,
-    axes: Sequence[str],
-    response: Sequence[str],
-    progress: Step | None = None,
-) -> Estimate:
-    """Solve for the splines of all entries at once.
-
-    Parameters
-    ----------
-    estimator : Orders
-        Its settings.
-    passes : sequence of SweepPass
-        From rest to rest.
-    frequency : ndarray, shape (f,)
-        [Hz].
-    axes, response : sequence of str
-        Axes of the forces and of the motion.
-    progress : callable, optional
-        Called with (done, of).
-
-    Raises
-    ------
-    InputError
-        For passes that are shorter than a window, that hold different motions, or whose orders miss the band.
-    """
-    channels = {motion_axes(p.record)[0] for p in passes}
-    if len(channels) > 1:
-        raise InputError("some passes hold acceleration and others displacement; give the same channel in each")
-    reach = max(float(frequency[0]) - MARGIN, 0.5 * float(frequency[0])), float(frequency[-1]) + MARGIN
-    angles = [spindle_angle(p.record, estimator.teeth)[0] for p in passes]
-    places = [w for k, p in enumerate(passes) for w in _places(estimator, p, angles[k], k, reach)]
-    knots, spacing = _knots(estimator, len(places), len(axes), reach)
-    parts = []
-    for k, p in enumerate(passes):
-        own = [w for w in places if w.test == k]
-        parts.append(_columns(estimator, p, angles[k], own, knots, axes, response))
-        if progress is not None:
-            progress(k + 1, len(passes) + len(response))
-    whole = _Columns(
-        np.concatenate([c.splines for c in parts]),
-        np.concatenate([c.force for c in parts]),
-        np.concatenate([c.motion for c in parts]),
-        sparse.csr_array(sparse.block_diag([c.correlation for c in parts])),
-    )
-    rows, basis = [], _splines(frequency, knots)
-    for i in range(len(response)):
-        rows.append(_row(whole, places, i, basis, frequency))
-        if progress is not None:
-            progress(len(passes) + i + 1, len(passes) + len(response))
-    return _together(rows, whole, places, frequency, spacing / estimator.resolution)
 
 
 def _together(

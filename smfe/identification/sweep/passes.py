@@ -1,0 +1,134 @@
+"""A pass of a sweep, and what is looked up of its record: the cut, the air around it, the motion at its ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from process.cut.engagement import Engagement
+from process.labels import axis_present, sample_interval
+from process.types import Real
+from smfe.identification.spectra.spectra import BlockSpectra, block_spectra, motion_axes
+
+MARGIN = 0.1
+"""Time that is left out on either side of the cut [s]."""
+
+
+SHORTEST = 0.2
+"""Air in one piece from which a spectrum is taken [s]."""
+
+
+@dataclass(frozen=True)
+class SweepPass:
+    """One pass of a sweep.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        Forces on x, y, z and motion.
+    label : str
+        What the pass is called in messages, e.g. "down, 12 mm".
+    arc : Engagement, optional
+        Its arc of engagement, for the check of independence before anything is solved.
+    speeds : (float, float), optional
+        Stated spindle rotation where the cut begins and ends [rad/s], to compare the clock of the record with.
+    """
+
+    record: xr.Dataset = field(repr=False)
+    label: str
+    arc: Engagement | None = None
+    speeds: tuple[float, float] | None = None
+
+
+def seconds(record: xr.Dataset) -> float:
+    """Return the length of a record [s]."""
+    return record.sizes["time"] * sample_interval(record)
+
+
+def in_cut(record: xr.Dataset) -> NDArray[np.bool_]:
+    """Mark the samples in the cut: force over 50 ms above a fifth of its upper quartile."""
+    level = force_level(record)
+    return np.asarray(level > 0.2 * np.quantile(level, 0.75))
+
+
+def force_level(record: xr.Dataset) -> Real:
+    """Return the magnitude of the force, mean over 50 ms [N]."""
+    total = np.zeros(record.sizes["time"])
+    for axis in axis_present(record, "force"):
+        total += record["force"].sel(axis=axis).values ** 2
+    width = max(1, round(0.05 / sample_interval(record)))
+    return np.asarray(ndimage.uniform_filter1d(np.sqrt(total, out=total), width))
+
+
+def air_pieces(record: xr.Dataset) -> list[slice]:
+    """Return the samples before and after the cut, at least `SHORTEST` long; none where the record has no air.
+
+    Air is where the force stays below its quietest level and a fifth of the way to that of the cut; a record whose
+    force hardly changes has none.
+    """
+    level = force_level(record)
+    loud, quiet = float(np.quantile(level, 0.75)), float(level.min())
+    if not quiet < 0.5 * loud:
+        return []
+    cutting = np.flatnonzero(level > quiet + 0.2 * (loud - quiet))
+    dt, n = sample_interval(record), level.size
+    margin, shortest = round(MARGIN / dt), max(8, round(SHORTEST / dt))
+    pieces = slice(0, max(int(cutting[0]) - margin, 0)), slice(min(int(cutting[-1]) + margin, n), n)
+    return [p for p in pieces if p.stop - p.start >= shortest]
+
+
+def piece_in_cut(record: xr.Dataset) -> slice | None:
+    """Return the samples from the first to the last in the cut; None where there are too few."""
+    cutting = np.flatnonzero(in_cut(record))
+    return slice(int(cutting[0]), int(cutting[-1]) + 1) if cutting.size >= 32 else None
+
+
+def place_along(record: xr.Dataset) -> Real:
+    """Return the place along the pass: -1 where the cut begins, 1 where it ends, at a constant feed."""
+    cutting = np.flatnonzero(in_cut(record))
+    first, last = int(cutting[0]), int(cutting[-1])
+    return np.asarray(
+        np.clip(np.interp(np.arange(record.sizes["time"]), [first, max(last, first + 1)], [-1.0, 1.0]), -1, 1)
+    )
+
+
+def whole_record(record: xr.Dataset, reach: tuple[float, float], response: Sequence[str]) -> BlockSpectra:
+    """Transform the whole record, padded with rest to a length that transforms fast."""
+    n = record.sizes["time"]
+    length = int(fft.next_fast_len(n, real=True))
+    return block_spectra(record, [0], n, None, reach, detrend=False, response=response, padded=length)
+
+
+def end_pieces(record: xr.Dataset, channel: str, duration: float = 0.1) -> Real:
+    """Return the rms of consecutive pieces of a channel, shape (axes, pieces)."""
+    n = record.sizes["time"]
+    piece = min(max(8, round(duration / sample_interval(record))), n)
+    # One axis at a time: the squares of a long record need as much room as the record.
+    rows = (record[channel].sel(axis=a).values[: n // piece * piece] for a in axis_present(record, channel))
+    return np.array([np.sqrt(np.mean(row.reshape(-1, piece) ** 2, axis=1)) for row in rows])
+
+
+def at_rest(record: xr.Dataset) -> bool:
+    """Whether the record begins and ends in the air, with the motion decayed.
+
+    The tool enters and leaves the work for all axes at once, so the axis whose force stands out most from its own
+    quietest 0.1 s tells the air; an axis with little force and much noise has no say. The motion of every axis has
+    decayed where its first and last 0.1 s are below 0.05 of its largest, or no more than three times what is usual in
+    the air at the quieter end. Nothing depends on the unit or gain of a channel.
+    """
+    force, motion = end_pieces(record, "force"), end_pieces(record, motion_axes(record)[0])
+    loud = np.quantile(force, 0.75, axis=1)
+    told = force[int(np.argmax(loud / np.maximum(force.min(axis=1), max(1e-9 * loud.max(), 1e-300))))]
+    air = told <= 0.3 * told.max()
+    if not (air[0] and air[-1]) or air.all():
+        return False
+    cutting = np.flatnonzero(~air)
+    before, after = motion[:, : cutting[0]], motion[:, cutting[-1] + 1 :]
+    usual = np.minimum(np.median(before, axis=1), np.median(after, axis=1))
+    quiet = np.maximum(0.05 * motion.max(axis=1), 3.0 * usual)
+    return bool(np.all(np.maximum(motion[:, 0], motion[:, -1]) <= quiet))
