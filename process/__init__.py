@@ -3,7 +3,7 @@
 from process.cut.engagement import AnyEngagement, Engagement, Engagements, engagement, engagement_of_strips
 from process.cut.force import CuttingCoefficients, ProcessDamping, directional_matrix, force_harmonics
 from process.cut.tool import Tool
-from process.drive.axis import Drive, fit_open_loop, open_loop_response
+from process.drive.axis import Drive
 from process.drive.sampled_servo import SampledServo, sampled_poles
 from process.drive.servo import Servo, tune
 from process.errors import InputError
@@ -82,7 +82,6 @@ __all__ = [
     "engagement",
     "engagement_of_strips",
     "equivalent_damping",
-    "fit_open_loop",
     "force_harmonics",
     "free_modes",
     "hammer_trial",
@@ -92,7 +91,6 @@ __all__ = [
     "milling_step_error",
     "milling_trial",
     "moving_trial",
-    "open_loop_response",
     "parse",
     "quasi_compliance",
     "quasi_frf",

@@ -1,14 +1,17 @@
-"""Quantities as text: ``"125 mm"`` -> 0.125 and back.
+"""Quantities as text, ``"125 mm"`` -> 0.125 and back, and the range that a parameter of a machine tool may have.
 
 This is the only place where field units are converted. Everything inside the packages is SI (angles in rad,
 rotation in rad/s). A unit belongs to a dimension, so that ``"g"`` is 9.80665 m/s2 where an acceleration is
-asked for and 0.001 kg where a mass is.
+asked for and 0.001 kg where a mass is. `implausible`, `check_feed` and `check_diameter` find values that no machine
+tool has: field units that were given where SI is meant.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from process.errors import InputError
 
@@ -178,3 +181,123 @@ def from_si(value: float, unit: str, dimension: str) -> float:
 def _example(dimension: str) -> str:
     unit = list(UNITS[dimension])[1 if len(UNITS[dimension]) > 1 else 0]
     return f'"10 {unit}"'
+
+
+# --- Plausible values: field units given where SI is meant are refused.
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a parameter of the field may be, wide: outside of it is a mistake and not a rare machine.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends, SI.
+    shown : float
+        Factor to the unit shown.
+    unit : str
+        That unit.
+    source : str
+        Where the ends come from.
+    """
+
+    low: float
+    high: float
+    shown: float
+    unit: str
+    source: str
+
+
+_SPECIFIC_FORCE = (
+    "specific cutting forces at 1 mm chip are 100 (polymers) to 4000 N/mm^2 (nickel, hardened steel) in the tables of "
+    "Kienzle and Victor and of Altintas, Manufacturing Automation; chips of some um need five times that"
+)
+_EDGE = "edge coefficients of sharp and worn inserts are 5 to 250 N/mm (Altintas, Manufacturing Automation; Budak 1996)"
+
+RANGES: dict[str, Range] = {
+    "Ktc": Range(30e6, 20e9, 1e-6, "N/mm^2", _SPECIFIC_FORCE),
+    "Krc": Range(-10e9, 20e9, 1e-6, "N/mm^2", _SPECIFIC_FORCE),
+    "Kac": Range(-10e9, 10e9, 1e-6, "N/mm^2", _SPECIFIC_FORCE),
+    "Kte": Range(-50e3, 500e3, 1e-3, "N/mm", _EDGE),
+    "Kre": Range(-50e3, 500e3, 1e-3, "N/mm", _EDGE),
+    "Kae": Range(-100e3, 500e3, 1e-3, "N/mm", _EDGE),
+    "moving_mass": Range(0.1, 1e5, 1.0, "kg", "slides weigh 0.1 kg (micro mills) to 50 t (portals)"),
+    "tip_mass": Range(0.01, 1e5, 1.0, "kg", "a tool weighs some 10 g, a ram some 10 t"),
+    "stiffness": Range(1e4, 1e10, 1e-6, "N/um", "tool tips and feed drives have 0.1 to 1000 N/um"),
+}
+"""Parameter -> what the field knows of it."""
+
+_MOST_RATIO = 3.0
+"""Radial or axial over tangential coefficient that no edge reaches: friction and rake angle allow 0.1 to 1."""
+
+
+def implausible(values: Mapping[str, float]) -> list[str]:
+    """Return a sentence for each value that lies outside of what the field knows.
+
+    Parameters
+    ----------
+    values : mapping of str to float
+        Parameter -> value in SI; names that are not in `RANGES` are passed over.
+    """
+    out = []
+    for name, value in values.items():
+        limits = RANGES.get(name)
+        if limits is not None and not limits.low <= value <= limits.high:
+            ends = f"{limits.low * limits.shown:.3g} to {limits.high * limits.shown:.3g} {limits.unit}"
+            out.append(f"{name} is {value * limits.shown:.3g} {limits.unit}, outside of {ends} ({limits.source})")
+    tangential = values.get("Ktc", 0.0)
+    for name in ("Krc", "Kac"):
+        if tangential > 0.0 and abs(values.get(name, 0.0)) > _MOST_RATIO * tangential:
+            out.append(
+                f"{name} is {values[name] / tangential:.3g} times Ktc; no edge has more than {_MOST_RATIO:g} (friction "
+                "and rake angle allow 0.1 to 1)"
+            )
+    return out
+
+
+FASTEST_FEED = 10.0
+"""Feed [m/s] that no machine tool reaches: linear motors move at 4 m/s."""
+
+LARGEST_TOOL = 5.0
+"""Diameter [m] that no milling tool has."""
+
+
+def check_feed(feed: float) -> None:
+    """Refuse a feed that was given in mm/min where m/s is meant.
+
+    Parameters
+    ----------
+    feed : float
+        [m/s].
+
+    Raises
+    ------
+    InputError
+        Above `FASTEST_FEED`.
+    """
+    if abs(feed) > FASTEST_FEED:
+        raise InputError(
+            f"a feed of {feed:g} m/s is beyond any machine tool ({FASTEST_FEED:g} m/s); feeds are in m/s, so that "
+            f"{feed:g} mm/min are {feed / 6e4:.4g}"
+        )
+
+
+def check_diameter(diameter: float) -> None:
+    """Refuse a tool diameter that was given in mm where m is meant.
+
+    Parameters
+    ----------
+    diameter : float
+        [m].
+
+    Raises
+    ------
+    InputError
+        Above `LARGEST_TOOL`.
+    """
+    if diameter > LARGEST_TOOL:
+        raise InputError(
+            f"the tool diameter is {diameter:g} m, larger than any milling tool ({LARGEST_TOOL:g} m); lengths are in "
+            f"m, so that {diameter:g} mm are {diameter / 1e3:g}"
+        )

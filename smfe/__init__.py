@@ -31,6 +31,7 @@ from smfe.identification.drive.friction import (
     fit_friction_record,
     friction_runs,
 )
+from smfe.identification.drive.open_loop import fit_open_loop, open_loop_response
 from smfe.identification.errors.intervals import interval
 from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.hammer import identify_hammer
@@ -67,6 +68,7 @@ __all__ = [
     "fit_friction_curve",
     "fit_friction_record",
     "fit_modes",
+    "fit_open_loop",
     "friction_runs",
     "identify",
     "identify_actuator",
@@ -77,6 +79,7 @@ __all__ = [
     "lobes",
     "look",
     "modal",
+    "open_loop_response",
     "plan",
     "read_blocks",
     "read_records",

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from process.errors import InputError
-from process.plausible import check_diameter
 from process.types import Real
+from process.units import check_diameter
 
 
 @dataclass(frozen=True)

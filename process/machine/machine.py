@@ -22,8 +22,8 @@ from process.labels import axis_index, check_compliance, make_compliance
 from process.machine.joints import Joint
 from process.machine.operating_point import OperatingPoint, SlideImpedance
 from process.machine.structure import Posture, Structure
-from process.plausible import check_feed
 from process.types import Complex, Real
+from process.units import check_feed
 
 FEW_MICROSLIP = 1e-12
 """Amplitude [m] at which a joint has its small-signal stiffness."""

@@ -20,9 +20,9 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, make_record
 from process.machine.modes import ModalModel
-from process.plausible import check_feed
 from process.simulation import _milling_kernels as _kernels
 from process.types import Real
+from process.units import check_feed
 
 CHANNELS = ("force", "displacement", "acceleration")
 

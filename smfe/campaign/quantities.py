@@ -15,7 +15,7 @@ from process import units
 from process.cut.engagement import CUTS
 from process.errors import InputError
 from process.labels import AXES, place_text
-from process.plausible import FASTEST_FEED
+from process.units import FASTEST_FEED
 from smfe.campaign import datasets
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.records.read import READERS

@@ -23,8 +23,8 @@ from process.cut.force import force_projection, gram_matrix
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, axis_present
-from process.plausible import RANGES, implausible
 from process.types import Real
+from process.units import RANGES, implausible
 from smfe.campaign import load_campaign
 from smfe.campaign.datasets import Show
 from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family

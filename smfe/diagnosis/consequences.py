@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from process.cut.engagement import engagement
-from process.plausible import implausible
+from process.units import implausible
 from smfe.campaign import Campaign
 from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
 from smfe.diagnosis.drive.record import DriveRecordFamily

@@ -14,8 +14,8 @@ from process.friction.laws import Andersson, LuGre, Viscous
 from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import two_mass_axes
-from process.plausible import implausible
 from process.simulation.milling import MillingCut
+from process.units import implausible
 
 MACHINE = Machine(
     two_mass_axes({"x": Drive(4000.0, 300.0, 4e7, 5e3)}), {"x": FeedAxis(Servo(4e5, 0.03, 25.0), Viscous(4000.0))}
