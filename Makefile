@@ -27,11 +27,12 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo test slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo kernels test slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
 	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
+	@echo "make kernels compile what numba compiles, once (two minutes); kept in .cache by content"
 	@echo "make slow    the slow tests"
 	@echo "make calibrations  tests that count over many seeds"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
@@ -47,14 +48,18 @@ help:
 demo: $(READY)
 	$(BIN)/smfe demo --out demo
 
-test: $(READY)
+# Kernels are compiled once, before the workers start, and kept by content: tests/compile_kernels.py.
+kernels: $(READY)
+	$(RUN) PYTHONPATH=tests $(BIN)/python tests/compile_kernels.py --jobs $(JOBS)
+
+test: $(READY) kernels
 	$(RUN) $(BIN)/pytest -m "not slow and not exam" -n $(JOBS) --dist worksteal $(ARGS)
 
 # Exit code 5 says that no test is marked slow.
-slow: $(READY)
+slow: $(READY) kernels
 	$(RUN) $(BIN)/pytest -m "slow and not exam" -n $(JOBS) --dist worksteal $(ARGS) || [ $$? -eq 5 ]
 
-calibrations: $(READY)
+calibrations: $(READY) kernels
 	$(RUN) $(BIN)/pytest -m exam -n $(JOBS) --dist worksteal $(ARGS)
 
 exam: $(READY)
