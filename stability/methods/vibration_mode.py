@@ -39,12 +39,19 @@ def modal_samples(modes: Modes) -> Samples:
 
 
 def vibration(
-    branches: Branches, directional: Complex, chatter: Real, depth: Real, pitch: Real, speed: Real
+    branches: Branches,
+    directional: Complex,
+    chatter: Real,
+    depth: Real,
+    pitch: Real,
+    speed: Real,
+    flank: Real | None = None,
 ) -> tuple[Complex, Complex]:
     """Return force and displacement at each limit, shapes (speeds, 3); NaN without a limit.
 
-    The force is the eigenvector of ``A0 Phi`` to ``mu = 1/(a S)``, the displacement is ``Phi`` times it, of length one,
-    its largest component real and positive; S is the mean of ``1 - exp(-j w T)`` over the teeth.
+    The force is the eigenvector of ``a (S A0 + j w A_d/v_c) Phi`` to the eigenvalue one, the displacement is ``Phi``
+    times it, of length one, its largest component real and positive; S is the mean of ``1 - exp(-j w T)`` over the
+    teeth.
 
     Parameters
     ----------
@@ -56,6 +63,8 @@ def vibration(
         Chatter frequency [Hz], limit [m], spindle speed [rpm].
     pitch : ndarray, shape (teeth,)
         Angles between teeth [rad].
+    flank : ndarray, shape (speeds, 3, 3), optional
+        ``A_d/v_c`` of process damping [N s/m2 a metre depth]; none by default.
     """
     force, moved = np.full((2, speed.size, 3), np.nan, dtype=complex)
     at = np.flatnonzero(np.isfinite(depth))
@@ -63,8 +72,10 @@ def vibration(
         return force, moved
     phi = branches.compliance_at(chatter[at])
     waves = (chatter[at] * 60.0 / speed[at])[:, None] * pitch / (2.0 * math.pi)
-    mu = 1.0 / (depth[at] * (1.0 - np.exp(-2j * math.pi * waves)).mean(axis=1))
-    force[at] = _null_vector(directional @ phi - mu[:, None, None] * np.eye(3))
+    loop = (1.0 - np.exp(-2j * math.pi * waves)).mean(axis=1)[:, None, None] * directional
+    if flank is not None:
+        loop = loop + 2j * math.pi * chatter[at, None, None] * flank[at]
+    force[at] = _null_vector(loop @ phi - np.eye(3) / depth[at, None, None])
     r = (phi @ force[at][:, :, None])[:, :, 0]
     largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)
     r = r * np.exp(-1j * np.angle(largest))

@@ -14,6 +14,9 @@ With unequal pitch the factor ``1 - exp(-j w T)`` becomes its mean S(w) over the
 mu(w)``, and the speed is no longer explicit: at each speed the frequency is scanned for real positive ``S mu`` (Budak
 2003; theory 2.4). The averaged equation is unreliable beyond the first crossing: islands there may not exist.
 
+Process damping by the worn flank adds ``j w A_d/v_c`` to ``A0 (1 - exp(-j w T))``: each speed is scanned by itself
+(`stability.methods.zero_order_scan`).
+
 The mean directional matrix misses period doubling and parametric resonance: with few teeth in the cut, or
 with half the tooth passing frequency near a mode, the true limit can lie below (theory 2.5 d: by up to 32 %).
 """
@@ -30,13 +33,14 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from process.cut.engagement import AnyEngagement
-from process.cut.force import CuttingCoefficients
+from process.cut.force import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, label
 from process.types import Complex, Real
 from stability.methods.vibration_mode import NO_MODE, dominant_modes, modal_samples, vibration
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
+from stability.methods.zero_order_scan import Loop, loop_of, sampled_crossings
 from stability.problem import (
     NO_LOBE,
     Cut,
@@ -92,6 +96,7 @@ def zero_order(
     arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     spindle_speed: ArrayLike,
+    process_damping: ProcessDamping = NO_DAMPING,
 ) -> xr.Dataset:
     """Return the zero-order limit depth at given spindle speeds.
 
@@ -108,6 +113,8 @@ def zero_order(
         The cut; one arc of engagement or several, any pitch. A helix has no influence on the mean.
     spindle_speed : array_like, shape (speeds,)
         Spindle speeds [rpm], in any order.
+    process_damping : ProcessDamping, optional
+        Of the worn flank; a sharp edge by default.
 
     Returns
     -------
@@ -131,7 +138,11 @@ def zero_order(
     samples = (
         complete_samples(compliance) if isinstance(compliance, xr.Dataset) else modal_samples(modes_of(compliance))
     )
-    return _limits(samples, cut.directional_matrix(), pattern_of_pitch(tool).delay, speed, modes, cut.warnings)
+    damped: list[Loop] = []
+    if process_damping.coefficient > 0.0:
+        damped = [loop_of(tool, arc, coefficients, float(n), process_damping) for n in speed]
+    pitch = pattern_of_pitch(tool).delay
+    return _limits(samples, cut.directional_matrix(), pitch, speed, modes, cut.warnings, damped)
 
 
 def zero_order_from_matrix(
@@ -172,10 +183,15 @@ def _limits(
     speed: Real,
     modes: Modes | None = None,
     told: Sequence[str] = (),
+    damped: Sequence[Loop] = (),
 ) -> xr.Dataset:
-    """Return the labelled limits for pitch angles [rad], shape (teeth,)."""
+    """Return the labelled limits for pitch angles [rad], shape (teeth,); `damped` holds a loop for each speed."""
     branches = eigenvalue_branches(samples, directional)
-    depth, chatter, lobe = first_limits(branches, pitch, speed)
+    if damped:
+        first = np.array([_shallowest(*sampled_crossings(branches, loop)) for loop in damped])
+        depth, chatter, lobe = first[:, 0], first[:, 1], _waves(first[:, 1], pitch, speed)
+    else:
+        depth, chatter, lobe = first_limits(branches, pitch, speed)
     warnings = [*told, *samples.warnings, *_unlimited_warning(branches, depth)]
     if np.ptp(pitch) >= EQUAL_PITCH:
         warnings.append(
@@ -184,7 +200,8 @@ def _limits(
         )
     if modes is None:
         warnings += [*edge_warnings(samples), *_cut_off_warning(branches, pitch.size, speed, depth)]
-    force, moved = vibration(branches, directional, chatter, depth, pitch, speed)
+    flank = np.array([loop.flank for loop in damped]) if damped else None
+    force, moved = vibration(branches, directional, chatter, depth, pitch, speed, flank)
     mode = None if modes is None else dominant_modes(modes, force, chatter)
     return labelled(speed, (depth, chatter, lobe, moved, mode), branches, warnings)
 
@@ -205,10 +222,19 @@ def _equal(branches: Branches, pitch: Real, speed: Real) -> Crossings:
 
 def _unequal(branches: Branches, pitch: Real, speed: Real) -> Crossings:
     """Scan the frequency at each speed; shape (speeds,) each."""
-    turn = 60.0 / speed
-    found = np.array([branches.first_crossing(pitch / (2.0 * np.pi) * t) for t in turn])
-    waves = np.floor(found[:, 1] * turn / pitch.size)
-    return found[:, 0], found[:, 1], np.where(np.isfinite(waves), waves, NO_LOBE).astype(np.int64)
+    found = np.array([branches.first_crossing(pitch / (2.0 * np.pi) * t) for t in 60.0 / speed])
+    return found[:, 0], found[:, 1], _waves(found[:, 1], pitch, speed)
+
+
+def _waves(chatter: NDArray[np.float64], pitch: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the whole waves between two teeth, on average; `NO_LOBE` without a limit."""
+    waves = np.floor(chatter * 60.0 / speed / pitch.size)
+    return np.where(np.isfinite(waves), waves, NO_LOBE).astype(np.int64)
+
+
+def _shallowest(depth: NDArray[np.float64], frequency: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the first of the crossings, (inf, NaN) without one."""
+    return (float(depth[0]), float(frequency[0])) if depth.size else (float("inf"), float("nan"))
 
 
 def lobe_curves(

@@ -1,7 +1,7 @@
 """Diagnosis of stability limits: depths and chatter frequencies of cutting tests against modes and coefficients.
 
 A condition is a limit at one spindle speed: the depth between a stable and a chattering cut, the logarithm of which
-is compared, and the chatter frequency. The prediction is the zero-order limit (`cutting.limit_crossings`), times
+is compared, and the chatter frequency. The prediction is the zero-order limit (`methods.zero_order_scan`), times
 what the converged limit of the unchanged baseline is of its zero-order limit (`methods.semi_discretization`): the
 forces of few teeth change over a turn, which the mean does not know.
 """
@@ -20,9 +20,9 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Real
-from smfe.diagnosis.cutting.limit_crossings import crossings, loop_of
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 from stability.methods.semi_discretization import limit_depth
+from stability.methods.zero_order_scan import loop_of, modal_crossings
 
 MODEL_FLOOR = 0.015
 """What a limit is trusted to, relative."""
@@ -292,7 +292,7 @@ class CuttingLimits:
         material = replace(k, Ktc=k.Ktc * grown, Krc=k.Krc * grown * ratio, Kac=k.Kac * grown)
         flank = ProcessDamping(values.get("process_damping", 0.0), FLANK_FRICTION)
         loop = loop_of(self.tool, limit.arc or self.arc, material, limit.spindle_speed, flank)
-        return crossings(self.changed(values, limit), loop)
+        return modal_crossings(self.changed(values, limit), loop)
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return log depth and chatter frequency, whitened like the data.

@@ -8,18 +8,16 @@ import pytest
 from exam.limits import RATIO, SLOT, SPEEDS, family, known, worn
 from truth.milling_limits import Found, Mill, limit
 
-from process.cut.engagement import Engagement, engagement
+from process.cut.engagement import Engagement
 from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.diagnosis.cutting.limit_crossings import crossings, loop_of
 from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, Trial, bracketed, limit_family
 from smfe.diagnosis.inference.diagnose import diagnose
 from stability.methods.semi_discretization import limit_depth
-from stability.methods.zero_order import zero_order
+from stability.methods.zero_order_scan import loop_of, modal_crossings
 
-SHARP = ProcessDamping(0.0)
 RAM = ModalModel(
     [62.0, 85.0, 140.0], [0.03, 0.04, 0.03], [2e7, 3e7, 6e7], [[1.0, 0.2, 0.1], [-0.3, 1.0, 0.0], [0.1, 0.1, 1.0]]
 )
@@ -33,51 +31,6 @@ def start(found: CuttingLimits) -> dict[str, float]:
 def as_machine(mill: Mill) -> ModalModel:
     m = mill.modes
     return ModalModel(m.frequency, m.damping, m.stiffness, [(*d, 0.0) for d in m.direction])
-
-
-# --- the prediction ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("approach", [math.pi / 2.0, math.pi / 4.0])
-@pytest.mark.parametrize("teeth", [2, 4, 8])
-def test_without_damping_the_scan_finds_the_zero_order_limit(approach: float, teeth: int) -> None:
-    # A second method: lobes explicit in the phase there, a scan of the frequency here.
-    tool, arc = Tool(0.05, teeth, approach_angle=approach), engagement("down", 0.025, 0.05)
-    speeds = [300.0, 500.0, 700.0, 1100.0, 1700.0, 2600.0]
-    lobes = zero_order(RAM, tool, arc, STEEL, speeds)
-    for n, depth, frequency in zip(speeds, lobes["limit_depth"].values, lobes["chatter_frequency"].values, strict=True):
-        found = crossings(RAM, loop_of(tool, arc, STEEL, n, SHARP))
-        assert found[0][0] * 1e3 == pytest.approx(depth, rel=2e-6)
-        assert found[1][0] == pytest.approx(frequency, rel=2e-6)
-        assert np.all(np.diff(found[0]) >= 0.0)
-
-
-def test_one_mode_with_a_flank_in_closed_form() -> None:
-    # Slot of four teeth, one mode along x: 1/(a Phi) = -K_rc (1 - exp(-j w T)) - j w C/v.
-    machine, tool, arc = ModalModel([60.0], [0.03], [2e7], [[1.0, 0.0, 0.0]]), Tool(0.05, 4), Engagement(0.0, math.pi)
-    speed, flank = 400.0, ProcessDamping(4e5, 0.0)
-    depth, frequency = (v[0] for v in crossings(machine, loop_of(tool, arc, STEEL, speed, flank)))
-    w, cutting = 2.0 * math.pi * frequency, math.pi * 0.05 * speed / 60.0
-    ratio = frequency / 60.0
-    dynamic = 2e7 * (1.0 - ratio**2 + 0.06j * ratio)
-    force = -STEEL.Krc * (1.0 - np.exp(-1j * w * 60.0 / (4.0 * speed))) - 1j * w * flank.coefficient / cutting
-    assert abs(depth * force / dynamic - 1.0) < 1e-6
-
-
-def test_the_flank_raises_the_limit_by_one_over_the_speed() -> None:
-    machine, tool, arc = ModalModel([60.0], [0.03], [2e7], [[1.0, 0.0, 0.0]]), Tool(0.05, 4), Engagement(0.0, math.pi)
-    sharp, frequency = (v[0] for v in crossings(machine, loop_of(tool, arc, STEEL, 1236.0, SHARP)))
-    gains, periods = [], []
-    for waves in (0, 2, 5):
-        # The valley of a lobe; whole waves more between two teeth: the same limit at another cutting speed.
-        period = 60.0 / (4.0 * 1236.0) + waves / frequency
-        speed = 60.0 / (4.0 * period)
-        assert crossings(machine, loop_of(tool, arc, STEEL, speed, SHARP))[0][0] == pytest.approx(sharp, rel=1e-6)
-        dull = crossings(machine, loop_of(tool, arc, STEEL, speed, ProcessDamping(2e3)))[0][0]
-        gains.append(dull / sharp - 1.0)
-        periods.append(period)
-    assert min(gains) > 0.0
-    np.testing.assert_allclose(np.array(gains) / gains[0], np.array(periods) / periods[0], rtol=0.02)
 
 
 # --- the independent generator ----------------------------------------------------------------------------------------
@@ -98,7 +51,7 @@ def test_marching_in_time_with_a_worn_flank() -> None:
     machine, tool, arc = as_machine(SLOT), Tool(SLOT.diameter, 4), Engagement(0.0, math.pi)
     material = CuttingCoefficients(SLOT.kt, SLOT.kr, 0.0)
     for n in (150.0, 330.0):
-        exact = crossings(machine, loop_of(tool, arc, material, n, ProcessDamping(worn())))[0][0]
+        exact = modal_crossings(machine, loop_of(tool, arc, material, n, ProcessDamping(worn())))[0][0]
         assert limit(replace(SLOT, flank=worn()), n)[0] == pytest.approx(exact, rel=0.01)
     sharp, dull = limit(SLOT, 150.0)[0], limit(replace(SLOT, flank=worn()), 150.0)[0]
     assert dull / sharp == pytest.approx(1.2, abs=0.01)
