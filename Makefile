@@ -27,12 +27,15 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo kernels test slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo kernels test one page figure slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
 	@echo "make test    the tests, without the slow ones (INSTALL=wheel: of the installed wheel; ARGS=... for pytest)"
 	@echo "make kernels compile what numba compiles, once (two minutes); kept in .cache by content"
+	@echo "make one     one file of tests: T=tests/process/cut/test_force.py"
+	@echo "make page    one page of the documentation: PAGE=hammer"
+	@echo "make figure  figures of a folder of results: RESULTS=demo/results NAME=lobes"
 	@echo "make slow    the slow tests"
 	@echo "make calibrations  tests that count over many seeds"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
@@ -56,6 +59,10 @@ test: $(READY) kernels
 	$(RUN) $(BIN)/pytest -m "not slow and not exam" -n $(JOBS) --dist worksteal $(ARGS)
 
 # Exit code 5 says that no test is marked slow.
+# One file or folder of tests, with what pytest has cached: make one T=tests/process/cut ARGS="-k helix"
+one: $(READY) kernels
+	$(RUN) $(BIN)/pytest $(T) -x $(ARGS)
+
 slow: $(READY) kernels
 	$(RUN) $(BIN)/pytest -m "slow and not exam" -n $(JOBS) --dist worksteal $(ARGS) || [ $$? -eq 5 ]
 
@@ -91,6 +98,16 @@ lint: $(READY)
 docs: $(READY)
 	$(RUN) $(BIN)/sphinx-build -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
+
+# One page, its examples run: make page PAGE=hammer
+page: $(READY)
+	$(RUN) SMFE_PAGE=$(PAGE) $(BIN)/sphinx-build -q -b html docs docs/_build/page
+	@echo "docs/_build/page/$(PAGE).html"
+
+# The figures of a folder of results, drawn again: make figure RESULTS=demo/results NAME=lobes
+RESULTS = demo/results
+figure: $(READY)
+	$(RUN) $(BIN)/python .ci/figure.py $(RESULTS) $(NAME)
 
 bench: $(READY)
 	@set -- benchmarks/*.py; test -e "$$1" || { echo "benchmarks/ holds no benchmark" >&2; exit 1; }

@@ -1,5 +1,6 @@
 """Sphinx configuration: furo, MyST notebooks that are executed, numpydoc docstrings."""
 
+import os
 from importlib.metadata import version as installed_version
 
 project = "smfe"
@@ -8,6 +9,9 @@ copyright = "2026, The smfe developers"
 release = version = installed_version("smfe")
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+# One page alone, for whoever writes it: `make page PAGE=hammer`.
+page = os.environ.get("SMFE_PAGE")
+include_patterns = [f"{page}.md", "index.md"] if page else ["**"]
 exclude_patterns = ["_build", "*_table.md", "**.ipynb_checkpoints"]
 
 html_theme = "furo"
