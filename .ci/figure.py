@@ -1,4 +1,4 @@
-"""Draw figures of a folder of results again, without the page: ``figure.py RESULTS [NAME]``; for whoever changes one."""
+"""Draw figures of a folder of results again, without the page: ``figure.py RESULTS [NAME]``."""
 
 import sys
 from pathlib import Path
