@@ -113,7 +113,8 @@ def _questioned(
 def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:
     """Return what ``finding.json`` holds."""
     audited = [{"cause": s.cause, "level": s.level, "where": s.where, "evidence": s.evidence} for s in suspects]
-    return {**finding.as_dict(), "story": explain(finding).splitlines(), "data_audit": audited}
+    summary = explain(finding).splitlines()
+    return {**finding.as_dict(), "story": summary, "summary": summary, "data_audit": audited}
 
 
 def _identified(campaign: Campaign, checked: Audit) -> dict[str, Identification]:

@@ -15,7 +15,7 @@ from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
-from smfe.diagnosis.inference.finding import Finding, ForceError, Own, StableDepth
+from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, StableDepth
 from smfe.diagnosis.inference.problem import Condition, Family, Values
 from stability import zero_order
 
@@ -27,7 +27,7 @@ _STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
 
 def with_consequences(campaign: Campaign, family: Family, finding: Finding, aside: Sequence[str]) -> Finding:
     """Return a finding with what became of the baseline, and stable depths or force errors where it is repaired."""
-    finding = _plausible(replace(finding, baseline=tuple(_own(family, finding))))
+    finding = _plausible(replace(finding, baseline=tuple(_baseline(family, finding))))
     if not finding.causes:
         return finding
     if isinstance(family, DriveRecordFamily):
@@ -55,12 +55,12 @@ def _plausible(finding: Finding) -> Finding:
     return replace(finding, verdict="unknown", reason=reason)
 
 
-def _own(family: Family, finding: Finding) -> Iterator[Own]:
+def _baseline(family: Family, finding: Finding) -> Iterator[BaselineParameter]:
     """The baseline's parameters that something outside of these records says; the others are found from them."""
     for p in family.nuisances:
         if math.isfinite(p.prior) and p.name in finding.values:
             fitted = finding.values[p.name]
-            yield Own(p.name, p.start * p.shown, fitted * p.shown, p.prior * p.shown, p.unit)
+            yield BaselineParameter(p.name, p.start * p.shown, fitted * p.shown, p.prior * p.shown, p.unit)
 
 
 def _limits(campaign: Campaign, family: CuttingLimits, finding: Finding) -> Iterator[StableDepth]:

@@ -26,7 +26,7 @@ from smfe.diagnosis.cutting.orders import (
     hidden_orders,
     rigid_orders,
 )
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 LOT_SCATTER = 0.3
 """Standard deviation of the coefficients about the handbook's, over the largest of them."""
@@ -51,7 +51,7 @@ class KnownForce:
 
 
 @dataclass(frozen=True)
-class CuttingForces:
+class CuttingForces(Abilities):
     """A family for `smfe.diagnosis.inference.diagnose`: steady cuts with one tool; see `cutting_family`.
 
     Parameters

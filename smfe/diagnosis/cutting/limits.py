@@ -20,7 +20,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Real
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 from stability.methods.semi_discretization import limit_depth
 from stability.methods.zero_order_scan import loop_of, modal_crossings
 
@@ -199,7 +199,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class CuttingLimits:
+class CuttingLimits(Abilities):
     """A family for `smfe.diagnosis.inference.diagnose`: limits of one tool on one machine; see `limit_family`.
 
     Parameters

@@ -50,7 +50,7 @@ from smfe.diagnosis.drive.terms import (
     excess,
     saturation,
 )
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 _CLOSED_LOOP = 1.0 / 6.0
 """Share of the angle by which noise turns the force at the end of the band that the loop makes of it, one sigma."""
@@ -119,7 +119,7 @@ class DriveModel:
 
 
 @dataclass(frozen=True)
-class DriveRecordFamily:
+class DriveRecordFamily(Abilities):
     """Baseline, causes and conditions of one drive record; made by `from_record`.
 
     Parameters
@@ -261,7 +261,7 @@ class DriveRecordFamily:
         return found
 
     @property
-    def noise_freedom(self) -> float:
+    def noise_degrees_of_freedom(self) -> float:
         """Degrees of freedom with which the slowest noise is known: 2 over the variance of the log of its power."""
         powers = [math.log(abs(float(np.sum(d.above) / np.sum(d.below)))) * 2.0 for d in self.model.draws]
         return 2.0 / float(np.var(powers)) if len(powers) > 1 else math.inf

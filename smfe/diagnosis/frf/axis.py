@@ -28,7 +28,7 @@ from smfe.diagnosis.frf.noise import condition_of as condition_of
 from smfe.diagnosis.frf.noise import excitation_of as excitation_of
 from smfe.diagnosis.inference.fit import Target, roughly
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 _RATE = 2000.0  # samples and steps a second of a simulated hit
 _ACCURACY = 1e-4  # of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters
@@ -94,7 +94,7 @@ def missing_mode(band: tuple[float, float], count: int = 6) -> Cause:
 
 
 @dataclass(frozen=True)
-class MachineFrfs:
+class MachineFrfs(Abilities):
     """A family for `smfe.diagnosis.inference.diagnose`: compliances of one machine under many conditions.
 
     Parameters
@@ -126,6 +126,10 @@ class MachineFrfs:
     model_error: float = 0.002
     _kept: dict[tuple[object, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
     _machines: dict[Effective, Machine] = field(default_factory=dict, repr=False, compare=False)
+
+    def condition_degrees_of_freedom(self, condition: Condition) -> float:
+        """Degrees of freedom with which the noise of a measured compliance is known."""
+        return condition.data.noise_freedom if isinstance(condition.data, Excited) else math.inf
 
     @property
     def roughness(self) -> float:
@@ -177,6 +181,11 @@ class MachineFrfs:
                 self._machines.clear()
             machine = self._machines[found] = self.baseline.machine(found)
         return machine
+
+    @property
+    def prepares_data(self) -> bool:
+        """Single hits are made to mean hits by a simulation."""
+        return True
 
     def as_found(self, values: Values) -> tuple[Condition, ...]:
         """Return the conditions as the mean hits on a machine of these values would have found them."""

@@ -156,7 +156,7 @@ class AxisBaseline:
         shortest = min((s.delay for s in self.servos.values()), default=0.0)
         delay = Parameter("extra_delay", "ms", 0.0, 1e-4, -shortest, 5e-3, shown=1e3)
         return (
-            Cause("servo_gains", "servo gains other than recorded", gains, twin=self._exchanged),
+            Cause("servo_gains", "servo gains other than recorded", gains, equivalent=self._exchanged),
             Cause("loop_delay", "a dead time in the control loop", (delay,)),
         )
 

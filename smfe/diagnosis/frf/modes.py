@@ -20,7 +20,7 @@ from process.types import Complex, Real
 from smfe.diagnosis.frf.modal_causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
 from smfe.diagnosis.frf.noise import Excited
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
 """Prior standard deviation of what the baseline says of a mode, relative."""
@@ -32,7 +32,7 @@ _KEPT = 4000
 
 
 @dataclass(frozen=True)
-class ModalFrfs:
+class ModalFrfs(Abilities):
     """A family for `smfe.diagnosis.inference.diagnose`: a modal machine under many conditions.
 
     Settings of a condition that count: ``position`` [m]; ``order`` (0 first, 1 last in the session); ``spindle_speed``
@@ -127,6 +127,10 @@ class ModalFrfs:
         """Position from that of the first condition that gives one [m]."""
         settings = condition.settings
         return float(settings["position"]) - self._first_place if "position" in settings else 0.0
+
+    def condition_degrees_of_freedom(self, condition: Condition) -> float:
+        """Degrees of freedom with which the noise of a measured compliance is known."""
+        return condition.data.noise_freedom if isinstance(condition.data, Excited) else math.inf
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the compliance that a set of values predicts, whitened like the data.

@@ -32,7 +32,7 @@ Fold = tuple[int, ...]
 Scheme = tuple[Fold, ...]
 
 BAND = 0.01
-"""Chance below which a held-out misfit is more than noise."""
+"""p-value below which a held-out misfit is more than noise."""
 
 RETAINED = 0.05
 """Share of the information on any combination of parameters that a fold must leave to the fit."""
@@ -71,7 +71,7 @@ class HeldOut:
     values : mapping
         How many values the condition has: what noise gives.
     misfit : Misfit
-        The scheme that looks worst, its chance times the number of schemes.
+        The scheme that looks worst, its p-value times the number of schemes.
     trusted : bool
         Whether all fits converged.
     """
@@ -191,9 +191,9 @@ def held_out(model: Model, target: Target, fit: Fit, chosen: Sequence[Scheme]) -
             for r in fold:
                 squares.setdefault(r, []).append(float(out[r] @ out[r]))
                 floors.setdefault(r, []).append(spread.square(r))
-        misfits.append(assess(groups, False, model.noise_freedom))
-    worst = min(misfits, key=lambda m: m.chance, default=Misfit(1.0, 0.0, 0.0, {}))
-    worst = replace(worst, chance=min(1.0, worst.chance * len(misfits)))
+        misfits.append(assess(groups, False, model.noise_knowledge))
+    worst = min(misfits, key=lambda m: m.p_value, default=Misfit(1.0, 0.0, 0.0, {}))
+    worst = replace(worst, p_value=min(1.0, worst.p_value * len(misfits)))
     values = {r: float(target.observed[r].size) for r in squares}
     mean, floor = ({r: float(np.mean(v)) for r, v in x.items()} for x in (squares, floors))
     return HeldOut(mean, floor, values, worst, trusted)
@@ -229,7 +229,7 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
     floor = {b: spread.square(b) for _, spread in groups for b in spread.load}
     count = {b: float(x.size) for out_, _ in groups for b, x in out_.items()}
     rows = {n * BLOCKS + b: r for n, r in enumerate(target.observed) for b in range(BLOCKS)}
-    misfit = assess([(out_, spread.load) for out_, spread in groups], False, model.noise_freedom.parted(rows, BLOCKS))
+    misfit = assess([(out_, spread.load) for out_, spread in groups], False, model.noise_knowledge.parted(rows, BLOCKS))
     by_row = {
         r: min(misfit.by_condition[b] for b in range(n * BLOCKS, (n + 1) * BLOCKS))
         for n, r in enumerate(target.observed)
@@ -264,7 +264,7 @@ def _apart(model: Model, target: Target, fit: Fit, fold: Fold) -> tuple[Mapping[
     return out, True
 
 
-def opened(model: Model, target: Target, fit: Fit, data: Mapping[int, Real]) -> HeldOut:
+def unseen(model: Model, target: Target, fit: Fit, data: Mapping[int, Real]) -> HeldOut:
     """Predict data that no fit has seen, from the fit to all the others."""
     out, slope = residuals(model, Target(data, target.centre), fit.u), model.slopes(list(data), fit.u, fit.free)
     if out is None or slope is None:
@@ -272,7 +272,7 @@ def opened(model: Model, target: Target, fit: Fit, data: Mapping[int, Real]) -> 
     spread = _spread(model, target, fit, slope)
     squares, floors = {r: float(x @ x) for r, x in out.items()}, {r: spread.square(r) for r in data}
     values = {r: float(x.size) for r, x in out.items()}
-    return HeldOut(squares, floors, values, assess([(out, spread.load)], False, model.noise_freedom), fit.converged)
+    return HeldOut(squares, floors, values, assess([(out, spread.load)], False, model.noise_knowledge), fit.converged)
 
 
 @dataclass(frozen=True)
@@ -310,7 +310,7 @@ def compare(before: HeldOut, after: HeldOut, rng: np.random.Generator) -> Gain:
         return Gain(0.0, math.inf, 0.0, 0.0, -math.inf)
     won = np.array([before.squares[r] - after.squares[r] for r in rows])
     floor = np.array([after.floor[r] for r in rows])
-    noisy = after.misfit.chance >= BAND
+    noisy = after.misfit.p_value >= BAND
     excess = floor if noisy else np.array([after.squares[r] - after.values[r] for r in rows])
     drawn = np.concatenate([np.arange(len(rows))[None], rng.integers(0, len(rows), (_RESAMPLES, len(rows)))])
     gained = won[drawn].sum(axis=1)

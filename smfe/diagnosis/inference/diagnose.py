@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +11,14 @@ from threadpoolctl import threadpool_limits
 
 from process.errors import InputError
 from process.types import Complex, Real
-from smfe.diagnosis.inference.cross_validation import BAND, Gain, compare, opened
-from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, Remainder, Rung, by_condition
+from smfe.diagnosis.inference.cross_validation import BAND, Gain, compare, unseen
+from smfe.diagnosis.inference.detectable_effects import cosines, detectable, groups
+from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, Remainder, SearchStep, by_condition
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal, rank, revealing
-from smfe.diagnosis.inference.power import cosines, detectable, groups
-from smfe.diagnosis.inference.problem import Condition, Family, Values
+from smfe.diagnosis.inference.problem import Condition, Family
 from smfe.diagnosis.inference.search import MOST_CAUSES, Bench, Step, search
 from smfe.diagnosis.inference.signature import inside
 from smfe.diagnosis.inference.thresholds import PENALTY, covariances_of_noise, parameters_of
@@ -37,9 +36,9 @@ def diagnose(
 ) -> Finding:
     """Diagnose a baseline.
 
-    Where the data of a family rest on a simulation (its method ``as_found``: values to conditions) and a cause was
-    found, they are prepared once more, with that cause, and searched again, from the fits that are known by then; and
-    a third time if that finds others.
+    Where the data of a family rest on a simulation (`Family.prepares_data`) and a cause was found, they are prepared
+    once more, with that cause, and searched again from the fits that are known by then; a third time if that search
+    finds other causes.
 
     Parameters
     ----------
@@ -48,9 +47,9 @@ def diagnose(
     seed : int, optional
         Of all draws; the same seed gives the same finding.
     progress : callable, optional
-        Told what is being done.
+        Called with what is being done.
     held_out : sequence of str, optional
-        Names of measured conditions that are set aside and opened once, at the very end.
+        Names of measured conditions that no fit uses and that are predicted once, at the very end.
     workers : int, optional
         Processes that predict where that takes long; default: one a core, at most 8, on Linux, elsewhere one. The
         finding is the same with any number.
@@ -58,7 +57,7 @@ def diagnose(
     Returns
     -------
     Finding
-        Verdict, causes, gains, power and the next experiment.
+        Verdict, causes, gains, detectable sizes and the next experiment.
 
     Raises
     ------
@@ -67,142 +66,100 @@ def diagnose(
     """
     # Many small matrices: threads of the algebra wait for each other, and sum in another order each time.
     with threadpool_limits(1, "blas"), Helpers(workers) as helpers:
-        return _diagnosed(family, seed, progress, held_out, helpers)
+        conditions: Sequence[Condition] = family.conditions
+        known, assumed = dict[tuple[int, ...], Fit](), tuple[int, ...]()
+        for last in (not family.prepares_data, False, True):
+            bench, apart = _prepared(family, conditions, seed, progress, held_out, helpers)
+            bench.known = known
+            values, nuisances = _values(bench), bench.model.nuisance.size
+            if values <= nuisances:
+                return Finding("insufficient_data", f"{values} values for {nuisances} parameters of the baseline")
+            if not bench.null().converged:
+                return Finding("insufficient_data", f"the baseline could not be fitted: {bench.null().reason}")
+            # As long as the data are prepared without a cause, one is enough to prepare them better.
+            at, steps = search(bench, MOST_CAUSES if last or assumed else 1)
+            if last or at.causes == assumed:
+                break
+            assumed, known = at.causes, dict(bench.fits)
+            conditions = family.as_found(bench.model.values(at.u))
+        return _finding(bench, apart, at, steps)
 
 
-def _diagnosed(family: Family, seed: int, progress: Progress, held_out: Sequence[str], helpers: Helpers) -> Finding:
-    again: Callable[[Values], Sequence[Condition]] | None = getattr(family, "as_found", None)
-    conditions: Sequence[Condition] = family.conditions
-    known, prepared = dict[tuple[int, ...], Fit](), tuple[int, ...]()
-    for last in (again is None, False, True):
-        laid = _laid_out(family, conditions, seed, progress, held_out, helpers)
-        laid.bench.known = known
-        refused = _refused(laid.bench)
-        if refused is not None:
-            return refused
-        # As long as the data are prepared without a cause, one is enough to prepare them better.
-        at, ladder = search(laid.bench, MOST_CAUSES if last or prepared else 1)
-        if again is None or last or at.causes == prepared:
-            break
-        prepared, known, conditions = at.causes, dict(laid.bench.fits), again(laid.bench.model.values(at.u))
-    return _finding(laid, at, ladder)
-
-
-@dataclass(frozen=True)
-class _Laid:
-    """Conditions laid out for a search: those to fit, those that are set aside, those that could be measured."""
-
-    bench: Bench
-    aside: dict[int, Real]
-    proposals: range
-
-
-def _laid_out(
+def _prepared(
     family: Family,
     conditions: Sequence[Condition],
     seed: int,
     progress: Progress,
     held_out: Sequence[str],
     helpers: Helpers,
-) -> _Laid:
+) -> tuple[Bench, dict[int, Real]]:
+    """Return the conditions ready for a search, and the data that no fit may use."""
     measured = [c for c in conditions if c.observed is not None]
     missing = sorted(set(held_out) - {c.name for c in measured})
     if missing:
         raise InputError(f"{missing[0]!r} cannot be held out: it is not one of the measured conditions")
     model = Model(family, [*measured, *family.proposals], helpers)
     data = {r: np.asarray(c.observed, dtype=float) for r, c in enumerate(measured)}
-    _refuse_gaps(model, data)
-    aside = {r: y for r, y in data.items() if measured[r].name in held_out}
-    target = Target({r: y for r, y in data.items() if r not in aside}, model.null())
-    return _Laid(Bench(model, target, seed, progress), aside, range(len(measured), len(model.conditions)))
-
-
-def _values(bench: Bench) -> int:
-    return sum(y.size for y in bench.target.observed.values())
-
-
-def _refused(bench: Bench) -> Finding | None:
-    """Say why there is nothing to be found out, if so."""
-    values, nuisances = _values(bench), bench.model.nuisance.size
-    if values <= nuisances:
-        return Finding("insufficient_data", f"{values} values for {nuisances} parameters of the baseline")
-    if not bench.null().converged:
-        return Finding("insufficient_data", f"the baseline could not be fitted: {bench.null().reason}")
-    return None
-
-
-def _finding(laid: _Laid, at: Fit, ladder: Sequence[Step]) -> Finding:
-    bench, model, values = laid.bench, laid.bench.model, _values(laid.bench)
-    null = bench.tangent(bench.null())
-    limit = bench.threshold(bench.null())
-    power = detectable(model, null, limit)
-    together = groups(model, cosines(model, null))
-    judged = judge(bench, at, ladder, power)
-    return Finding(
-        verdict=judged.verdict,
-        reason=judged.reason,
-        causes=tuple(_found(bench, at, k, judged) for k in at.causes),
-        alternatives=_alternatives(bench, at, judged),
-        ladder=tuple(_rung(s, values) for s in ladder),
-        misfit_before_db=_decibel(bench.null(), values),
-        misfit_after_db=_decibel(at, values),
-        gain=judged.gain,
-        opened=_opened(bench, at, laid.aside),
-        remainder=_remainder(bench, judged),
-        power=power,
-        inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
-        unconverged=tuple(sorted(bench.unconverged.items())),
-        next_experiment=_next(bench, at, ladder, judged, laid.proposals),
-        threshold=limit if math.isfinite(limit) else None,
-        conditions=by_condition(model, bench.null(), at, laid.aside),
-        values=model.values(at.u),
-        values_before=model.values(bench.null().u),
-    )
-
-
-def _refuse_gaps(model: Model, data: dict[int, Real]) -> None:
     for r, y in data.items():
         if y.ndim != 1 or y.size == 0 or not np.all(np.isfinite(y)):
             raise InputError(
                 f"{model.conditions[r].name}: data of shape {y.shape}, or with values that are not finite; give one "
                 "row of finite whitened values"
             )
+    apart = {r: y for r, y in data.items() if measured[r].name in held_out}
+    target = Target({r: y for r, y in data.items() if r not in apart}, model.null())
+    return Bench(model, target, seed, progress), apart
 
 
-def _decibel(found: Fit, values: int) -> float:
-    """Misfit over what noise gives."""
-    return 10.0 * math.log10(max(found.chi2, 1e-300) / values)
+def _values(bench: Bench) -> int:
+    return sum(y.size for y in bench.target.observed.values())
 
 
-def _rung(step: Step, values: int) -> Rung:
-    gain = step.gain
-    return Rung(
-        step.change,
-        step.ratio,
-        step.threshold,
-        None if gain is None else gain.db,
-        None if gain is None else gain.sd,
-        10.0 * math.log10(max(step.chi2, 1e-300) / values),
-        step.accepted,
-        step.reason,
+def _finding(bench: Bench, apart: Mapping[int, Real], at: Fit, steps: Sequence[Step]) -> Finding:
+    model, values, null = bench.model, _values(bench), bench.null()
+    limit = bench.threshold(null)
+    sizes = detectable(model, bench.tangent(null), limit)
+    together = groups(model, cosines(model, bench.tangent(null)))
+    judged = judge(bench, at, steps, sizes)
+    return Finding(
+        verdict=judged.verdict,
+        reason=judged.reason,
+        causes=tuple(_found(bench, at, k, judged) for k in at.causes),
+        alternatives=_alternatives(bench, at, judged),
+        search_steps=tuple(_search_step(s, values) for s in steps),
+        misfit_before_db=_decibel(null.chi2, values),
+        misfit_after_db=_decibel(at.chi2, values),
+        gain=judged.gain,
+        held_out_gain=_held_out_gain(bench, at, apart),
+        remainder=_remainder(bench, judged),
+        detectable=sizes,
+        inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
+        unconverged=tuple(sorted(bench.unconverged.items())),
+        next_experiment=_next_experiment(bench, at, steps, judged),
+        threshold=limit if math.isfinite(limit) else None,
+        conditions=by_condition(model, null, at, apart),
+        values=model.values(at.u),
+        values_before=model.values(null.u),
     )
+
+
+def _decibel(chi2: float, values: int) -> float:
+    """Return a misfit over what noise gives [dB]."""
+    return 10.0 * math.log10(max(chi2, 1e-300) / values)
+
+
+def _search_step(step: Step, values: int) -> SearchStep:
+    db, sd = (None, None) if step.gain is None else (step.gain.db, step.gain.sd)
+    misfit = _decibel(step.chi2, values)
+    return SearchStep(step.change, step.ratio, step.threshold, db, sd, misfit, step.accepted, step.reason)
 
 
 def _found(bench: Bench, at: Fit, k: int, judged: Judgement) -> FoundCause:
-    """Describe a cause of a fit."""
-    cause = bench.model.causes[k]
-    smaller = bench.reduce(at, k)
+    cause, smaller = bench.model.causes[k], bench.reduce(at, k)
     gain = bench.gain(smaller, at)
-    return FoundCause(
-        cause.id,
-        cause.variant,
-        cause.title,
-        cause.kind,
-        estimates(bench, at, k, judged),
-        smaller.chi2 - at.chi2,
-        None if gain is None else gain.db,
-        None if gain is None else gain.sd,
-    )
+    db, sd = (None, None) if gain is None else (gain.db, gain.sd)
+    values = estimates(bench, at, k, judged)
+    return FoundCause(cause.id, cause.variant, cause.title, cause.kind, values, smaller.chi2 - at.chi2, db, sd)
 
 
 def _remainder(bench: Bench, judged: Judgement) -> Remainder | None:
@@ -212,25 +169,22 @@ def _remainder(bench: Bench, judged: Judgement) -> Remainder | None:
         return None
     share = None if judged.gain is None else 1.0 - judged.gain.share
     names = tuple(bench.model.conditions[r].name for r in judged.carriers)
-    return Remainder(10.0 * math.log10(max(left.ratio, 1e-300)), left.chance, left.chance < BAND, share, names)
+    return Remainder(10.0 * math.log10(max(left.ratio, 1e-300)), left.p_value, left.p_value < BAND, share, names)
 
 
 def _alternatives(bench: Bench, at: Fit, judged: Judgement) -> tuple[tuple[FoundCause, ...], ...]:
     found = []
     for k, fits in judged.sets.items():
-        others = []
-        for f in fits:
-            (other,) = set(f.causes) - set(at.causes)
-            others.append(_found(bench, f, other, judged))
-        found.append((_found(bench, at, k, judged), *others))
+        others = [(f, next(iter(set(f.causes) - set(at.causes)))) for f in fits]
+        found.append((_found(bench, at, k, judged), *(_found(bench, f, other, judged) for f, other in others)))
     return tuple(found)
 
 
-def _opened(bench: Bench, at: Fit, aside: dict[int, Real]) -> Gain | None:
-    """Gain on the conditions that were set aside."""
-    if not aside or not at.causes:
+def _held_out_gain(bench: Bench, at: Fit, data: Mapping[int, Real]) -> Gain | None:
+    """Return the gain on the conditions that no fit has seen."""
+    if not data or not at.causes:
         return None
-    before, after = (opened(bench.model, bench.target, f, aside) for f in (bench.null(), at))
+    before, after = (unseen(bench.model, bench.target, f, data) for f in (bench.null(), at))
     if not (before.squares and after.squares):
         return None
     return compare(before, after, bench.rng(5, parameters_of(bench.model, at.causes)))
@@ -239,43 +193,44 @@ def _opened(bench: Bench, at: Fit, aside: dict[int, Real]) -> Gain | None:
 _CONTENDERS = 3
 
 
-def _unproven(bench: Bench, ladder: Sequence[Step]) -> list[Fit]:
+def _unproven(bench: Bench, steps: Sequence[Step]) -> list[Fit]:
     """Return the best hypotheses that were refused for want of a condition that tests them; one alone with the null."""
-    steps = {s.causes: bench.fitted(s.causes) for s in ladder if not s.accepted}
+    refused = {s.causes: bench.fitted(s.causes) for s in steps if not s.accepted}
     kept: list[Fit] = []
-    for f in sorted(steps.values(), key=lambda f: f.chi2 + PENALTY * parameters_of(bench.model, f.causes)):
+    for f in sorted(refused.values(), key=lambda f: f.chi2 + PENALTY * parameters_of(bench.model, f.causes)):
         # More of the same is not another hypothesis.
         if f.converged and not any(set(g.causes) & set(f.causes) for g in kept):
             kept.append(f)
     return kept[:_CONTENDERS] if len(kept) > 1 else [*kept, bench.null()]
 
 
-def _next(bench: Bench, at: Fit, ladder: Sequence[Step], judged: Judgement, rows: Sequence[int]) -> Proposal | None:
+def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judgement) -> Proposal | None:
     """Return the proposal that settles best which of the first open set is right, or shows what could be hidden."""
+    model = bench.model
+    rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
     if judged.verdict == "consistent":
-        return revealing(bench.model, bench.target, at, bench.threshold(bench.null()), rows)
+        return revealing(model, bench.target, at, bench.threshold(bench.null()), rows)
     if judged.verdict == "insufficient_data":
-        ranked = rank(bench.model, bench.target, _unproven(bench, ladder), rows, "what was refused") if ladder else []
+        ranked = rank(model, bench.target, _unproven(bench, steps), rows, "what was refused") if steps else []
         return ranked[0] if ranked else None
     if not judged.sets:
         return None
     k, fits = next(iter(judged.sets.items()))
-    titles = [bench.model.causes[k].title]
-    titles += [bench.model.causes[j].title for f in fits for j in set(f.causes) - set(at.causes)]
-    ranked = rank(bench.model, bench.target, [at, *fits], rows, " and ".join(titles))
-    return ranked[0] if ranked and ranked[0].chance > 0.5 else None
+    titles = [model.causes[j].title for j in (k, *(j for f in fits for j in set(f.causes) - set(at.causes)))]
+    ranked = rank(model, bench.target, [at, *fits], rows, " and ".join(titles))
+    return ranked[0] if ranked and ranked[0].probability > 0.5 else None
 
 
-# --- Intervals of the fitted parameters: from noise, from what the best model leaves, and from what it may do wrong.
+# --- Intervals of the fitted parameters: from noise, from what the best model leaves, and from errors of predictions.
 
 _INTERVAL = 1.959964
 
-_TOLD, _SHARED = 1e-9, 1e-3
-"""Singular value, relative, below which the data say nothing of a direction; its share in a parameter that counts."""
+_KNOWN, _SHARED = 1e-9, 1e-3
+"""Singular value, relative, below which the data do not determine a direction; its share in a parameter that counts."""
 
 
 def estimates(bench: Bench, at: Fit, k: int, judged: Judgement) -> tuple[Estimate, ...]:
-    """Return parameters of a cause with 95 % intervals, infinite where the data do not tell a parameter from others."""
+    """Return parameters of a cause with 95 % intervals, infinite where the data do not separate it from others."""
     model = bench.model
     sd = deviations(bench, at, judged.misfit)
     found = []
@@ -299,12 +254,12 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
     size = np.linalg.norm(slope, axis=0)
     moving = inside(bench.model, at) & (size > 0.0)
     rotated, singular, right = np.linalg.svd((slope / np.where(size > 0.0, size, 1.0))[:, moving], full_matrices=False)
-    told = singular > _TOLD * singular.max(initial=0.0)
-    inverse = (right[told].T / singular[told]) @ rotated[:, told].T / size[moving, None]
+    known = singular > _KNOWN * singular.max(initial=0.0)
+    inverse = (right[known].T / singular[known]) @ rotated[:, known].T / size[moving, None]
     sd = np.where(size > 0.0, 0.0, np.inf)
     covariances = covariances_of_noise(bench.model, at.residual, inverse.T)
     sd[moving] = np.sqrt(np.mean([np.diag(c) for c in covariances], axis=0))
-    if left is not None and left.chance < BAND:
+    if left is not None and left.p_value < BAND:
         ends = np.cumsum([r.size for r in at.residual.values()])
         data, prior = inverse[:, : ends[-1]], inverse[:, ends[-1] :]
         pulls = [a @ r for a, r in zip(np.split(data, ends[:-1], axis=1), at.residual.values(), strict=True)]
@@ -312,30 +267,27 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
         robust = np.sqrt(scatter + np.sum(np.square(prior), axis=1))
         sd[moving] = np.maximum(sd[moving] * math.sqrt(max(left.ratio, 1.0)), robust)
     sd[moving] = np.hypot(sd[moving], _off(bench.model, at, moving))
-    # What is seen of several only together says nothing of each: its variance would come out as zero.
-    sd[moving] = np.where(1.0 - np.sum(np.square(right[told]), axis=0) > _SHARED**2, np.inf, sd[moving])
+    # Parameters that are seen only together have no interval each: their variance would come out as zero.
+    sd[moving] = np.where(1.0 - np.sum(np.square(right[known]), axis=0) > _SHARED**2, np.inf, sd[moving])
     return sd
 
 
 def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> Real:
     """Return the standard deviations that errors of the predictions add to some scaled fitted parameters."""
     family, count = model.family, int(moving.sum())
-    share = float(getattr(family, "model_error", 0.0))
-    if share == 0.0 or count == 0:
+    if family.model_error == 0.0 or count == 0:
         return np.zeros(count)
     rows = list(at.slope)
-    each = [
-        family.relative(model.conditions[r], model.predict(r, at.u), at.slope[r][:, moving])  # type: ignore[attr-defined]
-        for r in rows
-    ]
-    labels = family.alike([model.conditions[r] for r in rows])  # type: ignore[attr-defined]
+    predicted = {r: y for r in rows if (y := model.predict(r, at.u)) is not None}
+    each = [family.relative(model.conditions[r], y, at.slope[r][:, moving]) for r, y in predicted.items()]
+    labels = family.alike([model.conditions[r] for r in rows])
     shared = {k: np.mean([x for x, label in zip(each, labels, strict=True) if label == k], axis=0) for k in set(labels)}
     slope, wrong = (_real(x) for x in (each, [shared[k] for k in labels]))
     size = np.linalg.norm(slope, axis=0)
     size[size == 0.0] = 1.0
-    inverse = np.linalg.pinv(slope / size, rcond=_TOLD) / size[:, None]
+    inverse = np.linalg.pinv(slope / size, rcond=_KNOWN) / size[:, None]
     taken = inverse @ inverse.T @ wrong.T
-    return np.asarray(share * np.sqrt(len(slope) / 2.0 / count * np.sum(np.square(taken), axis=1)))
+    return np.asarray(family.model_error * np.sqrt(len(slope) / 2.0 / count * np.sum(np.square(taken), axis=1)))
 
 
 def _real(each: Sequence[Complex]) -> Real:

@@ -11,10 +11,10 @@ import numpy as np
 
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain
+from smfe.diagnosis.inference.detectable_effects import Detectable
 from smfe.diagnosis.inference.fit import Fit, Target, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal
-from smfe.diagnosis.inference.power import Detectable
 from smfe.diagnosis.inference.verdict import Verdict
 
 
@@ -63,7 +63,7 @@ class Remainder:
     ----------
     misfit_db : float
         Squares of the residuals over those of noise [dB], the uncertainty of the prediction counted as noise.
-    chance : float
+    p_value : float
         Probability that noise alone looks as bad.
     beyond_noise : bool
         Whether it is more than noise (99 %).
@@ -74,14 +74,14 @@ class Remainder:
     """
 
     misfit_db: float
-    chance: float
+    p_value: float
     beyond_noise: bool
     share: float | None
     carriers: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Rung:
+class SearchStep:
     """A step of the search: what was tried, what it gave, whether it was kept."""
 
     change: str
@@ -125,7 +125,7 @@ class ForceError:
 
 
 @dataclass(frozen=True)
-class Own:
+class BaselineParameter:
     """A parameter of the baseline that the campaign gives, and what the fit makes of it, in the unit shown.
 
     Attributes
@@ -135,7 +135,7 @@ class Own:
     given, fitted : float
         As the campaign has it (or the data sheet), and in the best model.
     spread : float
-        Standard deviation with which `given` is trusted: within it the fit may move it without blame.
+        Standard deviation with which `given` is trusted: within it the fit may move it.
     """
 
     name: str
@@ -145,7 +145,7 @@ class Own:
     unit: str
 
     @property
-    def blamed(self) -> bool:
+    def beyond_prior(self) -> bool:
         """Whether the data put it further away than is trusted."""
         return abs(self.fitted - self.given) > TRUSTED * self.spread
 
@@ -170,18 +170,18 @@ class Finding:
         ("ambiguous", see `alternatives`), or whether something else is left ("unknown", see `remainder`).
     alternatives : tuple of tuple of FoundCause
         Sets that cannot be told apart; each begins with the cause that fits best. Causes of the best model that are in
-        none are beyond doubt.
-    ladder : tuple of Rung
+        none are certain.
+    search_steps : tuple of SearchStep
         Steps of the search.
     misfit_before_db, misfit_after_db : float or None
         Misfit of the baseline and of the best model, over noise; 0 dB is noise alone.
     gain : Gain or None
         Of all causes together, on conditions held out in turn.
-    opened : Gain or None
+    held_out_gain : Gain or None
         The same on the conditions that were set aside beforehand and opened at the end.
     remainder : Remainder or None
         What the best model leaves.
-    power : tuple of Detectable
+    detectable : tuple of Detectable
         Size of each cause that would have been seen in the baseline's residual with 95 %.
     inseparable : tuple of tuple of str
         Causes that do nearly the same in these conditions: only strong effects can be told apart.
@@ -199,7 +199,7 @@ class Finding:
         Where the finding repairs the machine of a campaign that asks for stable depths.
     force_error : tuple of ForceError
         Where it repairs the model of a drive.
-    baseline : tuple of Own
+    baseline : tuple of BaselineParameter
         The baseline's own parameters, as given and as fitted: a verdict is about what is beyond them.
     """
 
@@ -207,13 +207,13 @@ class Finding:
     reason: str
     causes: tuple[FoundCause, ...] = ()
     alternatives: tuple[tuple[FoundCause, ...], ...] = ()
-    ladder: tuple[Rung, ...] = ()
+    search_steps: tuple[SearchStep, ...] = ()
     misfit_before_db: float | None = None
     misfit_after_db: float | None = None
     gain: Gain | None = None
-    opened: Gain | None = None
+    held_out_gain: Gain | None = None
     remainder: Remainder | None = None
-    power: tuple[Detectable, ...] = ()
+    detectable: tuple[Detectable, ...] = ()
     inseparable: tuple[tuple[str, ...], ...] = ()
     unconverged: tuple[tuple[str, str], ...] = ()
     next_experiment: Proposal | None = None
@@ -223,15 +223,29 @@ class Finding:
     values_before: Mapping[str, float] = field(default_factory=dict)
     stable_depth: tuple[StableDepth, ...] = ()
     force_error: tuple[ForceError, ...] = ()
-    baseline: tuple[Own, ...] = ()
+    baseline: tuple[BaselineParameter, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for ``finding.json``; numbers that are not finite become None."""
-        found = asdict(self)
+        found = asdict(self, dict_factory=_with_keys)
         found["misfit_db"] = {"before": found.pop("misfit_before_db"), "after": found.pop("misfit_after_db")}
         found["unconverged"] = dict(self.unconverged)
         plain: dict[str, Any] = _plain(found)
         return plain
+
+
+_KEYS = {
+    "search_steps": "ladder",
+    "held_out_gain": "opened",
+    "detectable": "power",
+    "p_value": "chance",
+    "probability": "chance",
+}
+"""Field -> key of ``finding.json``, where that is another."""
+
+
+def _with_keys(fields: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {_KEYS.get(name, name): value for name, value in fields}
 
 
 def _plain(x: Any) -> Any:
@@ -266,7 +280,7 @@ def explain(finding: Finding) -> str:
     elif finding.verdict == "ambiguous":
         parts.append("None of the proposed experiments would settle it.")
     if finding.verdict == "consistent":
-        parts += _power(finding.power)
+        parts += _detectable(finding.detectable)
     parts += [f"Not used as evidence: {name}: {why}." for name, why in finding.unconverged]
     return "\n".join(parts)
 
@@ -291,8 +305,8 @@ def _misfit(finding: Finding) -> list[str]:
     return [text + "."]
 
 
-def _own(baseline: Sequence[Own]) -> list[str]:
-    moved = [f"{p.name} {p.fitted:.4g}{unit_of(p.unit)} in place of {p.given:.4g}" for p in baseline if p.blamed]
+def _own(baseline: Sequence[BaselineParameter]) -> list[str]:
+    moved = [f"{p.name} {p.fitted:.4g}{unit_of(p.unit)} in place of {p.given:.4g}" for p in baseline if p.beyond_prior]
     if not moved:
         return []
     return [f"These data give the baseline other values than the campaign does: {'; '.join(moved)}."]
@@ -356,7 +370,7 @@ def _remainder(finding: Finding) -> list[str]:
 
 def _gains(finding: Finding) -> list[str]:
     found = []
-    for gain, where in ((finding.gain, "held out in turn"), (finding.opened, "set aside beforehand")):
+    for gain, where in ((finding.gain, "held out in turn"), (finding.held_out_gain, "set aside beforehand")):
         if gain is not None and finding.causes:
             found.append(
                 f"On conditions {where} the extension explains {100.0 * gain.share:.3g} % of the repeatable error "
@@ -365,13 +379,13 @@ def _gains(finding: Finding) -> list[str]:
     return found
 
 
-def _power(power: Sequence[Detectable]) -> list[str]:
+def _detectable(sizes: Sequence[Detectable]) -> list[str]:
     found = [
         f"{p.title} above {p.size:.2g}{unit_of(p.unit)} ({p.parameter}) would have been seen with 95 %."
-        for p in power
+        for p in sizes
         if p.admissible
     ]
-    hidden = dict.fromkeys(f"{p.title} ({p.parameter})" for p in power if not p.admissible)
+    hidden = dict.fromkeys(f"{p.title} ({p.parameter})" for p in sizes if not p.admissible)
     return [*found, *([f"Would not have been seen in these conditions: {'; '.join(hidden)}."] if hidden else [])]
 
 
@@ -398,13 +412,13 @@ class ConditionMisfit:
     held_out: bool
 
 
-def by_condition(model: Model, before: Fit, after: Fit, aside: Mapping[int, Real]) -> tuple[ConditionMisfit, ...]:
+def by_condition(model: Model, before: Fit, after: Fit, held_out: Mapping[int, Real]) -> tuple[ConditionMisfit, ...]:
     """Return the misfit of each condition, in the order of the campaign."""
-    opened = [residuals(model, Target(aside, f.u), f.u) or {} for f in (before, after)]
-    every = [{**f.residual, **more} for f, more in zip((before, after), opened, strict=True)]
+    unseen = [residuals(model, Target(held_out, f.u), f.u) or {} for f in (before, after)]
+    every = [{**f.residual, **more} for f, more in zip((before, after), unseen, strict=True)]
     return tuple(
-        ConditionMisfit(model.conditions[r].name, _decibel(every[0].get(r)), _decibel(every[1].get(r)), r in aside)
-        for r in sorted({*before.residual, *aside})
+        ConditionMisfit(model.conditions[r].name, _decibel(every[0].get(r)), _decibel(every[1].get(r)), r in held_out)
+        for r in sorted({*before.residual, *held_out})
     )
 
 

@@ -389,22 +389,22 @@ def _trust_region(state: _State) -> None:
 
 # --- Symmetries of a cause: of two sets of values that fit alike, the one that is nearer to the null.
 
-TWIN = 2.0
-"""Chi-square that a twin may fit worse."""
+EQUIVALENT = 2.0
+"""Chi-square that equivalent parameters may fit worse."""
 
 
 def nearest(model: Model, target: Target, found: Fit, added: Sequence[int]) -> Fit:
-    """Return the twin of a fit where it fits as well and is nearer to the null: no more is wrong than need be."""
+    """Return the equivalent parameters of a fit where they fit as well and are nearer to the null."""
     for k in added:
         mine = model.of_cause[k]
-        twin = model.causes[k].twin
-        if twin is None:
+        equivalent = model.causes[k].equivalent
+        if equivalent is None:
             continue
         values = model.values(found.u)
         start = found.u.copy()
-        start[mine] = (np.array(twin(values)) - model.start[mine]) / model.scale[mine]
+        start[mine] = (np.array(equivalent(values)) - model.start[mine]) / model.scale[mine]
         if np.linalg.norm(start[mine]) < np.linalg.norm(found.u[mine]):
             other = fit(model, target, found.causes, start)
-            if other.converged and other.chi2 < found.chi2 + TWIN:
+            if other.converged and other.chi2 < found.chi2 + EQUIVALENT:
                 found = other
     return found

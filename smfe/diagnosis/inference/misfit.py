@@ -1,7 +1,7 @@
 """Whether residuals are more than noise: in all, smooth along a condition, or gathered in one condition.
 
 Every test is of squares of residuals over the covariance that they have when the model is right, so that each has a
-chi-square law, or Fisher's F where the noise was measured itself; the smallest of their chances counts, times the
+chi-square law, or Fisher's F where the noise was measured itself; the smallest of their p-values counts, times the
 number of tests (Bonferroni). The smooth part is the slowest cosines of every second value, which are smooth too where
 real and imaginary parts alternate: white noise has little there, a missing effect much.
 """
@@ -30,23 +30,23 @@ class Misfit:
 
     Attributes
     ----------
-    chance : float
+    p_value : float
         Probability that noise alone looks as bad in any of the tests.
-    chi2, freedom : float
+    chi2, degrees_of_freedom : float
         Squares of the residuals and how many noise would give.
     by_condition : mapping
-        Chance of each condition by itself.
+        p-value of each condition by itself.
     """
 
-    chance: float
+    p_value: float
     chi2: float
-    freedom: float
+    degrees_of_freedom: float
     by_condition: Mapping[int, float]
 
     @property
     def ratio(self) -> float:
-        """``chi2/freedom``: one for noise."""
-        return self.chi2 / max(self.freedom, 1.0)
+        """``chi2/degrees_of_freedom``: one for noise."""
+        return self.chi2 / max(self.degrees_of_freedom, 1.0)
 
 
 Group = tuple[Mapping[int, Real], Mapping[int, Real]]
@@ -54,7 +54,7 @@ Group = tuple[Mapping[int, Real], Mapping[int, Real]]
 
 
 @dataclass(frozen=True)
-class NoiseFreedom:
+class NoiseKnowledge:
     """Degrees of freedom with which the noise that residuals are whitened by is known.
 
     Attributes
@@ -77,16 +77,16 @@ class NoiseFreedom:
         spread = sum(n**2 / self.own.get(row, math.inf) for row, n in sizes.items())
         return float(sum(sizes.values()) ** 2 / spread) if spread > 0.0 else math.inf
 
-    def parted(self, rows: Mapping[int, int], parts: int) -> NoiseFreedom:
+    def parted(self, rows: Mapping[int, int], parts: int) -> NoiseKnowledge:
         """Of parts of the conditions, one of `parts` equal ones each: part -> its condition."""
-        return NoiseFreedom(self.common, {k: self.own[r] / parts for k, r in rows.items() if r in self.own})
+        return NoiseKnowledge(self.common, {k: self.own[r] / parts for k, r in rows.items() if r in self.own})
 
 
-KNOWN = NoiseFreedom()
+KNOWN = NoiseKnowledge()
 """Of noise that is known."""
 
 
-def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseFreedom = KNOWN) -> Misfit:
+def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseKnowledge = KNOWN) -> Misfit:
     """Test residuals whose covariance is ``I - L L^T`` (they were fitted) or ``I + L L^T`` (they were held out).
 
     Parameters
@@ -95,7 +95,7 @@ def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseFreedom = KNOWN) 
         Conditions that were fitted, or held out, together.
     shrinks : bool
         Whether they were fitted.
-    noise : NoiseFreedom, optional
+    noise : NoiseKnowledge, optional
         How well the noise is known: Fisher's F in place of chi-square.
     """
     sign = -1.0 if shrinks else 1.0
@@ -109,12 +109,12 @@ def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseFreedom = KNOWN) 
         slow = slow + _square(*_joined(list(parts.values())), sign)
         for k in residual:
             both = _square(residual[k], load[k], sign), _square(*parts[k], sign)
-            own[k] = min(1.0, 2.0 * min(_chance(b, noise.of(k)) for b in both))
+            own[k] = min(1.0, 2.0 * min(_p_value(b, noise.of(k)) for b in both))
             sizes[k] = residual[k].size
     if not own:
         return Misfit(1.0, 0.0, 0.0, {})
     known = noise.together(sizes)
-    tests = (_chance(whole, known), _chance(slow, min(noise.common, known)), min(own.values()) * len(own))
+    tests = (_p_value(whole, known), _p_value(slow, min(noise.common, known)), min(own.values()) * len(own))
     return Misfit(min(1.0, 3.0 * min(tests)), float(whole[0]), float(whole[1]), own)
 
 
@@ -122,12 +122,12 @@ def _joined(parts: Sequence[tuple[Real, Real]]) -> tuple[Real, Real]:
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
-def _chance(square: Real, noise_freedom: float = math.inf) -> float:
+def _p_value(square: Real, degrees_of_freedom: float = math.inf) -> float:
     if square[1] <= 0.0:
         return 1.0
-    if math.isinf(noise_freedom):
+    if math.isinf(degrees_of_freedom):
         return float(stats.chi2.sf(square[0], square[1]))
-    return float(stats.f.sf(square[0] / square[1], square[1], noise_freedom))
+    return float(stats.f.sf(square[0] / square[1], square[1], degrees_of_freedom))
 
 
 def _square(r: Real, load: Real, sign: float) -> Real:

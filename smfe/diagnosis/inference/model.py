@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.types import Real
-from smfe.diagnosis.inference.misfit import NoiseFreedom
+from smfe.diagnosis.inference.misfit import NoiseKnowledge
 from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
 from smfe.diagnosis.inference.workers import Answer, Helpers
 
@@ -71,9 +71,9 @@ class Model:
         parameters = [*family.nuisances, *(p for cause in self.causes for p in cause.parameters)]
         self.parameters: tuple[Parameter, ...] = tuple(parameters)
         self.names = tuple(p.name for p in parameters)
-        _refuse_twins("parameter", self.names)
-        _refuse_twins("cause", [c.key for c in self.causes])
-        _refuse_twins("condition", [c.name for c in self.conditions if c.observed is not None])
+        _refuse_duplicates("parameter", self.names)
+        _refuse_duplicates("cause", [c.key for c in self.causes])
+        _refuse_duplicates("condition", [c.name for c in self.conditions if c.observed is not None])
         self.start = np.array([p.start for p in parameters], dtype=float)
         self.scale = np.array([p.scale for p in parameters], dtype=float)
         self.low = (np.array([p.low for p in parameters], dtype=float) - self.start) / self.scale
@@ -83,7 +83,7 @@ class Model:
         ends = np.cumsum([len(family.nuisances), *(len(c.parameters) for c in self.causes)])
         self.of_cause = tuple(np.arange(a, b) for a, b in pairwise(ends.tolist()))
         self.trouble = ""
-        self._roughness = float(getattr(family, "roughness", 0.0))
+        self._roughness = family.roughness
         self._step = np.full(len(parameters), STEP)
         self._kept: OrderedDict[tuple[int, bytes], Answer] = OrderedDict()
         self._stored = 0
@@ -94,10 +94,10 @@ class Model:
         return np.concatenate([self.nuisance, *(self.of_cause[k] for k in sorted(causes))]).astype(np.int64)
 
     @property
-    def noise_freedom(self) -> NoiseFreedom:
+    def noise_knowledge(self) -> NoiseKnowledge:
         """How well the noise of the data is known: by the family, and by what it was measured with."""
-        own = {row: float(getattr(c.data, "noise_freedom", math.inf)) for row, c in enumerate(self.conditions)}
-        return NoiseFreedom(float(getattr(self.family, "noise_freedom", math.inf)), own)
+        own = {row: self.family.condition_degrees_of_freedom(c) for row, c in enumerate(self.conditions)}
+        return NoiseKnowledge(self.family.noise_degrees_of_freedom, own)
 
     def null(self) -> Real:
         """Return the baseline at its most likely nuisances."""
@@ -230,7 +230,7 @@ def _numbers(answer: Answer) -> int:
     return 1 if answer[0] is None else answer[0].size
 
 
-def _refuse_twins(what: str, names: Sequence[str]) -> None:
-    twins = sorted({n for n in names if list(names).count(n) > 1})
-    if twins:
-        raise InputError(f"two of the family have the same {what} name {twins[0]!r}; give each its own")
+def _refuse_duplicates(what: str, names: Sequence[str]) -> None:
+    twice = sorted({n for n in names if list(names).count(n) > 1})
+    if twice:
+        raise InputError(f"two of the family have the same {what} name {twice[0]!r}; give each its own")

@@ -16,9 +16,9 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy import stats
 
+from smfe.diagnosis.inference.detectable_effects import SEEN, Detectable, detectable
 from smfe.diagnosis.inference.fit import Fit, Target, refit
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.power import SEEN, Detectable, detectable
 from smfe.diagnosis.inference.signature import tangent
 
 MARGIN = float(stats.chi2.ppf(0.99, 1))
@@ -43,7 +43,7 @@ class Proposal:
     discrimination : float
         D of the pair that it separates worst [chi-square], what was measured included; NaN where nothing has to be
         told apart and it is to show what could be hidden.
-    chance : float
+    probability : float
         Probability that it settles that pair, or shows what it is said to show.
     expected : str
         What to look for.
@@ -53,7 +53,7 @@ class Proposal:
 
     name: str
     discrimination: float
-    chance: float
+    probability: float
     expected: str
     minutes: float | None = None
 
@@ -69,7 +69,7 @@ def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: S
     return refit(model, Target(predicted, centre), replace(rival, slope={**rival.slope, **slope}))
 
 
-def chance_to_settle(found: float) -> float:
+def probability_to_settle(found: float) -> float:
     """Probability that a likelihood ratio of mean D and variance 4 D exceeds the margin."""
     return float(stats.norm.cdf((found - MARGIN) / (2.0 * math.sqrt(found)))) if found > 0.0 else 0.0
 
@@ -98,13 +98,13 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
             continue
         worst = min((f for f in fits if f is not None), key=lambda f: f.chi2)
         apart = math.sqrt(float(np.mean(worst.residual[row] ** 2)))
-        chance = chance_to_settle(worst.chi2)
+        probability = probability_to_settle(worst.chi2)
         words = (
             f"there the predictions of {title or 'the hypotheses'} differ by {apart:.2g} times the noise (rms) at "
-            f"least; the chance that it settles the question is {100.0 * chance:.0f} %"
+            f"least; the chance that it settles the question is {100.0 * probability:.0f} %"
         )
-        found.append(Proposal(model.conditions[row].name, worst.chi2, chance, words, _stated_minutes(model, row)))
-    return sorted(found, key=lambda p: ((p.minutes or MINUTES) / max(p.chance, 1e-9), -p.discrimination))
+        found.append(Proposal(model.conditions[row].name, worst.chi2, probability, words, _stated_minutes(model, row)))
+    return sorted(found, key=lambda p: ((p.minutes or MINUTES) / max(p.probability, 1e-9), -p.discrimination))
 
 
 def _imitates(rival: Fit, truth: Fit) -> bool:

@@ -7,12 +7,12 @@ engine (`smfe.diagnosis.inference.diagnose`) knows nothing else about the physic
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from process.errors import InputError
-from process.types import Real
+from process.types import Complex, Real
 
 Values = Mapping[str, float]
 """Parameter name -> value (SI)."""
@@ -76,9 +76,9 @@ class Cause:
         A measurement fault is excluded before physics is blamed.
     starts : tuple of tuple of float, optional
         More values to start a fit from (SI), besides what the linearised score suggests.
-    twin : callable, optional
+    equivalent : callable, optional
         From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
-        fit alike the nearer to the null is told.
+        fit alike the nearer to the null is taken.
     """
 
     id: str
@@ -87,7 +87,7 @@ class Cause:
     variant: str = ""
     kind: str = "physics"
     starts: tuple[tuple[float, ...], ...] = ()
-    twin: Callable[[Mapping[str, float]], tuple[float, ...]] | None = None
+    equivalent: Callable[[Mapping[str, float]], tuple[float, ...]] | None = None
 
     @property
     def key(self) -> str:
@@ -120,7 +120,51 @@ class Condition:
     data: object = field(default=None, repr=False)
 
 
-class Family(Protocol):
+class Abilities(Protocol):
+    """What a family may know beyond `Family`; families inherit these defaults and override what applies to them."""
+
+    @property
+    def noise_degrees_of_freedom(self) -> float:
+        """Degrees of freedom with which the noise that all conditions have in common is known."""
+        return math.inf
+
+    def condition_degrees_of_freedom(self, condition: Condition) -> float:
+        """Return the degrees of freedom with which the noise of one condition is known."""
+        return math.inf
+
+    def noises(self, columns: Sequence[tuple[Condition, Real]]) -> Sequence[Real]:
+        """Return products X^T X of columns of conditions, (m, m), one for each noise that may be true; none: white."""
+        return ()
+
+    @property
+    def roughness(self) -> float:
+        """Distance of predictions from a smooth function of the parameters: root of the sum of squares, in noise."""
+        return 0.0
+
+    @property
+    def model_error(self) -> float:
+        """Relative error of predictions that looks like a change of the parameters (rms over all lines)."""
+        return 0.0
+
+    def relative(self, condition: Condition, predicted: Real, slopes: Real) -> Complex:
+        """Return slopes of a prediction, (n, p), over the prediction itself, value by value."""
+        return slopes / predicted[:, None] + 0j
+
+    def alike(self, conditions: Sequence[Condition]) -> Sequence[int]:
+        """Return a number for each condition, equal where the error of the prediction is the same."""
+        return range(len(conditions))
+
+    @property
+    def prepares_data(self) -> bool:
+        """Whether the data rest on a simulation, so that `as_found` prepares them anew with what was found."""
+        return False
+
+    def as_found(self, values: Values) -> Sequence[Condition]:
+        """Return the measured conditions as a machine of these values makes them (with `prepares_data`)."""
+        return ()
+
+
+class Family(Abilities, Protocol):
     """A baseline with its nuisances, the causes that extend it, and the conditions that were measured."""
 
     @property

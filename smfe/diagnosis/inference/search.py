@@ -258,7 +258,7 @@ class Bench:
 
     def bad(self, at: Fit) -> bool:
         """Whether a fit leaves more than noise: then a cause is looked for far from its null too."""
-        return fitted_misfit(self, at).chance < BAND
+        return fitted_misfit(self, at).p_value < BAND
 
     def explained(self, at: Fit) -> float:
         """Misfit from which on what a fit leaves counts as explained: what noise hardly exceeds, and a little of it."""
@@ -404,7 +404,7 @@ def fitted_misfit(bench: Bench, at: Fit) -> Misfit:
     """Test the residuals of a fit on the data it was fitted to."""
     basis, ends = bench.tangent(at).basis, np.cumsum([r.size for r in at.residual.values()])
     parts = np.split(basis[: ends[-1]], ends[:-1])
-    return assess([(at.residual, dict(zip(at.residual, parts, strict=True)))], True, bench.model.noise_freedom)
+    return assess([(at.residual, dict(zip(at.residual, parts, strict=True)))], True, bench.model.noise_knowledge)
 
 
 def _products(options: Sequence[Sequence[Signature]]) -> list[tuple[Signature, ...]]:
@@ -428,29 +428,29 @@ def search(bench: Bench, most: int = MOST_CAUSES) -> tuple[Fit, list[Step]]:
     Returns
     -------
     tuple
-        The fit that remains and the ladder that led there, refused steps included.
+        The fit that remains and the steps that led there, refused steps included.
     """
     at = bench.null()
     seen: set[tuple[int, ...]] = {()}
-    ladder: list[Step] = []
+    steps: list[Step] = []
     while len(at.causes) < most:
-        step = _best_step(bench, at, ladder)
+        step = _best_step(bench, at, steps)
         if step is None:
-            return bench.fitted(at.causes), ladder
-        refused, taken = {s.causes for s in ladder if not s.accepted}, len(ladder) - 1
-        smaller = _drop_idle(bench, step, ladder)
+            return bench.fitted(at.causes), steps
+        refused, taken = {s.causes for s in steps if not s.accepted}, len(steps) - 1
+        smaller = _drop_idle(bench, step, steps)
         if smaller.causes in refused:
             # A pair must not carry in what was refused alone.
-            ladder[taken:] = [replace(ladder[taken], accepted=False, reason="what is not idle of it was refused")]
-            return bench.fitted(at.causes), ladder
+            steps[taken:] = [replace(steps[taken], accepted=False, reason="what is not idle of it was refused")]
+            return bench.fitted(at.causes), steps
         at = smaller
         if at.causes in seen:
             break
         seen.add(at.causes)
-    return at, ladder
+    return at, steps
 
 
-def _best_step(bench: Bench, at: Fit, ladder: list[Step]) -> Fit | None:
+def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
     """Take the best single cause that passes, else the best pair; None where nothing does."""
     others = [k for k in range(len(bench.model.causes)) if k not in at.causes and _fresh(bench, at, k)]
     found: list[tuple[Fit, tuple[int, ...]]] = []
@@ -460,9 +460,9 @@ def _best_step(bench: Bench, at: Fit, ladder: list[Step]) -> Fit | None:
     at = _settled(bench, at, [f for f, _ in found if f.converged])
     limit = bench.threshold(at)
     for candidate, added in _ordered(bench, at, found):
-        if _passes(bench, at, candidate, added, limit, ladder):
+        if _passes(bench, at, candidate, added, limit, steps):
             return bench.fitted(candidate.causes)
-    return _best_pair(bench, at, others, [added[0] for _, added in _ordered(bench, at, found)][:2], ladder)
+    return _best_pair(bench, at, others, [added[0] for _, added in _ordered(bench, at, found)][:2], steps)
 
 
 def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> list[int]:
@@ -509,7 +509,7 @@ def _ordered(bench: Bench, at: Fit, found: Sequence[tuple[Fit, tuple[int, ...]]]
     return sorted(used, key=lambda item: -_merit(bench, at, item[0]))
 
 
-def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit: float, ladder: list[Step]) -> bool:
+def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit: float, steps: list[Step]) -> bool:
     """Hold a candidate against threshold, admissibility and held-out gain; note what comes near."""
     if not at.converged or _merit(bench, at, candidate) <= limit - _CLOSE:
         return False
@@ -529,7 +529,7 @@ def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit
             f"{gain.needed:g} dB, and more than 0 dB at the least"
         )
     passed = limit + PENALTY * parameters_of(bench.model, added)
-    ladder.append(
+    steps.append(
         Step(
             candidate.causes,
             "+ " + bench.title(added),
@@ -555,7 +555,7 @@ def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:
     return ""
 
 
-def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int], ladder: list[Step]) -> Fit | None:
+def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int], steps: list[Step]) -> Fit | None:
     """Try the pairs that the linearised family suggests, and the best two causes where they may act far from it."""
     pairs = [p for p in combinations(others, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
     if not pairs:
@@ -565,11 +565,11 @@ def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int
     gains = {p: _pair_gain(bench, at, p) for p in pairs}
     promising = sorted((p for p in pairs if gains[p] > worth), key=lambda p: -gains[p])[:PAIRED]
     best = (min(first), max(first)) if len(first) == 2 else ()
-    if best in gains and best not in promising and bench.far(best) and fitted_misfit(bench, at).chance < BAND:
+    if best in gains and best not in promising and bench.far(best) and fitted_misfit(bench, at).p_value < BAND:
         promising.append((best[0], best[1]))
     found = [(bench.extend(at, p, _passing(bench, at, p, limit)), p) for p in promising]
     for candidate, added in _ordered(bench, at, found):
-        if _passes(bench, at, candidate, added, limit, ladder):
+        if _passes(bench, at, candidate, added, limit, steps):
             return bench.fitted(candidate.causes)
     return None
 
@@ -581,7 +581,7 @@ def _pair_gain(bench: Bench, at: Fit, pair: tuple[int, ...]) -> float:
     return max((combined_gain(bench.model, here, b) for b in both), default=0.0)
 
 
-def _drop_idle(bench: Bench, at: Fit, ladder: list[Step]) -> Fit:
+def _drop_idle(bench: Bench, at: Fit, steps: list[Step]) -> Fit:
     """Drop causes that a later one has made idle, the idlest first."""
     while len(at.causes) > 1:
         less = {k: f for k in at.causes if (f := bench.reduce(at, k)).converged}
@@ -592,7 +592,7 @@ def _drop_idle(bench: Bench, at: Fit, ladder: list[Step]) -> Fit:
         limit = bench.threshold(smaller)
         if _merit(bench, smaller, at) > limit:
             return at
-        ladder.append(
+        steps.append(
             Step(
                 smaller.causes,
                 "- " + bench.title((idle,)),

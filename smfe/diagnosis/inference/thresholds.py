@@ -10,7 +10,7 @@ ratio less two a parameter; the largest over the whole catalogue is calibrated, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from process.types import Real
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.signature import Signature, Tangent
 
 FALSE_ALARM = 0.0004
@@ -153,13 +152,9 @@ def covariances_of_noise(model: Model, residual: Mapping[int, Real], columns: Re
     columns : ndarray, shape (N, m)
         Rows of the data, then of the priors, whose noise is known.
     """
-    noises: Callable[[Sequence[tuple[Condition, Real]]], Sequence[Real]] | None = getattr(model.family, "noises", None)
-    if noises is not None:
-        parts = np.split(columns, np.cumsum([r.size for r in residual.values()]))
-        found = noises([(model.conditions[r], x) for r, x in zip(residual, parts[:-1], strict=True)])
-        if found:
-            return [c + parts[-1].T @ parts[-1] for c in found]
-    return [columns.T @ columns]
+    parts = np.split(columns, np.cumsum([r.size for r in residual.values()]))
+    found = model.family.noises([(model.conditions[r], x) for r, x in zip(residual, parts[:-1], strict=True)])
+    return [c + parts[-1].T @ parts[-1] for c in found] or [columns.T @ columns]
 
 
 def _root(covariance: Real) -> Real:

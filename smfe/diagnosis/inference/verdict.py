@@ -18,10 +18,10 @@ from scipy import stats
 
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import BAND, Gain
+from smfe.diagnosis.inference.detectable_effects import Detectable
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.misfit import Misfit, carriers
 from smfe.diagnosis.inference.next_experiment import MARGIN, discrimination
-from smfe.diagnosis.inference.power import Detectable
 from smfe.diagnosis.inference.search import Bench, Step, fitted_misfit, on_bound, rivals
 from smfe.diagnosis.inference.signature import orthonormal
 from smfe.diagnosis.inference.thresholds import DRAWS, FALSE_ALARM, PENALTY, parameters_of, products_of_noise
@@ -60,8 +60,8 @@ class Judgement:
 def judge(
     bench: Bench,
     at: Fit,
-    ladder: Sequence[Step],
-    power: Sequence[Detectable],
+    steps: Sequence[Step],
+    sizes: Sequence[Detectable],
 ) -> Judgement:
     """Judge the outcome of a search.
 
@@ -71,20 +71,20 @@ def judge(
         Fits and data.
     at : Fit
         What the search ended with.
-    ladder : sequence of Step
+    steps : sequence of Step
         Its steps.
-    power : sequence of Detectable
+    sizes : sequence of Detectable
         What would have been seen.
     """
     if not at.causes:
-        return _without_cause(bench, at, ladder, power)
+        return _without_cause(bench, at, steps, sizes)
     gain = bench.gain(bench.null(), at)
     chosen = bench.usable(at, at.causes)
     left = bench.held_out(at, chosen).misfit if chosen else fitted_misfit(bench, at)
     how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
     best = bench.title(at.causes)
     sets = {k: found for k in at.causes if (found := _open(bench, at, k, left))}
-    if left.chance < BAND:
+    if left.p_value < BAND:
         reason = f"the best of the catalogue, {best}, leaves more than noise on conditions it did not see"
         return Judgement("unknown", reason, sets, left, tuple(carriers(left)), gain)
     differing = [bench.model.causes[k].title for k in at.causes if not agrees(bench, at, k)]
@@ -96,26 +96,26 @@ def judge(
     return Judgement("named", f"{best} and nothing else of the catalogue{how}", {}, left, (), gain)
 
 
-def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequence[Detectable]) -> Judgement:
+def _without_cause(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable]) -> Judgement:
     if not at.converged:
         return Judgement("insufficient_data", f"the baseline could not be fitted: {at.reason}")
     left = fitted_misfit(bench, at)
     # Noise finds more among all pairs, with their shapes, than the linearised threshold allows for, and so do smooth
     # errors of a simulation with a mode or a gain: what held-out conditions do not bear out convicts only where the
     # misfit itself is more than noise.
-    telling = [s for s in ladder if left.chance < BAND or _borne_out(s)]
+    telling = [s for s in steps if left.p_value < BAND or _borne_out(s)]
     if telling:
         refused = max(telling, key=lambda s: s.ratio - s.threshold)
         reason = f"the baseline is wrong, but the best explanation, {refused.change[2:]}, is refused: {refused.reason}"
         # Enough is explained, but not proven on conditions that the fit did not see: more data, not another cause.
         weak = all(s.gain is None for s in telling) or (
-            fitted_misfit(bench, bench.fitted(refused.causes)).chance >= BAND
+            fitted_misfit(bench, bench.fitted(refused.causes)).p_value >= BAND
             and refused.gain is not None
             and refused.gain.db >= 1.0
         )
         reason += _differing(bench, at)
         return Judgement("insufficient_data" if weak else "unknown", reason, {}, left, tuple(carriers(left)))
-    if left.chance < FALSE_ALARM:
+    if left.p_value < FALSE_ALARM:
         reason = "the baseline leaves more than noise, and no cause of the catalogue explains it" + _differing(
             bench, at
         )
@@ -124,7 +124,7 @@ def _without_cause(bench: Bench, at: Fit, ladder: Sequence[Step], power: Sequenc
     if change is not None and change.certain:
         reason = f"{change.parameter} changes with {change.setting}, and no cause of the catalogue explains it"
         return Judgement("unknown", reason, {}, left)
-    if not any(p.admissible for p in power):
+    if not any(p.admissible for p in sizes):
         return Judgement("insufficient_data", "no cause of the catalogue would be seen in these conditions", {}, left)
     return Judgement("consistent", "the baseline leaves nothing but noise", {}, left)
 
@@ -158,7 +158,7 @@ def excluded(bench: Bench, best: Fit, rival: Fit, left: Misfit) -> bool:
     ahead = lead(bench, best, rival)
     if ahead <= MARGIN or (ahead <= most_needed(bench, best, rival) and ahead <= needed_lead(bench, best, rival)):
         return False
-    if left.chance >= BAND:
+    if left.p_value >= BAND:
         return True
     own = np.array([float(np.sum(rival.residual[r] ** 2) - np.sum(x**2)) for r, x in best.residual.items()])
     drawn = bench.rng(6, *best.causes, *rival.causes).integers(0, own.size, (DRAWS // 5, own.size))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smfe.diagnosis.inference.finding import Finding, ForceError, Own, Remainder, StableDepth, explain
+from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, Remainder, StableDepth, explain
 from smfe.reporting import write_report
 from smfe.reporting.diagnosis import MOST, draw, pictured, section
 
@@ -68,7 +68,7 @@ def test_where_something_is_wrong_but_has_no_name_the_conditions_are_shown_with_
 
 def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_moved() -> None:
     """Fitted along it hides in every verdict, "consistent" included."""
-    own = (Own("damping_1", 3.0, 4.99, 0.9, "%"), Own("frequency_1", 62.0, 62.1, 1.2, "Hz"))
+    own = (BaselineParameter("damping_1", 3.0, 4.99, 0.9, "%"), BaselineParameter("frequency_1", 62.0, 62.1, 1.2, "Hz"))
     found = Finding("consistent", "it is", baseline=own)
     text = explain(found)
     assert "damping_1 4.99 % in place of 3." in text

@@ -215,7 +215,7 @@ def test_between_coulomb_and_stribeck_it_asks_for_a_feed_of_the_transition() -> 
     assert pair[0].chi2 < 6.0
     found = rank(model, target, pair, range(2, 5))
     assert found[0].name == "at 50"
-    assert found[0].chance > 0.99 > 0.05 > max(p.chance for p in found[1:])
+    assert found[0].probability > 0.99 > 0.05 > max(p.probability for p in found[1:])
 
 
 def test_of_two_experiments_that_tell_the_same_the_shorter_comes_first() -> None:

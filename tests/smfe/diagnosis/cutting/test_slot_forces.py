@@ -81,7 +81,7 @@ def finding(family: CuttingForces) -> Finding:
 
 @pytest.mark.slow
 def test_exchanged_axes_run_out_and_edge_forces_are_found(finding: Finding) -> None:
-    accepted = [r.change for r in finding.ladder if r.accepted]
+    accepted = [r.change for r in finding.search_steps if r.accepted]
     assert accepted[:3] == ["+ sensor_axis/exchange", "+ runout", "+ edge_forces"]
     values = {e.name: e.value for c in finding.causes for e in c.parameters}
     assert values["exchange"] == pytest.approx(1.0, abs=0.15)
@@ -92,8 +92,8 @@ def test_exchanged_axes_run_out_and_edge_forces_are_found(finding: Finding) -> N
 
 @pytest.mark.slow
 def test_the_gain_at_the_feed_that_was_set_aside(finding: Finding) -> None:
-    assert finding.opened is not None
-    assert finding.opened.error_db > 3.0
+    assert finding.held_out_gain is not None
+    assert finding.held_out_gain.error_db > 3.0
     assert finding.misfit_before_db - finding.misfit_after_db > 6.0
 
 

@@ -169,7 +169,7 @@ def test_the_engine_finds_the_causes_and_says_what_remains(first: DriveRecordFam
     delay = found["loop_delay"].parameters[0]
     assert 0.65 <= delay.value <= 0.85
     assert delay.high - delay.low < 0.06
-    assert finding.opened.share > 0.9
+    assert finding.held_out_gain.share > 0.9
     accepted = [f"{c.id}/{c.variant}" if c.variant else c.id for c in finding.causes]
     values = force_steps(first, accepted, [pulses])[-1]
     assert values.held_out[0] <= 0.030
@@ -199,5 +199,5 @@ def test_nothing_has_changed_between_the_halves(first: DriveRecordFamily) -> Non
     assert finding.causes == ()
     assert finding.verdict == "consistent"
     # An offset of 0.4 N over the half stroke, 1 % of the force, would have been seen.
-    (slope,) = (p.size for p in finding.power if p.parameter == "bend.offset_slope")
+    (slope,) = (p.size for p in finding.detectable if p.parameter == "bend.offset_slope")
     assert slope < 0.5

@@ -175,16 +175,16 @@ def test_a_hit_that_breaks_the_guideway_away_changes_smoothly_with_the_machine(l
 
 @pytest.mark.parametrize("feed", [0.0, MOVING])
 def test_a_position_gain_and_an_integral_time_may_be_exchanged(feed):
-    """The twin of recorded gains, and of others, predicts the same of a controller."""
+    """Equivalent gains, of those recorded and of others, predict the same of a controller."""
     condition = nominal(feed)
     found = MachineFrfs(replace(baseline("viscous"), servos={"K2": baseline().servos["K2"]}), (condition,))
     (gains,) = (c for c in found.causes if c.id == "servo_gains")
     for errors in (0.0, 0.0, 0.0), (0.05, 0.1, -0.07):
         values = values_of(found) | dict(zip((p.name for p in gains.parameters), errors, strict=True))
-        twin = values | dict(zip((p.name for p in gains.parameters), gains.twin(values), strict=True))
-        assert abs(twin["Ti_error"] - values["Ti_error"]) > 0.5
+        other = values | dict(zip((p.name for p in gains.parameters), gains.equivalent(values), strict=True))
+        assert abs(other["Ti_error"] - values["Ti_error"]) > 0.5
         plain = found.predict(condition, values)
-        assert np.abs(found.predict(condition, twin) - plain).max() < 1e-7 * np.abs(plain).max()
+        assert np.abs(found.predict(condition, other) - plain).max() < 1e-7 * np.abs(plain).max()
 
 
 def test_smooth_errors_have_the_stated_size_and_are_smooth():

@@ -35,7 +35,7 @@ def test_a_dead_time_or_a_skewed_clock_in_one_measurement_is_settled_by_the_next
     first = diagnose(family(records(machine, chain, MOVING), proposals=proposals))
     assert first.verdict == "insufficient_data"
     assert first.next_experiment.name in SEPARATING[effect]
-    assert first.next_experiment.chance > 0.9
+    assert first.next_experiment.probability > 0.9
     chosen = FURTHER[[p.name for p in proposals].index(first.next_experiment.name)]
     settled = diagnose(family(records(machine, chain, MOVING, chosen)))
     assert settled.verdict == "named"

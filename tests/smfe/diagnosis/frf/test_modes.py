@@ -327,7 +327,7 @@ class TestConfounded:
         assert before.verdict == "ambiguous"
         assert {c.id for c in before.alternatives[0]} == {"posture", "drift"}
         assert before.next_experiment is not None
-        assert before.next_experiment.chance > 0.9
+        assert before.next_experiment.probability > 0.9
         assert named(pair("posture or drift", which, 2, True)[0], 0) == ("named", {truth})
 
     @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smfe.diagnosis.inference.diagnose import diagnose
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 
 X = np.linspace(0.0, 1.0, 96)
 
@@ -16,7 +16,7 @@ def wave(k):
 
 
 @dataclass(frozen=True)
-class Two:
+class Two(Abilities):
     """At rest the one, in motion the other parameter of a cause acts: neither condition tells what the other says."""
 
     conditions: tuple

@@ -11,14 +11,14 @@ from scipy.optimize import lsq_linear, nnls
 
 from process.errors import InputError
 from smfe.diagnosis.inference.cross_validation import HeldOut, compare, schemes
+from smfe.diagnosis.inference.detectable_effects import noncentrality
 from smfe.diagnosis.inference.diagnose import deviations, diagnose, estimates
 from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, explain
 from smfe.diagnosis.inference.fit import Target, bounded_step, fit, nearest
-from smfe.diagnosis.inference.misfit import Misfit, NoiseFreedom, assess
+from smfe.diagnosis.inference.misfit import Misfit, NoiseKnowledge, assess
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.next_experiment import chance_to_settle
-from smfe.diagnosis.inference.power import noncentrality
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference.next_experiment import probability_to_settle
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.inference.search import Bench, fitted_misfit, most_changing
 from smfe.diagnosis.inference.signature import tangent
 from smfe.diagnosis.inference.thresholds import PENALTY, Score, threshold
@@ -36,7 +36,7 @@ def cause(name, count=1, **bounds):
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(Abilities):
     """Each cause adds its own pattern over x, times its own dependence on the settings."""
 
     conditions: tuple
@@ -233,11 +233,11 @@ def test_noise_has_uniform_chances_in_the_misfit_test_and_a_smooth_remainder_has
     for _ in range(400):
         z = rng.standard_normal(1000)
         z -= joined @ (joined.T @ z)
-        chances.append(assess([(dict(enumerate(np.split(z, 5))), load)], shrinks=True).chance)
+        chances.append(assess([(dict(enumerate(np.split(z, 5))), load)], shrinks=True).p_value)
     assert np.mean(np.array(chances) < 0.05) <= 0.08
     # Nine of every ten parts of this remainder are invisible in the sum of all squares.
     z = rng.standard_normal(1000) + 0.35 * np.tile(np.cos(np.pi * np.linspace(0.0, 1.0, 200)), 5)
-    assert assess([(dict(enumerate(np.split(z, 5))), load)], shrinks=True).chance < 1e-3
+    assert assess([(dict(enumerate(np.split(z, 5))), load)], shrinks=True).p_value < 1e-3
 
 
 def test_noise_that_is_itself_estimated_makes_a_misfit_of_one_condition_an_f_law():
@@ -247,14 +247,14 @@ def test_noise_that_is_itself_estimated_makes_a_misfit_of_one_condition_an_f_law
         sigma = sqrt(rng.chisquare(60) / 60.0)
         residual = ({0: rng.standard_normal(40) / sigma}, {0: np.zeros((40, 0))})
         plain.append(assess([residual], shrinks=True).by_condition[0] < 0.02)
-        allowed.append(assess([residual], True, NoiseFreedom(60.0)).by_condition[0] < 0.02)
+        allowed.append(assess([residual], True, NoiseKnowledge(60.0)).by_condition[0] < 0.02)
     assert np.mean(allowed) < 0.025 < 0.03 < np.mean(plain)
 
 
 def test_noise_that_each_condition_measured_itself_is_known_better_over_all_of_them():
     """24 conditions of 40 values, each with a standard deviation of its own from 60: one in a hundred in doubt."""
     rng, plain, allowed = np.random.default_rng(2), [], []
-    known = NoiseFreedom(own=dict.fromkeys(range(24), 60.0))
+    known = NoiseKnowledge(own=dict.fromkeys(range(24), 60.0))
     assert known.together(dict.fromkeys(range(24), 40)) == pytest.approx(24 * 60.0)
     assert known.together({0: 10, 99: 10}) == pytest.approx(4 * 60.0)
     for _ in range(600):
@@ -263,8 +263,8 @@ def test_noise_that_each_condition_measured_itself_is_known_better_over_all_of_t
             {k: rng.standard_normal(40) / sigma[k] for k in range(24)},
             dict.fromkeys(range(24), np.zeros((40, 0))),
         )
-        plain.append(assess([residual], shrinks=True).chance < 0.01)
-        allowed.append(assess([residual], True, known).chance < 0.01)
+        plain.append(assess([residual], shrinks=True).p_value < 0.01)
+        allowed.append(assess([residual], True, known).p_value < 0.01)
     assert np.mean(allowed) <= 0.02 < 0.1 < np.mean(plain)
 
 
@@ -319,14 +319,14 @@ class Exchangeable(Linear):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_of_two_values_that_fit_alike_the_nearer_to_what_was_recorded_is_told(seed):
-    gains = replace(cause("gains", 2), twin=lambda v: (v["gains.1"] - 1.0, v["gains.0"] + 1.0))
+def test_of_two_values_that_fit_alike_the_nearer_to_what_was_recorded_is_taken(seed):
+    gains = replace(cause("gains", 2), equivalent=lambda v: (v["gains.1"] - 1.0, v["gains.0"] + 1.0))
     b = bench(measured(Exchangeable(grid(), (gains,), {}), {"gains.0": 0.3}, seed))
-    twin = fit(b.model, b.target, (0,), np.array([0.0, 0.0, -1.0, 1.3]))
-    assert b.model.values(twin.u)["gains.1"] == pytest.approx(1.3, abs=0.2)
-    told = nearest(b.model, b.target, twin, (0,))
-    assert told.chi2 == pytest.approx(twin.chi2, abs=0.1)
-    assert b.model.values(told.u)["gains.0"] == pytest.approx(0.3, abs=0.2)
+    farther = fit(b.model, b.target, (0,), np.array([0.0, 0.0, -1.0, 1.3]))
+    assert b.model.values(farther.u)["gains.1"] == pytest.approx(1.3, abs=0.2)
+    chosen = nearest(b.model, b.target, farther, (0,))
+    assert chosen.chi2 == pytest.approx(farther.chi2, abs=0.1)
+    assert b.model.values(chosen.u)["gains.0"] == pytest.approx(0.3, abs=0.2)
 
 
 def test_folds_leave_out_what_contrasts_and_else_each_condition():
@@ -365,7 +365,7 @@ def test_causes_that_the_conditions_cannot_separate_are_a_set_until_the_proposed
         assert before.verdict == "ambiguous"
         assert {c.id for c in before.alternatives[0]} == {"delay", "skew"}
         assert before.next_experiment.name == "at rest"
-        assert before.next_experiment.chance > 0.95
+        assert before.next_experiment.probability > 0.95
         assert "Measure next: at rest" in explain(before)
         more = replace(ALIKE, conditions=(*ALIKE.conditions, ALIKE.proposals[1]))
         after = diagnose(measured(more, truth, seed))
@@ -472,14 +472,14 @@ def test_where_nothing_is_wrong_the_next_experiment_is_the_one_that_shows_what_i
     assert shown.next_experiment is None
 
 
-def test_the_chance_to_settle_is_what_a_simulation_finds():
+def test_the_probability_to_settle_is_what_a_simulation_finds():
     rng = np.random.default_rng(2)
     for d in (5.0, 12.0, 30.0):
         apart = np.zeros(40)
         apart[0] = sqrt(d)
         z = rng.standard_normal((20_000, 40))
         lead = np.sum((z + apart) ** 2, axis=1) - np.sum(z**2, axis=1)
-        assert np.mean(lead > stats.chi2.ppf(0.99, 1)) == pytest.approx(chance_to_settle(d), abs=0.01)
+        assert np.mean(lead > stats.chi2.ppf(0.99, 1)) == pytest.approx(probability_to_settle(d), abs=0.01)
 
 
 def test_effects_that_mask_each_other_are_both_found():
@@ -575,7 +575,7 @@ def test_noise_alone_is_beyond_the_threshold_as_often_as_it_should(chance):
 def test_an_offset_that_creeps_is_unknown_though_no_condition_shows_it():
     family = measured(CREEPING, {"creep": 0.04}, 3)
     b = bench(family)
-    assert fitted_misfit(b, b.null()).chance > 0.002
+    assert fitted_misfit(b, b.null()).p_value > 0.002
     found = b.changing(b.null())
     assert (found.parameter, found.setting) == ("offset", "order")
     # 0.04^2 times 24 values times the sum of (order - 11.5)^2, which nothing else imitates.

@@ -14,7 +14,7 @@ from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.finding import Finding, explain
 from smfe.diagnosis.inference.fit import Target
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.inference.search import Bench
 from smfe.diagnosis.inference.thresholds import threshold
 from smfe.diagnosis.inference.verdict import fitted_misfit
@@ -51,7 +51,7 @@ NUISANCES = (
 
 
 @dataclass(frozen=True)
-class Oscillator:
+class Oscillator(Abilities):
     """Compliance of an axis that may move, with real and imaginary parts one after the other."""
 
     conditions: tuple
@@ -139,7 +139,7 @@ def test_what_the_baseline_leaves_of_noise_looks_like_noise():
         family = measured(Oscillator(design(seed, 12)), {}, seed)
         model = Model(family, family.conditions)
         bench = Bench(model, Target(dict(enumerate(c.observed for c in family.conditions)), model.null()), 0, silent)
-        chances.append(fitted_misfit(bench, bench.null()).chance)
+        chances.append(fitted_misfit(bench, bench.null()).p_value)
     for chance in (0.3, 0.1, 0.02):
         assert np.mean(np.array(chances) < chance) <= chance + 2.6 * math.sqrt(chance / 100)
 
@@ -192,7 +192,7 @@ def test_two_effects_are_both_named_with_their_sizes_and_most_of_the_error_goes(
             assert e.value == pytest.approx(truth[e.name], rel=0.1)
             assert c.gain_db > 6.0
         assert found.gain.share > 0.9
-        assert found.opened.share > 0.9
+        assert found.held_out_gain.share > 0.9
         assert found.misfit_after_db < 0.3 < found.misfit_before_db
 
 

@@ -20,7 +20,7 @@ from smfe.diagnosis.inference import model as model_module
 from smfe.diagnosis.inference import workers as helpers_module
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.problem import Cause, Condition, Parameter
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.inference.workers import MOST, Helpers, _parts, cores
 
 SEVERAL = pytest.mark.skipif(cores() < 2, reason="one core, or a system on which processes are not forked")
@@ -28,7 +28,7 @@ PLACES = np.linspace(-1.0, 1.0, 30)
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(Abilities):
     """A straight line with noise 1, and a bend that may be in it; notes in which processes it was asked."""
 
     conditions: tuple
