@@ -1,7 +1,7 @@
 """Compliances under several conditions as one array: force level, depth of cut and feed become dimensions.
 
 A machine with friction, play or micro-slip has no compliance but one for each force level, and a moving axis one for
-each feed. Hits of several levels in the same records are told apart by their peaks; whole measurements by what the
+each feed. Hits of several levels in the same records are separated by their peaks; whole measurements by what the
 campaign says of them.
 """
 
@@ -33,7 +33,7 @@ from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.sweep import identify_sweep
 
 LEVEL_GAP = 1.6
-"""Ratio of neighbouring peak forces from which they are two levels: a hand repeats a blow to a third or so."""
+"""Ratio of neighbouring peak forces from which they are two levels: a hand repeats a hit to a third or so."""
 
 STACKED = (
     "compliance",
@@ -359,7 +359,7 @@ def compared(compliances: Mapping[float, xr.Dataset]) -> pd.DataFrame:
         row = {"depth_a_mm": round(1e3 * a, 6), "depth_b_mm": round(1e3 * b, 6)}
         try:
             apart = difference_of(compliances[a], compliances[b])
-            figures = 100.0 * apart.size, apart.chance, apart.worst
+            figures = 100.0 * apart.size, apart.p_value, apart.worst
         except InputError:
             figures = math.nan, math.nan, math.nan
         rows.append(row | dict(zip(("difference_percent", "p", "worst_Hz"), figures, strict=True)))
@@ -374,7 +374,7 @@ def _differ(test: pd.DataFrame) -> tuple[str, ...]:
     most = test[test["differs"]].sort_values("difference_percent").iloc[-1]
     return (
         f"the compliance depends on the depth of cut: {most.depth_b_mm:g} mm and {most.depth_a_mm:g} mm differ by "
-        f"{most.difference_percent:.2g} % beyond noise (chance {most.p_family:.1e}, most at {most.worst_Hz:.4g} Hz): "
+        f"{most.difference_percent:.2g} % beyond noise (p = {most.p_family:.1e}, most at {most.worst_Hz:.4g} Hz): "
         "the estimate of all passes together belongs to no level, use those of the single depths",
     )
 

@@ -398,7 +398,7 @@ def cached_identification(
         old.unlink()
     tables = {name: frame.to_csv(index=False) for name, frame in found.tables.items()}
     dataset = pack_warnings(found.compliance, found.warnings).assign_attrs(tables=json.dumps(tables))
-    write_groups(path, {"identification": dataset, **{f"blows_{a}": hits for a, hits in found.blows.items()}})
+    write_groups(path, {"identification": dataset, **{f"blows_{a}": hits for a, hits in found.hits.items()}})
     return found, False
 
 
@@ -419,5 +419,5 @@ def _load(path: Path, measurement: Measurement) -> Identification:
     }
     warnings = tuple(unpack_warnings(dataset))
     del dataset.attrs["warnings"]
-    blows = {name[-1]: hits for name, hits in groups.items() if name.startswith("blows_")}
-    return Identification(measurement.name, measurement.method, dataset, frames, warnings, blows)
+    single = {name[-1]: hits for name, hits in groups.items() if name.startswith("blows_")}
+    return Identification(measurement.name, measurement.method, dataset, frames, warnings, single)

@@ -115,8 +115,8 @@ def _matrix(measurement: Measurement, entries: dict[tuple[str, str], xr.Dataset]
             std = response_std(values, coherence, measurement.averages)
             if np.isfinite(std).any():
                 extra["compliance_std"] = (three, std[keep])
-                freedom = np.where(np.isfinite(std), 2.0 * (measurement.averages - 1), np.nan)
-                extra["degrees_of_freedom"] = (three, freedom[keep])
+                degrees_of_freedom = np.where(np.isfinite(std), 2.0 * (measurement.averages - 1), np.nan)
+                extra["degrees_of_freedom"] = (three, degrees_of_freedom[keep])
     return make_compliance(frequency[keep], values[keep], rows, columns, extra, {"method": "frf"})
 
 

@@ -226,7 +226,7 @@ def _condition(
     if hits > 1:
         excited = replace(excited, noise_freedom=freedom_of(hits, excited.std.size))
     if discrepancy > 0.0:
-        excited = compared(excited, found.compliance, found.blows.get(axes[0]), discrepancy)
+        excited = compared(excited, found.compliance, found.hits.get(axes[0]), discrepancy)
     return condition_of(measurement.name, compliance, excited, settings, measurement.name)
 
 

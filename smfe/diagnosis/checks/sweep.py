@@ -8,18 +8,17 @@ changes along a pass gives other compliances in its first and in its second half
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from scipy import fft, stats
+from scipy import fft
 
 from process.errors import InputError
 from process.labels import sample_interval
 from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
+from smfe.identification.errors.difference import Difference, compare
 from smfe.identification.spectra.spectra import motion_axes
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.passes import SweepPass, end_pieces, in_cut, whole_record
@@ -49,33 +48,6 @@ FLOOR = 0.05
 """Share of the variance of the instruments that their difference to least squares has at least."""
 
 
-@dataclass(frozen=True)
-class Difference:
-    """Two estimates of one compliance.
-
-    Parameters
-    ----------
-    size : float
-        Rms of the difference beyond noise over the rms of the compliance [1].
-    chance : float
-        Probability that noise alone makes as much of it.
-    worst : float
-        Frequency at which it is most significant [Hz].
-    lines : int
-        Frequencies compared.
-    """
-
-    size: float
-    chance: float
-    worst: float
-    lines: int
-
-    @property
-    def real(self) -> bool:
-        """Whether it is more than noise, and large enough to matter."""
-        return self.chance < CHANCE and self.size > NOTABLE
-
-
 def sweep_suspects(
     name: str, passes: Sequence[SweepPass], teeth: int, frequency_range: tuple[float, float]
 ) -> list[Suspect]:
@@ -99,27 +71,27 @@ def sweep_suspects(
     """
     out = []
     biased = regeneration_difference(passes, teeth, frequency_range)
-    if biased is not None and biased.real:
+    if biased is not None and matters(biased):
         out.append(
             Suspect(
                 "regeneration_bias",
                 "warning",
                 name,
                 f"with the passing of the teeth as instrument the compliance differs by {100.0 * biased.size:.2g} % "
-                f"(chance {biased.chance:.1e}, most at {biased.worst:.4g} Hz): part of the forces answers to vibration "
+                f"(p = {biased.p_value:.1e}, most at {biased.worst:.4g} Hz): part of the forces answers to vibration "
                 "that other forces cause",
                 "cut less deep and away from chatter, find what shakes the machine, or use the instrument",
             )
         )
     halves = posture_difference(passes, frequency_range)
-    if halves is not None and halves.real:
+    if halves is not None and matters(halves):
         out.append(
             Suspect(
                 "posture",
                 "warning",
                 name,
                 f"the first and the second half of the passes give compliances that differ by "
-                f"{100.0 * halves.size:.2g} % (chance {halves.chance:.1e}, most at {halves.worst:.4g} Hz)",
+                f"{100.0 * halves.size:.2g} % (p = {halves.p_value:.1e}, most at {halves.worst:.4g} Hz)",
                 "sweep over a shorter way, or from other positions; feed and level change along a pass, too",
             )
         )
@@ -195,7 +167,9 @@ def regeneration_difference(
         return None
     parts = [s for s in solved if s is not None]
     change, covariance = np.stack([p[0] for p in parts]), np.stack([p[1] for p in parts])
-    return _compare(frequency[kept], change, covariance, np.stack([p[2] for p in parts]))
+    # Weighted with the transpose of the covariance: noise alone then makes some 15 times the mean of chi^2, so that
+    # the size decides. Weighted with the covariance itself, whose floor is cautious, a bias is not significant.
+    return _compare(frequency[kept], change, covariance.conj(), np.stack([p[2] for p in parts]))
 
 
 def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> Complex:
@@ -265,19 +239,19 @@ def _row_space(z: Complex) -> tuple[int, Complex]:
 # --- significance -----------------------------------------------------------------------------------------------------
 
 
+def matters(found: Difference) -> bool:
+    """Whether a difference is more than noise, and large enough to matter."""
+    return found.p_value < CHANCE and found.size > NOTABLE
+
+
 def _compare(frequency: Real, change: Complex, covariance: Complex, size: Real) -> Difference | None:
-    """Judge differences of shape (f, rows, 3) with covariances ``E[d_j conj(d_k)]``, shape (f, rows, 3, 3)."""
+    """Compare differences of shape (f, rows, 3) with covariances ``E[d_j conj(d_k)]``, shape (f, rows, 3, 3)."""
     usable = np.isfinite(change).all(axis=(1, 2)) & np.isfinite(covariance).all(axis=(1, 2, 3))
     if not usable.any():
         return None
-    f, d, c, p = frequency[usable], change[usable], covariance[usable], size[usable]
-    # A row at a time: 2 d^H C^-1 d of three complex numbers is chi-square with six degrees of freedom.
-    inverse = np.linalg.pinv(c, rcond=1e-10, hermitian=True)
-    statistic = 2.0 * np.einsum("frj,frjk,frk->fr", d.conj(), inverse.swapaxes(-1, -2), d).real
-    each = 6 * d.shape[1]
-    total = statistic.sum(axis=1)
-    chance = float(stats.chi2.sf(total.sum(), each * f.size))
-    variance = np.diagonal(c, axis1=2, axis2=3).real
-    beyond = max(float(np.sum(np.abs(d) ** 2 - variance)), 0.0)
-    worst = float(f[int(np.argmax(total))])
-    return Difference(math.sqrt(beyond / float(np.sum(p**2))), chance, worst, int(f.size))
+    d, c = change[usable], covariance[usable]
+    lines, rows, columns = d.shape
+    whole = np.zeros((lines, rows, columns, rows, columns), dtype=complex)
+    whole[:, np.arange(rows), :, np.arange(rows)] = c.swapaxes(0, 1)
+    n = rows * columns
+    return compare(frequency[usable], d.reshape(lines, n), whole.reshape(lines, n, n), size[usable], rows=rows)

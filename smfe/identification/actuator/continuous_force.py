@@ -154,7 +154,7 @@ def _local(g: Records, frequency: Real) -> Column:
         value,
         found.covariance[..., 0, 0].real + np.abs(charged) ** 2,
         charged**2,
-        found.freedom,
+        found.degrees_of_freedom,
         found.share,
         lost,
         narrow,
@@ -252,7 +252,7 @@ def _assembled(frequency: Real, columns: Sequence[Column], estimator: str) -> xr
     extra = {
         "compliance_std": (dims, np.sqrt(stack("variance"))),
         "compliance_relation": (dims, stack("relation")),
-        "degrees_of_freedom": (dims, stack("freedom")),
+        "degrees_of_freedom": (dims, stack("degrees_of_freedom")),
         "coherence": (dims, stack("coherence")),
     }
     attrs = {

@@ -43,7 +43,7 @@ class Column:
     compliance: Complex
     variance: Real
     relation: Complex
-    freedom: Real
+    degrees_of_freedom: Real
     coherence: Real
     error_lines: float
     table: pd.DataFrame
@@ -213,8 +213,8 @@ class Response:
         Of the complex error.
     relation : ndarray of complex
         ``E[d^2]``.
-    freedom, coherence : ndarray
-        Degrees of freedom of each part; coherence.
+    degrees_of_freedom, coherence : ndarray
+        Degrees of degrees_of_freedom of each part; coherence.
     lost : ndarray
         Share of the value that noise of the force takes from a least squares, or may take.
     unclaimed : ndarray of bool, shape (f,)
@@ -228,7 +228,7 @@ class Response:
     value: Complex
     variance: Real
     relation: Complex
-    freedom: Real
+    degrees_of_freedom: Real
     coherence: Real
     lost: Real
     unclaimed: NDArray[np.bool_]
@@ -285,7 +285,7 @@ def column_of(g: Records, frequency: Real, found: Response) -> Column:
         on_axes(found.value * scale),
         on_axes((found.variance + np.abs(clip) ** 2) * np.abs(scale) ** 2),
         on_axes((found.relation + clip**2) * scale**2),
-        on_axes(found.freedom * cut),
+        on_axes(found.degrees_of_freedom * cut),
         on_axes(found.coherence * cut),
         found.error_lines,
         table,

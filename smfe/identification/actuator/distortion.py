@@ -63,7 +63,7 @@ class Distortion:
         For even, odd, noise: ``level_db``, power over that of the linear response at the same lines; ``floor_db``,
         below which noise (two standard deviations) and what the polynomial leaves of the transient hide it; ``lines``.
     warnings : tuple of str
-        What makes the numbers doubtful.
+        What makes the numbers uncertain.
     """
 
     lines: xr.Dataset
@@ -94,7 +94,7 @@ class _Lines:
     noise_cross: Complex
     leverage: Real
     left: Real
-    freedom: int
+    degrees_of_freedom: int
 
 
 def distortion(
@@ -126,7 +126,7 @@ def distortion(
     Returns
     -------
     Distortion
-        Levels line by line, and sentences on what makes them doubtful.
+        Levels line by line, and sentences on what makes them uncertain.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def distortion(
     role[excited - 1] = "excited"
     powers = _powers(found, excited)
     lines = _as_dataset(found, powers, role, excited)
-    table = _table(powers, role, found.force.shape[0], found.freedom)
+    table = _table(powers, role, found.force.shape[0], found.degrees_of_freedom)
     noise = float(np.sum(powers.noise) * count / np.sum(powers.linear))
     transient = _db(float(np.mean(np.abs(found.transient) ** 2)), float(np.mean(powers.linear)))
     warnings = _warnings(count, role, share, transient, drift, noise, fundamental * top)
@@ -259,7 +259,7 @@ def _between(values: Complex, between: Index, at: int) -> tuple[Complex, Complex
 def _stack(found: Sequence[_Lines]) -> _Lines:
     names = ("force", "response", "transient", "noise", "noise_force", "noise_cross", "leverage", "left")
     joined = {name: np.concatenate([getattr(f, name) for f in found]) for name in names}
-    return _Lines(found[0].frequency, **joined, freedom=found[0].freedom)
+    return _Lines(found[0].frequency, **joined, degrees_of_freedom=found[0].degrees_of_freedom)
 
 
 @dataclass(frozen=True)
@@ -339,7 +339,7 @@ def _db(power: float, reference: float) -> float:
     return 10.0 * math.log10(power / reference) if power > 0.0 and reference > 0.0 else -math.inf
 
 
-def _table(p: _Powers, role: NDArray[np.object_], realisations: int, freedom: int) -> pd.DataFrame:
+def _table(p: _Powers, role: NDArray[np.object_], realisations: int, degrees_of_freedom: int) -> pd.DataFrame:
     rows = {}
     for kind in ("even", "odd", "noise"):
         here = role == kind if kind != "noise" else np.ones(role.size, dtype=bool)
@@ -347,14 +347,15 @@ def _table(p: _Powers, role: NDArray[np.object_], realisations: int, freedom: in
         power = p.noise if kind == "noise" else p.beside
         level = _db(float(power[here].sum()), linear) if n and np.all(np.isfinite(power[here])) else math.nan
         # The noise itself is known from few bins: its own error counts too.
-        sd = math.sqrt(float(np.sum(p.spread[here] ** 2)) * (1.0 + 1.0 / freedom)) if freedom else math.nan
+        known = 1.0 + 1.0 / degrees_of_freedom if degrees_of_freedom else math.nan
+        sd = math.sqrt(float(np.sum(p.spread[here] ** 2)) * known)
         left = max(float(p.left[here].sum()), 0.0)
-        floor = math.nan if kind == "noise" or not n or not freedom else _db(2.0 * sd + left, linear)
+        floor = math.nan if kind == "noise" or not n or not degrees_of_freedom else _db(2.0 * sd + left, linear)
         rows[kind] = {"level_db": level, "floor_db": floor, "lines": n, "realisations": realisations}
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-# --- what makes the numbers doubtful ----------------------------------------------------------------------------------
+# --- what makes the numbers uncertain --------------------------------------------------------------------------------
 
 
 def _share_on_lines(records: Sequence[xr.Dataset], axis: str, count: int, excited: Index) -> float:

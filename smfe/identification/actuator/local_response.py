@@ -106,14 +106,14 @@ class Sums:
 class Local:
     """Responses of one width: compliance (f, r, e), covariance (f, r, e, e), noise of the motion (f, r).
 
-    ``freedom`` counts the degrees of freedom of each part, ``share`` of the motion is what the force explains,
+    ``degrees_of_freedom`` is that of each part, ``share`` of the motion is what the force explains,
     ``loss`` what the noise of the force was found to take (f, r, e), ``coefficients`` those of the terms (f, r, k).
     """
 
     response: Complex
     covariance: Complex
     noise: Real
-    freedom: Real
+    degrees_of_freedom: Real
     share: Real
     loss: Complex
     half_width: float
@@ -256,8 +256,8 @@ def solve_sums(sums: Sums, weight: Real, force_noise: Real | None = None) -> Loc
     shared = np.einsum("frk,frk->fr", value.conj(), cross).real
     curved = np.einsum("frk,frkl,frl->fr", value.conj(), gram, value, optimize=True).real
     left = np.maximum(power - 2.0 * shared + curved, 0.0)
-    freedom = max(float(sums.lines.sum()) - k, 0.5)
-    noise = left / freedom
+    degrees_of_freedom = max(float(sums.lines.sum()) - k, 0.5)
+    noise = left / degrees_of_freedom
     spread = inverse @ gram @ inverse.conj().swapaxes(-1, -2)
     # From coefficients to the response at the frequency itself.
     there = np.einsum("fp,ij->fipj", sums.at, np.eye(e)).reshape(f, 1, e, k)
@@ -267,7 +267,14 @@ def solve_sums(sums: Sums, weight: Real, force_noise: Real | None = None) -> Loc
     plain = value if force_noise is None else np.einsum("frkl,frl->frk", _inverse(gram), cross)
     response, lower = ((there @ c[..., None])[..., 0] for c in (value, plain))
     return Local(
-        response, covariance, noise, np.full(left.shape, 2.0 * freedom), share, response - lower, sums.half_width, value
+        response,
+        covariance,
+        noise,
+        np.full(left.shape, 2.0 * degrees_of_freedom),
+        share,
+        response - lower,
+        sums.half_width,
+        value,
     )
 
 
@@ -283,7 +290,7 @@ def solve_either(both: tuple[Sums, Sums], weight: Real, force_noise: Real | None
         return free
     still = solve_sums(both[0], weight, force_noise)
     q = float(both[0].lines.sum() - both[1].lines.sum())
-    without, with_it = still.noise * still.freedom / 2.0, free.noise * free.freedom / 2.0
+    without, with_it = still.noise * still.degrees_of_freedom / 2.0, free.noise * free.degrees_of_freedom / 2.0
     with np.errstate(invalid="ignore", divide="ignore"):
         worth = np.nan_to_num((without - with_it) / (q * free.noise), nan=np.inf, posinf=1e6).mean(axis=1)
     reach = 2 if worth.size > 4 else 0
@@ -292,7 +299,7 @@ def solve_either(both: tuple[Sums, Sums], weight: Real, force_noise: Real | None
     if reach:
         moved = np.asarray(ndimage.binary_dilation(moved, iterations=reach))
     parts = {}
-    for name in ("response", "covariance", "noise", "freedom", "share", "loss", "coefficients"):
+    for name in ("response", "covariance", "noise", "degrees_of_freedom", "share", "loss", "coefficients"):
         one, two = getattr(still, name), getattr(free, name)
         parts[name] = np.where(moved.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
     return Local(**parts, half_width=free.half_width)
@@ -396,7 +403,7 @@ def choose(solved: Sequence[Local], charged: float = 0.0) -> tuple[Local, Real, 
             scale = np.maximum(narrower.std, 1e-300)
             agrees &= np.nan_to_num(away / scale).max(axis=2) <= AGREEMENT
             # What bends within the narrow band makes it uncertain, so that all agrees with it; its residual shows that.
-            most = stats.f.isf(LOUDER, narrower.freedom.max(), solved[k].freedom.max())
+            most = stats.f.isf(LOUDER, narrower.degrees_of_freedom.max(), solved[k].degrees_of_freedom.max())
             agrees &= ~(narrower.noise > most * solved[k].noise)
         # A mode bends the response over several lines; a single line that agrees by chance does not count.
         agrees = ndimage.minimum_filter(agrees, size=(3, 1), mode="nearest")
@@ -407,7 +414,7 @@ def choose(solved: Sequence[Local], charged: float = 0.0) -> tuple[Local, Real, 
     f, r = np.ogrid[: rows[0], : rows[1]]
     parts = {
         name: np.array([getattr(s, name) for s in solved])[index, f, r]
-        for name in ("response", "covariance", "noise", "freedom", "share", "loss")
+        for name in ("response", "covariance", "noise", "degrees_of_freedom", "share", "loss")
     }
     if len(solved) > 1:
         # The error of a polynomial of order 2 grows eightfold with twice the width; modes narrower than that less.
@@ -481,7 +488,8 @@ def with_poles(
     rest = all(r.rest for r in records)
     width, bent = width.copy(), bent.copy()
     response, covariance = found.response.copy(), found.covariance.copy()
-    share, freedom, loss, noise = (getattr(found, n).copy() for n in ("share", "freedom", "loss", "noise"))
+    names = ("share", "degrees_of_freedom", "loss", "noise")
+    share, degrees_of_freedom, loss, noise = (getattr(found, n).copy() for n in names)
     where = np.asarray(bent.any(axis=1))
     # Stretches closer to each other than a band belong together.
     step = float(np.median(np.diff(frequency)))
@@ -513,13 +521,20 @@ def with_poles(
             better = np.sum(new.std**2, axis=2) < np.sum(found.std[lines] ** 2, axis=2)
             better |= bent[lines] & ~left
             for old, fresh in (
-                (response, new.response), (covariance, new.covariance), (share, new.share), (freedom, new.freedom),
+                (response, new.response), (covariance, new.covariance), (share, new.share),
+                (degrees_of_freedom, new.degrees_of_freedom),
                 (loss, new.loss), (noise, new.noise), (width, wide), (bent, left),
             ):  # fmt: skip
                 at = better.reshape(better.shape + (1,) * (fresh.ndim - 2))
                 old[lines] = np.where(at, fresh, old[lines])
             found = replace(
-                found, response=response, covariance=covariance, share=share, freedom=freedom, loss=loss, noise=noise
+                found,
+                response=response,
+                covariance=covariance,
+                share=share,
+                degrees_of_freedom=degrees_of_freedom,
+                loss=loss,
+                noise=noise,
             )
             if not left.any():
                 break

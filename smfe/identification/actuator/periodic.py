@@ -45,7 +45,7 @@ class _Column:
     compliance: Complex
     variance: Real
     relation: Complex
-    freedom: Real
+    degrees_of_freedom: Real
     coherence: Real
     table: pd.DataFrame
     notes: tuple[str, ...]
@@ -113,9 +113,9 @@ def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: f
     with np.errstate(divide="ignore", invalid="ignore"):  # a line that nothing excites
         phi = np.sum(mean_y * mean_u.conj()[:, None, :], axis=2) / power[:, None]
     if len(records) >= 3:
-        variance, relation, freedom = _between_records(phi, mean_y, mean_u)
+        variance, relation, each = _between_records(phi, mean_y, mean_u)
     else:
-        variance, freedom = _within_records(phi, spectra, mean_u)
+        variance, each = _within_records(phi, spectra, mean_u)
         relation = np.zeros_like(phi)
     total = np.sum(np.abs(mean_y) ** 2, axis=2)
     coherence = np.clip(
@@ -131,7 +131,7 @@ def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: f
         phi * cut,
         variance * cut,
         relation,
-        freedom * cut,
+        each * cut,
         coherence * cut,
         pd.DataFrame([s.row(axis) for s in spectra]),
         tuple(notes),
@@ -227,9 +227,8 @@ def _within_records(phi: Complex, spectra: Sequence[_Periods], mean_u: Complex) 
     variance = np.zeros(phi.shape)
     for r, s in enumerate(spectra):
         variance += (np.abs(mean_u[:, r]) ** 2)[:, None] * s.scatter(phi) / s.count
-    freedom = 2.0 * sum(s.count - 1 for s in spectra)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return variance / power[:, None] ** 2, np.full(phi.shape, freedom)
+        return variance / power[:, None] ** 2, np.full(phi.shape, 2.0 * sum(s.count - 1 for s in spectra))
 
 
 def _between_records(phi: Complex, mean_y: Complex, mean_u: Complex) -> tuple[Real, Complex, Real]:
@@ -239,9 +238,9 @@ def _between_records(phi: Complex, mean_y: Complex, mean_u: Complex) -> tuple[Re
         leverage = np.abs(mean_u) ** 2 / power[:, None]
         e = mean_y - phi[:, :, None] * mean_u[:, None, :]
         d = mean_u.conj()[:, None, :] * e / power[:, None, None] / np.sqrt(1.0 - leverage)[:, None, :]
-    freedom = degrees_of_freedom(np.nan_to_num(np.broadcast_to(leverage[:, None, :], d.shape)))
+    each = degrees_of_freedom(np.nan_to_num(np.broadcast_to(leverage[:, None, :], d.shape)))
     with np.errstate(invalid="ignore"):
-        return np.sum(np.abs(d) ** 2, axis=2), np.sum(d**2, axis=2), freedom
+        return np.sum(np.abs(d) ** 2, axis=2), np.sum(d**2, axis=2), each
 
 
 def _excited(spectra: Sequence[_Periods], power: Real, frequency: Real) -> NDArray[np.bool_]:
@@ -280,7 +279,7 @@ def _assemble(name: str, columns: Sequence[_Column], wanted: tuple[float, float]
     extra = {
         "compliance_std": (dims, np.sqrt(stack("variance"))),
         "compliance_relation": (dims, stack("relation")),
-        "degrees_of_freedom": (dims, stack("freedom")),
+        "degrees_of_freedom": (dims, stack("degrees_of_freedom")),
         "coherence": (dims, stack("coherence")),
     }
     names = [AXES[r] for r in rows], [c.axis for c in columns]

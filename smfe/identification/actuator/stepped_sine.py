@@ -58,8 +58,8 @@ class Step:
         Axis -> fit of the motion channel.
     compliance, std : mapping of str to complex, float
         Axis -> compliance and root mean square of its complex error [m/N].
-    freedom : float
-        Degrees of freedom of each part of that error.
+    degrees_of_freedom : float
+        Degrees of degrees_of_freedom of each part of that error.
     drift : float
         Largest relative difference of the compliances of the two halves of the fitted part [1], of those responses
         where it exceeds three standard deviations.
@@ -82,7 +82,7 @@ class Step:
     drift: float
     settled: bool
     reason: str = ""
-    freedom: float = float("nan")
+    degrees_of_freedom: float = float("nan")
 
 
 def identify_actuator(
@@ -223,7 +223,7 @@ class _PartFits:
     std: dict[str, float]
     halves: tuple[dict[str, complex], dict[str, complex]]
     half_std: dict[str, float]
-    freedom: float
+    degrees_of_freedom: float
     length: float
 
 
@@ -300,7 +300,7 @@ def _step(
         drift=drift,
         settled=settled,
         reason=reason,
-        freedom=fits.freedom,
+        degrees_of_freedom=fits.degrees_of_freedom,
     )
 
 
@@ -349,7 +349,7 @@ def _assemble(name: str, steps: Sequence[Step], wanted: tuple[float, float] | No
     excitations = [axis for axis in AXES if any(s.excitation == axis for s in used)]
     shape = (frequency.size, len(responses), len(excitations))
     values, relation = np.full(shape, np.nan, complex), np.full(shape, np.nan, complex)
-    std, coherence, freedom = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
+    std, coherence, degrees_of_freedom = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     for i in range(frequency.size):
         here = [s for s, number in zip(used, line, strict=True) if number == i]
         for k, excitation in enumerate(excitations):
@@ -357,12 +357,12 @@ def _assemble(name: str, steps: Sequence[Step], wanted: tuple[float, float] | No
                 repeats = [s for s in here if s.excitation == excitation and response in s.responses]
                 if repeats:
                     at = i, j, k
-                    values[at], std[at], relation[at], freedom[at], coherence[at] = _merge(repeats, response)
+                    values[at], std[at], relation[at], degrees_of_freedom[at], coherence[at] = _merge(repeats, response)
     dims = ("frequency", "response", "excitation")
     extra = {
         "compliance_std": (dims, std),
         "compliance_relation": (dims, relation),
-        "degrees_of_freedom": (dims, freedom),
+        "degrees_of_freedom": (dims, degrees_of_freedom),
         "coherence": (dims, coherence),
     }
     return make_compliance(frequency, values, responses, excitations, extra)
@@ -383,15 +383,15 @@ def _merge(repeats: Sequence[Step], response: str) -> tuple[complex, float, comp
     weight = 1.0 / std**2 if np.all(std > 0.0) and std.max() > 2.0 * std.min() else np.ones(n)
     weight = weight / weight.sum()
     mean, noise = complex(weight @ value), float(weight**2 @ std**2)
-    freedom = float(np.sum([s.freedom for s in repeats]))
+    degrees_of_freedom = float(np.sum([s.degrees_of_freedom for s in repeats]))
     if n > 1:
         around = np.sum(weight * np.abs(value - mean) ** 2) / (n - 1)
-        if around > noise * float(stats.f.ppf(0.95, 2 * (n - 1), freedom)):
+        if around > noise * float(stats.f.ppf(0.95, 2 * (n - 1), degrees_of_freedom)):
             # What scatters so has nothing to do with the noise within: all repeats count alike.
             mean = complex(value.mean())
             d = (value - mean) / np.sqrt(n * (n - 1.0))
             return mean, float(np.linalg.norm(d)), complex(np.sum(d**2)), n - 1.0, r2
-    return mean, float(np.sqrt(noise)), 0j, freedom, r2
+    return mean, float(np.sqrt(noise)), 0j, degrees_of_freedom, r2
 
 
 def _cover_note(record: xr.Dataset, excitation: str, steps: Sequence[Step]) -> Iterable[str]:

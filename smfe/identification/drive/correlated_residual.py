@@ -31,7 +31,9 @@ def _correlations(residual: Real, run: NDArray[np.int64]) -> Real:
 
 
 def covariance_of(columns: Real, residual: Real, run: NDArray[np.int64], prior: Real) -> tuple[Real, float]:
-    """Return the covariance of least squares with a correlated residual (Newey and West 1987), and its freedom.
+    """Return the covariance of least squares with a correlated residual, and its degrees of freedom.
+
+    Newey and West 1987.
 
     Parameters
     ----------
@@ -48,7 +50,7 @@ def covariance_of(columns: Real, residual: Real, run: NDArray[np.int64], prior: 
     -------
     covariance : ndarray, shape (p, p)
         Of the unknowns.
-    freedom : float
+    degrees_of_freedom : float
         Independent values less unknowns.
     """
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
@@ -56,7 +58,7 @@ def covariance_of(columns: Real, residual: Real, run: NDArray[np.int64], prior: 
     correlations = _correlations(residual, run)
     spread = 1.0 + 2.0 * float(np.sum(correlations))
     independent = residual.size / spread
-    freedom = max(independent - x.shape[1], 1.0)
+    degrees_of_freedom = max(independent - x.shape[1], 1.0)
     variance = float(np.mean(residual**2)) * spread
     ridge = variance / (prior * scale) ** 2
     # The root of the normal matrix, without squaring its condition.
@@ -78,7 +80,7 @@ def covariance_of(columns: Real, residual: Real, run: NDArray[np.int64], prior: 
     meat = meat * np.outer(raise_by, raise_by)
     meat += inverse.T @ np.diag(ridge * variance) @ inverse
     inverse = inverse / scale[:, None]
-    return np.asarray(inverse @ meat @ inverse.T * (independent / freedom)), freedom
+    return np.asarray(inverse @ meat @ inverse.T * (independent / degrees_of_freedom)), degrees_of_freedom
 
 
 def underestimate(column: Real, others: Real, residual: Real, run: NDArray[np.int64]) -> float:

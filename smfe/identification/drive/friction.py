@@ -158,11 +158,12 @@ def _check_runs(v: Real, f: Real, std: Real | None, least: int) -> None:
 
 def _covariance(jacobian: Real, residual: Real, known: bool) -> Real:
     """``(J^T J)^-1``, times the scatter where the noise is not known; NaN without degrees of freedom."""
-    freedom = residual.size - jacobian.shape[1]
+    degrees_of_freedom = residual.size - jacobian.shape[1]
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     if known:
         return np.asarray(inverse)
-    return np.asarray(inverse * (float(residual @ residual) / freedom if freedom > 0 else math.nan))
+    variance = float(residual @ residual) / degrees_of_freedom if degrees_of_freedom > 0 else math.nan
+    return np.asarray(inverse * variance)
 
 
 def _scatter(residual: Real, unknowns: int) -> float:
@@ -221,10 +222,10 @@ def _chance(line: Real, f: Real, remaining: float, known: bool) -> float:
     gained = nnls(line, f)[1] ** 2 - remaining
     if known:
         return float(stats.chi2.sf(gained, 2))
-    freedom = f.size - 4
-    if freedom < 1:
+    degrees_of_freedom = f.size - 4
+    if degrees_of_freedom < 1:
         return 1.0
-    return float(stats.f.sf(gained / 2.0 * freedom / max(remaining, 1e-300), 2, freedom))
+    return float(stats.f.sf(gained / 2.0 * degrees_of_freedom / max(remaining, 1e-300), 2, degrees_of_freedom))
 
 
 def _estimates(sides: dict[int, _Side]) -> xr.Dataset:
@@ -248,7 +249,7 @@ def _fit_status(sides: dict[int, _Side]) -> str:
             name = "positive" if direction > 0 else "negative"
             return (
                 f"the Stribeck curve in {name} direction is not resolved: a straight line fits the runs as well "
-                f"(chance {side.chance:.2g}); run more and slower feeds, or use fit_coulomb_curve"
+                f"(p = {side.chance:.2g}); run more and slower feeds, or use fit_coulomb_curve"
             )
     return "ok"
 
@@ -451,9 +452,9 @@ def _weighted(values: Real, std: Real) -> tuple[float, float]:
 
 
 def _birge(score: Real, unknowns: int) -> float:
-    """``sqrt(chi^2/freedom)`` of scores (n,), at least 1: the factor by which stated deviations are too small."""
-    freedom = score.size - unknowns
-    return max(1.0, math.sqrt(float(score @ score) / freedom)) if freedom > 0 else 1.0
+    """Return ``sqrt(chi^2/nu)`` of scores (n,), at least 1: the factor by which stated deviations are too small."""
+    degrees_of_freedom = score.size - unknowns
+    return max(1.0, math.sqrt(float(score @ score) / degrees_of_freedom)) if degrees_of_freedom > 0 else 1.0
 
 
 class CurveFit(Protocol):
@@ -487,7 +488,7 @@ def fit_friction_record(
 
     Each run gives ``force - offset - mass acceleration`` at its velocity. Where the runs scatter about the law by more
     than their standard errors (friction that depends on position, temperature), the standard deviations are raised by
-    ``sqrt(chi^2/freedom)`` and the status says so.
+    ``sqrt(chi^2/degrees_of_freedom)`` and the status says so.
 
     Parameters
     ----------

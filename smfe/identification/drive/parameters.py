@@ -128,7 +128,7 @@ class _Component(NamedTuple):
     curves: tuple[Curve | None, Curve | None]
     value: Real
     covariance: Real
-    freedom: float
+    degrees_of_freedom: float
 
 
 @dataclass(frozen=True)
@@ -162,11 +162,11 @@ class _Fit:
             at, w = list(here), np.array(list(here.values()))
             mean[k] = w @ c.value[at]
             spread[k] = math.sqrt(max(float(w @ c.covariance[np.ix_(at, at)] @ w), 1e-300))
-        return Estimate.mixed(share, mean, spread, np.array([c.freedom for c in parts]))
+        return Estimate.mixed(share, mean, spread, np.array([c.degrees_of_freedom for c in parts]))
 
-    def freedom(self) -> float:
+    def degrees_of_freedom(self) -> float:
         """Return the mean degrees of freedom."""
-        return sum(c.share * c.freedom for c in self.components)
+        return sum(c.share * c.degrees_of_freedom for c in self.components)
 
 
 def _fit(b: Balance, kept: Sequence[Kept], band: float, known: float | None) -> _Fit:
@@ -222,7 +222,7 @@ def _fit(b: Balance, kept: Sequence[Kept], band: float, known: float | None) -> 
     spread = math.hypot(math.sqrt(timing), _CLOCK * kept[0].trace.step)
     return _Fit(
         tuple(components),
-        Estimate.single(delay, spread, sum(c.share * c.freedom for c in components)),
+        Estimate.single(delay, spread, sum(c.share * c.degrees_of_freedom for c in components)),
         (float(pairs.probability[pairs.first >= 0].sum()), float(pairs.probability[pairs.second >= 0].sum())),
         (_speed(pairs.first, grids[0], pairs), _speed(pairs.second, grids[1], pairs)),
         (_edges(b, grids[0], 0), _edges(b, grids[1], 1)),
@@ -383,9 +383,9 @@ def _stribeck(f: _Fit, k: int, way: str, units: dict[str, str]) -> list[DrivePar
         ]
     reason, note = "the record has too little slow motion", "limit at rest, beyond the slowest motion of the record"
     static = f.sum_of({("coulomb", way): 1.0, ("boost", way): 1.0}, curve_of=way)
-    static = static.widened(_LEAST_SPREAD * abs(static.value), f.freedom())
+    static = static.widened(_LEAST_SPREAD * abs(static.value), f.degrees_of_freedom())
     rows = [positive("static", way, static, units["force"], reason, note)]
-    speed = speed.widened(_LEAST_SPREAD * speed.value, f.freedom())
+    speed = speed.widened(_LEAST_SPREAD * speed.value, f.degrees_of_freedom())
     slowest, fastest = f.edges[k]
     unit = f"{units['motion']}/s"
     if speed.low > slowest and speed.high < fastest / 1.05 and speed.high < _WIDEST * speed.low:
@@ -404,7 +404,7 @@ def _inertia(f: _Fit, unit: str) -> DriveParameter:
     row = positive(
         "inertia",
         "both",
-        found.widened(abs(found.value) * f.lost, f.freedom()),
+        found.widened(abs(found.value) * f.lost, f.degrees_of_freedom()),
         unit,
         "the record accelerates too little against friction and noise: record a faster step or stroke, or give the "
         "known moving_mass",

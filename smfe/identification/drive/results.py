@@ -24,32 +24,32 @@ class Estimate:
     high: float
 
     @classmethod
-    def single(cls, value: float, std: float, freedom: float) -> Estimate:
+    def single(cls, value: float, std: float, degrees_of_freedom: float) -> Estimate:
         """Return the estimate of Student's distribution."""
-        reach = float(stats.t.ppf(0.5 + 0.5 * LEVEL, freedom)) * std
+        reach = float(stats.t.ppf(0.5 + 0.5 * LEVEL, degrees_of_freedom)) * std
         return cls(value, std, value - reach, value + reach)
 
     @classmethod
-    def mixed(cls, share: Real, value: Real, std: Real, freedom: Real) -> Estimate:
+    def mixed(cls, share: Real, value: Real, std: Real, degrees_of_freedom: Real) -> Estimate:
         """Return the estimate of a mixture of Student's distributions, all arguments (n,); the shares sum up to one."""
         mean = float(share @ value)
         spread = math.sqrt(float(share @ (std**2 + (value - mean) ** 2)))
         ends = []
         for tail in (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL):
-            each = value + stats.t.ppf(tail, freedom) * std
+            each = value + stats.t.ppf(tail, degrees_of_freedom) * std
             least, most = float(each.min()), float(each.max())
             if most - least > 1e-9 * spread:
                 least = optimize.brentq(
-                    lambda q, p=tail: float(share @ stats.t.cdf((q - value) / std, freedom)) - p, least, most
+                    lambda q, p=tail: float(share @ stats.t.cdf((q - value) / std, degrees_of_freedom)) - p, least, most
                 )
             ends.append(least)
         return cls(mean, spread, ends[0], ends[1])
 
-    def widened(self, std: float, freedom: float) -> Estimate:
+    def widened(self, std: float, degrees_of_freedom: float) -> Estimate:
         """Return the estimate with a further, independent error."""
         if std <= 0.0:
             return self
-        more = float(stats.t.ppf(0.5 + 0.5 * LEVEL, freedom)) * std
+        more = float(stats.t.ppf(0.5 + 0.5 * LEVEL, degrees_of_freedom)) * std
         down, up = math.hypot(self.value - self.low, more), math.hypot(self.high - self.value, more)
         return Estimate(self.value, math.hypot(self.std, std), self.value - down, self.value + up)
 

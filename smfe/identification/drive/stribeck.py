@@ -111,7 +111,7 @@ class Allowed(NamedTuple):
 
 
 def allowed(
-    columns: Real, force: Real, grids: tuple[Grid, Grid], boost: float, independent: float, doubtful: float = 1.0
+    columns: Real, force: Real, grids: tuple[Grid, Grid], boost: float, independent: float, overconfidence: float = 1.0
 ) -> Allowed:
     """Return the probability of every pair of curves.
 
@@ -127,7 +127,7 @@ def allowed(
         Standard deviation of Fs - Fc before the record.
     independent : float
         Number of independent values in the residual.
-    doubtful : float, optional
+    overconfidence : float, optional
         Number of times that slow motion scatters more than all values do (variance): so much less it says which curve
         it is. Whether there is one is decided without.
     """
@@ -137,15 +137,15 @@ def allowed(
     prior = [np.log(np.concatenate([[1.0 - _CURVED], k.prior])) for k in grids]
 
     def log_of(values: float) -> Real:
-        power, freedom = float(y @ y), max(values - columns.shape[1] - 2, 2.0)
+        power, degrees_of_freedom = float(y @ y), max(values - columns.shape[1] - 2, 2.0)
         best = max(float(np.max(gk**2 / np.maximum(ak, 1e-300), initial=0.0)) for gk, ak in zip(g, a, strict=True))
         least, log = power - best, np.zeros(0)
         for _ in range(2):
-            noise = max(least, 1e-12 * power) / freedom
-            log, least = _evidence(g, a, cross, noise / boost**2, power, freedom, noise)
+            noise = max(least, 1e-12 * power) / degrees_of_freedom
+            log, least = _evidence(g, a, cross, noise / boost**2, power, degrees_of_freedom, noise)
         return np.asarray(log + prior[0][:, None] + prior[1][None, :])
 
-    whether, which = log_of(independent), log_of(independent / doubtful)
+    whether, which = log_of(independent), log_of(independent / overconfidence)
     weight = np.zeros(whether.shape)
     for part in (np.s_[:1, :1], np.s_[1:, :1], np.s_[:1, 1:], np.s_[1:, 1:]):
         if whether[part].size:
@@ -157,7 +157,7 @@ def allowed(
 
 
 def _evidence(
-    g: list[Real], a: list[Real], cross: Real, ridge: float, power: float, freedom: float, noise: float
+    g: list[Real], a: list[Real], cross: Real, ridge: float, power: float, degrees_of_freedom: float, noise: float
 ) -> tuple[Real, float]:
     """Log evidence of no curve, one and two (1 + J, 1 + K), and the least sum of squares."""
     log = np.zeros((1 + g[0].size, 1 + g[1].size))
@@ -178,7 +178,7 @@ def _evidence(
     log[1:, 1:] = -0.5 * np.log(determinant / ridge**2) + positive(mean_0, np.sqrt(noise * full_1 / determinant))
     log[1:, 1:] += positive(mean_1, np.sqrt(noise * full_0 / determinant))
     left = np.maximum(left, 1e-12 * power)
-    return log - 0.5 * freedom * np.log(left), float(left.min())
+    return log - 0.5 * degrees_of_freedom * np.log(left), float(left.min())
 
 
 def drawn(probability: Real, count: int) -> tuple[NDArray[np.int64], Real]:

@@ -1,11 +1,12 @@
-"""Whether two compliances of one machine differ by more than their noise.
+"""Whether two compliances of one machine differ by more than their noise, and whether one is reciprocal.
 
-With the difference d of a row of e entries at a frequency and the sum C of its covariances, ``2 d^H C^-1 d`` of
-circular errors has the mean 2 e (real and imaginary part). Added up over rows, and averaged over frequency, it is
-compared with chi^2. The mean does not depend on what rows share, so an estimate of that cannot spoil it; the scatter
-does: with B the blocks of the rows in the whole covariance C of r e entries, the sum scatters like chi^2 of
-``2 (r e)^2/tr((B^-1 C)^2)`` degrees of freedom (Satterthwaite 1946). C is estimated from nu degrees of freedom, which
-makes the mean larger by nu/(nu - 2).
+With the difference d of n entries at a frequency and its covariance C, ``2 d^H C^-1 d`` of circular errors has the mean
+2 n (real and imaginary part). Averaged over frequency, it is compared with chi^2. Where the entries stand in rows, B,
+the blocks of the rows in C, takes the place of C: the mean of ``2 d^H B^-1 d`` does not depend on what rows share, so
+an estimate of that cannot spoil it; the scatter does: it is that of chi^2 with ``2 n^2/tr((B^-1 C)^2)`` degrees of
+freedom (Satterthwaite 1946). A C that is estimated from nu degrees of freedom makes the mean larger by nu/(nu - 2).
+
+Reciprocity compares ``Phi_ij`` with ``Phi_ji`` of one compliance; `symmetric` forces them to be equal.
 """
 
 from __future__ import annotations
@@ -23,27 +24,93 @@ from process.labels import UNITS
 from process.types import Complex, Real
 from smfe.identification.errors.covariance import entry_covariance, scaled_inverse, with_entries
 
-FEWEST = 3.0
-"""Degrees of freedom of a variance below which its mean is not corrected any more."""
-
 
 @dataclass(frozen=True)
 class Difference:
-    """How far two compliances are apart.
+    """How far two estimates of one compliance are apart.
 
     Parameters
     ----------
     size : float
-        Rms of the differences beyond noise over the rms compliance [1].
-    chance : float
+        Root mean square of the differences beyond noise over that of the compliance [1].
+    p_value : float
         Probability that noise alone makes as much.
     worst : float
         Frequency at which the difference is most significant [Hz].
+    lines : int
+        Number of frequencies that were compared.
     """
 
     size: float
-    chance: float
+    p_value: float
     worst: float
+    lines: int
+
+
+def compare(
+    frequency: Real,
+    difference: Complex,
+    covariance: Complex,
+    magnitude: Real,
+    *,
+    rows: int = 1,
+    inflation: Real | float = 1.0,
+    error_lines: float = 1.0,
+) -> Difference:
+    """Compare differences of entries with their covariance.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (f,)
+        [Hz].
+    difference : ndarray of complex, shape (f, n)
+        d [m/N].
+    covariance : ndarray of complex, shape (f, n, n)
+        ``E[d_a conj(d_b)]`` [m2/N2].
+    magnitude : ndarray, shape (f, ...)
+        Magnitude of the compliance that the size refers to [m/N].
+    rows : int, optional
+        Number of rows that the entries stand in, of equal length, one after the other.
+    inflation : ndarray, shape (f,), or float, optional
+        By what the covariance being an estimate multiplies the mean of the statistic.
+    error_lines : float, optional
+        Number of neighbouring lines that share an error.
+    """
+    statistic, each = chi_square(difference, covariance, rows)
+    statistic = statistic / inflation
+    degrees_of_freedom = each * max(1.0, frequency.size / max(1.0, error_lines))
+    p_value = float(
+        stats.chi2.sf(statistic.mean() / (2.0 * difference.shape[1]) * degrees_of_freedom, degrees_of_freedom)
+    )
+    noise = float(np.trace(covariance, axis1=1, axis2=2).real.sum())
+    beyond = max(float(np.sum(np.abs(difference) ** 2)) - noise, 0.0)
+    size = math.sqrt(beyond / max(float(np.sum(magnitude**2)), 1e-300))
+    return Difference(size, p_value, float(frequency[int(np.argmax(statistic))]), int(frequency.size))
+
+
+def chi_square(difference: Complex, covariance: Complex, rows: int = 1) -> tuple[Real, float]:
+    """Return ``2 d^H B^-1 d`` at each frequency, shape (f,), and the degrees of freedom of one of them.
+
+    Parameters
+    ----------
+    difference : ndarray of complex, shape (f, n)
+        d.
+    covariance : ndarray of complex, shape (f, n, n)
+        C = ``E[d_a conj(d_b)]``.
+    rows : int, optional
+        Number of rows; B holds the blocks of the rows in C and zeros between them. 1: B is C.
+    """
+    entries = covariance.shape[1]
+    inverse = np.zeros_like(covariance)
+    for part in np.split(np.arange(entries), rows):
+        inverse[:, part[:, None], part] = scaled_inverse(covariance[:, part[:, None], part])
+    statistic = 2.0 * np.einsum("fa,fab,fb->f", difference.conj(), inverse, difference).real
+    product = inverse @ covariance
+    scatter = np.einsum("fab,fba->f", product, product).real
+    return statistic, 2.0 * entries**2 / float(np.maximum(scatter, entries).mean())
+
+
+# --- two compliances -------------------------------------------------------------------------------------------------
 
 
 def difference_of(a: xr.Dataset, b: xr.Dataset) -> Difference:
@@ -70,20 +137,15 @@ def difference_of(a: xr.Dataset, b: xr.Dataset) -> Difference:
     good = np.all([np.isfinite(v).all(axis=1) for v in (*value, *(s.reshape(len(s), -1) for s in spread))], axis=0)
     if not good.any():
         raise InputError("no frequency has a value and a standard deviation in all entries of both; nothing to compare")
-    d, covariance = (value[1] - value[0])[good], (spread[0] + spread[1])[good]
-    weight = _row_weights(covariance, one.sizes["response"])
-    statistic = 2.0 * np.einsum("fa,fab,fb->f", d.conj(), weight, d).real / _growth(one, other)[good]
-    product = weight @ covariance
-    scatter = np.einsum("fab,fba->f", product, product).real
-    lines = max(1.0, *(float(x.attrs.get("error_lines", 1.0)) for x in (a, b)))
-    independent = max(1.0, good.sum() / lines)
-    entries = d.shape[1]
-    freedom = 2.0 * entries**2 / float(np.maximum(scatter, entries).mean()) * independent
-    chance = float(stats.chi2.sf(statistic.mean() / (2.0 * entries) * freedom, freedom))
-    noise = float(np.trace(covariance, axis1=1, axis2=2).real.sum())
-    beyond = max(float(np.sum(np.abs(d) ** 2)) - noise, 0.0)
-    size = max(float(np.sum(np.abs(0.5 * (value[0] + value[1])[good]) ** 2)), 1e-300)
-    return Difference(math.sqrt(beyond / size), chance, float(one["frequency"].values[good][int(np.argmax(statistic))]))
+    return compare(
+        one["frequency"].values[good],
+        (value[1] - value[0])[good],
+        (spread[0] + spread[1])[good],
+        np.abs(0.5 * (value[0] + value[1])[good]),
+        rows=one.sizes["response"],
+        inflation=_inflation(one, other)[good],
+        error_lines=max(float(x.attrs.get("error_lines", 1.0)) for x in (a, b)),
+    )
 
 
 def _common(a: xr.Dataset, b: xr.Dataset) -> tuple[xr.Dataset, xr.Dataset]:
@@ -102,55 +164,34 @@ def _entries(d: xr.Dataset) -> Complex:
     return np.asarray(value.reshape(len(value), -1), dtype=complex)
 
 
-def _row_weights(covariance: Complex, rows: int) -> Complex:
-    """Return the inverse of the blocks of the rows, shape (f, r e, r e); zero between rows."""
-    out = np.zeros_like(covariance)
-    for part in np.split(np.arange(covariance.shape[1]), rows):
-        out[:, part[:, None], part] = scaled_inverse(covariance[:, part[:, None], part])
-    return out
-
-
-def _growth(a: xr.Dataset, b: xr.Dataset) -> Real:
-    """Return the mean of the distance over that of known covariances, ``nu/(nu - 2)``, the mean of all entries."""
-    growth = np.ones(a.sizes["frequency"])
+def _inflation(a: xr.Dataset, b: xr.Dataset) -> Real:
+    """Return the mean of the statistic over that of known covariances, ``nu/(nu - 2)``, the mean of all entries."""
+    inflation = np.ones(a.sizes["frequency"])
     for d in (a, b):
         if "degrees_of_freedom" in d:
-            freedom = d["degrees_of_freedom"].transpose("frequency", ...).values.reshape(growth.size, -1)
-            known = np.maximum(np.nan_to_num(freedom, nan=np.inf), FEWEST)
+            known = d["degrees_of_freedom"].transpose("frequency", ...).values.reshape(inflation.size, -1)
+            # nu/(nu - 2) is taken at 3 where fewer are known: it has no mean from 2 down.
+            known = np.maximum(np.nan_to_num(known, nan=np.inf), 3.0)
             # Each of both variances is about half of the sum.
-            growth += 0.25 * np.mean(known / (known - 2.0) - 1.0, axis=1)
-    return growth
+            inflation += 0.25 * np.mean(known / (known - 2.0) - 1.0, axis=1)
+    return inflation
 
 
-# --- Reciprocity of a measured compliance: a test, and the symmetric compliance next to it.
+# --- reciprocity -----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Reciprocity:
-    """How far a compliance is from symmetric.
-
-    Parameters
-    ----------
-    size : float
-        Rms of the differences ``Phi_ij - Phi_ji`` beyond noise over the rms of these entries [1].
-    chance : float
-        Probability that noise alone makes as much.
-    worst : float
-        Frequency at which the difference is most significant [Hz].
-    """
-
-    size: float
-    chance: float
-    worst: float
-
-
-def reciprocity(compliance: xr.Dataset) -> Reciprocity:
+def reciprocity(compliance: xr.Dataset) -> Difference:
     """Test a compliance for reciprocity.
 
     Parameters
     ----------
     compliance : xarray.Dataset
         With ``compliance_std``; axes that are both response and excitation are used.
+
+    Returns
+    -------
+    Difference
+        Of ``Phi_ij - Phi_ji``; the size refers to these entries.
 
     Raises
     ------
@@ -169,16 +210,7 @@ def reciprocity(compliance: xr.Dataset) -> Reciprocity:
     # What has been made symmetric differs by rounding, with no error.
     floor = 1e-9 * np.trace(covariance, axis1=1, axis2=2).real / (n * n)
     spread = spread + floor[:, None, None] * np.eye(len(pairs))
-    statistic = 2.0 * np.einsum("fk,fkl,fl->f", d.conj(), np.linalg.pinv(spread, hermitian=True), d).real
-    # Lines share their errors: as many are independent as there are groups of them.
-    shared = max(1.0, float(compliance.attrs.get("error_lines", 1.0)))
-    independent = max(1.0, frequency.size / shared)
-    freedom = 2.0 * len(pairs) * independent
-    chance = float(stats.chi2.sf(statistic.mean() * independent, freedom))
-    beyond = max(float(np.sum(np.abs(d) ** 2) - np.trace(spread, axis1=1, axis2=2).real.sum()), 0.0)
-    return Reciprocity(
-        math.sqrt(beyond / max(float(np.sum(size**2)), 1e-300)), chance, float(frequency[int(np.argmax(statistic))])
-    )
+    return compare(frequency, d, spread, size, error_lines=float(compliance.attrs.get("error_lines", 1.0)))
 
 
 def symmetric(compliance: xr.Dataset) -> xr.Dataset:

@@ -48,10 +48,10 @@ def interval(compliance: xr.Dataset, probability: float = 0.95) -> xr.Dataset:
     center = check_compliance(compliance)["compliance"]
     std_real, std_imaginary = component_std(compliance)
     if "degrees_of_freedom" in compliance:
-        freedom = compliance["degrees_of_freedom"].broadcast_like(std_real).transpose(*std_real.dims).values
+        degrees_of_freedom = compliance["degrees_of_freedom"].broadcast_like(std_real).transpose(*std_real.dims).values
     else:
-        freedom = np.full(std_real.shape, np.inf)
-    quantile = student_quantile(freedom, probability)
+        degrees_of_freedom = np.full(std_real.shape, np.inf)
+    quantile = student_quantile(degrees_of_freedom, probability)
     reach = (std_real * quantile + std_imaginary * (1j * quantile)).transpose(*center.dims)
     lower = center.copy(data=center.values - reach.values)
     upper = center.copy(data=center.values + reach.values)
@@ -84,12 +84,12 @@ def component_std(compliance: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     return part(1.0), part(-1.0)
 
 
-def student_quantile(freedom: Real, probability: float) -> Real:
+def student_quantile(degrees_of_freedom: Real, probability: float) -> Real:
     """Return the two-sided quantile of Student's t for degrees of freedom (infinite: normal); NaN for less than 1/2."""
-    known = np.isfinite(freedom) & (freedom >= 0.5)
+    known = np.isfinite(degrees_of_freedom) & (degrees_of_freedom >= 0.5)
     upper = 0.5 + 0.5 * probability
-    quantile = np.where(np.isposinf(freedom), stats.norm.ppf(upper), np.nan)
+    quantile = np.where(np.isposinf(degrees_of_freedom), stats.norm.ppf(upper), np.nan)
     # Many lines have the same number of hits; Student's quantile is slow.
-    values, place = np.unique(np.round(freedom[known], 3), return_inverse=True)
+    values, place = np.unique(np.round(degrees_of_freedom[known], 3), return_inverse=True)
     quantile[known] = np.asarray(stats.t.ppf(upper, values))[place]
     return np.asarray(quantile, dtype=float)

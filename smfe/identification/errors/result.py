@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from process.types import Real
 
 Progress = Callable[[str, int, int], None]
-"""How a long job tells where it is: called with what is being done, how many are done, and of how many."""
+"""Progress of a long job: called with what is being done, how many are done, and of how many."""
 
 
 def silent(what: str, done: int, of: int) -> None:
@@ -36,8 +36,8 @@ class Identification:
         What the engineer wants to look through: hits, steps, passes. Column names end in their unit.
     warnings : tuple of str
         Sentences for the report.
-    blows : mapping of str to xarray.Dataset
-        Excitation -> its hits one by one (`impacts.single_hits`), where hits are behind the compliance.
+    hits : mapping of str to xarray.Dataset
+        Excitation -> its accepted hits one by one (`impacts.single_hits`), where hits are behind the compliance.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Identification:
     compliance: xr.Dataset
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    blows: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    hits: Mapping[str, xr.Dataset] = field(default_factory=dict)
 
 
 def bands(frequency: Real, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:

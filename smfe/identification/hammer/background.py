@@ -8,7 +8,7 @@ half of the time to the next hit, when the machine has rung down, nothing else m
 
     x(t) = sum_k c_k t^k  (about each hit its own)  +  sum_i a_i cos w_i t + b_i sin w_i t  (one for the whole record).
 
-Noise cannot be predicted; it stays, and the scatter of the hits tells of it.
+Noise cannot be predicted; it stays, and is in the scatter of the hits.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from smfe.identification.spectra.tones import NONE, Tones, alike, fit_tones, mul
 
 Mask = NDArray[np.bool_]
 
-_CLEAR = 40.0  # power of a line over the noise round it: chance exceeds it in exp(-40) of the lines
+_CLEAR = 40.0  # power of a line over the noise round it: noise exceeds it in exp(-40) of the lines
 _NEIGHBOURS = 200  # lines over which that noise is a median
 _CONSTANT = 0.3  # largest relative change of a tone from the early to the late halves of the quiet spans
 ROUNDS = 3
@@ -251,10 +251,10 @@ def _refined(samples: Real, mask: Mask, dt: float, frequency: float) -> float:
 
 
 def _goes_on(samples: Real, quiet: Mask, late: Mask, dt: float, frequencies: list[float]) -> bool:
-    """Tell whether the last tone is the same early and late in the quiet spans, and in every other span.
+    """Whether the last tone is the same early and late in the quiet spans, and in every other span.
 
     Ringing dies away within a span and begins anew, with the phase of the hit, in the next. In a single span only its
-    decay tells, so that less of it is allowed.
+    decay distinguishes it, so that less of it is allowed.
     """
     spans = ndimage.label(quiet)[0]
     parts = [(quiet & ~late, quiet & late)]
@@ -269,11 +269,11 @@ def _goes_on(samples: Real, quiet: Mask, late: Mask, dt: float, frequencies: lis
     return True
 
 
-# --- What the tones that were taken off a record may be wrong by, as part of the error of the compliance.
+# --- standard error that removing the tones adds to H1 ---------------------------------------------------------------
 
 
-def doubts(record: xr.Dataset, starts: Sequence[int], taper: Real, tones: Mapping[str, Tones]) -> Complex:
-    """Transform what the tones that were taken off may be wrong by.
+def tone_errors(record: xr.Dataset, starts: Sequence[int], taper: Real, tones: Mapping[str, Tones]) -> Complex:
+    """Return the transforms of one standard error of each parameter of the tones that were taken off.
 
     Parameters
     ----------
@@ -289,24 +289,24 @@ def doubts(record: xr.Dataset, starts: Sequence[int], taper: Real, tones: Mappin
     Returns
     -------
     ndarray of complex, shape (f, 3, blocks, p)
-        Of the displacement [m s] without the line at 0 Hz, one independent standard error each.
+        Of the displacement [m s], without the line at 0 Hz; the p errors are independent of each other.
     """
     dt, count, (channel, axes) = sample_interval(record), record.sizes["time"], motion_axes(record)
     out = []
     for axis in axes:
         there = tones.get(axis, NONE)
         for number in range(there.factor.shape[1]):
-            wrong = xr.zeros_like(record[channel])
-            wrong.loc[{"axis": axis}] = there.doubt(number, count, dt)
-            spectra = block_spectra(record.assign({channel: wrong}), starts, taper.size, taper, detrend=True)
+            error = xr.zeros_like(record[channel])
+            error.loc[{"axis": axis}] = there.standard_error(number, count, dt)
+            spectra = block_spectra(record.assign({channel: error}), starts, taper.size, taper, detrend=True)
             whole = np.zeros((spectra.frequency.size - 1, len(AXES), len(starts)), dtype=complex)
             whole[:, axis_index(spectra.response)] = spectra.displacement[1:]
             out.append(whole)
     return np.stack(out, axis=3) if out else np.zeros((taper.size // 2, len(AXES), len(starts), 0), dtype=complex)
 
 
-def side_by_side(parts: Sequence[Complex]) -> Complex:
-    """Put doubts (f, 3, blocks, p) of several records together: each record has blocks and doubts of its own."""
+def join_records(parts: Sequence[Complex]) -> Complex:
+    """Join the errors (f, 3, blocks, p) of several records, whose blocks and errors are each their own."""
     f, rows = parts[0].shape[:2]
     out = np.zeros((f, rows, sum(p.shape[2] for p in parts), sum(p.shape[3] for p in parts)), dtype=complex)
     block = number = 0
@@ -316,8 +316,10 @@ def side_by_side(parts: Sequence[Complex]) -> Complex:
     return out
 
 
-def shared_doubt(doubt: Complex, force: Complex, leverage: Real) -> Complex:
-    """Return what is wrong in all hits alike and their scatter does not show, shape (f, responses, p).
+def common_tone_error(tone_error: Complex, force: Complex, leverage: Real) -> Complex:
+    """Return the standard error that removing the tones adds to H1, shape (f, responses, p) [m/N].
+
+    It is the part that is common to all hits, which their scatter does not contain.
 
     An error ``dX_m`` of known shape and unit standard deviation moves H1 by ``s = sum_m h_m dX_m/F_m``. The scatter
     already shows ``v = sum_m h_m^2 |dX_m/F_m - s|^2/(1 - h_m)`` of it, on average all where its phase differs from hit
@@ -325,7 +327,7 @@ def shared_doubt(doubt: Complex, force: Complex, leverage: Real) -> Complex:
 
     Parameters
     ----------
-    doubt : ndarray of complex, shape (f, responses, M, p)
+    tone_error : ndarray of complex, shape (f, responses, M, p)
         Errors of the transforms [m s], independent of each other.
     force : ndarray of complex, shape (f, M)
         Transforms of the force [N s].
@@ -333,7 +335,7 @@ def shared_doubt(doubt: Complex, force: Complex, leverage: Real) -> Complex:
         Of `Average`.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        each = np.nan_to_num(doubt / force[:, None, :, None])
+        each = np.nan_to_num(tone_error / force[:, None, :, None])
     h = leverage[..., None]
     whole = np.sum(h * each, axis=2)
     left = np.minimum(h, 1.0 - 1e-12)

@@ -1,4 +1,4 @@
-"""Hits along the wrong axis or from the wrong side, told by the response: hits of an axis look like each other.
+"""Hits along the wrong axis or from the wrong side, found by the response: hits of an axis look like each other.
 
 The compliance of each hit alone, times w (a mobility, which shows the resonances), is one long vector over frequency
 and responses. Two hits of the same axis agree when these vectors have the same shape (modal assurance criterion), the
@@ -116,20 +116,20 @@ def _outvoted(shapes: Complex, hits: Sequence[Hit]) -> tuple[list[int], str]:
     wrong = [
         m
         for m in range(count)
-        # Those it disagrees with must agree with each other: noise makes everybody disagree with everybody.
+        # Those it disagrees with must agree with each other: noise makes all hits disagree with all others.
         if peers[m] >= 2 and friends[m] < 0.5 * peers[m] and _united(agree, np.flatnonzero(near[m] & ~agree[m]))
     ]
     if count == 2 and near[0, 1] and not agree[0, 1] and compared(shapes[0], shapes[1])[0] >= _SAME_SHAPE:
         gain = compared(shapes[0], shapes[1])[1]
         return [], (
             f"its two hits have the same shape but a ratio of {gain.real:.2g}: one was made elsewhere or from the "
-            "other side than its sensor says, and two cannot tell which; add a third"
+            "other side than its sensor says, and two do not decide which; add a third"
         )
     return (wrong if 2 * len(wrong) < count else []), ""
 
 
 def _united(agree: NDArray[np.bool_], others: NDArray[np.int64]) -> bool:
-    """Tell whether more than half of the pairs agree."""
+    """Whether more than half of the pairs agree."""
     if others.size < 2:
         return False
     block = agree[np.ix_(others, others)]

@@ -23,7 +23,13 @@ from smfe.identification.errors.attached_mass import without_mass
 from smfe.identification.errors.averaging import ESTIMATORS, average, degrees_of_freedom, deviations, noise_ratio
 from smfe.identification.errors.covariance import error_variables
 from smfe.identification.errors.result import Identification
-from smfe.identification.hammer.background import Background, doubts, remove_background, shared_doubt, side_by_side
+from smfe.identification.hammer.background import (
+    Background,
+    common_tone_error,
+    join_records,
+    remove_background,
+    tone_errors,
+)
 from smfe.identification.hammer.direction import HitSpectra, wrong_directions
 from smfe.identification.hammer.impacts import (
     FAULTS,
@@ -176,12 +182,12 @@ def identify_hammer(
     notes += [note for column in averages for note in column.warnings]
     notes += [*_exclusion_notes(hits), *_cut_notes(averages, frequency_range), *said]
     tables = {"hits": hit_table(hits), **tables}
-    blows: dict[str, xr.Dataset] = {}
+    single: dict[str, xr.Dataset] = {}
     if averaging.exponential_window is None:
         after = duration * (1.0 - rules.pre_trigger)
         for axis, c in gathered.items():
-            blows[axis] = single_hits(columns[axis], c.hits, c.frequency, c.motion, c.force, after)
-    return Identification(name, "hammer", compliance, tables, tuple(notes), blows)
+            single[axis] = single_hits(columns[axis], c.hits, c.frequency, c.motion, c.force, after)
+    return Identification(name, "hammer", compliance, tables, tuple(notes), single)
 
 
 @dataclass(frozen=True)
@@ -243,7 +249,7 @@ def _rightly_directed(
 class _Gathered:
     """Hits of one excitation with their spectra, shapes (f,), (f, 3, M), (f, M); NaN for a response not recorded.
 
-    `doubt` (f, 3, M, p) is what the background that was taken off may be wrong by, one standard error each.
+    `tone_error` (f, 3, M, p) is the standard error [m s] of each parameter of the tones that were taken off.
     """
 
     hits: Sequence[Hit]
@@ -254,7 +260,7 @@ class _Gathered:
     noise: float
     band: tuple[float, float]
     channel: str
-    doubt: Complex
+    tone_error: Complex
 
     def only(self, kept: Sequence[int]) -> _Gathered:
         """Return some of the hits."""
@@ -262,7 +268,11 @@ class _Gathered:
             return self
         hits = [self.hits[m] for m in kept]
         return replace(
-            self, hits=hits, motion=self.motion[:, :, kept], force=self.force[:, kept], doubt=self.doubt[:, :, kept]
+            self,
+            hits=hits,
+            motion=self.motion[:, :, kept],
+            force=self.force[:, kept],
+            tone_error=self.tone_error[:, :, kept],
         )
 
 
@@ -290,11 +300,11 @@ def _gather_column(
     lines = 2.0 if channel == "acceleration" else 1.0
     band = (max(low, lines * float(frequency[0])), high)
     ordered = [h for i in order for h in hits if h.record == i]
-    # What nobody asks for above the band is most of a record sampled fast: it need not be averaged.
+    # The lines above the band, most of a record sampled fast, are not needed.
     top = max(high, plan.wanted[1] if plan.wanted else 0.0)
     kept = slice(0, int(np.searchsorted(frequency, top)) + 2 * REACH + 2)
-    doubt = side_by_side([b.doubt[:shared][kept] for b in gathered])
-    return _Gathered(ordered, gathered, frequency[kept], motion[kept], force[kept], noise, band, channel, doubt)
+    tone_error = join_records([b.tone_error[:shared][kept] for b in gathered])
+    return _Gathered(ordered, gathered, frequency[kept], motion[kept], force[kept], noise, band, channel, tone_error)
 
 
 @dataclass(frozen=True)
@@ -309,7 +319,7 @@ class _Column:
     block_length: float
     compliance: Complex
     deviation: Complex
-    freedom: Real
+    degrees_of_freedom: Real
     coherence: Real
     band: tuple[float, float]
     force: Real
@@ -333,7 +343,7 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
         bias += (column.noise / power)[:, None]
     elif how.estimator == "H2":
         bias += np.nan_to_num(1.0 - averaged.coherence)  # (H2 - H1)/H2, if all that is incoherent is in the response
-    common = shared_doubt(column.doubt, column.force, averaged.leverage)
+    common = common_tone_error(column.tone_error, column.force, averaged.leverage)
     systematic = np.concatenate([(bias * compliance)[..., None], _cut_off(column, compliance, plan), common], axis=2)
     unknown = np.isnan(deviation[..., :1])
     deviation = np.concatenate([deviation, np.where(unknown, np.nan, systematic)], axis=2)
@@ -342,10 +352,17 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
         *_leakage_note(axis, column, plan),
         *_force_noise_note(axis, column, power, plan),
     ]
-    freedom = degrees_of_freedom(averaged.leverage)
-    length = 1.0 / float(f[0])
     return _Column(
-        axis, f, length, compliance, deviation, freedom, averaged.coherence, column.band, power**0.5, tuple(notes)
+        excitation=axis,
+        frequency=f,
+        block_length=1.0 / float(f[0]),
+        compliance=compliance,
+        deviation=deviation,
+        degrees_of_freedom=degrees_of_freedom(averaged.leverage),
+        coherence=averaged.coherence,
+        band=column.band,
+        force=power**0.5,
+        warnings=tuple(notes),
     )
 
 
@@ -398,8 +415,8 @@ class _Blocks:
     last_quarter: Complex
     noise_energy: float
     """Expected ``|F|^2`` of the force noise in one block [N^2 s^2]; zero for a force cut to exact zeros."""
-    doubt: Complex
-    """What the background that was taken off may be wrong by, shape (f, 3, hits, p)."""
+    tone_error: Complex
+    """Standard error of each parameter of the tones that were taken off [m s], shape (f, 3, hits, p)."""
 
 
 def _gather(record: xr.Dataset, hits: Sequence[Hit], plan: _Plan, tones: Mapping[str, Tones]) -> _Blocks:
@@ -418,7 +435,8 @@ def _gather(record: xr.Dataset, hits: Sequence[Hit], plan: _Plan, tones: Mapping
     motion = _all_axes(spectra.displacement, spectra.response)[1:]
     if tau is not None:
         motion = motion * laplace_factor(spectra.frequency[1:], tau, motion_axes(record)[0])[:, None, None]
-    doubt = doubts(record, [start for start, _ in blocks], taper, tones) if tau is None else motion[..., None][..., :0]
+    without = motion[..., None][..., :0]
+    tone_error = tone_errors(record, [start for start, _ in blocks], taper, tones) if tau is None else without
     quarter = length // 4
     window = hann(quarter)
     # The first quarter begins with the pulse, so that "first" and "last" are the same stretch of every decay.
@@ -433,7 +451,7 @@ def _gather(record: xr.Dataset, hits: Sequence[Hit], plan: _Plan, tones: Mapping
         first_quarter=_all_axes(early.displacement, early.response)[1:],
         last_quarter=_all_axes(late.displacement, late.response)[1:],
         noise_energy=noise**2 * dt**2 * float(taper @ taper),
-        doubt=doubt,
+        tone_error=tone_error,
     )
 
 
@@ -568,7 +586,7 @@ def _assemble(name: str, columns: Sequence[_Column], plan: _Plan) -> xr.Dataset:
     dims = ("frequency", "response", "excitation")
     extra = {
         **error_variables(_stacked_deviations(columns, claims, lines, recorded)),
-        "degrees_of_freedom": (dims, stack("freedom")),
+        "degrees_of_freedom": (dims, stack("degrees_of_freedom")),
         "coherence": (dims, stack("coherence")),
         "force_spectrum": (
             ("frequency", "excitation"),

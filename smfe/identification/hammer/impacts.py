@@ -47,8 +47,8 @@ class HitRules:
     noise : float, optional
         A pulse rises above this many standard deviations of the force noise (from the median deviation) [1].
     minimum_spacing : float, optional
-        Pulses closer than this belong to one hit [s]; nobody hits five times a second, a hammer bounces
-        faster.
+        Pulses closer than this belong to one hit [s]; a hand hits less than five times a second, a
+        hammer bounces faster.
     pre_trigger : float, optional
         Share of the block before the pulse [1], where the record has it.
     double_share : float, optional
@@ -255,7 +255,7 @@ def _measure(pulse: Real, starts: NDArray[np.intp], stops: NDArray[np.intp], dt:
 
 
 def flat_top(samples: Real) -> bool:
-    """Tell whether the largest values of a signal are cut off.
+    """Whether the largest values of a signal are cut off.
 
     A cut-off signal holds at least three consecutive samples at the maximum and leaves them steeply. A smooth maximum
     read by a coarse converter also repeats values, but is a parabola: if it stays within ``tol`` of the top over a

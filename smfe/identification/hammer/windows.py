@@ -162,8 +162,8 @@ def leakage(first: Complex, last: Complex) -> tuple[float, int]:
     """
     (early, early_noise), (late, late_noise) = _mean_and_noise(first), _mean_and_noise(last)
     # Ten and six times the noise of the mean: from few hits its estimate is itself uncertain.
-    heard = early > 10.0 * early_noise
-    strong = heard & (early > 0.01 * np.max(early, where=heard, initial=0.0))
+    clear = early > 10.0 * early_noise
+    strong = clear & (early > 0.01 * np.max(early, where=clear, initial=0.0))
     if not strong.any() or late[strong].sum() <= 6.0 * late_noise[strong].sum():
         return 0.0, 0
     ratio = float(np.sqrt(late[strong].sum() / early[strong].sum()))

@@ -78,8 +78,8 @@ class Tones:
         spread = np.sqrt(variance[:n] + variance[n : 2 * n])
         return np.asarray(np.hypot(self.cosine, self.sine) / np.maximum(spread, 1e-300))
 
-    def doubt(self, number: int, count: int, dt: float) -> Real:
-        """Return what the wave is wrong by, for one independent standard error of its parameters."""
+    def standard_error(self, number: int, count: int, dt: float) -> Real:
+        """Return the error of the wave for one independent standard error of its parameters, shape (count,)."""
         a, b = _turned(self.frequency, self.cosine, self.sine, self.origin * dt)
         n, part = self.frequency.size, self.factor[:, number]
         away = 2.0 * np.pi * (self.multiple @ part[2 * n :])

@@ -158,10 +158,10 @@ def identify_sweep(
     if reciprocal:
         test = reciprocity(dataset)
         dataset = symmetric(dataset)
-        if test.chance < 1e-4:
+        if test.p_value < 1e-4:
             warnings += (
                 f"the compliance is not reciprocal: Phi_ij and Phi_ji differ by {100.0 * test.size:.2g} % beyond noise "
-                f"(chance {test.chance:.1e}, most at {test.worst:.4g} Hz), and were forced to be equal; leave "
+                f"(p = {test.p_value:.1e}, most at {test.worst:.4g} Hz), and were forced to be equal; leave "
                 "reciprocal out, or look for a sensor that is turned or away from the tool",
             )
     return Identification(name, "sweep", dataset, {"passes": _pass_table(passes, axes)}, warnings)

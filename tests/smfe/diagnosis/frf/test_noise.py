@@ -48,7 +48,7 @@ def struck(count: int = 4, sign: float = 1.0) -> xr.Dataset:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_mean_of_single_hits_weighted_by_their_power_is_h1(sign: float) -> None:
     found = identify_hammer("hit", {"x": [struck(sign=sign)]})
-    hits, mean = found.blows["x"], found.compliance["compliance"].sel(response="x", excitation="x")
+    hits, mean = found.hits["x"], found.compliance["compliance"].sel(response="x", excitation="x")
     assert hits["force"].sizes["hit"] == 4
     impulse = hits["force"].sum("contact_time").values / RATE
     assert impulse == pytest.approx(sign * (100.0 + 10.0 * np.arange(4)) * 2.0 / np.pi * 5e-3, rel=5e-3)
@@ -59,13 +59,13 @@ def test_the_mean_of_single_hits_weighted_by_their_power_is_h1(sign: float) -> N
 
 
 def test_hits_under_a_window_are_not_told_one_by_one() -> None:
-    assert identify_hammer("hit", {"x": [struck()]}, averaging=Averaging(exponential_window=0.3)).blows == {}
+    assert identify_hammer("hit", {"x": [struck()]}, averaging=Averaging(exponential_window=0.3)).hits == {}
 
 
 @pytest.mark.parametrize(("lost", "told"), [([], 4), ([1], 3), ([0, 1], None)])
 def test_hits_whose_sensor_was_elsewhere_tell_nothing_of_this_axis(lost: list[int], told: int | None) -> None:
     found = identify_hammer("hit", {"x": [struck()]})
-    hits = found.blows["x"].copy(deep=True)
+    hits = found.hits["x"].copy(deep=True)
     hits["compliance"][{"hit": lost}] = np.nan
     excited = compared(
         excitation_of(found.compliance, "hammer", 0.3, (20.0, 60.0)), found.compliance, hits, DISCREPANCY
@@ -115,7 +115,7 @@ def test_hits_are_kept_and_a_measurement_of_two_is_left_out_and_named(tmp_path: 
     for m in campaign.measurements:
         fresh, again = (cached_identification(campaign, m, tmp_path / "kept") for _ in range(2))
         assert (fresh[1], again[1]) == (False, True)
-        xr.testing.assert_identical(fresh[0].blows["x"], again[0].blows["x"])
+        xr.testing.assert_identical(fresh[0].hits["x"], again[0].hits["x"])
         found[m.name] = again[0]
     case = case_of(campaign, found)
     assert isinstance(case.family, MachineFrfs)

@@ -201,7 +201,7 @@ def test_a_transient_longer_than_the_record_is_not_called_distortion() -> None:
         assert d.level_db(kind) < float(d.table.loc[kind, "floor_db"])
 
 
-# --- what makes it doubtful -------------------------------------------------------------------------------------------
+# --- what makes it uncertain -----------------------------------------------------------------------------------------
 
 
 def test_what_cannot_be_known_is_said() -> None:

@@ -16,7 +16,7 @@ from process.labels import make_record
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import two_mass_axes
 from smfe.identification.errors.intervals import interval
-from smfe.identification.hammer.background import Background, quiet_spans, remove_background, shared_doubt
+from smfe.identification.hammer.background import Background, common_tone_error, quiet_spans, remove_background
 from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.hammer.impacts import find_hits
 from smfe.identification.spectra.tones import fit_tones
@@ -128,7 +128,7 @@ def test_quiet_spans_leave_the_hits_out() -> None:
     assert 0.4 < quiet.mean() < 0.6
 
 
-def test_what_was_removed_is_told() -> None:
+def test_what_was_removed_is_in_the_warnings() -> None:
     record = in_motion("acceleration", ((17.3, 1.5),), noise=0.01).assign_attrs(file="moving.csv")
     found = identify_hammer("moving", {"x": [record]}, background=Background())
     assert found.tables["background"]["frequency_Hz"].tolist() == pytest.approx([17.3], abs=1e-3)
@@ -172,7 +172,7 @@ def test_a_tone_that_keeps_step_with_the_hits_is_in_the_error() -> None:
         noise = 0.05 * np.random.default_rng(seed).standard_normal(t.size)
         found = fit_tones(clean + noise, quiet, 1.0 / RATE, [18.002, 35.997])
         draws.append(found.wave(t.size, 1.0 / RATE) - clean)
-    stated = sum(found.doubt(k, t.size, 1.0 / RATE) ** 2 for k in range(found.factor.shape[1]))
+    stated = sum(found.standard_error(k, t.size, 1.0 / RATE) ** 2 for k in range(found.factor.shape[1]))
     assert found.multiple.shape == (2, 1)
     assert found.frequency[1] == pytest.approx(2.0 * found.frequency[0], rel=1e-12)
     assert np.sqrt(np.mean(np.square(draws)) / np.mean(stated)) == pytest.approx(1.0, abs=0.15)
@@ -180,8 +180,8 @@ def test_a_tone_that_keeps_step_with_the_hits_is_in_the_error() -> None:
     rng = np.random.default_rng(1)
     force, leverage = np.ones((400, 8), dtype=complex), np.full((400, 1, 8), 1.0 / 8.0)
     turned = np.exp(2j * np.pi * rng.uniform(size=(400, 1, 8, 1)))
-    assert np.abs(shared_doubt(np.ones((400, 1, 8, 1), dtype=complex), force, leverage)) == pytest.approx(1.0)
-    assert np.mean(np.abs(shared_doubt(turned, force, leverage)) ** 2) < 0.07
+    assert np.abs(common_tone_error(np.ones((400, 1, 8, 1), dtype=complex), force, leverage)) == pytest.approx(1.0)
+    assert np.mean(np.abs(common_tone_error(turned, force, leverage)) ** 2) < 0.07
 
 
 def test_what_begins_with_the_record_and_ends_is_no_tone_and_spoils_none() -> None:

@@ -106,7 +106,7 @@ def test_a_rebound_of_the_force_is_no_hit() -> None:
 
 @pytest.mark.parametrize("noise", [1.0, 5.0])
 @pytest.mark.parametrize("seed", range(3))
-def test_noise_accuses_nobody(noise: float, seed: int) -> None:
+def test_noise_makes_no_hit_a_wrong_direction(noise: float, seed: int) -> None:
     table = identify_hammer("noisy", {"x": [hits_along("xxxxx", "x", noise=noise, seed=seed)]}).tables["hits"]
     assert not table["wrong_direction"].any()
 
@@ -114,7 +114,7 @@ def test_noise_accuses_nobody(noise: float, seed: int) -> None:
 def test_two_hits_cannot_outvote_each_other() -> None:
     found = identify_hammer("two", {"x": [turned(hits_along("xx", "x"), 1)]})
     assert found.tables["hits"]["used"].all()
-    assert any("a ratio of -1" in w and "two cannot tell which; add a third" in w for w in found.warnings)
+    assert any("a ratio of -1" in w and "two do not decide which; add a third" in w for w in found.warnings)
 
 
 def test_levels_of_a_machine_with_friction_are_not_compared() -> None:
@@ -138,18 +138,18 @@ def test_shapes_are_compared_without_regard_to_size() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("feed", [0.0, 100.0])
 @pytest.mark.parametrize("kind", ["lugre", "stick", "gms"])
-def test_friction_accuses_nobody(kind: str, feed: float) -> None:
-    """Five blows of a hand on the bench with a guideway that rubs, from 25 to 1000 N: no hit is a wrong direction."""
+def test_friction_makes_no_hit_a_wrong_direction(kind: str, feed: float) -> None:
+    """Five hits by hand on the bench with sliding friction in the guideway, 25 to 1000 N: none is a wrong direction."""
     axis, chain = (importlib.import_module(f"truth.{name}") for name in ("axis", "chain"))
     rng = np.random.default_rng(round(feed))
     truth = axis.Truth(friction=axis.Friction(kind=kind))
     for level in (25.0, 100.0, 400.0, 1000.0):
         records = []
         for _ in range(5):
-            blow = chain.hit(rng, level, 0.0)
-            blow[:, 0] += 0.1
+            hit = chain.hit(rng, level, 0.0)
+            hit[:, 0] += 0.1
             setting = axis.Setting(feed * axis.MM_MIN, "K2", arrival=float(rng.uniform(-0.3, 0.3)))
-            raw = axis.simulate(truth, setting, blow, np.zeros((0, 5)), 2.0)[:, ::4]
+            raw = axis.simulate(truth, setting, hit, np.zeros((0, 5)), 2.0)[:, ::4]
             force = raw[3] + 0.02 * rng.standard_normal(raw.shape[1])
             motion = raw[0] + 1e-3 * rng.standard_normal(raw.shape[1])
             t = np.arange(raw.shape[1]) * 4.0 / axis.RATE

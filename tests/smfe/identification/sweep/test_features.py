@@ -345,7 +345,7 @@ def test_reciprocity_is_tested_and_as_a_constraint_lowers_error_and_std() -> Non
         identify_sweep("s", passes(7), BAND, LocalPolynomial(1.0, rational=False), reciprocal=r).compliance
         for r in (False, True)
     )
-    assert reciprocity(free).chance > 1e-4
+    assert reciprocity(free).p_value > 1e-4
     value = tied["compliance"].values
     np.testing.assert_allclose(value, value.swapaxes(1, 2), rtol=1e-9)
     assert error(tied) < error(free)
@@ -354,7 +354,7 @@ def test_reciprocity_is_tested_and_as_a_constraint_lowers_error_and_std() -> Non
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.4
     skew = free.copy(deep=True)
     skew["compliance"].loc[{"response": "x", "excitation": "y"}] *= 1.5
-    assert reciprocity(skew).chance < 1e-6
+    assert reciprocity(skew).p_value < 1e-6
     np.testing.assert_allclose(symmetric(tied)["compliance"].values, value, rtol=1e-6)
 
 

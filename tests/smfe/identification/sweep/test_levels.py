@@ -197,7 +197,7 @@ def known(value: np.ndarray, std: float, rng: np.random.Generator, freedom: floa
 def test_the_chance_of_a_difference_is_uniform_without_one_and_small_with_one() -> None:
     rng = np.random.default_rng(3)
     value = np.full((20, 2, 2), 1e-6 + 0j)
-    p = np.array([difference_of(*(known(value, 1e-8, rng) for _ in range(2))).chance for _ in range(400)])
+    p = np.array([difference_of(*(known(value, 1e-8, rng) for _ in range(2))).p_value for _ in range(400)])
     assert abs(np.mean(p < 0.05) - 0.05) < 0.035
     assert abs(p.mean() - 0.5) < 0.06
     # Rows that share all their noise: the same mean, twice the scatter.
@@ -206,10 +206,10 @@ def test_the_chance_of_a_difference_is_uniform_without_one_and_small_with_one() 
         c["compliance"][:, 1] = c["compliance"][:, 0]
         shared = np.einsum("jl,ik->ijkl", np.eye(2), np.ones((2, 2)))[None] * np.full((20, 1, 1, 1, 1), 1e-16 + 0j)
         c["entry_covariance"] = (("frequency", "response", "excitation", "other_response", "other_excitation"), shared)
-    p = np.array([difference_of(*pair).chance for pair in zip(both[::2], both[1::2], strict=True)])
+    p = np.array([difference_of(*pair).p_value for pair in zip(both[::2], both[1::2], strict=True)])
     assert abs(np.mean(p < 0.05) - 0.05) < 0.035
     other = difference_of(known(value, 1e-8, rng), known(1.02 * value, 1e-8, rng))
-    assert other.chance < 1e-6
+    assert other.p_value < 1e-6
     assert other.size == pytest.approx(0.02, rel=0.2)
     with pytest.raises(InputError, match="share no frequency"):
         difference_of(known(value, 1e-8, rng).isel(frequency=[0]), known(value, 1e-8, rng).isel(frequency=[1]))

@@ -92,7 +92,7 @@ def test_a_symmetric_compliance_from_common_noise_is_better_and_its_intervals_ho
         if seed < 5:
             free = identify_sweep("s", data, BAND, estimator).compliance
             without.append(np.mean(np.abs(free["compliance"].values - exact) ** 2))
-            assert reciprocity(free).chance > 1e-4
+            assert reciprocity(free).p_value > 1e-4
     assert 0.92 < np.mean(inside) < 0.98
     assert np.mean(inside, axis=(0, 1)).min() > 0.89
     assert np.mean(with_it) < np.mean(without)
@@ -104,9 +104,9 @@ def test_reciprocity_is_not_doubted_because_of_common_noise_nor_believed_because
     for p in data:
         p.record["acceleration"].loc[{"axis": "y"}] *= 1.03
     found = identify_sweep("s", data, BAND, BANDS).compliance
-    assert reciprocity(found).chance < 1e-6
+    assert reciprocity(found).p_value < 1e-6
     blind = reciprocity(found.drop_vars("entry_covariance"))
-    assert reciprocity(found).chance != blind.chance
+    assert reciprocity(found).p_value != blind.chance
 
 
 def test_a_constraint_says_what_entries_share_also_where_rows_shared_nothing() -> None:
