@@ -43,7 +43,7 @@ from smfe.identification.measurement import (
     records_of,
     sign_warnings,
 )
-from smfe.identification.sweep.passes import SweepPass
+from smfe.identification.sweep.passes import SweepPass, prepare
 from smfe.identification.sweep.spindle_clock import ADVICE, judge_clock
 from smfe.records import read_records
 from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt
@@ -278,7 +278,7 @@ def _sweep(campaign: Campaign, measurement: Measurement) -> list[Suspect]:
 
 def _stated_speeds(name: str, passes: Sequence[SweepPass], teeth: int) -> list[Suspect]:
     """Compare the stated speeds alone: those of channels are said with their record."""
-    bare = [replace(p, record=p.record[["force"]]) for p in passes]
+    bare = [prepare(replace(p, record=p.record[["force"]])) for p in passes]
     clock = judge_clock(name, bare, teeth)
     return [Suspect("time_skew", "warning", name, text, ADVICE["stated"]) for text in clock.warnings]
 

@@ -14,6 +14,7 @@ from smfe.campaign import Campaign, Measurement
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.identification.hammer.impacts import flat_top, runs
 from smfe.identification.measurement import records_of
+from smfe.identification.sweep.passes import SweepPass, prepare
 from smfe.identification.sweep.spindle_clock import ADVICE, REFUSED, compare_speeds
 
 VECTORS = ("force", "acceleration", "displacement", "encoder_position", "drive_force")
@@ -234,7 +235,7 @@ def clock_suspects(record: xr.Dataset, where: str, teeth: int | None) -> list[Su
             found.in_words(),
             ADVICE[found.source],
         )
-        for found in compare_speeds(record, teeth)
+        for found in compare_speeds(prepare(SweepPass(record, where)), teeth)
         if found.real
     ]
 

@@ -8,15 +8,13 @@ what lies between them, above the noise of the sensor, is chatter.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 
 from process.errors import InputError
-from process.labels import sample_interval
 from smfe.identification.spectra.spectra import hann
-from smfe.identification.sweep.passes import SweepPass, in_cut, piece_in_cut
+from smfe.identification.sweep.passes import PreparedPass, SweepPass, prepare
 from smfe.identification.sweep.spindle_clock import angle_in_step, force_over_angle, turns_of, windows
 
 SHARE = 0.25
@@ -62,13 +60,13 @@ class Chatter:
         )
 
 
-def chatter_of(record: xr.Dataset, teeth: int | None) -> list[Chatter]:
+def chatter_of(sweep: PreparedPass, teeth: int | None) -> list[Chatter]:
     """Return the parts of a pass that chatter.
 
     Parameters
     ----------
-    record : xarray.Dataset
-        With force and what tells the angle of the spindle.
+    sweep : PreparedPass
+        With force and the angle of the spindle.
     teeth : int or None
         Of the tool.
 
@@ -77,12 +75,12 @@ def chatter_of(record: xr.Dataset, teeth: int | None) -> list[Chatter]:
     list of Chatter
         Nothing where the record tells no angle, or is shorter than a window.
     """
-    piece, angle = piece_in_cut(record), angle_in_step(record, teeth)
+    piece, angle = sweep.cut_piece, angle_in_step(sweep, teeth)
     if angle is None or piece is None:
         return []
-    angle, dt = angle[piece], sample_interval(record)
+    angle, dt = angle[piece], sweep.interval
     cells, turns = 8 * (teeth or 6), turns_of(teeth)
-    force, hop = force_over_angle(record, piece, angle, cells), max(1, turns // 4)
+    force, hop = force_over_angle(sweep, piece, angle, cells), max(1, turns // 4)
     if force.shape[1] < (turns + SUCCESSIVE * hop) * cells:
         return []
     lines = windows(force, cells, turns, hop)
@@ -105,7 +103,7 @@ def chatter_of(record: xr.Dataset, teeth: int | None) -> list[Chatter]:
     found = (share > SHARE) & (between.max(axis=1) > STANDS_OUT * np.median(between, axis=1))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], found.astype(int), [0]])))
     out = []
-    time = record["time"].values[piece]
+    time = sweep.record["time"].values[piece]
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         if b - a < SUCCESSIVE:
             continue
@@ -117,8 +115,8 @@ def chatter_of(record: xr.Dataset, teeth: int | None) -> list[Chatter]:
 
 
 def without_chatter(
-    name: str, passes: Sequence[SweepPass], teeth: int | None, needed: int
-) -> tuple[list[SweepPass], tuple[str, ...]]:
+    name: str, passes: Sequence[PreparedPass], teeth: int | None, needed: int
+) -> tuple[list[PreparedPass], tuple[str, ...]]:
     """Return the passes, or what is left of them, without chatter, and what was left out.
 
     Of a pass that chatters the longest part in the cut that does not is kept, where it lasts `ENOUGH`.
@@ -127,7 +125,7 @@ def without_chatter(
     ----------
     name : str
         Of the measurement.
-    passes : sequence of SweepPass
+    passes : sequence of PreparedPass
         Its passes.
     teeth : int or None
         Of the tool.
@@ -141,11 +139,11 @@ def without_chatter(
     """
     kept, notes = [], []
     for p in passes:
-        found = chatter_of(p.record, teeth)
+        found = chatter_of(p, teeth)
         if not found:
             kept.append(p)
             continue
-        rest = _longest_rest(p.record, found)
+        rest = _longest_rest(p, found)
         what = f"pass '{p.label}': " + "; ".join(f.in_words() for f in found)
         if rest is None:
             notes.append(f"{what}. It is left out: cut less deep, or at other speeds")
@@ -153,15 +151,15 @@ def without_chatter(
         time = p.record["time"].values
         ends = float(time[rest.start]), float(time[min(rest.stop, time.size) - 1])
         notes.append(f"{what}. Only {ends[0]:.3g} to {ends[1]:.3g} s are used: cut less deep, or at other speeds")
-        kept.append(replace(p, record=p.record.isel(time=rest)))
+        kept.append(prepare(SweepPass(p.record.isel(time=rest), p.label, p.arc, p.speeds)))
     if len(kept) < needed:
         raise InputError(f"sweep '{name}': too few passes are left without chatter. " + ". ".join(notes))
     return kept, tuple(notes)
 
 
-def _longest_rest(record: xr.Dataset, chatter: Sequence[Chatter]) -> slice | None:
+def _longest_rest(sweep: PreparedPass, chatter: Sequence[Chatter]) -> slice | None:
     """Return the samples of the longest part without chatter, with the air on its side."""
-    time, cutting = record["time"].values, np.flatnonzero(in_cut(record))
+    time, cutting = sweep.record["time"].values, np.flatnonzero(sweep.cutting)
     edges = [float(time[cutting[0]])]
     for c in chatter:
         edges += list(c.interval)

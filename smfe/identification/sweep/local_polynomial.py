@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import xarray as xr
@@ -36,7 +37,7 @@ from smfe.identification.sweep.least_squares import (
     solve_bands,
 )
 from smfe.identification.sweep.noise import floored, force_noise, noise_between, pooled_noise, possible, shared_noise
-from smfe.identification.sweep.passes import SweepPass, at_rest, place_along, seconds, whole_record
+from smfe.identification.sweep.passes import PreparedPass, SweepPass, whole_record
 from smfe.identification.sweep.rational import fit_rational
 from smfe.identification.sweep.spindle_orders import (
     HARMONICS,
@@ -137,9 +138,15 @@ class LocalPolynomial:
         The estimate at the centre is a weighted mean over the band; ``1/sum(weight^2)`` is its effective width, 8/9 of
         the half width for order 2.
         """
-        shift = np.linspace(-1.0, 1.0, 401)
-        weight = np.linalg.pinv(shift[:, None] ** np.arange(self.order + 1))[0]
-        return max(1.0, 2.0 * half_width / (self.resolution * shift.size * float(weight @ weight)))
+        return max(1.0, 2.0 * half_width / (self.resolution * _sum_of_squares(self.order)))
+
+
+@cache
+def _sum_of_squares(order: int) -> float:
+    """Return 401 times the sum of the squared weights of 401 lines in the value at their middle."""
+    shift = np.linspace(-1.0, 1.0, 401)
+    weight = np.linalg.pinv(shift[:, None] ** np.arange(order + 1))[0]
+    return shift.size * float(weight @ weight)
 
 
 BANDS = LocalPolynomial(half_widths=(0.125, 0.25, 0.5, 1.0), agreement=2.5, rational=False)
@@ -148,11 +155,11 @@ BANDS = LocalPolynomial(half_widths=(0.125, 0.25, 0.5, 1.0), agreement=2.5, rati
 
 def solve_local(
     estimator: LocalPolynomial,
-    passes: Sequence[SweepPass],
+    passes: Sequence[PreparedPass],
     frequency: Real,
     axes: Sequence[str],
     response: Sequence[str],
-    background: Sequence[SweepPass] = (),
+    background: Sequence[PreparedPass] = (),
     progress: Step | None = None,
 ) -> Estimate:
     """Solve with every half width that the records can fill and with a rational model, and choose row by row.
@@ -236,8 +243,8 @@ class _Noise:
 
 def _tests(
     estimator: LocalPolynomial,
-    passes: Sequence[SweepPass],
-    background: Sequence[SweepPass],
+    passes: Sequence[PreparedPass],
+    background: Sequence[PreparedPass],
     frequency: Real,
     axes: Sequence[str],
     response: Sequence[str],
@@ -248,21 +255,18 @@ def _tests(
     tests = [force_lines(p, reach, axes, response, moving and k < len(passes)) for k, p in enumerate(everything)]
     e = len(axes) * (2 if moving else 1)
     tests = [t if t.inputs.shape[1] == e else with_inputs(t, np.zeros_like(t.inputs)) for t in tests]
-    restless = [not at_rest(p.record) for p in passes] + [True] * len(background)
+    restless = [not p.at_rest for p in passes] + [True] * len(background)
     if background:
         orders = orders_in_band(everything, (float(frequency[0]), float(frequency[-1])))
         teeth = estimator.instrument_teeth
-        tests = [
-            with_inputs(t, spindle_waves(p.record, orders, reach, teeth))
-            for t, p in zip(tests, everything, strict=True)
-        ]
+        tests = [with_inputs(t, spindle_waves(p, orders, reach, teeth)) for t, p in zip(tests, everything, strict=True)]
         restless = [True] * len(everything)
     noise = _known_noise(tests, passes, background, axes, frequency, e)
     return transients(tests, restless), e, noise
 
 
 def force_lines(
-    sweep: SweepPass, reach: tuple[float, float], axes: Sequence[str], response: Sequence[str], moving: bool
+    sweep: PreparedPass, reach: tuple[float, float], axes: Sequence[str], response: Sequence[str], moving: bool
 ) -> Lines:
     """Return forces and displacements of a pass at its lines.
 
@@ -273,7 +277,7 @@ def force_lines(
     inputs = [found.force[:, rows, 0]]
     if moving:
         force = sweep.record["force"]
-        place = xr.DataArray(place_along(sweep.record), {"time": force["time"]}, ("time",))
+        place = xr.DataArray(sweep.place, {"time": force["time"]}, ("time",))
         moved = whole_record(sweep.record.assign(force=force * place), reach, response)
         inputs.append(moved.force[:, rows, 0])
     return Lines(found.frequency, np.concatenate(inputs, axis=1), found.displacement[:, :, 0])
@@ -296,7 +300,11 @@ def transients(tests: Sequence[Lines], restless: Sequence[bool]) -> list[Lines]:
 
 
 def _instruments(
-    estimator: LocalPolynomial, passes: Sequence[SweepPass], tests: Sequence[Lines], frequency: Real, excitations: int
+    estimator: LocalPolynomial,
+    passes: Sequence[PreparedPass],
+    tests: Sequence[Lines],
+    frequency: Real,
+    excitations: int,
 ) -> tuple[list[Lines] | None, Real]:
     """Return the tests with their forces projected on the passing of the teeth, and which share of noise comes through.
 
@@ -312,7 +320,7 @@ def _instruments(
             out.append(Lines(lines.frequency, silent, lines.response))
             continue
         p = passes[k]
-        waves = spindle_waves(p.record, orders, estimator.reach(frequency), estimator.instrument_teeth, cut_only=True)
+        waves = spindle_waves(p, orders, estimator.reach(frequency), estimator.instrument_teeth, cut_only=True)
         projected, shares[k] = instrumented(lines, waves, excitations, p.label)
         out.append(projected)
     return out, shares
@@ -320,15 +328,15 @@ def _instruments(
 
 def _known_noise(
     tests: Sequence[Lines],
-    passes: Sequence[SweepPass],
-    background: Sequence[SweepPass],
+    passes: Sequence[PreparedPass],
+    background: Sequence[PreparedPass],
     axes: Sequence[str],
     frequency: Real,
     e: int,
 ) -> _Noise | None:
     """Return the noise of the forces: from air cuts, else from the air at the ends of the records."""
     everything = [*passes, *background]
-    length = [seconds(p.record) for p in everything]
+    length = [p.seconds for p in everything]
     along = [_along(p) if e > len(axes) and k < len(passes) else np.eye(1) for k, p in enumerate(everything)]
     along = [m if m.shape[0] * len(axes) == e else np.diag([1.0, 0.0]) for m in along]
     if background:
@@ -352,7 +360,7 @@ def _known_noise(
             ]
 
         return _Noise(force, shared, 1.0 / float(np.sqrt(background_noise(air, n, frequency[:1]).freedom)))
-    found = force_noise([p.record for p in passes], list(axes), (float(frequency[0]), float(frequency[-1])))
+    found = force_noise(passes, list(axes), (float(frequency[0]), float(frequency[-1])))
     if found is None:
         return None
     density = found.density
@@ -364,15 +372,15 @@ def _known_noise(
     return _Noise(quiet_ends, None, found.spread, found.air)
 
 
-def _along(sweep: SweepPass) -> Real:
+def _along(sweep: PreparedPass) -> Real:
     """Mean of the products of 1 and the place along the pass, shape (2, 2)."""
-    place = place_along(sweep.record)
+    place = sweep.place
     return np.array([[1.0, place.mean()], [place.mean(), np.mean(place**2)]])
 
 
-def usable_widths(estimator: LocalPolynomial, passes: Sequence[SweepPass], inputs: int) -> list[float]:
+def usable_widths(estimator: LocalPolynomial, passes: Sequence[PreparedPass], inputs: int) -> list[float]:
     """Return the half widths over which the passes give at least twice as many lines as there are unknowns."""
-    together = sum(seconds(p.record) for p in passes)
+    together = sum(p.seconds for p in passes)
     needed = 2.0 * (estimator.order + 1) * inputs
     usable = [w for w in sorted(estimator.half_widths) if 2.0 * w * together >= needed]
     if not usable:

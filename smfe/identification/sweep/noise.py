@@ -19,14 +19,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, ndimage, special, stats
 
-from process.labels import sample_interval
 from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann
-from smfe.identification.sweep.passes import air_pieces, in_cut
+from smfe.identification.sweep.passes import PreparedPass
 
 WINDOW = 1.0
 """Pieces of the cut in which its floor is looked for [s]."""
@@ -70,12 +68,12 @@ class ForceNoise:
     air: bool
 
 
-def force_noise(records: Sequence[xr.Dataset], axes: list[str], reach: tuple[float, float]) -> ForceNoise | None:
-    """Return the noise of the forces of records of one sensor within a band [Hz]; None where they are too short.
+def force_noise(passes: Sequence[PreparedPass], axes: list[str], reach: tuple[float, float]) -> ForceNoise | None:
+    """Return the noise of the forces of passes with one sensor within a band [Hz]; None where they are too short.
 
     Parameters
     ----------
-    records : sequence of xarray.Dataset
+    passes : sequence of PreparedPass
         With force.
     axes : list of str
         Of the forces.
@@ -83,11 +81,11 @@ def force_noise(records: Sequence[xr.Dataset], axes: list[str], reach: tuple[flo
         Band [Hz].
     """
     pieces, floors = [], []
-    for record in records:
-        dt, force = sample_interval(record), record["force"].sel(axis=axes).values
-        found = [density_of(force[:, piece], dt, reach, 0.5) for piece in air_pieces(record)]
+    for p in passes:
+        force = p.record["force"].sel(axis=axes).values
+        found = [density_of(force[:, piece], p.interval, reach, 0.5) for piece in p.air]
         pieces += [f for f in found if f[1] >= 1.0]
-        floors += _floor_of_cut(force, np.flatnonzero(in_cut(record)), dt, reach)
+        floors += _floor_of_cut(force, np.flatnonzero(p.cutting), p.interval, reach)
     bound = np.median(floors, axis=0) if floors else np.full(len(axes), np.inf)
     if not pieces:
         return ForceNoise(bound, BOUNDED, False) if floors else None

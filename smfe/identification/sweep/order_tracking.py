@@ -22,13 +22,11 @@ from scipy import fft, sparse
 from scipy.interpolate import BSpline
 
 from process.errors import InputError
-from process.labels import sample_interval
 from process.machine.modes import displacement_over_acceleration
 from process.types import Complex, Real
-from smfe.identification.spectra.spectra import hann, motion_axes
-from smfe.identification.spectra.spindle_angle import spindle_angle
+from smfe.identification.spectra.spectra import hann
 from smfe.identification.sweep.least_squares import Estimate, condition_number
-from smfe.identification.sweep.passes import SweepPass, in_cut
+from smfe.identification.sweep.passes import PreparedPass
 
 Step = Callable[[int, int], None]
 
@@ -80,14 +78,14 @@ class Orders:
     duration: float = 0.25
     knots: float = 0.6
 
-    def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Real:
+    def axis(self, frequency_range: tuple[float, float], passes: Sequence[PreparedPass]) -> Real:
         """Return the frequency axis [Hz]."""
         low, high = (round(f / self.resolution) for f in frequency_range)
         return np.asarray(np.arange(low, high + 1) * self.resolution)
 
     def solve(
         self,
-        passes: Sequence[SweepPass],
+        passes: Sequence[PreparedPass],
         frequency: Real,
         axes: Sequence[str],
         response: Sequence[str],
@@ -97,7 +95,7 @@ class Orders:
 
         Parameters
         ----------
-        passes : sequence of SweepPass
+        passes : sequence of PreparedPass
             From rest to rest.
         frequency : ndarray, shape (f,)
             [Hz].
@@ -111,11 +109,11 @@ class Orders:
         InputError
             For passes that are shorter than a window, that hold different motions, or whose orders miss the band.
         """
-        channels = {motion_axes(p.record)[0] for p in passes}
+        channels = {p.motion[0] for p in passes}
         if len(channels) > 1:
             raise InputError("some passes hold acceleration and others displacement; give the same channel in each")
         reach = max(float(frequency[0]) - MARGIN, 0.5 * float(frequency[0])), float(frequency[-1]) + MARGIN
-        angles = [spindle_angle(p.record, self.teeth)[0] for p in passes]
+        angles = [p.angle(self.teeth) for p in passes]
         places = [w for k, p in enumerate(passes) for w in _places(self, p, angles[k], k, reach)]
         knots, spacing = _knots(self, len(places), len(axes), reach)
         parts = []
@@ -180,11 +178,13 @@ def _together(
 # --- windows and splines ----------------------------------------------------------------------------------------------
 
 
-def _places(estimator: Orders, sweep: SweepPass, angle: Real, test: int, reach: tuple[float, float]) -> list[_Window]:
+def _places(
+    estimator: Orders, sweep: PreparedPass, angle: Real, test: int, reach: tuple[float, float]
+) -> list[_Window]:
     """Return the windows whose order lies in the band, half of each repeated by the next."""
-    record, dt = sweep.record, sample_interval(sweep.record)
+    record, dt = sweep.record, sweep.interval
     size = round(estimator.duration / dt)
-    cutting = np.flatnonzero(in_cut(record))
+    cutting = np.flatnonzero(sweep.cutting)
     # Half windows outside: the force begins and the decay ends inside of one.
     first, last = max(int(cutting[0]) - size // 2, 0), min(int(cutting[-1]) + size // 2, record.sizes["time"])
     if last - first < size:
@@ -223,15 +223,15 @@ def _splines(frequency: Real, knots: Real) -> Real:
 
 def _columns(
     estimator: Orders,
-    sweep: SweepPass,
+    sweep: PreparedPass,
     angle: Real,
     places: Sequence[_Window],
     knots: Real,
     axes: Sequence[str],
     response: Sequence[str],
 ) -> _Columns:
-    record, dt = sweep.record, sample_interval(sweep.record)
-    channel, _ = motion_axes(record)
+    record, dt = sweep.record, sweep.interval
+    channel, _ = sweep.motion
     size = round(estimator.duration / dt)
     length = int(fft.next_fast_len(record.sizes["time"] + round(DECAY / dt), real=True))
     lines = fft.rfftfreq(length, dt)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,6 +16,7 @@ from process.cut.engagement import Engagement
 from process.labels import axis_present, sample_interval
 from process.types import Real
 from smfe.identification.spectra.spectra import BlockSpectra, block_spectra, motion_axes
+from smfe.identification.spectra.spindle_angle import spindle_angle
 
 MARGIN = 0.1
 """Time that is left out on either side of the cut [s]."""
@@ -45,9 +48,77 @@ class SweepPass:
     speeds: tuple[float, float] | None = None
 
 
-def seconds(record: xr.Dataset) -> float:
-    """Return the length of a record [s]."""
-    return record.sizes["time"] * sample_interval(record)
+@dataclass(frozen=True, eq=False)
+class PreparedPass(SweepPass):
+    """A pass with what is looked up of its record: each quantity once, when it is first asked for.
+
+    Parameters
+    ----------
+    compared : dict
+        Source of a speed, teeth of the tool -> what `spindle_clock` found of that speed in this pass.
+    """
+
+    compared: dict[tuple[str, int | None], Any] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def interval(self) -> float:
+        """Sampling interval [s]."""
+        return sample_interval(self.record)
+
+    @cached_property
+    def seconds(self) -> float:
+        """Length of the record [s]."""
+        return self.record.sizes["time"] * self.interval
+
+    @cached_property
+    def force_axes(self) -> list[str]:
+        """Axes along which the force was recorded."""
+        return axis_present(self.record, "force")
+
+    @cached_property
+    def motion(self) -> tuple[str, list[str]]:
+        """Motion channel ("displacement" or "acceleration") and its axes."""
+        return motion_axes(self.record)
+
+    @cached_property
+    def cutting(self) -> NDArray[np.bool_]:
+        """Samples in the cut."""
+        return in_cut(self.record)
+
+    @cached_property
+    def cut_piece(self) -> slice | None:
+        """Samples from the first to the last in the cut; None where there are fewer than 32."""
+        inside = np.flatnonzero(self.cutting)
+        return slice(int(inside[0]), int(inside[-1]) + 1) if inside.size >= 32 else None
+
+    @cached_property
+    def air(self) -> list[slice]:
+        """Samples in the air before and after the cut."""
+        return air_pieces(self.record)
+
+    @cached_property
+    def at_rest(self) -> bool:
+        """Whether the record begins and ends in the air, with the motion decayed."""
+        return at_rest(self.record)
+
+    @cached_property
+    def place(self) -> Real:
+        """Place along the pass at each sample: -1 where the cut begins, 1 where it ends, at a constant feed."""
+        inside = np.flatnonzero(self.cutting)
+        first, last = int(inside[0]), int(inside[-1])
+        sample = np.arange(self.record.sizes["time"])
+        return np.asarray(np.clip(np.interp(sample, [first, max(last, first + 1)], [-1.0, 1.0]), -1, 1))
+
+    def angle(self, teeth: int | None = None) -> Real:
+        """Return the angle of the spindle [rad]; `teeth` is needed where only the force shows it."""
+        return spindle_angle(self.record, teeth)[0]
+
+
+def prepare(sweep: SweepPass) -> PreparedPass:
+    """Return the pass ready for use; one that is already is returned as it is."""
+    if isinstance(sweep, PreparedPass):
+        return sweep
+    return PreparedPass(**{f.name: getattr(sweep, f.name) for f in fields(SweepPass)})
 
 
 def in_cut(record: xr.Dataset) -> NDArray[np.bool_]:
@@ -80,21 +151,6 @@ def air_pieces(record: xr.Dataset) -> list[slice]:
     margin, shortest = round(MARGIN / dt), max(8, round(SHORTEST / dt))
     pieces = slice(0, max(int(cutting[0]) - margin, 0)), slice(min(int(cutting[-1]) + margin, n), n)
     return [p for p in pieces if p.stop - p.start >= shortest]
-
-
-def piece_in_cut(record: xr.Dataset) -> slice | None:
-    """Return the samples from the first to the last in the cut; None where there are too few."""
-    cutting = np.flatnonzero(in_cut(record))
-    return slice(int(cutting[0]), int(cutting[-1]) + 1) if cutting.size >= 32 else None
-
-
-def place_along(record: xr.Dataset) -> Real:
-    """Return the place along the pass: -1 where the cut begins, 1 where it ends, at a constant feed."""
-    cutting = np.flatnonzero(in_cut(record))
-    first, last = int(cutting[0]), int(cutting[-1])
-    return np.asarray(
-        np.clip(np.interp(np.arange(record.sizes["time"]), [first, max(last, first + 1)], [-1.0, 1.0]), -1, 1)
-    )
 
 
 def whole_record(record: xr.Dataset, reach: tuple[float, float], response: Sequence[str]) -> BlockSpectra:

@@ -16,12 +16,11 @@ import pandas as pd
 from scipy import fft
 
 from process.errors import InputError
-from process.labels import sample_interval
 from process.types import Complex, Real
 from smfe.identification.errors.result import in_words
 from smfe.identification.spectra.spectra import BlockSpectra, block_spectra, hann
 from smfe.identification.sweep.least_squares import Columns, Estimate, condition_number, solve
-from smfe.identification.sweep.passes import SweepPass
+from smfe.identification.sweep.passes import PreparedPass
 
 Step = Callable[[int, int], None]
 """Called with (done, of)."""
@@ -55,16 +54,16 @@ class Segments:
     overlap: float = 0.75
     leakage_order: int = 2
 
-    def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Real:
+    def axis(self, frequency_range: tuple[float, float], passes: Sequence[PreparedPass]) -> Real:
         """Return the frequency axis [Hz]: the lines of a segment."""
-        dt = sample_interval(passes[0].record)
+        dt = passes[0].interval
         lines = fft.rfftfreq(round(1.0 / (self.resolution * dt)), dt)
         inside = (lines >= frequency_range[0] - 1e-9) & (lines <= frequency_range[1] + 1e-9)
         return np.asarray(lines[inside])
 
     def solve(
         self,
-        passes: Sequence[SweepPass],
+        passes: Sequence[PreparedPass],
         frequency: Real,
         axes: Sequence[str],
         response: Sequence[str],
@@ -103,7 +102,7 @@ class Segments:
 
     def columns(
         self,
-        passes: Sequence[SweepPass],
+        passes: Sequence[PreparedPass],
         frequency: Real,
         response: Sequence[str],
         axes: Sequence[str] = ("x", "y", "z"),
@@ -130,10 +129,10 @@ class Segments:
             yield Columns(force[line], motion[line], test, _overlap_matrix(plain, f0))
 
     def blocks(
-        self, sweep: SweepPass, reach: tuple[float, float], response: Sequence[str], derivative: int = 0
+        self, sweep: PreparedPass, reach: tuple[float, float], response: Sequence[str], derivative: int = 0
     ) -> BlockSpectra:
         """Return the spectra of all segments of a pass, through the window or one of its derivatives."""
-        dt = sample_interval(sweep.record)
+        dt = sweep.interval
         length = round(1.0 / (self.resolution * dt))
         hop = max(1, round(length * (1.0 - self.overlap)))
         starts = range(0, sweep.record.sizes["time"] - length + 1, hop)
@@ -219,13 +218,13 @@ class SingleReference:
         """The segments it averages over."""
         return Segments(self.resolution, self.overlap, 0)
 
-    def axis(self, frequency_range: tuple[float, float], passes: Sequence[SweepPass]) -> Real:
+    def axis(self, frequency_range: tuple[float, float], passes: Sequence[PreparedPass]) -> Real:
         """Return the frequency axis [Hz]."""
         return self.segments.axis(frequency_range, passes)
 
     def solve(
         self,
-        passes: Sequence[SweepPass],
+        passes: Sequence[PreparedPass],
         frequency: Real,
         axes: Sequence[str],
         response: Sequence[str],
@@ -270,7 +269,7 @@ class SingleReference:
         )
 
     def cross_spectra(
-        self, passes: Sequence[SweepPass], reach: tuple[float, float], response: Sequence[str]
+        self, passes: Sequence[PreparedPass], reach: tuple[float, float], response: Sequence[str]
     ) -> tuple[Complex, Complex]:
         """Return S_XF and S_FF with the reference, each of shape (frequencies, rows, passes)."""
         sxf, sff = [], []
@@ -281,7 +280,7 @@ class SingleReference:
         return np.stack(sxf, axis=2), np.stack(sff, axis=2)
 
     def products(
-        self, sweep: SweepPass, reach: tuple[float, float], response: Sequence[str], derivative: int = 0
+        self, sweep: PreparedPass, reach: tuple[float, float], response: Sequence[str], derivative: int = 0
     ) -> tuple[Complex, Complex, BlockSpectra]:
         """Return the products of motion and force with the reference, segment by segment, and the segments.
 

@@ -27,11 +27,10 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.instruments.tacho import tacho_angle
-from process.labels import axis_present, sample_interval
 from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann
 from smfe.identification.spectra.spindle_angle import force_angle, spindle_angle
-from smfe.identification.sweep.passes import SweepPass, force_level, in_cut, piece_in_cut
+from smfe.identification.sweep.passes import PreparedPass, force_level
 
 FEWEST_WINDOWS = 3
 """Windows that must fit into a cut."""
@@ -160,7 +159,7 @@ class Clock:
     warnings: tuple[str, ...]
 
 
-def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Clock:
+def judge_clock(name: str, passes: Sequence[PreparedPass], teeth: int | None) -> Clock:
     """Compare the speeds of all passes with the passing of the teeth.
 
     Angle and tacho are read by the clock of the record: they differ from the forces where they are of another clock,
@@ -170,7 +169,7 @@ def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Cl
     ----------
     name : str
         Of the measurement.
-    passes : sequence of SweepPass
+    passes : sequence of PreparedPass
         Its passes.
     teeth : int or None
         Of the tool.
@@ -182,7 +181,7 @@ def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Cl
     """
     seen: dict[str, list[tuple[str, SpeedComparison]]] = {}
     for p in passes:
-        for found in compare_speeds(p.record, teeth):
+        for found in compare_speeds(p, teeth):
             seen.setdefault(found.source, []).append((p.label, found))
     stated = _stated(passes, teeth)
     if stated is not None:
@@ -205,12 +204,12 @@ def judge_clock(name: str, passes: Sequence[SweepPass], teeth: int | None) -> Cl
     return Clock(largest, tuple(warnings))
 
 
-def compare_speeds(record: xr.Dataset, teeth: int | None) -> list[SpeedComparison]:
+def compare_speeds(sweep: PreparedPass, teeth: int | None) -> list[SpeedComparison]:
     """Compare every channel that states the speed of a cut with the passing of the teeth in its forces.
 
     Parameters
     ----------
-    record : xarray.Dataset
+    sweep : PreparedPass
         With force, and ``spindle_speed``, ``spindle_angle`` or ``tacho``.
     teeth : int or None
         Of the tool; None: the lines of any order are compared.
@@ -220,34 +219,28 @@ def compare_speeds(record: xr.Dataset, teeth: int | None) -> list[SpeedCompariso
     list of SpeedComparison
         Nothing of what the forces do not tell: cuts of too few turns, or without lines that stand out.
     """
-    if "force" not in record or not axis_present(record, "force"):
+    if "force" not in sweep.record or not sweep.force_axes or sweep.cut_piece is None:
         return []
-    piece = piece_in_cut(record)
-    if piece is None:
-        return []
-    every = (_compared(record, piece, angle[piece], teeth, source) for source, angle in _angles(record))
+    every = (_compared(sweep, angle, teeth, source) for source, angle in _angles(sweep.record))
     return [found for found in every if found is not None]
 
 
-def angle_in_step(record: xr.Dataset, teeth: int | None) -> Real | None:
+def angle_in_step(sweep: PreparedPass, teeth: int | None) -> Real | None:
     """Return the angle of the spindle [rad] in step with the teeth, shape (n,), or None where nothing tells it.
 
     Parameters
     ----------
-    record : xarray.Dataset
-        With force and what tells the angle of the spindle.
+    sweep : PreparedPass
+        With force and the angle of the spindle.
     teeth : int or None
         Of the tool; needed where only the forces tell the angle.
     """
-    piece = piece_in_cut(record)
     with suppress(InputError):
-        angle, source = spindle_angle(record, teeth)
+        angle, source = spindle_angle(sweep.record, teeth)
         angle = np.unwrap(angle) if source == "spindle_angle" else angle
-        found = None
-        if piece is not None and source != "force":
-            found = _compared(record, piece, angle[piece], teeth, source)
+        found = None if source == "force" else _compared(sweep, angle, teeth, source)
         if found is not None:
-            return _earlier(record["time"].values, angle, found.late) * (1.0 + found.difference)
+            return _earlier(sweep.record["time"].values, angle, found.late) * (1.0 + found.difference)
         return angle
     return None
 
@@ -307,14 +300,24 @@ def _earlier(time: Real, angle: Real, late: float) -> Real:
     return moved
 
 
-def _compared(record: xr.Dataset, piece: slice, angle: Real, teeth: int | None, source: str) -> SpeedComparison | None:
-    dt = sample_interval(record)
+def _compared(sweep: PreparedPass, angle: Real, teeth: int | None, source: str) -> SpeedComparison | None:
+    """Return the comparison of one source, kept with the pass; None where the cut is too short or shows no lines."""
+    if sweep.cut_piece is None:
+        return None
+    if (source, teeth) not in sweep.compared:
+        sweep.compared[source, teeth] = _compare(sweep, sweep.cut_piece, angle[sweep.cut_piece], teeth, source)
+    found: SpeedComparison | None = sweep.compared[source, teeth]
+    return found
+
+
+def _compare(sweep: PreparedPass, piece: slice, angle: Real, teeth: int | None, source: str) -> SpeedComparison | None:
+    dt = sweep.interval
     turned = (angle[-1] - angle[0]) / (2.0 * np.pi)
     turns = turns_of(teeth)
     if not turned >= turns * (1.0 + 0.25 * (FEWEST_WINDOWS - 1)) or not np.isfinite(turned):
         return None
     cells = 16 * (teeth or 6)
-    force = force_over_angle(record, piece, angle, cells)
+    force = force_over_angle(sweep, piece, angle, cells)
     force = force - force.mean(axis=1, keepdims=True)
     # Orders that the sampling rate holds at the highest speed.
     every = max(1, angle.size // 64)
@@ -371,12 +374,12 @@ def turns_of(teeth: int | None) -> int:
     return 4 * max(2, round(0.25 * PASSAGES / (teeth or 6)))
 
 
-def force_over_angle(record: xr.Dataset, piece: slice, angle: Real, cells: int) -> Real:
+def force_over_angle(sweep: PreparedPass, piece: slice, angle: Real, cells: int) -> Real:
     """Return the mean force in each of `cells` equal parts of every turn, shape (axes, cells of all turns).
 
     Parameters
     ----------
-    record : xarray.Dataset
+    sweep : PreparedPass
         With force.
     piece : slice
         Samples that are used.
@@ -385,7 +388,7 @@ def force_over_angle(record: xr.Dataset, piece: slice, angle: Real, cells: int) 
     cells : int
         Of a turn.
     """
-    force = record["force"].sel(axis=axis_present(record, "force")).values[:, piece]
+    force = sweep.record["force"].sel(axis=sweep.force_axes).values[:, piece]
     rising = np.maximum.accumulate(angle + 1e-9 * np.arange(angle.size))
     turns = int((rising[-1] - rising[0]) / (2.0 * np.pi))
     edges = rising[0] + 2.0 * np.pi / cells * np.arange(turns * cells + 1)
@@ -454,16 +457,13 @@ def local_ratios(
 # --- speeds stated of a ramp ------------------------------------------------------------------------------------------
 
 
-def _stated(passes: Sequence[SweepPass], teeth: int | None) -> tuple[str, SpeedComparison] | None:
+def _stated(passes: Sequence[PreparedPass], teeth: int | None) -> tuple[str, SpeedComparison] | None:
     """Return the pass whose cut is nearest to its stated speeds, where all passes are off to the same side."""
-    seen: list[tuple[SweepPass, Bounds]] = []
+    seen: list[tuple[PreparedPass, Bounds]] = []
     for p in passes:
         if p.speeds is not None:
-            if _angles(p.record) or teeth is None:
-                angle = angle_in_step(p.record, teeth)
-            else:
-                angle = angle_of_ramp(p.record, teeth, p.speeds)
-            found = None if angle is None else stated_bounds(p.record, angle, p.speeds)
+            angle = angle_in_step(p, teeth) if teeth is None or _angles(p.record) else angle_of_ramp(p, teeth, p.speeds)
+            found = None if angle is None else stated_bounds(p, angle, p.speeds)
             if found is None:
                 return None
             seen.append((p, found))
@@ -502,20 +502,20 @@ class Bounds:
         return float(np.hypot(wide / math.sqrt(12.0) if math.isfinite(wide) else 0.0, 0.25 * HOLDS))
 
 
-def stated_bounds(record: xr.Dataset, angle: Real, stated: tuple[float, float]) -> Bounds | None:
+def stated_bounds(sweep: PreparedPass, angle: Real, stated: tuple[float, float]) -> Bounds | None:
     """Return the bounds that the ends of the cut set, or None where the forces do not tell a cut.
 
     Parameters
     ----------
-    record : xarray.Dataset
+    sweep : PreparedPass
         With force.
     angle : ndarray, shape (n,)
         Of the spindle, in step with the teeth [rad].
     stated : (float, float)
         Spindle rotation where the cut begins and ends [rad/s].
     """
-    level, dt = force_level(record), sample_interval(record)
-    loud, quiet = float(np.median(level[in_cut(record)])), float(level.min())
+    level, dt = force_level(sweep.record), sweep.interval
+    loud, quiet = float(np.median(level[sweep.cutting])), float(level.min())
     if not loud > 0.0 or not np.isfinite(angle).all():
         return None
     begin = _rise(level, quiet, loud)
@@ -538,23 +538,23 @@ def stated_bounds(record: xr.Dataset, angle: Real, stated: tuple[float, float]) 
     return Bounds(min(a, c), max(b, d))
 
 
-def angle_of_ramp(record: xr.Dataset, teeth: int, stated: tuple[float, float]) -> Real | None:
+def angle_of_ramp(sweep: PreparedPass, teeth: int, stated: tuple[float, float]) -> Real | None:
     """Return the angle of the spindle [rad] of a ramp that only the forces tell, or None where they do not.
 
     Which harmonic the path through the forces follows is taken from the stated speeds.
 
     Parameters
     ----------
-    record : xarray.Dataset
+    sweep : PreparedPass
         With force.
     teeth : int
         Of the tool.
     stated : (float, float)
         Spindle rotation where the cut begins and ends [rad/s].
     """
-    piece, dt = piece_in_cut(record), sample_interval(record)
+    piece, dt = sweep.cut_piece, sweep.interval
     with suppress(InputError):
-        path = force_angle(record, teeth)
+        path = force_angle(sweep.record, teeth)
         margin = round(1.0 / dt)
         if piece is None or piece.stop - piece.start < 4 * margin:
             return None

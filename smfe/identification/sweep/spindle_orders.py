@@ -14,15 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from scipy import fft
 
 from process.errors import InputError
-from process.labels import sample_interval
 from process.types import Complex, Real
-from smfe.identification.spectra.spindle_angle import spindle_angle
 from smfe.identification.sweep.least_squares import Lines
-from smfe.identification.sweep.passes import SweepPass, in_cut
+from smfe.identification.sweep.passes import PreparedPass
 
 HARMONICS = 3
 """Harmonics of the tooth passing that are instruments."""
@@ -41,7 +38,7 @@ QUIET = 1e-3
 
 
 def spindle_waves(
-    record: xr.Dataset,
+    sweep: PreparedPass,
     orders: Sequence[float],
     reach: tuple[float, float],
     teeth: int | None = None,
@@ -51,8 +48,8 @@ def spindle_waves(
 
     Parameters
     ----------
-    record : xarray.Dataset
-        That tells the angle of the spindle.
+    sweep : PreparedPass
+        With a record that holds the angle of the spindle.
     orders : sequence of float
         Orders k of the spindle.
     reach : (float, float)
@@ -62,22 +59,22 @@ def spindle_waves(
     cut_only : bool, optional
         Silent in the air.
     """
-    dt, n = sample_interval(record), record.sizes["time"]
+    dt, n = sweep.interval, sweep.record.sizes["time"]
     length = int(fft.next_fast_len(n, real=True))
     frequency = fft.rfftfreq(length, dt)
     low, high = np.searchsorted(frequency, [reach[0] - 1e-9, reach[1] + 1e-9])
-    angle = spindle_angle(record, teeth)[0]
-    mask = in_cut(record) if cut_only else np.ones(n)
+    angle = sweep.angle(teeth)
+    mask = sweep.cutting if cut_only else np.ones(n)
     return np.stack([dt * fft.fft(np.exp(1j * k * angle) * mask, length)[low:high] for k in orders], axis=1)
 
 
-def orders_in_band(passes: Sequence[SweepPass], frequency_range: tuple[float, float]) -> list[int]:
+def orders_in_band(passes: Sequence[PreparedPass], frequency_range: tuple[float, float]) -> list[int]:
     """Return the orders of the spindle that pass through a band [Hz] in any of the records."""
     slowest, fastest = np.inf, 0.0
     for p in passes:
-        angle = spindle_angle(p.record)[0]
+        angle = p.angle()
         rate = np.diff(angle[:: max(1, angle.size // 200)]) / (2.0 * np.pi)
-        rate = rate / (sample_interval(p.record) * max(1, angle.size // 200))
+        rate = rate / (p.interval * max(1, angle.size // 200))
         slowest, fastest = min(slowest, float(np.quantile(rate, 0.02))), max(fastest, float(np.quantile(rate, 0.98)))
     if not fastest > 0.0:
         raise InputError("the spindle does not turn in these records; check spindle_angle or spindle_speed")

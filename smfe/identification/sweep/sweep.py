@@ -20,17 +20,16 @@ from process.cut.engagement import Engagement
 from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.errors import InputError
-from process.labels import axis_present, make_compliance, sample_interval
+from process.labels import make_compliance
 from process.types import Real
 from smfe.identification.errors.difference import reciprocity, symmetric
 from smfe.identification.errors.result import Identification, in_words
-from smfe.identification.spectra.spectra import motion_axes
 from smfe.identification.sweep.chatter import without_chatter
 from smfe.identification.sweep.delay import changed_by_delay
 from smfe.identification.sweep.least_squares import Estimate, condition_number
 from smfe.identification.sweep.local_polynomial import LocalPolynomial, solve_local
 from smfe.identification.sweep.order_tracking import Orders
-from smfe.identification.sweep.passes import SweepPass, at_rest, in_cut
+from smfe.identification.sweep.passes import PreparedPass, SweepPass, prepare
 from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.spindle_clock import changed_by_clock, judge_clock
 
@@ -105,26 +104,27 @@ def identify_sweep(
     """
     chosen = LocalPolynomial() if estimator is None else estimator
     axes = [a for a in "xyz" if a in axes]
-    response = _check_passes([*passes, *background], len(passes), axes)
-    _check_band(passes, frequency_range)
+    prepared, air = [prepare(p) for p in passes], [prepare(p) for p in background]
+    response = _check_passes([*prepared, *air], len(passes), axes)
+    _check_band(prepared, frequency_range)
     if len(axes) == 3:
-        check_independent([(p.label, p.arc) for p in passes])
-    clock = judge_clock(name, passes, teeth)
-    passes, chatter = without_chatter(name, passes, teeth, len(axes))
-    frequency = chosen.axis(frequency_range, passes)
+        check_independent([(p.label, p.arc) for p in prepared])
+    clock = judge_clock(name, prepared, teeth)
+    prepared, chatter = without_chatter(name, prepared, teeth, len(axes))
+    frequency = chosen.axis(frequency_range, prepared)
     if isinstance(chosen, LocalPolynomial):
-        found = solve_local(chosen, passes, frequency, axes, response, background, progress)
+        found = solve_local(chosen, prepared, frequency, axes, response, air, progress)
     elif background:
         raise InputError(
             f"an air cut is subtracted by the local polynomial only, and the estimator is {type(chosen).__name__}; "
             "take background or estimator out"
         )
     else:
-        found = chosen.solve(passes, frequency, axes, response, progress)
+        found = chosen.solve(prepared, frequency, axes, response, progress)
     refused = ~(found.condition <= REFUSE_CONDITION)
     if refused.mean() > 0.5:
         raise InputError(
-            f"sweep '{name}': the measured forces of the passes ({', '.join(p.label for p in passes)}) are not "
+            f"sweep '{name}': the measured forces of the passes ({', '.join(p.label for p in prepared)}) are not "
             f"independent: their condition number exceeds {REFUSE_CONDITION:g} at {refused.sum()} of {refused.size} "
             "frequencies, so nine compliances cannot be told apart; add a pass with another width or kind of cut"
             + (
@@ -139,7 +139,7 @@ def identify_sweep(
     delay = found.delay if found.delay is not None and found.delay.real else None
     moved = []
     if clock.difference:
-        acceleration = motion_axes(passes[0].record)[0] == "acceleration"
+        acceleration = prepared[0].motion[0] == "acceleration"
         moved.append(changed_by_clock(found.compliance, frequency, clock.difference, acceleration))
     if delay is not None:
         moved.append(changed_by_delay(found.compliance, frequency, delay.late))
@@ -164,7 +164,7 @@ def identify_sweep(
                 f"(p = {test.p_value:.1e}, most at {test.worst:.4g} Hz), and were forced to be equal; leave "
                 "reciprocal out, or look for a sensor that is turned or away from the tool",
             )
-    return Identification(name, "sweep", dataset, {"passes": _pass_table(passes, axes)}, warnings)
+    return Identification(name, "sweep", dataset, {"passes": _pass_table(prepared, axes)}, warnings)
 
 
 def _labelled(
@@ -208,7 +208,7 @@ def _fewer_axes(axes: Sequence[str]) -> tuple[str, ...]:
 # --- what is refused before anything is solved -----------------------------------------------------------------------
 
 
-def _check_passes(passes: Sequence[SweepPass], cutting: int, axes: Sequence[str]) -> list[str]:
+def _check_passes(passes: Sequence[PreparedPass], cutting: int, axes: Sequence[str]) -> list[str]:
     """Return the response axes that all passes share."""
     if not axes:
         raise InputError('no axis is a reference; give axes = ["x", "y", "z"] or those whose forces are recorded')
@@ -221,21 +221,21 @@ def _check_passes(passes: Sequence[SweepPass], cutting: int, axes: Sequence[str]
         )
     shared: list[str] = ["x", "y", "z"]
     for p in passes:
-        missing = [a for a in axes if a not in axis_present(p.record, "force")]
+        missing = [a for a in axes if a not in p.force_axes]
         if missing:
             raise InputError(
                 f"pass '{p.label}' has no force_{missing[0]}; all three forces are needed as references: "
                 "declare it in [channels], or name those there are in axes"
             )
-        shared = [a for a in shared if a in motion_axes(p.record)[1]]
+        shared = [a for a in shared if a in p.motion[1]]
     if not shared:
         raise InputError("the passes have no axis of motion in common; record the same accelerations in each")
     return shared
 
 
-def _check_band(passes: Sequence[SweepPass], band: tuple[float, float]) -> None:
+def _check_band(passes: Sequence[PreparedPass], band: tuple[float, float]) -> None:
     for p in passes:
-        nyquist = 0.5 / sample_interval(p.record)
+        nyquist = 0.5 / p.interval
         if not 0.0 < band[0] < band[1] < nyquist:
             raise InputError(
                 f"the frequency range {band[0]:g} to {band[1]:g} Hz does not lie between 0 and the Nyquist frequency "
@@ -288,21 +288,21 @@ def _best_condition(arcs: Sequence[Engagement]) -> float:
 # --- tables and words -------------------------------------------------------------------------------------------------
 
 
-def _pass_table(passes: Sequence[SweepPass], axes: Sequence[str]) -> pd.DataFrame:
+def _pass_table(passes: Sequence[PreparedPass], axes: Sequence[str]) -> pd.DataFrame:
     """Return a row a pass: rms of each force over the record, and of their magnitude, with its peak, in the cut."""
     rows = []
     for p in passes:
         force = p.record["force"].sel(axis=list(axes)).values
         rms = np.sqrt(np.mean(force**2, axis=1))
-        whole = np.sum(force[:, in_cut(p.record)] ** 2, axis=0)
+        whole = np.sum(force[:, p.cutting] ** 2, axis=0)
         rows.append(
             {
                 "pass": p.label,
-                "duration_s": p.record.sizes["time"] * sample_interval(p.record),
+                "duration_s": p.seconds,
                 **{f"force_{a}_rms_N": value for a, value in zip(axes, rms, strict=True)},
                 "force_rms_N": np.sqrt(np.mean(whole)),
                 "force_peak_N": np.sqrt(np.max(whole)),
-                "from_rest_to_rest": at_rest(p.record),
+                "from_rest_to_rest": p.at_rest,
             }
         )
     return pd.DataFrame(rows)

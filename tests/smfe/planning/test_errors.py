@@ -20,7 +20,7 @@ from smfe.identification.spectra.spectra import BlockSpectra
 from smfe.identification.sweep.least_squares import condition_number
 from smfe.identification.sweep.local_polynomial import BANDS, MODEL_ERROR, LocalPolynomial
 from smfe.identification.sweep.noise import ALIKE, BOUNDED, force_noise
-from smfe.identification.sweep.passes import SweepPass, whole_record
+from smfe.identification.sweep.passes import SweepPass, prepare, whole_record
 from smfe.identification.sweep.sweep import identify_sweep
 from smfe.planning.errors import Instruments, error_interval, expected, relative_error
 from smfe.planning.forces import (
@@ -274,7 +274,10 @@ def test_what_the_air_says_of_the_noise_of_the_forces_is_foreseen() -> None:
     plan, band = published(duration=8.0), (25.0, 65.0)
     foreseen = force_sensor(plan, MATERIAL, (20.0, 20.0, 20.0), 1000.0, band)
     rng = np.random.default_rng(4)
-    seen = [force_noise(quiet_ends(plan, 20.0, rng), ["x", "y", "z"], band) for _ in range(12)]
+    seen = [
+        force_noise([prepare(SweepPass(r, "quiet")) for r in quiet_ends(plan, 20.0, rng)], ["x", "y", "z"], band)
+        for _ in range(12)
+    ]
     assert all(s is not None and s.air for s in seen)
     assert foreseen.subtracted
     stated = np.median([s.spread for s in seen if s is not None])

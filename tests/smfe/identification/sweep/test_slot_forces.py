@@ -19,6 +19,7 @@ from process.simulation.milling import simulate_forced
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.diagnosis.cutting.orders import find_rotation
 from smfe.identification.spectra.spindle_angle import force_angle
+from smfe.identification.sweep.passes import prepare
 from smfe.identification.sweep.spindle_orders import project, spindle_waves
 from smfe.records import Channel, read_records
 
@@ -93,7 +94,9 @@ def test_all_but_two_per_cent_of_the_power_of_the_force_goes_with_the_spindle(fe
     low, high = np.searchsorted(frequency, [reach[0] - 1e-9, reach[1] + 1e-9])
     force = record["force"].values - record["force"].values.mean(axis=1, keepdims=True)
     lines = 1e-3 * fft.rfft(force, length, axis=1)[:, low:high].T
-    found = project(frequency[low:high], lines, spindle_waves(record, list(range(1, 9)), reach))
+    found = project(
+        frequency[low:high], lines, spindle_waves(prepare(SweepPass(record, "slot")), list(range(1, 9)), reach)
+    )
     rest = np.sum(np.abs(found.rest) ** 2) / np.sum(np.abs(lines) ** 2) / (1.0 - float(found.rank.mean()))
     assert rest < 0.02
 

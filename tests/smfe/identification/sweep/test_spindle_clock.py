@@ -19,6 +19,7 @@ from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.campaign import load_campaign
 from smfe.commands.check import check
 from smfe.diagnosis.checks.channels import clock_suspects
+from smfe.identification.sweep.passes import PreparedPass, prepare
 from smfe.identification.sweep.spindle_clock import changed_by_clock, compare_speeds, judge_clock, stated_bounds
 from smfe.records import write_record_netcdf
 
@@ -40,16 +41,16 @@ def quiet(**changes: object) -> Stranger:
 
 
 @cache
-def passes(stated: bool = False, **changes: object) -> list[SweepPass]:
+def passes(stated: bool = False, **changes: object) -> list[PreparedPass]:
     """Return the three passes of a healthy campaign with some changes."""
     this = quiet(**changes)
-    return stranger_passes(this, measure(this, 3), stated)
+    return [prepare(p) for p in stranger_passes(this, measure(this, 3), stated)]
 
 
 @pytest.mark.parametrize("error", [-0.02, 0.003])
 def test_a_time_base_or_a_speed_column_that_is_wrong_is_found_to_a_few_parts_in_ten_thousand(error: float) -> None:
     for key, expected in (("clock", 1.0 / (1.0 + error)), ("column", 1.0 / (1.0 + error))):
-        (found,) = compare_speeds(passes(**{key: error})[0].record, 3)
+        (found,) = compare_speeds(passes(**{key: error})[0], 3)
         assert found.source == "spindle_speed"
         assert found.difference == pytest.approx(expected - 1.0, abs=4e-4)
         assert found.real
@@ -59,19 +60,19 @@ def test_a_time_base_or_a_speed_column_that_is_wrong_is_found_to_a_few_parts_in_
 def test_nothing_is_said_of_a_column_that_is_right_late_or_without_the_wander_of_the_spindle(tells: str) -> None:
     for changes in ({}, {"column_late": 0.15}, {"nominal": True, "wander": 2e-3}):
         for p in passes(tells=tells, **changes):
-            (found,) = compare_speeds(p.record, 3)
+            (found,) = compare_speeds(p, 3)
             assert not found.real
             assert abs(found.difference) < max(5e-4, 2.0 * found.std)
             assert clock_suspects(p.record, "cut", 3) == []
 
 
 def test_a_column_that_comes_late_is_no_error_of_a_clock() -> None:
-    (found,) = compare_speeds(passes(column_late=0.15)[1].record, 3)
+    (found,) = compare_speeds(passes(column_late=0.15)[1], 3)
     assert found.late == pytest.approx(0.15, abs=0.02)
 
 
 def test_without_the_number_of_teeth_the_lines_of_the_spindle_say_the_same() -> None:
-    (found,) = compare_speeds(passes(column=-0.02)[0].record, None)
+    (found,) = compare_speeds(passes(column=-0.02)[0], None)
     assert found.difference == pytest.approx(1.0 / 0.98 - 1.0, abs=5e-4)
 
 
@@ -117,7 +118,7 @@ def ramp(
 @pytest.mark.parametrize("clock", [0.0, 0.006, -0.02])
 def test_stated_speeds_bound_the_clock_by_when_the_cut_begins_and_ends(clock: float, rise: float) -> None:
     record, angle = ramp(clock, 2.0, rise)
-    found = stated_bounds(record, angle, (10.0, 40.0))
+    found = stated_bounds(prepare(SweepPass(record, "ramp")), angle, (10.0, 40.0))
     assert found is not None
     assert found.low <= 1.0 / (1.0 + clock) - 1.0 + 1e-3
     assert found.high >= 1.0 / (1.0 + clock) - 1.0 - 1e-3
@@ -129,12 +130,12 @@ def test_stated_speeds_bound_the_clock_by_when_the_cut_begins_and_ends(clock: fl
 def test_a_record_without_air_bounds_the_clock_by_the_speeds_that_it_misses() -> None:
     for clock in (0.02, 0.0, -0.02):
         record, angle = ramp(clock, 0.0, 0.1)
-        found = stated_bounds(record, angle, (10.0, 40.0))
+        found = stated_bounds(prepare(SweepPass(record, "ramp")), angle, (10.0, 40.0))
         assert found is not None
         assert found.low == pytest.approx(1.0 / (1.0 + clock) - 1.0, abs=1e-3)
         assert found.high == pytest.approx(found.low, abs=1e-3)
         inner = slice(1000, -500)
-        short = stated_bounds(record.isel(time=inner), angle[inner], (10.0, 40.0))
+        short = stated_bounds(prepare(SweepPass(record.isel(time=inner), "ramp")), angle[inner], (10.0, 40.0))
         assert short is not None
         assert short.low < found.low < short.high
         assert short.beyond == 0.0
@@ -163,8 +164,7 @@ def test_a_wrong_time_base_changes_a_compliance_by_the_scale_of_frequency_and_of
 
 
 def test_a_cut_without_lines_says_nothing() -> None:
-    record = passes(force_noise=500.0)[0].record
-    assert compare_speeds(record, 3) == []
+    assert compare_speeds(passes(force_noise=500.0)[0], 3) == []
 
 
 def test_check_says_it_of_a_campaign_and_takes_stated_speeds(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from process.errors import InputError
 from smfe import LocalPolynomial, SingleReference, identify_sweep
 from smfe.identification.sweep.chatter import chatter_of
 from smfe.identification.sweep.noise import force_noise
+from smfe.identification.sweep.passes import prepare
 
 BAND = (25.0, 75.0)
 
@@ -49,7 +50,7 @@ def test_a_tool_that_rubs_and_a_cut_that_fades_are_no_noise_of_the_force_sensor(
 def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_ends() -> None:
     for rub in ((0.0, 0.0), (0.04, 0.0), (0.0, 0.04)):
         this = stranger(22, force_noise=5.0, rub=rub)
-        found = force_noise([p.record for p in stranger_passes(this, measure(this, 22))], ["x", "y", "z"], BAND)
+        found = force_noise([prepare(p) for p in stranger_passes(this, measure(this, 22))], ["x", "y", "z"], BAND)
         assert found is not None
         assert found.air
         np.testing.assert_allclose(found.density, this.force_noise**2 / 1000.0, rtol=3.0 * found.spread)
@@ -58,7 +59,7 @@ def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_e
 @pytest.mark.slow
 def test_without_air_the_noise_of_the_forces_is_bounded_by_the_cut_and_charged() -> None:
     this = stranger(23, force_noise=2.0, lead=0.0, tail=0.0)
-    found = force_noise([p.record for p in stranger_passes(this, measure(this, 23))], ["x", "y", "z"], BAND)
+    found = force_noise([prepare(p) for p in stranger_passes(this, measure(this, 23))], ["x", "y", "z"], BAND)
     assert found is not None
     assert not found.air
     assert np.all(this.force_noise**2 / 1000.0 < 1.4 * found.density)
@@ -85,7 +86,7 @@ def test_a_pass_that_chatters_is_noticed_and_a_stable_one_is_not() -> None:
     this = chattering((0.2e-3, 4e-3, 0.2e-3))
     records = measure(this, 31)
     for raw, data in zip(records, stranger_passes(this, records), strict=True):
-        found = chatter_of(data.record, 6)
+        found = chatter_of(prepare(data), 6)
         assert bool(found) == (raw["between_orders"] > 0.35)
         assert (raw["between_orders"] > 0.35) == (data.label == "up")
         for part in found:
@@ -98,7 +99,7 @@ def test_a_pass_that_chatters_is_noticed_and_a_stable_one_is_not() -> None:
 def test_a_late_or_wrong_speed_column_and_a_noisy_sensor_are_no_chatter(changes: dict[str, object]) -> None:
     this = chattering((0.2e-3,) * 3, **({"tells": "speed"} | changes))
     for data in stranger_passes(this, measure(this, 31)):
-        assert chatter_of(data.record, 6) == []
+        assert chatter_of(prepare(data), 6) == []
 
 
 def test_a_pass_that_chatters_is_left_out_with_the_reason_and_too_few_are_refused() -> None:
@@ -106,7 +107,7 @@ def test_a_pass_that_chatters_is_left_out_with_the_reason_and_too_few_are_refuse
     down, up, central = stranger_passes(this, measure(this, 31))
     estimator = LocalPolynomial(resolution=1.0, half_widths=(0.5, 1.0), rational=False)
     # What is left of it is shorter than a use is worth, or said.
-    if all(c.interval[0] < 4.0 for c in chatter_of(up.record, 6)):
+    if all(c.interval[0] < 4.0 for c in chatter_of(prepare(up), 6)):
         with pytest.raises(InputError, match=r"pass 'up': it chatters from .* rpm"):
             identify_sweep("s", [down, up, central], BAND, estimator, teeth=6)
     again = replace(down, label="down again")

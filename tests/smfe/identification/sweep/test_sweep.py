@@ -97,7 +97,7 @@ def test_a_record_that_ends_in_the_cut_is_solved_with_its_transient(monkeypatch:
     assert not result.tables["passes"]["from_rest_to_rest"].any()
     with_transient = entry_errors(result.compliance)
     assert with_transient.max() < 0.08
-    monkeypatch.setattr("smfe.identification.sweep.local_polynomial.at_rest", lambda record: True)
+    monkeypatch.setattr("smfe.identification.sweep.passes.at_rest", lambda record: True)
     without = entry_errors(identify_sweep("s", data, (25.0, 75.0)).compliance)
     assert without.mean() > 2.0 * with_transient.mean()
 
