@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+
 from process.errors import InputError
 from process.types import Complex, Real
 
@@ -148,7 +150,7 @@ class Abilities(Protocol):
 
     def relative(self, condition: Condition, predicted: Real, slopes: Real) -> Complex:
         """Return slopes of a prediction, (n, p), over the prediction itself, value by value."""
-        return slopes / predicted[:, None] + 0j
+        return np.asarray(slopes / predicted[:, None], dtype=np.complex128)
 
     def alike(self, conditions: Sequence[Condition]) -> Sequence[int]:
         """Return a number for each condition, equal where the error of the prediction is the same."""

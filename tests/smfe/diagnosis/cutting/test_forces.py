@@ -161,10 +161,11 @@ def test_a_tone_of_the_mains_is_found_beforehand_and_does_no_harm() -> None:
 
 
 def test_healthy_forces_raise_no_alarm() -> None:
-    cuts = [*FEEDS, Cut(speed=900.0), Cut(air=True)]
+    cuts = [*FEEDS[:2], Cut(speed=900.0), Cut(air=True)]
     assert diagnose(family_of(measure_cuts(Mill(helix=0.1), cuts, 0))).verdict == "consistent"
 
 
+@pytest.mark.slow
 def test_run_out_is_named_with_its_size() -> None:
     """Two teeth show ``|rho cos(angle)|``."""
     sealed = draw_cuts(0, effects=("runout",), design="feeds")
@@ -219,7 +220,7 @@ def test_resonances_of_the_dynamometer_are_named_where_speeds_reach_them() -> No
 
 @pytest.mark.slow
 def test_a_gain_of_five_percent_hides_in_the_coefficients() -> None:
-    """All axes alike it is exactly a material that cuts 5 % heavier: nobody can see it, and nothing is said."""
+    """All axes alike it is exactly a material that cuts 5 % heavier: no data show it, and nothing is said."""
     assert hidden("sensor_gain", 1)[0].verdict == "consistent"
 
 
@@ -237,7 +238,7 @@ def doubled(read: bool) -> CuttingForces:
 
 @pytest.mark.slow
 def test_gain_and_material_are_a_set_until_a_known_force_is_measured() -> None:
-    """No cut tells a sensor that shows too much from a material that resists more; a weight does."""
+    """No cut separates a sensor that reads too much from a material that resists more; a weight does."""
     first = diagnose(doubled(read=False))
     assert first.verdict == "ambiguous"
     (found,) = first.alternatives
@@ -248,7 +249,7 @@ def test_gain_and_material_are_a_set_until_a_known_force_is_measured() -> None:
 
 
 @pytest.mark.slow
-def test_an_air_cut_tells_run_out_from_unbalance() -> None:
+def test_an_air_cut_separates_run_out_from_unbalance() -> None:
     """Both show at the spindle's own order; without a cut run-out vanishes and unbalance stays."""
     for mill, cause in ((Mill(unbalance=10.0), "background_tone"), (Mill(runout=2e-5), "runout")):
         found = diagnose(family_of(measure_cuts(mill, [*FEEDS, Cut(air=True)], 5)))
@@ -267,7 +268,7 @@ def test_proposals_are_predicted_without_data() -> None:
 
 def test_forces_that_need_an_impossible_material_are_not_consistent() -> None:
     """Forces of another process, small and without the orders of teeth, let the coefficients fall to nearly nothing."""
-    records = measure_cuts(Mill(helix=0.1), list(FEEDS[:3]), 3)
+    records = measure_cuts(Mill(helix=0.1), list(FEEDS[:2]), 3)
     for record in records:
         record["force"] = [0.004 * np.asarray(f) for f in record["force"]]
     family = family_of(records)

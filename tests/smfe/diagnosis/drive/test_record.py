@@ -37,7 +37,7 @@ def null_values(family: DriveRecordFamily) -> dict[str, float]:
 def full() -> DriveRecordFamily:
     """A record with friction, a direction, a delay, a ripple; with mass and gains known."""
     truth = Axis(coulomb=20.0, asymmetry=-37.0, delay=0.25e-3, ripple=1.0)
-    return family(truth, mass=(MASS, 1.0), gains=Gains(POSITION_GAIN, VELOCITY_GAIN))
+    return family(truth, seconds=16.0, mass=(MASS, 1.0), gains=Gains(POSITION_GAIN, VELOCITY_GAIN))
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
@@ -131,14 +131,15 @@ def test_moves_leave_standstill_out_but_for_its_edges() -> None:
     assert c == pytest.approx(1450, abs=10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rest", "coulomb"), [(0.5, 0.0), (0.3, 20.0), (0.8, 20.0)])
 def test_a_healthy_axis_that_pauses_is_consistent(rest: float, coulomb: float) -> None:
-    """At rest an axis shows its controller and, where it sticks, any force; a viscous one and one that rubs."""
+    """At rest an axis shows its controller and, where it sticks, any force; with and without sliding friction."""
     axis = replace(axis_of((), 5), rest=rest, coulomb=coulomb, seconds=36.0)
     assert diagnose(family_of(axis, 5)).verdict == "consistent"
 
 
-def test_a_record_that_cannot_tell_its_noise_is_refused() -> None:
+def test_a_record_too_short_for_its_noise_is_refused() -> None:
     with pytest.raises(InputError, match="values, too few to tell noise from friction; 400 are needed: record"):
         family(replace(Axis(), acceleration=0.2, rest=1.0), seconds=24.0, delay=0.5 * STEP)
 
@@ -205,7 +206,7 @@ def test_planted_values_are_found(full: DriveRecordFamily) -> None:
     assert errors == sorted(errors, reverse=True)
 
 
-def test_the_control_law_tells_a_command_that_was_not_logged() -> None:
+def test_the_control_law_finds_a_command_that_was_not_logged() -> None:
     """Pulses of 150 N in the drive force: height within 2 %, correlation 0.999, velocity half a sample late."""
     s = simulate(Axis(coulomb=20.0, delay=0.25e-3, command=150.0, seconds=12.0), 2)
     gains = Gains(POSITION_GAIN, VELOCITY_GAIN)
@@ -217,7 +218,7 @@ def test_the_control_law_tells_a_command_that_was_not_logged() -> None:
     assert [p.begin for p in pulses] == pytest.approx([0.3 + 0.9 * k for k in range(13)], abs=1e-9)
 
 
-def test_a_silent_control_law_has_no_pulses(full: DriveRecordFamily) -> None:
+def test_a_control_law_that_is_obeyed_has_no_pulses(full: DriveRecordFamily) -> None:
     assert full.pulses == ()
     assert "hidden_input/command" not in [c.key for c in full.causes]
 
@@ -230,8 +231,8 @@ def test_other_gains_are_found_from_the_control_law() -> None:
     assert found["servo_gains.velocity"] == pytest.approx(-0.05, abs=1e-3)
 
 
-def test_what_a_record_needs_is_said() -> None:
-    t = np.arange(30_000) * STEP
+def test_what_a_record_lacks_is_said() -> None:
+    t = np.arange(9_000) * STEP
     channels = {"encoder_position": {"x": 0.01 * np.sin(t)}}
     with pytest.raises(InputError, match="has no drive_force_x"):
         DriveRecordFamily.from_record(make_record(t, channels))
@@ -241,9 +242,9 @@ def test_what_a_record_needs_is_said() -> None:
     with pytest.raises(InputError, match="check the sign"):
         DriveRecordFamily.from_record(backwards)
     with pytest.raises(InputError, match="four times the band"):
-        family(Axis(), seconds=12.0, cutoff=300.0)
+        DriveRecordFamily.from_record(backwards, cutoff=300.0)
     with pytest.raises(InputError, match="known delay"):
-        family(Axis(), seconds=12.0, delay=-1.0)
+        DriveRecordFamily.from_record(backwards, delay=-1.0)
 
 
 def test_a_force_of_the_wrong_sign_or_unit_is_refused_by_mass_and_energy() -> None:
@@ -254,11 +255,11 @@ def test_a_force_of_the_wrong_sign_or_unit_is_refused_by_mass_and_energy() -> No
     for wrong, said in ((-1.0, "a mass of -95 kg; check the sign"), (1e-3, "check the unit"), (1e3, "check the unit")):
         with pytest.raises(InputError, match=said):
             check_balance(wrong * (MASS * a + 200.0 * v), a, v, MASS)
-    rubbing = 600.0 * np.sign(v) + 0.01 * MASS * a
-    check_balance(rubbing, 0.01 * a, v, MASS)
+    sliding = 600.0 * np.sign(v) + 0.01 * MASS * a
+    check_balance(sliding, 0.01 * a, v, MASS)
     with pytest.raises(InputError, match="gives out energy while it moves"):
-        check_balance(-rubbing, 0.01 * a, v, MASS)
-    check_balance(-20.0 + 0.1 * rubbing, 0.01 * a, v + 0.2, MASS)
+        check_balance(-sliding, 0.01 * a, v, MASS)
+    check_balance(-20.0 + 0.1 * sliding, 0.01 * a, v + 0.2, MASS)
 
 
 def test_motion_is_that_of_the_axis() -> None:
@@ -270,9 +271,15 @@ def test_motion_is_that_of_the_axis() -> None:
     assert np.abs(m.jerk).max() < 1e-2
 
 
+def test_a_healthy_axis_of_14_s_is_consistent() -> None:
+    axis = replace(axis_of((), 2), rest=0.0, seconds=14.0)
+    assert diagnose(family_of(axis, 2)).verdict == "consistent"
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 8])
 def test_a_healthy_axis_is_consistent(seed: int) -> None:
-    """Rigid axes, with and without a guideway that rubs; the half sample of the hold is known."""
+    """Rigid axes, with and without sliding friction; the half sample of the hold is known."""
     assert diagnose(hidden(None, seed)[0]).verdict == "consistent"
 
 
@@ -310,16 +317,19 @@ def test_without_its_cause_an_effect_has_no_name(effect: str) -> None:
     )
 
 
-def test_a_hidden_command_is_named_from_the_control_law() -> None:
-    """Pulses of 20 N that the drive force holds and no channel tells: their height within 2 %."""
-    made, expected = hidden("command", 4)
+@pytest.mark.parametrize(("seconds", "about"), [(14.0, "control law"), pytest.param(24.0, "", marks=pytest.mark.slow)])
+def test_a_hidden_command_is_named_from_the_control_law(seconds: float, about: str) -> None:
+    """Pulses of 20 N that the drive force holds and no channel has: their height within 2 %."""
+    made = family_of(replace(axis_of(("command",), 4), rest=0.0, seconds=seconds), 4)
+    made = replace(made, conditions=tuple(c for c in made.conditions if c.name.startswith(about)))
     finding = diagnose(made)
     assert finding.verdict == "named"
-    assert [c.id for c in finding.causes] == [expected]
+    assert [c.id for c in finding.causes] == ["hidden_input"]
     (height,) = finding.causes[0].parameters
     assert abs(height.value) == pytest.approx(20.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_drive_that_is_cut_off_is_named_with_its_limit() -> None:
     """The command is logged, the force ends at nine tenths of what the moves ask for."""
     made, _ = hidden("saturation", 2)
@@ -330,6 +340,7 @@ def test_a_drive_that_is_cut_off_is_named_with_its_limit() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_tone_is_named_with_its_frequency() -> None:
     made, _ = hidden("hum", 2)
     finding = diagnose(made)
@@ -338,6 +349,7 @@ def test_a_tone_is_named_with_its_frequency() -> None:
     assert line.value == pytest.approx(axis_of(("hum",), 2).hum_frequency, abs=0.02)
 
 
+@pytest.mark.slow
 def test_intervals_widen_with_what_is_not_known_of_the_noise() -> None:
     made = family(Axis(asymmetry=-37.0), seconds=12.0, delay=0.5 * STEP)
     sure = replace(made, model=replace(made.model, draws=()))
@@ -347,7 +359,7 @@ def test_intervals_widen_with_what_is_not_known_of_the_noise() -> None:
 
 
 @pytest.mark.slow
-def test_drift_is_told_from_direction_by_the_order_of_the_moves() -> None:
+def test_drift_is_separated_from_direction_by_the_order_of_the_moves() -> None:
     """To and fro, both are found at once, each with its own size."""
     axis = Axis(asymmetry=-24.0, drift=0.09)
     finding = diagnose(family(axis, delay=0.5 * STEP))
@@ -358,22 +370,23 @@ def test_drift_is_told_from_direction_by_the_order_of_the_moves() -> None:
     assert found["drift"].value == pytest.approx(axis.drift * axis.viscous / axis.seconds, rel=0.3)
 
 
-def test_noise_alone_shows_a_wave_as_rarely_as_it_is_said_to() -> None:
+@pytest.mark.parametrize(("draws", "most"), [(20, 6), pytest.param(100, 18, marks=pytest.mark.slow)])
+def test_noise_alone_has_a_wave_as_rarely_as_its_p_value_says(draws: int, most: int) -> None:
     """Of 100 white residuals about ten have a wave somewhere that comes once in ten; none has one in a thousand."""
     rng = np.random.default_rng(0)
     x = np.cumsum(rng.standard_normal(800))
     whitener = Whitener(np.zeros(1), 1.0)
-    chances = [strongest_wave(x[1:], rng.standard_normal(799), whitener, 0.05, 2.0)[1] for _ in range(100)]
-    assert sum(c < 0.1 for c in chances) <= 18
-    assert min(chances) > 1e-4
+    p_values = [strongest_wave(x[1:], rng.standard_normal(799), whitener, 0.05, 2.0)[1] for _ in range(draws)]
+    assert sum(p < 0.1 for p in p_values) <= most
+    assert min(p_values) > 1e-4
 
 
 def test_each_kind_of_move_has_its_own_noise() -> None:
-    """The noise that is added backwards only is three times as loud there, and the whitened residuals are not."""
-    s = simulate(Axis(), 1)
+    """The noise that is added backwards only is three times as large there, and the whitened residuals are not."""
+    s = simulate(Axis(seconds=16.0), 1)
     back = np.diff(s["reference"], append=s["reference"][-1]) < 0.0
-    louder = s["force"] + np.where(back, 6.0, 0.5) * np.random.default_rng(0).standard_normal(back.size)
-    channels = {"encoder_position": {"x": s["encoder"]}, "drive_force": {"x": louder}}
+    noisier = s["force"] + np.where(back, 6.0, 0.5) * np.random.default_rng(0).standard_normal(back.size)
+    channels = {"encoder_position": {"x": s["encoder"]}, "drive_force": {"x": noisier}}
     made = DriveRecordFamily.from_record(make_record(s["time"], channels), delay=0.5 * STEP, cutoff=30.0)
     noise = made.model.noise
     assert all(noise["backward", v] > 2.0 * noise["forward", v] for v in (0.04, 0.08, 0.1))

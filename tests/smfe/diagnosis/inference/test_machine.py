@@ -111,21 +111,21 @@ def false_alarms(judge, count):
     return sum(judge(measured(Oscillator(design(s, 12)), {}, s)).verdict != "consistent" for s in range(count))
 
 
-def named_right(judge, seeds):
+def named_right(judge, seeds, names=SINGLE):
     """Share of effects of the size that the engine promises to name which it does."""
     right = []
     for seed in seeds:
         family = Oscillator(design(seed))
         size = {p.parameter: p.proven_size for p in isolability(family).power}
-        for name in SINGLE:
+        for name in names:
             finding = judge(measured(family, {f"{name}.size": size[f"{name}.size"]}, seed, spread=0.0))
             right.append(finding.verdict == "named" and [c.id for c in finding.causes] == [name])
     return float(np.mean(right))
 
 
 def test_noise_raises_no_alarm():
-    count = 25
-    assert upper(false_alarms(diagnose, count), count) <= 0.12
+    """None in five; the bound on the rate takes the 300 of the slow test."""
+    assert false_alarms(diagnose, 5) == 0
 
 
 @pytest.mark.slow
@@ -133,19 +133,21 @@ def test_false_alarms_stay_below_2_percent_on_300_nulls():
     assert upper(false_alarms(diagnose, 300), 300) <= 0.02
 
 
-def test_what_the_baseline_leaves_of_noise_looks_like_noise():
-    chances = []
-    for seed in range(100):
+@pytest.mark.parametrize("draws", [15, pytest.param(100, marks=pytest.mark.slow)])
+def test_what_the_baseline_leaves_of_noise_looks_like_noise(draws):
+    p_values = []
+    for seed in range(draws):
         family = measured(Oscillator(design(seed, 12)), {}, seed)
         model = Model(family, family.conditions)
         bench = Bench(model, Target(dict(enumerate(c.observed for c in family.conditions)), model.null()), 0, silent)
-        chances.append(fitted_misfit(bench, bench.null()).p_value)
-    for chance in (0.3, 0.1, 0.02):
-        assert np.mean(np.array(chances) < chance) <= chance + 2.6 * math.sqrt(chance / 100)
+        p_values.append(fitted_misfit(bench, bench.null()).p_value)
+    for share in (0.3, 0.1, 0.02):
+        assert np.mean(np.array(p_values) < share) <= share + 2.6 * math.sqrt(share / draws)
 
 
 def test_effects_of_the_promised_size_are_named():
-    assert named_right(diagnose, range(2)) >= 0.92
+    """Two of the seven; the slow test counts all of them over 13 designs."""
+    assert named_right(diagnose, range(1), SINGLE[::4]) == 1.0
 
 
 @pytest.mark.slow
@@ -156,8 +158,8 @@ def test_effects_of_the_promised_size_are_named_in_95_of_100_cases():
 def test_who_always_names_the_same_cause_fails():
     friction = diagnose(measured(Oscillator(design(0)), {"friction.size": 1.0}, 0))
     assert friction.causes[0].id == "friction"
-    assert false_alarms(lambda family: friction, 40) == 40
-    assert named_right(lambda family: friction, range(2)) == pytest.approx(1.0 / len(SINGLE))
+    assert false_alarms(lambda family: friction, 8) == 8
+    assert named_right(lambda family: friction, range(1)) == pytest.approx(1.0 / len(SINGLE))
 
 
 TYPICAL = {
@@ -171,7 +173,9 @@ TYPICAL = {
 }
 
 
-@pytest.mark.parametrize("name", [*TYPICAL, "mode"])
+@pytest.mark.parametrize(
+    "name", ["friction", *(pytest.param(n, marks=pytest.mark.slow) for n in (*TYPICAL, "mode") if n != "friction")]
+)
 def test_what_is_not_in_the_catalogue_is_unknown(name):
     truth = {f"{name}.size": TYPICAL.get(name, 0.03)}
     family = measured(Oscillator(design(3)), truth, 3)
@@ -181,19 +185,26 @@ def test_what_is_not_in_the_catalogue_is_unknown(name):
     assert found.remainder.carriers
 
 
-def test_two_effects_are_both_named_with_their_sizes_and_most_of_the_error_goes():
-    for one, other in (("delay", "softening"), ("friction", "gain"), ("asymmetry", "drift")):
-        truth = {f"{n}.size": TYPICAL[n] for n in (one, other)}
-        found = diagnose(measured(Oscillator(design(1)), truth, 1), held_out=("run 4", "run 9"))
-        assert found.verdict == "named"
-        assert {c.id for c in found.causes} == {one, other}
-        for c in found.causes:
-            e = c.parameters[0]
-            assert e.value == pytest.approx(truth[e.name], rel=0.1)
-            assert c.gain_db > 6.0
-        assert found.gain.share > 0.9
-        assert found.held_out_gain.share > 0.9
-        assert found.misfit_after_db < 0.3 < found.misfit_before_db
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("delay", "softening"),
+        pytest.param("friction", "gain", marks=pytest.mark.slow),
+        pytest.param("asymmetry", "drift", marks=pytest.mark.slow),
+    ],
+)
+def test_two_effects_are_both_named_with_their_sizes_and_most_of_the_error_goes(one, other):
+    truth = {f"{n}.size": TYPICAL[n] for n in (one, other)}
+    found = diagnose(measured(Oscillator(design(1)), truth, 1), held_out=("run 4", "run 9"))
+    assert found.verdict == "named"
+    assert {c.id for c in found.causes} == {one, other}
+    for c in found.causes:
+        e = c.parameters[0]
+        assert e.value == pytest.approx(truth[e.name], rel=0.1)
+        assert c.gain_db > 6.0
+    assert found.gain.share > 0.9
+    assert found.held_out_gain.share > 0.9
+    assert found.misfit_after_db < 0.3 < found.misfit_before_db
 
 
 def test_the_missing_mode_is_found_where_its_frequency_was_not_known():
@@ -234,7 +245,8 @@ def test_a_cause_that_cannot_be_predicted_is_reported_and_is_no_evidence(how):
     assert "Not used as evidence: delay" in explain(found)
 
 
-def test_a_baseline_that_cannot_be_fitted_gives_no_verdict():
+@pytest.mark.parametrize("draws", [1, pytest.param(4, marks=pytest.mark.slow)])
+def test_a_baseline_that_cannot_be_fitted_gives_no_verdict(draws):
     @dataclass(frozen=True)
     class Rough(Oscillator):
         def predict(self, condition, values):
@@ -242,9 +254,10 @@ def test_a_baseline_that_cannot_be_fitted_gives_no_verdict():
             return smooth + 2.0 * np.sin(1e7 * at * np.arange(1, smooth.size + 1))
 
     # Now and then a fit ends in one of the countless hollows, which one hangs on the last bit; it then explains next to
-    # nothing, whatever it blames, and that is said.
+    # nothing, whatever it names, and that is said.
     found = [
-        diagnose(Rough(measured(Oscillator(design(7, 12)), {"gain.size": 0.1}, s).conditions)) for s in range(7, 11)
+        diagnose(Rough(measured(Oscillator(design(7, 12)), {"gain.size": 0.1}, s).conditions))
+        for s in range(7, 7 + draws)
     ]
     assert all(f.verdict in ("insufficient_data", "unknown") for f in found)
     refused = [f for f in found if f.verdict == "insufficient_data"]

@@ -2,10 +2,7 @@
 
 import multiprocessing
 import os
-import signal
-import subprocess
 import sys
-import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -153,31 +150,31 @@ def test_what_started_ends_when_another_does_not_start(monkeypatch):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there processes are forked")
 def test_helpers_end_with_who_started_them_however_it_ends():
-    script = textwrap.dedent("""
-        import os, time
-        import numpy as np
-        from smfe.diagnosis.inference import workers
-        os.sched_getaffinity = lambda _: {0, 1}
-        with workers.Helpers(2) as two:
-            two.answers(lambda row, u: (u, ""), [(0, np.zeros(1)), (1, np.ones(1))])
-            print(*(p.pid for p in two._pool._processes.values()), flush=True)
-            time.sleep(60.0)
-    """)
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as running:
-        assert running.stdout is not None
-        children = [int(n) for n in running.stdout.readline().split()]
-        assert len(children) == 2
-        assert all(os.path.exists(f"/proc/{n}") for n in children)
-        running.send_signal(signal.SIGKILL)
-        running.wait()
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe(duplex=False)
+    running = context.Process(target=_start_two_and_wait, args=(there,))
+    running.start()
+    children = here.recv()
+    assert len(children) == 2
+    assert all(os.path.exists(f"/proc/{n}") for n in children)
+    running.kill()
+    running.join()
     deadline = time.monotonic() + 20.0
     while any(_runs(n) for n in children) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not any(_runs(n) for n in children)
 
 
+def _start_two_and_wait(parent):
+    os.sched_getaffinity = lambda _: {0, 1}
+    with Helpers(2) as two:
+        two.answers(lambda row, u: (u, ""), [(0, np.zeros(1)), (1, np.ones(1))])
+        parent.send([p.pid for p in two._pool._processes.values()])
+        time.sleep(60.0)
+
+
 def _runs(pid):
-    """Whether a process is there and not a zombie that nobody has collected."""
+    """Whether a process is there and not a zombie that was not collected."""
     try:
         with open(f"/proc/{pid}/stat") as file:
             return file.read().rsplit(")", 1)[1].split()[0] != "Z"
