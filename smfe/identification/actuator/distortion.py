@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -236,6 +237,17 @@ def _lines_of(record: xr.Dataset, axis: str, count: int, top: int) -> _Lines:
     )
 
 
+@lru_cache(maxsize=1024)
+def _polynomials(away: tuple[int, ...]) -> tuple[Real, Real, Real]:
+    """Return the powers of the distances of bins, and what fits a polynomial to them and its value to two orders more.
+
+    Nearly all lines have the same distances.
+    """
+    shift = np.array(away) / max(float(np.abs(away).max()), 1.0)
+    terms = shift[:, None] ** np.arange(ORDER + 3)
+    return terms, np.linalg.pinv(terms[:, : ORDER + 1]), np.linalg.pinv(terms)[0]
+
+
 def _between(values: Complex, between: Index, at: int) -> tuple[Complex, Complex, Real, Real]:
     """Return the transient of rows at a bin, the covariance of their noise, and what noise the transient brings.
 
@@ -245,9 +257,7 @@ def _between(values: Complex, between: Index, at: int) -> tuple[Complex, Complex
     middle = int(np.searchsorted(between, at))
     low = min(max(middle - BINS // 2, 0), between.size - BINS)
     used = between[low : low + BINS]
-    shift = (used - at) / max(float(np.abs(used - at).max()), 1.0)
-    terms = shift[:, None] ** np.arange(ORDER + 3)
-    plain, finer = np.linalg.pinv(terms[:, : ORDER + 1]), np.linalg.pinv(terms)[0]
+    terms, plain, finer = _polynomials(tuple(int(k) for k in used - at))
     fitted = values[:, used] @ plain.T
     rest = values[:, used] - fitted @ terms[:, : ORDER + 1].T
     scatter = rest @ rest.conj().T / (BINS - ORDER - 1)

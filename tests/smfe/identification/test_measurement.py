@@ -12,6 +12,7 @@ from smfe.campaign import load_campaign
 from smfe.commands.demo import MACHINE, TOOL, sweep_passes
 from smfe.identification import measurement as measurements
 from smfe.identification.measurement import sign_warnings, tooth_passing_band
+from smfe.identification.sweep.local_polynomial import BANDS
 from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.sweep import identify_sweep
 from smfe.records import read_records, write_record_netcdf
@@ -42,10 +43,10 @@ def test_noise_alone_is_no_reason_to_suspect_a_sign() -> None:
 
 def test_a_sweep_on_a_dynamometer_with_the_reaction_is_found_out() -> None:
     passes = []
-    for cut, record in sweep_passes(seed=1).items():
+    for cut, record in sweep_passes(seed=1, duration=20.0).items():
         turned = record.assign(force=-record["force"])
         passes.append(SweepPass(turned, cut, engagement(cut, 0.012, TOOL.diameter)))
-    assert len(sign_warnings(identify_sweep("s", passes, (20.0, 80.0)).compliance)) == 3
+    assert len(sign_warnings(identify_sweep("s", passes, (20.0, 80.0), BANDS).compliance)) == 3
 
 
 def test_the_band_of_a_sweep_is_its_tooth_passing_frequency_and_twice_that() -> None:
@@ -77,7 +78,11 @@ records = [
 
 @pytest.mark.parametrize(
     ("key", "share"),
-    [('estimator = "bands"', 1e-3), ('references = "x"', 1e-5), ('estimator = "local_polynomial"', 0.02)],
+    [
+        ('references = "x"', 1e-5),
+        pytest.param('estimator = "bands"', 1e-3, marks=pytest.mark.slow),
+        pytest.param('estimator = "local_polynomial"', 0.02, marks=pytest.mark.slow),
+    ],
 )
 def test_reading_sweeps_at_a_lower_rate_changes_no_compliance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str, share: float

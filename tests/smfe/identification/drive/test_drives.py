@@ -57,8 +57,18 @@ def of(fit: DriveFit, name: str, way: str = "both") -> DriveParameter:
     return next(p for p in fit.parameters if (p.name, p.direction) == (name, way))
 
 
-def test_strokes_that_are_written_down_come_back() -> None:
-    fit = identify_drive("m", [exact()])
+@pytest.fixture(scope="module")
+def without_noise() -> DriveFit:
+    return identify_drive("m", [exact()])
+
+
+@pytest.fixture(scope="module")
+def with_noise() -> DriveFit:
+    return identify_drive("m", [exact(3.0)])
+
+
+def test_strokes_that_are_written_down_come_back(without_noise: DriveFit) -> None:
+    fit = without_noise
     assert of(fit, "inertia").value == pytest.approx(MASS, rel=1e-3)
     for k, way in enumerate(("forward", "backward")):
         assert of(fit, "coulomb", way).value == pytest.approx(COULOMB[k], rel=5e-3)
@@ -66,26 +76,26 @@ def test_strokes_that_are_written_down_come_back() -> None:
     assert fit.remaining < 1e-3
 
 
-def test_an_angle_and_a_torque_give_the_same_numbers_in_units_of_turning() -> None:
-    straight, turning = identify_drive("m", [exact(3.0)]), identify_drive("m", [exact(3.0, rotary=True)])
-    for p, q in zip(straight.parameters, turning.parameters, strict=True):
+def test_an_angle_and_a_torque_give_the_same_numbers_in_units_of_turning(with_noise: DriveFit) -> None:
+    turning = identify_drive("m", [exact(3.0, rotary=True)])
+    for p, q in zip(with_noise.parameters, turning.parameters, strict=True):
         assert (p.name, p.direction) == (q.name, q.direction)
         np.testing.assert_equal([p.value, p.low, p.high], [q.value, q.low, q.high])
     assert of(turning, "inertia").unit == "kg m^2"
     assert of(turning, "viscous", "forward").unit == "N m s/rad"
 
 
-def test_a_record_turned_round_exchanges_the_directions() -> None:
+def test_a_record_turned_round_exchanges_the_directions(with_noise: DriveFit) -> None:
     plain = exact(3.0)
     turned = record(-plain["encoder_position"].values[0], -plain["drive_force"].values[0])
-    one, other = identify_drive("m", [plain]), identify_drive("m", [turned])
+    one, other = with_noise, identify_drive("m", [turned])
     assert of(one, "inertia").value == pytest.approx(of(other, "inertia").value, rel=1e-6)
     for name in ("coulomb", "viscous"):
         assert of(one, name, "forward").value == pytest.approx(of(other, name, "backward").value, rel=1e-4)
 
 
-def test_weight_raises_one_way_and_lowers_the_other() -> None:
-    without, hanging = identify_drive("m", [exact()]), identify_drive("m", [exact(constant=150.0)])
+def test_weight_raises_one_way_and_lowers_the_other(without_noise: DriveFit) -> None:
+    without, hanging = without_noise, identify_drive("m", [exact(constant=150.0)])
     for way, sign in (("forward", 1.0), ("backward", -1.0)):
         change = of(hanging, "coulomb", way).value - of(without, "coulomb", way).value
         assert change == pytest.approx(150.0 * sign, abs=0.5)

@@ -8,7 +8,7 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe import run
+from smfe import identify, run
 from smfe.campaign import load_campaign
 from smfe.identification.errors.intervals import interval
 from smfe.identification.levels import condition_cubes
@@ -101,7 +101,7 @@ def test_the_mass_of_the_accelerometer_is_taken_off(tmp_path: Path) -> None:
     assert found["corrected"].attrs["attached_mass_kg"] == 0.5
 
 
-def test_a_feed_removes_the_background_unless_told_otherwise(tmp_path: Path) -> None:
+def test_a_feed_removes_the_background_unless_the_campaign_says_otherwise(tmp_path: Path) -> None:
     hits(tmp_path, drift=500e-3 / 60.0)
     found = identified(
         tmp_path,
@@ -239,12 +239,16 @@ def test_measurements_that_differ_in_level_and_feed_are_stacked(tmp_path: Path) 
     assert one.values == pytest.approx(found["h400_500"]["compliance"].values)
 
 
-def test_a_run_writes_levels_and_feeds_as_dimensions(tmp_path: Path) -> None:
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["identify", "run"])
+def test_levels_and_feeds_are_written_as_dimensions(tmp_path: Path, whole: bool) -> None:
     for level in (100, 400):
         hits(tmp_path, f"h{level}.nc", level=float(level))
     tables = [table(f'force_level = "{level} N"', f"at_{level}", file=f"h{level}.nc") for level in (100, 400)]
     path = campaign(tmp_path, *tables, table("split_levels = true", "both", file="h*.nc"))
-    run(path, tmp_path / "results")
+    if whole:
+        run(path, tmp_path / "results")
+    else:
+        identify(path, tmp_path / "results" / "frf.nc")
     groups = read_groups(tmp_path / "results" / "conditions.nc")
     assert set(groups) == {"hammer", "both, by level"}
     for dataset in groups.values():

@@ -37,8 +37,9 @@ def hits_along(axes: str, declared: str, noise: float = 0.02, seed: int = 0, sid
         own = np.zeros((3, n))
         for f, zeta, k, shape in MODES:
             w = 2.0 * np.pi * f
-            system = [[0.0, 1.0], [-(w**2), -2.0 * zeta * w]], [[0.0], [w**2 / k]], [[1.0, 0.0]], [[0.0]]
-            q = signal.lsim(system, level * side * shape["xyz".index(axis)] * pulse, np.arange(n) / RATE)[1]
+            system = [w**2 / k], [1.0, 2.0 * zeta * w, w**2]
+            b, a, _ = signal.cont2discrete(system, 1.0 / RATE, method="foh")
+            q = signal.lfilter(b.ravel(), a, level * side * shape["xyz".index(axis)] * pulse)
             own += np.outer(shape, q)
         force.append(level * side * pulse)
         motion.append(own)
@@ -105,7 +106,7 @@ def test_a_rebound_of_the_force_is_no_hit() -> None:
 
 
 @pytest.mark.parametrize("noise", [1.0, 5.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 def test_noise_makes_no_hit_a_wrong_direction(noise: float, seed: int) -> None:
     table = identify_hammer("noisy", {"x": [hits_along("xxxxx", "x", noise=noise, seed=seed)]}).tables["hits"]
     assert not table["wrong_direction"].any()

@@ -22,10 +22,10 @@ def exact(frequency: np.ndarray) -> np.ndarray:
 
 
 def motion(force: np.ndarray, rate: float, channel: str = "acceleration") -> np.ndarray:
-    """The bench under a force that is linear between samples, integrated exactly by scipy."""
-    system = [[0.0, 1.0], [-STIFFNESS / MASS, -DAMPING / MASS]], [[0.0], [1.0 / MASS]]
-    output = (system[0][1:], [[1.0 / MASS]]) if channel == "acceleration" else ([[1.0, 0.0]], [[0.0]])
-    return signal.lsim((*system, *output), force, np.arange(force.size) / rate)[1]
+    """The bench under a force that is linear between samples, exact by its ramp-invariant recursion."""
+    numerator = [1.0, 0.0, 0.0] if channel == "acceleration" else [1.0]
+    b, a, _ = signal.cont2discrete((numerator, [MASS, DAMPING, STIFFNESS]), 1.0 / rate, method="foh")
+    return signal.lfilter(b.ravel(), a, force)
 
 
 def pulses(duration: float, rate: float, hits: list[tuple[float, float]]) -> np.ndarray:
@@ -103,13 +103,14 @@ def test_error_falls_with_noise_and_hits() -> None:
     assert found.compliance["coherence"].sel(frequency=61.0, method="nearest").item() > 0.99
 
 
-def test_standard_deviation_is_calibrated() -> None:
-    """Over 200 seeds the error has the root mean square that is claimed, within 15 %."""
+@pytest.mark.parametrize(("seeds", "within"), [(40, 0.3), pytest.param(200, 0.15, marks=pytest.mark.slow)])
+def test_standard_deviation_is_calibrated(seeds: int, within: float) -> None:
+    """Over 200 seeds the error has the root mean square that is claimed, within 15 %; 40 show it within 30 %."""
     clean = bench([(0.1 + 2.0 * k, 25.0) for k in range(4)], 8.0, rate=2000.0)
     response = clean["acceleration"].values.copy()
     errors, claims = [], []
     truth = identify_hammer("bench", {"x": [clean]}, frequency_range=(30.0, 120.0)).compliance
-    for seed in range(200):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         noisy = clean.copy(deep=True)
         noisy["acceleration"].values[:] = response + 0.2 * rng.standard_normal(response.shape)
@@ -118,8 +119,8 @@ def test_standard_deviation_is_calibrated() -> None:
         claims.append(found["compliance_std"].values ** 2)
     ratio = np.sqrt(np.mean(errors, axis=0) / np.mean(claims, axis=0)).squeeze()
     assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
-    assert np.percentile(ratio, 5.0) > 0.85
-    assert np.percentile(ratio, 95.0) < 1.15
+    assert np.percentile(ratio, 5.0) > 1.0 - within
+    assert np.percentile(ratio, 95.0) < 1.0 + within
 
 
 def test_h1_against_its_definition() -> None:
@@ -165,9 +166,10 @@ def test_force_noise_ends_the_band() -> None:
         identify_hammer("noisy", {"x": [record]}, frequency_range=(30.0, 120.0))
 
 
-def test_noise_is_no_leakage() -> None:
-    """A response that drowns in noise at the end of the block has decayed as far as anyone can tell."""
-    for seed in range(10):
+@pytest.mark.parametrize("seeds", [3, pytest.param(10, marks=pytest.mark.slow)])
+def test_noise_is_no_leakage(seeds: int) -> None:
+    """A response that drowns in noise at the end of the block has decayed as far as the record shows."""
+    for seed in range(seeds):
         record = bench([(0.1 + 4.0 * k, 25.0) for k in range(4)], 16.0, noise=0.5, seed=seed)
         found = identify_hammer("noisy", {"x": [record]}, frequency_range=(30.0, 120.0))
         assert not any("decayed" in w for w in found.warnings)
@@ -234,7 +236,7 @@ def test_clipped_response_is_left_out() -> None:
         identify_hammer("bench", {"x": [record]})
 
 
-def test_hit_table_tells_what_was_hit() -> None:
+def test_hit_table_holds_what_was_hit() -> None:
     """Peak, impulse 2 A d/pi, duration and band of a half sine; the axis, file and time of each hit."""
     record = bench([(0.1, 25.0), (4.1, -0.0), (4.1, 40.0)], 8.0, rate=20000.0).assign_attrs(file="hx_1.csv")
     table = identify_hammer("bench", {"x": [record]}).tables["hits"]
@@ -271,7 +273,7 @@ def test_full_scale_marks_hits_that_reach_it() -> None:
 
 @pytest.mark.parametrize("bits", [8, 12, 16])
 @pytest.mark.parametrize("share", [0.7, 0.9, 0.97])
-def test_flat_top_is_told_from_a_coarse_converter(bits: int, share: float) -> None:
+def test_flat_top_is_distinguished_from_a_coarse_converter(bits: int, share: float) -> None:
     """A half sine of 200 samples, read with few bits, repeats its largest value too, but is not cut off."""
     t = np.linspace(0.0, np.pi, 200)
     step = 2.0 / 2**bits

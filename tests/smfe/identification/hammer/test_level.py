@@ -28,7 +28,7 @@ LINEAR = {
 STEP, PULSE = 2e-4, 4e-3
 
 
-def struck(peak: float, **changed: float) -> xr.Dataset:
+def hits_of(peak: float, **changed: float) -> xr.Dataset:
     f, phi, pulse = oscillator.hit(peak, PULSE, 5.0, STEP, **{**LINEAR, **changed})
     kept = (f > 20.0) & (f < 150.0)
     extra = {"force_spectrum": (("frequency", "excitation"), pulse[kept][:, None])}
@@ -38,7 +38,7 @@ def struck(peak: float, **changed: float) -> xr.Dataset:
 def test_the_level_of_hits_is_that_of_the_closed_form() -> None:
     w = 2.0 * math.pi * FREQUENCY
     pulse = 1000.0 * 2.0 * PULSE / math.pi * math.cos(0.5 * w * PULSE) / (1.0 - (w * PULSE / math.pi) ** 2)
-    found = impact_level(struck(1000.0))
+    found = impact_level(hits_of(1000.0))
     assert found is not None
     assert found.force == pytest.approx(math.sqrt(2.0) * DAMPING * w * pulse, rel=0.01)
     assert found.force < 0.02 * 1000.0
@@ -51,7 +51,7 @@ def test_the_level_of_hits_is_that_of_the_closed_form() -> None:
 )
 @pytest.mark.parametrize("peak", [200.0, 600.0])
 def test_a_sine_of_that_level_shows_what_the_hits_show(changed: dict[str, float], within: float, peak: float) -> None:
-    compliance = struck(peak, **changed)
+    compliance = hits_of(peak, **changed)
     level = impact_level(compliance)
     assert level is not None
     tried = level.frequency * np.linspace(0.99, 1.01, 5)
