@@ -18,7 +18,7 @@ from process.labels import AXES, place_text
 from process.units import FASTEST_FEED
 from smfe.campaign import datasets
 from smfe.records.formats.channels import did_you_mean, listed
-from smfe.records.read import READERS
+from smfe.records.read import FORMATS
 
 COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
 """Methods of a measurement that give a compliance; "frf" is one that another program has averaged."""
@@ -282,9 +282,9 @@ def _files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
         found = [datasets.resolve(value, campaign.parent, context.get("show"))]
     else:
         found = _matches(campaign.parent, value)
-    unread = sorted({file.suffix for file in found if file.suffix.lower() not in READERS})
+    unread = sorted({file.suffix for file in found if file.suffix.lower() not in FORMATS})
     if unread:
-        raise InputError(f"'{value}': files with suffix '{unread[0]}' are not read; known are {', '.join(READERS)}")
+        raise InputError(f"'{value}': files with suffix '{unread[0]}' are not read; known are {', '.join(FORMATS)}")
     return tuple(found)
 
 
@@ -299,7 +299,7 @@ def _matches(folder: Path, pattern: str) -> list[Path]:
         if files:
             return files
     there = sorted(path.name for path in exact.parent.iterdir() if path.is_file()) if exact.parent.is_dir() else []
-    readable = [name for name in there if Path(name).suffix.lower() in READERS]
+    readable = [name for name in there if Path(name).suffix.lower() in FORMATS]
     raise InputError(
         f"no file '{pattern}' in {folder}{did_you_mean(exact.name, readable)}; "
         + (f"the records there are {listed(readable, 8)}" if readable else "there are no records there")

@@ -6,7 +6,7 @@ from smfe.records.contents import column_names, contents, names_itself
 from smfe.records.decimate import read_reduced
 from smfe.records.formats.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.frf import read_frf, read_universal_frfs
-from smfe.records.read import READERS, read_records
+from smfe.records.read import FORMATS, read_records
 from smfe.records.write import (
     OWN_COLUMNS,
     record_columns,
@@ -21,8 +21,8 @@ from smfe.records.write_uff import uff_columns, write_compliance_uff, write_reco
 __all__ = [
     "CHANNELS",
     "COMPLIANCE_CHANNELS",
+    "FORMATS",
     "OWN_COLUMNS",
-    "READERS",
     "RECORD_CHANNELS",
     "Channel",
     "column_names",

@@ -24,13 +24,11 @@ from smfe.records.formats import netcdf
 from smfe.records.formats.channels import Channel, record_channels, split_vector
 from smfe.records.formats.table import Table, join, slices
 from smfe.records.read import (
-    BLOCK_READERS,
-    SEGMENT_READERS,
     columns_of,
+    format_of,
     named,
     notes_of,
     own_table,
-    reader_of,
     sources_of,
     time_of,
     values_of,
@@ -125,17 +123,17 @@ def streams(path: str | Path, channels: Mapping[str, Channel], block: int = BLOC
         while they come.
     """
     path = Path(path)
-    reader = reader_of(path)
+    form = format_of(path)
     used = record_channels(channels)
-    if reader is netcdf.read_tables and (own := netcdf.read_own_layout(path, block)) is not None:
+    if form is netcdf.FORMAT and (own := netcdf.read_own_layout(path, block)) is not None:
         return [_own_stream(path.name, own, used)]
     wanted = columns_of(path.name, used)
-    if reader in SEGMENT_READERS:
-        parts = SEGMENT_READERS[reader](path, wanted, block)
-    elif reader in BLOCK_READERS:
-        parts = [BLOCK_READERS[reader](path, wanted, block)]
+    if form.read_segments is not None:
+        parts = form.read_segments(path, wanted, block)
+    elif form.read_blocks is not None:
+        parts = [form.read_blocks(path, wanted, block)]
     else:
-        parts = [slices(table, block) for table in reader(path, wanted)]
+        parts = [slices(table, block) for table in form.read_tables(path, wanted)]
     return [_stream(source, part, used) for source, part in zip(sources_of(path, parts), parts, strict=True)]
 
 

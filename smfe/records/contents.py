@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import h5py
 import numpy as np
 
 from process.errors import InputError
 from process.types import Real
 from process.units import UNITS, known
-from smfe.records import text
-from smfe.records.formats import lvm, mat, netcdf, npy, parquet, tdms
-from smfe.records.formats.controls import traces as controls
-from smfe.records.formats.table import Column, UnknownColumn, damaged
-from smfe.records.read import Reader, reader_of
+from smfe.records.formats import netcdf
+from smfe.records.formats.table import Column, UnknownColumn
+from smfe.records.read import format_of
 
 _NO_COLUMN = "\0"
 """A name that no column has: readers name theirs in the refusal, so that what is listed is what can be read."""
@@ -74,7 +70,7 @@ def column_names(path: str | Path) -> list[Column]:
     """
     path = Path(path)
     try:
-        reader_of(path)(path, [_NO_COLUMN])
+        format_of(path).read_tables(path, [_NO_COLUMN])
     except UnknownColumn as absent:
         return list(absent.names) or list(range(1, absent.count + 1))
     raise InputError(f"{path.name}: the file names no columns")
@@ -83,16 +79,13 @@ def column_names(path: str | Path) -> list[Column]:
 def names_itself(path: str | Path) -> bool:
     """Whether a file holds a record in our own layout, which needs no declaration of channels."""
     path = Path(path)
-    return reader_of(path) is netcdf.read_tables and netcdf.own_layout(path)
+    return format_of(path) is netcdf.FORMAT and netcdf.own_layout(path)
 
 
 def has_no_clock(path: str | Path) -> bool:
     """Whether a file is of a format that states no sample rate, so that a column of times is needed."""
     path = Path(path)
-    reader = reader_of(path)
-    if reader is text.read_tables:
-        return not controls.kind_of_text(path)
-    return reader in (mat.read_tables, netcdf.read_tables, npy.read_tables, parquet.read_tables)
+    return format_of(path).needs_time(path)
 
 
 def contents(path: str | Path) -> list[Contents]:
@@ -104,17 +97,17 @@ def contents(path: str | Path) -> list[Contents]:
         When the file cannot be read, or holds no column of numbers.
     """
     path = Path(path)
-    reader, names = reader_of(path), column_names(path)
+    read, names = format_of(path).read_tables, column_names(path)
     names = [name if names.count(name) == 1 else k + 1 for k, name in enumerate(names)]
     units, unread = stated_units(path, names), {}
     try:
-        tables = reader(path, names)
+        tables = read(path, names)
     except InputError:
         groups: list[list[Column]] = []
         sizes: list[int] = []
         for name in names:
             try:
-                (table,) = reader(path, [name])
+                (table,) = read(path, [name])
             except (InputError, ValueError) as error:
                 unread[name] = str(error)
                 continue
@@ -130,7 +123,7 @@ def contents(path: str | Path) -> list[Contents]:
             unread.update({name: f"it has {sizes[k]} values where others have {sizes[order[0]]}" for name in groups[k]})
         if not kept:
             raise
-        tables = reader(path, kept)
+        tables = read(path, kept)
     return [
         Contents(
             path.name if len(tables) == 1 else f"{path.name}, segment {k}",
@@ -180,34 +173,10 @@ def stated_units(path: Path, names: Sequence[Column]) -> dict[Column, str]:
     for name in names:
         if isinstance(name, str) and (unit := without_unit(name)[1]) is not None:
             found[name] = unit
-    stated = _STATED.get(reader_of(path))
+    stated = format_of(path).stated_units
     if stated is not None:
         with suppress(InputError):
             texts = stated(path)
             plain = {name: plain_unit(text) for name, text in texts.items()}
             found |= {name: unit for name, unit in plain.items() if unit is not None and name in names}
     return found
-
-
-def _hdf5_units(path: Path) -> dict[str, str]:
-    found: dict[str, str] = {}
-
-    def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            unit = next((item.attrs[key] for key in ("units", "unit", "Unit", "Units") if key in item.attrs), None)
-            text = unit.decode("latin-1") if isinstance(unit, bytes) else unit
-            if isinstance(text, str):
-                found[name] = text
-
-    with damaged(path, "HDF5"), h5py.File(path, "r") as file:
-        file.visititems(visit)
-    return found
-
-
-_STATED: dict[Reader, Callable[[Path], Mapping[Any, str]]] = {
-    text.read_tables: text.stated_units,
-    lvm.read_tables: lvm.stated_units,
-    netcdf.read_tables: _hdf5_units,
-    tdms.read_tables: tdms.stated_units,
-}
-"""Reader -> what finds the units that its files state beside the names of the columns."""

@@ -27,7 +27,7 @@ from process.types import Complex, Real
 from smfe.records.formats import uff
 from smfe.records.formats.channels import FRF_KINDS, Channel, frf_channel, motion_of
 from smfe.records.formats.table import Table
-from smfe.records.read import columns_of, named, reader_of, values_of
+from smfe.records.read import columns_of, format_of, named, values_of
 
 MIRRORED = 1e-6
 """Two halves of a spectrum that differ by less than this share of its size are one and its mirror."""
@@ -67,7 +67,7 @@ def read_frf(
     Parameters
     ----------
     path : str or Path
-        A file with one of the suffixes in `smfe.records.READERS`.
+        A file with one of the suffixes in `smfe.records.FORMATS`.
     channels : mapping of str to Channel
         "frequency" (a column, or `spacing` and `start`; a universal file knows its own) and one response: "mobility"
         for a complex array, "mobility_real" and "mobility_imag", or "mobility_magnitude" and "mobility_phase"; for
@@ -91,18 +91,18 @@ def read_frf(
         For anything that is wrong with the file or its channels.
     """
     path = Path(path)
-    reader = reader_of(path)
-    if "frequency" not in channels and reader is uff.read_tables:
+    file_format = format_of(path)
+    if "frequency" not in channels and file_format is uff.FORMAT:
         channels = {**channels, "frequency": Channel("frequency", "Hz")}
     form = _form(path.name, channels)
     used = {name: channels[name] for name in ("frequency", *form.channels, "coherence") if name in channels}
     columns = _split(path.name, form, used)
-    tables = reader(path, columns_of(path.name, columns)) if columns else []
+    tables = file_format.read_tables(path, columns_of(path.name, columns)) if columns else []
     if len(tables) > 1:
         raise InputError(f"{path.name}: has {len(tables)} segments; a compliance needs one")
     notes: list[str] = []
     turned = 1.0
-    if reader is uff.read_tables:
+    if file_format is uff.FORMAT:
         turned, said = _degrees_of_freedom(path, form, used, response, excitation)
         notes += said
     values = _values(path.name, columns, tables[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,52 +20,15 @@ from smfe.records.formats import lvm, mat, netcdf, npy, parquet, tdms, uff, wav
 from smfe.records.formats.channels import Channel, record_channels, split_vector
 from smfe.records.formats.controls import sinumerik
 from smfe.records.formats.controls import traces as controls
-from smfe.records.formats.table import Column, Table
+from smfe.records.formats.table import Column, Format, Table
 from smfe.records.rounded_time import evened
 
-Reader = Callable[[Path, Sequence[Column]], list[Table]]
-
-READERS: dict[str, Reader] = {
-    ".csv": text.read_tables,
-    ".txt": text.read_tables,
-    ".dat": text.read_tables,
-    ".frf": text.read_tables,
-    ".log": text.read_tables,
-    ".json": controls.read_capture,
-    ".parquet": parquet.read_tables,
-    ".nc": netcdf.read_tables,
-    ".h5": netcdf.read_tables,
-    ".hdf5": netcdf.read_tables,
-    ".mat": mat.read_tables,
-    ".lvm": lvm.read_tables,
-    ".npy": npy.read_tables,
-    ".npz": npy.read_tables,
-    ".tdms": tdms.read_tables,
-    ".uff": uff.read_tables,
-    ".unv": uff.read_tables,
-    ".wav": wav.read_tables,
-    ".xml": sinumerik.read_tables,
+FORMATS: dict[str, Format] = {
+    suffix: module.FORMAT
+    for module in (text, controls, parquet, netcdf, mat, lvm, npy, tdms, uff, wav, sinumerik)
+    for suffix in module.FORMAT.suffixes
 }
-"""Suffix of a file -> what reads it."""
-
-BlockReader = Callable[[Path, Sequence[Column], int], Iterator[Table]]
-
-BLOCK_READERS: dict[Reader, BlockReader] = {
-    text.read_tables: text.read_blocks,
-    mat.read_tables: mat.read_blocks,
-    netcdf.read_tables: netcdf.read_blocks,
-    parquet.read_tables: parquet.read_blocks,
-    tdms.read_tables: tdms.read_blocks,
-    wav.read_tables: wav.read_blocks,
-}
-"""What reads a file as a whole -> what reads it block by block, where the format allows it."""
-
-
-SEGMENT_READERS: dict[Reader, Callable[[Path, Sequence[Column], int], list[Iterator[Table]]]] = {
-    lvm.read_tables: lvm.read_segments,
-    uff.read_tables: uff.read_segments,
-}
-"""The same for formats whose files may hold several segments."""
+"""Suffix of a file -> its format."""
 
 
 def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.Dataset]:
@@ -74,7 +37,7 @@ def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.D
     Parameters
     ----------
     path : str or Path
-        A file with one of the suffixes in `READERS`.
+        A file with one of the suffixes in `FORMATS`.
     channels : mapping of str to Channel
         Channel name ("time", "force_x", ...) -> where it stands and in which unit. A NetCDF file in our own layout
         (``force(axis, time)`` ...) names its channels and units itself: every channel it holds is read, and only
@@ -93,22 +56,22 @@ def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.D
         For anything that is wrong with the file or its channels, in one sentence with the file's name.
     """
     path = Path(path)
-    reader = reader_of(path)
+    form = format_of(path)
     used = record_channels(channels)
-    if reader is netcdf.read_tables and (own := netcdf.read_own_layout(path)) is not None:
+    if form is netcdf.FORMAT and (own := netcdf.read_own_layout(path)) is not None:
         (record,) = own
         return [_record(path.name, *own_table(record, used), record.attrs)]
-    tables = reader(path, columns_of(path.name, used))
+    tables = form.read_tables(path, columns_of(path.name, used))
     return [_record(source, table, used) for source, table in zip(sources_of(path, tables), tables, strict=True)]
 
 
-def reader_of(path: Path) -> Reader:
-    """Return what reads a file, by its suffix."""
+def format_of(path: Path) -> Format:
+    """Return the format of a file, by its suffix."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    if path.suffix.lower() not in READERS:
-        raise InputError(f"{path.name}: files with suffix '{path.suffix}' are not read; known are {', '.join(READERS)}")
-    return READERS[path.suffix.lower()]
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(f"{path.name}: files with suffix '{path.suffix}' are not read; known are {', '.join(FORMATS)}")
+    return FORMATS[path.suffix.lower()]
 
 
 def sources_of(path: Path, segments: Sequence[object]) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from smfe.records.formats import csv
 from smfe.records.formats.controls import traces as controls
-from smfe.records.formats.table import Column, Table, slices
+from smfe.records.formats.table import Column, Format, Table, slices
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
@@ -26,3 +26,12 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
 def stated_units(path: Path) -> dict[str, str]:
     """Return name of a column -> unit that the file states in its header."""
     return controls.stated_units(path) if controls.kind_of_text(path) else csv.stated_units(path)
+
+
+FORMAT = Format(
+    (".csv", ".txt", ".dat", ".frf", ".log"),
+    read_tables,
+    read_blocks,
+    stated_units=stated_units,
+    needs_time=lambda path: not controls.kind_of_text(path),
+)

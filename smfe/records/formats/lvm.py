@@ -13,7 +13,7 @@ import numpy as np
 
 from process.errors import InputError
 from process.types import Real
-from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join
+from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, guarded, join
 
 _KIND = "a LabVIEW measurement file"
 _WHOLE = 1 << 16
@@ -177,3 +177,6 @@ def _clock(segment: dict[str, Any]) -> tuple[float | None, float]:
     if len(step) != 1 or len(start) > 1 or not min(step) > 0.0:
         return None, 0.0
     return 1.0 / step.pop(), start.pop() if start else 0.0
+
+
+FORMAT = Format((".lvm",), read_tables, read_segments=read_segments, stated_units=stated_units)

@@ -21,6 +21,7 @@ from smfe.records.formats import hdf5_guard
 from smfe.records.formats.hdf5 import Place, open_file, read_places
 from smfe.records.formats.table import (
     Column,
+    Format,
     Table,
     as_numbers,
     damaged,
@@ -407,3 +408,6 @@ def _element(head: bytes, at: int, order: str) -> tuple[int, bytes, int]:
     if len(content) < count:
         raise ValueError("a variable whose description is longer than any is")
     return kind, content, at + 8 if begin == at + 4 else begin + -(-count // 8) * 8
+
+
+FORMAT = Format((".mat",), read_tables, read_blocks, needs_time=lambda path: True)

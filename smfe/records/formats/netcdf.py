@@ -12,7 +12,7 @@ from process.errors import InputError
 from process.labels import RECORD_SCALARS, RECORD_VECTORS, UNITS
 from smfe.records.formats import hdf5_guard
 from smfe.records.formats.hdf5 import columns_of, open_file, read_places
-from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join
+from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, guarded, join
 
 _KIND = "NetCDF-4 or HDF5"
 _WHOLE = 1 << 62
@@ -86,3 +86,24 @@ def _check_signature(path: Path) -> None:
     if head[:3] == b"CDF":
         raise InputError(f"{path.name}: a NetCDF-3 file; convert it with: nccopy -k nc4 {path.name} new.nc")
     hdf5_guard.check(path, _KIND)
+
+
+def stated_units(path: Path) -> dict[str, str]:
+    """Return name of a data set -> unit in its attributes."""
+    found: dict[str, str] = {}
+
+    def visit(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset):
+            unit = next((item.attrs[key] for key in ("units", "unit", "Unit", "Units") if key in item.attrs), None)
+            text = unit.decode("latin-1") if isinstance(unit, bytes) else unit
+            if isinstance(text, str):
+                found[name] = text
+
+    with damaged(path, "HDF5"), h5py.File(path, "r") as file:
+        file.visititems(visit)
+    return found
+
+
+FORMAT = Format(
+    (".nc", ".h5", ".hdf5"), read_tables, read_blocks, stated_units=stated_units, needs_time=lambda path: True
+)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from smfe.records.formats.table import (
     Column,
+    Format,
     Table,
     as_numbers,
     damaged,
@@ -150,3 +151,6 @@ def _plain(item: Any) -> Any:
     if kind.code[0] not in "biufc":
         return np.asarray("")
     return np.frombuffer(data, kind.order + kind.code).reshape(shape, order="F" if fortran else "C")
+
+
+FORMAT = Format((".npy", ".npz"), read_tables, needs_time=lambda path: True)

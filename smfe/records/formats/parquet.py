@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 
 from process.errors import InputError
-from smfe.records.formats.table import Column, Table, as_numbers, damaged, find_columns, guarded, join, refuse_oversize
+from smfe.records.formats.table import (
+    Column,
+    Format,
+    Table,
+    as_numbers,
+    damaged,
+    find_columns,
+    guarded,
+    join,
+    refuse_oversize,
+)
 
 _KIND = "Parquet"
 _WHOLE = 1 << 18
@@ -66,3 +76,6 @@ def _numbers(source: str, column: Column, array: Any) -> Any:
     if array.null_count:
         array = array.cast("float64")
     return as_numbers(source, column, array.to_numpy(zero_copy_only=False))
+
+
+FORMAT = Format((".parquet",), read_tables, read_blocks, needs_time=lambda path: True)

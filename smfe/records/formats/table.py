@@ -6,7 +6,7 @@ import ctypes
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +41,36 @@ class Table:
     sample_rate: float | None = None
     start: float = 0.0
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format: each module of formats makes one and calls it ``FORMAT``; `smfe.records.read` lists them.
+
+    Parameters
+    ----------
+    suffixes : tuple of str
+        Suffixes of its files, in lower case, with the dot.
+    read_tables : callable
+        (path, wanted columns) -> one table a segment. A column that the file lacks is an `UnknownColumn`, which names
+        those that it has.
+    read_blocks : callable, optional
+        (path, wanted columns, samples a block) -> the tables of the only segment, block by block; default: the file is
+        read whole.
+    read_segments : callable, optional
+        The same for files that may hold several segments: a list of what `read_blocks` returns.
+    stated_units : callable, optional
+        path -> name of a column -> unit that the file states beside the name.
+    needs_time : callable, optional
+        path -> whether the file states no sample rate, so that a column of times is needed; default: never.
+    """
+
+    suffixes: tuple[str, ...]
+    read_tables: Callable[[Path, Sequence[Column]], list[Table]]
+    read_blocks: Callable[[Path, Sequence[Column], int], Iterator[Table]] | None = None
+    read_segments: Callable[[Path, Sequence[Column], int], list[Iterator[Table]]] | None = None
+    stated_units: Callable[[Path], Mapping[str, str]] | None = None
+    needs_time: Callable[[Path], bool] = lambda path: False
 
 
 class UnknownColumn(InputError):

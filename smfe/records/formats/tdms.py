@@ -15,7 +15,17 @@ from nptdms import TdmsFile
 from nptdms.log import log_manager
 
 from process.errors import InputError
-from smfe.records.formats.table import Column, Table, as_numbers, damaged, find_columns, guarded, join, refuse_oversize
+from smfe.records.formats.table import (
+    Column,
+    Format,
+    Table,
+    as_numbers,
+    damaged,
+    find_columns,
+    guarded,
+    join,
+    refuse_oversize,
+)
 
 _KIND = "TDMS"
 _WHOLE = 1 << 20
@@ -153,3 +163,6 @@ def _clock(channels: Sequence[Any]) -> tuple[float | None, float]:
     if steps or starts or not isinstance(step, int | float) or not 0.0 < step < np.inf:
         return None, 0.0
     return 1.0 / float(step), float(start) if isinstance(start, int | float) and np.isfinite(start) else 0.0
+
+
+FORMAT = Format((".tdms",), read_tables, read_blocks, stated_units=stated_units)

@@ -25,6 +25,7 @@ from process.types import Real
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.records.formats.table import (
     Column,
+    Format,
     Table,
     UnknownColumn,
     as_numbers,
@@ -442,3 +443,6 @@ def _text_numbers(body: Body, kind: int, even: bool) -> Real:
         else:
             out += line.split()
     return np.array(out, dtype=np.float64)
+
+
+FORMAT = Format((".uff", ".unv"), read_tables, read_segments=read_segments)

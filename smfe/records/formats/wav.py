@@ -17,7 +17,7 @@ import numpy as np
 
 from process.errors import InputError
 from process.types import Real
-from smfe.records.formats.table import Column, Table, damaged, find_columns, guarded, join, refuse_oversize
+from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, guarded, join, refuse_oversize
 
 _KIND = "WAV"
 _WHOLE = 1 << 20
@@ -126,3 +126,6 @@ def _numbers(raw: bytes, layout: _Layout) -> Real:
         wide[:, 1:] = np.frombuffer(raw, np.uint8).reshape(-1, 3)
         return wide.view("<i4")[:, 0].astype(np.float64) / 2.0**31
     return np.frombuffer(raw, f"<i{layout.bytes_each}").astype(np.float64) / 2.0 ** (8 * layout.bytes_each - 1)
+
+
+FORMAT = Format((".wav",), read_tables, read_blocks)

@@ -19,7 +19,7 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.records import (
     CHANNELS,
-    READERS,
+    FORMATS,
     Channel,
     read_frf,
     read_records,
@@ -489,13 +489,13 @@ class TestDamage:
 
     def test_another_format_under_the_suffix(self, files: list[Path], tmp_path: Path) -> None:
         for source in files:
-            for suffix in READERS:
+            for suffix in FORMATS:
                 path = tmp_path / f"other{suffix}"
                 path.write_bytes(source.read_bytes())
                 self.reads_or_says(path)
 
     @settings(max_examples=100, deadline=None)
-    @given(st.binary(max_size=300), st.sampled_from(sorted(READERS)))
+    @given(st.binary(max_size=300), st.sampled_from(sorted(FORMATS)))
     def test_any_bytes(self, tmp_path_factory: pytest.TempPathFactory, content: bytes, suffix: str) -> None:
         path = tmp_path_factory.getbasetemp() / f"any{suffix}"
         path.write_bytes(content)

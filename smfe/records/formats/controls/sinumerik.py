@@ -18,7 +18,7 @@ import numpy as np
 from process.errors import InputError
 from process.types import Real
 from smfe.records.formats.channels import listed
-from smfe.records.formats.table import Column, Table, damaged, find_columns, same_length
+from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, same_length
 
 DIGITS = "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ!#$`()*+-/:;=?@[]^_{|}~"
 """Digits of the base 85, in rising order."""
@@ -118,3 +118,6 @@ def _text(element: ET.Element, name: str) -> str:
         if child.get("name") == name:
             return (child.text or "").strip()
     raise ValueError(f"{element.tag} without {name}")
+
+
+FORMAT = Format((".xml",), read_tables)

@@ -19,7 +19,7 @@ import pandas as pd
 
 from process.errors import InputError
 from process.types import Real
-from smfe.records.formats.table import Column, Table, damaged, find_columns, refuse_larger
+from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, refuse_larger
 
 _TIMES = 12.0
 """Peak of the memory over the size of a file of text that is read whole."""
@@ -251,3 +251,6 @@ def stated_units(path: Path) -> dict[str, str]:
     block = {line.split(delimiter)[0]: line.split(delimiter) for line in lines[4:40] if delimiter in line}
     pairs = zip(block.get("Name", []), block.get("Unit", []), strict=False)
     return {name.strip(): unit.split(" (")[0].strip() for name, unit in pairs if name not in ("Name", "")}
+
+
+FORMAT = Format((".json",), read_capture)

@@ -29,7 +29,7 @@ from truth.controls import write_capture, write_halscope, write_twincat
 from process.errors import InputError
 from process.labels import make_record
 from smfe.records import (
-    READERS,
+    FORMATS,
     Channel,
     read_blocks,
     read_records,
@@ -45,7 +45,7 @@ N, RATE = 256, 2000.0
 CLOCK = {"time": Channel("t", "s")}
 FORCE = {"force_x": Channel("Fx", "N"), "acceleration_x": Channel("ax", "m/s^2")}
 LIMIT = 5  # seconds a file may take
-FORMATS = [
+KINDS = [
     "csv",
     "parquet",
     "nc",
@@ -218,7 +218,7 @@ def patience() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, dict[str, Channel], bytes]]:
     found = {}
-    for kind in FORMATS:
+    for kind in KINDS:
         path, channels = make(kind, tmp_path_factory.mktemp(kind))
         found[kind] = path, channels, path.read_bytes()
     return found
@@ -227,7 +227,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path,
 Originals = dict[str, tuple[Path, dict[str, Channel], bytes]]
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", KINDS)
 class TestDeclarations:
     @given(st.data())
     @settings(max_examples=6, deadline=None)
@@ -255,7 +255,7 @@ class TestDeclarations:
             np.testing.assert_array_equal(record["time"], plain["time"])
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", KINDS)
 class TestDamage:
     def test_whole(self, originals: Originals, kind: str) -> None:
         path, channels, whole = originals[kind]
@@ -311,7 +311,7 @@ class TestDamage:
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(st.binary(max_size=300), st.sampled_from(sorted(READERS)))
+@given(st.binary(max_size=300), st.sampled_from(sorted(FORMATS)))
 def test_any_bytes_under_any_suffix(tmp_path_factory: pytest.TempPathFactory, content: bytes, suffix: str) -> None:
     path = tmp_path_factory.getbasetemp() / f"any{suffix}"
     magic = {
