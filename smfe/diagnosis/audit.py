@@ -1,9 +1,10 @@
-"""The data audit: measurement faults are looked for, and excluded, before physics is blamed."""
+"""The data audit: faults of a measurement are looked for, and excluded, before a cause is sought in the physics."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 
 import xarray as xr
@@ -21,13 +22,18 @@ from smfe.campaign import (
 )
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.diagnosis.cases.drive import unlogged_suspects
-from smfe.diagnosis.checks.channels import channel_suspects, clock_suspects, silence_suspects, tone_suspects
-from smfe.diagnosis.checks.compliances import factor_suspects, reciprocity_suspects, skew_suspects
+from smfe.diagnosis.checks.channels import channel_suspects, silence_suspects, tone_suspects
+from smfe.diagnosis.checks.compliances import (
+    factor_suspects,
+    model_suspects,
+    reciprocity_suspects,
+    skew_suspects,
+    stiffness_suspects,
+)
+from smfe.diagnosis.checks.cuts import clock_suspects, force_suspects, speed_suspects, tooth_suspects
 from smfe.diagnosis.checks.hammer import hit_suspects
-from smfe.diagnosis.checks.same_data import Part, Seen, same_suspects, seen
-from smfe.diagnosis.checks.sizes import force_suspects, model_suspects, stiffness_suspects
-from smfe.diagnosis.checks.speeds import speed_suspects, tooth_suspects
-from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.checks.same_data import Seen, same_suspects, seen
+from smfe.diagnosis.checks.suspect import Part, Suspect, fault, note, warning
 from smfe.diagnosis.checks.sweep import sweep_suspects
 from smfe.identification.drive.drives import drive_of, notes_of
 from smfe.identification.drive.loop import summary
@@ -43,7 +49,7 @@ from smfe.identification.measurement import (
     records_of,
     sign_warnings,
 )
-from smfe.identification.sweep.passes import SweepPass, prepare
+from smfe.identification.sweep.passes import prepare
 from smfe.identification.sweep.spindle_clock import ADVICE, judge_clock
 from smfe.records import read_records
 from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt
@@ -74,13 +80,10 @@ class Audit:
         """Measurements and cutting tests that a fault leaves out, each once, with all that was found about it."""
         reasons: dict[Part, list[str]] = {}
         for s in self.suspects:
+            text = s.evidence if s.cause == "unusable" else f"left out, {s.where}: {s.evidence}; {s.advice}"
             for part in s.excludes:
-                text = f"{s.where}: {s.evidence}; {s.advice}"
-                kept = reasons.setdefault(part, [])
-                text = s.evidence if s.cause == "unusable" else f"left out, {text}"
-                if text not in kept:
-                    kept.append(text)
-        return [Failure(*part, "; ".join(texts)) for part, texts in reasons.items()]
+                reasons.setdefault(part, []).append(text)
+        return [Failure(*part, "; ".join(dict.fromkeys(texts))) for part, texts in reasons.items()]
 
 
 def audit(campaign: Campaign, progress: Progress = silent) -> list[Suspect]:
@@ -109,26 +112,24 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
         failures: Failures = []
         with attempt(failures, *part):
             check_sweep(campaign, measurement)
-            _identify(out, campaign, whole, measurement, kept)
+            names = {measurement.name, *(m.name for m in levels_of(measurement).values())}
+            for m in whole.measurements:
+                if measurement.method in COMPLIANCE_METHODS and m.name in names:
+                    out.identified[m.name] = (
+                        identify_measurement(campaign, m)
+                        if kept is None
+                        else cached_identification(campaign, m, kept)[0]
+                    )
         with attempt(failures, *part):
-            by_axis = _records(out, campaign, measurement)
-            if measurement.method == "hammer" and measurement.name in out.identified:
-                found = out.identified[measurement.name]
-                out.suspects += hit_suspects(measurement.name, by_axis, found, **hammer_settings(measurement))
-            out.suspects += _loop_suspects(measurement)
-            out.suspects += _drive_suspects(campaign, measurement)
-            out.suspects += _compliance_suspects(campaign, measurement, out.identified)
+            _measurement(out, campaign, measurement)
         # What a record cannot be read for is said once, though both steps read it.
-        for failure in list(dict.fromkeys(failures))[:1]:
-            out.suspects.append(Suspect("unusable", "fault", measurement.name, failure.reason, _CORRECT, (part,)))
+        out.suspects += [fault("unusable", measurement.name, f.reason, _CORRECT, part) for f in failures[:1]]
     for done, test in enumerate(campaign.cutting_tests, start=len(campaign.measurements)):
         progress(f"checking {test.file.name}", done, total)
-        failures = []
-        with attempt(failures, TEST, test.file.name):
-            _cutting_test(out, campaign, test)
-        for failure in failures:
-            where = f"cutting test, {test.file.name}"
-            out.suspects.append(Suspect("unusable", "fault", where, failure.reason, _CORRECT, ((TEST, failure.name),)))
+        where, part, failures = f"cutting test, {test.file.name}", (TEST, test.file.name), []
+        with attempt(failures, *part):
+            _cutting_test(out, campaign, test, where, part)
+        out.suspects += [fault("unusable", where, f.reason, _CORRECT, part) for f in failures]
     out.suspects += same_suspects(out.seen)
     failures = []
     with attempt(failures, "silent records"):
@@ -136,7 +137,7 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
     with attempt(failures, "drive records"):
         if isinstance(campaign.baseline, RigidDrive):
             out.suspects += unlogged_suspects(campaign, campaign.baseline)
-    out.suspects += [Suspect("unusable", "fault", f.part, f.reason, _CORRECT) for f in failures]
+    out.suspects += [fault("unusable", f.part, f.reason, _CORRECT) for f in failures]
     compliances = {m.name: out.identified[m.name].compliance for m in campaign.measurements if m.name in out.identified}
     out.suspects += model_suspects(compliances, campaign.models)
     out.suspects += factor_suspects(compliances, {f.name for f in out.excluded if f.part == MEASUREMENT})
@@ -144,186 +145,143 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
     return out
 
 
-def _identify(out: Audit, campaign: Campaign, whole: Campaign, measurement: Measurement, kept: Path | None) -> None:
-    if measurement.method not in COMPLIANCE_METHODS:
-        return
-    names = {measurement.name, *(m.name for m in levels_of(measurement).values())}
-    for m in (m for m in whole.measurements if m.name in names):
-        if kept is None:
-            out.identified[m.name] = identify_measurement(campaign, m)
-        else:
-            out.identified[m.name], _ = cached_identification(campaign, m, kept)
-
-
-def _records(out: Audit, campaign: Campaign, measurement: Measurement) -> dict[str, list[xr.Dataset]]:
-    """Audit the records of a measurement one by one; return them by excitation axis."""
+def _measurement(out: Audit, campaign: Campaign, measurement: Measurement) -> None:
+    """Audit the records of a measurement one by one, and what was identified from them."""
+    name, method, part = measurement.name, measurement.method, (MEASUREMENT, measurement.name)
+    found, tool = out.identified.get(name), campaign.tool
     by_axis: dict[str, list[xr.Dataset]] = {}
-    if measurement.method == "frf":
-        return by_axis
-    part = (MEASUREMENT, measurement.name)
-    hits = measurement.method == "hammer"
-    for entry in measurement.records:
+    for entry in measurement.records if method != "frf" else ():
         for record in records_of(entry, entry.excitation):
-            where = f"{measurement.name}, {record.attrs['source']}"
-            for s in channel_suspects(record, where, pulsed=hits):
+            where = f"{name}, {record.attrs['source']}"
+            for s in channel_suspects(record, where, pulsed=method == "hammer"):
                 # A hit that is cut off is left out by itself, and said so.
-                handled = hits and s.cause == "saturation" and measurement.name in out.identified
-                level = "warning" if handled and "all " not in s.evidence else s.level
-                excludes = (part,) if level == "fault" else ()
-                out.suspects.append(Suspect(s.cause, level, s.where, s.evidence, s.advice, excludes))
-            if measurement.method == "silent":
+                handled = method == "hammer" and s.cause == "saturation" and found is not None
+                out.suspects.append(_excluding(s, part, handled and "all " not in s.evidence))
+            if method == "silent":
                 out.suspects += tone_suspects(record, where)
             if entry.cut is not None:
-                out.suspects += clock_suspects(record, where, campaign.tool.teeth if campaign.tool else None)
-                out.suspects += speed_suspects(record, where, None, (part,))
+                out.suspects += clock_suspects(record, where, tool.teeth if tool else None)
+                out.suspects += speed_suspects(record, where, None, part)
                 out.suspects += _force_size(campaign, entry, record, where, part)
-            if measurement.method in ("hammer", "actuator", "sweep"):
-                out.seen.append(seen(record, part, _said(entry), entry.excitation))
+            if method in ("hammer", "actuator", "sweep"):
+                feed = None if entry.feed is None else tuple(sorted(entry.feed.items()))
+                given = (entry.controller, feed, entry.force_level, entry.depth_of_cut, entry.position)
+                more = (entry.added_mass, entry.repeat, entry.excitation, entry.cut, entry.width_of_cut)
+                out.seen.append(seen(record, part, (*given, *more), entry.excitation))
             by_axis.setdefault(entry.excitation or "", []).append(record)
-    return by_axis
+    if method == "hammer" and found is not None:
+        out.suspects += hit_suspects(name, by_axis, found, **hammer_settings(measurement))
+    if method == "loop":
+        loop, advice = loop_of(measurement), "the response of a loop to its setpoint, without unit; it is no compliance"
+        out.suspects += [note("loop_response", name, text, advice) for text in summary(loop)]
+        advice = "record several periods, not their average"
+        out.suspects += [note("loop_response", name, text, advice) for text in loop.notes]
+    if method == "drive":
+        out.suspects += _drive_suspects(campaign, measurement)
+    if found is not None:
+        out.suspects += _compliance_suspects(campaign, name, found.compliance)
+        if method == "sweep" and tool is not None:
+            passes, band = passes_and_band(campaign, measurement)
+            # The stated speeds alone: those of channels are compared with their record.
+            bare = [prepare(replace(p, record=p.record[["force"]])) for p in passes]
+            out.suspects += [
+                warning("time_skew", name, text, ADVICE["stated"])
+                for text in judge_clock(name, bare, tool.teeth).warnings
+            ]
+            if measurement.references == "all":
+                out.suspects += sweep_suspects(name, passes, tool.teeth, band)
 
 
-def _said(entry: RecordEntry) -> tuple[object, ...]:
-    feed = None if entry.feed is None else tuple(sorted(entry.feed.items()))
-    given = (entry.controller, feed, entry.force_level, entry.depth_of_cut, entry.position, entry.added_mass)
-    return (*given, entry.repeat, entry.excitation, entry.cut, entry.width_of_cut)
+def _excluding(suspect: Suspect, part: Part, mild: bool) -> Suspect:
+    """Return a suspicion about a record as one about its part: a fault leaves it out, one that is mild only warns."""
+    level = "warning" if mild else suspect.level
+    return replace(suspect, level=level, excludes=(part,) if level == "fault" else ())
 
 
-def _force_size(campaign: Campaign, entry: RecordEntry, record: xr.Dataset, where: str, part: Part) -> list[Suspect]:
-    tool, work, depth, feed = campaign.tool, campaign.coefficients, entry.depth_of_cut, entry.feed_per_tooth
-    if tool is None or work is None or depth is None or feed is None or entry.cut is None or entry.width_of_cut is None:
-        return []
-    arc = engagement(entry.cut, entry.width_of_cut, tool.diameter)
-    return force_suspects(record, where, (tool, arc, work), depth, feed, (part,))
+def _force_size(
+    campaign: Campaign, cut: RecordEntry | CuttingTest, record: xr.Dataset, where: str, *excludes: Part
+) -> Iterator[Suspect]:
+    """Compare the force of a record with that of the cut it is said to hold, where all of the cut is stated."""
+    tool, work, depth, feed = campaign.tool, campaign.coefficients, cut.depth_of_cut, cut.feed_per_tooth
+    if tool is None or work is None or depth is None or feed is None or cut.cut is None or cut.width_of_cut is None:
+        return
+    arc = engagement(cut.cut, cut.width_of_cut, tool.diameter)
+    yield from force_suspects(record, where, (tool, arc, work), depth, feed, *excludes)
 
 
-def _cutting_test(out: Audit, campaign: Campaign, test: CuttingTest) -> None:
-    where, part, tool = f"cutting test, {test.file.name}", (TEST, test.file.name), campaign.tool
+def _cutting_test(out: Audit, campaign: Campaign, test: CuttingTest, where: str, part: Part) -> None:
+    tool = campaign.tool
     said = (test.spindle_speed, test.depth_of_cut, test.cut, test.width_of_cut, test.feed_per_tooth, test.controller)
     for record in read_records(test.file, test.channels):
-        for s in channel_suspects(record, where):
-            # A verdict needs the lines of the record, which a cut-off peak or a dead axis leaves in place.
-            level = "warning" if s.cause == "saturation" else s.level
-            out.suspects.append(
-                Suspect(s.cause, level, s.where, s.evidence, s.advice, (part,) if level == "fault" else ())
-            )
-        wrong = speed_suspects(record, where, test.spindle_speed, (part,))
+        # A verdict needs the lines of the record, which a cut-off peak or a dead axis leaves in place.
+        out.suspects += [_excluding(s, part, s.cause == "saturation") for s in channel_suspects(record, where)]
+        wrong = list(speed_suspects(record, where, test.spindle_speed, part))
         out.suspects += wrong or clock_suspects(record, where, tool.teeth if tool else None)
         out.seen.append(seen(record, part, said))
         if tool is not None and not wrong:
             arc = engagement(test.cut, test.width_of_cut, tool.diameter)
             out.suspects += tooth_suspects(record, where, test.spindle_speed, tool, arc)
-            if campaign.coefficients is not None and test.feed_per_tooth is not None:
-                cut = (tool, arc, campaign.coefficients)
-                out.suspects += force_suspects(record, where, cut, test.depth_of_cut, test.feed_per_tooth)
+            out.suspects += _force_size(campaign, test, record, where)
 
 
-def _compliance_suspects(
-    campaign: Campaign, measurement: Measurement, identified: Mapping[str, Identification]
-) -> list[Suspect]:
-    if measurement.name not in identified:
-        return []
-    name, compliance = measurement.name, identified[measurement.name].compliance
+def _compliance_suspects(campaign: Campaign, name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
     # Lobes of a machine that gives out energy mean nothing; its compliance, of two places perhaps, may still be read.
     sources = {n for request in campaign.lobes for n in request.measurements}
     if isinstance(campaign.baseline, ModesOf | LimitsOf):
         sources.add(campaign.baseline.source)
     part = ((MEASUREMENT, name),) if name in sources else ()
-    signs = [
-        Suspect("sensor_gain", "fault", name, text, "declare sign = -1 on the channel that is turned round", part)
-        for text in sign_warnings(compliance)
-    ]
-    skew = [] if signs else skew_suspects(name, compliance)
-    reciprocal = reciprocity_suspects(name, compliance)
-    return [*signs, *skew, *reciprocal, *stiffness_suspects(name, compliance), *_sweep(campaign, measurement)]
+    signs = sign_warnings(compliance)
+    for text in signs:
+        yield fault("sensor_gain", name, text, "declare sign = -1 on the channel that is turned round", *part)
+    if not signs:
+        yield from skew_suspects(name, compliance)
+    yield from reciprocity_suspects(name, compliance)
+    yield from stiffness_suspects(name, compliance)
 
 
-def _loop_suspects(measurement: Measurement) -> list[Suspect]:
-    """Say what the setpoint of a loop is, what the loop does, and what spoils it."""
-    if measurement.method != "loop":
-        return []
-    found = loop_of(measurement)
-    advice = "the response of a loop to its setpoint, without unit; it is no compliance"
-    told = [Suspect("loop_response", "note", measurement.name, text, advice) for text in summary(found)]
-    return told + [
-        Suspect("loop_response", "note", measurement.name, text, "record several periods, not their average")
-        for text in found.notes
-    ]
-
-
-def _drive_suspects(campaign: Campaign, measurement: Measurement) -> list[Suspect]:
+def _drive_suspects(campaign: Campaign, measurement: Measurement) -> Iterator[Suspect]:
     """Say what the records of a drive do not determine; a diagnosis of the drive reads them all the same."""
-    if measurement.method != "drive":
-        return []
     try:
         drives = {measurement.name: drive_of(measurement)}
     except InputError as error:
         if not isinstance(campaign.baseline, RigidDrive):
             raise
         advice = "inertia and friction cannot be identified from it; a diagnosis may still read it"
-        return [Suspect("unusable", "warning", measurement.name, str(error), advice)]
-    advice = "see drives.csv for what was determined, with its intervals"
-    return [Suspect("drive", "note", measurement.name, text, advice) for text in notes_of(drives)]
+        yield warning("unusable", measurement.name, str(error), advice)
+        return
+    for text in notes_of(drives):
+        advice = "see drives.csv for what was determined, with its intervals"
+        yield note("drive", measurement.name, text, advice)
 
 
-def _sweep(campaign: Campaign, measurement: Measurement) -> list[Suspect]:
-    if measurement.method != "sweep" or campaign.tool is None:
-        return []
-    passes, band = passes_and_band(campaign, measurement)
-    out = _stated_speeds(measurement.name, passes, campaign.tool.teeth)
-    if measurement.references == "all":
-        out += sweep_suspects(measurement.name, passes, campaign.tool.teeth, band)
-    return out
-
-
-def _stated_speeds(name: str, passes: Sequence[SweepPass], teeth: int) -> list[Suspect]:
-    """Compare the stated speeds alone: those of channels are said with their record."""
-    bare = [prepare(replace(p, record=p.record[["force"]])) for p in passes]
-    clock = judge_clock(name, bare, teeth)
-    return [Suspect("time_skew", "warning", name, text, ADVICE["stated"]) for text in clock.warnings]
-
-
-def _missing_entries(campaign: Campaign, compliances: Mapping[str, xr.Dataset]) -> list[Suspect]:
+def _missing_entries(campaign: Campaign, compliances: Mapping[str, xr.Dataset]) -> Iterator[Suspect]:
     """Note sources of lobes without cross terms, and warn of two measurements that hold one tap each."""
     asked = {name for request in campaign.lobes for name in request.measurements}
     known = {n: _known_entries(c) for n, c in compliances.items() if n in asked}
-    out = [
-        Suspect(
-            "cross_terms",
-            "note",
-            name,
-            f"it has {', '.join(sorted(entries))} and no cross terms",
-            "lobes take them as zero; measure them where modes lie across the axes",
-        )
-        for name, entries in known.items()
-        if len(entries) > 1 and all(entry[0] == entry[1] for entry in entries)
-    ]
+    for name, entries in known.items():
+        if len(entries) > 1 and all(entry[0] == entry[1] for entry in entries):
+            evidence = f"it has {', '.join(sorted(entries))} and no cross terms"
+            advice = "lobes take them as zero; measure them where modes lie across the axes"
+            yield note("cross_terms", name, evidence, advice)
     alone: dict[tuple[object, ...], dict[str, str]] = {}
     for m in campaign.measurements:
-        if known.get(m.name) in ({"xx"}, {"yy"}):
-            feed = None if m.feed is None else tuple(sorted(m.feed.items()))
-            alone.setdefault((m.method, m.controller, m.position, feed), {})[known[m.name].copy().pop()] = m.name
-    out += [
-        Suspect(
-            "cross_terms",
-            "warning",
-            f"{taps['xx']} and {taps['yy']}",
-            "one has xx alone, the other yy alone, measured under the same conditions: lobes of each take the other "
-            "direction as rigid",
-            "make them one [[measurement]] with both records",
-        )
-        for taps in alone.values()
-        if len(taps) == 2
-    ]
-    return out
+        for tap in ("xx", "yy"):
+            if known.get(m.name) == {tap}:
+                feed = None if m.feed is None else tuple(sorted(m.feed.items()))
+                alone.setdefault((m.method, m.controller, m.position, feed), {})[tap] = m.name
+    for taps in alone.values():
+        if len(taps) == 2:
+            yield warning(
+                "cross_terms",
+                f"{taps['xx']} and {taps['yy']}",
+                "one has xx alone, the other yy alone, measured under the same conditions: lobes of each take the "
+                "other direction as rigid",
+                "make them one [[measurement]] with both records",
+            )
 
 
 def _known_entries(compliance: xr.Dataset) -> set[str]:
     """Return the entries that hold a number other than zero: xx, xy, ..."""
     array = compliance["compliance"]
-    return {
-        f"{r}{e}"
-        for r in array["response"].values
-        for e in array["excitation"].values
-        if bool(abs(array.sel(response=r, excitation=e)).max() > 0.0)
-    }
+    pairs = product(array["response"].values, array["excitation"].values)
+    return {f"{r}{e}" for r, e in pairs if bool(abs(array.sel(response=r, excitation=e)).max() > 0.0)}

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from smfe.campaign import Campaign, LobeRequest
+from smfe.campaign import Campaign
 from smfe.diagnosis.cases.compliances import case_of
-from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.checks.suspect import Suspect, fault, warning
 from smfe.identification.compliances import labelled
 from smfe.identification.errors.result import Identification, Progress, silent
 from smfe.identification.levels import condition_cubes, with_levels
@@ -21,21 +20,16 @@ from smfe.planning.search import Search
 from smfe.planning.task import load_task
 from smfe.results import MEASUREMENT, Failures, attempt
 
-SPEEDS = 3
-"""Spindle speeds of a lobe request that are tried: the lowest, the highest, and those between."""
-
 QUICK = ("zero_order", "multi_frequency", "operating_point")
 """Methods whose prediction for a cutting test is tried as well; fitting modes for each test would take minutes."""
 
 
 def refusals(
-    campaign: Campaign,
-    found: Mapping[str, Identification],
-    known: Failures,
-    progress: Progress = silent,
-    kept: Path | None = None,
+    campaign: Campaign, found: Mapping[str, Identification], known: Failures, progress: Progress = silent
 ) -> list[Suspect]:
-    """Do in short what `smfe run` and the other commands will do with identified measurements; say what they refuse.
+    """Return what `smfe run` and the other commands would refuse of identified measurements: "unusable" faults.
+
+    Lobes are computed at three speeds. Cutting tests that no source of lobes belongs to are warnings.
 
     Parameters
     ----------
@@ -47,20 +41,17 @@ def refusals(
         Parts that are left out already: what needs them is refused, and is not said once more.
     progress : callable, optional
         Called with (what, done, of).
-    kept : path, optional
-        Folder in which results are kept, and found again while neither records nor settings have changed.
-
-    Returns
-    -------
-    list of Suspect
-        "unusable" faults, and warnings of cutting tests that no source of lobes belongs to.
     """
     whole, refused = with_levels(campaign), list(known)
     compliances = labelled(whole, found)
     with attempt(refused, "conditions"):
         condition_cubes([m for m in whole.measurements if m.name in found], compliances)
-    split_levels(campaign, kept, refused)
-    short = replace(whole, lobes=tuple(_short(r) for r in whole.lobes))
+    split_levels(campaign, None, refused)
+    lobes = []
+    for r in whole.lobes:
+        at = np.unique(np.linspace(0, r.spindle_speed.size - 1, 3).round().astype(int))
+        lobes.append(replace(r, spindle_speed=r.spindle_speed[at]))
+    short = replace(whole, lobes=tuple(lobes))
     results = all_lobes(short, compliances, progress, refused)
     for r in results:
         with attempt(refused, "pockets", f"{r.request}, {r.source}"):
@@ -77,16 +68,9 @@ def refusals(
             Search(task)  # refuses inserts that the tool cannot hold, and an estimate that does not move
             task.estimate.matrix([max(low - 1.0, 0.5 * low), high + 1.0])
     failed = {f.name for f in known if f.part == MEASUREMENT}
-    said = [
-        Suspect("conditions", "warning", "cutting tests", text, "correct what the campaign states") for text in unsure
-    ]
-    return said + [
-        Suspect("unusable", "fault", f"{f.part} {f.name}".strip(), f.reason, "correct what it names; the rest will run")
+    advice = "correct what it names; the rest will run"
+    return [warning("conditions", "cutting tests", text, "correct what the campaign states") for text in unsure] + [
+        fault("unusable", f"{f.part} {f.name}".strip(), f.reason, advice)
         for f in refused[len(known) :]
         if not any(f"'{name}' failed" in f.reason for name in failed)
     ]
-
-
-def _short(request: LobeRequest) -> LobeRequest:
-    at = np.unique(np.linspace(0, request.spindle_speed.size - 1, SPEEDS).round().astype(int))
-    return replace(request, spindle_speed=request.spindle_speed[at])

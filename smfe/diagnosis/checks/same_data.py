@@ -1,18 +1,15 @@
-"""Audit of records that are the same data under two names: a file copied, or named twice in the campaign file."""
+"""Check of records that are the same data under two names: a file copied, or named twice in the campaign file."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import xarray as xr
 
 from process.labels import RECORD_VECTORS, axis_present
-from smfe.diagnosis.checks.suspect import Suspect
-
-Part = tuple[str, str]
-"""Kind and name of what a record belongs to, as in `smfe.results.Failure`."""
+from smfe.diagnosis.checks.suspect import Part, Suspect, fault, warning
 
 
 @dataclass(frozen=True)
@@ -51,8 +48,8 @@ def seen(record: xr.Dataset, part: Part, said: Iterable[object], excitation: str
     return Seen(part, str(record.attrs.get("source", "record")), tuple(map(repr, said)), digest.hexdigest())
 
 
-def same_suspects(records: Sequence[Seen]) -> list[Suspect]:
-    """Return a fault for each group of records that are the same data and are said to be different things.
+def same_suspects(records: Sequence[Seen]) -> Iterator[Suspect]:
+    """Yield a fault for each group of records that are the same data and are said to be different things.
 
     One file in two measurements under the same conditions is a comparison of methods; of two files with the same
     samples the agreement proves nothing, and a warning says so. What only one of them states contradicts nothing.
@@ -60,35 +57,24 @@ def same_suspects(records: Sequence[Seen]) -> list[Suspect]:
     groups: dict[str, list[Seen]] = {}
     for record in records:
         groups.setdefault(record.digest, []).append(record)
-    out = []
     for group in groups.values():
-        parts = list(dict.fromkeys(r.part for r in group))
+        parts, files = list(dict.fromkeys(r.part for r in group)), {r.file for r in group}
         twice = len(parts) < len(group)
-        differ = _contradict(group)
-        copies = len({r.file for r in group}) > 1
-        if len(group) < 2 or not (twice or differ or copies):
+        stated = [[r.said for r in group if r.part[0] == kind] for kind in {p[0] for p in parts}]
+        # Two values of the same thing; `None` states nothing.
+        differ = any(len(set(values) - {repr(None)}) > 1 for said in stated for values in zip(*said, strict=True))
+        if len(group) < 2 or not (twice or differ or len(files) > 1):
             continue
-        fault = twice or differ
-        told = " and ".join(dict.fromkeys(f"{name} ({r.file})" for r in group for _, name in [r.part]))
-        what = "which the campaign says are different things" if differ else "which count as if they were independent"
-        out.append(
-            Suspect(
-                "same_data",
-                "fault" if fault else "warning",
-                " and ".join(dict.fromkeys(name for _, name in parts)),
-                f"{told} hold the same samples, {what}" if len({r.file for r in group}) > 1 or len(parts) > 1
-                else f"{group[0].file} is named {len(group)} times, {what}",
-                "name the right file, or take one of them out",
-                excludes=tuple(parts) if fault else (),
-            )
-        )  # fmt: skip
-    return out
-
-
-def _contradict(group: Sequence[Seen]) -> bool:
-    """Whether two of a group state different values of the same thing; `None` states nothing."""
-    for kind in {r.part[0] for r in group}:
-        said = [r.said for r in group if r.part[0] == kind]
-        if any(len(set(values) - {repr(None)}) > 1 for values in zip(*said, strict=True)):
-            return True
-    return False
+        evidence = f"{group[0].file} is named {len(group)} times"
+        if len(files) > 1 or len(parts) > 1:
+            evidence = " and ".join(dict.fromkeys(f"{r.part[1]} ({r.file})" for r in group)) + " hold the same samples"
+        what = "are different things" if differ else "count as if they were independent"
+        said = "which the campaign says" if differ else "which"
+        excludes = parts if twice or differ else []
+        yield (fault if excludes else warning)(
+            "same_data",
+            " and ".join(dict.fromkeys(name for _, name in parts)),
+            f"{evidence}, {said} {what}",
+            "name the right file, or take one of them out",
+            *excludes,
+        )

@@ -8,7 +8,7 @@ changes along a pass gives other compliances in its first and in its second half
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -17,41 +17,18 @@ from scipy import fft
 from process.errors import InputError
 from process.labels import sample_interval
 from process.types import Complex, Real
-from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.checks.suspect import LIMITS, Suspect, warning
 from smfe.identification.errors.difference import Difference, compare
 from smfe.identification.spectra.spectra import motion_axes
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.passes import SweepPass, end_pieces, in_cut, whole_record
 from smfe.identification.sweep.sweep import identify_sweep
 
-HALF_WIDTH = 0.5
-"""Half of the band over which a compliance is one polynomial [Hz]; bands do not overlap."""
-
-ORDER = 2
-"""Order of that polynomial."""
-
-HARMONICS = 3
-"""Harmonics of the tooth passing frequency that are instruments."""
-
-CHANCE = 1e-4
-"""Probability below which a difference is not noise."""
-
-NOTABLE = 0.02
-"""Relative difference from which it matters, rms over the band."""
-
-
-KNOWN = 0.03
-"""Halves are compared where their difference is known to this share of the compliance."""
-
-
-FLOOR = 0.05
-"""Share of the variance of the instruments that their difference to least squares has at least."""
-
 
 def sweep_suspects(
     name: str, passes: Sequence[SweepPass], teeth: int, frequency_range: tuple[float, float]
-) -> list[Suspect]:
-    """Return suspicions about what an inversion of sweeps takes for granted.
+) -> Iterator[Suspect]:
+    """Yield suspicions about what an inversion of sweeps takes for granted: ``regeneration_bias``, ``posture``.
 
     Parameters
     ----------
@@ -63,39 +40,31 @@ def sweep_suspects(
         Of the tool.
     frequency_range : (float, float)
         Band that is identified [Hz].
-
-    Returns
-    -------
-    list of Suspect
-        ``regeneration_bias``, ``posture``, or nothing.
     """
-    out = []
     biased = regeneration_difference(passes, teeth, frequency_range)
     if biased is not None and matters(biased):
-        out.append(
-            Suspect(
-                "regeneration_bias",
-                "warning",
-                name,
-                f"with the passing of the teeth as instrument the compliance differs by {100.0 * biased.size:.2g} % "
-                f"(p = {biased.p_value:.1e}, most at {biased.worst:.4g} Hz): part of the forces answers to vibration "
-                "that other forces cause",
-                "cut less deep and away from chatter, find what shakes the machine, or use the instrument",
-            )
+        yield warning(
+            "regeneration_bias",
+            name,
+            f"with the passing of the teeth as instrument the compliance differs by {100.0 * biased.size:.2g} % "
+            f"(p = {biased.p_value:.1e}, most at {biased.worst:.4g} Hz): part of the forces answers to vibration that "
+            "other forces cause",
+            "cut less deep and away from chatter, find what shakes the machine, or use the instrument",
         )
     halves = posture_difference(passes, frequency_range)
     if halves is not None and matters(halves):
-        out.append(
-            Suspect(
-                "posture",
-                "warning",
-                name,
-                f"the first and the second half of the passes give compliances that differ by "
-                f"{100.0 * halves.size:.2g} % (p = {halves.p_value:.1e}, most at {halves.worst:.4g} Hz)",
-                "sweep over a shorter way, or from other positions; feed and level change along a pass, too",
-            )
+        yield warning(
+            "posture",
+            name,
+            f"the first and the second half of the passes give compliances that differ by {100.0 * halves.size:.2g} % "
+            f"(p = {halves.p_value:.1e}, most at {halves.worst:.4g} Hz)",
+            "sweep over a shorter way, or from other positions; feed and level change along a pass, too",
         )
-    return out
+
+
+def matters(found: Difference) -> bool:
+    """Return whether a difference is more than noise, and large enough to matter."""
+    return found.p_value < LIMITS.p_value and found.size > LIMITS.notable
 
 
 # --- posture within a pass --------------------------------------------------------------------------------------------
@@ -105,13 +74,10 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
     """Compare compliances of the first and of the second half of the passes.
 
     A frequency that the fundamental of the tooth passing visits in one half is visited by a harmonic in the other.
-
-    Returns
-    -------
-    Difference or None
-        None where the halves have no frequency in common that both can solve.
+    None where the halves have no frequency in common that both can solve.
     """
-    estimator = LocalPolynomial(resolution=2.0 * HALF_WIDTH, half_widths=(HALF_WIDTH,), order=ORDER, rational=False)
+    half = LIMITS.half_width
+    estimator = LocalPolynomial(resolution=2.0 * half, half_widths=(half,), order=LIMITS.order, rational=False)
     try:
         first, second = (
             identify_sweep("half", [_half(p, k) for p in passes], frequency_range, estimator).compliance for k in (0, 1)
@@ -121,9 +87,9 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
     a, b = (v["compliance"].values for v in (first, second))
     covariance = first["compliance_covariance"].values + second["compliance_covariance"].values
     size = 0.5 * np.abs(a + b)
-    # Where one half says little, transients are what is left of it, not noise.
+    # Where the variance of one half is large, transients are what is left of it, not noise.
     variance = np.trace(covariance, axis1=2, axis2=3).real.sum(axis=1)
-    known = np.nan_to_num(variance, nan=np.inf) < KNOWN**2 * np.nansum(size**2, axis=(1, 2))
+    known = np.nan_to_num(variance, nan=np.inf) < LIMITS.halves_known**2 * np.nansum(size**2, axis=(1, 2))
     return _compare(first["frequency"].values[known], (a - b)[known], covariance[known], size[known])
 
 
@@ -143,15 +109,13 @@ def regeneration_difference(
 ) -> Difference | None:
     """Compare least squares with instruments: what passes with the teeth, and nothing else.
 
-    Returns
-    -------
-    Difference or None
-        None where a pass has no ``spindle_angle``, or the instruments say too little at all frequencies.
+    None where a pass has no ``spindle_angle``, or the instruments have too little power at all frequencies.
     """
     if not passes or any("spindle_angle" not in p.record for p in passes):
         return None
     response = [a for a in "xyz" if all(a in motion_axes(p.record)[1] for p in passes)]
-    reach = (max(frequency_range[0] - HALF_WIDTH, 0.1), frequency_range[1] + HALF_WIDTH)
+    half = LIMITS.half_width
+    reach = (max(frequency_range[0] - half, 0.1), frequency_range[1] + half)
     blocks = []
     for p in passes:
         found = whole_record(p.record, reach, response)
@@ -160,7 +124,7 @@ def regeneration_difference(
         power = np.minimum(noise[:, 0], noise[:, -1]) ** 2 * dt**2 * p.record.sizes["time"]
         lines = _references(p.record, teeth, reach)
         blocks.append((found.frequency, found.force[:, :, 0], found.displacement[:, :, 0], lines, power))
-    frequency = np.arange(frequency_range[0] + HALF_WIDTH, frequency_range[1], 2.0 * HALF_WIDTH)
+    frequency = np.arange(frequency_range[0] + half, frequency_range[1], 2.0 * half)
     solved = [_both(blocks, float(f)) for f in frequency]
     kept = [i for i, s in enumerate(solved) if s is not None]
     if not kept:
@@ -180,7 +144,7 @@ def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> C
     # As `whole_record` takes its lines.
     low, high = np.searchsorted(frequency[: length // 2], [reach[0] - 1e-9, reach[1] + 1e-9])
     angle, cut = record["spindle_angle"].values, in_cut(record)
-    waves = [np.exp(1j * h * teeth * angle) * cut for h in range(1, HARMONICS + 1)]
+    waves = [np.exp(1j * h * teeth * angle) * cut for h in range(1, LIMITS.harmonics + 1)]
     return np.stack([dt * fft.fft(w, length)[low:high] for w in waves], axis=1)
 
 
@@ -189,15 +153,15 @@ _Block = tuple[Real, Complex, Complex, Complex, Real]
 
 def _both(blocks: Sequence[_Block], centre: float) -> tuple[Complex, Complex, Real] | None:
     """Return instruments minus least squares, its covariance a row, and the size of the compliance, at a frequency."""
-    powers = np.arange(ORDER + 1)
+    half, powers = LIMITS.half_width, np.arange(LIMITS.order + 1)
     regressors, instruments, responses = [], [], []
     loss = np.zeros((3 * powers.size, 3 * powers.size))
     for k, (frequency, force, motion, lines, noise) in enumerate(blocks):
-        at = slice(*np.searchsorted(frequency, [centre - HALF_WIDTH, centre + HALF_WIDTH]))
-        shift = (frequency[at] - centre) / HALF_WIDTH
+        at = slice(*np.searchsorted(frequency, [centre - half, centre + half]))
+        shift = (frequency[at] - centre) / half
         terms = shift[None, :] ** powers[:, None]
         regressors.append(_products(terms, force[at].T))
-        own = np.zeros((len(blocks), HARMONICS * powers.size, shift.size), dtype=complex)
+        own = np.zeros((len(blocks), LIMITS.harmonics * powers.size, shift.size), dtype=complex)
         own[k] = _products(terms, lines[at].T)
         instruments.append(own.reshape(-1, shift.size))
         responses.append(motion[at].T)
@@ -218,7 +182,7 @@ def _both(blocks: Sequence[_Block], centre: float) -> tuple[Complex, Complex, Re
     noise_power = np.sum(np.abs(rest) ** 2, axis=1) / (y.shape[1] - u.shape[0])
     # Hausman 1978: what least squares shares with the instruments cancels. The floor keeps directions apart in which
     # the two agree by construction.
-    spread = ((1.0 + FLOOR) * through - inverse)[:3, :3]
+    spread = ((1.0 + LIMITS.instrument_floor) * through - inverse)[:3, :3]
     return change, noise_power[:, None, None] * spread.T, np.abs(instrumental[:, :3])
 
 
@@ -228,20 +192,15 @@ def _products(terms: Real, signals: Complex) -> Complex:
 
 
 def _row_space(z: Complex) -> tuple[int, Complex]:
-    """Return rank and orthonormal rows of what the instruments span; instruments that are silent here span nothing."""
+    """Return rank and orthonormal rows of what the instruments span; instruments without power here span nothing."""
     length = np.linalg.norm(z, axis=1, keepdims=True)
-    loud = (length > 1e-3 * length.max(initial=1e-300))[:, 0]
-    _, size, rows = np.linalg.svd(z[loud] / length[loud], full_matrices=False)
+    present = (length > 1e-3 * length.max(initial=1e-300))[:, 0]
+    _, size, rows = np.linalg.svd(z[present] / length[present], full_matrices=False)
     rank = int(np.sum(size > 1e-6 * size.max(initial=1e-300)))
     return rank, rows[:rank]
 
 
 # --- significance -----------------------------------------------------------------------------------------------------
-
-
-def matters(found: Difference) -> bool:
-    """Whether a difference is more than noise, and large enough to matter."""
-    return found.p_value < CHANCE and found.size > NOTABLE
 
 
 def _compare(frequency: Real, change: Complex, covariance: Complex, size: Real) -> Difference | None:

@@ -75,14 +75,14 @@ def plain(shaken: float = 0.0, **more) -> list[SweepPass]:
 
 
 def test_a_quiet_machine_gives_no_suspect() -> None:
-    assert sweep_suspects("sweep", plain(), TOOL.teeth, BAND) == []
+    assert not list(sweep_suspects("sweep", plain(), TOOL.teeth, BAND))
 
 
 def test_the_published_setup_gives_no_suspect() -> None:
     for seed in (1, 2):
         records = sweep_passes(seed)
         data = [SweepPass(r, c, engagement(c, 0.012, DEMO_TOOL.diameter)) for c, r in records.items()]
-        assert sweep_suspects("sweep", data, DEMO_TOOL.teeth, (20.0, 80.0)) == []
+        assert not list(sweep_suspects("sweep", data, DEMO_TOOL.teeth, (20.0, 80.0)))
 
 
 SHAKEN = 100.0
@@ -95,7 +95,7 @@ def test_what_shakes_the_machine_comes_back_through_the_cut() -> None:
     found = regeneration_difference(closed, TOOL.teeth, BAND)
     assert found is not None
     assert matters(found)
-    said = sweep_suspects("sweep", closed, TOOL.teeth, BAND)
+    said = list(sweep_suspects("sweep", closed, TOOL.teeth, BAND))
     assert "regeneration_bias" in [s.cause for s in said]
     assert "instrument" in next(s.evidence for s in said if s.cause == "regeneration_bias")
 

@@ -18,7 +18,7 @@ from process.labels import make_record
 from smfe import LocalPolynomial, SweepPass, identify_sweep
 from smfe.campaign import load_campaign
 from smfe.commands.check import check
-from smfe.diagnosis.checks.channels import clock_suspects
+from smfe.diagnosis.checks.cuts import clock_suspects
 from smfe.identification.sweep.passes import PreparedPass, prepare
 from smfe.identification.sweep.spindle_clock import changed_by_clock, compare_speeds, judge_clock, stated_bounds
 from smfe.records import write_record_netcdf
@@ -63,7 +63,7 @@ def test_nothing_is_said_of_a_column_that_is_right_late_or_without_the_wander_of
             (found,) = compare_speeds(p, 3)
             assert not found.real
             assert abs(found.difference) < max(5e-4, 2.0 * found.std)
-            assert clock_suspects(p.record, "cut", 3) == []
+            assert not list(clock_suspects(p.record, "cut", 3))
 
 
 def test_a_column_that_comes_late_is_no_error_of_a_clock() -> None:
