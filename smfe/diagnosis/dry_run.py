@@ -48,9 +48,9 @@ def refusals(
         condition_cubes([m for m in whole.measurements if m.name in found], compliances)
     split_levels(campaign, None, refused)
     lobes = []
-    for r in whole.lobes:
-        at = np.unique(np.linspace(0, r.spindle_speed.size - 1, 3).round().astype(int))
-        lobes.append(replace(r, spindle_speed=r.spindle_speed[at]))
+    for request in whole.lobes:
+        at = np.unique(np.linspace(0, request.spindle_speed.size - 1, 3).round().astype(int))
+        lobes.append(replace(request, spindle_speed=request.spindle_speed[at]))
     short = replace(whole, lobes=tuple(lobes))
     results = all_lobes(short, compliances, progress, refused)
     for r in results:

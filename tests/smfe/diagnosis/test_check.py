@@ -41,7 +41,7 @@ def levels(folder: Path) -> dict[str, list[str]]:
     return {level: list(table.loc[table["level"] == level, "cause"]) for level in ("fault", "warning")}
 
 
-@pytest.mark.parametrize("seed", [1000, 1005])
+@pytest.mark.parametrize("seed", [1000, pytest.param(1005, marks=pytest.mark.slow)])
 def test_healthy_campaigns_are_silent(seed: int, tmp_path: Path) -> None:
     workshop.write(workshop.healthy(seed), tmp_path)
     assert levels(tmp_path) == {"fault": [], "warning": []}
@@ -53,24 +53,36 @@ def test_healthy_campaigns_are_silent(seed: int, tmp_path: Path) -> None:
         ("one accelerometer 9.8 times too large", "unit_error"),
         ("one record under two names", "same_data"),
         ("wrong stated speed", "spindle_speed"),
-        ("wrong pulses of the tacho", "spindle_speed"),
-        ("tooth passing above the band", "unusable"),
-        ("no modes for the method asked", "unusable"),
+        pytest.param("wrong pulses of the tacho", "spindle_speed", marks=pytest.mark.slow),
         ("block of NaN", "unusable"),
-        ("force 1000 times too small (cut)", "unit_error"),
+        pytest.param("force 1000 times too small (cut)", "unit_error", marks=pytest.mark.slow),
         ("acceleration of the wrong sign", "sensor_gain"),
     ],
 )
-def test_a_planted_fault_is_said_before_anything_is_computed(fault: str, cause: str, tmp_path: Path) -> None:
-    for seed in range(1000, 1040):
-        shop = workshop.healthy(seed)
-        if workshop.write(shop, tmp_path / str(seed)) and workshop.FAULTS[fault](shop, tmp_path / str(seed)):
-            break
-    found = levels(tmp_path / str(seed))["fault"]
+def test_a_planted_fault_of_a_record_is_found_by_the_audit(fault: str, cause: str, tmp_path: Path) -> None:
+    found = [s.cause for s in audit(load_campaign(planted(fault, tmp_path) / "campaign.toml")) if s.level == "fault"]
     # Exchanged or doubled records may first be unusable for another reason: the hits are then on no force channel.
     assert cause in found or (fault == "one record under two names" and "unusable" in found)
 
 
+@pytest.mark.parametrize(
+    "fault",
+    ["no modes for the method asked", pytest.param("tooth passing above the band", marks=pytest.mark.slow)],
+)
+def test_a_request_that_a_run_would_refuse_is_unusable_before_anything_is_computed(fault: str, tmp_path: Path) -> None:
+    assert "unusable" in levels(planted(fault, tmp_path))["fault"]
+
+
+def planted(fault: str, folder: Path) -> Path:
+    """Write the first campaign that can have a fault, with it; return its folder."""
+    for seed in range(1000, 1040):
+        shop = workshop.healthy(seed)
+        if workshop.write(shop, folder / str(seed)) and workshop.FAULTS[fault](shop, folder / str(seed)):
+            return folder / str(seed)
+    raise AssertionError(f"no campaign can have the fault '{fault}'")
+
+
+@pytest.mark.slow
 def test_a_run_leaves_out_what_the_check_finds_and_computes_the_rest(
     shop: workshop.Workshop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,11 +192,11 @@ def test_an_order_that_a_mode_amplifies_is_no_number_of_teeth() -> None:
 
 def taps(folder: Path, *measurements: str) -> list[Suspect]:
     """Audit a campaign of taps along x and y, each recorded along its own axis."""
-    t = np.arange(12000) / 2000.0
+    t = np.arange(6000) / 1000.0
     force = sum(1000.0 * np.sin(np.pi * np.clip(t - s, 0, 4e-3) / 4e-3) for s in (0.1, 2.1, 4.1))
     noise = np.random.default_rng(1)
     for axis, frequency in (("x", 50.0), ("y", 70.0)):
-        r = np.fft.rfftfreq(2 * t.size, 1 / 2000.0) / frequency
+        r = np.fft.rfftfreq(2 * t.size, 1 / 1000.0) / frequency
         accelerance = -((2 * np.pi * frequency * r) ** 2) / (5e7 * (1.0 - r**2 + 2j * 0.03 * r))
         moved = np.fft.irfft(accelerance * np.fft.rfft(force, 2 * t.size))[: t.size]
         noisy = {
