@@ -186,6 +186,7 @@ def test_what_is_said_of_several_channels_takes_one_row():
 
 @pytest.mark.skipif("SMFE_DATA" not in os.environ, reason="needs the public data sets (SMFE_DATA)")
 class TestPublicData:
+    @pytest.mark.slow
     def test_overloaded_and_double_hit_are_named_with_the_harm_they_would_have_done(self) -> None:
         table = suspect_table(audit(load_campaign(DATASETS / "pyfrf_hammer.toml")))
         assert not (table["level"] == "fault").any()  # the hits were left out, and no fault remains

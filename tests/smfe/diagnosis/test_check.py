@@ -245,6 +245,7 @@ def test_two_taps_without_cross_terms_are_a_note_and_as_two_measurements_a_warni
     assert taps(tmp_path, tap("x", name="one", more='controller = "K1"'), tap("y", name="other")) == []
 
 
+@pytest.mark.slow
 def test_what_a_plan_would_refuse_is_said(tmp_path: Path) -> None:
     taps(tmp_path, tap("x", "y", name="both"))
     path = tmp_path / "campaign.toml"
