@@ -56,6 +56,32 @@ CUTTING_TESTS: tuple[tuple[int, float], ...] = (
 
 
 @dataclass(frozen=True)
+class DemoSize:
+    """How much is measured; the default is the demonstration."""
+
+    sweep_rate: float = SWEEP_RATE
+    """Acceleration of the spindle in the sweeps [rad/s2]."""
+
+    sweep_duration: float = SWEEP_DURATION
+    """Time in the cut of a sweep [s]: from 600 to 1531 rpm, so that a tooth passes at 20 to 51 Hz."""
+
+    hits: int = 5
+    """Hits a direction."""
+
+    actuator_step: float = 1.0
+    """Step of the actuator from 20 to 80 Hz [Hz]."""
+
+    cutting_tests: tuple[tuple[int, float], ...] = CUTTING_TESTS
+    """Spindle speed [rpm] and depth of cut [mm] of each cutting test."""
+
+    lobe_step: int = 5
+    """Step of the spindle speeds from 600 to 1500 rpm at which the lobes are computed [rpm]."""
+
+
+DEMO = DemoSize()
+
+
+@dataclass(frozen=True)
 class _Job:
     """One record: what it is called and how it comes about."""
 
@@ -80,32 +106,34 @@ def sweep_passes(
         Time in the cut [s].
     """
     rng = np.random.default_rng(seed)
-    return {cut: _sweep(cut, width, sensors, duration)(rng) for cut in ("down", "up", "central")}
+    return {cut: _sweep(cut, width, sensors, duration, SWEEP_RATE)(rng) for cut in ("down", "up", "central")}
 
 
-def _sweep(cut: str, width: float, sensors: Sensors, duration: float) -> Callable[[np.random.Generator], xr.Dataset]:
+def _sweep(
+    cut: str, width: float, sensors: Sensors, duration: float, rate: float
+) -> Callable[[np.random.Generator], xr.Dataset]:
     # The feed rate is held while the speed rises, so the feed per tooth falls during the sweep.
     feed = FEED_PER_TOOTH * TOOL.tooth_passing_frequency(SWEEP_START)
     milling = MillingCut(TOOL, engagement(cut, width, TOOL.diameter), MATERIAL, SWEEP_DEPTH, feed_rate=feed)
-    spindle = Spindle(SWEEP_START, SWEEP_RATE)
+    spindle = Spindle(SWEEP_START, rate)
     return lambda rng: milling_trial(MACHINE, milling, spindle, duration, sensors, rng)
 
 
-def _hammer(axis: str) -> Callable[[np.random.Generator], xr.Dataset]:
+def _hammer(axis: str, hits: int) -> Callable[[np.random.Generator], xr.Dataset]:
     sensors = Sensors((1.0, 1.0, 1.0), SENSORS.acceleration_noise)
-    return lambda rng: hammer_trial(MACHINE, axis, list(rng.uniform(3.0, 5.0, 5)), sensors, rng)
+    return lambda rng: hammer_trial(MACHINE, axis, list(rng.uniform(3.0, 5.0, hits)), sensors, rng)
 
 
-def _hammer_in_motion(axis: str) -> Callable[[np.random.Generator], xr.Dataset]:
+def _hammer_in_motion(axis: str, hits: int) -> Callable[[np.random.Generator], xr.Dataset]:
     """The same test while x moves at the feed of the sweeps: the ripple of its drive is in the record."""
     ripple = (Tone("acceleration_x", 0.05, 44.0), Tone("acceleration_x", 0.02, 88.0))
     sensors = Sensors((1.0, 1.0, 1.0), SENSORS.acceleration_noise, stages=ripple)
-    return lambda rng: hammer_trial(MACHINE, axis, list(rng.uniform(3.0, 5.0, 5)), sensors, rng)
+    return lambda rng: hammer_trial(MACHINE, axis, list(rng.uniform(3.0, 5.0, hits)), sensors, rng)
 
 
-def _actuator(axis: str) -> Callable[[np.random.Generator], xr.Dataset]:
+def _actuator(axis: str, step: float) -> Callable[[np.random.Generator], xr.Dataset]:
     sensors = Sensors((0.5, 0.5, 0.5), SENSORS.acceleration_noise)
-    steps = np.arange(20.0, 80.5, 1.0)
+    steps = np.arange(20.0, 80.5, step)
     return lambda rng: actuator_trial(MACHINE, axis, steps, 100.0, sensors, rng, sample_rate=1000.0)
 
 
@@ -120,19 +148,19 @@ def _test_file(speed: int, depth: float) -> str:
     return f"records/cut_{speed}rpm_{depth:g}mm.csv"
 
 
-def _jobs() -> list[_Job]:
-    jobs = [_Job(f"records/hammer_{a}.csv", _hammer(a)) for a in "xyz"]
-    jobs += [_Job(f"records/actuator_{a}.mat", _actuator(a)) for a in "xyz"]
+def _jobs(size: DemoSize) -> list[_Job]:
+    jobs = [_Job(f"records/hammer_{a}.csv", _hammer(a, size.hits)) for a in "xyz"]
+    jobs += [_Job(f"records/actuator_{a}.mat", _actuator(a, size.actuator_step)) for a in "xyz"]
     jobs += [
-        _Job(f"records/sweep_{cut}.nc", _sweep(cut, SWEEP_WIDTH, SENSORS, SWEEP_DURATION))
+        _Job(f"records/sweep_{cut}.nc", _sweep(cut, SWEEP_WIDTH, SENSORS, size.sweep_duration, size.sweep_rate))
         for cut in ("down", "up", "central")
     ]
     # Seeds go by number: what is added comes last, so that the other records stay as they were.
-    jobs += [_Job(_test_file(*test), _cutting_test(*test)) for test in CUTTING_TESTS]
-    return jobs + [_Job(f"records/hammer_moving_{a}.csv", _hammer_in_motion(a)) for a in "xyz"]
+    jobs += [_Job(_test_file(*test), _cutting_test(*test)) for test in size.cutting_tests]
+    return jobs + [_Job(f"records/hammer_moving_{a}.csv", _hammer_in_motion(a, size.hits)) for a in "xyz"]
 
 
-def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent) -> Path:
+def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent, size: DemoSize = DEMO) -> Path:
     """Simulate the campaign and write its records and campaign file.
 
     Parameters
@@ -143,13 +171,15 @@ def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent)
         Seed of all sensor noise; each record has its own stream.
     progress : callable, optional
         Called with (what, done, of).
+    size : DemoSize, optional
+        How much is measured.
 
     Returns
     -------
     Path
         The campaign file.
     """
-    jobs = _jobs()
+    jobs = _jobs(size)
     streams = np.random.SeedSequence(seed).spawn(len(jobs))
     writers: Mapping[str, Callable[[xr.Dataset, Path], object]] = {
         ".csv": write_record_csv,
@@ -162,12 +192,13 @@ def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent)
         path.parent.mkdir(parents=True, exist_ok=True)
         writers[path.suffix](job.make(np.random.default_rng(stream)), path)
     progress("records written", len(jobs), len(jobs))
-    return write_atomically(folder / "campaign.toml", lambda p: p.write_text(campaign_text(), encoding="utf-8"))
+    return write_atomically(folder / "campaign.toml", lambda p: p.write_text(campaign_text(size), encoding="utf-8"))
 
 
-def campaign_text() -> str:
+def campaign_text(size: DemoSize = DEMO) -> str:
     """Return the campaign file of the demonstration."""
-    return _HEAD + _models() + _MEASUREMENTS + _cutting_tests()
+    lobes = _LOBES.format(step=size.lobe_step)
+    return _HEAD + _models() + _MEASUREMENTS + lobes + _cutting_tests(size.cutting_tests)
 
 
 def _models() -> str:
@@ -176,16 +207,16 @@ def _models() -> str:
         f"direction = [{d[0]:g}, {d[1]:g}, {d[2]:g}] }},\n"
         for f, z, k, d in zip(MACHINE.frequency, MACHINE.damping, MACHINE.stiffness, MACHINE.direction, strict=True)
     ]
-    head = '[[model]]                 # what was simulated; of a real machine nobody has this\nname = "known_machine"\n'
+    head = '[[model]]                 # what was simulated; of a real machine it is not known\nname = "known_machine"\n'
     return head + "modes = [\n" + "".join(rows) + "]\n"
 
 
-def _cutting_tests() -> str:
+def _cutting_tests(tests: tuple[tuple[int, float], ...]) -> str:
     return "".join(
         f'\n[[cutting_test]]\nfile = "{_test_file(speed, depth)}"\nspindle_speed = "{speed} rpm"\n'
         f'depth_of_cut = "{depth:g} mm"\ncut = "down"\nwidth_of_cut = "{TEST_WIDTH * 1e3:g} mm"\n'
         f'feed_per_tooth = "{FEED_PER_TOOTH * 1e3:g} mm"\n'
-        for speed, depth in CUTTING_TESTS
+        for speed, depth in tests
     )
 
 
@@ -200,8 +231,8 @@ def demo(out: Path | str, seed: int = DEMO_SEED, progress: Progress = silent) ->
 
 _HEAD = """\
 # A measuring campaign on a simulated machine: three sweeps, hammer tests at rest and in motion, an actuator test, six
-# cutting tests. Feed and method can be told apart, because there is a hammer test at either feed; method and level (the
-# depth of cut of a sweep, the force of an actuator) cannot, and explained.csv says so.
+# cutting tests. Feed and method can be separated, because there is a hammer test at either feed; method and level
+# (the depth of cut of a sweep, the force of an actuator) cannot, and explained.csv says so.
 [campaign]
 name = "Simulated milling machine"
 
@@ -291,12 +322,14 @@ records = [
     { file = "records/sweep_up.nc", cut = "up", width_of_cut = "12 mm" },
     { file = "records/sweep_central.nc", cut = "central", width_of_cut = "12 mm" },
 ]
+"""
 
+_LOBES = """
 [[lobes]]
 measurements = ["hammer", "actuator", "sweep", "known_machine"]
 method = "zero_order"
 cut = "down"
 width_of_cut = "40 mm"
 feed_per_tooth = "0.1 mm"
-spindle_speed = ["600 rpm", "1500 rpm", "5 rpm"]
+spindle_speed = ["600 rpm", "1500 rpm", "{step} rpm"]
 """

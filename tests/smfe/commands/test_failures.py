@@ -1,12 +1,14 @@
 """Nothing is lost because one thing fails: every part alone, and every output says what is missing in it."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from kept import kept
 
 import smfe
 from process.errors import InputError
@@ -101,31 +103,40 @@ spindle_speed = ["900 rpm", "1000 rpm", "10 rpm"]
 """
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign with a measurement, a request, a prediction and a cutting test that cannot be had; run."""
-    folder = tmp_path_factory.mktemp("parts")
+def parts(folder: Path) -> None:
+    """Run a campaign of which a measurement, a request, a prediction and a cutting test fail, and one without them.
+
+    The first is run from the command line, into ``results`` with what was printed; the other into ``alone``.
+    """
     broken = hits()
     broken.loc[77, "ax"] = np.nan
     for name, table in {"hit": hits(), "broken": broken, "cut": cut(), "other": cut()}.items():
         table.to_csv(folder / f"{name}.csv", index=False)
-    # The hammer shows 1 x 1 of the compliance from 0 to 1000 Hz: zero order can be had of it, an operating point not.
+    # The hammer gives 1 x 1 of the compliance from 0 to 1000 Hz: enough for zero order, not for an operating point.
     requests = LOBES.format(method="zero_order") + LOBES.format(method="operating_point").replace(', "broken"', "")
     tests = CUTTING_TEST.replace("cut.csv", "other.csv") + WRONG_COLUMN + CUTTING_TEST
-    (folder / "campaign.toml").write_text(CAMPAIGN + SECOND + MODEL + requests + tests)
-    return folder
+    text = CAMPAIGN + SECOND + MODEL + requests + tests
+    (folder / "campaign.toml").write_text(text)
+    smfe_run = ("-m", "smfe", "run", folder / "campaign.toml", "--out", folder / "results", "--json")
+    done = subprocess.run([sys.executable, *smfe_run], capture_output=True, text=True, check=False)
+    (folder / "printed.json").write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
+    healthy = text.replace(SECOND, "").replace(', "broken"', "")
+    (folder / "healthy.toml").write_text(healthy[: healthy.rindex("[[lobes]]")] + CUTTING_TEST)
+    smfe.run(folder / "healthy.toml", folder / "alone")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
+def folder() -> Path:
+    return kept(parts)
+
+
+@pytest.fixture(scope="session")
 def results(folder: Path) -> Path:
-    return smfe.run(folder / "campaign.toml", folder / "results").parent
+    return folder / "results"
 
 
 def test_what_does_not_fail_is_as_it_would_have_been(folder: Path, results: Path) -> None:
-    text = (folder / "campaign.toml").read_text().replace(SECOND, "").replace(', "broken"', "")
-    text = text[: text.rindex("[[lobes]]")] + CUTTING_TEST
-    (folder / "healthy.toml").write_text(text)
-    alone = smfe.run(folder / "healthy.toml", folder / "alone").parent
+    alone = folder / "alone"
     assert set(read_groups(results / "frf.nc")) == {"hammer", "m"}
     assert read_groups(results / "frf.nc")["hammer"].identical(read_groups(alone / "frf.nc")["hammer"])
     for source in ("hammer", "m"):
@@ -137,8 +148,8 @@ def test_what_does_not_fail_is_as_it_would_have_been(folder: Path, results: Path
 
 
 def test_every_output_says_in_its_place_what_failed(results: Path) -> None:
-    kept = json.loads((results / "provenance.json").read_text())["failures"]
-    parts = {(f["part"], f["name"]) for f in kept}
+    held = json.loads((results / "provenance.json").read_text())["failures"]
+    parts = {(f["part"], f["name"]) for f in held}
     assert parts == {
         ("measurement", "broken"),
         ("lobes", "lobes_1, broken"),
@@ -146,7 +157,7 @@ def test_every_output_says_in_its_place_what_failed(results: Path) -> None:
         ("prediction", "hammer + m for 2 cutting tests"),
         ("cutting test", "other.csv"),
     }
-    assert of_file(results / "frf.nc") == [f for f in unpack({"failures": kept}) if f.part == "measurement"]
+    assert of_file(results / "frf.nc") == [f for f in unpack({"failures": held}) if f.part == "measurement"]
     assert {f.name for f in of_file(results / "lobes.nc")} == {"lobes_1, broken", "lobes_2, hammer + m"}
     chatter = pd.read_csv(results / "chatter.csv", keep_default_na=False).set_index("file")
     assert chatter.loc["other.csv", "verdict"] == "failed"
@@ -161,40 +172,45 @@ def test_every_output_says_in_its_place_what_failed(results: Path) -> None:
     assert "acceleration_x" in page[page.index("measurement broken failed") :]
 
 
-def test_exit_code_3_and_what_failed_in_the_terminal(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_exit_code_3_and_what_failed_in_the_terminal(folder: Path) -> None:
+    code, out, err = json.loads((folder / "printed.json").read_text())
+    assert code == 3, err
+    assert {f["name"] for f in json.loads(out)["failures"]} >= {"broken", "other.csv"}
+    assert "failed, cutting test other.csv: " in err
+
+
+def test_exit_code_3_of_the_single_commands(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command(monkeypatch, "run", folder / "campaign.toml", "--out", folder / "again", "--json") == 3
-    said = capsys.readouterr()
-    assert {f["name"] for f in json.loads(said.out)["failures"]} >= {"broken", "other.csv"}
-    assert "failed, cutting test other.csv: " in said.err
-    frf, lobes = folder / "single.nc", folder / "lobes.nc"
+    frf, lobes = tmp_path / "single.nc", tmp_path / "lobes.nc"
     assert command(monkeypatch, "identify", folder / "campaign.toml", "-o", frf) == 3
     assert [f.name for f in of_file(frf)] == ["broken"]
-    assert command(monkeypatch, "lobes", folder / "campaign.toml", "-o", lobes, "--table", folder / "t.csv") == 3
+    assert command(monkeypatch, "lobes", folder / "campaign.toml", "-o", lobes, "--table", tmp_path / "t.csv") == 3
     assert set(read_groups(lobes)) == {"lobes_1/hammer", "lobes_1/m"}
     assert "failed, lobes lobes_2, hammer + m: " in capsys.readouterr().err
 
 
-def test_a_command_of_which_nothing_is_left_writes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = CAMPAIGN.replace("hit.csv", "broken.csv")
-    (folder / "nothing.toml").write_text(text)
-    assert command(monkeypatch, "identify", folder / "nothing.toml", "-o", folder / "nothing.nc") == 1
-    assert not (folder / "nothing.nc").exists()
-    assert command(monkeypatch, "run", folder / "nothing.toml", "--out", folder / "nothing") == 3
-    assert "measurement hammer failed" in (folder / "nothing" / "report.html").read_text()
+def test_a_command_of_which_nothing_is_left_writes_nothing(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken.csv").write_bytes((folder / "broken.csv").read_bytes())
+    (tmp_path / "nothing.toml").write_text(CAMPAIGN.replace("hit.csv", "broken.csv"))
+    assert command(monkeypatch, "identify", tmp_path / "nothing.toml", "-o", tmp_path / "nothing.nc") == 1
+    assert not (tmp_path / "nothing.nc").exists()
+    assert command(monkeypatch, "run", tmp_path / "nothing.toml", "--out", tmp_path / "nothing") == 3
+    assert "measurement hammer failed" in (tmp_path / "nothing" / "report.html").read_text()
 
 
 def test_a_mistake_of_ours_costs_its_part_and_an_interruption_everything() -> None:
-    kept: list[Failure] = []
-    with attempt(kept, "lobes", "a"):
+    caught: list[Failure] = []
+    with attempt(caught, "lobes", "a"):
         raise InputError("give more")
-    with attempt(kept, "lobes", "b"):
+    with attempt(caught, "lobes", "b"):
         np.zeros(2)[5]
-    assert [f.name for f in kept] == ["a", "b"]
-    assert kept[0].reason == "give more"
-    assert "a mistake in smfe (IndexError in test_failures.py, line" in kept[1].reason
-    with pytest.raises(KeyboardInterrupt), attempt(kept, "lobes", "c"):
+    assert [f.name for f in caught] == ["a", "b"]
+    assert caught[0].reason == "give more"
+    assert "a mistake in smfe (IndexError in test_failures.py, line" in caught[1].reason
+    with pytest.raises(KeyboardInterrupt), attempt(caught, "lobes", "c"):
         raise KeyboardInterrupt
     with pytest.raises(InputError), attempt(None, "lobes", "c"):
         raise InputError("no collector")
@@ -211,10 +227,10 @@ def test_a_cut_under_another_controller_is_not_compared_and_every_output_says_so
     assert (row["verdict"], row["predicted_hammer"], row["limit_hammer_mm"]) == ("stable", "not compared", "")
     assert row["not_compared"] == "hammer: controller K1, the cut K2"
     assert (row["controller"], row["lobes"]) == ("K2", "")
-    told = json.loads((out / "provenance.json").read_text())
-    assert told["failures"] == []
+    provenance = json.loads((out / "provenance.json").read_text())
+    assert provenance["failures"] == []
     said = "cut.csv: no source of lobes belongs to it, so nothing is predicted (hammer: controller K1, the cut K2)"
-    assert said in told["warnings"]
+    assert said in provenance["warnings"]
     assert "not compared" in (out / "report.html").read_text()
     table = check(tmp_path / "campaign.toml")
     assert table.loc[table["cause"] == "conditions", "evidence"].tolist() == [said]

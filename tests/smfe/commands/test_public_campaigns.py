@@ -1,20 +1,18 @@
 """The public data sets through their campaign files: what is known about them is found by the tool itself."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from places import CHECKOUT
+from places import DATA, DATASETS
 
 import smfe
 from smfe.comparison.peaks import peak_table
 from smfe.results import read_groups
 
-REPOSITORY = CHECKOUT
-SHARED = Path(os.environ.get("SMFE_DATA", REPOSITORY.parent / "shared" / "data"))
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -22,13 +20,13 @@ def run_public(tmp_path_factory: pytest.TempPathFactory):
     """Return a function that runs the campaign file of a public data set and returns the folder of its results."""
 
     def run(name: str) -> Path:
-        if not (SHARED / name).is_dir():
+        if not (DATA / name).is_dir():
             pytest.skip(f"public data not here: {name} (set SMFE_DATA)")
-        campaign = REPOSITORY / "datasets" / f"{name}.toml"
+        campaign = DATASETS / f"{name}.toml"
         if not campaign.is_file():
             pytest.skip("the campaign files of the public data sets are not beside the tests")
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("SMFE_DATA", str(SHARED))
+            patch.setenv("SMFE_DATA", str(DATA))
             return smfe.run(campaign, tmp_path_factory.mktemp(name)).parent
 
     return run

@@ -8,26 +8,59 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from kept import kept
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import savemat
 
 import smfe
 from process.errors import InputError
 from smfe import cli
-from smfe.campaign import load_campaign
-from smfe.commands.demo import CUTTING_TESTS, MACHINE, write_demo
+from smfe.campaign import Measurement, load_campaign
+from smfe.commands.demo import DEMO, MACHINE, DemoSize, write_demo
 from smfe.commands.run import Notes, _provenance
 from smfe.identification import measurement as measurements
+from smfe.identification.errors.result import Identification
 from smfe.results import KEPT, read_groups
 from stability import LOBE_COLUMNS
 
+SMALL = DemoSize(
+    sweep_rate=6.0,
+    sweep_duration=16.25,
+    hits=3,
+    actuator_step=3.0,
+    cutting_tests=((700, 5.0), (950, 5.0), (950, 8.5)),
+    lobe_step=25,
+)
+"""The same machine and methods; sweeps four times as fast, fewer hits, steps, cuts and speeds of the lobes."""
 
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a demonstration that has been run."""
-    folder = tmp_path_factory.mktemp("demo")
+VERDICTS = {
+    (700, 3.0): "stable",
+    (700, 5.0): "chatter",
+    (950, 5.0): "stable",
+    (950, 8.5): "chatter",
+    (1150, 3.0): "stable",
+    (1150, 5.0): "chatter",
+}
+"""Spindle speed [rpm] and depth [mm] of a cutting test -> what the simulated machine does."""
+
+
+def small_demo(folder: Path, size: DemoSize) -> None:
+    smfe.run(write_demo(folder, size=size), folder / "results")
+
+
+def full_demo(folder: Path) -> None:
     smfe.demo(folder)
-    return folder
+
+
+@pytest.fixture(scope="session", params=["small", pytest.param("full", marks=pytest.mark.slow)])
+def size(request: pytest.FixtureRequest) -> DemoSize:
+    return SMALL if request.param == "small" else DEMO
+
+
+@pytest.fixture(scope="session")
+def demo(size: DemoSize) -> Path:
+    """Folder of a demonstration that has been run."""
+    return kept(full_demo) if size is DEMO else kept(small_demo, size)
 
 
 def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -90,10 +123,11 @@ def test_the_lobe_table_has_the_columns_that_cam_reads(demo: Path) -> None:
     assert row["removal_rate_cm3_min"] == pytest.approx(row["limit_depth_mm"] * 40.0 * feed / 1e3, rel=1e-6)
 
 
-def test_cutting_tests_are_judged_as_the_simulation_made_them(demo: Path) -> None:
+def test_cutting_tests_are_judged_as_the_simulation_made_them(demo: Path, size: DemoSize) -> None:
     table = pd.read_csv(demo / "results" / "chatter.csv", keep_default_na=False)
-    assert len(table) == len(CUTTING_TESTS)
-    expected = ["stable", "chatter"] * 3
+    assert len(table) == len(size.cutting_tests)
+    expected = [VERDICTS[test] for test in size.cutting_tests]
+    assert set(expected) == {"stable", "chatter"}
     assert list(table["verdict"]) == expected
     assert list(table["predicted_sweep"]) == expected
     assert list(table["predicted_known_machine"]) == expected
@@ -109,10 +143,10 @@ def test_the_table_of_errors_shows_all_references_ahead_of_force_x_alone(demo: P
     assert (ours / theirs).max() < 1.05
 
 
-def test_the_demo_tells_feed_from_method_and_says_what_it_cannot_tell(demo: Path) -> None:
+def test_the_demo_separates_feed_from_method_and_names_what_it_cannot_separate(demo: Path) -> None:
     """The simulated machine does not know its feed; method and level change together, so they are judged together."""
     table = pd.read_csv(demo / "results" / "explained.csv", keep_default_na=False)
-    # Where only one of the hammer tests shows a peak, feed cannot be told there either.
+    # Where only one of the hammer tests has a peak, feed cannot be separated there either.
     assert set(table["factor"]) == {"feed", "method + level", "method + feed + level"}
     feed = table[table["factor"] == "feed"]
     assert len(feed) > 20
@@ -122,33 +156,25 @@ def test_the_demo_tells_feed_from_method_and_says_what_it_cannot_tell(demo: Path
     assert not (feed["significant"] == "True").any()
 
 
-def test_a_second_run_reads_back_what_the_first_has_identified(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.slow
+def test_a_second_run_reads_back_what_every_method_has_identified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small_demo(tmp_path, SMALL)
+
     def identified(campaign: object, measurement: object, *_: object) -> None:
         raise AssertionError(f"identified again: {measurement}")
 
     monkeypatch.setattr(measurements, "identify_measurement", identified)
-    results, kept = demo / "results", demo / "results" / KEPT
+    results, kept = tmp_path / "results", tmp_path / "results" / KEPT
     before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
     compliance = read_groups(results / "frf.nc")["sweep"]
-    smfe.run(demo / "campaign.toml", results)
+    smfe.run(tmp_path / "campaign.toml", results)
     assert json.loads((results / "provenance.json").read_text())["failures"] == []
     assert {p.name: p.stat().st_mtime_ns for p in kept.iterdir()} == before
     assert read_groups(results / "frf.nc")["sweep"].identical(compliance)
     with pytest.raises(AssertionError, match="identified again"):
-        smfe.identify(demo / "campaign.toml", demo / "elsewhere" / "frf.nc")
-
-
-def test_a_changed_record_is_identified_again(demo: Path, tmp_path: Path) -> None:
-    shutil.copytree(demo, tmp_path / "demo")
-    record = tmp_path / "demo" / "records" / "hammer_x.csv"
-    text = record.read_text()
-    kept = tmp_path / "demo" / "results" / KEPT
-    before = sorted(p.name for p in kept.glob("hammer-*"))
-    record.write_text(text.replace("\n", "\n", 1).rsplit("\n", 2)[0] + "\n")
-    smfe.identify(tmp_path / "demo" / "campaign.toml", tmp_path / "demo" / "results" / "frf.nc")
-    after = sorted(p.name for p in kept.glob("hammer-*"))
-    assert before != after
-    assert len(after) == 1
+        smfe.identify(tmp_path / "campaign.toml", tmp_path / "elsewhere" / "frf.nc")
 
 
 def test_provenance_names_every_input_with_its_hash(demo: Path) -> None:
@@ -178,13 +204,12 @@ def test_the_single_verbs_do_their_part(demo: Path, tmp_path: Path, monkeypatch:
     assert command(monkeypatch, "compare", frf, "-o", tmp_path / "c.csv") == 0
     record = demo / "records" / "cut_700rpm_5mm.csv"
     assert command(monkeypatch, "chatter", record, "--speed", "700 rpm", "--teeth", 2) == 0
-    assert command(monkeypatch, "report", demo / "results") == 0
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "t.csv"), pd.read_csv(demo / "results" / "lobe_table.csv"))
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "c.csv"), pd.read_csv(demo / "results" / "comparison.csv"))
 
 
-def test_the_same_seed_makes_the_same_records(demo: Path, tmp_path: Path) -> None:
-    write_demo(tmp_path)
+def test_the_same_seed_makes_the_same_records(demo: Path, size: DemoSize, tmp_path: Path) -> None:
+    write_demo(tmp_path, size=size)
     for name in ("hammer_z.csv", "cut_950rpm_8.5mm.csv"):
         assert (tmp_path / "records" / name).read_bytes() == (demo / "records" / name).read_bytes()
 
@@ -245,6 +270,45 @@ def mat_of(path: Path, cut: int | None = None, short: bool = False) -> None:
     savemat(path, columns)
     if cut is not None:
         path.write_bytes(path.read_bytes()[:cut])
+
+
+def test_what_is_identified_already_is_read_back_unless_its_record_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign, results = tmp_path / "campaign.toml", tmp_path / "results"
+    second = CAMPAIGN[CAMPAIGN.index("[[measurement]]") :].replace('"hammer"\nm', '"again"\nm').replace("hit", "again")
+    campaign.write_text(CAMPAIGN + second)
+    table = hit_table()
+    for name in ("hit.csv", "again.csv"):
+        table.to_csv(tmp_path / name, index=False)
+    smfe.identify(campaign, results / "frf.nc")
+    compliance = read_groups(results / "frf.nc")
+    before = {p.name: p.stat().st_mtime_ns for p in (results / KEPT).iterdir()}
+    identified: list[str] = []
+    identify = measurements.identify_measurement
+
+    def noted(campaign: object, measurement: Measurement, *rest: object) -> Identification:
+        identified.append(measurement.name)
+        return identify(campaign, measurement, *rest)
+
+    monkeypatch.setattr(measurements, "identify_measurement", noted)
+    smfe.run(campaign, results)
+    assert identified == []
+    assert json.loads((results / "provenance.json").read_text())["failures"] == []
+    assert {p.name: p.stat().st_mtime_ns for p in (results / KEPT).iterdir()} == before
+    again = read_groups(results / "frf.nc")
+    assert set(again) == set(compliance) == {"hammer", "again"}
+    assert all(again[name].identical(compliance[name]) for name in again)
+    smfe.identify(campaign, tmp_path / "elsewhere" / "frf.nc")
+    assert identified == ["hammer", "again"]
+    table.iloc[:-1].to_csv(tmp_path / "hit.csv", index=False)
+    smfe.identify(campaign, results / "frf.nc")
+    assert identified == ["hammer", "again", "hammer"]
+    after = {p.name: p.stat().st_mtime_ns for p in (results / KEPT).iterdir()}
+    (old,) = before.keys() - after.keys()
+    (new,) = after.keys() - before.keys()
+    assert old.startswith("hammer-")
+    assert new.startswith("hammer-")
 
 
 def csv(change: object = None) -> object:
@@ -380,11 +444,17 @@ def test_bad_input_is_one_clear_message_and_exit_code_1_or_3(
             assert word in failed[0]["reason"]
 
 
-def test_good_input_of_the_same_kind_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_good_input_of_the_same_kind_runs_and_its_report_can_be_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     hit_table().to_csv(tmp_path / "hit.csv", index=False)
     assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
-    assert (tmp_path / "results" / "report.html").is_file()
+    report = tmp_path / "results" / "report.html"
+    written = report.read_bytes()
+    report.unlink()
+    assert command(monkeypatch, "report", tmp_path / "results") == 0
+    assert report.read_bytes() == written
 
 
 def contents(folder: Path) -> dict[Path, bytes]:
@@ -427,7 +497,7 @@ LOBES = {"lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json"}
 @pytest.mark.parametrize(
     ("text", "written"),
     [
-        (HEAD + MODEL, LOBES),
+        pytest.param(HEAD + MODEL, LOBES, marks=pytest.mark.slow),
         (WITHOUT_MATERIAL + CUTTING_TEST, {"chatter.csv", "spectra.nc"}),
         (HEAD + MODEL + CUTTING_TEST, LOBES | {"chatter.csv", "spectra.nc"}),
     ],
@@ -520,7 +590,7 @@ spindle_speed = ["600 rpm", "1500 rpm", "10 rpm"]
 """
 
 
-def test_a_wrong_speed_is_found_out_by_the_speed_in_the_record(
+def test_a_wrong_speed_is_found_by_the_speed_in_the_record(
     demo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record = demo / "records" / "cut_950rpm_5mm.csv"
