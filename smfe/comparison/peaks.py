@@ -6,8 +6,8 @@ at 61 Hz on a 0.25 Hz grid). A fit is not: near its peaks a compliance is
     H(w) = sum_p [ r_p / (j w - s_p) + conj(r_p) / (j w - conj(s_p)) ] + c_0 + c_1 (f - f_0),
     s_p = 2 pi f_p (-zeta_p + j sqrt(1 - zeta_p^2)),
 
-with complex residues r and complex remainders c for the modes outside the fitted band. It is linear in r and c, so
-only f_p and zeta_p are searched (variable projection: Golub and Pereyra 1973).
+with complex residues r and a complex straight line c for the modes outside the fitted band: the fit of
+`smfe.modes.pole_fit` to one curve, over a window that follows the damping found.
 """
 
 from __future__ import annotations
@@ -16,13 +16,25 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 import xarray as xr
-from scipy import ndimage, optimize, signal
+from scipy import ndimage, signal
 
 from process.errors import InputError
 from process.labels import check_compliance
 from process.types import Complex, Real
+from smfe.modes.pole_fit import (
+    Bounds,
+    Descent,
+    PoleFit,
+    Remainders,
+    basis,
+    inflation,
+    refine,
+    slopes,
+    solve,
+    squares,
+)
+from smfe.modes.response_matrix import Curves
 
 CLEAR_SIGNIFICANCE = 4.0
 """How many times more significant than another a peak must be that is low beside the highest one."""
@@ -134,46 +146,6 @@ def find_peaks(
     for group in _groups(f, h, tops, rules):
         out += _fit_group(f, h, noise, group, rules, error_lines)
     return _distinct(sorted(out, key=lambda peak: peak.frequency))
-
-
-def peak_table(dataset: xr.Dataset, rules: PeakRules | None = None) -> pd.DataFrame:
-    """Return the peaks of every entry of a compliance matrix, one row a peak.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        ``compliance(frequency, response, excitation)`` [m/N] and, where known, ``compliance_std``.
-    rules : PeakRules, optional
-        What counts as a peak.
-
-    Returns
-    -------
-    pandas.DataFrame
-        response, excitation, and the fields of `Peak`, amplitudes in um/N.
-
-    Raises
-    ------
-    InputError
-        When the compliance has further dimensions.
-    """
-    rows = []
-    for response, excitation in entries(dataset):
-        for peak in entry_peaks(dataset, response, excitation, rules):
-            rows.append(
-                {
-                    "response": response,
-                    "excitation": excitation,
-                    "frequency_Hz": peak.frequency,
-                    "frequency_std_Hz": peak.frequency_std,
-                    "damping": peak.damping,
-                    "damping_std": peak.damping_std,
-                    "amplitude_um_per_N": 1e6 * peak.amplitude,
-                    "amplitude_std_um_per_N": 1e6 * peak.amplitude_std,
-                    "misfit": peak.misfit,
-                }
-            )
-    columns = ["response", "excitation", "frequency_Hz", "frequency_std_Hz", "damping", "damping_std"]
-    return pd.DataFrame(rows, columns=[*columns, "amplitude_um_per_N", "amplitude_std_um_per_N", "misfit"])
 
 
 def entries(dataset: xr.Dataset) -> list[tuple[str, str]]:
@@ -305,57 +277,8 @@ def _distinct(peaks: list[Peak]) -> list[Peak]:
 
 # --- the fit -------------------------------------------------------------------------------------------------------
 
-
-def _basis(f: Real, poles: Real, centre: float) -> Real:
-    """Return the model matrix for (Re r, Im r) of each pole and the remainders, real part over imaginary part.
-
-    Parameters
-    ----------
-    f : ndarray, shape (n,)
-        Frequency [Hz].
-    poles : ndarray, shape (poles, 2)
-        Frequency [Hz] and damping ratio.
-    centre : float
-        f_0 [Hz].
-
-    Returns
-    -------
-    ndarray, shape (2 n, 2 poles + 4)
-    """
-    columns = []
-    for frequency, damping in poles:
-        s = 2.0 * np.pi * frequency * (-damping + 1j * np.sqrt(1.0 - damping**2))
-        near, far = 1.0 / (2j * np.pi * f - s), 1.0 / (2j * np.pi * f - np.conj(s))
-        # Residues in units of the half bandwidth, so that all columns have the size of one.
-        scale = 2.0 * np.pi * frequency * damping
-        columns += [scale * (near + far), scale * 1j * (near - far)]
-    one, slope = np.ones_like(f), (f - centre) / (f[-1] - f[0])
-    columns += [one + 0j, 1j * one, slope + 0j, 1j * slope]
-    matrix = np.stack(columns, axis=1)
-    return np.concatenate([matrix.real, matrix.imag])
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """A converged fit: poles, linear coefficients, covariance of both together (poles first)."""
-
-    poles: Real
-    linear: Real
-    covariance: Real
-    centre: float
-    band: Real
-    misfit: float
-
-    def model(self, f: Real, parameters: Real | None = None) -> Complex:
-        """Return H [m/N] at frequencies inside the band."""
-        count = self.poles.size
-        poles = self.poles if parameters is None else parameters[:count].reshape(-1, 2)
-        linear = self.linear if parameters is None else parameters[count:]
-        # The slope is scaled by the band of the fit, not by that of the frequencies asked for.
-        padded = np.concatenate([[self.band[0]], f, [self.band[-1]]])
-        value = _basis(padded, poles, self.centre) @ linear
-        half = padded.size
-        return np.asarray(value[:half] + 1j * value[half:])[1:-1]
+_DESCENT = Descent(40, share=1e-10)
+"""Peaks are compared with each other: converged far below their standard deviations."""
 
 
 def _band(f: Real, group: Sequence[_Guess], rules: PeakRules) -> slice:
@@ -378,19 +301,16 @@ def _fit_group(
     error_lines: float,
 ) -> list[Peak]:
     """Fit the poles of a group; the band follows the damping found, once."""
-    fit = None
     for _ in range(2):
         band = _band(f, group, rules)
         if 2 * (band.stop - band.start) <= 4 * len(group) + 4:
             return []
-        fit = _fit(f[band], h[band], noise.level[band], noise.given, group, error_lines)
-        if fit is None:
-            return []
+        fit = _fit(f[band], h[band], noise.level[band], noise.given, group)
         group = [
             replace(g, frequency=p, width=2.0 * z * p) for g, (p, z) in zip(group, fit.poles.tolist(), strict=True)
         ]
-    assert fit is not None
-    peaks = [_peak(fit, k, noise.given) for k in range(len(group))]
+    covariance = fit.unit_covariance() * error_lines * inflation(fit.chi, fit.degrees_of_freedom, noise.given)
+    peaks = [_peak(fit, k, covariance, noise.given) for k in range(len(group))]
     return [p for p in peaks if p is not None and p.amplitude >= rules.significance * p.amplitude_std]
 
 
@@ -400,81 +320,38 @@ def _fit(
     noise: Real,
     given: bool,
     group: Sequence[_Guess],
-    error_lines: float,
-) -> _Fit | None:
-    """Weighted least squares over poles (searched) and residues (solved)."""
+) -> PoleFit:
+    """Fit poles and a complex straight line to a band; without a given noise every line counts the same."""
     size = float(np.abs(h).max())
-    # Each of real and imaginary part has half of the variance. Without a given noise every line counts the same.
-    sigma = np.maximum(noise, 1e-9 * size) / np.sqrt(2.0) if given else np.full(f.size, size)
-    weight = np.concatenate([1.0 / sigma, 1.0 / sigma])
-    data = np.concatenate([h.real, h.imag]) * weight
-    centre = 0.5 * (f[0] + f[-1])
-    widths = np.array([g.width for g in group])
-    first = np.array([g.frequency for g in group])
-    start = np.stack([first / widths, np.log(np.clip(widths / (2.0 * first), 1e-4, 0.4))], axis=1)
-
-    def poles(p: Real) -> Real:
-        # Frequencies in half-power widths and logarithms of damping: steps of one mean something everywhere.
-        pairs = p.reshape(-1, 2)
-        return np.stack([pairs[:, 0] * widths, np.exp(pairs[:, 1])], axis=1)
-
-    def residual(p: Real) -> Real:
-        matrix = _basis(f, poles(p), centre) * weight[:, None]
-        return np.asarray(data - matrix @ np.linalg.lstsq(matrix, data, rcond=None)[0])
-
-    one = np.ones(first.size)
-    lower = np.stack([[g.low for g in group] / widths, np.log(1e-5) * one], axis=1).ravel()
-    upper = np.stack([[g.high for g in group] / widths, np.log(_LARGEST_DAMPING) * one], axis=1).ravel()
-    inside = np.clip(start.ravel(), lower + 1e-9, upper - 1e-9)
-    found = optimize.least_squares(residual, inside, bounds=(lower, upper), x_scale=0.3)
-    solution = poles(found.x)
-    matrix = _basis(f, solution, centre) * weight[:, None]
-    linear = np.linalg.lstsq(matrix, data, rcond=None)[0]
-    dof = max(2 * f.size - matrix.shape[1] - found.x.size, 1)
-    chi = float(np.sum((data - matrix @ linear) ** 2)) / dof
-    jacobian = np.concatenate([_pole_columns(f, solution, linear, centre) * weight[:, None], matrix], axis=1)
-    covariance = _inverse_gram(jacobian) * error_lines
-    if not given or chi > 1.0 + 2.0 * np.sqrt(2.0 / dof):  # a misfit that chance does not explain
-        covariance = covariance * chi
-    return _Fit(solution, linear, covariance, centre, f, float(np.sqrt(chi)))
+    level = np.maximum(noise, 1e-9 * size) if given else np.full(f.size, size)
+    curves = Curves(f, h[None], level[None], (("", ""),), None, 1.0, True, float("nan"))
+    line = 0.5 * float(f[0] + f[-1]), 0.5 * float(f[-1] - f[0])
+    low, high = (np.array([getattr(g, end) for g in group]) for end in ("low", "high"))
+    natural, width = (np.array([getattr(g, of) for g in group]) for of in ("frequency", "width"))
+    poles = np.stack([np.clip(natural, low, high), np.clip(width / (2.0 * natural), 1e-4, 0.4)], axis=1)
+    fit = solve(curves, poles, Remainders(False, False, line))
+    return refine(fit, _DESCENT, Bounds(low, high, most_damping=_LARGEST_DAMPING))
 
 
-def _pole_columns(f: Real, poles: Real, linear: Real, centre: float) -> Real:
-    """Return the derivative of the model with respect to the poles, shape (2 n, 2 poles), by central differences."""
-    columns = []
-    for k in range(poles.size):
-        step = 1e-4 * poles[k // 2, 1] * (poles[k // 2, 0] if k % 2 == 0 else 1.0)
-        up, down = poles.copy().ravel(), poles.copy().ravel()
-        up[k], down[k] = up[k] + step, down[k] - step
-        change = _basis(f, up.reshape(-1, 2), centre) - _basis(f, down.reshape(-1, 2), centre)
-        columns.append(change @ linear / (2.0 * step))
-    return np.stack(columns, axis=1)
-
-
-def _inverse_gram(jacobian: Real) -> Real:
-    """Return ``(J^T J)^-1``, scaled column by column first so that Hz and m/N do not meet."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    _, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    inverse = (right.T / np.maximum(singular, 1e-12 * singular[0]) ** 2) @ right
-    return np.asarray(inverse / np.outer(scale, scale))
-
-
-def _peak(fit: _Fit, k: int, given: bool) -> Peak | None:
+def _peak(fit: PoleFit, k: int, covariance: Real, given: bool) -> Peak | None:
     """Return peak number k of a fit, or None when it ran away."""
     frequency, damping = (float(v) for v in fit.poles[k])
-    width = 2.0 * damping * frequency
-    std = np.sqrt(np.diag(fit.covariance)[2 * k : 2 * k + 2])
-    outside = not fit.band[0] < frequency < fit.band[-1]
+    width, f = 2.0 * damping * frequency, fit.curves.frequency
+    std = np.sqrt(np.diag(covariance)[2 * k : 2 * k + 2])
+    outside = not f[0] < frequency < f[-1]
     if outside or damping > 0.99 * _LARGEST_DAMPING or not std[0] < width or not std[1] < damping:
         return None
-    low, high = max(fit.band[0], frequency - width), min(fit.band[-1], frequency + width)
-    fine = np.linspace(low, high, 801)
-    top = fine[[int(np.argmax(np.abs(fit.model(fine))))]]
-    amplitude = float(np.abs(fit.model(top))[0])
-    gradient = _amplitude_gradient(fit, top)
-    amplitude_std = float(np.sqrt(np.maximum(gradient @ fit.covariance @ gradient, 0.0)))
-    own = fit.covariance[2 * k : 2 * k + 2]
+    fine = np.linspace(max(f[0], frequency - width), min(f[-1], frequency + width), 801)
+    size = np.abs(fit.curve_values(fine)[0])
+    top = fine[[int(np.argmax(size))]]
+    # |H| at its maximum does not change to first order with the frequency of the maximum, which is held.
+    value = fit.curve_values(top)[0]
+    slope = np.concatenate(
+        [slopes(squares(top, fit.poles), fit.poles, fit.coefficient)[0, :, 0], basis(top, fit.poles, fit.remainders)[0]]
+    )
+    gradient = (value.conj() / np.abs(value) * slope).real
+    amplitude_std = float(np.sqrt(np.maximum(gradient @ covariance @ gradient, 0.0)))
+    own = covariance[2 * k : 2 * k + 2]
     with np.errstate(divide="ignore", invalid="ignore"):  # a peak of an exact curve claims no error
         related = np.nan_to_num(np.array([own[0, 2 * k + 1] / std[1], *(own @ gradient / amplitude_std)]))
         related = np.nan_to_num(related / std[[0, 0, 1]])
@@ -483,25 +360,8 @@ def _peak(fit: _Fit, k: int, given: bool) -> Peak | None:
         frequency_std=float(std[0]),
         damping=damping,
         damping_std=float(std[1]),
-        amplitude=amplitude,
+        amplitude=float(size.max()),
         amplitude_std=amplitude_std,
         misfit=fit.misfit if given else float("nan"),
         correlation=(float(related[0]), float(related[1]), float(related[2])),
     )
-
-
-def _amplitude_gradient(fit: _Fit, top: Real) -> Real:
-    """Return the derivative of ``|H|`` at its maximum with respect to all parameters.
-
-    The maximum does not move to first order when the parameters do, so the gradient is taken at a fixed frequency.
-    """
-    parameters = np.concatenate([fit.poles.ravel(), fit.linear])
-    spread = np.sqrt(np.diag(fit.covariance))
-    gradient = np.zeros(parameters.size)
-    for i, step in enumerate(1e-3 * spread):
-        if step > 0.0:
-            up, down = parameters.copy(), parameters.copy()
-            up[i], down[i] = up[i] + step, down[i] - step
-            difference = np.abs(fit.model(top, up)) - np.abs(fit.model(top, down))
-            gradient[i] = float(difference[0]) / (2.0 * step)
-    return gradient

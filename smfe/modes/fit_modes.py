@@ -1,9 +1,10 @@
 """Modes of a measured compliance: poles, mode shapes, stiffness with intervals; a modal model and a state space.
 
-The way: poles of polynomials of rising order (`smfe.modes.poles`) propose modes; the information criterion of the whole
-matrix decides how many there are (`smfe.modes.poles`); they are refined to maximum likelihood with free symmetric
-residues (`modes.pole_fit`), then with real mode shapes (`modes.shapes`). What comes out is a `process.ModalModel`,
-and a state space that equals the free fit (`smfe.modes.state_space`).
+Poles of polynomials of rising order (`smfe.modes.stabilisation`) propose modes. The information criterion of the whole
+matrix and the likelihood ratio of the lines around each mode decide how many there are (`smfe.modes.model_order`). They
+are refined to maximum likelihood with free symmetric residues (`smfe.modes.pole_fit`), then with real mode shapes
+(`smfe.modes.shapes`). The result is a `process.ModalModel`, and a state space that equals the free fit
+(`smfe.modes.state_space`).
 """
 
 from __future__ import annotations
@@ -20,43 +21,18 @@ from process.errors import InputError
 from process.labels import AXES, make_compliance
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
-from smfe.modes.merge import merged
+from smfe.modes.merged_lines import merged
+from smfe.modes.model_order import OrderRules, choose, fit_poles, pair_distance
 from smfe.modes.pole_fit import PoleFit, remainder_modes
-from smfe.modes.poles import (
-    LARGEST_DAMPING,
-    OrderRules,
-    Stabilisation,
-    StabilityRules,
-    choose,
-    fit_poles,
-    stabilisation,
-)
-from smfe.modes.response_matrix import UNKNOWN_SHARE, Curves, ResponseMatrix, curves_of, matrix_of
-from smfe.modes.search import doubtful
+from smfe.modes.response_matrix import Curves, ResponseMatrix, curves_of, matrix_of
+from smfe.modes.rules import RULES
 from smfe.modes.shapes import ShapeFit, components, fit_shapes
+from smfe.modes.stabilisation import Stabilisation, StabilityRules, stabilisation
 from smfe.modes.state_space import StateSpace, energy_given, place_matrix, state_space
 from smfe.modes.unexplained import resolution, unexplained
 
 INTERVAL = 1.96
 """Standard deviations to either side of a 95 % interval."""
-
-UPPER_SHARE = 0.01
-"""The upper remainder goes into the modal model where it is more than this share of the largest compliance."""
-
-ACTIVE = 0.05
-"""A model that gives more energy than this share of its size is called active."""
-
-COARSE = 3.0
-"""A misfit above this is worth a warning."""
-
-NO_SHAPE = 0.3
-"""Real shapes further from the free fit than this share of its size are not used."""
-
-SHOWN = 12
-"""Most unexplained peaks that a warning names."""
-
-LOPSIDED = 2.0
-"""Mirrored entries that differ by more than this many times their noise are called not reciprocal."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +46,12 @@ class ModalRules:
     order : OrderRules, optional
         How many modes are looked for.
     accuracy : float, optional
-        Where nobody has measured the noise: share of the local magnitude down to which a model need not go [1].
+        Where no noise was measured: share of the local magnitude down to which a model need not go [1].
     """
 
     stability: StabilityRules = field(default_factory=StabilityRules)
     order: OrderRules = field(default_factory=OrderRules)
-    accuracy: float = UNKNOWN_SHARE
+    accuracy: float = RULES.unknown_share
 
 
 @dataclass(frozen=True)
@@ -93,13 +69,13 @@ class ModalFit:
     is_mode : ndarray of bool
         Which of its poles are modes of the band; the others describe its surroundings.
     shapes : ShapeFit or None
-        Real mode shapes; None where the entries measured do not tell them.
+        Real mode shapes; None where the entries measured do not determine them.
     no_shapes : str
         Why there are none; empty where there are.
     resolution : ndarray, shape (poles,)
         Of each pole of the free fit: two modes of one shape nearer than this look like one [Hz].
     perhaps_two : ndarray, shape (poles,)
-        Distance [Hz] of two modes that a pole may be, though the record does not decide it; NaN where nothing says so.
+        Distance [Hz] of two modes that a pole may be, though the record does not decide it; NaN where it is one.
     """
 
     matrix: ResponseMatrix = field(repr=False)
@@ -228,7 +204,7 @@ def fit_modes(
     if not is_mode.any():
         raise InputError(
             f"no mode of its own lies between {curves.frequency[0]:.4g} and {curves.frequency[-1]:.4g} Hz: what is "
-            "seen there belongs to modes outside, or is too wide to be told; measure a wider band or "
+            "seen there belongs to modes outside, or is too wide to be a mode; measure a wider band or "
             "with finer resolution"
         )
     shapes, reason = None, ""
@@ -240,7 +216,7 @@ def fit_modes(
         shapes = None
     numbers = range(len(free.poles))
     apart = np.array([resolution(free, k) if is_mode[k] else np.nan for k in numbers])
-    perhaps = np.array([doubtful(free, k) if is_mode[k] else np.nan for k in numbers])
+    perhaps = np.array([pair_distance(free, k) if is_mode[k] else np.nan for k in numbers])
     return ModalFit(matrix, stable, free, is_mode, shapes, reason, apart, perhaps)
 
 
@@ -254,7 +230,7 @@ def _why_not(free: PoleFit, shapes: ShapeFit) -> str:
             "no mode has a stiffness that is known: the residues are not those of real shapes at places that move "
             "with the force; check delays and signs of the channels, or measure the driving points"
         )
-    if away > NO_SHAPE:
+    if away > RULES.no_shape:
         return (
             f"real mode shapes are {100.0 * away:.0f} % away from the free fit: the phase between force and motion is "
             "not that of a machine at one place; check delays and signs of the channels"
@@ -273,9 +249,9 @@ def model_error(fit: ModalFit) -> str:
 
 
 def _are_modes(poles: Real, std: Real, curves: Curves) -> NDArray[np.bool_]:
-    """Return which poles lie in the band, are no broader than modes are, and are known well enough to be told."""
+    """Return which poles lie in the band, are no broader than modes are, and are known to within their width."""
     natural, damping = poles.T
-    inside = (natural > curves.frequency[0]) & (natural < curves.frequency[-1]) & (damping < LARGEST_DAMPING)
+    inside = (natural > curves.frequency[0]) & (natural < curves.frequency[-1]) & (damping < RULES.mode_damping)
     return np.asarray(inside & (std[:, 0] < 2.0 * damping * natural) & (std[:, 1] < damping))
 
 
@@ -330,7 +306,7 @@ def _upper_rows(shapes: ShapeFit) -> list[tuple[float, float, float, Real]]:
     return [
         (natural, damping, 1.0 / float(s), _in_axes(curves, v))
         for s, v in zip(size, vectors.T, strict=True)
-        if s > UPPER_SHARE * largest
+        if s > RULES.upper_share * largest
     ]
 
 
@@ -377,14 +353,15 @@ def _with_interval(name: str, unit: str, value: float, std: float) -> dict[str, 
     }
 
 
-def _not_told(fit: ModalFit) -> list[str]:
+def _undecided(fit: ModalFit) -> list[str]:
     """Return what the fit leaves unexplained, and which modes may be two."""
     out = []
     if fit.unexplained:
-        shown = ", ".join(f"{f:.5g}" for f in fit.unexplained[:SHOWN])
-        more = f" and {len(fit.unexplained) - SHOWN} more" if len(fit.unexplained) > SHOWN else ""
+        named = ", ".join(f"{f:.5g}" for f in fit.unexplained[: RULES.named_peaks])
+        rest = len(fit.unexplained) - RULES.named_peaks
+        more = f" and {rest} more" if rest > 0 else ""
         out.append(
-            f"peaks at {shown} Hz{more} stand out of the response and no mode describes them; fit the band around them "
+            f"peaks at {named} Hz{more} stand out of the response and no mode describes them; fit the band around them "
             'alone, e.g. --band "LOW Hz" "HIGH Hz"'
         )
     for pole, apart in zip(fit.free.poles, fit.perhaps_two, strict=False):
@@ -400,19 +377,19 @@ def _warnings(fit: ModalFit) -> list[str]:
     out = []
     if not fit.curves.noise_known:
         out.append("no standard deviation is known: intervals come from the residual of the fit alone")
-    if fit.curves.reciprocity > LOPSIDED**2:
+    if fit.curves.reciprocity > RULES.not_reciprocal**2:
         out.append(
             f"mirrored entries differ by {np.sqrt(fit.curves.reciprocity):.2g} times their noise: the machine, or the "
             "measurement, is not reciprocal; the fit is to their mean"
         )
-    if fit.curves.noise_known and fit.free.misfit > COARSE:
+    if fit.curves.noise_known and fit.free.misfit > RULES.coarse:
         out.append(
             f"the fit misses the measured compliance by {fit.free.misfit:.3g} times its noise: there are modes that "
             "it does not hold, or the machine is not linear; give a narrower band"
         )
-    out += _not_told(fit)
+    out += _undecided(fit)
     given = fit.energy_given()
-    if given > ACTIVE:
+    if given > RULES.active:
         out.append(
             f"the fitted compliance gives out energy, up to {100.0 * given:.0f} % of its size: check signs and delays "
             "of the channels; a servo may do that"

@@ -1,62 +1,171 @@
 """Maximum-likelihood fit of common poles to all curves of a matrix, with residues and remainders solved for.
 
-    H_g(w) = sum_p [ R_pg / (j w - s_p) + conj(R_pg) / (j w - conj(s_p)) ] + U_g u(w) + L_g l(w),
+    H_g(w) = sum_p [ R_pg / (j w - s_p) + conj(R_pg) / (j w - conj(s_p)) ] + remainders,
     s_p = 2 pi f_p (-zeta_p + j sqrt(1 - zeta_p^2))
 
-with complex residues R and real remainders: U for the modes above the band, L for those below and for rigid motion.
-A constant and ``-1/w^2`` are usual for the two. Here each is a mode far from the band,
+with complex residues R. **Remainders** stand for the modes outside the band. Over a whole record they are
+``U_g u(w) + L_g l(w)`` with real U for the modes above, L for those below and for rigid motion. A constant and
+``-1/w^2`` are usual for the two. Here each is a mode far from the band,
 
     u(w) = 1/(1 - (f/f_u)^2 + 2 j zeta_u f/f_u), f_u = 4 f_last;    l(w) = the same with f_l = f_first/10000,
 
 which differ from the usual ones by 13 % and 2e-7 of the remainder at most, and leave a model that is stable and
-strictly proper. The model is linear in R, U and L, so that only f_p and zeta_p are searched: Gauss-Newton with
-Marquardt's damping on the projected residual (variable projection, Golub and Pereyra 1973; Kaufman 1975). The
-covariance of the poles is that of the projected problem, with the errors that entries of one row share (a sandwich);
-that of the residues follows from it.
+strictly proper. Over a window of lines a complex straight line ``c_g + d_g (f - f_c)`` stands for all other modes.
+
+The model is linear in residues and remainders, so that only f_p and zeta_p are searched: Gauss-Newton with Marquardt's
+damping on the projected residual (variable projection, Golub and Pereyra 1973; Kaufman 1975). The covariance of the
+poles is that of the projected problem, with the errors that entries of one row share (a sandwich); that of the residues
+follows from it.
+
+Whole matrices (`smfe.modes.fit_modes`), windows around one mode (`smfe.modes.likelihood_ratio`) and single peaks
+(`smfe.comparison.peaks`) are fitted by this module; `descend` serves mode shapes and the rational model of a sweep too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from process.types import Complex, Real
 from smfe.modes.response_matrix import Curves
+from smfe.modes.rules import RULES
 
-UPPER_AT, UPPER_DAMPING = 4.0, 0.2
-"""Frequency over that of the last line, and damping ratio, of the mode that stands for all above the band."""
+# --- the step --------------------------------------------------------------------------------------------------------
 
-LOWER_AT, LOWER_DAMPING = 1e-4, 1e-3
-"""Frequency over that of the first line, and damping ratio, of the mode that stands for all below the band."""
 
-GAIN = 1e-7
-"""A fit has converged when a step gains no more than this share of chi: far less than one standard deviation."""
+class _WithChi(Protocol):
+    @property
+    def chi(self) -> float: ...
 
-LEAST_DAMPING, MOST_DAMPING = 1e-5, 0.7
-REACH = 1.5
-"""Poles stay between first line / REACH and last line * REACH."""
+
+Fit = TypeVar("Fit", bound=_WithChi)
+
+
+def damped_step(gram: Any, gradient: Any, damping: float) -> Any:
+    """Return the step of unknowns that are in units of one size; none along what does not change the model."""
+    diagonal = np.diag(np.diag(gram) + 1e-12 * np.trace(gram))
+    return np.linalg.lstsq(gram + damping * diagonal, gradient, rcond=None)[0]
+
+
+def scaled_step(gram: Any, gradient: Any, damping: float) -> Any:
+    """Return the step of unknowns of any units: the curvature is scaled to a unit diagonal first."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-30 * np.trace(gram)))
+    damped = gram / np.outer(scale, scale) + damping * np.eye(scale.size)
+    return np.linalg.lstsq(damped, gradient / scale, rcond=None)[0] / scale
+
+
+@dataclass(frozen=True)
+class Descent:
+    """When Gauss-Newton steps are damped, and when they end.
+
+    Parameters
+    ----------
+    iterations, tries : int, optional
+        Steps at most, and dampings that are tried for each.
+    share, fall : float, optional
+        Converged when a step gains no more than this share of chi, or no more than this.
+    damping, growth, shrink, least : float, optional
+        Marquardt's damping of the first step as a share of the curvature; factor on it when chi would rise, divisor
+        when chi falls; least damping that grows.
+    step : callable, optional
+        Curvature (k, k), descent direction (k,) and damping -> step (k,).
+    """
+
+    iterations: int = 40
+    tries: int = 8
+    share: float = 1e-7
+    fall: float = 0.0
+    damping: float = 1e-3
+    growth: float = 6.0
+    shrink: float = 10.0
+    least: float = 1e-6
+    step: Callable[[Any, Any, float], Any] = damped_step
+
+
+def descend(
+    fit: Fit, normal: Callable[[Fit], tuple[Any, Any]], moved: Callable[[Fit, Any], Fit], rules: Descent
+) -> Fit:
+    """Return the nearest least of chi (Gauss-Newton with Marquardt's damping).
+
+    Parameters
+    ----------
+    fit : object with ``chi``
+        Start.
+    normal : callable
+        Fit -> curvature (k, k) and descent direction (k,): ``J^H J`` and ``J^H r`` of the residual r.
+    moved : callable
+        Fit and step (k,) -> fit there.
+    rules : Descent
+        Damping and convergence.
+    """
+    damping = rules.damping
+    for _ in range(rules.iterations):
+        gram, gradient = normal(fit)
+        for _ in range(rules.tries):
+            tried = moved(fit, rules.step(gram, gradient, damping))
+            if tried.chi <= fit.chi:
+                break
+            damping = max(damping, rules.least) * rules.growth
+        else:
+            return fit
+        gain, fit, damping = fit.chi - tried.chi, tried, damping / rules.shrink
+        if gain <= max(rules.share * fit.chi, rules.fall):
+            break
+    return fit
+
+
+# --- the model -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Remainders:
-    """Which remainders a model has: for the modes below the band, and for those above."""
+    """What stands in a model for the modes outside its band.
+
+    Parameters
+    ----------
+    lower, upper : bool, optional
+        A mode far below the band; one far above.
+    line : (float, float), optional
+        A complex straight line over a window: its middle and half width [Hz].
+    """
 
     lower: bool = True
     upper: bool = True
+    line: tuple[float, float] | None = None
 
     @property
     def count(self) -> int:
         """Real unknowns of each curve."""
-        return int(self.lower) + int(self.upper)
+        return int(self.lower) + int(self.upper) + (0 if self.line is None else 4)
+
+    def columns(self, grid: Real, frequency: Real) -> Complex:
+        """Return the columns of a fit on `grid` at other frequencies [Hz], shape (n, count)."""
+        out = []
+        if self.lower or self.upper:
+            below, above = remainder_modes(grid)
+            if self.lower:
+                out.append(unit_mode(frequency, *below) / np.abs(unit_mode(grid, *below)).max())
+            if self.upper:
+                out.append(unit_mode(frequency, *above))
+        if self.line is not None:
+            x = (frequency - self.line[0]) / self.line[1] + 0.0j
+            out += [np.ones_like(x), np.full_like(x, 1j), x, 1j * x]
+        return np.stack(out, axis=1) if out else np.empty((frequency.size, 0), dtype=complex)
+
+
+NO_REMAINDERS = Remainders(False, False)
 
 
 def remainder_modes(frequency: Real) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return frequency [Hz] and damping ratio of the modes that stand for all below and all above the band."""
     first = float(frequency[frequency > 0.0][0])
-    return (LOWER_AT * first, LOWER_DAMPING), (UPPER_AT * float(frequency[-1]), UPPER_DAMPING)
+    below = (RULES.lower_at * first, RULES.lower_damping)
+    return below, (RULES.upper_at * float(frequency[-1]), RULES.upper_damping)
 
 
 def unit_mode(frequency: Real, natural: float, damping: float) -> Complex:
@@ -71,7 +180,7 @@ def pole_values(poles: Real) -> Complex:
 
 
 def basis(frequency: Real, poles: Real, remainders: Remainders, grid: Real | None = None) -> Complex:
-    """Return the columns of the model, two a pole and one a remainder, for real coefficients; shape (n, q).
+    """Return the columns of the model, two a pole, then the remainders, for real coefficients; shape (n, q).
 
     Columns of a pole are scaled by its half bandwidth, so that all have the size of one: the residue is
     ``2 pi f zeta (a + j b)``. Remainders belong to the band of `grid`, that of the fit; default: `frequency`.
@@ -81,8 +190,7 @@ def basis(frequency: Real, poles: Real, remainders: Remainders, grid: Real | Non
     near, far = scale / (jw - s), scale / (jw - s.conj())
     out = np.empty((frequency.size, 2 * len(poles) + remainders.count), dtype=complex)
     out[:, 0 : 2 * len(poles) : 2], out[:, 1 : 2 * len(poles) : 2] = near + far, 1j * (near - far)
-    if remainders.count:
-        out[:, 2 * len(poles) :] = remainder_columns(frequency if grid is None else grid, frequency, remainders)
+    out[:, 2 * len(poles) :] = remainders.columns(frequency if grid is None else grid, frequency)
     return out
 
 
@@ -91,30 +199,41 @@ def basis_of(curves: Curves, poles: Real, remainders: Remainders) -> Complex:
     return curves.over_lines(lambda f: basis(f, poles, remainders, curves.frequency))
 
 
-def squares(curves: Curves, poles: Real) -> Complex:
-    """Return ``1/(j w - s)^2`` and ``1/(j w - conj(s))^2`` at the lines of a record, shape (n, 2, poles)."""
+def squares(frequency: Real, poles: Real) -> Complex:
+    """Return ``1/(j w - s)^2`` and ``1/(j w - conj(s))^2`` at frequencies [Hz], shape (n, 2, poles)."""
     s = pole_values(poles)
-    both = np.stack([s, s.conj()])
-    return curves.over_lines(lambda f: 1.0 / (2j * np.pi * f[:, None, None] - both) ** 2)
+    return np.asarray(1.0 / (2j * np.pi * frequency[:, None, None] - np.stack([s, s.conj()])) ** 2)
 
 
 def slopes(square: Complex, poles: Real, coefficient: Real) -> Complex:
-    """Return the derivative of one curve by frequency and damping of each pole, shape (n, 2 poles).
+    """Return the derivatives of some curves by frequency and damping of each pole, shape (n, 2 poles, g).
 
-    The scale of the columns is held: its change is within what the coefficients can do.
+    The residues are held, and with them the scale of the columns: its change is within what the coefficients can do.
+
+    Parameters
+    ----------
+    square : ndarray of complex, shape (n, 2, p)
+        From `squares`.
+    poles : ndarray, shape (p, 2)
+        Frequency [Hz] and damping ratio.
+    coefficient : ndarray, shape (g, q)
+        Of the columns of `basis`.
     """
     s, scale = pole_values(poles), 2.0 * np.pi * poles[:, 0] * poles[:, 1]
     root = np.sqrt(1.0 - poles[:, 1] ** 2)
     turn = np.stack([s / poles[:, 0], 2.0 * np.pi * poles[:, 0] * (-1.0 - 1j * poles[:, 1] / root)], axis=1)
-    residue = scale * (coefficient[0 : 2 * len(poles) : 2] + 1j * coefficient[1 : 2 * len(poles) : 2])
-    by = residue[:, None] * turn
-    out = square[:, 0, :, None] * by + square[:, 1, :, None] * by.conj()
-    return np.asarray(out.reshape(len(square), -1))
+    pairs = coefficient[:, : 2 * len(poles)].reshape(len(coefficient), -1, 2)
+    by = (scale[:, None] * (pairs[..., 0] + 1j * pairs[..., 1]).T)[:, None, :] * turn[:, :, None]
+    out = square[:, 0, :, None, None] * by + square[:, 1, :, None, None] * by.conj()
+    return np.asarray(out.reshape(len(square), 2 * len(poles), -1))
 
 
 def _real(values: Complex) -> Real:
     """Return real parts over imaginary parts along the first axis."""
     return np.concatenate([values.real, values.imag])
+
+
+# --- the fit ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -133,8 +252,11 @@ class PoleFit:
         Of the columns of `basis`, for each curve [m/N].
     chi : float
         Weighted sum of squares of the residual, over ``curves.counted_lines``.
-    bases : tuple of (ndarray, ndarray)
-        Q and R of the weighted columns of each curve.
+    residual : ndarray of complex, shape (g, n)
+        What the fit leaves of every curve, times its weight.
+    bases : tuple of (ndarray of int, ndarray, ndarray)
+        Numbers of the curves that share a decomposition, and Q and R of their columns, weighted relative to the largest
+        weight of each curve.
     """
 
     curves: Curves = field(repr=False)
@@ -142,7 +264,8 @@ class PoleFit:
     remainders: Remainders
     coefficient: Real = field(repr=False)
     chi: float
-    bases: tuple[tuple[Real, Real], ...] = field(repr=False, compare=False)
+    residual: Complex = field(repr=False, compare=False)
+    bases: tuple[tuple[NDArray[np.int64], Real, Real], ...] = field(repr=False, compare=False)
 
     @property
     def unknowns(self) -> int:
@@ -150,32 +273,24 @@ class PoleFit:
         return int(self.poles.size + self.coefficient.size)
 
     @property
-    def freedom(self) -> float:
+    def degrees_of_freedom(self) -> float:
         """Degrees of freedom of the residual."""
         return max(self.curves.real_data - self.unknowns, 1.0)
 
     @property
     def misfit(self) -> float:
         """Root of chi over its degrees of freedom: 1 when the model is right and the noise known."""
-        return float(np.sqrt(self.chi / self.freedom))
+        return float(np.sqrt(self.chi / self.degrees_of_freedom))
 
     @property
     def inflation(self) -> float:
-        """Factor on all variances: chi/dof where chance does not explain it, or where the noise is not known."""
-        ratio = self.chi / self.freedom
-        chance = 1.0 + 2.0 * np.sqrt(2.0 / self.freedom)
-        return ratio if not self.curves.noise_known or ratio > chance else 1.0
+        """Factor on all variances: chi/dof where noise does not explain it, or where the noise is not known."""
+        return inflation(self.chi, self.degrees_of_freedom, self.curves.noise_known)
 
     @property
     def information(self) -> float:
-        """Bayesian information criterion; smaller is better.
-
-        ``-2 log L + k log N`` with error levels known up to a factor on the variance that is not below one: what no
-        linear model explains then counts as noise instead of calling for more poles.
-        """
-        n = self.curves.real_data
-        factor = max(self.chi / n, 1.0)
-        return float(n * np.log(factor) + self.chi / factor + self.unknowns * np.log(n))
+        """Bayesian information criterion; smaller is better (`information`)."""
+        return information(self.chi, self.curves.real_data, self.unknowns)
 
     @cached_property
     def left(self) -> Complex:
@@ -187,13 +302,13 @@ class PoleFit:
     def correlated_lines(self) -> float:
         """Lines over which the residual belongs together: ``1 + 2 sum rho_k^2`` over lags k (Bartlett), 1 for noise.
 
-        What a linear model leaves of a real machine is smooth: its lines say the same thing again.
+        What a linear model leaves of a real machine is smooth: neighbouring lines are no independent data.
         """
-        return correlated_lines(self.left * self.curves.weight)
+        return correlated_lines(self.residual)
 
     @property
     def shared_lines(self) -> float:
-        """Lines that share an error: as stated, and as the residual shows where it is more than the noise."""
+        """Lines that share an error: as stated, or as the residual has them where it is more than the noise."""
         stated = self.curves.error_lines
         return stated if self.inflation == 1.0 else max(stated, self.correlated_lines)
 
@@ -248,6 +363,35 @@ class PoleFit:
             out[:, g] = scale * np.sqrt(np.maximum(variance, 0.0))
         return out
 
+    def unit_covariance(self) -> Real:
+        """Return the covariance of poles and coefficients of a single curve for errors as its weights say.
+
+        Shape (2 p + q, 2 p + q); neither lines that share errors nor a misfit are in it.
+        """
+        ((inverse, slope, turned),) = _projected(self)
+        poles = scaled_inverse(slope.T @ slope)
+        follows = turned @ poles
+        return np.block([[poles, follows.T], [follows, inverse @ inverse.T + follows @ turned.T]])
+
+
+def inflation(chi: float, degrees_of_freedom: float, noise_known: bool) -> float:
+    """Return the factor on all variances of a fit: chi/dof where it is above what noise explains, or noise not known.
+
+    Noise explains one and two standard deviations more, ``1 + 2 sqrt(2/dof)``.
+    """
+    ratio = chi / degrees_of_freedom
+    return ratio if not noise_known or ratio > 1.0 + 2.0 * np.sqrt(2.0 / degrees_of_freedom) else 1.0
+
+
+def information(chi: float, data: float, unknowns: int) -> float:
+    """Return the Bayesian information criterion; smaller is better.
+
+    ``-2 log L + k log N`` with error levels known up to a factor on the variance that is not below one: what no linear
+    model explains then counts as noise instead of calling for more poles.
+    """
+    factor = max(chi / data, 1.0)
+    return float(data * np.log(factor) + chi / factor + unknowns * np.log(data))
+
 
 def correlated_lines(left: Complex) -> float:
     """Return ``1 + 2 sum rho_k^2`` of weighted residuals, shape (g, n), over lags k up to where rho is 0.1."""
@@ -256,17 +400,6 @@ def correlated_lines(left: Complex) -> float:
     rho = np.abs(np.fft.ifft(spectrum))[: n // 4] / max(power, 1e-300)
     end = int(np.argmax(rho < 0.1)) if (rho < 0.1).any() else rho.size
     return float(1.0 + 2.0 * np.sum(rho[1:end] ** 2))
-
-
-def remainder_columns(grid: Real, frequency: Real, remainders: Remainders) -> Complex:
-    """Return the columns of the remainders of a fit on `grid` at other frequencies [Hz]."""
-    below, above = remainder_modes(grid)
-    out = []
-    if remainders.lower:
-        out.append(unit_mode(frequency, *below) / np.abs(unit_mode(grid, *below)).max())
-    if remainders.upper:
-        out.append(unit_mode(frequency, *above))
-    return np.stack(out, axis=1)
 
 
 def scaled_inverse(gram: Real) -> Real:
@@ -278,19 +411,7 @@ def scaled_inverse(gram: Real) -> Real:
     return np.asarray(inverse / np.outer(scale, scale))
 
 
-def _bases(curves: Curves, columns: Complex) -> Iterator[tuple[Real, Real]]:
-    """Yield Q and R of the weighted columns of each curve; one decomposition where the weights are shared."""
-    if curves.shared:
-        relative = curves.weight[0] / curves.weight[0].max()
-        q, r = np.linalg.qr(_real(columns * relative[:, None]))
-        for weight in curves.weight:
-            yield q, r * weight.max()
-    else:
-        for weight in curves.weight:
-            yield np.linalg.qr(_real(columns * weight[:, None]))
-
-
-def triangular(r: Real, right: Real) -> Real:
+def _triangular(r: Real, right: Real) -> Real:
     """Solve a triangular system; the least squares of smallest norm where two columns coincide."""
     size = np.abs(np.diag(r))
     if size.min() > 1e-11 * size.max():
@@ -300,16 +421,22 @@ def triangular(r: Real, right: Real) -> Real:
 
 def solve(curves: Curves, poles: Real, remainders: Remainders) -> PoleFit:
     """Return the best residues and remainders for given poles."""
-    columns = basis_of(curves, poles, remainders)
+    columns, n = basis_of(curves, poles, remainders), curves.frequency.size
     coefficient = np.empty((len(curves.values), columns.shape[1]))
-    chi = 0.0
-    bases = tuple(_bases(curves, columns))
-    for g, (q, r) in enumerate(bases):
-        data = _real(curves.values[g] * curves.weight[g])
+    residual = np.empty(curves.values.shape, dtype=complex)
+    chi, bases = 0.0, []
+    every = np.arange(len(curves.values))
+    for which in [every] if curves.shared else np.split(every, every.size):
+        size = curves.weight[which].max(axis=1)
+        q, r = np.linalg.qr(_real(columns * (curves.weight[which[0]] / size[0])[:, None]))
+        data = _real((curves.values[which] * curves.weight[which]).T)
         inside = q.T @ data
-        coefficient[g] = triangular(r, inside)
-        chi += float(np.sum((data - q @ inside) ** 2))
-    return PoleFit(curves, poles, remainders, coefficient, chi / curves.counted_lines, bases)
+        left = data - q @ inside
+        coefficient[which] = (_triangular(r, inside) / size).T
+        residual[which] = (left[:n] + 1j * left[n:]).T
+        chi += float(np.sum(left**2))
+        bases.append((which, q, r))
+    return PoleFit(curves, poles, remainders, coefficient, chi / curves.counted_lines, residual, tuple(bases))
 
 
 def _projected(fit: PoleFit) -> Iterator[tuple[Real, Real, Real]]:
@@ -318,12 +445,15 @@ def _projected(fit: PoleFit) -> Iterator[tuple[Real, Real, Real]]:
     The last, negative and in units of the coefficients, says how they follow the poles.
     """
     curves = fit.curves
-    square = squares(curves, fit.poles)
-    for g, (q, r) in enumerate(fit.bases):
-        slope = _real(slopes(square, fit.poles, fit.coefficient[g]) * curves.weight[g][:, None])
-        inside = q.T @ slope
-        inverse = triangular(r, np.eye(len(r)))
-        yield inverse, slope - q @ inside, -inverse @ inside
+    square = curves.over_lines(lambda f: squares(f, fit.poles))
+    for which, q, r in fit.bases:
+        unit = _triangular(r, np.eye(len(r)))
+        for g in which:
+            slope = slopes(square, fit.poles, fit.coefficient[[g]])[..., 0]
+            weighted = _real(slope * curves.weight[g][:, None])
+            inside = q.T @ weighted
+            inverse = unit / curves.weight[g].max()
+            yield inverse, weighted - q @ inside, -inverse @ inside
 
 
 def _score_covariance(rows: list[Real], joint: Complex, weight: Real) -> Real:
@@ -337,49 +467,62 @@ def _score_covariance(rows: list[Real], joint: Complex, weight: Real) -> Real:
     return np.asarray(0.5 * np.einsum("ngj,ngk->jk", turned.conj(), seen).real)
 
 
-def refine(fit: PoleFit, iterations: int = 40) -> PoleFit:
+@dataclass(frozen=True)
+class Bounds:
+    """Between which poles are moved: frequencies [Hz], for all poles or for each, and damping ratios."""
+
+    low: float | Real
+    high: float | Real
+    least_damping: float = RULES.least_damping
+    most_damping: float = RULES.most_damping
+
+
+def refine(fit: PoleFit, rules: Descent | int = 40, bounds: Bounds | None = None) -> PoleFit:
     """Return the fit at the nearest least of chi over frequencies and damping ratios.
 
-    Steps are in half-power widths and logarithms of damping: one means something everywhere.
+    Steps are in half-power widths and logarithms of damping: one means something everywhere, and no step is longer.
+
+    Parameters
+    ----------
+    fit : PoleFit
+        Start.
+    rules : Descent or int, optional
+        Damping and convergence, or only how many steps at most.
+    bounds : Bounds, optional
+        Default: the band and half of it beyond.
     """
     if not len(fit.poles):
         return fit
-    low, high = fit.curves.frequency[0] / REACH, fit.curves.frequency[-1] * REACH
-    damping = 1e-3
-    for _ in range(iterations):
-        width = 2.0 * fit.poles[:, 0] * fit.poles[:, 1]
-        unit = np.stack([width, fit.poles[:, 1]], axis=1).ravel()
-        gram, gradient = _normal(fit, unit)
-        for _ in range(8):
-            diagonal = np.diag(gram) + 1e-12 * np.trace(gram)
-            step = np.linalg.lstsq(gram + damping * np.diag(diagonal), gradient, rcond=None)[0].reshape(-1, 2)
-            step = np.clip(step, [-1.0, -1.0], [1.0, 1.0])
-            poles = np.stack([fit.poles[:, 0] + step[:, 0] * width, fit.poles[:, 1] * np.exp(step[:, 1])], axis=1)
-            poles[:, 0] = np.clip(poles[:, 0], max(low, 1e-6 * high), high)
-            poles[:, 1] = np.clip(poles[:, 1], LEAST_DAMPING, MOST_DAMPING)
-            tried = solve(fit.curves, poles, fit.remainders)
-            if tried.chi <= fit.chi:
-                break
-            damping = max(damping, 1e-6) * 6.0
-        else:
-            return fit
-        gain, fit, damping = fit.chi - tried.chi, tried, damping / 10.0
-        if gain <= GAIN * fit.chi:
-            break
-    return fit
+    f = fit.curves.frequency
+    high = float(f[-1]) * RULES.beyond
+    within = bounds or Bounds(max(float(f[0]) / RULES.beyond, 1e-6 * high), high)
+
+    def moved(at: PoleFit, step: Real) -> PoleFit:
+        change = np.clip(step.reshape(-1, 2), -1.0, 1.0)
+        natural, damping = at.poles.T
+        poles = np.stack([natural * (1.0 + 2.0 * damping * change[:, 0]), damping * np.exp(change[:, 1])], axis=1)
+        poles[:, 0] = np.clip(poles[:, 0], within.low, within.high)
+        poles[:, 1] = np.clip(poles[:, 1], within.least_damping, within.most_damping)
+        return solve(at.curves, poles, at.remainders)
+
+    return descend(fit, _normal, moved, rules if isinstance(rules, Descent) else Descent(rules))
 
 
-def _normal(fit: PoleFit, unit: Real) -> tuple[Real, Real]:
-    """Return Gram matrix and gradient of the projected problem in the units of the steps."""
-    curves = fit.curves
-    gram, gradient = np.zeros((unit.size, unit.size)), np.zeros(unit.size)
-    square = squares(curves, fit.poles)
-    for g, (q, _) in enumerate(fit.bases):
-        slope = _real(slopes(square, fit.poles, fit.coefficient[g]) * curves.weight[g][:, None]) * unit
-        outside = slope - q @ (q.T @ slope)
-        left = _real(fit.left[g] * curves.weight[g])
-        gram += outside.T @ outside
-        gradient += outside.T @ left
+def _normal(fit: PoleFit) -> tuple[Real, Real]:
+    """Return Gram matrix and gradient of the projected problem in half-power widths and logarithms of damping."""
+    curves, size = fit.curves, fit.poles.size
+    unit = np.stack([2.0 * fit.poles[:, 0] * fit.poles[:, 1], fit.poles[:, 1]], axis=1).ravel()
+    gram, gradient = np.zeros((size, size)), np.zeros(size)
+    square = curves.over_lines(lambda f: squares(f, fit.poles))
+    for which, q, _ in fit.bases:
+        # Some curves at a time: the slopes of a large matrix would not fit into memory.
+        for part in np.array_split(which, -(-which.size * size * curves.frequency.size // 1_000_000)):
+            slope = slopes(square, fit.poles, fit.coefficient[part]) * curves.weight[part].T[:, None]
+            weighted = (_real(slope) * unit[:, None]).reshape(len(q), -1)
+            outside = (weighted - q @ (q.T @ weighted)).reshape(len(q), size, -1)
+            flat = outside.transpose(1, 2, 0).reshape(size, -1)
+            gram += flat @ flat.T
+            gradient += flat @ _real(fit.residual[part].T).T.ravel()
     return gram, gradient
 
 

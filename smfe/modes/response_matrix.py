@@ -1,4 +1,4 @@
-"""A measured matrix made ready for a modal fit: reciprocal entries averaged, noise levels, gaps without weight.
+"""A measured matrix prepared for a modal fit: reciprocal entries averaged, noise levels, gaps without weight.
 
 Two entries (i, j) and (j, i) that share their residues and remainders enter a least squares through their mean alone:
 
@@ -12,35 +12,18 @@ error of covariance c, its denominator is ``s1^2 + s2^2 - 2 Re c``; the mean sta
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from process.errors import InputError
 from process.labels import check_compliance
 from process.types import Complex, Real
-
-FEWEST_LINES = 12
-"""Below this number of frequencies no fit is tried."""
-
-UNKNOWN_SHARE = 0.1
-"""Where nobody has measured the noise, it is taken as this share of the local magnitude: what lies below calls for no
-more poles. A weight, no error: intervals come from the residual."""
-
-UNKNOWN_LINES = 150
-"""Where nobody has measured the noise, a record counts as no more independent lines than this."""
-
-SMOOTHING = 9
-"""Lines over which a mean square error is averaged: one from a few repeats scatters itself."""
-
-EQUAL = 1e-6
-"""Where less than this share of their variances is left in the difference of mirrored entries, they were made equal."""
-
-SMALLEST = 1e-9
-"""No error is taken to be smaller than this share of the largest value: doubles hold no more after a fit."""
+from smfe.modes.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -92,10 +75,10 @@ class ResponseMatrix:
         if not np.all(np.isfinite(f)) or np.any(np.diff(f) <= 0.0) or (f.size and f[0] < 0.0):
             raise InputError("the frequencies of a modal fit must be finite, not negative, and rise; sort them")
         known = int(np.isfinite(self.values).any(axis=(1, 2)).sum()) if f.size else 0
-        if known < FEWEST_LINES:
+        if known < RULES.fewest_lines:
             raise InputError(
-                f"the matrix is known at {known} frequencies; a modal fit needs at least {FEWEST_LINES}: measure with "
-                "finer resolution or over a wider band"
+                f"the matrix is known at {known} frequencies; a modal fit needs at least {RULES.fewest_lines}: measure "
+                "with finer resolution or over a wider band"
             )
         if not np.nan_to_num(self.values).any():
             raise InputError("the matrix is zero wherever it is known; a modal fit needs a measured response")
@@ -184,7 +167,7 @@ class Curves:
         Mean of ``|y_ij - y_ji|^2`` over its variance, 1 for a reciprocal machine; NaN when no entry has a mirror, or
         was made equal to it.
     rough : ndarray, shape (g, n), optional
-        Root mean square of the noise as the scatter of neighbouring lines shows it [m/N]; None where `std` is known.
+        Root mean square of the noise by the scatter of neighbouring lines [m/N]; None where `std` is known.
     width : ndarray, shape (n,), optional
         Width of the lines that were merged into one [Hz], of the same second moment; None: no line is merged.
     record_lines : int, optional
@@ -218,10 +201,12 @@ class Curves:
     def counted_lines(self) -> float:
         """Lines that count as one when the number of modes is decided.
 
-        Those that share an error; where no noise is known, at least so many that `UNKNOWN_LINES` are left: what a
-        model leaves is then taken to be smooth, no new evidence on every line of a fine grid.
+        Those that share an error; where no noise is known, at least so many that `FitRules.unknown_lines` are left:
+        what a model leaves is then taken to be smooth, no independent number on every line of a fine grid.
         """
-        return self.error_lines if self.noise_known else max(self.error_lines, self.frequency.size / UNKNOWN_LINES)
+        return (
+            self.error_lines if self.noise_known else max(self.error_lines, self.frequency.size / RULES.unknown_lines)
+        )
 
     @cached_property
     def real_data(self) -> float:
@@ -237,6 +222,32 @@ class Curves:
             out[at] = (5.0 * (function(middle - reach) + function(middle + reach)) + 8.0 * out[at]) / 18.0
         return out
 
+    def alike(self) -> Curves:
+        """Return curves whose noise levels have one course over frequency: one decomposition serves all."""
+        known = np.isfinite(self.std)
+        size = np.sqrt(1.0 / np.mean(1.0 / self.std**2, axis=1, keepdims=True))
+        course = np.sqrt(known.sum(axis=0) / np.sum((size / self.std) ** 2, axis=0))
+        return replace(self, std=np.where(known, size * course, np.inf))
+
+    def part(
+        self, lines: NDArray[np.generic], values: Complex | None = None, used: NDArray[np.bool_] | None = None
+    ) -> Curves:
+        """Return some lines of some curves; other values for them where these are given (all curves, all lines)."""
+        pick = np.ones(len(self.values), dtype=bool) if used is None else used
+        values = self.values if values is None else values
+        return Curves(
+            self.frequency[lines],
+            values[pick][:, lines],
+            self.std[pick][:, lines],
+            tuple(p for p, u in zip(self.pairs, pick, strict=True) if u),
+            None,
+            self.error_lines,
+            self.noise_known,
+            self.reciprocity,
+            None if self.rough is None else self.rough[pick][:, lines],
+            width=None if self.width is None or not self.width[lines].any() else self.width[lines],
+        )
+
     @property
     def places(self) -> tuple[str, ...]:
         """Names of all places, those of responses first; x, y, z in their order."""
@@ -244,7 +255,7 @@ class Curves:
         return tuple(sorted(names)) if set(names) <= {"x", "y", "z"} else tuple(names)
 
 
-def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves:
+def curves_of(matrix: ResponseMatrix, accuracy: float = RULES.unknown_share) -> Curves:
     """Average reciprocal entries of a measured matrix and give each curve its noise level.
 
     Parameters
@@ -252,7 +263,7 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
     matrix : ResponseMatrix
         What was measured.
     accuracy : float, optional
-        Where nobody has measured the noise: share of the local magnitude down to which a model need not go [1].
+        Where no noise was measured: share of the local magnitude down to which a model need not go [1].
     """
     std, roughness, known = _levels(matrix, accuracy)
     entries = [(r, e) for r in matrix.response for e in matrix.excitation]
@@ -289,8 +300,10 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
     level = np.stack(spread)
     if matrix.between is not None and joint is not None:
         power = np.diagonal(joint, axis1=1, axis2=2).real.T
-        level = np.where(np.isfinite(level), np.sqrt(np.maximum(power, (SMALLEST * np.abs(values).max()) ** 2)), np.inf)
-    # A line that nobody knows weighs nothing anywhere: it is left out.
+        level = np.where(
+            np.isfinite(level), np.sqrt(np.maximum(power, (RULES.smallest * np.abs(values).max()) ** 2)), np.inf
+        )
+    # A line that no curve knows weighs nothing: it is left out.
     there = np.isfinite(level).any(axis=0)
     return Curves(
         matrix.frequency[there],
@@ -306,13 +319,13 @@ def curves_of(matrix: ResponseMatrix, accuracy: float = UNKNOWN_SHARE) -> Curves
 
 
 def _levels(matrix: ResponseMatrix, accuracy: float) -> tuple[Real, Real, bool]:
-    """Return a smooth noise level of every entry, its part that lines show [m/N], and whether it was measured."""
+    """Return the smooth noise level of each entry, its part by the scatter of lines [m/N], whether it was measured."""
     there = np.isfinite(matrix.values)
     largest = float(np.abs(matrix.values[there]).max())
     if matrix.std is not None and np.isfinite(matrix.std[there]).mean() > 0.5:
         square = np.where(there & np.isfinite(matrix.std), matrix.std, np.nan) ** 2
-        level = np.apply_along_axis(_mean_over_lines, 0, square, SMOOTHING)
-        level = np.maximum(np.sqrt(level), SMALLEST * largest)
+        level = np.apply_along_axis(_mean_over_lines, 0, square, RULES.smoothing)
+        level = np.maximum(np.sqrt(level), RULES.smallest * largest)
         return level, level, True
     out, rough = np.full(matrix.values.shape, largest), np.full(matrix.values.shape, largest)
     for i, j in np.ndindex(matrix.values.shape[1:]):
@@ -320,7 +333,7 @@ def _levels(matrix: ResponseMatrix, accuracy: float) -> tuple[Real, Real, bool]:
         if known.sum() > 2:
             rough[known, i, j], share = _rough_level(matrix.values[known, i, j])
             out[known, i, j] = np.hypot(rough[known, i, j], accuracy * share)
-    return np.maximum(out, SMALLEST * largest), np.maximum(rough, SMALLEST * largest), False
+    return np.maximum(out, RULES.smallest * largest), np.maximum(rough, RULES.smallest * largest), False
 
 
 def running_mean(values: Real, width: int) -> Real:
@@ -364,8 +377,8 @@ def _whole(matrix: ResponseMatrix) -> Complex | None:
     else:
         return None
     flat = whole.reshape(matrix.frequency.size, -1)
-    real = np.apply_along_axis(_mean_over_lines, 0, flat.real, SMOOTHING)
-    imag = np.apply_along_axis(_mean_over_lines, 0, flat.imag, SMOOTHING)
+    real = np.apply_along_axis(_mean_over_lines, 0, flat.real, RULES.smoothing)
+    imag = np.apply_along_axis(_mean_over_lines, 0, flat.imag, RULES.smoothing)
     return np.asarray((real + 1j * imag).reshape(whole.shape))
 
 
@@ -390,6 +403,6 @@ def _asymmetry(each: Complex, s: Real, common: Real) -> tuple[float, int]:
     both = np.isfinite(s).all(axis=0)
     power = (s[:, both] ** 2).sum(axis=0)
     apart = power - 2.0 * common[both]
-    told = apart > EQUAL * power
+    independent = apart > RULES.mirrored * power
     square = np.abs(each[0] - each[1])[both] ** 2
-    return float(np.sum(square[told] / apart[told])), int(told.sum())
+    return float(np.sum(square[independent] / apart[independent])), int(independent.sum())

@@ -22,28 +22,23 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.modes.pole_fit import (
-    GAIN,
-    LEAST_DAMPING,
-    MOST_DAMPING,
+    Descent,
     PoleFit,
     Remainders,
+    descend,
+    inflation,
+    information,
     remainder_modes,
     scaled_inverse,
+    scaled_step,
     unit_mode,
 )
 from smfe.modes.response_matrix import Curves
+from smfe.modes.rules import RULES
 
-STRONG = 0.5
-"""A mode is strong when its peak is above this share of the highest."""
-
-ROUGH_GAIN = 1e-4
-"""Share of chi that a step must gain while it is decided which modes there are."""
-
-UNRESOLVED = 0.5
-"""Standard deviation of a stiffness over it from which on it is not known at all."""
-
-MOST_TWINS = 3
-"""Modes of a frequency that another has already, such as those of a symmetric machine: no more of them are tried."""
+FINAL = Descent(40, tries=10, least=1e-7, step=scaled_step)
+ROUGH = replace(FINAL, iterations=10, share=1e-4)
+"""Convergence of the reported shapes, and while it is decided which modes there are."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +58,7 @@ class ShapeFit:
     coefficient : ndarray, shape (g, remainders)
         Compliance of the remainders at 0 Hz [m/N], lower first.
     origin : tuple of int
-        Which pole of the free fit each mode comes from; twins come from the same.
+        Which pole of the free fit each mode comes from; modes of one frequency come from the same.
     residual_lines : float
         Lines over which the residual of the free fit belongs together.
     chi : float
@@ -85,21 +80,19 @@ class ShapeFit:
         return int(self.poles.size + self.shape.size + self.coefficient.size)
 
     @property
-    def freedom(self) -> float:
+    def degrees_of_freedom(self) -> float:
         """Degrees of freedom of the residual."""
         return max(self.curves.real_data - self.unknowns, 1.0)
 
     @property
     def misfit(self) -> float:
         """Root of chi over its degrees of freedom."""
-        return float(np.sqrt(self.chi / self.freedom))
+        return float(np.sqrt(self.chi / self.degrees_of_freedom))
 
     @property
     def information(self) -> float:
-        """Bayesian information criterion, as that of `smfe.modes.pole_fit.PoleFit`."""
-        n = self.curves.real_data
-        factor = max(self.chi / n, 1.0)
-        return float(n * np.log(factor) + self.chi / factor + self.unknowns * np.log(n))
+        """Bayesian information criterion; smaller is better (`smfe.modes.pole_fit.information`)."""
+        return information(self.chi, self.curves.real_data, self.unknowns)
 
     @property
     def stiffness(self) -> Real:
@@ -117,12 +110,10 @@ class ShapeFit:
     def covariance(self) -> Real:
         """Covariance of (f, zeta, v) of each mode in turn, then the remainders of each curve."""
         gram, _ = _normal(self, _whitening(self.curves))
-        ratio = self.chi / self.freedom
-        chance = 1.0 + 2.0 * np.sqrt(2.0 / self.freedom)
-        inflation, lines = 1.0, self.curves.error_lines
-        if not self.curves.noise_known or ratio > chance:
-            inflation, lines = ratio, max(lines, self.residual_lines)
-        return scaled_inverse(gram) * lines * inflation
+        lines, factor = self.curves.error_lines, inflation(self.chi, self.degrees_of_freedom, self.curves.noise_known)
+        if not self.curves.noise_known or factor > 1.0:
+            lines = max(lines, self.residual_lines)
+        return scaled_inverse(gram) * lines * factor
 
     @cached_property
     def std(self) -> dict[str, Real]:
@@ -142,7 +133,7 @@ class ShapeFit:
     @property
     def resolved(self) -> NDArray[np.bool_]:
         """Which modes have a stiffness that is known at all: twice its error is less than it."""
-        return np.asarray(self.std["stiffness"] < UNRESOLVED * self.stiffness)
+        return np.asarray(self.std["stiffness"] < RULES.unresolved * self.stiffness)
 
     @property
     def left(self) -> Complex:
@@ -178,7 +169,7 @@ def components(curves: Curves) -> list[list[int]]:
     Raises
     ------
     InputError
-        When a shape cannot be told from the entries of its places: no driving point among them.
+        When the entries of some places determine no shape: no driving point is among them.
     """
     first, second = _places(curves)
     left = set(range(len(curves.places)))
@@ -224,12 +215,12 @@ def fit_shapes(free: PoleFit, keep: NDArray[np.bool_] | None = None) -> ShapeFit
     # A residue without any positive part has no real shape to start from.
     there = np.flatnonzero(np.sum(shape**2, axis=1) > 0.0)
     fit = _resolved(_refined(_start(free, there, shape[there]), white), white)
-    for _ in range(MOST_TWINS):
-        twin = _with_twin(free, fit, parts, white)
-        if twin is None or twin.information >= fit.information:
+    for _ in range(RULES.most_repeated):
+        more = _with_repeated(free, fit, parts, white)
+        if more is None or more.information >= fit.information:
             break
-        fit = twin
-    return _refined(fit, white, 40, GAIN)
+        fit = more
+    return _refined(fit, white, FINAL)
 
 
 def _resolved(fit: ShapeFit, white: Complex | Real) -> ShapeFit:
@@ -288,7 +279,7 @@ def _require_positive(free: PoleFit, shape: Real, keep: NDArray[np.bool_]) -> No
     first, second = _places(free.curves)
     direct = [g for g, (a, b) in enumerate(zip(first, second, strict=True)) if a == b]
     height = np.abs(free.residue).max(axis=1) / (free.poles[:, 0] * free.poles[:, 1])
-    for k in np.flatnonzero(keep & (height >= STRONG * height[keep].max())):
+    for k in np.flatnonzero(keep & (height >= RULES.strong * height[keep].max())):
         natural, damping = free.poles[k]
         turned = (2j * np.sqrt(1.0 - damping**2) * free.residue[k, direct]).real
         spread = 2.0 * free.residue_std[k, direct]
@@ -398,25 +389,11 @@ def _normal(fit: ShapeFit, white: Complex | Real) -> tuple[Real, Real]:
     return slopes.T @ slopes, slopes.T @ _left(fit, white)
 
 
-def _refined(fit: ShapeFit, white: Complex | Real, iterations: int = 10, enough: float = ROUGH_GAIN) -> ShapeFit:
-    """Return the nearest least of chi (Gauss-Newton with Marquardt's damping)."""
-    fit, damping = _solved(fit, white), 1e-3
-    for _ in range(iterations):
-        gram, gradient = _normal(fit, white)
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-30 * np.trace(gram)))
-        for _ in range(10):
-            turned = gram / np.outer(scale, scale) + damping * np.eye(scale.size)
-            step = np.linalg.lstsq(turned, gradient / scale, rcond=None)[0] / scale
-            tried = _solved(_moved(fit, step), white)
-            if tried.chi <= fit.chi:
-                break
-            damping = max(damping, 1e-7) * 6.0
-        else:
-            return fit
-        gain, fit, damping = fit.chi - tried.chi, tried, damping / 10.0
-        if gain <= enough * fit.chi:
-            break
-    return fit
+def _refined(fit: ShapeFit, white: Complex | Real, rules: Descent = ROUGH) -> ShapeFit:
+    """Return the nearest least of chi."""
+    return descend(
+        _solved(fit, white), lambda at: _normal(at, white), lambda at, d: _solved(_moved(at, d), white), rules
+    )
 
 
 def _moved(fit: ShapeFit, step: Real) -> ShapeFit:
@@ -426,13 +403,15 @@ def _moved(fit: ShapeFit, step: Real) -> ShapeFit:
     change = np.stack([np.clip(modes[:, 0], -width, width), modes[:, 1]], axis=1)
     poles = fit.poles + change
     poles[:, 1] = np.clip(
-        poles[:, 1], np.maximum(0.5 * fit.poles[:, 1], LEAST_DAMPING), np.minimum(2.0 * fit.poles[:, 1], MOST_DAMPING)
+        poles[:, 1],
+        np.maximum(0.5 * fit.poles[:, 1], RULES.least_damping),
+        np.minimum(2.0 * fit.poles[:, 1], RULES.most_damping),
     )
     rest = step[modes.size :].reshape(fit.coefficient.shape)
     return replace(fit, poles=poles, shape=fit.shape + modes[:, 2:], coefficient=fit.coefficient + rest)
 
 
-def _with_twin(free: PoleFit, fit: ShapeFit, parts: list[list[int]], white: Complex | Real) -> ShapeFit | None:
+def _with_repeated(free: PoleFit, fit: ShapeFit, parts: list[list[int]], white: Complex | Real) -> ShapeFit | None:
     """Return the fit with one vector more for the pole whose residue asks for it most."""
     best: tuple[float, int, Real] | None = None
     for k in range(len(free.poles)):
@@ -446,10 +425,10 @@ def _with_twin(free: PoleFit, fit: ShapeFit, parts: list[list[int]], white: Comp
     if best is None:
         return None
     _, k, v = best
-    twin = free.poles[[k]] * [[1.0 + 0.1 * free.poles[k, 1], 1.0]]
+    repeated = free.poles[[k]] * [[1.0 + 0.1 * free.poles[k, 1], 1.0]]
     tried = replace(
         fit,
-        poles=np.concatenate([fit.poles, twin]),
+        poles=np.concatenate([fit.poles, repeated]),
         shape=np.concatenate([fit.shape, v[None, :]]),
         origin=(*fit.origin, k),
     )

@@ -20,9 +20,6 @@ from smfe.modes.pole_fit import PoleFit, pole_values, remainder_modes
 
 StateSpace = tuple[Real, Real, Real, Real]
 
-RANK = 1e-13
-"""Singular values below this share of the largest are not there."""
-
 
 def place_matrix(
     fit: PoleFit, values: NDArray[np.generic], response: tuple[str, ...], excitation: tuple[str, ...]
@@ -71,23 +68,17 @@ def state_space(fit: PoleFit, response: tuple[str, ...], excitation: tuple[str, 
 def _factors(matrix: Complex) -> tuple[Complex, Complex]:
     """Return F (rows, rank) and E^T (rank, columns) with ``F E^T`` the matrix."""
     left, size, right = np.linalg.svd(matrix)
-    rank = int(np.sum(size > RANK * max(float(size[0]), 1e-300)))
+    # Singular values below 1e-13 of the largest are rounding.
+    rank = int(np.sum(size > 1e-13 * max(float(size[0]), 1e-300)))
     root = np.sqrt(size[:rank])
     return left[:, :rank] * root, root[:, None] * right[:rank]
 
 
-def compliance_of(system: StateSpace, frequency: Real) -> Complex:
-    """Return ``C (j w I - A)^-1 B + D``, shape (frequencies, outputs, inputs)."""
-    a, b, c, d = system
-    jw = 2j * np.pi * np.asarray(frequency)[:, None, None]
-    return np.asarray(c @ np.linalg.solve(jw * np.eye(len(a)) - a, b.astype(complex)) + d)
-
-
 def energy_given(matrix: Complex) -> Real:
-    """Return how much energy a compliance gives at each frequency as a share of its size: 0 for a passive machine.
+    """Return the energy that a compliance gives at each frequency as a share of its size, 0 for a passive machine.
 
-    A passive machine takes energy from every force: ``j (Phi - Phi^H)/2`` has no negative eigenvalue. Shown is the most
-    negative one over the norm of the matrix, its sign turned.
+    A passive machine takes energy from every force: ``j (Phi - Phi^H)/2`` has no negative eigenvalue. Returned is the
+    most negative one over the norm of the matrix, its sign turned.
 
     Parameters
     ----------

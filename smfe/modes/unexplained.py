@@ -1,7 +1,8 @@
 """What a modal fit leaves: peaks that no reported mode describes, and modes that may be two.
 
-A peak stands out when the response, as mobility and with every curve over its own size, is `STANDS_OUT` times its
-median around. It is explained by a reported mode within its half-power width, or within a line.
+A peak stands out when the response, as mobility and with every curve over its own size, is ten times
+(`FitRules.stands_out`) its median around. It is explained by a reported mode within its half-power width, or within a
+line.
 
 Two modes at the frequencies ``f +- d/2`` with the residues of one look like one pole but for the third order of their
 distance from it, ``R (pi d)^2/(j w - s)^3``. With sigma the noise of the lines, the distance at which what one
@@ -18,18 +19,10 @@ import numpy as np
 from scipy import signal
 
 from process.types import Real
-from smfe.modes.local import REACH, threshold, window
+from smfe.modes.likelihood_ratio import threshold, window
 from smfe.modes.pole_fit import PoleFit
 from smfe.modes.response_matrix import running_mean
-
-STANDS_OUT = 10.0
-"""Power of a peak over the median around it from which on it is named when no mode describes it."""
-
-AROUND = 8.0
-"""Half widths of a peak that count as around it."""
-
-LEFT = 0.5
-"""Share of the power of the response at a peak of the residual from which on it is unexplained."""
+from smfe.modes.rules import RULES
 
 
 def unexplained(fit: PoleFit, modes: Real) -> tuple[float, ...]:
@@ -52,12 +45,12 @@ def unexplained(fit: PoleFit, modes: Real) -> tuple[float, ...]:
     noise = curves.std if curves.rough is None else curves.rough
     scatter = np.sum(np.where(known, noise, 0.0) ** 2 * f**2 * weight[:, None], axis=0)
     out: list[float] = []
-    for power, share in ((whole, 0.0), (left, LEFT)):
+    for power, share in ((whole, 0.0), (left, RULES.unexplained_share)):
         smooth = running_mean(power, 3)
-        lines, _ = signal.find_peaks(np.log(np.maximum(smooth, 1e-300)), prominence=np.log(STANDS_OUT))
+        lines, _ = signal.find_peaks(np.log(np.maximum(smooth, 1e-300)), prominence=np.log(RULES.stands_out))
         for k in map(int, lines):
             top = max(k - 1, 0) + int(np.argmax(power[max(k - 1, 0) : k + 2]))
-            if power[top] < (STANDS_OUT + np.log(f.size)) * scatter[top] or power[top] < share * whole[top]:
+            if power[top] < (RULES.stands_out + np.log(f.size)) * scatter[top] or power[top] < share * whole[top]:
                 continue
             spacing = float(f[min(top + 1, f.size - 1)] - f[max(top - 1, 0)])
             reach = np.maximum(1.5 * modes[:, 0] * modes[:, 1], spacing)
@@ -71,7 +64,7 @@ def unexplained(fit: PoleFit, modes: Real) -> tuple[float, ...]:
 def resolution(fit: PoleFit, number: int) -> float:
     """Return the distance [Hz] below which two modes of one shape would look like this one; NaN where not known."""
     natural, damping = fit.poles[number]
-    where = window(fit, natural, REACH * natural * damping)
+    where = window(fit, natural, RULES.reach * natural * damping)
     if where is None or number not in where.near:
         return float("nan")
     curves = where.curves

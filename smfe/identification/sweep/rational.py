@@ -20,6 +20,7 @@ import numpy as np
 
 from process.types import Complex, Real
 from smfe.identification.sweep.least_squares import Equations, ring
+from smfe.modes.pole_fit import Descent, descend
 
 COARSE = 0.25
 """Width of the bins that are joined to find the poles [Hz]."""
@@ -33,16 +34,20 @@ MOST_ORDER = 6
 MOST_POLES = 12
 """Poles at most."""
 
-STEPS = 8
-"""Steps of the poles at most, each time one is added."""
-
-SETTLED = 0.3
-"""Fall of the weighted sum of squares at which the poles stay; a parameter is known to 1."""
-
 WORTH = 3.0
 """Fall of the weighted sum of squares, for each unknown of a pole, from which the pole is worth adding.
 
 Noise gives 1 to a pole at a given place and nearly 2, which is Akaike's limit, to the best of all places."""
+
+
+def _step(curvature: Complex, pull: Complex, damping: float) -> Complex:
+    diagonal = np.maximum(np.diagonal(curvature).real, 1e-300)
+    return np.asarray(np.linalg.solve(curvature + np.diag(damping * diagonal), pull))
+
+
+DESCENT = Descent(8, tries=6, share=0.0, fall=0.3, growth=10.0, shrink=5.0, least=0.0, step=_step)
+"""Steps of the poles each time one is added: they stay when the weighted sum of squares falls by less than 0.3, since a
+fall of 1 is one standard deviation of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ class _Linear:
     amplitude: Complex
     inverse: Complex
     gradient: Complex
-    cost: float
+    chi: float
 
 
 def fit_rational(
@@ -163,11 +168,11 @@ def fit_rational(
     while True:
         if best.poles.size < MOST_POLES:
             found = _polished(problem, np.append(best.poles, _next_pole(problem, best)))
-            if best.cost - found.cost > WORTH * (each + 1):
+            if best.chi - found.chi > WORTH * (each + 1):
                 best = found
                 continue
-        worth, (problem, best) = best.cost, _one_order_more(problem, best)
-        if problem.order > MOST_ORDER or not worth - best.cost > WORTH * each:
+        worth, (problem, best) = best.chi, _one_order_more(problem, best)
+        if problem.order > MOST_ORDER or not worth - best.chi > WORTH * each:
             break
     if together > 1 and best.poles.size and float(best.poles.imag.min()) < NARROW * COARSE:
         together = 1
@@ -237,7 +242,7 @@ def _solve(problem: _Problem, poles: Complex) -> _Linear:
     amplitude = np.empty((rows, n, j), dtype=complex)
     inverse = np.empty((rows, n * j, n * j), dtype=complex)
     gradient = np.empty(problem.cross.shape, dtype=complex)
-    cost = 0.0
+    chi = 0.0
     wide = _spread(basis, j)
     flat = wide.reshape(-1, n * j).conj().T
     for i in range(rows):
@@ -250,8 +255,8 @@ def _solve(problem: _Problem, poles: Complex) -> _Linear:
         inverse[i] = np.linalg.pinv(unit, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
         amplitude[i] = (inverse[i] @ cross).reshape(n, j)
         gradient[i] = problem.cross[i] - through @ amplitude[i].ravel()
-        cost += float(problem.power[i] - np.vdot(cross, amplitude[i].ravel()).real)
-    return _Linear(poles, basis, amplitude, inverse, gradient, cost)
+        chi += float(problem.power[i] - np.vdot(cross, amplitude[i].ravel()).real)
+    return _Linear(poles, basis, amplitude, inverse, gradient, chi)
 
 
 def _curvature(problem: _Problem, at: _Linear) -> tuple[Complex, Complex, list[Complex]]:
@@ -274,28 +279,16 @@ def _curvature(problem: _Problem, at: _Linear) -> tuple[Complex, Complex, list[C
 
 
 def _polished(problem: _Problem, poles: Complex) -> _Linear:
-    """Move the poles downhill; damped where a step would rise (Levenberg and Marquardt)."""
-    at, damping = _solve(problem, poles), 1e-3
+    """Move the poles to the nearest least of the sum of squares."""
     if not poles.size:
-        return at
-    for _ in range(STEPS):
-        curvature, pull, _ = _curvature(problem, at)
-        diagonal = np.maximum(np.diagonal(curvature).real, 1e-300)
-        for _ in range(6):
-            step = np.linalg.solve(curvature + np.diag(damping * diagonal), pull)
-            moved = at.poles + step
-            # A pole narrower than a bin is a resonance of the noise.
-            moved = moved.real + 1j * np.maximum(moved.imag, problem.narrowest)
-            new = _solve(problem, moved)
-            if new.cost < at.cost:
-                break
-            damping *= 10.0
-        else:
-            return at
-        fallen, at, damping = at.cost - new.cost, new, damping / 5.0
-        if fallen < SETTLED:
-            return at
-    return at
+        return _solve(problem, poles)
+
+    def moved(at: _Linear, step: Complex) -> _Linear:
+        there = at.poles + step
+        # A pole narrower than a bin is a resonance of the noise.
+        return _solve(problem, there.real + 1j * np.maximum(there.imag, problem.narrowest))
+
+    return descend(_solve(problem, poles), lambda at: _curvature(problem, at)[:2], moved, DESCENT)
 
 
 def _next_pole(problem: _Problem, at: _Linear) -> complex:

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from places import DATA, DATASETS
 
 import smfe
-from smfe.comparison.peaks import peak_table
+from smfe.comparison.peaks import entries, entry_peaks
 from smfe.results import read_groups
 
 pytestmark = pytest.mark.slow
@@ -32,6 +33,11 @@ def run_public(tmp_path_factory: pytest.TempPathFactory):
     return run
 
 
+def frequencies(compliance: xr.Dataset) -> np.ndarray:
+    """Return the frequencies [Hz] of the peaks of all entries."""
+    return np.array([peak.frequency for entry in entries(compliance) for peak in entry_peaks(compliance, *entry)])
+
+
 def test_the_overloaded_and_the_double_hit_are_in_the_hit_table_of_the_report(run_public) -> None:
     results = run_public("pyfrf_hammer")
     hits = pd.read_csv(results / "tables" / "hammer.hits.csv", keep_default_na=False)
@@ -47,15 +53,14 @@ def test_the_overloaded_and_the_double_hit_are_in_the_hit_table_of_the_report(ru
 
 def test_the_modes_of_the_tool_point_are_found_within_2_percent(run_public) -> None:
     results = run_public("toolpoint_hammer_ubc")
-    peaks = peak_table(read_groups(results / "frf.nc")["averaged_H11"])
+    peaks = frequencies(read_groups(results / "frf.nc")["averaged_H11"])
     for known in (1074.0, 1961.0, 2617.0):
-        nearest = peaks.iloc[(peaks["frequency_Hz"] - known).abs().argmin()]
-        assert nearest["frequency_Hz"] == pytest.approx(known, rel=0.02)
+        assert np.abs(peaks / known - 1.0).min() < 0.02
 
 
 def test_the_modes_of_the_free_beam_are_found_within_1_percent(run_public) -> None:
     groups = read_groups(run_public("sdypy_ema_beam") / "frf.nc")
-    peaks = [peak_table(groups[f"hit_{k}"])["frequency_Hz"].to_numpy() for k in range(6)]
+    peaks = [frequencies(groups[f"hit_{k}"]) for k in range(6)]
     # Of the close pair at 2258 and 2286 Hz the second is the peak. It is 35 to 47 dB below that at 476 Hz.
     modes = np.array([176.0, 476.0, 932.0, 1534.0, 2286.0, 3161.0, 4180.0])
     for known in modes:

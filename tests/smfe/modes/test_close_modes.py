@@ -13,7 +13,7 @@ from truth.modes import beam_shape, term
 
 from smfe.commands.modal import _as_json, as_toml
 from smfe.modes.fit_modes import fit_modes
-from smfe.modes.merge import merged
+from smfe.modes.merged_lines import merged
 from smfe.modes.pole_fit import Remainders, refine, solve
 from smfe.modes.response_matrix import ResponseMatrix, curves_of, running_mean
 

@@ -15,23 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smfe.modes.response_matrix import Curves
-
-ENOUGH_LINES = 1000
-"""A record with fewer lines stays as it is."""
-
-LONGEST_BLOCK = 64
-"""Most lines that are merged into one."""
-
-SMOOTH = 0.02
-"""Departure from a straight line, as a share of the size, that counts as smooth: blocks half as wide as the distance to
-the nearest pole."""
-
-SURPRISE, SURPRISE_OF_FEW, FEW = 2.5, 5.0, 4
-"""Standard deviations by which the power of the departure may exceed that of the noise, and that for blocks of up to
-`FEW` lines: lines left alone for what chance did to them would be a choice of the largest errors."""
-
-WIDEST = 0.02
-"""No merged line is wider than this share of its frequency."""
+from smfe.modes.rules import RULES
 
 
 def merged(curves: Curves) -> Curves:
@@ -41,7 +25,7 @@ def merged(curves: Curves) -> Curves:
     """
     n = curves.frequency.size
     spacing = np.diff(curves.frequency)
-    if n < ENOUGH_LINES or curves.error_lines > 1.0 or np.ptp(spacing) > 1e-3 * float(np.median(spacing)):
+    if n < RULES.enough_lines or curves.error_lines > 1.0 or np.ptp(spacing) > 1e-3 * float(np.median(spacing)):
         return curves
     start, length = _blocks(curves)
     edges = np.unique(start)
@@ -71,7 +55,7 @@ def _blocks(curves: Curves) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     noise = curves.std if curves.rough is None else curves.rough
     length, start = np.ones(n, dtype=np.int64), np.arange(n)
     k = 2
-    while k <= min(LONGEST_BLOCK, n):
+    while k <= min(RULES.longest_block, n):
         blocks = n // k
         inside = slice(0, blocks * k)
         x = (np.arange(k) - 0.5 * (k - 1)) / k
@@ -85,15 +69,15 @@ def _blocks(curves: Curves) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         size = np.mean(np.abs(h) ** 2, axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):
             power = np.mean(s**2, axis=2)
-            surprise = SURPRISE_OF_FEW if k <= FEW else SURPRISE
+            surprise = RULES.departure_of_few if k <= RULES.few else RULES.departure
             allowed = 1.0 + surprise / np.sqrt(k)
-            alone = away <= allowed * power + SMOOTH**2 * size
+            alone = away <= allowed * power + RULES.smooth**2 * size
             # All curves together see a peak that none sees alone.
-            excess = np.mean(np.maximum(away - SMOOTH**2 * size, 0.0) / power, axis=0)
+            excess = np.mean(np.maximum(away - RULES.smooth**2 * size, 0.0) / power, axis=0)
         smooth = np.isfinite(s).all(axis=(0, 2)) & alone.all(axis=0)
         smooth &= excess < 1.0 + surprise / np.sqrt(k * len(h))
         smooth &= (length[inside].reshape(blocks, k) == k // 2).all(axis=1)
-        smooth &= k * spacing < WIDEST * curves.frequency[inside].reshape(blocks, k)[:, 0]
+        smooth &= k * spacing < RULES.widest * curves.frequency[inside].reshape(blocks, k)[:, 0]
         at = (np.flatnonzero(smooth)[:, None] * k + np.arange(k)).ravel()
         length[at] = k
         start[at] = at // k * k
