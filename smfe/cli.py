@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
+from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 import smfe
@@ -23,7 +27,7 @@ from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drive_lines
 from smfe.identification.drive.loops import FILE as LOOP_FILE
 from smfe.identification.drive.loops import loop_lines
-from smfe.progress import bar
+from smfe.progress import Progress
 from smfe.records.look import summary as summary_of_look
 from smfe.results import Failures, unpack, unpack_warnings
 
@@ -62,7 +66,7 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = DEMO_SEED,
 ) -> None:
     """Simulate a whole measuring campaign and run it."""
-    with bar(console) as progress:
+    with _bar() as progress:
         report = smfe.demo(folder, seed, progress)
     _finish(report)
 
@@ -75,7 +79,7 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print report, warnings and failures as JSON.")] = False,
 ) -> None:
     """Do everything a campaign asks for: compliances, comparison, lobes, verdicts, report."""
-    with bar(console) as progress:
+    with _bar() as progress:
         report = smfe.run(campaign, folder, fresh, progress, _show)
     _finish(report, as_json)
 
@@ -87,7 +91,7 @@ def identify(
 ) -> None:
     """Identify the compliances of a campaign."""
     failures: Failures = []
-    with bar(console) as progress:
+    with _bar() as progress:
         found = smfe.identify(campaign, output, progress, _show, failures)
     for name, item in found.items():
         sizes = " x ".join(str(item.compliance.sizes[d]) for d in ("frequency", "response", "excitation"))
@@ -125,7 +129,7 @@ def modal(
 ) -> None:
     """Fit modes to measured compliances and write them as models for a campaign file."""
     failures: Failures = []
-    with bar(console) as progress:
+    with _bar() as progress:
         fits = smfe.modal(source, output, measurement, band, progress, _show, failures)
     for name, fit in fits.items():
         for row in fit.table().to_dict("records"):
@@ -146,7 +150,7 @@ def lobes(
 ) -> None:
     """Compute the stability lobes that a campaign asks for."""
     failures: Failures = []
-    with bar(console) as progress:
+    with _bar() as progress:
         results = smfe.lobes(campaign, output, table, frf, progress, failures)
     heads = ("lobes", "source", "smallest limit [mm]", "at [rpm]", "largest limit [mm]", "at [rpm]")
     shown = Table(*map(escape, heads))
@@ -231,7 +235,7 @@ def simulate(
     workers: Annotated[int | None, typer.Option(min=1, help="Records at a time; default: one a core.")] = None,
 ) -> None:
     """Simulate the trials of a scenario; write their records and the campaign file that reads them."""
-    with bar(console) as progress:
+    with _bar() as progress:
         campaign = smfe.simulate(scenario, output, workers, progress)
     out.print(f"written: {campaign}; next: smfe run {campaign}", highlight=False, soft_wrap=True)
 
@@ -244,13 +248,13 @@ def plan(
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of noise to verify with.")] = 3,
 ) -> None:
     """Say before cutting which sweep will work: passes, speeds, depth, expected error of each compliance."""
-    with bar(console) as progress:
+    with _bar() as progress:
         found = smfe.plan(campaign, output, progress, _show)
     for warning in found.warnings:
         console.print(f"note: {warning}", markup=False, highlight=False, soft_wrap=True)
     out.print(planning.summary(found), markup=False, highlight=False, soft_wrap=True)
     if verified:
-        with bar(console) as progress:
+        with _bar() as progress:
             result = planning.verify(found, output, tuple(range(1, seeds + 1)), progress)
         out.print(planning.explain(result), markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output / 'plan.html'}; next: cut {output / 'plan.csv'}", highlight=False, soft_wrap=True)
@@ -264,7 +268,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
 ) -> None:
     """Audit the data of a campaign, and try in short all that it asks for: exit code 3 where there is a fault."""
-    with bar(console) as progress:
+    with _bar() as progress:
         table = smfe.check(campaign, progress, _show)
     if as_json:
         typer.echo(table.to_json(orient="records", indent=2, force_ascii=False))
@@ -295,7 +299,7 @@ def diagnose(
     ] = None,
 ) -> None:
     """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains."""
-    with bar(console) as progress:
+    with _bar() as progress:
         finding = smfe.diagnose(campaign, output, seed, tuple(held_out or ()), progress, _show, workers)
     out.print(explain(finding), markup=False, highlight=False, soft_wrap=True)
     # `smfe report` looks for this name.
@@ -310,7 +314,7 @@ def convert(
     campaign: Annotated[Path | None, typer.Option(help="Campaign file that declares the channels.")] = None,
 ) -> None:
     """Write a record in another format, in SI units and with the corrections of its channels."""
-    with bar(console) as progress:
+    with _bar() as progress:
         left: list[str] = []
         written = smfe.convert(source, target, campaign, progress, left.append)
     for text in left:
@@ -327,7 +331,7 @@ def coefficients(
     ] = Path("material.toml"),
 ) -> None:
     """Find the cutting coefficients from measured cuts, with intervals, as a table of the material to paste."""
-    with bar(console) as progress:
+    with _bar() as progress:
         found = smfe.coefficients(campaign, output, progress, _show)
     for fit in found:
         out.print(fit.material(fit.method), markup=False, highlight=False)
@@ -357,9 +361,33 @@ def look(
 @app.command()
 def report(folder: Annotated[Path, typer.Argument(help="Folder of results.", show_default=False)]) -> None:
     """Write the report of a folder of results again."""
-    with bar(console) as progress:
+    with _bar() as progress:
         path = smfe.report(folder, progress)
     _done(path)
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    """Show a progress bar on stderr while the block runs; plain lines where the console is not a terminal."""
+    if not console.is_terminal:
+        yield _lines()
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with RichProgress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("starting", total=1)
+        yield lambda what, done, of: progress.update(task, description=what, completed=done, total=max(of, 1))
+
+
+def _lines() -> Progress:
+    """Print each new job once."""
+    seen: set[str] = set()
+
+    def report(what: str, done: int, of: int) -> None:
+        if what not in seen:
+            seen.add(what)
+            console.print(what, markup=False, highlight=False)
+
+    return report
 
 
 def _show(text: str) -> None:

@@ -11,7 +11,7 @@ from smfe.campaign.datasets import Show
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.checks.suspect import suspect_table
 from smfe.diagnosis.dry_run import refusals
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 
 
 def check(campaign: Path | str, progress: Progress = silent, show: Show | None = None) -> pd.DataFrame:

@@ -29,7 +29,7 @@ from smfe.campaign import load_campaign
 from smfe.campaign.datasets import Show
 from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 from smfe.records import read_records
 from smfe.results import write_atomically
 

@@ -10,7 +10,7 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.campaign import load_channels
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 from smfe.records import (
     Channel,
     column_names,

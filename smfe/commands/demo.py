@@ -23,7 +23,7 @@ from process.instruments.trials import actuator_trial, hammer_trial, milling_tri
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle
 from smfe.commands.run import run
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 from smfe.records import write_record_csv, write_record_mat, write_record_netcdf
 from smfe.results import write_atomically
 

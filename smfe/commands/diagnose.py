@@ -17,8 +17,9 @@ from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.inference.diagnose import diagnose as diagnose_family
 from smfe.diagnosis.inference.finding import Finding, explain
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
+from smfe.progress import Progress, silent
 from smfe.results import KEPT, MEASUREMENT, TEST, Failures, check_target, write_json
 
 

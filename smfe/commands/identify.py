@@ -16,9 +16,10 @@ from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drives_of, write_drives
 from smfe.identification.drive.loops import FILE as LOOP_FILE
 from smfe.identification.drive.loops import loops_of, write_loops
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
 from smfe.identification.levels import belongs, condition_cubes, level_cubes, with_levels
 from smfe.identification.measurement import cached_identification, check_sweep, split_levels
+from smfe.progress import Progress, silent
 from smfe.results import (
     KEPT,
     MEASUREMENT,

@@ -8,9 +8,9 @@ from process.errors import InputError
 from smfe.campaign import load_campaign
 from smfe.commands.identify import identify_all
 from smfe.identification.compliances import labelled
-from smfe.identification.errors.result import Progress, silent
 from smfe.identification.levels import with_levels
 from smfe.limits.campaign_lobes import LobeResult, all_lobes, joined
+from smfe.progress import Progress, silent
 from smfe.results import (
     KEPT,
     Failures,

@@ -17,10 +17,10 @@ from smfe.campaign import load_campaign
 from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.campaign.toml import table as toml_table
-from smfe.identification.errors.result import Progress, silent
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import cached_identification
 from smfe.modes.fit_modes import ModalFit, fit_modes
+from smfe.progress import Progress, silent
 from smfe.records import read_universal_frfs
 from smfe.results import KEPT, MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
 

@@ -21,11 +21,11 @@ from smfe.campaign.datasets import Show
 from smfe.campaign.toml import table
 from smfe.commands.identify import identify
 from smfe.commands.simulate import simulate
-from smfe.identification.errors.result import Progress, silent
 from smfe.planning.errors import error_interval
 from smfe.planning.forces import Level, Pass, SweepPlan, force_level
 from smfe.planning.recommend import Plan, recommend, summary
 from smfe.planning.task import Task, load_task
+from smfe.progress import Progress, silent
 from smfe.results import pack_warnings, read_groups, write_atomically, write_csv, write_groups
 
 __all__ = ["Plan", "plan", "recommend", "summary"]

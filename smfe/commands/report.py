@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 
 
 def report(folder: Path | str, progress: Progress = silent) -> Path:

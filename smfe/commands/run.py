@@ -35,11 +35,12 @@ from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drives_of, notes_of, write_drives
 from smfe.identification.drive.loops import FILE as LOOP_FILE
 from smfe.identification.drive.loops import loops_of, write_loops
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import file_hash
 from smfe.limits.campaign_lobes import LobeResult, all_lobes, write_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
+from smfe.progress import Progress, silent
 from smfe.results import (
     KEPT,
     MEASUREMENT,

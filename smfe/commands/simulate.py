@@ -14,7 +14,7 @@ from pathlib import Path
 from process.errors import InputError
 from smfe._version import __version__
 from smfe.campaign.datasets import Show
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 from smfe.records.formats.channels import listed
 from smfe.results import write_groups
 from smfe.scenario.run import campaign_text, standing_axes, truths, write_records

@@ -38,7 +38,7 @@ from smfe.diagnosis.checks.sweep import sweep_suspects
 from smfe.identification.drive.drives import drive_of, notes_of
 from smfe.identification.drive.loop import summary
 from smfe.identification.drive.loops import loop_of
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
 from smfe.identification.levels import levels_of, with_levels
 from smfe.identification.measurement import (
     cached_identification,
@@ -51,6 +51,7 @@ from smfe.identification.measurement import (
 )
 from smfe.identification.sweep.passes import prepare
 from smfe.identification.sweep.spindle_clock import ADVICE, judge_clock
+from smfe.progress import Progress, silent
 from smfe.records import read_records
 from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt
 

@@ -11,13 +11,14 @@ from smfe.campaign import Campaign
 from smfe.diagnosis.cases.compliances import case_of
 from smfe.diagnosis.checks.suspect import Suspect, fault, warning
 from smfe.identification.compliances import labelled
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
 from smfe.identification.levels import condition_cubes, with_levels
 from smfe.identification.measurement import split_levels
 from smfe.limits.campaign_lobes import all_lobes, pockets_of
 from smfe.limits.cutting_tests import judge_all
 from smfe.planning.search import Search
 from smfe.planning.task import load_task
+from smfe.progress import Progress, silent
 from smfe.results import MEASUREMENT, Failures, attempt
 
 QUICK = ("zero_order", "multi_frequency", "operating_point")

@@ -27,7 +27,7 @@ from smfe._version import __version__
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.identification.actuator.excitation_kind import identify_shaken
 from smfe.identification.errors.attached_mass import without_mass
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.background import Background
 from smfe.identification.hammer.hammer import Averaging, identify_hammer
 from smfe.identification.hammer.impacts import HitRules
@@ -38,6 +38,7 @@ from smfe.identification.sweep.order_tracking import Orders
 from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.sweep import Estimator, check_independent, identify_sweep
+from smfe.progress import Progress, silent
 from smfe.records import put_on_clock, put_on_time, read_records, read_reduced
 from smfe.records.dynamometer import compensate
 from smfe.results import MEASUREMENT, Failures, attempt, pack_warnings, read_groups, unpack_warnings, write_groups

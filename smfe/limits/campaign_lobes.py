@@ -16,10 +16,10 @@ from process.errors import InputError
 from process.labels import at_tool
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest
-from smfe.identification.errors.result import Progress
 from smfe.limits.cut_conditions import FIXED, sources_of, turned, turned_modes
 from smfe.limits.operating_conditions import over_conditions
 from smfe.modes.fit_modes import fit_modes, model_error
+from smfe.progress import Progress
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack, pack_warnings, write_csv, write_groups
 from stability import (
     PresetContext,

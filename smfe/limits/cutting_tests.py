@@ -15,9 +15,9 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LobeRequest
-from smfe.identification.errors.result import Progress
 from smfe.limits.campaign_lobes import check_sources, limits_of
 from smfe.limits.cut_conditions import ALIKE, FIXED, Source, apart, direction_text, feed_of, sources_of
+from smfe.progress import Progress
 from smfe.records import read_records
 from smfe.results import FAILED, PREDICTION, TEST, Failure, Failures, attempt, failure_of, write_csv, write_groups
 from stability import ChatterVerdict, chatter_verdict

@@ -14,13 +14,13 @@ import xarray as xr
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from process.types import Real
-from smfe.identification.errors.result import Progress, silent
 from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
 from smfe.planning.errors import error_interval, expected, relative_error
 from smfe.planning.forces import Forces, Pass, SweepPlan, force_level
 from smfe.planning.limits import KEYS, no_plan, rejections
 from smfe.planning.search import DEPTH_STEP, Search
 from smfe.planning.task import Task
+from smfe.progress import Progress, silent
 from stability import multi_frequency, semi_discretization, zero_order
 
 REFINED = 10

@@ -24,7 +24,6 @@ from process.cut.engagement import CUTS
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.types import Complex, Real
-from smfe.identification.errors.result import Progress, silent
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.planning.errors import Instruments
 from smfe.planning.forces import (
@@ -39,6 +38,7 @@ from smfe.planning.forces import (
 )
 from smfe.planning.limits import KEYS, SHORTEST_PASS, allowed
 from smfe.planning.task import Task
+from smfe.progress import Progress, silent
 from stability import zero_order
 
 WIDTHS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)

@@ -22,12 +22,12 @@ from smfe.campaign.campaign import read_toml
 from smfe.campaign.datasets import Show
 from smfe.campaign.quantities import COMPLIANCE_METHODS
 from smfe.campaign.schema import PlanTable
-from smfe.identification.errors.result import Progress, silent
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import identify_measurement
 from smfe.identification.sweep.least_squares import Equations
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.rational import fit_rational
+from smfe.progress import Progress, silent
 from smfe.scenario import load_scenario
 from stability import SpindleRange
 

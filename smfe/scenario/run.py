@@ -28,7 +28,7 @@ from process.machine.structure import Posture
 from process.simulation.machine import SampledControl
 from process.units import show as quantity
 from smfe.campaign.toml import table
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
 from smfe.scenario.jobs import Entry, Job
 from smfe.scenario.scenario import Scenario

@@ -12,7 +12,7 @@ from smfe.diagnosis.drive.noise import noise_draws
 from smfe.diagnosis.inference.fit import Target
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.search import Bench
-from smfe.identification.errors.result import silent
+from smfe.progress import silent
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ from smfe.diagnosis.frf.axis_baseline import AxisBaseline
 from smfe.diagnosis.frf.modes import SPREAD, ModalFrfs
 from smfe.diagnosis.frf.noise import DISCREPANCY, FEWEST, compared, freedom_of
 from smfe.diagnosis.inference.problem import Condition
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
+from smfe.progress import Progress, silent
 
 _LOWEST = 5.0
 _LINES = 15  # over which the error of hits is averaged

@@ -14,9 +14,10 @@ from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family
 from smfe.diagnosis.cutting.limits import Limit, Spread, Trial, bracketed, limit_family
 from smfe.diagnosis.cutting.orders import SteadyCut
-from smfe.identification.errors.result import Identification, Progress, silent
+from smfe.identification.errors.result import Identification
 from smfe.limits.cut_conditions import FIXED, Source, stated
 from smfe.limits.cutting_tests import judge
+from smfe.progress import Progress, silent
 from smfe.records import read_records
 
 MINUTES = 3.0

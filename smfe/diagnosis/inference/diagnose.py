@@ -24,7 +24,7 @@ from smfe.diagnosis.inference.signature import inside
 from smfe.diagnosis.inference.thresholds import PENALTY, covariances_of_noise, parameters_of
 from smfe.diagnosis.inference.verdict import Judgement, judge
 from smfe.diagnosis.inference.workers import Helpers
-from smfe.identification.errors.result import Progress, silent
+from smfe.progress import Progress, silent
 
 
 def diagnose(

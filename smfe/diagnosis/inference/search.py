@@ -43,7 +43,7 @@ from smfe.diagnosis.inference.thresholds import (
     threshold,
     upper,
 )
-from smfe.identification.errors.result import Progress
+from smfe.progress import Progress
 
 PAIRED = 4
 """How many pairs are tried."""

@@ -14,8 +14,8 @@ from smfe.campaign import Campaign, Measurement
 from smfe.identification.drive.motion import KINDS, drives_in, moves
 from smfe.identification.drive.parameters import identify_drive
 from smfe.identification.drive.results import DriveFit
-from smfe.identification.errors.result import Progress, silent
 from smfe.identification.measurement import records_of
+from smfe.progress import Progress, silent
 from smfe.results import MEASUREMENT, Failures, attempt, write_csv
 
 FILE = "drives.csv"

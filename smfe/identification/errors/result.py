@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,13 +11,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.types import Real
-
-Progress = Callable[[str, int, int], None]
-"""Progress of a long job: called with what is being done, how many are done, and of how many."""
-
-
-def silent(what: str, done: int, of: int) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from smfe.campaign import load_campaign
-from smfe.identification.errors.result import silent
 from smfe.limits.campaign_lobes import all_lobes, write_lobes
+from smfe.progress import silent
 from stability import Cut, read_presets
 
 HEAD = """

@@ -12,10 +12,10 @@ from process.errors import InputError
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement
-from smfe.identification.errors.result import silent
 from smfe.limits.campaign_lobes import all_lobes
 from smfe.limits.cut_conditions import feed_of, sources_of, turned, turned_modes
 from smfe.limits.cutting_tests import NOT_COMPARED, condition_warnings, predictions
+from smfe.progress import silent
 
 DIAMETER = 0.1
 

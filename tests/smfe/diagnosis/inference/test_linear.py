@@ -23,7 +23,7 @@ from smfe.diagnosis.inference.search import Bench, fitted_misfit, most_changing
 from smfe.diagnosis.inference.signature import tangent
 from smfe.diagnosis.inference.thresholds import PENALTY, Score, threshold
 from smfe.diagnosis.inference.verdict import Judgement
-from smfe.identification.errors.result import silent
+from smfe.progress import silent
 
 N = 24
 X = np.linspace(0.0, 1.0, N)

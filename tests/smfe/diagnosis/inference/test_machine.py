@@ -18,7 +18,7 @@ from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parame
 from smfe.diagnosis.inference.search import Bench
 from smfe.diagnosis.inference.thresholds import threshold
 from smfe.diagnosis.inference.verdict import fitted_misfit
-from smfe.identification.errors.result import silent
+from smfe.progress import silent
 
 FREQUENCY = np.linspace(20.0, 80.0, 60)
 NOISE = 0.05

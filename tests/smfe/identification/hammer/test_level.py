@@ -13,10 +13,10 @@ from process.errors import InputError
 from process.labels import make_compliance, make_record
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest, Measurement
-from smfe.identification.errors.result import silent
 from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.hammer.level import impact_level
 from smfe.limits.campaign_lobes import all_lobes
+from smfe.progress import silent
 
 MASS, FREQUENCY, DAMPING = 20.0, 61.0, 0.012
 STIFFNESS = MASS * (2.0 * math.pi * FREQUENCY) ** 2
