@@ -19,6 +19,7 @@ from process.units import FASTEST_FEED
 from smfe.campaign import datasets
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.records.read import FORMATS
+from stability.methods.catalogue import METHODS as STABILITY_METHODS
 
 COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
 """Methods of a measurement that give a compliance; "frf" is one that another program has averaged."""
@@ -30,7 +31,7 @@ machine that nothing excites."""
 ESTIMATORS = ("local_polynomial", "bands", "segments", "orders", "single_reference")
 """How the records of a sweep become a compliance."""
 
-LOBE_METHODS = ("zero_order", "multi_frequency", "semi_discretization", "operating_point")
+LOBE_METHODS = (*STABILITY_METHODS, "operating_point")
 """Methods for stability lobes that can be asked for."""
 
 

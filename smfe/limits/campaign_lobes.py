@@ -28,16 +28,14 @@ from stability import (
     carries_errors,
     lobe_curves,
     lobe_table,
-    multi_frequency,
     operating_point,
     presets,
     sampled_band,
-    semi_discretization,
     with_band,
     write_presets,
     write_table,
-    zero_order,
 )
+from stability.methods.catalogue import METHODS
 
 MADE = ("lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json")
 """Files that lobes make."""
@@ -162,15 +160,12 @@ def limits_of(
     if request.feed_direction:
         modal = modal and turned_modes(modal, request.feed_direction)
         compliance, told = turned(compliance, request.feed_direction)
-    if request.method == "semi_discretization":
-        if modal is None:
-            found = _by_fitted_modes(compliance, request, lambda m: semi_discretization(m, tool, arc, work, speeds))
-            return _saying(found, told)
-        found = semi_discretization(modal, tool, arc, work, speeds)
-    elif request.method == "multi_frequency":
-        found = multi_frequency(compliance if modal is None else modal, tool, arc, work, speeds)
+    method = METHODS[request.method]
+    machine = method.of(compliance, modal)
+    if machine is None:
+        found = _by_fitted_modes(compliance, request, lambda m: method.limits(m, tool, arc, work, speeds))
     else:
-        found = zero_order(compliance, tool, arc, work, speeds)
+        found = method.limits(machine, tool, arc, work, speeds)
     return _saying(found, told)
 
 
