@@ -23,8 +23,8 @@ class StabilityMethod:
         (compliance or modes, tool, engagement, coefficients, spindle speeds [rpm]) -> a data set with
         ``limit_depth(spindle_speed)`` [mm] and ``chatter_frequency(spindle_speed)`` [Hz].
     takes : {"compliance", "modes", "either"}
-        What it works on: a measured compliance; modes, fitted to the compliance where none are declared; modes where they
-        are declared and the compliance elsewhere.
+        What it works on: a measured compliance; modes, fitted to the compliance where none are declared; modes where
+        they are declared and the compliance elsewhere.
     """
 
     limits: Callable[..., xr.Dataset]
