@@ -13,10 +13,11 @@ import xarray as xr
 from process.errors import InputError
 from process.types import Real
 from smfe.diagnosis.drive import noise
-from smfe.diagnosis.drive.filters import Motion, Resampler, half_width, motion, moves
+from smfe.diagnosis.drive.filters import Motion, Resampler, motion, moves
 from smfe.diagnosis.drive.noise import Whitener
 from smfe.diagnosis.drive.terms import LONGEST_DELAY, excess
 from smfe.diagnosis.inference.thresholds import FALSE_ALARM
+from smfe.identification.spectra.low_pass import half_width
 
 _UNITS = {"encoder_position": "m", "drive_force": "N"}
 

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from process.errors import InputError
 from process.labels import AXES, axis_present, sample_interval
 from process.types import Real
-from smfe.diagnosis.drive.filters import filtered, half_width, kernel
+from smfe.identification.spectra.low_pass import filtered, half_width, kernel
 
 WIDEST_BAND = 50.0
 """Highest frequency [Hz] of the balance unless another is asked for: above, an axis is not rigid."""

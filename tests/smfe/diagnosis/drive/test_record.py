@@ -15,10 +15,11 @@ from process.errors import InputError
 from process.labels import make_record
 from smfe.diagnosis.drive.balance import check_balance
 from smfe.diagnosis.drive.control_law import Gains, fit_control_law, unlogged_command
-from smfe.diagnosis.drive.filters import Motion, Path, Resampler, filtered, kernel, motion, moves, presliding
+from smfe.diagnosis.drive.filters import Motion, Path, Resampler, motion, moves, presliding
 from smfe.diagnosis.drive.noise import Whitener, strongest_wave
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.identification.spectra.low_pass import filtered, kernel
 
 POSITION_GAIN, VELOCITY_GAIN = 160.0, 8500.0
 MASS = 95.0
