@@ -52,33 +52,15 @@ class KnownForce:
 
 @dataclass(frozen=True)
 class CuttingForces(Abilities):
-    """A family for `smfe.diagnosis.inference.diagnose`: steady cuts with one tool; see `cutting_family`.
+    """A family for `smfe.diagnosis.inference.diagnose`: steady cuts with one tool; see `cutting_family`."""
 
-    Parameters
-    ----------
-    tool : Tool
-        Diameter, teeth, approach angle, helix.
-    coefficients : tuple of float
-        Handbook Ktc, Krc, Kac [N/m2]; fitted anew under every hypothesis.
-    conditions : tuple of Condition
-        What was measured.
-    proposals : tuple of Condition, optional
-        What could be measured next.
-    spread : float, optional
-        Prior standard deviation of the coefficients over the largest of them.
-    suspects : tuple of Suspect, optional
-        Measurement faults that were seen and set aside beforehand.
-    edge : tuple of float, optional
-        Kte, Kre, Kae [N/m] that the baseline has.
-    """
-
-    tool: Tool
-    coefficients: tuple[float, float, float]
-    conditions: tuple[Condition, ...]
-    proposals: tuple[Condition, ...] = ()
-    spread: float = LOT_SCATTER
-    suspects: tuple[Suspect, ...] = ()
-    edge: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tool: Tool  # diameter, teeth, approach angle, helix
+    coefficients: tuple[float, float, float]  # handbook Ktc, Krc, Kac [N/m2]; fitted anew under every hypothesis
+    conditions: tuple[Condition, ...]  # what was measured
+    proposals: tuple[Condition, ...] = ()  # what could be measured next
+    spread: float = LOT_SCATTER  # prior standard deviation of the coefficients over the largest of them
+    suspects: tuple[Suspect, ...] = ()  # measurement faults that were found and left out beforehand
+    edge: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Kte, Kre, Kae [N/m] that the baseline has
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:

@@ -185,13 +185,7 @@ def bracketed(trials: Sequence[Trial], feed_per_tooth: float = 1e-4) -> tuple[tu
 
 @dataclass(frozen=True)
 class Spread:
-    """How well the modal model is known before a cut: standard deviations, relative.
-
-    Parameters
-    ----------
-    frequency, damping, stiffness : float
-        Of each mode.
-    """
+    """How well the modal model is known before a cut: standard deviations, relative."""
 
     frequency: float = 0.005
     damping: float = 0.1
@@ -200,31 +194,15 @@ class Spread:
 
 @dataclass(frozen=True)
 class CuttingLimits(Abilities):
-    """A family for `smfe.diagnosis.inference.diagnose`: limits of one tool on one machine; see `limit_family`.
+    """A family for `smfe.diagnosis.inference.diagnose`: limits of one tool on one machine; see `limit_family`."""
 
-    Parameters
-    ----------
-    machine : ModalModel
-        As identified at rest, or in motion.
-    tool : Tool
-        Diameter, teeth, approach angle.
-    arc : Engagement
-        Of all limits that have none of their own.
-    coefficients : CuttingCoefficients
-        Of the handbook.
-    conditions, proposals : tuple of Condition
-        Measured limits, and those that could be looked for.
-    spread : Spread
-        Priors of the machine.
-    """
-
-    machine: ModalModel
-    tool: Tool
-    arc: Engagement
-    coefficients: CuttingCoefficients
-    conditions: tuple[Condition, ...]
-    proposals: tuple[Condition, ...] = ()
-    spread: Spread = field(default_factory=Spread)
+    machine: ModalModel  # as identified at rest, or in motion
+    tool: Tool  # diameter, teeth, approach angle
+    arc: Engagement  # of all limits that have none of their own
+    coefficients: CuttingCoefficients  # of the handbook
+    conditions: tuple[Condition, ...]  # measured limits
+    proposals: tuple[Condition, ...] = ()  # limits that could be looked for
+    spread: Spread = field(default_factory=Spread)  # priors of the machine
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:

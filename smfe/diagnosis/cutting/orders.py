@@ -52,24 +52,12 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 @dataclass(frozen=True)
 class SteadyCut:
-    """Setting of one cut.
+    """Setting of one cut."""
 
-    Parameters
-    ----------
-    rotation : float
-        Spindle speed [rad/s]; the nominal one will do.
-    feed_per_tooth : float
-        [m].
-    depth : float
-        Axial depth [m]; zero: the spindle turns in air.
-    arc : Engagement
-        Arc of engagement.
-    """
-
-    rotation: float
-    feed_per_tooth: float
-    depth: float
-    arc: Engagement
+    rotation: float  # spindle speed [rad/s]; the nominal one will do
+    feed_per_tooth: float  # [m]
+    depth: float  # axial depth [m]; zero: the spindle turns in air
+    arc: Engagement  # arc of engagement
 
     def __post_init__(self) -> None:
         """Refuse what is no cut."""
@@ -82,25 +70,16 @@ class SteadyCut:
 
 @dataclass(frozen=True)
 class CuttingOrders:
-    """Orders of one record.
+    """Orders of one record."""
 
-    Parameters
-    ----------
-    cut : SteadyCut
-        Its setting, with the speed found in the record.
-    value : ndarray of complex, shape (orders, 3)
-        Peak values [N] of orders 0, 1, ...; order 0 is the mean.
-    std : ndarray, shape (orders, 3)
-        Root mean square of the complex error [N]; infinite where a line of the mains hides the order.
-    lines : mapping
-        Frequency of the mains [Hz] -> amplitude [N] along x, y, z and its power over that of the noise beside it,
-        shape (2, 3), where no order covers it.
-    """
-
-    cut: SteadyCut
-    value: Complex
+    cut: SteadyCut  # its setting, with the speed found in the record
+    value: Complex  # shape (orders, 3): peak values [N] of orders 0, 1, ...; order 0 is the mean
     std: Real
+    """Shape (orders, 3): root mean square of the complex error [N]; infinite where a line of the mains hides the
+    order."""
     lines: Mapping[float, Real]
+    """Frequency of the mains [Hz] -> amplitude [N] along x, y, z and its power over that of the noise beside it, shape
+    (2, 3), where no order covers it."""
 
     @property
     def used(self) -> NDArray[np.bool_]:

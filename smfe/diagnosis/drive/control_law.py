@@ -23,18 +23,10 @@ _FLOOR = 1e-8
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of a position controller around a velocity controller.
+    """Gains of a position controller around a velocity controller."""
 
-    Parameters
-    ----------
-    position : float
-        Kv [1/s].
-    velocity : float
-        Kp [N s/m].
-    """
-
-    position: float
-    velocity: float
+    position: float  # Kv [1/s]
+    velocity: float  # Kp [N s/m]
 
     def __post_init__(self) -> None:
         """Refuse gains that are none."""
@@ -46,21 +38,11 @@ class Gains:
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """A control law with its velocity filter.
+    """A control law with its velocity filter."""
 
-    Parameters
-    ----------
-    gains : Gains
-        As documented.
-    taps : ndarray, shape (k,)
-        Weights of the newest, the last ... backward difference [1], sum 1.
-    noise : float
-        Standard deviation of what the law leaves, from the median [N].
-    """
-
-    gains: Gains
-    taps: Real
-    noise: float
+    gains: Gains  # as documented
+    taps: Real  # shape (k,): weights of the newest, the last ... backward difference [1], sum 1
+    noise: float  # standard deviation of what the law leaves, from the median [N]
 
     def lag(self, step: float) -> float:
         """Return the lag of the velocity [s] behind the newest encoder value: half a step and the mean tap."""

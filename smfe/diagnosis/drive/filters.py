@@ -31,24 +31,12 @@ FINEST_SLIDE = 1e-6
 
 @dataclass(frozen=True)
 class Resampler:
-    """The low-pass of both sides of a force balance, read at every `every`-th sample.
+    """The low-pass of both sides of a force balance, read at every `every`-th sample."""
 
-    Parameters
-    ----------
-    step : float
-        Sample interval [s].
-    cutoff : float
-        Cutoff [Hz].
-    every : int
-        Samples between two values that are kept.
-    slack : int
-        Largest shift [samples].
-    """
-
-    step: float
-    cutoff: float
-    every: int
-    slack: int
+    step: float  # sample interval [s]
+    cutoff: float  # cutoff [Hz]
+    every: int  # samples between two values that are kept
+    slack: int  # largest shift [samples]
 
     @property
     def margin(self) -> int:

@@ -43,18 +43,10 @@ _DRAWN, _ROUNDS, _SETTLES = 16, 5, 200
 
 @dataclass(frozen=True)
 class Whitener:
-    """An autoregression: ``e = (y + a y_before)/sigma``.
+    """An autoregression: ``e = (y + a y_before)/sigma``."""
 
-    Parameters
-    ----------
-    coefficients : ndarray, shape (p,)
-        a_1 ... a_p.
-    sigma : float
-        Standard deviation of the innovations, in the unit of the signal.
-    """
-
-    coefficients: Real
-    sigma: float
+    coefficients: Real  # shape (p,): a_1 ... a_p.
+    sigma: float  # standard deviation of the innovations, in the unit of the signal
 
     @property
     def taps(self) -> Real:
@@ -366,19 +358,11 @@ _FADES = 200
 
 @dataclass(frozen=True)
 class NoiseDraw:
-    """One noise that the moves could have come from.
-
-    Parameters
-    ----------
-    above, below : ndarray, shape (p + 1,)
-        Filter from white noise to the whitened values that it would give.
-    size : mapping
-        Kind of move -> its standard deviation over that of the whitener.
-    """
+    """One noise that the moves could have come from."""
 
     above: Real
-    below: Real
-    size: dict[object, float]
+    below: Real  # shape (p + 1,): filter from white noise to the whitened values that it would give
+    size: dict[object, float]  # kind of move -> its standard deviation over that of the whitener
 
     def coloured_products(self, columns: Real) -> Real:
         """Return ``H^T X``, whose squares are the covariance of ``X^T e`` with ``e = H white``; X of shape (n, m)."""

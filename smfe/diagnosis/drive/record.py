@@ -77,70 +77,32 @@ class _LawData:
 
 @dataclass(frozen=True)
 class DriveModel:
-    """What two records of one axis share, so that one can judge what the other has found.
+    """What two records of one axis share, so that one can judge what the other has found."""
 
-    Parameters
-    ----------
-    resampler : Resampler
-        Low-pass of both sides.
-    whitener : Whitener
-        Of the residual force.
-    noise : mapping
-        Kind of move (direction, speed) -> its noise in units of the whitener's; `ANY`: of all moves together.
-    nuisances : tuple of Parameter
-        Of the baseline.
-    terms : tuple of Term
-        Forces that may be missing.
-    delay : float
-        Known delay from the logged to the acting force [s].
-    mass_known : bool
-        Whether the mass has a prior, without which a gain of the force channel cannot be told from the mass.
-    peak : float
-        Largest drive force [N].
-    limit : float, optional
-        Drive force beyond which the axis seems to get less than was asked for [N].
-    law : ControlLaw, optional
-        Control law with its velocity filter.
-    draws : tuple of NoiseDraw
-        Noises that the record could as well have come from.
-    """
-
-    resampler: Resampler
-    whitener: Whitener
+    resampler: Resampler  # low-pass of both sides
+    whitener: Whitener  # of the residual force
     noise: Mapping[Kind, float]
-    nuisances: tuple[Parameter, ...]
-    terms: tuple[Term, ...]
-    delay: float
+    """Kind of move (direction, speed) -> its noise in units of the whitener's; `ANY`: of all moves together."""
+    nuisances: tuple[Parameter, ...]  # of the baseline
+    terms: tuple[Term, ...]  # forces that may be missing
+    delay: float  # known delay from the logged to the acting force [s]
     mass_known: bool
-    peak: float
-    limit: float | None = None
-    law: ControlLaw | None = None
-    draws: tuple[NoiseDraw, ...] = ()
+    """Whether the mass has a prior, without which a gain of the force channel cannot be told from the mass."""
+    peak: float  # largest drive force [N]
+    limit: float | None = None  # drive force beyond which the axis seems to get less than was asked for [N]
+    law: ControlLaw | None = None  # control law with its velocity filter
+    draws: tuple[NoiseDraw, ...] = ()  # noises that the record could as well have come from
 
 
 @dataclass(frozen=True)
 class DriveRecordFamily(Abilities):
-    """Baseline, causes and conditions of one drive record; made by `from_record`.
+    """Baseline, causes and conditions of one drive record; made by `from_record`."""
 
-    Parameters
-    ----------
-    model : DriveModel
-        What the record is judged with.
-    conditions : tuple of Condition
-        Moves.
-    pulses : tuple of Pulse
-        Commands that the control law does not know, from the first sample of the record.
-    proposals : tuple of Condition, optional
-        Experiments that could be done.
-    known : frozenset of str, optional
-        Keys of causes that the baseline has (`settled`).
-    """
-
-    model: DriveModel
-    conditions: tuple[Condition, ...]
-    pulses: tuple[Pulse, ...] = ()
-    proposals: tuple[Condition, ...] = ()
-    known: frozenset[str] = frozenset()
+    model: DriveModel  # what the record is judged with
+    conditions: tuple[Condition, ...]  # moves
+    pulses: tuple[Pulse, ...] = ()  # commands that the control law does not know, from the first sample of the record
+    proposals: tuple[Condition, ...] = ()  # experiments that could be done
+    known: frozenset[str] = frozenset()  # keys of causes that the baseline has (`settled`)
 
     @classmethod
     def from_record(

@@ -26,18 +26,10 @@ _SPEEDS = ((0.0, 0.005), (0.0, 0.02), (0.0, 0.05))
 
 @dataclass(frozen=True)
 class Term:
-    """A cause that adds a force [N] to what the drive has to give.
+    """A cause that adds a force [N] to what the drive has to give."""
 
-    Parameters
-    ----------
-    cause : Cause
-        Name and parameters.
-    force : callable
-        Of the motion and the values.
-    """
-
-    cause: Cause
-    force: Callable[[Motion, Values], Real]
+    cause: Cause  # name and parameters
+    force: Callable[[Motion, Values], Real]  # of the motion and the values
 
 
 def direction(m: Motion, p: Values) -> Real:

@@ -60,57 +60,28 @@ _UNKNOWN = 1e-6
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of predictions of conditions that the fit did not see.
+    """Errors of predictions of conditions that the fit did not see."""
 
-    Attributes
-    ----------
-    squares : mapping
-        Squares of the whitened residuals of each condition, the mean over the schemes.
-    floor : mapping
-        What the uncertainty of the fit adds to them.
-    values : mapping
-        How many values the condition has: what noise gives.
-    misfit : Misfit
-        The scheme that looks worst, its p-value times the number of schemes.
-    trusted : bool
-        Whether all fits converged.
-    """
-
-    squares: Mapping[int, float]
-    floor: Mapping[int, float]
-    values: Mapping[int, float]
-    misfit: Misfit
-    trusted: bool
+    squares: Mapping[int, float]  # squares of the whitened residuals of each condition, the mean over the schemes
+    floor: Mapping[int, float]  # what the uncertainty of the fit adds to them
+    values: Mapping[int, float]  # how many values the condition has: what noise gives
+    misfit: Misfit  # the scheme that looks worst, its p-value times the number of schemes
+    trusted: bool  # whether all fits converged
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What an extension is worth on held-out conditions.
+    """What an extension is worth on held-out conditions."""
 
-    Attributes
-    ----------
-    db : float
-        Repeatable error before over after [dB].
-    sd : float
-        Its standard deviation over the conditions (bootstrap) [dB].
-    error_db : float
-        Error with its noise, before over after [dB].
-    share : float
-        Share of the repeatable error explained, ``1 - (E_after^2 - noise^2)/(E_before^2 - noise^2)``.
-    low : float
-        What it is worth at least [dB]: three standard deviations less where noise alone is left, which the likelihood
-        ratio has then been held against; else what all but 0.135 % of the bootstrap exceeds. Near the noise floor the
-        decibels of the bootstrap are skewed, and their standard deviation bounds nothing.
-    held_out : {"conditions", "blocks of values"}
-        What the fit did not see.
-    """
-
-    db: float
-    sd: float
-    error_db: float
-    share: float
+    db: float  # repeatable error before over after [dB]
+    sd: float  # its standard deviation over the conditions (bootstrap) [dB]
+    error_db: float  # error with its noise, before over after [dB]
+    share: float  # share of the repeatable error explained, ``1 - (E_after^2 - noise^2)/(E_before^2 - noise^2)``
     low: float
-    held_out: str = "conditions"
+    """What it is worth at least [dB]: three standard deviations less where noise alone is left, which the likelihood
+    ratio has then been held against; else what all but 0.135 % of the bootstrap exceeds. Near the noise floor the
+    decibels of the bootstrap are skewed, and their standard deviation bounds nothing."""
+    held_out: str = "conditions"  # or "blocks of values": what the fit did not use
 
     @property
     def proven(self) -> bool:

@@ -26,29 +26,16 @@ PROVEN = 36.0
 
 @dataclass(frozen=True)
 class Detectable:
-    """Smallest size of one parameter of a cause that is seen with 95 %.
-
-    Attributes
-    ----------
-    cause, title, parameter : str
-        Key and title of the cause, name of the parameter.
-    size : float
-        Change from the null, as shown; infinite where these conditions do not show it.
-    proven_size : float
-        The size that is named with 95 %: its gain on held-out conditions is three standard deviations as well.
-    unit : str
-        Of the sizes.
-    admissible : bool
-        Whether the parameter can get that large.
-    """
+    """Smallest size of one parameter of a cause that is seen with 95 %."""
 
     cause: str
     title: str
     parameter: str
-    size: float
+    size: float  # change from the null, as shown; infinite where these conditions do not show it
     proven_size: float
-    unit: str
-    admissible: bool
+    """The size that is named with 95 %: its gain on held-out conditions is three standard deviations as well."""
+    unit: str  # of the sizes
+    admissible: bool  # whether the parameter can get that large
 
 
 def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...]:

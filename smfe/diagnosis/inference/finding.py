@@ -31,53 +31,28 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FoundCause:
-    """A cause in the model that explains the data best.
-
-    Attributes
-    ----------
-    id, variant, title, kind : str
-        As in the catalogue.
-    parameters : tuple of Estimate
-        Fitted.
-    ratio : float
-        Likelihood ratio: what leaving it out costs.
-    gain_db, gain_sd_db : float or None
-        What it is worth on held-out conditions; None where none could be held out.
-    """
+    """A cause in the model that explains the data best."""
 
     id: str
     variant: str
     title: str
     kind: str
-    parameters: tuple[Estimate, ...]
-    ratio: float
-    gain_db: float | None
+    parameters: tuple[Estimate, ...]  # fitted
+    ratio: float  # likelihood ratio: what leaving it out costs
+    gain_db: float | None  # what it is worth on held-out conditions; None where none could be held out
     gain_sd_db: float | None
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """What the best model leaves, on conditions that it was not fitted to wherever some could be held out.
-
-    Attributes
-    ----------
-    misfit_db : float
-        Squares of the residuals over those of noise [dB], the uncertainty of the prediction counted as noise.
-    p_value : float
-        Probability that noise alone looks as bad.
-    beyond_noise : bool
-        Whether it is more than noise (99 %).
-    share : float or None
-        Share of the baseline's repeatable error that remains; None where nothing was held out.
-    carriers : tuple of str
-        Conditions that carry it; none where it looks like noise.
-    """
+    """What the best model leaves, on conditions that it was not fitted to wherever some could be held out."""
 
     misfit_db: float
-    p_value: float
-    beyond_noise: bool
-    share: float | None
-    carriers: tuple[str, ...]
+    """Squares of the residuals over those of noise [dB], the uncertainty of the prediction counted as noise."""
+    p_value: float  # probability that noise alone looks as bad
+    beyond_noise: bool  # whether it is more than noise (99 %)
+    share: float | None  # share of the baseline's repeatable error that remains; None where nothing was held out
+    carriers: tuple[str, ...]  # conditions that carry it; none where it looks like noise
 
 
 @dataclass(frozen=True)
@@ -96,23 +71,13 @@ class SearchStep:
 
 @dataclass(frozen=True)
 class StableDepth:
-    """Limit depth of a cut with the machine as the campaign gives it and as the finding repairs it.
+    """Limit depth of a cut with the machine as the campaign gives it and as the finding repairs it."""
 
-    Attributes
-    ----------
-    where : str
-        Lobes or cutting test that ask for it.
-    spindle_speed_rpm, feed_mm_min : float
-        The cut.
-    before_mm, after_mm : float
-        Infinite: no limit. Zero: at this feed the axis vibrates without any cut.
-    """
-
-    where: str
+    where: str  # lobes or cutting test that ask for it
     spindle_speed_rpm: float
     feed_mm_min: float
     before_mm: float
-    after_mm: float
+    after_mm: float  # infinite: no limit; zero: at this feed the axis vibrates without any cut
 
 
 @dataclass(frozen=True)
@@ -126,22 +91,12 @@ class ForceError:
 
 @dataclass(frozen=True)
 class BaselineParameter:
-    """A parameter of the baseline that the campaign gives, and what the fit makes of it, in the unit shown.
-
-    Attributes
-    ----------
-    name, unit : str
-        Of the parameter.
-    given, fitted : float
-        As the campaign has it (or the data sheet), and in the best model.
-    spread : float
-        Standard deviation with which `given` is trusted: within it the fit may move it.
-    """
+    """A parameter of the baseline that the campaign gives, and what the fit makes of it, in the unit shown."""
 
     name: str
-    given: float
-    fitted: float
-    spread: float
+    given: float  # as the campaign has it (or the data sheet)
+    fitted: float  # in the best model
+    spread: float  # standard deviation with which `given` is trusted: within it the fit may move it
     unit: str
 
     @property
@@ -394,22 +349,12 @@ def _detectable(sizes: Sequence[Detectable]) -> list[str]:
 
 @dataclass(frozen=True)
 class ConditionMisfit:
-    """Squares of the residuals of a condition over those of noise [dB].
+    """Squares of the residuals of a condition over those of noise [dB]."""
 
-    Attributes
-    ----------
-    name : str
-        Of the condition.
-    before_db, after_db : float or None
-        Of the baseline, of the best model; None where it predicts nothing there.
-    held_out : bool
-        Whether no fit has seen it.
-    """
-
-    name: str
-    before_db: float | None
-    after_db: float | None
-    held_out: bool
+    name: str  # of the condition
+    before_db: float | None  # of the baseline; None where it predicts nothing there
+    after_db: float | None  # of the best model
+    held_out: bool  # whether no fit has seen it
 
 
 def by_condition(model: Model, before: Fit, after: Fit, held_out: Mapping[int, Real]) -> tuple[ConditionMisfit, ...]:

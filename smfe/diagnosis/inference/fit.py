@@ -63,42 +63,19 @@ class Target:
 
 @dataclass(frozen=True)
 class Fit:
-    """Best values of one hypothesis.
+    """Best values of one hypothesis."""
 
-    Attributes
-    ----------
-    causes : tuple of int
-        Numbers of the causes in it.
-    free : ndarray of int, shape (p,)
-        Fitted parameters.
-    u : ndarray
-        All scaled parameters.
-    chi2 : float
-        Misfit: squares of the whitened residuals and of the deviations from the priors.
-    residual : mapping
-        Prediction - data of each condition.
-    slope : mapping
-        Slopes of each condition with the fitted parameters, (n, p).
-    converged : bool
-        Whether it may be used as evidence.
-    reason : str
-        Why not.
-    provisional : bool
-        Whether the slopes are those of another fit nearby: good enough to lose by, not to win by.
-    promised : float
-        Decrease of the misfit that a linear step still promises.
-    """
-
-    causes: tuple[int, ...]
-    free: Index
-    u: Real
-    chi2: float
-    residual: Mapping[int, Real]
-    slope: Mapping[int, Real]
-    converged: bool
-    reason: str = ""
+    causes: tuple[int, ...]  # numbers of the causes in it
+    free: Index  # shape (p,): fitted parameters
+    u: Real  # all scaled parameters
+    chi2: float  # misfit: squares of the whitened residuals and of the deviations from the priors
+    residual: Mapping[int, Real]  # prediction - data of each condition
+    slope: Mapping[int, Real]  # slopes of each condition with the fitted parameters, (n, p)
+    converged: bool  # whether it may be used as evidence
+    reason: str = ""  # why not
     provisional: bool = False
-    promised: float = 0.0
+    """Whether the slopes are those of another fit nearby: good enough to lose by, not to win by."""
+    promised: float = 0.0  # decrease of the misfit that a linear step still promises
 
 
 def residuals(model: Model, target: Target, u: Real) -> dict[int, Real] | None:

@@ -26,22 +26,12 @@ LEFT = 0.05
 
 @dataclass(frozen=True)
 class Misfit:
-    """What residuals look like against noise.
+    """What residuals look like against noise."""
 
-    Attributes
-    ----------
-    p_value : float
-        Probability that noise alone looks as bad in any of the tests.
-    chi2, degrees_of_freedom : float
-        Squares of the residuals and how many noise would give.
-    by_condition : mapping
-        p-value of each condition by itself.
-    """
-
-    p_value: float
+    p_value: float  # probability that noise alone looks as bad in any of the tests
     chi2: float
-    degrees_of_freedom: float
-    by_condition: Mapping[int, float]
+    degrees_of_freedom: float  # chi2 that noise would give
+    by_condition: Mapping[int, float]  # p-value of each condition by itself
 
     @property
     def ratio(self) -> float:
@@ -55,18 +45,11 @@ Group = tuple[Mapping[int, Real], Mapping[int, Real]]
 
 @dataclass(frozen=True)
 class NoiseKnowledge:
-    """Degrees of freedom with which the noise that residuals are whitened by is known.
+    """Degrees of freedom with which the noise that residuals are whitened by is known."""
 
-    Attributes
-    ----------
-    common : float
-        Of what all conditions have in common: their slow noise.
-    own : mapping
-        Of each condition by itself, whose noise was measured with it; none: it is known.
-    """
-
-    common: float = math.inf
+    common: float = math.inf  # of what all conditions have in common: their slow noise
     own: Mapping[int, float] = field(default_factory=dict)
+    """Of each condition by itself, whose noise was measured with it; none: it is known."""
 
     def of(self, row: int) -> float:
         """Of one condition."""

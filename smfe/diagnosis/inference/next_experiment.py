@@ -34,28 +34,15 @@ MINUTES = 5.0
 
 @dataclass(frozen=True)
 class Proposal:
-    """An experiment that could be done next.
+    """An experiment that could be done next."""
 
-    Attributes
-    ----------
-    name : str
-        Of the condition.
-    discrimination : float
-        D of the pair that it separates worst [chi-square], what was measured included; NaN where nothing has to be
-        told apart and it is to show what could be hidden.
-    probability : float
-        Probability that it settles that pair, or shows what it is said to show.
-    expected : str
-        What to look for.
-    minutes : float or None
-        What it takes; None where nothing is said about it.
-    """
-
-    name: str
+    name: str  # of the condition
     discrimination: float
-    probability: float
-    expected: str
-    minutes: float | None = None
+    """D of the pair that it separates worst [chi-square], what was measured included; NaN where nothing has to be told
+    apart and it is to show what could be hidden."""
+    probability: float  # probability that it settles that pair, or shows what it is said to show
+    expected: str  # what to look for
+    minutes: float | None = None  # what it takes; None where nothing is said about it
 
 
 def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: Sequence[int]) -> Fit | None:

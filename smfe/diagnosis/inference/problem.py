@@ -22,34 +22,16 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a model.
+    """One number of a model."""
 
-    Parameters
-    ----------
-    name : str
-        Unique within the family, e.g. ``"loop_delay.delay"``.
-    unit : str
-        As shown to people.
-    start : float
-        Of a nuisance the most likely value, of a cause the null value (SI).
-    scale : float
-        Size of a change that matters (SI); fits work in units of it.
-    low, high : float, optional
-        Admissible range (SI): outside, the model is not physics.
-    prior : float, optional
-        Standard deviation of a Gaussian prior around `start` (SI); infinite: none.
-    shown : float, optional
-        Number shown for one SI unit (1000 for mm).
-    """
-
-    name: str
-    unit: str
-    start: float
-    scale: float
-    low: float = -math.inf
+    name: str  # unique within the family, e.g. ``"loop_delay.delay"``
+    unit: str  # as shown to people
+    start: float  # of a nuisance the most likely value, of a cause the null value (SI)
+    scale: float  # size of a change that matters (SI); fits work in units of it
+    low: float = -math.inf  # admissible range (SI): outside, the model is not physics
     high: float = math.inf
-    prior: float = math.inf
-    shown: float = 1.0
+    prior: float = math.inf  # standard deviation of a Gaussian prior around `start` (SI); infinite: none
+    shown: float = 1.0  # number shown for one SI unit (1000 for mm)
 
     def __post_init__(self) -> None:
         """Refuse a parameter that cannot be fitted."""
@@ -62,34 +44,18 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Cause:
-    """Something that the baseline leaves out. At the null values of its parameters it leaves the baseline unchanged.
+    """Something that the baseline leaves out. At the null values of its parameters it leaves the baseline unchanged."""
 
-    Parameters
-    ----------
-    id : str
-        Cause id, the same everywhere (``"guideway_friction"``).
-    title : str
-        For people, e.g. ``"Stribeck friction of the guideway"``.
-    parameters : tuple of Parameter
-        What a fit finds.
-    variant : str, optional
-        Tells several models of one cause apart (``"stribeck"``).
-    kind : {"physics", "measurement"}, optional
-        A measurement fault is excluded before physics is blamed.
-    starts : tuple of tuple of float, optional
-        More values to start a fit from (SI), besides what the linearised score suggests.
-    equivalent : callable, optional
-        From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
-        fit alike the nearer to the null is taken.
-    """
-
-    id: str
-    title: str
-    parameters: tuple[Parameter, ...]
-    variant: str = ""
-    kind: str = "physics"
+    id: str  # cause id, the same everywhere (``"guideway_friction"``)
+    title: str  # for people, e.g. ``"Stribeck friction of the guideway"``
+    parameters: tuple[Parameter, ...]  # what a fit finds
+    variant: str = ""  # distinguishes several models of one cause (``"stribeck"``)
+    kind: str = "physics"  # or "measurement": a fault that is excluded before physics
     starts: tuple[tuple[float, ...], ...] = ()
+    """More values to start a fit from (SI), besides what the linearised score suggests."""
     equivalent: Callable[[Mapping[str, float]], tuple[float, ...]] | None = None
+    """From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
+    fit alike the nearer to the null is taken."""
 
     @property
     def key(self) -> str:
@@ -99,27 +65,16 @@ class Cause:
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition of the campaign: the unit that is held out as a whole.
+    """One condition of the campaign: the unit that is held out as a whole."""
 
-    Parameters
-    ----------
-    name : str
-        For people, e.g. ``"actuator x, 500 mm/min, 50 N, K2"``.
-    settings : mapping
-        Feed, level, direction, controller, position, added mass, order in time ... as far as they are known.
-    observed : ndarray, shape (n,), optional
-        Real data whitened to unit variance (complex values as real and imaginary parts); None: a proposed experiment.
-    source : str, optional
-        Independent experiment that it belongs to: parameters must agree between sources.
-    data : object, optional
-        Whatever the family needs to predict it.
-    """
-
-    name: str
+    name: str  # for people, e.g. ``"actuator x, 500 mm/min, 50 N, K2"``
     settings: Mapping[str, float | str]
+    """Feed, level, direction, controller, position, added mass, order in time ... as far as they are known."""
     observed: Real | None = field(default=None, repr=False)
-    source: str = ""
-    data: object = field(default=None, repr=False)
+    """Shape (n,): real data whitened to unit variance (complex values as real and imaginary parts); None: a proposed
+    experiment."""
+    source: str = ""  # independent experiment that it belongs to: parameters must agree between sources
+    data: object = field(default=None, repr=False)  # whatever the family needs to predict it
 
 
 class Abilities(Protocol):

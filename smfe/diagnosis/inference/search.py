@@ -67,60 +67,29 @@ _LITTLE = 0.005
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the search.
+    """One step of the search."""
 
-    Attributes
-    ----------
-    causes : tuple of int
-        Causes in the model after it.
-    change : str
-        What was added or dropped, by key.
-    ratio, threshold : float
-        Likelihood ratio of the change, and what chance reaches.
-    gain : Gain or None
-        On held-out conditions; None where nothing could be held out.
-    chi2 : float
-        Misfit after it.
-    accepted : bool
-        Whether it was kept.
-    reason : str
-        Why not.
-    """
-
-    causes: tuple[int, ...]
-    change: str
-    ratio: float
-    threshold: float
-    gain: Gain | None
-    chi2: float
-    accepted: bool
-    reason: str = ""
+    causes: tuple[int, ...]  # causes in the model after it
+    change: str  # what was added or dropped, by key
+    ratio: float  # likelihood ratio of the change
+    threshold: float  # what noise reaches
+    gain: Gain | None  # on held-out conditions; None where nothing could be held out
+    chi2: float  # misfit after it
+    accepted: bool  # whether it was kept
+    reason: str = ""  # why not
 
 
 @dataclass
 class Bench:
-    """Fits, linearisations and held-out predictions of all hypotheses, each made once.
+    """Fits, linearisations and held-out predictions of all hypotheses, each made once."""
 
-    Attributes
-    ----------
-    model, target : Model, Target
-        What predicts, and the data.
-    seed : int
-        Of all draws.
-    progress : callable
-        Told what is being fitted.
-    unconverged : dict
-        Hypothesis -> why its fit is not used.
-    known : mapping
-        Hypothesis -> its fit to nearly the same data, to start from.
-    """
-
-    model: Model
-    target: Target
-    seed: int
-    progress: Progress
-    unconverged: dict[str, str] = field(default_factory=dict)
+    model: Model  # what predicts
+    target: Target  # the data
+    seed: int  # of all draws
+    progress: Progress  # called with what is being fitted
+    unconverged: dict[str, str] = field(default_factory=dict)  # hypothesis -> why its fit is not used
     known: Mapping[tuple[int, ...], Fit] = field(default_factory=dict)
+    """Hypothesis -> its fit to nearly the same data, to start from."""
     _fits: dict[tuple[int, ...], Fit] = field(default_factory=dict)
     _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
     _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
@@ -629,20 +598,12 @@ _MOST_WORDS = 6
 
 @dataclass(frozen=True)
 class Change:
-    """The parameter that changes most.
+    """The parameter that changes most."""
 
-    Attributes
-    ----------
-    parameter, setting : str
-        What changes with what.
-    ratio, threshold : float
-        Likelihood ratio of letting it change, and what chance reaches.
-    """
-
-    parameter: str
-    setting: str
-    ratio: float
-    threshold: float
+    parameter: str  # what changes
+    setting: str  # with what
+    ratio: float  # likelihood ratio of letting it change
+    threshold: float  # what noise reaches
 
     @property
     def certain(self) -> bool:

@@ -27,55 +27,25 @@ CONFOUNDED = 1e-4
 
 @dataclass(frozen=True)
 class Signature:
-    """First-order effect of one cause, for one value of its shape.
+    """First-order effect of one cause, for one value of its shape."""
 
-    Attributes
-    ----------
-    cause : int
-        Number of the cause.
-    free : ndarray of int, shape (m,)
-        Its parameters that act.
-    u : ndarray
-        Scaled parameters it was taken at, the shape included.
-    columns : ndarray, shape (N, m)
-        Slopes after the projection: all data, then the priors of the fit.
-    raw : ndarray, shape (m,)
-        Norms before it.
-    slope : mapping
-        Slopes of the conditions, (n, parameters of the cause), before it.
-    """
-
-    cause: int
-    free: Index
-    u: Real
-    columns: Real
-    raw: Real
-    slope: Mapping[int, Real]
+    cause: int  # number of the cause
+    free: Index  # shape (m,): its parameters that act
+    u: Real  # scaled parameters it was taken at, the shape included
+    columns: Real  # shape (N, m): slopes after the projection: all data, then the priors of the fit
+    raw: Real  # shape (m,): norms before it
+    slope: Mapping[int, Real]  # slopes of the conditions, (n, parameters of the cause), before it
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """A fit, linearised.
+    """A fit, linearised."""
 
-    Attributes
-    ----------
-    fit : Fit
-        Where.
-    basis : ndarray, shape (N, r)
-        Orthonormal basis of all that the fitted parameters do.
-    residual : ndarray, shape (N,)
-        Residuals, then prior deviations.
-    signatures : tuple of Signature
-        Of the causes that are not in the fit.
-    silent : tuple of int
-        Causes whose slopes the family could not give.
-    """
-
-    fit: Fit
-    basis: Real
-    residual: Real
-    signatures: tuple[Signature, ...]
-    silent: tuple[int, ...]
+    fit: Fit  # where
+    basis: Real  # shape (N, r): orthonormal basis of all that the fitted parameters do
+    residual: Real  # shape (N,): residuals, then prior deviations
+    signatures: tuple[Signature, ...]  # of the causes that are not in the fit
+    silent: tuple[int, ...]  # causes whose slopes the family could not give
 
 
 def orthonormal(columns: Real) -> Real:

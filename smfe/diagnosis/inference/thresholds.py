@@ -39,19 +39,11 @@ _MOST_ONE_SIDED = 5
 
 @dataclass(frozen=True)
 class Score:
-    """First-order likelihood ratio of one signature, ready for any products with the residual.
+    """First-order likelihood ratio of one signature, ready for any products with the residual."""
 
-    Attributes
-    ----------
-    gram : ndarray, shape (m, m)
-        Products of the signature's columns, the priors of the cause on the diagonal.
-    up, down : ndarray of bool, shape (m,)
-        Which parameters can rise, fall.
-    """
-
-    gram: Real
-    up: NDArray[np.bool_]
-    down: NDArray[np.bool_]
+    gram: Real  # shape (m, m): products of the signature's columns, the priors of the cause on the diagonal
+    up: NDArray[np.bool_]  # shape (m,): which parameters can rise
+    down: NDArray[np.bool_]  # which can fall
 
     def gain(self, product: Real) -> Real:
         """Return the decrease of the misfit, shape (d,), for products ``-columns . residual``, shape (d, m)."""

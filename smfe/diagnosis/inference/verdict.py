@@ -31,30 +31,15 @@ Verdict = Literal["consistent", "named", "ambiguous", "unknown", "insufficient_d
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict and what it rests on.
+    """A verdict and what it rests on."""
 
-    Attributes
-    ----------
-    verdict : str
-        One of the five.
-    reason : str
-        Why, in a sentence.
-    sets : mapping
-        Cause of the fit -> fits that have another in its place and cannot be excluded.
-    misfit : Misfit or None
-        What the final model leaves: held out where possible.
-    carriers : tuple of int
-        Conditions that carry what is left unexplained.
-    gain : Gain or None
-        Of all causes together on held-out conditions.
-    """
-
-    verdict: Verdict
-    reason: str
+    verdict: Verdict  # one of the five
+    reason: str  # why, in a sentence
     sets: Mapping[int, Sequence[Fit]] = field(default_factory=dict)
-    misfit: Misfit | None = None
-    carriers: tuple[int, ...] = ()
-    gain: Gain | None = None
+    """Cause of the fit -> fits that have another in its place and cannot be excluded."""
+    misfit: Misfit | None = None  # what the final model leaves: held out where possible
+    carriers: tuple[int, ...] = ()  # conditions that carry what is left unexplained
+    gain: Gain | None = None  # of all causes together on held-out conditions
 
 
 def judge(
