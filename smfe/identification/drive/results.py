@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import pandas as pd
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from process.types import Real
 
@@ -40,7 +40,9 @@ class Estimate:
             least, most = float(each.min()), float(each.max())
             if most - least > 1e-9 * spread:
                 least = optimize.brentq(
-                    lambda q, p=tail: float(share @ stats.t.cdf((q - value) / std, degrees_of_freedom)) - p, least, most
+                    lambda q, p=tail: float(share @ special.stdtr(degrees_of_freedom, (q - value) / std)) - p,
+                    least,
+                    most,
                 )
             ends.append(least)
         return cls(mean, spread, ends[0], ends[1])

@@ -1,4 +1,4 @@
-"""The covariance of a whole measured compliance, kept as its factors: what each hit contributes to the error.
+"""The covariance of a measured compliance: as its factors, what each hit contributes to the error, and of all entries.
 
 ``deviation(hit, frequency, response, excitation)`` [m/N]: the covariance of the errors of any two entries at any two
 frequencies is ``sum_hits D conj(D)``, their relation ``sum_hits D D``. Responses of the same hits share errors, and so
@@ -7,7 +7,7 @@ do neighbouring and distant frequencies where hits differ by a factor; a standar
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -71,35 +71,7 @@ def deviation_of(compliance: xr.Dataset) -> Complex | None:
     return np.where(np.isnan(std), np.nan, out)
 
 
-def covariance_between(compliance: xr.Dataset, one: Mapping[str, object], other: Mapping[str, object]) -> complex:
-    """Return the covariance ``E d conj(d')`` [m2/N2] of the errors of two entries of a compliance.
-
-    Parameters
-    ----------
-    compliance : xarray.Dataset
-        With ``deviation``.
-    one, other : mapping
-        ``frequency`` [Hz, the nearest line is taken], ``response`` and ``excitation`` of each.
-
-    Raises
-    ------
-    InputError
-        When the compliance does not keep the factors of its errors.
-    """
-    if "deviation" not in compliance:
-        raise InputError(
-            "the compliance keeps no deviations of its hits; identify it with a hammer, from two hits or more"
-        )
-
-    def at(where: Mapping[str, object]) -> Complex:
-        axes = {key: value for key, value in where.items() if key != "frequency"}
-        entry = compliance["deviation"].sel(axes).sel(frequency=where["frequency"], method="nearest")
-        return np.asarray(entry.values, dtype=complex)
-
-    return complex(np.sum(at(one) * at(other).conj()))
-
-
-# --- The covariance of all entries of a compliance at each frequency, from as much as a dataset tells of it.
+# --- covariance of all entries at each frequency, from as much as a dataset knows ------------------------------------
 
 
 def with_entries(compliance: xr.Dataset, responses: Sequence[str], excitations: Sequence[str]) -> xr.Dataset:
@@ -113,7 +85,7 @@ def with_entries(compliance: xr.Dataset, responses: Sequence[str], excitations: 
 def entry_covariance(compliance: xr.Dataset) -> Complex:
     """Return ``E[d_a conj(d_b)]`` of all entries, row by row, shape (f, r e, r e) [m2/N2].
 
-    Rows and entries whose common error nobody states count as independent.
+    Rows and entries whose common error is unknown count as independent.
 
     Parameters
     ----------

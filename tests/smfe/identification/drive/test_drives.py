@@ -290,6 +290,7 @@ def test_a_drive_that_cannot_be_identified_fails_alone_and_the_check_says_so(tmp
     assert set(pd.read_csv(tmp_path / "drives.csv")["measurement"]) == {"stroke"}
 
 
+@pytest.mark.slow
 def test_the_starter_of_a_stroke_checks_and_gives_numbers(tmp_path: Path) -> None:
     result = look(written(tmp_path), tmp_path)
     assert result.kind.name == "drive stroke"

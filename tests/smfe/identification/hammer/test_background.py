@@ -81,7 +81,7 @@ def test_tones_of_servo_and_screw_are_taken_off() -> None:
     assert table["amplitude"].tolist() == pytest.approx([1.5, 2.0, 1.0], rel=0.01)
 
 
-@pytest.mark.parametrize("spacing", [2.0, 1.0])
+@pytest.mark.parametrize("spacing", [pytest.param(2.0, marks=pytest.mark.slow), 1.0])
 def test_ringing_is_no_background(spacing: float) -> None:
     """Hits at a strict spacing make even the tails of the resonance periodic; they still die away, so they stay."""
     t = np.arange(round(8 * spacing * RATE)) / RATE

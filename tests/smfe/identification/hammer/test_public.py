@@ -15,6 +15,7 @@ from process.labels import make_record
 from smfe.comparison.peaks import find_peaks
 from smfe.identification.errors.averaging import ESTIMATORS
 from smfe.identification.errors.intervals import interval
+from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.hammer import Averaging, identify_hammer
 
 RATE = 51200.0
@@ -56,13 +57,17 @@ def test_tool_point_peaks_are_where_the_author_picked_them(averaged: tuple[np.nd
     assert main.damping == pytest.approx(0.0340, rel=0.03)
 
 
+@pytest.fixture(scope="module")
+def one_hit(tool_point: xr.Dataset) -> Identification:
+    return identify_hammer("tool point", {"x": [tool_point]})
+
+
 def test_one_hit_agrees_with_the_average_where_the_tip_carries(
-    tool_point: xr.Dataset, averaged: tuple[np.ndarray, np.ndarray]
+    one_hit: Identification, averaged: tuple[np.ndarray, np.ndarray]
 ) -> None:
     """Measured: 0.9 % of the norm from 200 to 1319 Hz; 6 % from 50 to 200 Hz, where the accelerometer drifts."""
-    found = identify_hammer("tool point", {"x": [tool_point]})
-    f = found.compliance["frequency"].values
-    h = found.compliance["compliance"].values[:, 0, 0]
+    f = one_hit.compliance["frequency"].values
+    h = one_hit.compliance["compliance"].values[:, 0, 0]
     reference = averaged[1][np.round(f).astype(int)]
     for low, high, limit in ((200.0, 1320.0, 0.012), (50.0, 200.0, 0.08)):
         band = (f >= low) & (f <= high)
@@ -84,13 +89,12 @@ def test_soft_tip_ends_the_claim(tool_point: xr.Dataset, averaged: tuple[np.ndar
     assert not [p for p in find_peaks(f, h) if p.frequency > 1320.0]
 
 
-def test_what_cannot_be_known_from_the_tool_point_record(tool_point: xr.Dataset) -> None:
+def test_what_cannot_be_known_from_the_tool_point_record(one_hit: Identification) -> None:
     """One hit, a force windowed to exact zeros, and a drift at the lowest frequencies."""
-    found = identify_hammer("tool point", {"x": [tool_point]})
-    assert np.isnan(found.compliance["coherence"]).all()
-    assert any("coherence is 1 by construction" in w for w in found.warnings)
-    assert any("exactly constant between hits (windowed" in w for w in found.warnings)
-    assert any("sensor drifts" in w and "8 Hz" in w for w in found.warnings)
+    assert np.isnan(one_hit.compliance["coherence"]).all()
+    assert any("coherence is 1 by construction" in w for w in one_hit.warnings)
+    assert any("exactly constant between hits (windowed" in w for w in one_hit.warnings)
+    assert any("sensor drifts" in w and "8 Hz" in w for w in one_hit.warnings)
 
 
 # --- five hits (University of Ljubljana): hit 0 overloaded, hit 2 double --------------------------------------------
@@ -114,8 +118,13 @@ def five_hits() -> list[xr.Dataset]:
     return records
 
 
-def test_overloaded_and_double_hits_are_found(five_hits: list[xr.Dataset]) -> None:
-    found = identify_hammer("five", {"z": five_hits})
+@pytest.fixture(scope="module")
+def five(five_hits: list[xr.Dataset]) -> Identification:
+    return identify_hammer("five", {"z": five_hits})
+
+
+def test_overloaded_and_double_hits_are_found(five: Identification) -> None:
+    found = five
     table = found.tables["hits"].set_index("file")
     assert table.index[table["overloaded"]].tolist() == ["segment 0"]
     assert table.index[table["double_hit"]].tolist() == ["segment 2"]
@@ -126,9 +135,9 @@ def test_overloaded_and_double_hits_are_found(five_hits: list[xr.Dataset]) -> No
     assert any("segment 2, hit 1 is not used: double hit: 37.9 N after 22.8 ms" in w for w in found.warnings)
 
 
-def test_good_hits_agree(five_hits: list[xr.Dataset]) -> None:
+def test_good_hits_agree(five: Identification) -> None:
     """Median coherence 0.998 over 2 to 4347 Hz from three hits."""
-    coherence = identify_hammer("five", {"z": five_hits}).compliance["coherence"].values
+    coherence = five.compliance["coherence"].values
     assert float(np.median(coherence)) > 0.995
 
 
