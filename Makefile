@@ -41,7 +41,7 @@ help:
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
 	@echo "make strangers  records that nobody prepared, drawn at random: writes the tables in docs/ (an hour)"
-	@echo "make lint    ruff, mypy, import-linter, file checks"
+	@echo "make lint    ruff, mypy, import-linter, checks of files and structure"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"
 	@echo "make wheel   build and check dist/*.whl"
@@ -93,6 +93,7 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python .ci/check_files.py
+	$(BIN)/python .ci/check_structure.py
 
 # Built afresh (-E): a page that Sphinx does not read again gives no warning again.
 docs: $(READY)

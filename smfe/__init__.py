@@ -1,13 +1,19 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
-`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`.
+`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`. Files are read by
+`read_campaign`, `read_record`, `read_records`, `read_blocks`, `read_reduced`. The methods alone, from records to a
+compliance with its uncertainty, are `hammer_compliance`, `actuator_compliance`, `sweep_compliance`.
+
+`load_campaign`, `identify_hammer`, `identify_actuator` and `identify_sweep` are the former names of `read_campaign` and
+of the three methods; they go in a later release.
 """
 
 import stability  # noqa: F401  (fails with a clear sentence when a user's own process.py shadows ours)
 from process.errors import InputError
 from smfe._version import __version__
 from smfe.campaign import Campaign, load_campaign
+from smfe.campaign import load_campaign as read_campaign
 from smfe.commands.chatter import chatter
 from smfe.commands.check import check
 from smfe.commands.coefficients import Coefficients, coefficients
@@ -24,6 +30,7 @@ from smfe.commands.report import report
 from smfe.commands.run import run
 from smfe.commands.simulate import simulate
 from smfe.identification.actuator.stepped_sine import identify_actuator
+from smfe.identification.actuator.stepped_sine import identify_actuator as actuator_compliance
 from smfe.identification.drive.friction import (
     constant_force,
     fit_coulomb_curve,
@@ -35,13 +42,15 @@ from smfe.identification.drive.open_loop import fit_open_loop, open_loop_respons
 from smfe.identification.errors.intervals import interval
 from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.hammer import identify_hammer
+from smfe.identification.hammer.hammer import identify_hammer as hammer_compliance
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.sweep import identify_sweep
+from smfe.identification.sweep.sweep import identify_sweep as sweep_compliance
 from smfe.limits.campaign_lobes import LobeResult
 from smfe.modes.fit_modes import fit_modes
-from smfe.records import read_blocks, read_records, read_reduced
+from smfe.records import read_blocks, read_record, read_records, read_reduced
 from smfe.records.look import Look
 
 __all__ = [
@@ -56,6 +65,7 @@ __all__ = [
     "SingleReference",
     "SweepPass",
     "__version__",
+    "actuator_compliance",
     "chatter",
     "check",
     "coefficients",
@@ -70,6 +80,7 @@ __all__ = [
     "fit_modes",
     "fit_open_loop",
     "friction_runs",
+    "hammer_compliance",
     "identify",
     "identify_actuator",
     "identify_hammer",
@@ -82,9 +93,12 @@ __all__ = [
     "open_loop_response",
     "plan",
     "read_blocks",
+    "read_campaign",
+    "read_record",
     "read_records",
     "read_reduced",
     "report",
     "run",
     "simulate",
+    "sweep_compliance",
 ]

@@ -2,11 +2,11 @@
 
 from smfe.records.blocks import read_blocks
 from smfe.records.clocks import put_on_clock, put_on_time
-from smfe.records.contents import column_names, contents, names_itself
+from smfe.records.contents import column_names, names_itself
 from smfe.records.decimate import read_reduced
 from smfe.records.formats.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.frf import read_frf, read_universal_frfs
-from smfe.records.read import FORMATS, read_records
+from smfe.records.read import FORMATS, read_record, read_records
 from smfe.records.write import (
     OWN_COLUMNS,
     record_columns,
@@ -26,12 +26,12 @@ __all__ = [
     "RECORD_CHANNELS",
     "Channel",
     "column_names",
-    "contents",
     "names_itself",
     "put_on_clock",
     "put_on_time",
     "read_blocks",
     "read_frf",
+    "read_record",
     "read_records",
     "read_reduced",
     "read_universal_frfs",

@@ -14,8 +14,8 @@ import pandas as pd
 
 from process.types import Real
 from process.units import factor
-from smfe.records import contents, names_itself, read_records
-from smfe.records.contents import Contents
+from smfe.records import names_itself, read_records
+from smfe.records.contents import Contents, contents
 from smfe.records.formats.table import Column
 from smfe.records.guess import Guess, frequency_column, guess_channels
 from smfe.records.kind import Kind, kind_of

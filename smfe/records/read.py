@@ -65,6 +65,20 @@ def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.D
     return [_record(source, table, used) for source, table in zip(sources_of(path, tables), tables, strict=True)]
 
 
+def read_record(path: str | Path, channels: Mapping[str, Channel]) -> xr.Dataset:
+    """Read a file that holds one record; arguments as of `read_records`.
+
+    Raises
+    ------
+    InputError
+        When the file holds several records, and as `read_records`.
+    """
+    records = read_records(path, channels)
+    if len(records) > 1:
+        raise InputError(f"{Path(path).name}: it holds {len(records)} segments; read them with read_records")
+    return records[0]
+
+
 def format_of(path: Path) -> Format:
     """Return the format of a file, by its suffix."""
     if not path.is_file():

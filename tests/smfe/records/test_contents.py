@@ -18,7 +18,6 @@ from smfe.cli import app
 from smfe.records import (
     Channel,
     column_names,
-    contents,
     read_blocks,
     read_records,
     record_columns,
@@ -26,7 +25,7 @@ from smfe.records import (
     write_record_netcdf,
     write_record_uff,
 )
-from smfe.records.contents import plain_unit, without_unit
+from smfe.records.contents import contents, plain_unit, without_unit
 
 N = 200
 T = np.arange(N) / 1000.0

@@ -22,6 +22,7 @@ from smfe.records import (
     FORMATS,
     Channel,
     read_frf,
+    read_record,
     read_records,
     record_columns,
     write_record_csv,
@@ -52,8 +53,7 @@ def text(path: Path, content: str, encoding: str = "utf-8") -> Path:
 
 
 def one(path: Path, channels: dict[str, Channel] = PLAIN) -> xr.Dataset:
-    (record,) = read_records(path, channels)
-    return record
+    return read_record(path, channels)
 
 
 class TestRoundTrip:
@@ -376,6 +376,8 @@ class TestLabview:
     def test_each_segment_is_a_record_with_the_clock_of_the_file(self, tmp_path: Path) -> None:
         records = read_records(text(tmp_path / "r.lvm", lvm_text()), LVM)
         assert [r.attrs["source"] for r in records] == ["r.lvm, segment 0", "r.lvm, segment 1"]
+        with pytest.raises(InputError, match=r"r\.lvm: it holds 2 segments; read them with read_records"):
+            read_record(tmp_path / "r.lvm", LVM)
         np.testing.assert_allclose(records[1]["force"][0], [1, 2, 3, 4])
         np.testing.assert_allclose(records[1]["time"], np.arange(4) / RATE)
 

@@ -9,7 +9,8 @@ from truth.controls import write_capture, write_halscope, write_twincat
 
 import smfe
 from process.errors import InputError
-from smfe.records import Channel, contents, read_records
+from smfe.records import Channel, read_records
+from smfe.records.contents import contents
 
 PINS = {"joint.0.motor-pos-cmd": "reference_position_x", "joint.0.motor-pos-fb": "encoder_position_x"}
 
