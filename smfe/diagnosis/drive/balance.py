@@ -15,20 +15,12 @@ from process.types import Real
 from smfe.diagnosis.drive import noise
 from smfe.diagnosis.drive.filters import Motion, Resampler, motion, moves
 from smfe.diagnosis.drive.noise import Whitener
-from smfe.diagnosis.drive.terms import LONGEST_DELAY, excess
-from smfe.diagnosis.inference.thresholds import FALSE_ALARM
+from smfe.diagnosis.drive.rules import RULES
+from smfe.diagnosis.drive.terms import excess
+from smfe.diagnosis.inference.rules import RULES as INFERENCE
 from smfe.identification.spectra.low_pass import half_width
 
 _UNITS = {"encoder_position": "m", "drive_force": "N"}
-
-INERTIAL = 0.3
-"""Least share of inertia in the drive force that says what mass is moved: the rest may be friction of any kind."""
-
-FACTOR = 10.0
-"""Mass that the force moves over the mass that is known, or the inverse, that no error of either explains."""
-
-RECEIVED = 0.3
-"""Share of its work that an axis gives back at the most: four moves that end in rest give back an eighth."""
 
 
 @dataclass(frozen=True)
@@ -87,16 +79,16 @@ def check_balance(force: Real, acceleration: Real, velocity: Real, mass: float |
     moved = float(np.linalg.lstsq(columns, force, rcond=None)[0][0])
     work = force * (velocity - np.mean(velocity))
     share = max(abs(moved), mass or 0.0) * float(np.std(acceleration) / np.std(force))
-    if (mass is None and not moved > 0.0) or (share > INERTIAL and moved < 0.0):
+    if (mass is None and not moved > 0.0) or (share > RULES.inertial and moved < 0.0):
         raise InputError(
             f"the force accelerates a mass of {moved:.4g} kg; check the sign of drive force and encoder, or move faster"
         )
-    if float(np.sum(work)) < -RECEIVED * float(np.sum(np.abs(work))):
+    if float(np.sum(work)) < -RULES.received * float(np.sum(np.abs(work))):
         raise InputError(
             "the axis gives out energy while it moves: drive force and motion point against each other; check the sign "
             "of drive force and encoder"
         )
-    if mass is not None and share > INERTIAL and not mass / FACTOR < moved < mass * FACTOR:
+    if mass is not None and share > RULES.inertial and not mass / RULES.mass_factor < moved < mass * RULES.mass_factor:
         raise InputError(
             f"the force accelerates a mass of {moved:.4g} kg, but the moving mass is given as {mass:g} kg; check the "
             "unit and scale of drive force and encoder, or the mass"
@@ -107,25 +99,6 @@ def check_balance(force: Real, acceleration: Real, velocity: Real, mass: float |
 
 Kind = tuple[float | str, float | str]
 ANY: Kind = ("", "")
-
-_FEWEST_MOVES = 4
-WIDEST = 0.1
-"""Widest band, in units of the sample rate."""
-
-_CUT_OFF = 0.5
-"""Least share of the force beyond a limit that must be lost."""
-
-_CERTAIN = 1e-8
-"""Chance of a wave that is judged with a whitener that was learned without it: noise was given away to it."""
-
-_VALUES_EACH = 10
-"""Fewest values for each regressor of the reference."""
-
-_LIKE_ALL = 10.0
-"""Values that the noise of a kind of move is held to be that of all moves for."""
-
-_LOWEST_TONE = 3.0
-"""Lowest frequency of a tone that is looked for [Hz]; the moves are slower."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +176,7 @@ def balance_of(
             f"a band of {cutoff:g} Hz of a record at {1.0 / raw.step:g} Hz; the encoder is differentiated up to twice "
             "the band, so that the rate must be at least four times the band: lower the cutoff"
         )
-    filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * LONGEST_DELAY / raw.step))
+    filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * RULES.longest_delay / raw.step))
     moving = motion(raw.position, raw.step, 2.0 * cutoff)
     spans = spans_of(moving, filter_)
     runs = [list(run) for run in _without_gaps(spans)]
@@ -224,7 +197,7 @@ def balance_of(
 def _refuse_too_few(regressors: Real, filter_: Resampler) -> None:
     """Refuse a record whose noise cannot be learned: the reference would explain a good part of it."""
     values, columns = regressors.shape
-    needed = _VALUES_EACH * columns
+    needed = RULES.values_each * columns
     if values < needed:
         seconds = values * filter_.step * filter_.every
         raise InputError(
@@ -244,17 +217,17 @@ def _without_gaps(spans: Sequence[tuple[int, int]]) -> Iterator[Sequence[tuple[i
 def spans_of(moving: Motion, filter_: Resampler) -> list[tuple[int, int]]:
     """Return moves (first sample, end) with all their margins inside the record."""
     step = filter_.step
-    lost = math.ceil(3.0 * half_width(2.0 * filter_.cutoff) / step) + filter_.margin + noise.ORDER * filter_.every
+    lost = math.ceil(3.0 * half_width(2.0 * filter_.cutoff) / step) + filter_.margin + RULES.order * filter_.every
     last = moving.time.size - lost
     if last - lost < filter_.every:
         raise InputError(
             f"the record lasts {moving.time.size * step:g} s; the filters alone need {2.0 * lost * step:.2g} s"
         )
     found = list(moves(moving.velocity, step, lost, last))
-    if len(found) < _FEWEST_MOVES:
+    if len(found) < RULES.fewest_moves:
         raise InputError(
-            f"{len(found)} moves of 0.2 s or longer in the record; at least {_FEWEST_MOVES} are needed, so that one "
-            "can be held out: record more moves, with other speeds and both directions"
+            f"{len(found)} moves of 0.2 s or longer in the record; at least {RULES.fewest_moves} are needed, so that "
+            "one can be held out: record more moves, with other speeds and both directions"
         )
     return found
 
@@ -285,9 +258,9 @@ def lost_beyond(raw: Channels, balance: Balance) -> float | None:
     product, square = white @ shapes, np.sum(np.square(shapes), axis=0)
     spread = 1.4826 * float(np.median(np.abs(white[used > 0.0])))
     share = product / np.maximum(square, 1e-300)
-    gain = np.where(share > _CUT_OFF, share * product / spread**2, 0.0)
+    gain = np.where(share > RULES.cut_off, share * product / spread**2, 0.0)
     best = int(np.argmax(gain))
-    return float(limits[best]) if gain[best] > 2.0 * math.log(limits.size / FALSE_ALARM) else None
+    return float(limits[best]) if gain[best] > 2.0 * math.log(limits.size / INFERENCE.false_alarm) else None
 
 
 def periodic(
@@ -307,7 +280,7 @@ def periodic(
             lead = 1.0 / wave
             plain = balance_of(raw, cutoff, limit, lead)
     time = plain.seen(plain.motion.time)
-    return lead, _wave(time, plain, _LOWEST_TONE, cutoff, lambda w: balance_of(raw, cutoff, limit, lead, w))
+    return lead, _wave(time, plain, RULES.lowest_tone, cutoff, lambda w: balance_of(raw, cutoff, limit, lead, w))
 
 
 def _wave(
@@ -324,9 +297,9 @@ def _wave(
         if wave is not None:
             own = whitener_of(with_wave(wave[0]))
             again = noise.strongest_wave(phase, plain.left, own, lowest, highest, plain.sizes)
-            if again is not None and again[1] < _CERTAIN:
+            if again is not None and again[1] < RULES.certain:
                 return again[0]
-    return None if found is None or found[1] >= FALSE_ALARM else found[0]
+    return None if found is None or found[1] >= INFERENCE.false_alarm else found[0]
 
 
 def whitener_of(balance: Balance) -> Whitener:
@@ -346,7 +319,7 @@ def noise_of(balance: Balance, whitener: Whitener) -> dict[Kind, float]:
             squares[kind] = squares.get(kind, 0.0) + float(np.sum(np.square(whitener(move))))
             freedom[kind] = freedom.get(kind, 0.0) + values
     typical = squares[ANY] / freedom[ANY]
-    return {k: math.sqrt((squares[k] + _LIKE_ALL * typical) / (freedom[k] + _LIKE_ALL)) for k in squares}
+    return {k: math.sqrt((squares[k] + RULES.like_all * typical) / (freedom[k] + RULES.like_all)) for k in squares}
 
 
 def kind_of(settings: Mapping[str, float | str]) -> Kind:

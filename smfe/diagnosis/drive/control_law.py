@@ -12,13 +12,7 @@ import numpy as np
 
 from process.errors import InputError
 from process.types import Real
-
-_TAPS = 4
-_TRIM = 6.0
-_DETECT = 10.0
-_SHARE = 0.02
-_SHORTEST = 3
-_FLOOR = 1e-8
+from smfe.diagnosis.drive.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -72,18 +66,18 @@ def fit_control_law(reference: Real, position: Real, force: Real, step: float, g
     """Find the velocity filter of a control law from a record (trimmed least squares, other gains allowed)."""
     error = reference - position
     difference = np.diff(position, prepend=position[0]) / step
-    rows = np.arange(_TAPS, position.size)
-    regressors = np.stack([error[rows], *(-difference[rows - k] for k in range(_TAPS))], axis=1)
+    rows = np.arange(RULES.taps, position.size)
+    regressors = np.stack([error[rows], *(-difference[rows - k] for k in range(RULES.taps))], axis=1)
     scale = np.sqrt(np.mean(np.square(regressors), axis=0))
     if np.any(scale == 0.0):
         raise InputError("the axis does not move, or follows its reference exactly: the record says nothing of the law")
-    floor = _FLOOR * float(np.ptp(force))
+    floor = RULES.floor * float(np.ptp(force))
     # From the documented gains on: least squares over everything would spread a hidden command over all taps.
-    solution = gains.velocity * np.array([gains.position, 1.0, *np.zeros(_TAPS - 1)])
+    solution = gains.velocity * np.array([gains.position, 1.0, *np.zeros(RULES.taps - 1)])
     kept = np.zeros(rows.size, dtype=bool)
     for _ in range(20):
         left = force[rows] - regressors @ solution
-        before, kept = kept, np.abs(left) <= _TRIM * max(_spread(left), floor)
+        before, kept = kept, np.abs(left) <= RULES.trim * max(_spread(left), floor)
         if np.array_equal(before, kept):
             break
         solution = np.linalg.lstsq(regressors[kept] / scale, force[rows][kept], rcond=None)[0] / scale
@@ -101,10 +95,12 @@ def unlogged_command(
     """
     left = force - sum(law.force(reference, position, step))
     left[: law.taps.size] = 0.0
-    out = np.abs(left) > max(_DETECT * law.noise, _SHARE * float(np.max(np.abs(left))))
+    out = np.abs(left) > max(RULES.detect * law.noise, RULES.pulse_share * float(np.max(np.abs(left))))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], out.astype(np.int8), [0])))).reshape(-1, 2)
     pulses = tuple(
-        Pulse(float(a * step), float(b * step), float(np.median(left[a:b]))) for a, b in edges if b - a >= _SHORTEST
+        Pulse(float(a * step), float(b * step), float(np.median(left[a:b])))
+        for a, b in edges
+        if b - a >= RULES.shortest_pulse
     )
     return left, pulses
 

@@ -17,16 +17,8 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import solve_banded
 
 from process.types import Real
+from smfe.diagnosis.drive.rules import RULES
 from smfe.identification.spectra.low_pass import filtered, half_width, kernel
-
-_REST = 0.02
-_LONGEST, _SHORTEST = 2.0, 0.2
-_WIDE = 0.2
-_SETTLING = 0.05
-_TREMBLES = 4.0
-
-FINEST_SLIDE = 1e-6
-"""Shortest distance [m] over which friction is taken to give way."""
 
 
 @dataclass(frozen=True)
@@ -129,14 +121,14 @@ def _path(position: Real, step: float, cutoff: float) -> Path:
 
     What the encoder has above tells its noise within the band, which must not pass for reversals.
     """
-    for wide in (max(_WIDE / step, cutoff), cutoff):
+    for wide in (max(RULES.wide / step, cutoff), cutoff):
         rough = position - filtered(position, step, wide)
         edge = math.ceil(half_width(wide) / step)
         inner = rough[edge : rough.size - edge]
         noise = float(np.std(inner)) if inner.size else math.inf
-        if 6.0 * noise <= FINEST_SLIDE:
+        if 6.0 * noise <= RULES.finest_slide:
             break
-    least = _TREMBLES * noise * math.sqrt(wide / max(0.5 / step - wide, wide)) if inner.size else 0.0
+    least = RULES.trembles * noise * math.sqrt(wide / max(0.5 / step - wide, wide)) if inner.size else 0.0
     return Path(filtered(position, step, wide), filtered(position, step, wide, 1), step, least)
 
 
@@ -147,23 +139,20 @@ def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[
     50 ms at either end belong to the moves: an axis that stands still shows its controller and no property of its own.
     """
     speed = np.abs(velocity[first:last])
-    resting = speed < _REST * speed.max()
+    resting = speed < RULES.rest * speed.max()
     edges = np.flatnonzero(np.diff(np.concatenate(([0], resting.astype(np.int8), [0])))).reshape(-1, 2)
-    pad, begin = round(_SETTLING / step), first
+    pad, begin = round(RULES.settling / step), first
     for a, b in [*(edges + first).tolist(), [last, last]]:
-        standing = b - a >= _SHORTEST / step
+        standing = b - a >= RULES.shortest_move / step
         end = min(a + pad, b) if standing else a + int(np.argmin(speed[a - first : b - first])) if b > a else last
-        pieces = max(math.ceil((end - begin) * step / _LONGEST), 1)
-        if (end - begin) * step >= _SHORTEST:
+        pieces = max(math.ceil((end - begin) * step / RULES.longest_move), 1)
+        if (end - begin) * step >= RULES.shortest_move:
             ends = np.linspace(begin, end, pieces + 1).astype(int)
             yield from zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
         begin = max(b - pad, a) if standing else end
 
 
 # --- The direction of sliding along a record: bristles that follow a reversal over micrometres.
-
-
-_KEPT = 8
 
 
 def reversals(position: Real, velocity: Real, least: float = 0.0) -> tuple[float, tuple[int, ...]]:
@@ -265,7 +254,7 @@ class Path:
         return made[1:], direction
 
     def _keep(self, key: tuple[float, ...], found: Real) -> Real:
-        if len(self._kept) >= _KEPT:
+        if len(self._kept) >= RULES.kept_directions:
             self._kept.clear()
         self._kept[key] = found
         return found

@@ -28,17 +28,10 @@ import numpy as np
 from scipy import linalg, signal
 
 from process.types import Real
-from smfe.diagnosis.drive.filters import FINEST_SLIDE, Motion
+from smfe.diagnosis.drive.filters import Motion
+from smfe.diagnosis.drive.rules import RULES
 
-ORDER = 10
-_SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 1.0)
-_POSITIONS = 8
-_SLIDES = (FINEST_SLIDE, 5e-6, 2.5e-5)
-ABOVE = 200.0
-"""Force over what the reference leaves, in power, where a record can be used."""
-_RESOLUTION = 5.0
-_STANDS_OUT = 5.5
-_DRAWN, _ROUNDS, _SETTLES = 16, 5, 200
+_SLIDES = (RULES.finest_slide, 5e-6, 2.5e-5)
 
 
 @dataclass(frozen=True)
@@ -86,9 +79,9 @@ def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> W
     if regressors is None:
         return found
     basis, sizes = _orthonormal(regressors), [r.size for r in residuals]
-    white = np.random.default_rng(0).standard_normal((_DRAWN, _SETTLES + sum(sizes)))
+    white = np.random.default_rng(0).standard_normal((RULES.drawn, RULES.settles + sum(sizes)))
     given = observed.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(RULES.rounds):
         drawn = _projected(_coloured(found, white), basis)
         given = given + observed - np.mean([_covariances(x, kept) for x in _split(drawn, sizes)], axis=0)
         better = _autoregression(given, values)
@@ -121,7 +114,7 @@ def learned_again(
         How many.
     """
     kept, basis, sizes = _kept(residuals), _orthonormal(regressors), [r.size for r in residuals]
-    whole = _coloured(found, np.random.default_rng(1).standard_normal((draws, _SETTLES + sum(sizes))))
+    whole = _coloured(found, np.random.default_rng(1).standard_normal((draws, RULES.settles + sum(sizes))))
     left = _projected(whole.copy(), basis)
     before, after = ([_covariances(x, kept) for x in _split(y, sizes)] for y in (whole, left))
     taken = np.mean(before, axis=0) - np.mean(after, axis=0)
@@ -145,14 +138,16 @@ def freedom_left(found: Whitener, residuals: Sequence[Real], regressors: Real) -
         Of the least squares.
     """
     sizes = [r.size for r in residuals]
-    white = np.random.default_rng(2).standard_normal((_DRAWN, _SETTLES + sum(sizes)))
+    white = np.random.default_rng(2).standard_normal((RULES.drawn, RULES.settles + sum(sizes)))
     left = _split(_projected(_coloured(found, white), _orthonormal(regressors)), sizes)
     squares = [[float(np.sum(np.square(found(move)))) for move in moves] for moves in left]
     return [float(x) for x in np.mean(squares, axis=0)]
 
 
 def _coloured(found: Whitener, white: Real) -> Real:
-    return np.asarray(found.sigma * signal.lfilter([1.0], [1.0, *found.coefficients], white, axis=1)[:, _SETTLES:])
+    return np.asarray(
+        found.sigma * signal.lfilter([1.0], [1.0, *found.coefficients], white, axis=1)[:, RULES.settles :]
+    )
 
 
 def _projected(drawn: Real, basis: Real) -> Real:
@@ -175,10 +170,12 @@ def _values(residuals: Sequence[Real], kept: Sequence[bool]) -> int:
 
 
 def _covariances(residuals: Sequence[Real], kept: Sequence[bool]) -> Real:
-    """Autocovariances of the moves that are kept, to lag `ORDER`."""
+    """Autocovariances of the moves that are kept, to lag `DriveRules.order`."""
     used = [r for r, good in zip(residuals, kept, strict=True) if good]
     total = _values(residuals, kept)
-    return np.array([sum(float(r[k:] @ r[: r.size - k]) for r in used if r.size > k) / total for k in range(ORDER + 1)])
+    return np.array(
+        [sum(float(r[k:] @ r[: r.size - k]) for r in used if r.size > k) / total for k in range(RULES.order + 1)]
+    )
 
 
 def _autoregression(lags: Real, values: int) -> Whitener:
@@ -209,8 +206,8 @@ def reference(m: Motion) -> Real:
     place = (m.position - m.position.min()) / max(float(np.ptp(m.position)), 1e-300)
     columns = [m.acceleration, m.jerk, m.snap, *(m.sliding(d) for d in _SLIDES)]
     for way in (m.velocity > 0.0, m.velocity <= 0.0):
-        columns += [way * hat for hat in _hats(speed, _SPEEDS)]
-        columns += [way * hat for hat in _hats(place, np.linspace(0.0, 1.0, _POSITIONS))]
+        columns += [way * hat for hat in _hats(speed, RULES.reference_speeds)]
+        columns += [way * hat for hat in _hats(place, np.linspace(0.0, 1.0, RULES.reference_positions))]
     return np.stack(columns, axis=1)
 
 
@@ -233,13 +230,13 @@ def usable_band(force: Real, left: Real, step: float, highest: float, runs: Sequ
     Power densities with a resolution of 5 Hz, the mean over runs of values without a gap, each the median of three
     neighbours.
     """
-    size = min(round(1.0 / (_RESOLUTION * step)), *runs)
+    size = min(round(1.0 / (RULES.resolution * step)), *runs)
     total = np.zeros((2, size // 2 + 1))
     for values in np.split(np.stack([force, left]), np.cumsum(runs)[:-1], axis=1):
         f, density = signal.welch(values, 1.0 / step, nperseg=size)
         total += values.shape[1] * density
     ratio = signal.medfilt(total[0] / np.maximum(total[1], 1e-300), 3)[1:-1]
-    low = np.flatnonzero(ratio < ABOVE)
+    low = np.flatnonzero(ratio < RULES.above_noise)
     return float(min(f[1:-1][low[0]] if low.size else highest, highest))
 
 
@@ -333,7 +330,7 @@ def boxes(left: Real, whitener: Whitener, time: Real, runs: Sequence[int]) -> tu
     white = whitener(left) * used
     white = white / math.sqrt(float(np.sum(np.square(white)) / np.sum(used)))
     score = np.correlate(white, whitener.taps[::-1], mode="full")
-    best, found, width = _STANDS_OUT, np.zeros(0), 0
+    best, found, width = RULES.stands_out, np.zeros(0), 0
     for seconds in (0.05, 0.1, 0.2, 0.4):
         n = max(round(seconds / step), 1)
         if 2 * n < left.size:
@@ -342,7 +339,7 @@ def boxes(left: Real, whitener: Whitener, time: Real, runs: Sequence[int]) -> tu
             if float(np.max(np.abs(sums))) > best:
                 best, found, width = float(np.max(np.abs(sums))), sums, n
     out = []
-    while found.size and np.max(np.abs(found)) > _STANDS_OUT:
+    while found.size and np.max(np.abs(found)) > RULES.stands_out:
         k = int(np.argmax(np.abs(found)))
         out.append((float(time[k]), float(time[k + width - 1]) + step, math.copysign(1.0, found[k])))
         found[max(k - width + 1, 0) : k + width] = 0.0
@@ -350,10 +347,6 @@ def boxes(left: Real, whitener: Whitener, time: Real, runs: Sequence[int]) -> tu
 
 
 # --- How well the noise of a drive record is known: noises that the same few moves could as well have come from.
-
-_DRAWS = 40
-_FADES = 200
-"""Values before the first by which the noise has forgotten how it began."""
 
 
 @dataclass(frozen=True)
@@ -366,7 +359,7 @@ class NoiseDraw:
 
     def coloured_products(self, columns: Real) -> Real:
         """Return ``H^T X``, whose squares are the covariance of ``X^T e`` with ``e = H white``; X of shape (n, m)."""
-        padded = np.concatenate([columns[::-1], np.zeros((_FADES, columns.shape[1]))])
+        padded = np.concatenate([columns[::-1], np.zeros((RULES.fades, columns.shape[1]))])
         return np.asarray(signal.lfilter(self.above, self.below, padded, axis=0))
 
 
@@ -391,7 +384,7 @@ def noise_draws(
     for kind, freedom in zip(kinds, freedom_left(whitener, residuals, regressors), strict=True):
         expected[kind] = expected.get(kind, 0.0) + freedom
     found = []
-    for again, moves in learned_again(whitener, residuals, regressors, _DRAWS):
+    for again, moves in learned_again(whitener, residuals, regressors, RULES.noise_draws):
         if not again.stable:
             continue
         squares = dict.fromkeys(expected, 0.0)

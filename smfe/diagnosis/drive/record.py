@@ -23,7 +23,6 @@ from process.types import Real
 from smfe.diagnosis.drive import noise, terms
 from smfe.diagnosis.drive.balance import (
     ANY,
-    WIDEST,
     Balance,
     Channels,
     Kind,
@@ -40,10 +39,10 @@ from smfe.diagnosis.drive.balance import (
 from smfe.diagnosis.drive.control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
 from smfe.diagnosis.drive.filters import Motion, Resampler, motion
 from smfe.diagnosis.drive.noise import NoiseDraw, Whitener, noise_draws
+from smfe.diagnosis.drive.rules import RULES
 from smfe.diagnosis.drive.terms import (
     DELAY,
     HIDDEN_COMMAND,
-    LONGEST_DELAY,
     SENSOR_GAIN,
     SERVO_GAINS,
     Term,
@@ -51,9 +50,6 @@ from smfe.diagnosis.drive.terms import (
     saturation,
 )
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
-
-_CLOSED_LOOP = 1.0 / 6.0
-"""Share of the angle by which noise turns the force at the end of the band that the loop makes of it, one sigma."""
 
 
 @dataclass(frozen=True)
@@ -143,8 +139,8 @@ class DriveRecordFamily(Abilities):
         name : str, optional
             Put before the names of the conditions.
         """
-        if not 0.0 <= delay <= LONGEST_DELAY:
-            raise InputError(f"known delay {delay:g} s; give one from 0 to {LONGEST_DELAY:g} s")
+        if not 0.0 <= delay <= RULES.longest_delay:
+            raise InputError(f"known delay {delay:g} s; give one from 0 to {RULES.longest_delay:g} s")
         if lead is not None and not 0.0 < lead < math.inf:
             raise InputError(f"lead {lead:g} m; give a positive one, or none")
         raw = Channels.read(record, axis)
@@ -266,9 +262,9 @@ def _learn(
 ) -> DriveModel:
     """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
     if cutoff is None:
-        wide = balance_of(raw, WIDEST / raw.step, None)
+        wide = balance_of(raw, RULES.widest / raw.step, None)
         cut = lost_beyond(raw, wide)
-        wide = wide if cut is None else balance_of(raw, WIDEST / raw.step, cut)
+        wide = wide if cut is None else balance_of(raw, RULES.widest / raw.step, cut)
         cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff, wide.sizes)
     limit = lost_beyond(raw, balance_of(raw, cutoff, None))
     plain = balance_of(raw, cutoff, limit)
@@ -332,13 +328,13 @@ def _nuisances(balance: Balance, mass: tuple[float, float] | None) -> tuple[Para
 def _timing(cutoff: float) -> Parameter:
     """Return what the known delay is off by, 4 us in a band of 33 Hz.
 
-    No record would tell: the controller answers the disturbances that the balance takes for noise (bias of the direct
+    No record shows it: the controller answers the disturbances that the balance takes for noise (bias of the direct
     method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung, Automatica 35,
-    1999). At the end of the band that share is one in `noise.ABOVE`: by so large an angle noise may turn the force
-    there. What comes from the loop is taken for a sixth of it, one sigma, as linearisation at the truth showed for
-    Coulomb friction at 1 kHz; at other rates and bands it is an extrapolation.
+    1999). At the end of the band that share is one in `RULES.above_noise`, by which angle noise may turn the force.
+    A sixth of it, one sigma, is taken for the loop, as linearisation at the truth showed for Coulomb friction at 1 kHz;
+    at other rates and bands it is an extrapolation.
     """
-    off = _CLOSED_LOOP / (noise.ABOVE * 2.0 * math.pi * cutoff)
+    off = RULES.closed_loop / (RULES.above_noise * 2.0 * math.pi * cutoff)
     return Parameter("delay.error", "ms", 0.0, off, prior=off, shown=1e3)
 
 

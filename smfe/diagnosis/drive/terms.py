@@ -16,10 +16,9 @@ import numpy as np
 
 from process.types import Real
 from smfe.diagnosis.drive.filters import Motion
+from smfe.diagnosis.drive.rules import RULES
 from smfe.diagnosis.inference.problem import Cause, Parameter, Values
 
-_REST = 2e-4
-"""v0 [m/s]."""
 _SPEEDS = ((0.0, 0.005), (0.0, 0.02), (0.0, 0.05))
 """No force, and speeds [m/s] over which it may change."""
 
@@ -39,7 +38,7 @@ def direction(m: Motion, p: Values) -> Real:
     within the slowest speeds would be Coulomb friction by another name, and cheaper.
     """
     if p.get("coulomb.force", 0.0) == 0.0:
-        return np.tanh(m.rate / _REST)
+        return np.tanh(m.rate / RULES.smooth_sign)
     return m.sliding(p["coulomb.slide"], p["coulomb.damping"])
 
 
@@ -209,13 +208,11 @@ def hidden_force(windows: Sequence[tuple[float, float, float]]) -> Term:
 
 # --- Causes that a drive record can name besides friction: delay, cut-off force, gains, a command nobody logged.
 
-LONGEST_DELAY = 5e-3
-"""Largest loop delay that is looked for [s]."""
 
 DELAY = Cause(
     "loop_delay",
     "delay between command and force",
-    (Parameter("loop_delay.delay", "ms", 0.0, 1e-4, 0.0, LONGEST_DELAY, shown=1e3),),
+    (Parameter("loop_delay.delay", "ms", 0.0, 1e-4, 0.0, RULES.longest_delay, shown=1e3),),
 )
 
 

@@ -26,36 +26,11 @@ from smfe.diagnosis.inference.fit import Fit, Target, bounded_step, refit, resid
 from smfe.diagnosis.inference.misfit import Group, Misfit, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import orthonormal
 
 Fold = tuple[int, ...]
 Scheme = tuple[Fold, ...]
-
-BAND = 0.01
-"""p-value below which a held-out misfit is more than noise."""
-
-RETAINED = 0.05
-"""Share of the information on any combination of parameters that a fold must leave to the fit."""
-
-COVERED = 0.5
-"""Share of the effect of a cause that must lie in conditions that are held out once."""
-
-FOLLOWED = 0.02
-"""Share of the squares of held-out residuals by which their prediction may miss what the slopes had expected."""
-
-LEAST_WITHIN = 3.0
-"""Gain [dB] that is asked for where blocks of values are held out."""
-
-BLOCKS = 12
-"""Blocks of values of a condition; every fourth is held out together."""
-
-ROUGHLY = 0.25
-"""The same share of what is not noise: how bad a bad model is need not be known as well."""
-
-_MOST_VALUES = 8
-_RESAMPLES = 4000
-_THREE_SIGMA = 0.00135
-_UNKNOWN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -91,7 +66,7 @@ class Gain:
     @property
     def needed(self) -> float:
         """Least gain [dB] that proves something."""
-        return 1.0 if self.held_out == "conditions" else LEAST_WITHIN
+        return 1.0 if self.held_out == "conditions" else RULES.least_within
 
 
 def schemes(conditions: Sequence[Condition], rows: Sequence[int]) -> list[Scheme]:
@@ -103,7 +78,7 @@ def schemes(conditions: Sequence[Condition], rows: Sequence[int]) -> list[Scheme
         for r in rows:
             groups.setdefault(conditions[r].settings.get(key), []).append(r)
         split = tuple(tuple(g) for g in groups.values())
-        if 2 <= len(split) <= _MOST_VALUES and sorted(split) not in [sorted(s) for s in found]:
+        if 2 <= len(split) <= RULES.most_values and sorted(split) not in [sorted(s) for s in found]:
             found.append(split)
     single = tuple((r,) for r in rows)
     return [*(s for s in found if sorted(s) != sorted(single)), single]
@@ -130,10 +105,10 @@ def _testing(scheme: Scheme, grams: Mapping[int, Real], whole: Real, effects: Se
     kept = []
     for fold in scheme:
         left = whole - np.sum([grams[r] for r in fold], axis=0)
-        if left.size == 0 or float(np.linalg.eigvalsh(left)[0]) >= RETAINED:
+        if left.size == 0 or float(np.linalg.eigvalsh(left)[0]) >= RULES.retained:
             kept.append(fold)
     tested = {r for fold in kept for r in fold}
-    enough = all(sum(v for r, v in e.items() if r in tested) >= COVERED * sum(e.values()) for e in effects)
+    enough = all(sum(v for r, v in e.items() if r in tested) >= RULES.covered * sum(e.values()) for e in effects)
     return tuple(kept) if enough and tested else ()
 
 
@@ -175,12 +150,12 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
 
     The blocks stand for conditions in what is returned.
     """
-    if len(target.observed) < 2 or min(y.size for y in target.observed.values()) < 4 * BLOCKS:
+    if len(target.observed) < 2 or min(y.size for y in target.observed.values()) < 4 * RULES.blocks:
         return None
     slope, residual = stacked(model, target, fit.free, fit.u, fit.residual, fit.slope)
     values = sum(y.size for y in target.observed.values())
     block = np.concatenate(
-        [n * BLOCKS + np.arange(y.size) * BLOCKS // y.size for n, y in enumerate(target.observed.values())]
+        [n * RULES.blocks + np.arange(y.size) * RULES.blocks // y.size for n, y in enumerate(target.observed.values())]
     )
     at, groups = fit.u[fit.free], []
     for fold in range(4):
@@ -199,10 +174,12 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
     squares = {b: float(x @ x) for out_, _ in groups for b, x in out_.items()}
     floor = {b: spread.square(b) for _, spread in groups for b in spread.load}
     count = {b: float(x.size) for out_, _ in groups for b, x in out_.items()}
-    rows = {n * BLOCKS + b: r for n, r in enumerate(target.observed) for b in range(BLOCKS)}
-    misfit = assess([(out_, spread.load) for out_, spread in groups], False, model.noise_knowledge.parted(rows, BLOCKS))
+    rows = {n * RULES.blocks + b: r for n, r in enumerate(target.observed) for b in range(RULES.blocks)}
+    misfit = assess(
+        [(out_, spread.load) for out_, spread in groups], False, model.noise_knowledge.parted(rows, RULES.blocks)
+    )
     by_row = {
-        r: min(misfit.by_condition[b] for b in range(n * BLOCKS, (n + 1) * BLOCKS))
+        r: min(misfit.by_condition[b] for b in range(n * RULES.blocks, (n + 1) * RULES.blocks))
         for n, r in enumerate(target.observed)
     }
     return HeldOut(squares, floor, count, replace(misfit, by_condition=by_row), fit.converged)
@@ -226,7 +203,7 @@ def _apart(model: Model, target: Target, fit: Fit, fold: Fold) -> tuple[Mapping[
         expected = sum(float(np.sum((fit.residual[r] + fit.slope[r] @ step) ** 2)) for r in fold)
         found = sum(float(x @ x) for x in out.values())
         noise = sum(model.size(r, u) for r in fold)
-        if abs(found - expected) <= max(FOLLOWED * expected, ROUGHLY * (expected - noise)):
+        if abs(found - expected) <= max(RULES.followed * expected, RULES.roughly * (expected - noise)):
             return out, fit.converged
     apart = refit(model, others, fit)
     out = residuals(model, mine, apart.u)
@@ -270,8 +247,8 @@ def _root(jacobian: Real) -> tuple[Real, NDArray[np.bool_]]:
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0.0] = 1.0
     _, singular, right = np.linalg.svd(jacobian / size, full_matrices=False)
-    unknown = singular < _UNKNOWN * max(float(singular.max(initial=0.0)), 1e-300)
-    return right.T / np.where(unknown, _UNKNOWN, singular) / size[:, None], ~unknown
+    unknown = singular < RULES.unknown * max(float(singular.max(initial=0.0)), 1e-300)
+    return right.T / np.where(unknown, RULES.unknown, singular) / size[:, None], ~unknown
 
 
 def compare(before: HeldOut, after: HeldOut, rng: np.random.Generator) -> Gain:
@@ -281,9 +258,9 @@ def compare(before: HeldOut, after: HeldOut, rng: np.random.Generator) -> Gain:
         return Gain(0.0, math.inf, 0.0, 0.0, -math.inf)
     won = np.array([before.squares[r] - after.squares[r] for r in rows])
     floor = np.array([after.floor[r] for r in rows])
-    noisy = after.misfit.p_value >= BAND
+    noisy = after.misfit.p_value >= RULES.band
     excess = floor if noisy else np.array([after.squares[r] - after.values[r] for r in rows])
-    drawn = np.concatenate([np.arange(len(rows))[None], rng.integers(0, len(rows), (_RESAMPLES, len(rows)))])
+    drawn = np.concatenate([np.arange(len(rows))[None], rng.integers(0, len(rows), (RULES.resamples, len(rows)))])
     gained = won[drawn].sum(axis=1)
     # By chance what is left can look smaller than what the uncertain parameters alone make of it: it is not counted so.
     left = np.maximum(np.maximum(floor[drawn].sum(axis=1), excess[drawn].sum(axis=1)), 1e-9)
@@ -296,5 +273,5 @@ def compare(before: HeldOut, after: HeldOut, rng: np.random.Generator) -> Gain:
         sd,
         10.0 * math.log10(total[0] / total[1]),
         max(float(gained[0] / whole), 0.0) if whole > 0.0 else 0.0,
-        db - 3.0 * sd if noisy else float(np.quantile(decibels[1:], _THREE_SIGMA)),
+        db - 3.0 * sd if noisy else float(np.quantile(decibels[1:], RULES.three_sigma)),
     )

@@ -15,13 +15,9 @@ from scipy import special, stats
 
 from process.types import Real
 from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import Signature, Tangent, orthonormal
-from smfe.diagnosis.inference.thresholds import PENALTY, parameters_of, score
-
-SEEN = 0.95
-
-PROVEN = 36.0
-"""Likelihood ratio at which a gain that scatters by ``2 sqrt(LR)`` is three of its standard deviations."""
+from smfe.diagnosis.inference.thresholds import parameters_of, score
 
 
 @dataclass(frozen=True)
@@ -59,9 +55,10 @@ def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...
             acting = [s for s in own if j in s.free]
             if own and not acting:
                 continue
-            level = limit + PENALTY * parameters_of(model, [k])
+            level = limit + RULES.penalty * parameters_of(model, [k])
             seen, proven = (
-                max((_size(model, s, int(j), x) for s in acting), default=math.inf) for x in (level, max(level, PROVEN))
+                max((_size(model, s, int(j), x) for s in acting), default=math.inf)
+                for x in (level, max(level, RULES.proven))
             )
             unit = parameter.scale * parameter.shown
             possible = bool(seen <= max(model.high[j], -model.low[j]))
@@ -85,14 +82,11 @@ def _size(model: Model, signature: Signature, j: int, level: float) -> float:
 def noncentrality(level: float, freedom: int, one_sided: bool = False) -> float:
     """Return the noncentrality with which a chi-square statistic exceeds a level with 95 %."""
     if one_sided:
-        return (math.sqrt(level) + float(stats.norm.ppf(SEEN))) ** 2
-    return float(special.chndtrinc(level, freedom, 1.0 - SEEN))
+        return (math.sqrt(level) + float(stats.norm.ppf(RULES.seen))) ** 2
+    return float(special.chndtrinc(level, freedom, 1.0 - RULES.seen))
 
 
 # --- Causes that do nearly the same in these conditions: cosines between their signatures.
-
-COLLINEAR = 0.95
-"""Cosine of two signatures above which they count as one."""
 
 
 def cosines(model: Model, at: Tangent) -> Real:
@@ -109,7 +103,7 @@ def cosines(model: Model, at: Tangent) -> Real:
 
 def groups(model: Model, cosine: Real) -> list[tuple[int, ...]]:
     """Return causes that are linked by collinear signatures; variants of one cause alone are no group."""
-    linked = cosine > COLLINEAR
+    linked = cosine > RULES.collinear
     left, found = set(range(len(model.causes))), []
     while left:
         group = {left.pop()}

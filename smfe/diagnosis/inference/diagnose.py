@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from process.errors import InputError
 from process.types import Complex, Real
-from smfe.diagnosis.inference.cross_validation import BAND, Gain, compare, unseen
+from smfe.diagnosis.inference.cross_validation import Gain, compare, unseen
 from smfe.diagnosis.inference.detectable_effects import cosines, detectable, groups
 from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, Remainder, SearchStep, by_condition
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
@@ -19,9 +19,10 @@ from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal, rank, revealing
 from smfe.diagnosis.inference.problem import Condition, Family
-from smfe.diagnosis.inference.search import MOST_CAUSES, Bench, Step, search
+from smfe.diagnosis.inference.rules import RULES
+from smfe.diagnosis.inference.search import Bench, Step, search
 from smfe.diagnosis.inference.signature import inside
-from smfe.diagnosis.inference.thresholds import PENALTY, covariances_of_noise, parameters_of
+from smfe.diagnosis.inference.thresholds import covariances_of_noise, parameters_of
 from smfe.diagnosis.inference.verdict import Judgement, judge
 from smfe.diagnosis.inference.workers import Helpers
 from smfe.progress import Progress, silent
@@ -77,7 +78,7 @@ def diagnose(
             if not bench.null().converged:
                 return Finding("insufficient_data", f"the baseline could not be fitted: {bench.null().reason}")
             # As long as the data are prepared without a cause, one is enough to prepare them better.
-            at, steps = search(bench, MOST_CAUSES if last or assumed else 1)
+            at, steps = search(bench, RULES.most_causes if last or assumed else 1)
             if last or at.causes == assumed:
                 break
             assumed, known = at.causes, dict(bench.fits)
@@ -169,7 +170,7 @@ def _remainder(bench: Bench, judged: Judgement) -> Remainder | None:
         return None
     share = None if judged.gain is None else 1.0 - judged.gain.share
     names = tuple(bench.model.conditions[r].name for r in judged.carriers)
-    return Remainder(10.0 * math.log10(max(left.ratio, 1e-300)), left.p_value, left.p_value < BAND, share, names)
+    return Remainder(10.0 * math.log10(max(left.ratio, 1e-300)), left.p_value, left.p_value < RULES.band, share, names)
 
 
 def _alternatives(bench: Bench, at: Fit, judged: Judgement) -> tuple[tuple[FoundCause, ...], ...]:
@@ -190,18 +191,15 @@ def _held_out_gain(bench: Bench, at: Fit, data: Mapping[int, Real]) -> Gain | No
     return compare(before, after, bench.rng(5, parameters_of(bench.model, at.causes)))
 
 
-_CONTENDERS = 3
-
-
 def _unproven(bench: Bench, steps: Sequence[Step]) -> list[Fit]:
     """Return the best hypotheses that were refused for want of a condition that tests them; one alone with the null."""
     refused = {s.causes: bench.fitted(s.causes) for s in steps if not s.accepted}
     kept: list[Fit] = []
-    for f in sorted(refused.values(), key=lambda f: f.chi2 + PENALTY * parameters_of(bench.model, f.causes)):
+    for f in sorted(refused.values(), key=lambda f: f.chi2 + RULES.penalty * parameters_of(bench.model, f.causes)):
         # More of the same is not another hypothesis.
         if f.converged and not any(set(g.causes) & set(f.causes) for g in kept):
             kept.append(f)
-    return kept[:_CONTENDERS] if len(kept) > 1 else [*kept, bench.null()]
+    return kept[: RULES.contenders] if len(kept) > 1 else [*kept, bench.null()]
 
 
 def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judgement) -> Proposal | None:
@@ -223,11 +221,6 @@ def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judge
 
 # --- Intervals of the fitted parameters: from noise, from what the best model leaves, and from errors of predictions.
 
-_INTERVAL = 1.959964
-
-_KNOWN, _SHARED = 1e-9, 1e-3
-"""Singular value, relative, below which the data do not determine a direction; its share in a parameter that counts."""
-
 
 def estimates(bench: Bench, at: Fit, k: int, judged: Judgement) -> tuple[Estimate, ...]:
     """Return parameters of a cause with 95 % intervals, infinite where the data do not separate it from others."""
@@ -236,7 +229,7 @@ def estimates(bench: Bench, at: Fit, k: int, judged: Judgement) -> tuple[Estimat
     found = []
     for j in model.of_cause[k]:
         place, p = int(np.flatnonzero(at.free == j)[0]), model.parameters[j]
-        value, half = p.start + p.scale * float(at.u[j]), _INTERVAL * p.scale * float(sd[place])
+        value, half = p.start + p.scale * float(at.u[j]), RULES.interval * p.scale * float(sd[place])
         low, high = (max(value - half, p.low), min(value + half, p.high)) if half < math.inf else (-half, half)
         found.append(Estimate(p.name, value * p.shown, low * p.shown, high * p.shown, p.unit))
     return tuple(found)
@@ -254,12 +247,12 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
     size = np.linalg.norm(slope, axis=0)
     moving = inside(bench.model, at) & (size > 0.0)
     rotated, singular, right = np.linalg.svd((slope / np.where(size > 0.0, size, 1.0))[:, moving], full_matrices=False)
-    known = singular > _KNOWN * singular.max(initial=0.0)
+    known = singular > RULES.determined * singular.max(initial=0.0)
     inverse = (right[known].T / singular[known]) @ rotated[:, known].T / size[moving, None]
     sd = np.where(size > 0.0, 0.0, np.inf)
     covariances = covariances_of_noise(bench.model, at.residual, inverse.T)
     sd[moving] = np.sqrt(np.mean([np.diag(c) for c in covariances], axis=0))
-    if left is not None and left.p_value < BAND:
+    if left is not None and left.p_value < RULES.band:
         ends = np.cumsum([r.size for r in at.residual.values()])
         data, prior = inverse[:, : ends[-1]], inverse[:, ends[-1] :]
         pulls = [a @ r for a, r in zip(np.split(data, ends[:-1], axis=1), at.residual.values(), strict=True)]
@@ -268,7 +261,7 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
         sd[moving] = np.maximum(sd[moving] * math.sqrt(max(left.ratio, 1.0)), robust)
     sd[moving] = np.hypot(sd[moving], _off(bench.model, at, moving))
     # Parameters that are seen only together have no interval each: their variance would come out as zero.
-    sd[moving] = np.where(1.0 - np.sum(np.square(right[known]), axis=0) > _SHARED**2, np.inf, sd[moving])
+    sd[moving] = np.where(1.0 - np.sum(np.square(right[known]), axis=0) > RULES.shared**2, np.inf, sd[moving])
     return sd
 
 
@@ -285,7 +278,7 @@ def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> Real:
     slope, wrong = (_real(x) for x in (each, [shared[k] for k in labels]))
     size = np.linalg.norm(slope, axis=0)
     size[size == 0.0] = 1.0
-    inverse = np.linalg.pinv(slope / size, rcond=_KNOWN) / size[:, None]
+    inverse = np.linalg.pinv(slope / size, rcond=RULES.determined) / size[:, None]
     taken = inverse @ inverse.T @ wrong.T
     return np.asarray(family.model_error * np.sqrt(len(slope) / 2.0 / count * np.sum(np.square(taken), axis=1)))
 

@@ -15,6 +15,7 @@ from smfe.diagnosis.inference.detectable_effects import Detectable
 from smfe.diagnosis.inference.fit import Fit, Target, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.verdict import Verdict
 
 
@@ -102,11 +103,7 @@ class BaselineParameter:
     @property
     def beyond_prior(self) -> bool:
         """Whether the data put it further away than is trusted."""
-        return abs(self.fitted - self.given) > TRUSTED * self.spread
-
-
-TRUSTED = 2.0
-"""Standard deviations of what is given within which a baseline counts as what the campaign says."""
+        return abs(self.fitted - self.given) > RULES.trusted * self.spread
 
 
 @dataclass(frozen=True)

@@ -18,31 +18,7 @@ from scipy.optimize import least_squares, lsq_linear
 
 from process.types import Real
 from smfe.diagnosis.inference.model import Index, Model
-
-TOLERANCE = 0.1
-"""Decrease of the misfit [chi-square] that a converged fit may still leave; thresholds are 100 times that."""
-
-RELATIVE_TOLERANCE = 1e-7
-"""The same as a share of the misfit, for data that no model of the family describes."""
-
-BAD_TOLERANCE = 1e-3
-"""The same as a share of what a bad model leaves beyond twice the noise: how bad it is need not be known better."""
-
-SEVERAL = 8
-"""Conditions from which a part of them is fitted first."""
-
-ROUGH = 3.0
-"""Decrease [chi-square] that may be promised where no part of the step brings any: a kink of the prediction there."""
-
-OPTIMISM = 3.0
-"""How many times what a linear step promises a fit may still come down: more than that from a goal it is hopeless."""
-
-_FORETOLD = 0.3
-"""Share of a step that its slopes may have missed to be kept, corrected."""
-
-_CYCLES = 8
-_STEPS = 12
-_FRACTIONS = (1.0, 0.5, 0.2, 0.05)
+from smfe.diagnosis.inference.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -136,7 +112,7 @@ def _least(r: Real, aim: Real) -> Real:
 def tolerance(target: Target, chi2: float) -> float:
     """Return by how much a misfit need not be known better."""
     values = sum(y.size for y in target.observed.values())
-    return max(TOLERANCE, RELATIVE_TOLERANCE * chi2, BAD_TOLERANCE * (chi2 - 2.0 * values))
+    return max(RULES.tolerance, RULES.relative_tolerance * chi2, RULES.bad_tolerance * (chi2 - 2.0 * values))
 
 
 @dataclass
@@ -167,7 +143,7 @@ class _State:
 
     def advance(self, step: Real) -> float:
         """Go along a step as far as the misfit falls; return by how much it fell."""
-        for fraction in _FRACTIONS:
+        for fraction in RULES.fractions:
             u = self.u.copy()
             u[self.free] = np.clip(
                 u[self.free] + fraction * step, self.model.low[self.free], self.model.high[self.free]
@@ -185,9 +161,9 @@ class _State:
         Return the slopes as corrected on the way and the decrement left.
         """
         promised = 0.0
-        for n in range(_STEPS):
+        for n in range(RULES.steps):
             step, promised = self.step(slope)
-            if promised < 0.1 * self.tolerance or (n and self.chi2 - OPTIMISM * promised > most):
+            if promised < 0.1 * self.tolerance or (n and self.chi2 - RULES.optimism * promised > most):
                 break
             u, residual = self.u, self.residual
             came_true = self.advance(step) / promised
@@ -243,7 +219,7 @@ def fit(
     if slope is not None:
         state.descend(slope)
     rows, fresh = list(target.observed), dict[int, Real]()
-    for cycle in range(_CYCLES + 2):
+    for cycle in range(RULES.cycles + 2):
         slopes = model.slopes(rows, state.u, free)
         if slopes is None:
             return state.done(chosen, {}, f"no prediction beside the optimum ({model.trouble})")
@@ -252,10 +228,10 @@ def fit(
         if decrement < state.tolerance:
             return state.done(chosen, fresh)
         before = state.chi2
-        if cycle < _CYCLES:
+        if cycle < RULES.cycles:
             state.descend(fresh)
         if before - state.chi2 < 0.1 * decrement:
-            if decrement < ROUGH:
+            if decrement < RULES.rough:
                 return state.done(chosen, fresh)
             _trust_region(state)
         if state.chi2 >= before:
@@ -288,7 +264,7 @@ def approach(
     if state.residual is None:
         return None
     slope, promised = state.descend(slope, most)
-    done = promised <= max(state.tolerance, ROUGH) or state.chi2 - OPTIMISM * promised > most
+    done = promised <= max(state.tolerance, RULES.rough) or state.chi2 - RULES.optimism * promised > most
     left = "" if done else f"a linear step still promises {promised:.3g}"
     return replace(state.done(chosen, slope, left), provisional=True, promised=promised)
 
@@ -296,7 +272,7 @@ def approach(
 def roughly(model: Model, target: Target) -> Real:
     """Return scaled values near the optimum of the baseline, fitted to a part of the conditions where they are many."""
     rows = list(target.observed)
-    part = rows[:: SEVERAL // 2] if len(rows) >= SEVERAL else rows
+    part = rows[:: RULES.several // 2] if len(rows) >= RULES.several else rows
     found = fit(model, target.only(part), (), model.null())
     return found.u if np.isfinite(found.chi2) else model.null()
 
@@ -337,7 +313,7 @@ def _trust_region(state: _State) -> None:
             at, then, known = kept.pop()
             step = x - at
             missed = now - then - known @ step
-            if np.linalg.norm(missed) < _FORETOLD * np.linalg.norm(known @ step):
+            if np.linalg.norm(missed) < RULES.foretold * np.linalg.norm(known @ step):
                 kept.append((x.copy(), now, known + np.outer(missed, step / (step @ step))))
                 return kept[0][2]
         found, slopes = residuals(model, target, place(x)), model.slopes(rows, place(x), free, rough=True)
@@ -366,9 +342,6 @@ def _trust_region(state: _State) -> None:
 
 # --- Symmetries of a cause: of two sets of values that fit alike, the one that is nearer to the null.
 
-EQUIVALENT = 2.0
-"""Chi-square that equivalent parameters may fit worse."""
-
 
 def nearest(model: Model, target: Target, found: Fit, added: Sequence[int]) -> Fit:
     """Return the equivalent parameters of a fit where they fit as well and are nearer to the null."""
@@ -382,6 +355,6 @@ def nearest(model: Model, target: Target, found: Fit, added: Sequence[int]) -> F
         start[mine] = (np.array(equivalent(values)) - model.start[mine]) / model.scale[mine]
         if np.linalg.norm(start[mine]) < np.linalg.norm(found.u[mine]):
             other = fit(model, target, found.causes, start)
-            if other.converged and other.chi2 < found.chi2 + EQUIVALENT:
+            if other.converged and other.chi2 < found.chi2 + RULES.equivalent:
                 found = other
     return found

@@ -16,12 +16,7 @@ import numpy as np
 from scipy import stats
 
 from process.types import Real
-
-SLOW = 4
-"""Cosines of each half of a condition."""
-
-LEFT = 0.05
-"""Share of the noise that a fit must leave in a direction for it to be tested."""
+from smfe.diagnosis.inference.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -121,20 +116,20 @@ def _square(r: Real, load: Real, sign: float) -> Real:
     inner = left.T @ r
     variance = 1.0 + sign * singular**2
     # Where the fit has taken nearly all the noise, what is left is how well it has converged.
-    lost = variance < LEFT
+    lost = variance < RULES.least_left
     square = float(r @ r - inner @ inner) + float(np.sum(inner[~lost] ** 2 / variance[~lost]))
     return np.array([max(square, 0.0), float(r.size - lost.sum())])
 
 
 def _slow(n: int) -> Real:
-    """Return the slowest cosines of the even and of the odd values, orthonormal, (2 SLOW, n)."""
-    rows = np.zeros((2, SLOW, n))
+    """Return the slowest cosines of the even and of the odd values, orthonormal, (2 RULES.slow_cosines, n)."""
+    rows = np.zeros((2, RULES.slow_cosines, n))
     for first in (0, 1):
         count = rows[first, :, first::2].shape[1]
-        order = np.arange(min(SLOW, count))[:, None]
+        order = np.arange(min(RULES.slow_cosines, count))[:, None]
         cosines = np.cos(np.pi * (np.arange(count) + 0.5) * order / max(count, 1))
         rows[first, : order.size, first::2] = cosines * np.sqrt((2.0 - (order == 0)) / max(count, 1))
-    flat = rows.reshape(2 * SLOW, n)
+    flat = rows.reshape(2 * RULES.slow_cosines, n)
     return np.asarray(flat[np.any(flat != 0.0, axis=1)])
 
 

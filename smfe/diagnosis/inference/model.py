@@ -19,6 +19,7 @@ from process.errors import InputError
 from process.types import Real
 from smfe.diagnosis.inference.misfit import NoiseKnowledge
 from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.workers import Answer, Helpers
 
 Index = NDArray[np.int64]
@@ -27,27 +28,6 @@ Blocks = Mapping[int, Real]
 
 Stencil = Sequence[tuple[float, float]]
 """Steps of a difference and what they are multiplied with."""
-
-STEP = 0.02
-"""Half of the step of a central difference, in units of the scale of a parameter.
-
-Small enough for what is curved over a scale, large enough for a time simulation, whose steps change with the values.
-"""
-
-LARGEST_STEP = 0.5
-"""The same where predictions are rough."""
-
-ABOVE = 20.0
-"""How far a step takes a prediction that is rough, over how rough it is."""
-
-WORTH_HELP = 0.001
-"""Mean time of a prediction [s] from which several processes make them; shorter ones take as long to hand over."""
-
-WORTH_A_START = 1.0
-"""Time that predictions have taken [s] before others are started to help."""
-
-KEPT = 4_000_000
-"""Numbers of predictions that are kept."""
 
 
 class Model:
@@ -84,7 +64,7 @@ class Model:
         self.of_cause = tuple(np.arange(a, b) for a, b in pairwise(ends.tolist()))
         self.trouble = ""
         self._roughness = family.roughness
-        self._step = np.full(len(parameters), STEP)
+        self._step = np.full(len(parameters), RULES.slope_step)
         self._kept: OrderedDict[tuple[int, bytes], Answer] = OrderedDict()
         self._stored = 0
         self._spent, self._asked = 0.0, 0
@@ -120,7 +100,7 @@ class Model:
 
     def prepare(self, wanted: Sequence[tuple[int, Real]]) -> None:
         """Predict several conditions side by side, to have them at hand, where a prediction takes long."""
-        if self.helpers.count == 1 or self._spent < max(WORTH_A_START, WORTH_HELP * self._asked):
+        if self.helpers.count == 1 or self._spent < max(RULES.worth_a_start, RULES.worth_help * self._asked):
             return
         new = {(row, u.tobytes()): (row, u) for row, u in wanted if (row, u.tobytes()) not in self._kept}
         if len(new) > 1:
@@ -130,7 +110,7 @@ class Model:
     def _keep(self, key: tuple[int, bytes], answer: Answer) -> None:
         self._kept[key] = answer
         self._stored += _numbers(answer)
-        while self._stored > KEPT and len(self._kept) > 1:
+        while self._stored > RULES.kept_values and len(self._kept) > 1:
             self._stored -= _numbers(self._kept.popitem(last=False)[1])
 
     def _ask(self, row: int, u: Real) -> Answer:
@@ -182,7 +162,9 @@ class Model:
         does, before = math.sqrt(sum(float(x @ x) for x in column.values())), self._step[j]
         if self._roughness == 0.0 or does == 0.0:
             return False
-        self._step[j] = np.clip(ABOVE * self._roughness / does, STEP, LARGEST_STEP)
+        self._step[j] = np.clip(
+            RULES.above_roughness * self._roughness / does, RULES.slope_step, RULES.largest_slope_step
+        )
         return bool(max(self._step[j] / before, before / self._step[j]) > 3.0)
 
     def size(self, row: int, u: Real) -> int:

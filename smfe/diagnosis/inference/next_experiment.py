@@ -16,20 +16,11 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy import stats
 
-from smfe.diagnosis.inference.detectable_effects import SEEN, Detectable, detectable
+from smfe.diagnosis.inference.detectable_effects import Detectable, detectable
 from smfe.diagnosis.inference.fit import Fit, Target, refit
 from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import tangent
-
-MARGIN = float(stats.chi2.ppf(0.99, 1))
-"""Likelihood ratio by which the best hypothesis must at least lead."""
-
-TRIED = 5
-"""Proposals that are examined with the rivals fitted anew."""
-
-_NOTHING = 0.1  # of chi-square
-MINUTES = 5.0
-"""What a proposal takes that does not say."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +49,13 @@ def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: S
 
 def probability_to_settle(found: float) -> float:
     """Probability that a likelihood ratio of mean D and variance 4 D exceeds the margin."""
-    return float(stats.norm.cdf((found - MARGIN) / (2.0 * math.sqrt(found)))) if found > 0.0 else 0.0
+    return float(stats.norm.cdf((found - RULES.margin) / (2.0 * math.sqrt(found)))) if found > 0.0 else 0.0
 
 
 def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int], title: str = "") -> list[Proposal]:
     """Rank proposals, the one that is expected to settle the matter soonest first.
 
-    Only the `TRIED` that could tell most, if no parameter gave way, are examined.
+    Only the `InferenceRules.proposals_tried` that could tell most, if no parameter gave way, are examined.
 
     Parameters
     ----------
@@ -91,12 +82,12 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
             f"least; the chance that it settles the question is {100.0 * probability:.0f} %"
         )
         found.append(Proposal(model.conditions[row].name, worst.chi2, probability, words, _stated_minutes(model, row)))
-    return sorted(found, key=lambda p: ((p.minutes or MINUTES) / max(p.probability, 1e-9), -p.discrimination))
+    return sorted(found, key=lambda p: ((p.minutes or RULES.minutes) / max(p.probability, 1e-9), -p.discrimination))
 
 
 def _imitates(rival: Fit, truth: Fit) -> bool:
     """Return whether a rival with more parameters contains the truth: then no experiment tells, but parsimony does."""
-    return rival.converged and rival.chi2 < _NOTHING and rival.free.size > truth.free.size
+    return rival.converged and rival.chi2 < RULES.imitated and rival.free.size > truth.free.size
 
 
 def _promising(model: Model, open_: Sequence[Fit], rows: Sequence[int]) -> list[int]:
@@ -107,8 +98,8 @@ def _promising(model: Model, open_: Sequence[Fit], rows: Sequence[int]) -> list[
         known = [y for y in predicted if y is not None]
         if len(known) == len(predicted):
             apart = min((float(np.sum((a - b) ** 2)) for a, b in combinations(known, 2)), default=0.0)
-            worth[row] = apart / (_stated_minutes(model, row) or MINUTES)
-    return sorted(worth, key=lambda row: -worth[row])[:TRIED]
+            worth[row] = apart / (_stated_minutes(model, row) or RULES.minutes)
+    return sorted(worth, key=lambda row: -worth[row])[: RULES.proposals_tried]
 
 
 def _stated_minutes(model: Model, row: int) -> float | None:
@@ -117,15 +108,6 @@ def _stated_minutes(model: Model, row: int) -> float | None:
 
 
 # --- What the measured conditions do not show, and which experiment would: the next step where nothing was found.
-
-_BLIND = 100.0
-"""Scales that a cause counts with that would never be seen."""
-
-_TOLD = 1.5
-"""Ratio of a hidden size before and after from which a proposal is worth its time, and a cause is told of."""
-
-_MOST = 6
-"""Causes that are told of."""
 
 
 def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Sequence[int]) -> Proposal | None:
@@ -151,19 +133,19 @@ def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Seque
             continue
         worth = sum(math.log(size / max(after.get(key, size), 1.0)) for key, size in hidden.items())
         rate = worth / _minutes(model, row)
-        if worth > math.log(_TOLD) and (best is None or rate > best[0]):
+        if worth > math.log(RULES.worth_saying) and (best is None or rate > best[0]):
             best = rate, row, after
     return None if best is None else _proposal(model, best[1], hidden, best[2])
 
 
 def _minutes(model: Model, row: int) -> float:
-    return float(model.conditions[row].settings.get("minutes", MINUTES))
+    return float(model.conditions[row].settings.get("minutes", RULES.minutes))
 
 
 def _sizes(model: Model, seen: Sequence[Detectable]) -> dict[tuple[str, str], float]:
     """Cause and parameter -> size that is seen [scales]."""
     unit = {p.name: p.scale * p.shown for c in model.causes for p in c.parameters}
-    return {(d.cause, d.parameter): min(d.size / unit[d.parameter], _BLIND) for d in seen}
+    return {(d.cause, d.parameter): min(d.size / unit[d.parameter], RULES.blind) for d in seen}
 
 
 def _with(
@@ -186,14 +168,16 @@ def _proposal(
     after: Mapping[tuple[str, str], float],
 ) -> Proposal:
     gains = {key: size / max(after.get(key, size), 1.0) for key, size in before.items()}
-    told = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > _TOLD][:_MOST]
+    told = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > RULES.worth_saying][
+        : RULES.most_said
+    ]
     words = "; ".join(_words(model, key, before[key], after[key]) for key in told)
     minutes = model.conditions[row].settings.get("minutes")
     return Proposal(
         model.conditions[row].name,
         math.nan,
-        SEEN,
-        f"there would be seen with {100 * SEEN:.0f} % what the data so far hide: {words}",
+        RULES.seen,
+        f"there would be seen with {100 * RULES.seen:.0f} % what the data so far hide: {words}",
         None if minutes is None else float(minutes),
     )
 
@@ -202,4 +186,4 @@ def _words(model: Model, key: tuple[str, str], before: float, after: float) -> s
     cause, p = next((c, p) for c in model.causes for p in c.parameters if (c.key, p.name) == key)
     unit = "" if p.unit == "1" else f" {p.unit}"
     now, then = (f"{size * p.scale * p.shown:.2g}{unit}" for size in (before, after))
-    return f"{cause.title} ({p.name}) of {then}" + (f", so far {now}" if before < _BLIND else "")
+    return f"{cause.title} ({p.name}) of {then}" + (f", so far {now}" if before < RULES.blind else "")

@@ -16,10 +16,8 @@ from itertools import combinations
 import numpy as np
 
 from process.types import Real
-from smfe.diagnosis.inference.cross_validation import BAND, Gain, HeldOut, Scheme, compare, held_out, usable, within
+from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable, within
 from smfe.diagnosis.inference.fit import (
-    OPTIMISM,
-    SEVERAL,
     Fit,
     Target,
     approach,
@@ -32,10 +30,9 @@ from smfe.diagnosis.inference.fit import (
 )
 from smfe.diagnosis.inference.misfit import Misfit, assess
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.signature import CONFOUNDED, Signature, Tangent, inside, tangent
+from smfe.diagnosis.inference.rules import RULES
+from smfe.diagnosis.inference.signature import Signature, Tangent, inside, tangent
 from smfe.diagnosis.inference.thresholds import (
-    DRAWS,
-    PENALTY,
     combined_gain,
     pair_threshold,
     parameters_of,
@@ -44,25 +41,6 @@ from smfe.diagnosis.inference.thresholds import (
     upper,
 )
 from smfe.progress import Progress
-
-PAIRED = 4
-"""How many pairs are tried."""
-
-MOST_CAUSES = 8
-"""Where the search ends."""
-
-_PROMISING = 0.3
-_LEAST_TRIED = 3
-_NONLINEAR = 0.1
-_WORTH_A_PAIR = 0.6
-_SHAPES = 2
-_CLOSE = 5.0
-_FAR = 50.0
-_PART = 0.1
-_ASTRAY = 3.0
-_HALFWAY = 0.5
-_NAMED = 2
-_LITTLE = 0.005
 
 
 @dataclass(frozen=True)
@@ -183,12 +161,12 @@ class Bench:
         at_ = self.tangent(at)
         combinations_ = _products([[s for s in at_.signatures if s.cause == k] for k in added])
         gains = [combined_gain(self.model, at_, c) for c in combinations_]
-        order = sorted(range(len(gains)), key=lambda n: -gains[n])[:_SHAPES]
+        order = sorted(range(len(gains)), key=lambda n: -gains[n])[: RULES.shapes]
         thorough = self.far(added) and self.bad(at) and most > self.explained(at)
         found: list[Fit] = []
         for n in order:
             near = self._near(at, causes, combinations_[n], most)
-            linear = near.converged and abs(at.chi2 - near.chi2 - gains[n]) < _NONLINEAR * gains[n] + 1.0
+            linear = near.converged and abs(at.chi2 - near.chi2 - gains[n]) < RULES.nonlinear * gains[n] + 1.0
             if linear and not thorough:
                 return min([*found, near], key=lambda f: (not f.converged, f.chi2))
             found.append(near)
@@ -214,8 +192,8 @@ class Bench:
     def _worth_following(self, at: Fit, found: Fit, most: float) -> bool:
         """Whether a fit that has not come below `most` has gone a part of the way, or may get there."""
         gained, needed = at.chi2 - found.chi2, at.chi2 - most
-        hopeful = not found.converged and gained + OPTIMISM * found.promised > needed
-        return gained > 0.0 and (hopeful or (most > self.explained(at) and _PART * needed < gained < needed))
+        hopeful = not found.converged and gained + RULES.optimism * found.promised > needed
+        return gained > 0.0 and (hopeful or (most > self.explained(at) and RULES.part * needed < gained < needed))
 
     def _explains(self, at: Fit, found: Fit) -> bool:
         """Whether a fit explains what another leaves."""
@@ -227,12 +205,12 @@ class Bench:
 
     def bad(self, at: Fit) -> bool:
         """Whether a fit leaves more than noise: then a cause is looked for far from its null too."""
-        return fitted_misfit(self, at).p_value < BAND
+        return fitted_misfit(self, at).p_value < RULES.band
 
     def explained(self, at: Fit) -> float:
         """Misfit from which on what a fit leaves counts as explained: what noise hardly exceeds, and a little of it."""
         values = float(sum(y.size for y in self.target.observed.values()))
-        return values + 4.0 * float(np.sqrt(2.0 * values)) + _LITTLE * max(at.chi2 - values, 0.0)
+        return values + 4.0 * float(np.sqrt(2.0 * values)) + RULES.little * max(at.chi2 - values, 0.0)
 
     def first_order(self, at: Fit, k: int) -> float:
         """Likelihood ratio of one more cause as the linearisation has it."""
@@ -275,17 +253,17 @@ class Bench:
     ) -> list[Fit]:
         """Fit from the starts that causes name; where it takes long, from the best that a part of the data makes."""
         starts = self._starts(at, added, thorough)
-        if thorough and len(self.target.observed) >= SEVERAL:
+        if thorough and len(self.target.observed) >= RULES.several:
             starts = self._sketched(causes, starts)[:1]
         found = []
         for u in starts:
-            own = thorough or self._misfit(u) < _HALFWAY * at.chi2
+            own = thorough or self._misfit(u) < RULES.halfway * at.chi2
             found.append(self._tried(causes, u, {} if own else known))
         return found
 
     def _sketched(self, causes: tuple[int, ...], starts: Sequence[Real]) -> list[Real]:
         """Return what fits to a part of the conditions make of some starts, and the starts: the best for all first."""
-        part = self.target.only(list(self.target.observed)[:: SEVERAL // 2])
+        part = self.target.only(list(self.target.observed)[:: RULES.several // 2])
         near = [fit(self.model, part, causes, u).u for u in starts]
         return sorted([*near, *starts], key=self._misfit)
 
@@ -306,8 +284,8 @@ class Bench:
                     start[mine] = (np.array(given, dtype=float) - self.model.start[mine]) / self.model.scale[mine]
                 found.append(min(both, key=self._misfit))
         if thorough:
-            return sorted(found, key=self._misfit)[:_NAMED]
-        return [u for u in found if self._misfit(u) < _ASTRAY * at.chi2]
+            return sorted(found, key=self._misfit)[: RULES.named_starts]
+        return [u for u in found if self._misfit(u) < RULES.astray * at.chi2]
 
     def _either_way(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
         """Return starts one scale either way, or on the other side."""
@@ -320,7 +298,7 @@ class Bench:
                     sign if best is None else -sign * best.u[mine], self.model.low[mine], self.model.high[mine]
                 )
                 found.append(start)
-        near = [u for u in found if self._misfit(u) < _ASTRAY * at.chi2]
+        near = [u for u in found if self._misfit(u) < RULES.astray * at.chi2]
         return near if best is None else [u for u in near if not np.array_equal(u, best.u)]
 
     def _misfit(self, u: Real) -> float:
@@ -384,7 +362,7 @@ def _products(options: Sequence[Sequence[Signature]]) -> list[tuple[Signature, .
     return found
 
 
-def search(bench: Bench, most: int = MOST_CAUSES) -> tuple[Fit, list[Step]]:
+def search(bench: Bench, most: int = RULES.most_causes) -> tuple[Fit, list[Step]]:
     """Take causes in as long as they pass, and drop what has become idle.
 
     Parameters
@@ -424,7 +402,7 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
     others = [k for k in range(len(bench.model.causes)) if k not in at.causes and _fresh(bench, at, k)]
     found: list[tuple[Fit, tuple[int, ...]]] = []
     for k in _promising(bench, at, others, bench.threshold(at)):
-        most = min((f.chi2 + _FAR for f, _ in found if f.converged), default=np.inf)
+        most = min((f.chi2 + RULES.far for f, _ in found if f.converged), default=np.inf)
         found.append((bench.extend(at, (k,), min(most, _passing(bench, at, (k,), bench.threshold(at)))), (k,)))
     at = _settled(bench, at, [f for f, _ in found if f.converged])
     limit = bench.threshold(at)
@@ -436,19 +414,19 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
 
 def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> list[int]:
     """Causes that come near a limit to first order, and the best few: those that are worth a fit."""
-    gains = {k: bench.first_order(at, k) - PENALTY * parameters_of(bench.model, [k]) for k in others}
+    gains = {k: bench.first_order(at, k) - RULES.penalty * parameters_of(bench.model, [k]) for k in others}
     ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k])), key=lambda k: -gains[k])
     bad = bench.bad(at)
     return [
         k
         for n, k in enumerate(ordered)
-        if n < _LEAST_TRIED or gains[k] > _PROMISING * limit or (bad and bench.far([k]))
+        if n < RULES.least_tried or gains[k] > RULES.promising * limit or (bad and bench.far([k]))
     ]
 
 
 def _passing(bench: Bench, at: Fit, added: Sequence[int], limit: float) -> float:
     """Misfit that more causes must come below to be looked at."""
-    return at.chi2 - limit + _CLOSE - PENALTY * parameters_of(bench.model, added)
+    return at.chi2 - limit + RULES.close - RULES.penalty * parameters_of(bench.model, added)
 
 
 def _fresh(bench: Bench, at: Fit, k: int) -> bool:
@@ -469,7 +447,7 @@ def _settled(bench: Bench, at: Fit, found: Sequence[Fit]) -> Fit:
 def _merit(bench: Bench, at: Fit, candidate: Fit) -> float:
     """Likelihood ratio less the charge for its parameters."""
     more = parameters_of(bench.model, candidate.causes) - parameters_of(bench.model, at.causes)
-    return at.chi2 - candidate.chi2 - PENALTY * more
+    return at.chi2 - candidate.chi2 - RULES.penalty * more
 
 
 def _ordered(bench: Bench, at: Fit, found: Sequence[tuple[Fit, tuple[int, ...]]]) -> list[tuple[Fit, tuple[int, ...]]]:
@@ -480,7 +458,7 @@ def _ordered(bench: Bench, at: Fit, found: Sequence[tuple[Fit, tuple[int, ...]]]
 
 def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit: float, steps: list[Step]) -> bool:
     """Hold a candidate against threshold, admissibility and held-out gain; note what comes near."""
-    if not at.converged or _merit(bench, at, candidate) <= limit - _CLOSE:
+    if not at.converged or _merit(bench, at, candidate) <= limit - RULES.close:
         return False
     candidate = bench.confirmed(candidate)
     if not candidate.converged or _merit(bench, at, candidate) <= limit:
@@ -497,7 +475,7 @@ def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit
             f"gain on held-out conditions {gain.db:.1f} dB, {gain.low:.1f} dB at the least; needed are "
             f"{gain.needed:g} dB, and more than 0 dB at the least"
         )
-    passed = limit + PENALTY * parameters_of(bench.model, added)
+    passed = limit + RULES.penalty * parameters_of(bench.model, added)
     steps.append(
         Step(
             candidate.causes,
@@ -530,11 +508,11 @@ def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int
     if not pairs:
         return None
     limit = pair_threshold(bench.model, bench.tangent(at), bench.rng(3, len(at.causes)))
-    worth = _WORTH_A_PAIR * (limit + 2.0 * PENALTY)
+    worth = RULES.worth_a_pair * (limit + 2.0 * RULES.penalty)
     gains = {p: _pair_gain(bench, at, p) for p in pairs}
-    promising = sorted((p for p in pairs if gains[p] > worth), key=lambda p: -gains[p])[:PAIRED]
+    promising = sorted((p for p in pairs if gains[p] > worth), key=lambda p: -gains[p])[: RULES.most_pairs]
     best = (min(first), max(first)) if len(first) == 2 else ()
-    if best in gains and best not in promising and bench.far(best) and fitted_misfit(bench, at).p_value < BAND:
+    if best in gains and best not in promising and bench.far(best) and fitted_misfit(bench, at).p_value < RULES.band:
         promising.append((best[0], best[1]))
     found = [(bench.extend(at, p, _passing(bench, at, p, limit)), p) for p in promising]
     for candidate, added in _ordered(bench, at, found):
@@ -566,7 +544,7 @@ def _drop_idle(bench: Bench, at: Fit, steps: list[Step]) -> Fit:
                 smaller.causes,
                 "- " + bench.title((idle,)),
                 smaller.chi2 - at.chi2,
-                limit + PENALTY * parameters_of(bench.model, (idle,)),
+                limit + RULES.penalty * parameters_of(bench.model, (idle,)),
                 None,
                 smaller.chi2,
                 True,
@@ -582,18 +560,11 @@ def rivals(bench: Bench, at: Fit, k: int) -> list[Fit]:
     ids = {bench.model.causes[j].id for j in at.causes}
     others = [j for j in range(len(bench.model.causes)) if bench.model.causes[j].id not in ids]
     near = _promising(bench, smaller, others, smaller.chi2 - at.chi2)
-    found = [bench.extend(smaller, (j,), at.chi2 + _FAR) for j in near]
-    return [bench.confirmed(f) if f.chi2 < at.chi2 + _FAR else f for f in found]
+    found = [bench.extend(smaller, (j,), at.chi2 + RULES.far) for j in near]
+    return [bench.confirmed(f) if f.chi2 < at.chi2 + RULES.far else f for f in found]
 
 
 # --- Whether the parameters of a fit are the same in all conditions: what changes when a cause is not in the catalogue.
-
-
-CHANCE = 1e-4
-"""Of noise alone to make a parameter change: slow noise, which is known least, looks most like it."""
-
-_MOST_WORDS = 6
-"""Words of a setting, such as names of controllers, that are told apart."""
 
 
 @dataclass(frozen=True)
@@ -611,7 +582,7 @@ class Change:
         return self.ratio > self.threshold
 
 
-def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: float = CHANCE) -> Change | None:
+def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: float = RULES.changing) -> Change | None:
     """Return the parameter that differs most between the conditions; None where no setting contrasts them.
 
     Parameters
@@ -630,8 +601,8 @@ def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: f
         return None
     columns = [c for _, _, c in found]
     inverses = [np.linalg.pinv(c.T @ c, rcond=1e-10, hermitian=True) for c in columns]
-    charges = [PENALTY * c.shape[1] for c in columns]
-    drawn = products_of_noise(model, at, columns, rng, DRAWS)
+    charges = [RULES.penalty * c.shape[1] for c in columns]
+    drawn = products_of_noise(model, at, columns, rng, RULES.draws)
     scores = [np.einsum("di,ij,dj->d", p, inv, p) - q for p, inv, q in zip(drawn, inverses, charges, strict=True)]
     limit = upper(scores, chance)
     gains = [float(at.residual @ c @ inv @ c.T @ at.residual) for c, inv in zip(columns, inverses, strict=True)]
@@ -654,7 +625,7 @@ def _patterns(model: Model, at: Tangent) -> Iterator[tuple[str, str, Real]]:
             columns = np.concatenate([data, np.zeros((lost, data.shape[1]))])
             before = np.linalg.norm(columns, axis=0)
             columns -= at.basis @ (at.basis.T @ columns)
-            seen = np.linalg.norm(columns, axis=0) > np.maximum(CONFOUNDED * before, 1e-12)
+            seen = np.linalg.norm(columns, axis=0) > np.maximum(RULES.confounded * before, 1e-12)
             if seen.any():
                 yield model.names[int(j)], key, columns[:, seen] / before[seen]
 
@@ -666,5 +637,5 @@ def _contrast(settings: Sequence[float | str | None]) -> Real | None:
     if all(isinstance(s, (int, float)) for s in settings):
         x = np.array(settings, dtype=float)
         return ((x - x.mean()) / x.std())[:, None] if math.isfinite(float(x.std())) else None
-    words = sorted({str(s) for s in settings})[: _MOST_WORDS + 1]
+    words = sorted({str(s) for s in settings})[: RULES.most_words + 1]
     return np.array([[float(str(s) == w) for w in words[1:]] for s in settings])

@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 from process.types import Real
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.model import Index, Model
-
-SILENT = 1e-7
-"""Norm of a slope [noise sd per scale], or its share of the largest of a cause, below which it counts as nothing."""
-
-CONFOUNDED = 1e-4
-"""Share of a signature's norm that must survive the projection; less is the error of the differences."""
+from smfe.diagnosis.inference.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ def _signatures(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> 
     if slope is None:
         return []
     norms = np.linalg.norm(np.concatenate([slope[r] for r in rows]), axis=0)
-    acting = norms > SILENT * max(1.0, float(norms.max()))
+    acting = norms > RULES.silent * max(1.0, float(norms.max()))
     if not acting.any():
         return _secants(model, target, fit, k, basis)
     found = []
@@ -114,12 +109,8 @@ def _signature(
     columns = np.concatenate([data, np.zeros((basis.shape[0] - data.shape[0], data.shape[1]))])
     raw = np.linalg.norm(columns, axis=0)
     columns = columns - basis @ (basis.T @ columns)
-    columns[:, np.linalg.norm(columns, axis=0) < CONFOUNDED * raw] = 0.0
+    columns[:, np.linalg.norm(columns, axis=0) < RULES.confounded * raw] = 0.0
     return Signature(k, free, at, columns, raw, slope)
-
-
-_JOINTLY = 2
-"""Shape parameters that are varied; of more, most are silent because the sensors do not see them."""
 
 
 def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
@@ -130,7 +121,7 @@ def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
     position = silent - model.of_cause[k][0]
     given = [np.array(s, dtype=float)[position] for s in model.causes[k].starts]
     found = [own, *((g - model.start[silent]) / model.scale[silent] for g in given)]
-    if not given and silent.size <= _JOINTLY:
+    if not given and silent.size <= RULES.jointly_varied:
         found += [own + np.array(step) for step in product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=silent.size)]
     inside_bounds = [np.clip(f, model.low[silent], model.high[silent]) for f in found]
     return list({f.tobytes(): f for f in inside_bounds}.values())

@@ -19,22 +19,8 @@ from numpy.typing import NDArray
 
 from process.types import Real
 from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import Signature, Tangent
-
-FALSE_ALARM = 0.0004
-"""Chance that noise makes any cause of the whole catalogue pass.
-
-With the tests of pairs and of the remaining misfit three such chances add up to 0.12 %: of 300 healthy machines not
-more than one then raises an alarm in 95 of 100 campaigns, which is what shows a rate below 2 % (Clopper-Pearson).
-"""
-
-DRAWS = 20_000
-
-PENALTY = 2.0
-"""Charge for a parameter [chi-square], so that causes of one and of three parameters compete fairly."""
-
-_TAIL = 0.01
-_MOST_ONE_SIDED = 5
 
 
 @dataclass(frozen=True)
@@ -47,7 +33,7 @@ class Score:
 
     def gain(self, product: Real) -> Real:
         """Return the decrease of the misfit, shape (d,), for products ``-columns . residual``, shape (d, m)."""
-        one_sided = np.flatnonzero(~(self.up & self.down))[:_MOST_ONE_SIDED]
+        one_sided = np.flatnonzero(~(self.up & self.down))[: RULES.most_one_sided]
         best = np.zeros(product.shape[0])
         for count in range(one_sided.size + 1):
             for held in combinations(one_sided, count):
@@ -79,24 +65,24 @@ def parameters_of(model: Model, causes: Sequence[int]) -> int:
     return sum(len(model.causes[k].parameters) for k in causes)
 
 
-def threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = FALSE_ALARM) -> float:
+def threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = RULES.false_alarm) -> float:
     """Return what the best ``gain - 2 parameters`` of any cause exceeds by chance alone with that probability."""
     best: dict[int, Real] = {}
-    products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, DRAWS)
+    products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, RULES.draws)
     for s, product in zip(at.signatures, products, strict=True):
-        gain = score(model, [s]).gain(product) - PENALTY * parameters_of(model, [s.cause])
+        gain = score(model, [s]).gain(product) - RULES.penalty * parameters_of(model, [s.cause])
         best[s.cause] = np.maximum(best[s.cause], gain) if s.cause in best else gain
     return upper(list(best.values()), chance)
 
 
-def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = FALSE_ALARM) -> float:
+def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = RULES.false_alarm) -> float:
     """Return the same for the best pair of causes, over all pairs."""
-    products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, DRAWS // 5)
+    products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, RULES.draws // 5)
     best: dict[int, Real] = {}
     for (i, a), (j, b) in combinations(enumerate(at.signatures), 2):
         if a.cause != b.cause:
             both = np.concatenate([products[i], products[j]], axis=1)
-            gain = score(model, [a, b]).gain(both) - PENALTY * parameters_of(model, [a.cause, b.cause])
+            gain = score(model, [a, b]).gain(both) - RULES.penalty * parameters_of(model, [a.cause, b.cause])
             best[0] = np.maximum(best[0], gain) if best else gain
     return upper(list(best.values()), chance)
 
@@ -159,8 +145,8 @@ def upper(best: Sequence[Real], chance: float) -> float:
     if not best:
         return math.inf
     largest = np.max(np.stack(best), axis=0)
-    edge = float(np.quantile(largest, 1.0 - _TAIL))
+    edge = float(np.quantile(largest, 1.0 - RULES.tail))
     beyond = largest[largest > edge] - edge
-    if chance >= _TAIL or beyond.size == 0:
+    if chance >= RULES.tail or beyond.size == 0:
         return float(np.quantile(largest, 1.0 - chance))
-    return edge + float(np.mean(beyond)) * math.log(_TAIL / chance)
+    return edge + float(np.mean(beyond)) * math.log(RULES.tail / chance)

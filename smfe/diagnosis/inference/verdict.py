@@ -17,14 +17,15 @@ import numpy as np
 from scipy import stats
 
 from process.types import Real
-from smfe.diagnosis.inference.cross_validation import BAND, Gain
+from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.detectable_effects import Detectable
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.misfit import Misfit, carriers
-from smfe.diagnosis.inference.next_experiment import MARGIN, discrimination
+from smfe.diagnosis.inference.next_experiment import discrimination
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.search import Bench, Step, fitted_misfit, on_bound, rivals
 from smfe.diagnosis.inference.signature import orthonormal
-from smfe.diagnosis.inference.thresholds import DRAWS, FALSE_ALARM, PENALTY, parameters_of, products_of_noise
+from smfe.diagnosis.inference.thresholds import parameters_of, products_of_noise
 
 Verdict = Literal["consistent", "named", "ambiguous", "unknown", "insufficient_data"]
 
@@ -69,7 +70,7 @@ def judge(
     how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
     best = bench.title(at.causes)
     sets = {k: found for k in at.causes if (found := _open(bench, at, k, left))}
-    if left.p_value < BAND:
+    if left.p_value < RULES.band:
         reason = f"the best of the catalogue, {best}, leaves more than noise on conditions it did not see"
         return Judgement("unknown", reason, sets, left, tuple(carriers(left)), gain)
     differing = [bench.model.causes[k].title for k in at.causes if not agrees(bench, at, k)]
@@ -88,19 +89,19 @@ def _without_cause(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence
     # Noise finds more among all pairs, with their shapes, than the linearised threshold allows for, and so do smooth
     # errors of a simulation with a mode or a gain: what held-out conditions do not bear out convicts only where the
     # misfit itself is more than noise.
-    telling = [s for s in steps if left.p_value < BAND or _borne_out(s)]
+    telling = [s for s in steps if left.p_value < RULES.band or _borne_out(s)]
     if telling:
         refused = max(telling, key=lambda s: s.ratio - s.threshold)
         reason = f"the baseline is wrong, but the best explanation, {refused.change[2:]}, is refused: {refused.reason}"
         # Enough is explained, but not proven on conditions that the fit did not see: more data, not another cause.
         weak = all(s.gain is None for s in telling) or (
-            fitted_misfit(bench, bench.fitted(refused.causes)).p_value >= BAND
+            fitted_misfit(bench, bench.fitted(refused.causes)).p_value >= RULES.band
             and refused.gain is not None
             and refused.gain.db >= 1.0
         )
         reason += _differing(bench, at)
         return Judgement("insufficient_data" if weak else "unknown", reason, {}, left, tuple(carriers(left)))
-    if left.p_value < FALSE_ALARM:
+    if left.p_value < RULES.false_alarm:
         reason = "the baseline leaves more than noise, and no cause of the catalogue explains it" + _differing(
             bench, at
         )
@@ -141,25 +142,25 @@ def _open(bench: Bench, at: Fit, k: int, left: Misfit) -> list[Fit]:
 def excluded(bench: Bench, best: Fit, rival: Fit, left: Misfit) -> bool:
     """Whether the data tell a rival from the best hypothesis, which leaves some misfit."""
     ahead = lead(bench, best, rival)
-    if ahead <= MARGIN or (ahead <= most_needed(bench, best, rival) and ahead <= needed_lead(bench, best, rival)):
+    if ahead <= RULES.margin or (ahead <= most_needed(bench, best, rival) and ahead <= needed_lead(bench, best, rival)):
         return False
-    if left.p_value >= BAND:
+    if left.p_value >= RULES.band:
         return True
     own = np.array([float(np.sum(rival.residual[r] ** 2) - np.sum(x**2)) for r, x in best.residual.items()])
-    drawn = bench.rng(6, *best.causes, *rival.causes).integers(0, own.size, (DRAWS // 5, own.size))
-    return float(np.quantile(own[drawn].sum(axis=1), BAND)) > 0.0
+    drawn = bench.rng(6, *best.causes, *rival.causes).integers(0, own.size, (RULES.draws // 5, own.size))
+    return float(np.quantile(own[drawn].sum(axis=1), RULES.band)) > 0.0
 
 
 def lead(bench: Bench, best: Fit, rival: Fit) -> float:
     """Likelihood ratio between two hypotheses, each charged for its parameters."""
     more = parameters_of(bench.model, rival.causes) - parameters_of(bench.model, best.causes)
-    return rival.chi2 - best.chi2 + PENALTY * more
+    return rival.chi2 - best.chi2 + RULES.penalty * more
 
 
 def most_needed(bench: Bench, best: Fit, rival: Fit) -> float:
     """Return what `needed_lead` cannot exceed: the rival's parameters and the distance itself, all fitted to noise."""
     more = parameters_of(bench.model, best.causes) - parameters_of(bench.model, rival.causes)
-    return max(float(stats.chi2.ppf(0.99, rival.free.size + 1)) + PENALTY * more, MARGIN)
+    return max(float(stats.chi2.ppf(0.99, rival.free.size + 1)) + RULES.penalty * more, RULES.margin)
 
 
 def needed_lead(bench: Bench, best: Fit, rival: Fit) -> float:
@@ -179,18 +180,14 @@ def needed_lead(bench: Bench, best: Fit, rival: Fit) -> float:
         orthonormal(stacked(model, target, f.free, f.u, f.residual, f.slope)[0][:rows]) for f in (best, apart)
     )
     every = orthonormal(np.concatenate([mine, other, d[:, None]], axis=1))
-    noise = bench.rng(4, *best.causes, *rival.causes).standard_normal((DRAWS // 5, every.shape[1]))
+    noise = bench.rng(4, *best.causes, *rival.causes).standard_normal((RULES.draws // 5, every.shape[1]))
     a, b, c = noise @ (every.T @ mine), noise @ (every.T @ other), noise @ (every.T @ d)
     wrong = np.sum(b**2, axis=1) - np.sum(a**2, axis=1) - 2.0 * c - float(d @ d)
-    wrong += PENALTY * (parameters_of(model, best.causes) - parameters_of(model, rival.causes))
-    return max(float(np.quantile(wrong, 0.99)), MARGIN)
+    wrong += RULES.penalty * (parameters_of(model, best.causes) - parameters_of(model, rival.causes))
+    return max(float(np.quantile(wrong, 0.99)), RULES.margin)
 
 
 # --- Whether independent sources give a cause the same parameters.
-
-
-AGREED = 0.99
-"""Joint region within which sources agree: one of 95 % would take the name from one right cause in twenty."""
 
 
 def agrees(bench: Bench, at: Fit, k: int) -> bool:
@@ -203,9 +200,9 @@ def agrees(bench: Bench, at: Fit, k: int) -> bool:
     residual = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)[1]
     square = _disagreement(informations, np.stack([-(x.T @ residual) for x in slopes])[:, None, :])[0]
     freedom = sum(_rank(x) for x in informations) - _rank(np.sum(informations, axis=0))
-    if freedom < 1 or square <= float(stats.chi2.ppf(AGREED, freedom)):
+    if freedom < 1 or square <= float(stats.chi2.ppf(RULES.agreed, freedom)):
         return True
-    return bool(square <= np.quantile(_by_chance(bench, at, slopes, informations), AGREED))
+    return bool(square <= np.quantile(_by_chance(bench, at, slopes, informations), RULES.agreed))
 
 
 def _own_slopes(bench: Bench, at: Fit, k: int, source: str) -> Real:
@@ -240,7 +237,7 @@ def _disagreement(informations: Sequence[Real], vectors: Real) -> Real:
 
 def _by_chance(bench: Bench, at: Fit, slopes: Sequence[Real], informations: Sequence[Real]) -> Real:
     """Draw the same of noise that the data could have come from."""
-    drawn = products_of_noise(bench.model, bench.tangent(at), slopes, bench.rng(8, *at.causes), DRAWS)
+    drawn = products_of_noise(bench.model, bench.tangent(at), slopes, bench.rng(8, *at.causes), RULES.draws)
     return _disagreement(informations, np.stack(drawn))
 
 

@@ -23,16 +23,13 @@ from types import TracebackType
 
 from process.errors import InputError
 from process.types import Real
+from smfe.diagnosis.inference.rules import RULES
 
 Wanted = tuple[int, Real]
 """Number of a condition and all scaled values."""
 Answer = tuple[Real | None, str]
 """A prediction, or None and why there is none."""
 Ask = Callable[[int, Real], Answer]
-
-
-MOST = 8
-"""Processes, unless more are asked for: a step of a fit asks for ten to forty sets of values at a time."""
 
 
 def cores() -> int:
@@ -50,7 +47,7 @@ class Helpers:
     Parameters
     ----------
     count : int, optional
-        How many; default: one a core, no more than `MOST`. With one, nobody helps.
+        How many; default: one a core, no more than `InferenceRules.most_workers`. With one, nobody helps.
 
     Raises
     ------
@@ -61,7 +58,7 @@ class Helpers:
     def __init__(self, count: int | None = None) -> None:
         if count is not None and count < 1:
             raise InputError(f"{count} workers; give at least 1, or none for all cores")
-        self.count = min(MOST if count is None else count, cores())
+        self.count = min(RULES.most_workers if count is None else count, cores())
         self._ask: Ask | None = None
         self._pool: ProcessPoolExecutor | None = None
 

@@ -34,8 +34,8 @@ from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.fit import Target
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.search import Bench
-from smfe.diagnosis.inference.thresholds import PENALTY
 
 BARE = Hidden(cable=0.0)
 GAIN = "sensor_gain/force"
@@ -358,6 +358,6 @@ class TestConfounded:
             posture = next(k for k, c in enumerate(model.causes) if c.id == "posture")
             at = bench.extend(bench.null(), (posture,))
             gain = bench.gain(bench.null(), bench.confirmed(at))
-            assert bench.null().chi2 - at.chi2 - PENALTY * 6 < 60.0
+            assert bench.null().chi2 - at.chi2 - RULES.penalty * 6 < 60.0
             gains.append(0.0 if gain is None else gain.db)
         assert np.median(gains) <= 0.3

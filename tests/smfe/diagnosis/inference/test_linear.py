@@ -19,9 +19,10 @@ from smfe.diagnosis.inference.misfit import Misfit, NoiseKnowledge, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import probability_to_settle
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.search import Bench, fitted_misfit, most_changing
 from smfe.diagnosis.inference.signature import tangent
-from smfe.diagnosis.inference.thresholds import PENALTY, Score, threshold
+from smfe.diagnosis.inference.thresholds import Score, threshold
 from smfe.diagnosis.inference.verdict import Judgement
 from smfe.progress import silent
 
@@ -115,7 +116,7 @@ def test_the_threshold_of_a_lone_cause_is_the_quantile_of_its_chi_square_law(cho
     b = bench(measured(replace(FAMILY, causes=(chosen,)), {}, 0))
     at = tangent(b.model, b.target, b.null())
     for chance in (0.05, 0.001):
-        found = threshold(b.model, at, np.random.default_rng(0), chance) + PENALTY * freedom
+        found = threshold(b.model, at, np.random.default_rng(0), chance) + RULES.penalty * freedom
         assert found == pytest.approx(stats.chi2.ppf(1.0 - sides * chance, freedom), rel=0.1)
 
 
@@ -129,7 +130,7 @@ def test_the_detectable_size_is_what_a_simulation_sees_in_95_of_100_cases(draws)
         for seed in range(draws):
             trial = bench(measured(FAMILY, {name: sizes[name]}, seed))
             null = trial.null()
-            seen += null.chi2 - trial.extend(null, (k,)).chi2 - PENALTY > limit
+            seen += null.chi2 - trial.extend(null, (k,)).chi2 - RULES.penalty > limit
         assert abs(seen / draws - 0.95) <= 3.0 * sqrt(0.95 * 0.05 / draws)
 
 
@@ -476,7 +477,7 @@ def test_where_nothing_is_wrong_the_next_experiment_is_the_one_that_shows_what_i
     assert found.verdict == "consistent"
     assert found.next_experiment.name == "feed 0.5"
     # One-sided; the nuisances are known from the other conditions and take next to nothing away.
-    level = found.threshold + PENALTY
+    level = found.threshold + RULES.penalty
     g = (2 * np.exp(-12.0) + 2 * np.exp(-14.0) + np.exp(-1.0)) * float(BASIS[2] @ BASIS[2])
     size = 1e3 * sqrt(noncentrality(level, 1, True) / g)
     assert found.next_experiment.expected.endswith(f"Friction (friction.0) of {size:.2g} m")

@@ -18,7 +18,8 @@ from smfe.diagnosis.inference import workers as helpers_module
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
-from smfe.diagnosis.inference.workers import MOST, Helpers, _parts, cores
+from smfe.diagnosis.inference.rules import RULES
+from smfe.diagnosis.inference.workers import Helpers, _parts, cores
 
 SEVERAL = pytest.mark.skipif(cores() < 2, reason="one core, or a system on which processes are not forked")
 PLACES = np.linspace(-1.0, 1.0, 30)
@@ -64,8 +65,7 @@ def measured(bend, seen=""):
 @pytest.fixture
 def eager(monkeypatch):
     """Ask helpers at once: a line is predicted in no time."""
-    monkeypatch.setattr(model_module, "WORTH_HELP", 0.0)
-    monkeypatch.setattr(model_module, "WORTH_A_START", 0.0)
+    monkeypatch.setattr(model_module, "RULES", replace(RULES, worth_help=0.0, worth_a_start=0.0))
 
 
 @SEVERAL
@@ -212,7 +212,7 @@ def test_nobody_is_forked_beside_the_main_thread_or_in_a_daemonic_process():
 
 def test_no_more_help_than_cores_and_none_where_forks_are_not_safe(monkeypatch):
     assert Helpers(10_000).count == cores()
-    assert Helpers().count == min(MOST, cores())
+    assert Helpers().count == min(RULES.most_workers, cores())
     with pytest.raises(InputError, match="give at least 1"):
         Helpers(0)
     monkeypatch.setattr(sys, "platform", "darwin")

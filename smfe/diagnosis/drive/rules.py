@@ -1,0 +1,58 @@
+"""The numbers of the diagnosis of drive records that somebody chose, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DriveRules:
+    """Band, moves, noise and checks of a drive record."""
+
+    # channels and moves
+    inertial: float = 0.3  # least share of inertia in the drive force that says what mass is moved
+    mass_factor: float = 10.0  # moved over known mass, or the inverse, that no error of either explains
+    received: float = 0.3  # share of its work that an axis gives back at most: four moves give back an eighth
+    fewest_moves: int = 4  # so that one can be held out
+    rest: float = 0.02  # share of the greatest speed below which an axis rests
+    longest_move: float = 2.0  # [s], longer ones are cut
+    shortest_move: float = 0.2  # [s], shorter ones are left out
+    settling: float = 0.05  # part of a rest [s] that belongs to the move beside it
+    # band and filters
+    widest: float = 0.1  # band in units of the sample rate
+    above_noise: float = 200.0  # force over what the reference leaves, in power, where a record can be used
+    resolution: float = 5.0  # of power densities [Hz]
+    wide: float = 0.2  # of the sample rate: band in which reversals are looked for
+    trembles: float = 4.0  # standard deviations of the encoder noise that are no reversal
+    finest_slide: float = 1e-6  # shortest distance [m] over which friction gives way
+    kept_directions: int = 8  # of one record
+    smooth_sign: float = 2e-4  # v0 [m/s] of tanh(v/v0)
+    longest_delay: float = 5e-3  # loop delay that is looked for [s]
+    closed_loop: float = 1.0 / 6.0  # share of the angle by which noise turns the force at the end of the band, 1 sigma
+    # noise
+    order: int = 10  # of the autoregression, at most
+    reference_speeds: tuple[float, ...] = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 1.0)
+    """Nodes of the reference, over the greatest speed."""
+    reference_positions: int = 8  # nodes of the reference along the stroke
+    drawn: int = 16  # records of noise that correct a whitener
+    rounds: int = 5  # of that correction
+    settles: int = 200  # values before noise that is drawn is stationary
+    noise_draws: int = 40  # noises that a record could as well have come from
+    fades: int = 200  # values before the first by which the noise has forgotten how it began
+    values_each: int = 10  # fewest values for each regressor of the reference
+    like_all: float = 10.0  # values for which the noise of a kind of move is held to be that of all
+    # what stands out
+    cut_off: float = 0.5  # least share of the force beyond a limit that must be lost
+    certain: float = 1e-8  # p-value of a wave with a whitener that was learned without it
+    lowest_tone: float = 3.0  # [Hz]; the moves are slower
+    stands_out: float = 5.5  # standard deviations of a force that lasts a moment
+    # control law
+    taps: int = 4  # of the velocity filter
+    trim: float = 6.0  # standard deviations beyond which a value does not count
+    detect: float = 10.0  # standard deviations of a command that was not logged
+    pulse_share: float = 0.02  # of the highest pulse, from which others count
+    shortest_pulse: int = 3  # [samples]
+    floor: float = 1e-8  # of the noise over the range of the force
+
+
+RULES = DriveRules()
