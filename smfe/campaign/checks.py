@@ -17,7 +17,7 @@ from pydantic_core import ErrorDetails
 from process import units
 from process.errors import InputError
 from process.labels import AXES
-from smfe.campaign.quantities import ESTIMATORS, METHODS
+from smfe.campaign.methods import METHODS, needed_by, readers_of
 from smfe.campaign.schema import CampaignFile
 from smfe.records.formats.channels import (
     CHANNELS,
@@ -31,37 +31,6 @@ from smfe.records.formats.channels import (
 Loc = tuple[str | int, ...]
 Complaint = tuple[Loc, str]
 Raw = Mapping[str, Any]
-
-_WHERE_READ = {
-    "excitation": ("hammer", "actuator", "frf"),
-    "response": ("frf",),
-    "cut": ("sweep",),
-    "width_of_cut": ("sweep",),
-}
-"""Key of a record -> methods that need it; for other methods it is an error, because nothing reads it."""
-
-_PROCESSING = {
-    "background": ("sweep",),
-    "references": ("sweep",),
-    "axes": ("sweep",),
-    "reciprocal": ("sweep",),
-    "position_dependent": ("sweep",),
-    "dynamometer": ("sweep",),
-    "estimator": ("hammer", "actuator", "sweep"),
-    "force_window": ("hammer",),
-    "exponential_window": ("hammer",),
-    "remove_background": ("hammer",),
-    "split_levels": ("hammer", "sweep"),
-    "full_scale": ("hammer",),
-    "accelerometer_mass": ("hammer", "actuator"),
-    "frame_mass": ("actuator",),
-    "period": ("actuator", "loop"),
-    "settling": ("actuator", "loop"),
-    "averages": ("frf",),
-    "conjugate": ("frf",),
-    "moving_mass": ("drive",),
-}
-"""Key of a measurement -> methods that read it."""
 
 _EXAMPLES = {
     "excitation": 'the axis that was excited, excitation = "x"',
@@ -136,15 +105,15 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
     """Keys that a method needs in its records, and keys that it does not read."""
     for where, table in _tables(raw, "measurement"):
         method = table.get("method")
-        if method not in METHODS:
+        if not isinstance(method, str) or method not in METHODS:
             continue
-        for key, readers in _PROCESSING.items():
-            if key in table and method not in readers:
+        for key in table:
+            readers = readers_of(key)
+            if readers and method not in readers:
                 only = " or ".join(f"{'an' if r[0] in 'aeiou' else 'a'} {r}" for r in readers)
                 yield (*where, key), f"method '{method}' does not read it; only {only} does, take it out"
-        averages = ("H1", "H2", "Hv")
-        names = {"hammer": averages, "actuator": (*averages, "local_polynomial"), "sweep": ESTIMATORS}.get(method, ())
-        known = {*averages, *ESTIMATORS}  # what is not even known is said by the schema
+        names = METHODS[method].estimators
+        known = {e for m in METHODS.values() for e in m.estimators}  # what is not even known is said by the schema
         if names and table.get("estimator", names[0]) in known.difference(names):
             article = "an" if method[0] in "aeiou" else "a"
             text = f"'{table['estimator']}' is no estimator of {article} {method}; take {listed(names)}"
@@ -159,7 +128,8 @@ def _methods(raw: Raw) -> Iterator[Complaint]:
 
 
 def _keys(method: str, where: Loc, record: Raw) -> Iterator[Complaint]:
-    for key, readers in _WHERE_READ.items():
+    for key in _EXAMPLES:
+        readers = needed_by(key)
         if method in readers and key not in record:
             yield (*where, key), f"is missing; a record of method '{method}' needs {_EXAMPLES[key]}"
         if method not in readers and key in record:

@@ -21,16 +21,6 @@ from smfe.records.formats.channels import did_you_mean, listed
 from smfe.records.read import FORMATS
 from stability.methods.catalogue import METHODS as STABILITY_METHODS
 
-COMPLIANCE_METHODS = ("hammer", "actuator", "sweep", "frf")
-"""Methods of a measurement that give a compliance; "frf" is one that another program has averaged."""
-
-METHODS = (*COMPLIANCE_METHODS, "drive", "loop", "silent")
-"""How a measurement was made; "drive" is an axis that moves, "loop" one whose control excites its setpoint, "silent" a
-machine that nothing excites."""
-
-ESTIMATORS = ("local_polynomial", "bands", "segments", "orders", "single_reference")
-"""How the records of a sweep become a compliance."""
-
 LOBE_METHODS = (*STABILITY_METHODS, "operating_point")
 """Methods for stability lobes that can be asked for."""
 

@@ -28,6 +28,7 @@ from process.friction.laws import (
 )
 from process.machine.modes import ModalModel
 from smfe.campaign import quantities as q
+from smfe.campaign.methods import AVERAGES, METHODS, SWEEP_ESTIMATORS
 from smfe.records.dynamometer import Dynamometer
 from smfe.records.formats.channels import check_channel_name, listed
 from stability import SpindleRange
@@ -344,7 +345,7 @@ class OtherRecorderTable(Table):
 class ProcessingTable(ConditionsTable):
     """How the records of a measurement become a compliance; each key belongs to some methods (`checks`)."""
 
-    estimator: Annotated[str, q.one_of(("H1", "H2", "Hv", *q.ESTIMATORS), "estimator")] | None = None
+    estimator: Annotated[str, q.one_of((*AVERAGES, *SWEEP_ESTIMATORS), "estimator")] | None = None
     force_window: StrictBool | None = None
     exponential_window: PositiveTime | None = None
     remove_background: StrictBool | None = None
@@ -394,7 +395,7 @@ class MeasurementTable(ProcessingTable):
     """``[[measurement]]``."""
 
     name: q.Name
-    method: Annotated[str, q.one_of(q.METHODS, "method")]
+    method: Annotated[str, q.one_of(tuple(METHODS), "method")]
     records: Annotated[tuple[RecordTable, ...], q.NotEmpty]
     background: q.Files | None = None
     frequency_range: q.FrequencyRange | None = None

@@ -9,7 +9,7 @@ from pathlib import Path
 from process.errors import InputError
 from smfe.campaign import AxisModel, Campaign, LimitsOf, ModesOf, load_campaign
 from smfe.campaign.datasets import Show
-from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.diagnosis.audit import Audit, audited
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.compliances import case_of

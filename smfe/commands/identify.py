@@ -10,7 +10,7 @@ import xarray as xr
 from process.errors import InputError
 from smfe.campaign import Campaign, Measurement, load_campaign
 from smfe.campaign.datasets import Show
-from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.identification.compliances import labelled
 from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drives_of, write_drives

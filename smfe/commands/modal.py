@@ -15,7 +15,7 @@ from process.labels import AXES
 from process.units import parse, show
 from smfe.campaign import load_campaign
 from smfe.campaign.datasets import Show
-from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.campaign.toml import table as toml_table
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import cached_identification

@@ -20,7 +20,7 @@ from smfe.campaign import (
     RecordEntry,
     RigidDrive,
 )
-from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.diagnosis.cases.drive import unlogged_suspects
 from smfe.diagnosis.checks.channels import channel_suspects, silence_suspects, tone_suspects
 from smfe.diagnosis.checks.compliances import (

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -80,12 +80,7 @@ def identify_measurement(campaign: Campaign, measurement: Measurement, progress:
         With the measurement's name, when its records do not allow it.
     """
     try:
-        if measurement.method == "sweep":
-            found = _sweep(campaign, measurement, progress)
-        elif measurement.method == "frf":
-            found = identify_averaged(measurement)
-        else:
-            found = _per_axis(measurement)
+        found = IDENTIFY[measurement.method](campaign, measurement, progress)
         return replace(found, warnings=(*found.warnings, *sign_warnings(found.compliance)))
     except InputError as error:
         message = str(error)
@@ -164,13 +159,9 @@ def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dat
     return found
 
 
-def _per_axis(measurement: Measurement) -> Identification:
-    """Hammer or actuator: one excitation axis a record."""
+def _hammer(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
     records = _records_by_axis(measurement)
-    if measurement.method == "hammer":
-        found = identify_hammer(measurement.name, records, **hammer_settings(measurement))
-    else:
-        found = _actuator(measurement, records)
+    found = identify_hammer(measurement.name, records, **hammer_settings(measurement))
     return replace(found, warnings=(*found.warnings, *_notes(r for same in records.values() for r in same)))
 
 
@@ -251,7 +242,8 @@ def _by_level(campaign: Campaign, m: Measurement, folder: Path | None) -> xr.Dat
     return found
 
 
-def _actuator(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identification:
+def _actuator(campaign: Campaign, m: Measurement, progress: Progress) -> Identification:
+    records = _records_by_axis(m)
     found = identify_shaken(
         m.name,
         records,
@@ -262,7 +254,8 @@ def _actuator(m: Measurement, records: dict[str, list[xr.Dataset]]) -> Identific
         estimator=m.estimator,
     )
     compliance, notes = without_mass(found.compliance, (m.frame_mass or 0.0) + (m.accelerometer_mass or 0.0))
-    return replace(found, compliance=compliance, warnings=(*found.warnings, *notes))
+    noticed = _notes(r for same in records.values() for r in same)
+    return replace(found, compliance=compliance, warnings=(*found.warnings, *notes, *noticed))
 
 
 def passes_and_band(campaign: Campaign, measurement: Measurement) -> tuple[list[SweepPass], tuple[float, float]]:
@@ -382,6 +375,15 @@ def tooth_passing_band(passes: list[SweepPass], teeth: int) -> tuple[float, floa
             f"second harmonic ends below {high:g} Hz in another; sweep all passes over the same speeds"
         )
     return low, high
+
+
+IDENTIFY: dict[str, Callable[[Campaign, Measurement, Progress], Identification]] = {
+    "hammer": _hammer,
+    "actuator": _actuator,
+    "sweep": _sweep,
+    "frf": lambda campaign, measurement, progress: identify_averaged(measurement),
+}
+"""Method of a measurement -> what identifies it; `smfe.campaign.methods` says what each reads of the campaign file."""
 
 
 def cached_identification(

@@ -20,7 +20,7 @@ from process.types import Complex, Real
 from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.campaign import read_toml
 from smfe.campaign.datasets import Show
-from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.campaign.schema import PlanTable
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import identify_measurement

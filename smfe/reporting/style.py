@@ -11,6 +11,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from process.types import Complex, Real
+from smfe.campaign.methods import METHODS as MEASURED
 from smfe.reporting.results import Measurement, Results
 
 # Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis.
@@ -20,13 +21,7 @@ CHATTER = "#D55E00"
 AXIS_COLOURS = {"x": "#000000", "y": "#56B4E9", "z": "#8C6D1F"}
 EXCITATION_DASHES = {"": "solid", "x": "solid", "y": "dash", "z": "dot"}
 
-METHODS = {
-    "hammer": "impact hammer",
-    "actuator": "actuator",
-    "sweep": "sweep milling force excitation",
-    "frf": "compliance from a file",
-    "model": "model, not measured",
-}
+METHODS = {name: method.title for name, method in MEASURED.items()} | {"model": "model, not measured"}
 
 OUTCOMES = {"stable": "●", "chatter": "✕", "undecided": "▲", "failed": "–"}
 """Outcome of a cutting test -> its mark; the shape says it, not the colour."""

@@ -16,7 +16,7 @@ from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from smfe.campaign.campaign import read_toml, report
 from smfe.campaign.checks import Complaint, check, complaint
-from smfe.campaign.quantities import COMPLIANCE_METHODS
+from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.scenario import schema
 from smfe.scenario.build import build_machine, build_sensors, loaded_machine
