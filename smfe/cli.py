@@ -20,13 +20,13 @@ import smfe
 from process.errors import InputError
 from process.units import parse
 from smfe._version import __version__
-from smfe.commands import plan as planning
 from smfe.commands.demo import DEMO_SEED
 from smfe.diagnosis.inference.finding import explain
 from smfe.identification.drive.drives import FILE as DRIVE_FILE
 from smfe.identification.drive.drives import drive_lines
 from smfe.identification.drive.loops import FILE as LOOP_FILE
 from smfe.identification.drive.loops import loop_lines
+from smfe.planning import recommend, verification
 from smfe.progress import Progress
 from smfe.records.look import summary as summary_of_look
 from smfe.results import Failures, unpack, unpack_warnings
@@ -252,11 +252,11 @@ def plan(
         found = smfe.plan(campaign, output, progress, _show)
     for warning in found.warnings:
         console.print(f"note: {warning}", markup=False, highlight=False, soft_wrap=True)
-    out.print(planning.summary(found), markup=False, highlight=False, soft_wrap=True)
+    out.print(recommend.summary(found), markup=False, highlight=False, soft_wrap=True)
     if verified:
         with _bar() as progress:
-            result = planning.verify(found, output, tuple(range(1, seeds + 1)), progress)
-        out.print(planning.explain(result), markup=False, highlight=False, soft_wrap=True)
+            result = verification.verify(found, output, tuple(range(1, seeds + 1)), progress)
+        out.print(verification.explain(result), markup=False, highlight=False, soft_wrap=True)
     out.print(f"written: {output / 'plan.html'}; next: cut {output / 'plan.csv'}", highlight=False, soft_wrap=True)
     if verified and not result.confirmed:
         raise typer.Exit(3)

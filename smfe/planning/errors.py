@@ -9,8 +9,8 @@ records. With the energy ``G(f) = sum over records of F F^H`` the normal matrix 
 - beats: harmonics that pass a frequency at different times beat over the band; as far as they do, what the polynomial
   misses of one entry is noise to the others of its row;
 - forces: their noise is in the regressors, too, and is taken out of M; the residual keeps it, so that ``M^-1`` becomes
-  ``M^-1 (M + N) M^-1``, N over all lines, the air included. Records whose air does not show N keep it in M, and the
-  compliance comes out too small by ``Phi (1 - M (M + N)^-1)``; where that may be more than
+  ``M^-1 (M + N) M^-1``, N over all lines, the air included. Records in whose air N is not measured keep it in M, and
+  the compliance comes out too small by ``Phi (1 - M (M + N)^-1)``; where that may be more than
   `local_polynomial.MOST_OPEN` of it, or where N is most of the weakest direction of the forces, the estimator
   solves nothing.
 
@@ -19,20 +19,20 @@ that it states: that of its residual, where the bend counts as noise. Two bands 
 noise of variance ``V_narrow - V_wide``, so that they agree with the probability of a non-central chi-square; the mean
 square errors of the bands are added with the probabilities that they are taken.
 
-**Model.** The default estimator takes its rational model (`smfe.planning.errors`) where no entry of a row differs from
+**Model.** The default estimator takes its rational model (`expected_model`) where no entry of a row differs from
 the band by more than `local_polynomial.model_agreement` standard deviations, else the band. An efficient model and
 its difference d to the band are independent, so that falling back adds ``E[|d_j|^2; any |d_k|^2 > a_k]`` of
 exponentially distributed squares: the band is taken exactly where it is far off.
 
 **Scatter.** The errors of a model are those of a few poles and amplitudes, shared by all frequencies: what one sweep
 will err by scatters about its root mean square as the root of a chi-square over its degrees of freedom does
-(`RationalFit.entry_freedom`). Mean and variance of the mean square error give the degrees of freedom, twice the mean
-squared over the variance (Satterthwaite 1946). With nu those of the model, to the variance contribute
+(`RationalFit.entry_degrees_of_freedom`). Mean and variance of the mean square error give the degrees of freedom, twice
+the mean squared over the variance (Satterthwaite 1946). With nu those of the model, to the variance contribute
 
 - the model: ``2 n^2 (n^2 + 2 b^2)/nu`` of a noise n beside a systematic error b, which does not scatter;
 - `local_polynomial.MODEL_ERROR`, below which no estimate is stated: the square of its mean square, since it is an
   order of magnitude;
-- what is not worked out: the square of the whole times `UNKNOWN` twice.
+- what is not worked out: the square of the whole times `PlanRules.unknown` twice.
 """
 
 from __future__ import annotations
@@ -62,14 +62,8 @@ from smfe.identification.sweep.local_polynomial import (
 from smfe.identification.sweep.rational import fit_rational
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.planning.forces import Forces, ForceSensor, SweepPlan, force_sensor
+from smfe.planning.rules import RULES
 from smfe.planning.task import Estimate
-
-UNKNOWN = 0.1
-"""Relative standard deviation of the expected error itself: forces by cutting coefficients that are known to a tenth,
-poles and orders that the noise chooses."""
-
-POINTS = 16
-"""Points at which a band is sampled, at least; 16 a Hertz of half width."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +103,11 @@ class _Band:
     stated: Real
     bias: Complex
     condition: Real
-    drowned: Real
+    noise_ratio: Real
 
 
 @dataclass(frozen=True)
-class _Ground:
+class _Shared:
     """What all half widths share: truth (f, 3, 3), noise (f, 3) and share of beats (f,) at the frequencies (f,)."""
 
     forces: Forces
@@ -174,15 +168,15 @@ def expected(
     widths = _usable(chosen, plan)
     band = (float(frequency[0]), float(frequency[-1]))
     sensor = force_sensor(plan, coefficients, instruments.force_noise, instruments.sample_rate, band)
-    ground = _Ground(forces, estimate, sensor, frequency, truth, noise, beats, chosen.order)
-    bands = [_band(ground, w) for w in widths]
+    shared = _Shared(forces, estimate, sensor, frequency, truth, noise, beats, chosen.order)
+    bands = [_band(shared, w) for w in widths]
     taken = _taken(bands, chosen)
     alone = np.einsum("kfi,kfij->fij", taken, np.array([b.variance + np.abs(b.bias) ** 2 for b in bands]))
     noisy = np.einsum("kfi,kfij->fij", taken, np.array([b.noise for b in bands]))
     likely = taken.argmax(axis=0)
-    condition, drowned = (
+    condition, noise_ratio = (
         np.array(of_bands)[likely, np.arange(frequency.size)[:, None]].max(axis=1)
-        for of_bands in ([b.condition for b in bands], [b.drowned for b in bands])
+        for of_bands in ([b.condition for b in bands], [b.noise_ratio for b in bands])
     )
     three = ("frequency", "response", "excitation")
     extra = {
@@ -192,7 +186,7 @@ def expected(
     attrs: dict[str, object] = {
         "method": "plan",
         "estimator": repr(chosen),
-        "force_noise_ratio": float(min(drowned.max(), 1e3)),
+        "force_noise_ratio": float(min(noise_ratio.max(), 1e3)),
     }
     if chosen.rational:
         extra["bands_std"] = (three, np.sqrt(_of_narrow_bands(dict(zip(widths, bands, strict=True)))))
@@ -202,7 +196,7 @@ def expected(
         least = MODEL_ERROR**2 * np.mean(np.abs(truth) ** 2, axis=2, keepdims=True)
         alone = _with_model(noisy, model.bias, bands, taken, agreement) + least
         attrs["poles"] = model.poles
-        extra["error_freedom"] = (three[1:], _freedom(model, alone, least, condition <= REFUSE_CONDITION))
+        extra["error_freedom"] = (three[1:], _degrees_of_freedom(model, alone, least, condition <= REFUSE_CONDITION))
     extra |= {"compliance_std": (three, np.sqrt(alone)), "noise_std": (three, np.sqrt(noisy))}
     found = make_compliance(frequency, truth, AXES, extra=extra, attrs=attrs)
     for name in {"noise_std", "bands_std"} & set(extra):
@@ -222,33 +216,33 @@ def relative_error(found: xr.Dataset, scale: Real, name: str = "compliance_std")
     return np.asarray(np.sqrt(np.mean(std**2, axis=0)) / scale)
 
 
-def error_interval(freedom: Real, probability: float, sweeps: int = 1) -> tuple[Real, Real]:
+def error_interval(degrees_of_freedom: Real, probability: float, sweeps: int = 1) -> tuple[Real, Real]:
     """Return between which multiples of the expected error that of some sweeps lies, with a probability.
 
     Roots of the quantiles of a chi-square over its degrees of freedom.
 
     Parameters
     ----------
-    freedom : ndarray
+    degrees_of_freedom : ndarray
         ``error_freedom`` of `expected`.
     probability : float
         Within the interval; the rest is as likely below as above.
     sweeps : int, optional
         Whose mean square is taken.
     """
-    n = sweeps * np.asarray(freedom, dtype=float)
+    n = sweeps * np.asarray(degrees_of_freedom, dtype=float)
     low, high = (np.sqrt(stats.chi2.ppf(q, n) / n) for q in (0.5 - 0.5 * probability, 0.5 + 0.5 * probability))
     return np.asarray(low), np.asarray(high)
 
 
-def _freedom(model: ExpectedModel, total: Real, least: Real, solved: NDArray[np.bool_]) -> Real:
+def _degrees_of_freedom(model: ExpectedModel, total: Real, least: Real, solved: NDArray[np.bool_]) -> Real:
     """Return the degrees of freedom of what an entry will err by, shape (3, 3)."""
     at = solved if solved.any() else np.ones_like(solved)
     whole, least = np.mean(total[at], axis=0), np.mean(least[at], axis=0)
     fixed = np.minimum(np.mean(np.abs(model.bias[at]) ** 2, axis=0), 0.99 * (whole - least))
     scatters = whole - least - fixed
-    variance = 2.0 * scatters * (scatters + 2.0 * fixed) / model.freedom + least**2
-    return np.asarray(2.0 * whole**2 / (variance + (2.0 * UNKNOWN * whole) ** 2))
+    variance = 2.0 * scatters * (scatters + 2.0 * fixed) / model.degrees_of_freedom + least**2
+    return np.asarray(2.0 * whole**2 / (variance + (2.0 * RULES.unknown * whole) ** 2))
 
 
 def _of_narrow_bands(bands: dict[float, _Band]) -> Real:
@@ -292,44 +286,44 @@ def _usable(estimator: LocalPolynomial, plan: SweepPlan) -> list[float]:
     return usable
 
 
-def _band(ground: _Ground, width: float) -> _Band:
+def _band(shared: _Shared, width: float) -> _Band:
     """Work through one half width [Hz]."""
-    plan, frequency = ground.forces.plan, ground.frequency
-    points = round(POINTS * max(1.0, width))
+    plan, frequency = shared.forces.plan, shared.frequency
+    points = round(RULES.band_points * max(1.0, width))
     shift = (np.arange(points) + 0.5) * 2.0 / points - 1.0
     at = frequency[:, None] + width * shift
-    energy = plan.repeats * np.sum(ground.forces.energy(at), axis=0) * (2.0 * width / points)
-    compliance = ground.estimate.matrix(at, beyond=width > 1.0)
-    powers = shift ** np.arange(ground.order + 1)[:, None]
-    f, size = frequency.size, 3 * (ground.order + 1)
+    energy = plan.repeats * np.sum(shared.forces.energy(at), axis=0) * (2.0 * width / points)
+    compliance = shared.estimate.matrix(at, beyond=width > 1.0)
+    powers = shift ** np.arange(shared.order + 1)[:, None]
+    f, size = frequency.size, 3 * (shared.order + 1)
     exact = np.einsum("as,bs,fsij->faibj", powers, powers, energy, optimize=True).reshape(f, size, size)
     right = np.einsum("bs,fsik,fskj->fibj", powers, compliance, energy, optimize=True).reshape(f, 3, size)
     lines = 2.0 * width * plan.record * plan.records
     # Noise is in every line of every record; the energy of a chirp does not grow with the record.
-    added = ground.sensor.density * lines / points
+    added = shared.sensor.density * lines / points
     noisy = np.kron(powers @ powers.T, np.diag(added)).astype(np.float64)
-    normal = exact if ground.sensor.subtracted else exact + noisy
-    taken_out = noisy[:3, :3] if ground.sensor.subtracted else np.zeros((3, 3))
-    condition, drowned = _condition(normal[:, :3, :3], taken_out, lines)
+    normal = exact if shared.sensor.subtracted else exact + noisy
+    taken_out = noisy[:3, :3] if shared.sensor.subtracted else np.zeros((3, 3))
+    condition, noise_ratio = _condition(normal[:, :3, :3], taken_out, lines)
     solved = condition <= 10.0 * REFUSE_CONDITION
     # What cannot be solved is wrong by ten times the largest compliance.
-    noise = np.full((f, 3, 3), 100.0 * float(np.abs(ground.truth).max()) ** 2)
+    noise = np.full((f, 3, 3), 100.0 * float(np.abs(shared.truth).max()) ** 2)
     stated, bias = noise.copy(), np.zeros((f, 3, 3), dtype=complex)
     inverse = np.linalg.inv(normal[solved])
     spread = np.diagonal(inverse @ (exact[solved] + noisy) @ inverse, axis1=1, axis2=2).real[:, None, :3]
-    noise[solved] = ground.noise[solved][:, :, None] * spread
-    bias[solved] = (right[solved] @ inverse)[:, :, :3] - ground.truth[solved]
-    if not ground.sensor.subtracted:
-        left = ground.sensor.known / MOST_OPEN * np.linalg.norm(bias, axis=(1, 2))
-        drowned = left / np.maximum(np.linalg.norm(ground.truth + bias, axis=(1, 2)), 1e-300)
-        condition = np.where(drowned <= 1.0, condition, np.inf)
+    noise[solved] = shared.noise[solved][:, :, None] * spread
+    bias[solved] = (right[solved] @ inverse)[:, :, :3] - shared.truth[solved]
+    if not shared.sensor.subtracted:
+        left = shared.sensor.known / MOST_OPEN * np.linalg.norm(bias, axis=(1, 2))
+        noise_ratio = left / np.maximum(np.linalg.norm(shared.truth + bias, axis=(1, 2)), 1e-300)
+        condition = np.where(noise_ratio <= 1.0, condition, np.inf)
     # What the polynomial misses is in the residual, and the estimator takes that for noise.
     whole = np.einsum("fsik,fskj,fsij->fi", compliance, energy, compliance.conj(), optimize=True).real[solved]
     missed = _missed(whole, right[solved], exact[solved]) / max(lines - size, 1.0)
-    stated[solved] = (ground.noise[solved] + missed)[:, :, None] * spread
-    varies = noise + ground.beats[:, None, None] * (stated - noise)
-    stated = stated + (SAME * np.abs(ground.truth)) ** 2
-    return _Band(noise, varies, stated, bias, condition, drowned)
+    stated[solved] = (shared.noise[solved] + missed)[:, :, None] * spread
+    varies = noise + shared.beats[:, None, None] * (stated - noise)
+    stated = stated + (SAME * np.abs(shared.truth)) ** 2
+    return _Band(noise, varies, stated, bias, condition, noise_ratio)
 
 
 def _condition(energy: Complex, noise: Real, lines: float) -> tuple[Real, Real]:
@@ -343,8 +337,8 @@ def _condition(energy: Complex, noise: Real, lines: float) -> tuple[Real, Real]:
     floor = 1e-30 * clean[:, -1]
     smallest, power = np.maximum(clean[:, 0], floor), whole[:, 0] - clean[:, 0]
     seen = np.maximum(smallest - 2.0 * np.sqrt(power * (power + 2.0 * smallest) / lines), np.maximum(floor, 1e-300))
-    drowned = np.sqrt(power / seen * (1.0 - LARGEST_SHARE) / LARGEST_SHARE)
-    return np.where(drowned <= 1.0, np.sqrt(whole[:, -1] / smallest), np.inf), drowned
+    noise_ratio = np.sqrt(power / seen * (1.0 - LARGEST_SHARE) / LARGEST_SHARE)
+    return np.where(noise_ratio <= 1.0, np.sqrt(whole[:, -1] / smallest), np.inf), noise_ratio
 
 
 def _missed(whole: Real, right: Complex, normal: Complex) -> Real:
@@ -361,9 +355,9 @@ def _taken(bands: list[_Band], estimator: LocalPolynomial) -> Real:
     for k in range(1, len(bands)):
         passes = at_least[-1]
         for j in range(k):
-            chance = _agrees(bands[k], bands[j], estimator.agreement)
+            probability = _agrees(bands[k], bands[j], estimator.agreement)
             # The estimator smooths its verdicts over five lines.
-            passes = np.minimum(passes, ndimage.median_filter(chance, size=(5, 1), mode="nearest"))
+            passes = np.minimum(passes, ndimage.median_filter(probability, size=(5, 1), mode="nearest"))
         at_least.append(passes)
     at_least.append(np.zeros((f, 3)))
     taken = np.asarray([at_least[k] - at_least[k + 1] for k in range(len(bands))])
@@ -382,21 +376,11 @@ def _agrees(wide: _Band, narrow: _Band, agreement: float) -> Real:
     left = np.clip(1.0 - wide.variance / scale, 0.05, 1.0)
     distance = np.minimum(np.abs(wide.bias - narrow.bias) ** 2 / scale, 1e4)
     allowed = np.minimum(agreement**2 * narrow.stated / scale, 1e6)
-    chance = stats.ncx2.cdf(2.0 * allowed / left, 2, 2.0 * distance / left)
-    return np.asarray(np.min(chance, axis=2))
+    probability = stats.ncx2.cdf(2.0 * allowed / left, 2, 2.0 * distance / left)
+    return np.asarray(np.min(probability, axis=2))
 
 
-# --- How wrong the rational model of the default estimator will be: `sweep.rational` on the equations to be expected.
-
-
-STEP = 1.0 / 16.0
-"""Width of a bin [Hz], that of the estimator."""
-
-GAUSS_POINTS = 3
-"""Points of Gauss at which a bin is sampled."""
-
-BEYOND = 1.0
-"""How far beyond the band the estimator takes lines for its model [Hz]."""
+# --- the rational model: `sweep.rational` on the equations to be expected --------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -409,7 +393,7 @@ class ExpectedModel:
         Of the noise [m2/N2].
     bias : ndarray of complex, shape (f, 3, 3)
         Systematic error [m/N].
-    freedom : ndarray, shape (3, 3)
+    degrees_of_freedom : ndarray, shape (3, 3)
         Degrees of freedom of the mean square error over the frequencies.
     poles : int
         Number of poles.
@@ -417,7 +401,7 @@ class ExpectedModel:
 
     variance: Real
     bias: Complex
-    freedom: Real
+    degrees_of_freedom: Real
     poles: int
 
 
@@ -441,14 +425,14 @@ def expected_model(
     order : int
         Order of the polynomial in a bin.
     """
-    band = (float(frequency[0]) - BEYOND, float(frequency[-1]) + BEYOND)
-    centre = np.arange(band[0] + 0.5 * STEP, band[1], STEP)
-    at, share = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    points = centre[:, None] + 0.5 * STEP * at
+    band = (float(frequency[0]) - RULES.beyond, float(frequency[-1]) + RULES.beyond)
+    centre = np.arange(band[0] + 0.5 * RULES.bin_width, band[1], RULES.bin_width)
+    at, share = np.polynomial.legendre.leggauss(RULES.bin_points)
+    points = centre[:, None] + 0.5 * RULES.bin_width * at
     compliance, truth = estimate.matrix(points), estimate.matrix(frequency)
     plan = forces.plan
-    energy = plan.repeats * np.sum(forces.energy(points), axis=0) * (0.5 * STEP * share)[:, None, None]
-    lines = STEP * plan.record * plan.records
+    energy = plan.repeats * np.sum(forces.energy(points), axis=0) * (0.5 * RULES.bin_width * share)[:, None, None]
+    lines = RULES.bin_width * plan.record * plan.records
     without = _sums(centre, points - centre[:, None], energy, compliance, order, lines)
     power = np.diag(force_noise.density).astype(complex)
     raw = without.without_input_noise(-np.broadcast_to(power, (centre.size, 1, 3, 3)))
@@ -456,7 +440,9 @@ def expected_model(
     clean = without if force_noise.subtracted else raw
     fit = fit_rational(clean, raw, weight, band, frequency, 3, known=force_noise.known)
     variance = np.diagonal(fit.covariance, axis1=2, axis2=3).real
-    return ExpectedModel(np.asarray(variance), np.asarray(fit.value - truth), fit.entry_freedom, fit.poles.size)
+    return ExpectedModel(
+        np.asarray(variance), np.asarray(fit.value - truth), fit.entry_degrees_of_freedom, fit.poles.size
+    )
 
 
 def _sums(centre: Real, shift: Real, energy: Complex, compliance: Complex, order: int, lines: float) -> Equations:
@@ -467,4 +453,4 @@ def _sums(centre: Real, shift: Real, energy: Complex, compliance: Complex, order
     cross = np.einsum("bsp,bsrk,bskj->bpjr", powers, compliance, energy, optimize=True)
     joint = np.einsum("bsik,bskj,bslj->bil", compliance, energy, compliance.conj(), optimize=True)
     moment = np.einsum("bsp,bsq->bpq", powers, powers) * lines / shift.shape[1]
-    return Equations(centre, STEP, gram[:, None], cross[:, None], joint[:, None], moment[:, None])
+    return Equations(centre, RULES.bin_width, gram[:, None], cross[:, None], joint[:, None], moment[:, None])

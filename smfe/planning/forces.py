@@ -27,9 +27,7 @@ from process.cut.tool import Tool
 from process.types import Complex, Real
 from smfe.identification.sweep.noise import ALIKE, BOUNDED, median_spread
 from smfe.identification.sweep.passes import MARGIN, SHORTEST
-
-ANGLES = 360
-"""Angles within a tooth period at which the force is looked at for its peak."""
+from smfe.planning.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,8 @@ class Pass:
     cut: str
     width: float
 
-    def arc(self, diameter: float) -> Engagement:
-        """Return its arc of engagement."""
+    def engagement(self, diameter: float) -> Engagement:
+        """Return the engagement of a tool of this diameter [m]."""
         return engagement(self.cut, self.width, diameter)
 
 
@@ -214,7 +212,7 @@ class Forces:
     def _harmonics(self) -> list[tuple[Complex, Complex]]:
         tool, depth = self.plan.tool, self.plan.depth
         return [
-            unit_harmonics(tool, one.arc(tool.diameter), self.coefficients, depth, self._orders)
+            unit_harmonics(tool, one.engagement(tool.diameter), self.coefficients, depth, self._orders)
             for one in self.plan.passes
         ]
 
@@ -285,7 +283,7 @@ def force_level(
     depth, feed_per_tooth : float
         [m].
     """
-    first = np.arange(ANGLES) * (2.0 * math.pi / tool.teeth / ANGLES)
+    first = np.arange(RULES.angles) * (2.0 * math.pi / tool.teeth / RULES.angles)
     phi = (first[:, None] + 2.0 * math.pi / tool.teeth * np.arange(tool.teeth)) % (2.0 * math.pi)
     inside = (phi >= arc.entry) & (phi <= arc.exit)
     s, c, one = np.sin(phi) * inside, np.cos(phi) * inside, inside.astype(float)
@@ -317,9 +315,9 @@ class ForceSensor:
     density : ndarray, shape (3,)
         ``sigma_F^2 dt``, two-sided [N2 s].
     subtracted : bool
-        Whether the air shows it, so that it is taken out of the normal equations.
+        Whether it is measured in the air, so that it is taken out of the normal equations.
     known : float
-        Relative standard deviation of what the air shows, or of what is only bounded.
+        Relative standard deviation of that measurement, or of the bound.
     """
 
     density: Real
@@ -334,7 +332,7 @@ def force_sensor(
     sample_rate: float,
     band: tuple[float, float],
 ) -> ForceSensor:
-    """Return what the records of a plan will tell of the noise of their forces (`smfe.identification.sweep.noise`).
+    """Return what the records of a plan will hold of the noise of their forces (`smfe.identification.sweep.noise`).
 
     The air is seen where the force is less than half of that in the cut; the median of its lines within the band is
     known to `smfe.identification.sweep.noise.median_spread` and no better than `smfe.identification.sweep.noise.ALIKE`.
@@ -354,13 +352,13 @@ def force_sensor(
     """
     square = np.square(noise)
     levels = [
-        force_level(plan.tool, one.arc(plan.tool.diameter), coefficients, plan.depth, plan.feed_per_tooth)
+        force_level(plan.tool, one.engagement(plan.tool.diameter), coefficients, plan.depth, plan.feed_per_tooth)
         for one in plan.passes
     ]
     # A noise n is in the cut too: n < sqrt(F^2 + n^2)/2.
-    loud = [float(level.rms @ level.rms) > 3.0 * float(square.sum()) for level in levels]
+    above_noise = [float(level.rms @ level.rms) > 3.0 * float(square.sum()) for level in levels]
     pieces = [t - MARGIN for t in (plan.lead, plan.tail) if t - MARGIN >= SHORTEST]
-    lines = plan.repeats * sum(loud) * sum(pieces) * (band[1] - band[0])
+    lines = plan.repeats * sum(above_noise) * sum(pieces) * (band[1] - band[0])
     known = float(np.hypot(median_spread(lines), ALIKE)) if lines else BOUNDED
     return ForceSensor(square / sample_rate, bool(lines), known)
 

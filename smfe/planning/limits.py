@@ -12,12 +12,6 @@ from smfe.campaign.schema import PlanTable
 from smfe.identification.sweep.sweep import REFUSE_CONDITION
 from smfe.planning.task import Task
 
-SHORTEST_PASS = 10.0
-"""A pass in less time [s] is no sweep: the resonances would not rise."""
-
-WORKED = ("chatter", "noise", "error")
-"""Limits that are asked of the alternatives that are worked through, not of all."""
-
 
 @dataclass(frozen=True)
 class Limit:
@@ -122,7 +116,7 @@ def need(task: Task, key: str, ratio: float) -> str:
         return f"{limit.what}: at most {depth} are safe, {quantity(key, given)} are asked ({limit.setting})"
     # Lower limits must come down, all others go up.
     wanted = given / ratio if key in ("speed_low", "feed_low", "noise") else given * ratio
-    # As many digits as tell the two apart.
+    # As many digits as make the two differ.
     digits = next((d for d in range(3, 9) if quantity(key, wanted, d) != quantity(key, given, d)), 9)
     return f"{limit.what}: {quantity(key, wanted, digits)} instead of {quantity(key, given, digits)} ({limit.setting})"
 

@@ -18,29 +18,11 @@ from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION, ch
 from smfe.planning.errors import error_interval, expected, relative_error
 from smfe.planning.forces import Forces, Pass, SweepPlan, force_level
 from smfe.planning.limits import KEYS, no_plan, rejections
-from smfe.planning.search import DEPTH_STEP, Search
+from smfe.planning.rules import RULES
+from smfe.planning.search import Search
 from smfe.planning.task import Task
 from smfe.progress import Progress, silent
 from stability import multi_frequency, semi_discretization, zero_order
-
-REFINED = 10
-"""Alternatives that are worked through as the estimator will."""
-
-MOST_REFINED = 40
-"""The same where none of the first keeps what is asked."""
-
-LIMIT_SPEEDS = {semi_discretization: 15, multi_frequency: 7}
-"""Spindle speeds of a sweep at which a converged method gives its limit depth: of modes in milliseconds, of a measured
-compliance in a third of a second."""
-
-DRAWN_DEPTHS = 9
-"""Depths of cut at which the prediction holds the force level."""
-
-CONFIDENCE = 0.95
-"""Probability of the interval in which the error of an entry will lie."""
-
-THIN_CHIP = 10e-6
-"""Chips thinner than this [m], about the radius of a sharp edge, are not cut as the coefficients say."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +37,7 @@ class Plan:
         What to cut.
     prediction : xarray.Dataset
         `smfe.planning.errors.expected`, with ``relative_error(response, excitation)`` of the default estimator, between
-        ``relative_error_low`` and ``relative_error_high`` with a probability of `CONFIDENCE`,
+        ``relative_error_low`` and ``relative_error_high`` with a probability of 95 %,
         ``bands_relative_error`` of ``estimator = "bands"``, ``force_spectrum(pass, axis, frequency)`` [N s],
         ``limit_depth(pass, spindle_speed)`` [mm], and ``peak_force`` and ``mean_force`` [N] over
         the depth of cut.
@@ -130,7 +112,7 @@ def recommend(task: Task, progress: Progress = silent) -> Plan:
     """
     if task.limits.passes:
         diameter = task.tool.diameter
-        arcs = [(p.cut, Pass(p.cut, p.width_of_cut).arc(diameter)) for p in task.limits.passes]
+        arcs = [(p.cut, Pass(p.cut, p.width_of_cut).engagement(diameter)) for p in task.limits.passes]
         try:
             check_independent(arcs)
         except InputError as error:
@@ -144,9 +126,9 @@ def recommend(task: Task, progress: Progress = silent) -> Plan:
     refined: list[_Refined] = []
     kinds = _kinds(possible)
     for done, row in enumerate(kinds.index):
-        if done >= REFINED and any(one.good for one in refined):
+        if done >= RULES.refined and any(one.good for one in refined):
             break
-        progress("working through the best alternatives", min(done, REFINED - 1), REFINED)
+        progress("working through the best alternatives", min(done, RULES.refined - 1), RULES.refined)
         one = _refined(search, table, choices, row)
         refined.append(one)
         table.loc[row, list(one.needs)] = list(one.needs.values())
@@ -225,7 +207,7 @@ def _kinds(possible: pd.DataFrame) -> pd.DataFrame:
     What the zero-order method finds unstable comes last.
     """
     kinds = possible.sort_values(["unstable", "worst", "median"], kind="stable")
-    return kinds.drop_duplicates(["inserts", "start", "end", "feed_per_tooth"]).head(MOST_REFINED)
+    return kinds.drop_duplicates(["inserts", "start", "end", "feed_per_tooth"]).head(RULES.most_refined)
 
 
 def _refined(search: Search, table: pd.DataFrame, choices: list[tuple[Pass, ...]], row: int) -> _Refined:
@@ -253,7 +235,7 @@ def _at_depth(search: Search, row: int, sweep: SweepPlan, limits: _Limits, deepe
     asked = search.task.limits
     least = asked.depth_of_cut[0]
     safe = asked.chatter_margin * float(limits.depth.min())
-    depth = math.floor(min(deepest, safe) / DEPTH_STEP * (1.0 + 1e-9)) * DEPTH_STEP
+    depth = math.floor(min(deepest, safe) / RULES.depth_step * (1.0 + 1e-9)) * RULES.depth_step
     sweep = replace(sweep, depth=min(max(depth, least), asked.depth_of_cut[1]), repeats=1)
     most = search.most_repeats(sweep, len(sweep.passes))
     prediction = _worked(search, sweep)
@@ -276,7 +258,7 @@ def _worked(search: Search, sweep: SweepPlan) -> xr.Dataset:
     prediction["relative_error"] = (("response", "excitation"), error, {"units": "1"})
     of_bands = relative_error(prediction, search.scale, "bands_std")
     prediction["bands_relative_error"] = (("response", "excitation"), of_bands, {"units": "1"})
-    low, high = error_interval(prediction["error_freedom"].values, CONFIDENCE)
+    low, high = error_interval(prediction["error_freedom"].values, RULES.confidence)
     for name, factor in (("relative_error_low", low), ("relative_error_high", high)):
         prediction[name] = (("response", "excitation"), factor * error, {"units": "1"})
     return prediction
@@ -288,18 +270,16 @@ def _worked(search: Search, sweep: SweepPlan) -> xr.Dataset:
 def _limits(task: Task, sweep: SweepPlan, method: Callable[..., xr.Dataset], count: int, **settings: float) -> _Limits:
     """Return the limit depths of all passes over the speeds of a sweep; passes that are alike are asked once."""
     speeds = np.linspace(sweep.start, sweep.end, count) * 30.0 / math.pi
-    known = {
-        one: 1e-3
-        * method(task.estimate.source, sweep.tool, one.arc(sweep.tool.diameter), task.coefficients, speeds, **settings)[
-            "limit_depth"
-        ].values
-        for one in dict.fromkeys(sweep.passes)
-    }
+    known = {}
+    for one in dict.fromkeys(sweep.passes):
+        cut = one.engagement(sweep.tool.diameter)
+        found = method(task.estimate.source, sweep.tool, cut, task.coefficients, speeds, **settings)
+        known[one] = 1e-3 * found["limit_depth"].values
     return _Limits(speeds, np.array([known[one] for one in sweep.passes]), method is not zero_order)
 
 
 def _zero_order(task: Task, sweep: SweepPlan, note: str = "") -> _Limits:
-    return replace(_limits(task, sweep, zero_order, LIMIT_SPEEDS[semi_discretization]), note=note)
+    return replace(_limits(task, sweep, zero_order, RULES.modal_limit_speeds), note=note)
 
 
 def _converged(task: Task, sweep: SweepPlan) -> _Limits:
@@ -308,9 +288,10 @@ def _converged(task: Task, sweep: SweepPlan) -> _Limits:
     Where neither can be had, those of the zero-order method, and why.
     """
     modal = isinstance(task.estimate.source, ModalModel)
-    method = semi_discretization if modal else multi_frequency
     try:
-        return _limits(task, sweep, method, LIMIT_SPEEDS[method], tolerance=1e-2)
+        if modal:
+            return _limits(task, sweep, semi_discretization, RULES.modal_limit_speeds, tolerance=1e-2)
+        return _limits(task, sweep, multi_frequency, RULES.measured_limit_speeds, tolerance=1e-2)
     except InputError as error:
         reason = str(error).split(";")[0].split(". ")[0]
         return _zero_order(task, sweep, f"the limit depths are those of the zero-order method: {reason}")
@@ -363,20 +344,21 @@ def _row(one: _Refined) -> dict[str, object]:
 
 
 def thin_chips(sweep: SweepPlan) -> list[str]:
-    """Say where the thickest chip at the end of the sweep, ``f_z sin(phi) sin(kappa)``, is thinner than `THIN_CHIP`."""
+    """Say where the thickest chip at the end of the sweep, ``f_z sin(phi) sin(kappa)``, is thinner than 10 um."""
     feed = sweep.feed_rate / sweep.tooth_passing[1]
     thin = []
     for cut in dict.fromkeys(sweep.passes):
-        arc = cut.arc(sweep.tool.diameter)
+        arc = cut.engagement(sweep.tool.diameter)
         phi = min(max(0.5 * math.pi, arc.entry), arc.exit)
         chip = feed * math.sin(phi) * math.sin(sweep.tool.approach_angle)
-        if chip < THIN_CHIP:
+        if chip < RULES.thin_chip:
             thin.append(f"{cut.cut} {1e3 * cut.width:g} mm ({1e6 * chip:.2g} um)")
     if not thin:
         return []
     return [
-        f"chips are thinner than {1e6 * THIN_CHIP:g} um in {', '.join(thin)}: an edge rubs there, and coefficients of "
-        "thicker chips do not give its force; cut wider or with more feed, or measure the force of one such pass first"
+        f"chips are thinner than {1e6 * RULES.thin_chip:g} um in {', '.join(thin)}: an edge ploughs there, and "
+        "coefficients of thicker chips do not give its force; cut wider or with more feed, or measure the force of one "
+        "such pass first"
     ]
 
 
@@ -415,14 +397,11 @@ def _completed(task: Task, one: _Refined) -> xr.Dataset:
 
 def _levels(task: Task, sweep: SweepPlan, labels: list[str]) -> xr.Dataset:
     """Return the force level of each pass over the depths that are asked for, at the start of the sweep."""
-    depths = np.unique([*np.linspace(*task.limits.depth_of_cut, DRAWN_DEPTHS), sweep.depth])
-    rows = [
-        [
-            force_level(sweep.tool, p.arc(sweep.tool.diameter), task.coefficients, float(a), sweep.feed_per_tooth)
-            for a in depths
-        ]
-        for p in sweep.passes
-    ]
+    depths = np.unique([*np.linspace(*task.limits.depth_of_cut, RULES.drawn_depths), sweep.depth])
+    rows = []
+    for p in sweep.passes:
+        cut = p.engagement(sweep.tool.diameter)
+        rows.append([force_level(sweep.tool, cut, task.coefficients, float(a), sweep.feed_per_tooth) for a in depths])
     peak = np.array([[level.peak for level in row] for row in rows])
     mean = np.array([[level.mean for level in row] for row in rows]).transpose(0, 2, 1)
     return xr.Dataset(

@@ -36,31 +36,11 @@ from smfe.planning.forces import (
     unit_harmonics,
     with_inserts,
 )
-from smfe.planning.limits import KEYS, SHORTEST_PASS, allowed
+from smfe.planning.limits import KEYS, allowed
+from smfe.planning.rules import RULES
 from smfe.planning.task import Task
 from smfe.progress import Progress, silent
 from stability import zero_order
-
-WIDTHS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)
-"""Widths of cut that are tried, as shares of the diameter."""
-
-FEEDS = 4
-"""Feeds per tooth that are tried."""
-
-LINES = 15
-"""Frequencies at which alternatives are ranked."""
-
-RANKING_BAND = 4.0
-"""Half width of the band in which alternatives are ranked [Hz]: the widest of the estimator, near its model."""
-
-BEYOND = 1.0
-"""How far a sweep goes beyond the band at either end [Hz]: as far as the estimator's model."""
-
-DEPTH_STEP = 0.1e-3
-"""Depths are rounded down to this [m]."""
-
-CHATTER_SPEEDS = 25
-"""Spindle speeds of a sweep at which the limit depth is asked."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +94,7 @@ class Search:
         self.tools = [with_inserts(task.tool, n) for n in fitting]
         self.instruments = Instruments(limits.acceleration_noise, limits.force_noise, limits.sample_rate)
         low, high = limits.frequency_range
-        self.frequency = np.linspace(low, high, LINES)
+        self.frequency = np.linspace(low, high, RULES.ranking_lines)
         self.scale = task.estimate.scale(task.frequency)
         self._deep = 0.5 * sum(limits.depth_of_cut)
         self._known: dict[tuple[int, Pass], tuple[Complex, Complex]] = {}
@@ -129,8 +109,8 @@ class Search:
         if given:
             return [tuple(Pass(p.cut, p.width_of_cut) for p in given)]
         diameter = self.task.tool.diameter
-        low, high = self.task.limits.width_of_cut or (WIDTHS[0] * diameter, WIDTHS[-1] * diameter)
-        every = {round(min(max(share * diameter, low), high, diameter), 4) for share in WIDTHS}
+        low, high = self.task.limits.width_of_cut or (RULES.widths[0] * diameter, RULES.widths[-1] * diameter)
+        every = {round(min(max(share * diameter, low), high, diameter), 4) for share in RULES.widths}
         widths = sorted(w for w in every if w > 0.0)
         return [
             tuple(Pass(cut, w) for cut, w in zip(CUTS, chosen, strict=True))
@@ -141,7 +121,7 @@ class Search:
         """Yield the speed ranges whose first harmonics cover the band without a gap, with each feed per tooth."""
         low, high = self.task.limits.feed_per_tooth
         # Two digits are what an operator sets.
-        every = {min(max(float(f"{f:.2g}"), low), high) for f in np.geomspace(low, high, FEEDS)}
+        every = {min(max(float(f"{f:.2g}"), low), high) for f in np.geomspace(low, high, RULES.feeds)}
         feeds = [low] if math.isclose(low, high) else sorted(every)
         for start, end in self._speed_ranges(tool):
             for feed in feeds:
@@ -149,7 +129,7 @@ class Search:
 
     def _speed_ranges(self, tool: Tool) -> list[tuple[float, float]]:
         first, last = self.task.limits.frequency_range
-        first, last = first - BEYOND, last + BEYOND
+        first, last = first - RULES.beyond, last + RULES.beyond
         turn = 2.0 * math.pi / tool.teeth
         spindle = self.task.spindle
         slow, fast = (n * tool.teeth / 60.0 for n in (spindle.minimum, spindle.maximum))
@@ -182,8 +162,8 @@ class Search:
 
         Columns: inserts, start, end [rad/s], feed_per_tooth [m], duration [s], depth [m], deepest (that force, torque
         and power allow [m]), unstable (too deep by the zero-order method), passes (number in `choices`), worst, median
-        (expected error), condition, and needed over available for each of `KEYS`; what only an alternative that is
-        worked through tells is 0: chatter, noise, error.
+        (expected error), condition, and needed over available for each of `KEYS`; chatter, noise and error are 0:
+        they are known of an alternative that is worked through.
         """
         choices = self.choices()
         frames = []
@@ -209,7 +189,7 @@ class Search:
         speed = np.unique(np.concatenate([_speeds(r.start, r.end) for r in ramps]))
         limits = []
         for one in used:
-            arc = one.arc(tool.diameter)
+            arc = one.engagement(tool.diameter)
             found = zero_order(self.task.estimate.source, tool, arc, self.task.coefficients, speed)
             limits.append(1e-3 * found["limit_depth"].values)
         return Cuts(used, np.array(limits), speed)
@@ -233,7 +213,7 @@ class Search:
         bounds = [np.full(rows.shape[0], greatest)]
         bounds += [allowed(self.task, k) / v for k, v in peaks.items() if allowed(self.task, k) is not None]
         deepest = np.min(bounds, axis=0)
-        depth = np.floor(np.minimum(deepest, safe) / DEPTH_STEP * (1.0 + 1e-9)) * DEPTH_STEP
+        depth = np.floor(np.minimum(deepest, safe) / RULES.depth_step * (1.0 + 1e-9)) * RULES.depth_step
         depth = np.clip(np.where(depth < least, least, depth), least, greatest)
         worst, median, condition = self._errors(plan, cuts, rows, depth)
         columns: dict[str, Any] = {
@@ -263,7 +243,7 @@ class Search:
         limits = self.task.limits
         feed, air = plan.feed_rate, plan.lead + plan.tail
         rise = plan.end - plan.start
-        shortest = SHORTEST_PASS
+        shortest = RULES.shortest_pass
         longest = limits.longest_pass
         needs: dict[str, float] = {}
         if limits.spindle_acceleration is not None:
@@ -298,7 +278,7 @@ class Search:
         last = plan.feed_rate / plan.tooth_passing[1]
         loads: dict[str, list[float]] = {"force": [], "torque": [], "power": []}
         for one in cuts.choices:
-            arc = one.arc(plan.tool.diameter)
+            arc = one.engagement(plan.tool.diameter)
             begin, end = (
                 force_level(plan.tool, arc, self.task.coefficients, 1.0, f) for f in (plan.feed_per_tooth, last)
             )
@@ -312,7 +292,7 @@ class Search:
         nothing: Complex = np.empty((0, 3), dtype=complex)
         chip, edge = self._known.get((tool.teeth, one), (nothing, nothing))
         if chip.shape[0] < count:
-            arc, orders = one.arc(tool.diameter), np.arange(1, count + 1)
+            arc, orders = one.engagement(tool.diameter), np.arange(1, count + 1)
             chip, edge = unit_harmonics(tool, arc, self.task.coefficients, self._deep, orders)
             self._known[tool.teeth, one] = chip, edge
         return chip[:count], edge[:count]
@@ -326,7 +306,7 @@ class Search:
             grams.append(energy(self.frequency, parts, orders, plan.tooth_passing, plan.duration, plan.feed_rate))
         gram = np.array(grams)[rows].sum(axis=1)
         spread, condition = inverse_diagonal(gram)
-        density = 9.0 / 4.0 / (2.0 * RANKING_BAND)
+        density = 9.0 / 4.0 / (2.0 * RULES.ranking_band)
         square = density * np.einsum("fi,pfj->pij", self._noise, spread) / self.frequency.size
         error = np.sqrt(square) / self.scale * (self._deep / depth)[:, None, None]
         flat = error.reshape(rows.shape[0], 9)
@@ -374,4 +354,4 @@ def inverse_diagonal(gram: Complex) -> tuple[Real, Real]:
 
 
 def _speeds(start: float, end: float) -> Real:
-    return np.linspace(start, end, CHATTER_SPEEDS) * 30.0 / math.pi
+    return np.linspace(start, end, RULES.ranking_speeds) * 30.0 / math.pi

@@ -27,15 +27,10 @@ from smfe.identification.measurement import identify_measurement
 from smfe.identification.sweep.least_squares import Equations
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.rational import fit_rational
+from smfe.planning.rules import RULES
 from smfe.progress import Progress, silent
 from smfe.scenario import load_scenario
 from stability import SpindleRange
-
-RIGID = 0.1
-"""An axis is compared with at least this share of the softest one: errors of a rigid axis matter little."""
-
-_GRID_STEP = 0.1
-"""Step of the frequency axis on which a machine with axes is taken [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +89,77 @@ class Estimate:
     def scale(self, frequency: Real) -> Real:
         """Return what an error is a fraction of [m/N], shape (3, 3): ``sqrt(rms Phi_ii rms Phi_jj)`` over frequencies.
 
-        It does not vanish where a cross compliance does. An axis counts with at least `RIGID` of the softest.
+        It does not vanish where a cross compliance does. An axis counts with at least a tenth of the softest.
         """
         direct = np.sqrt(np.mean(np.abs(np.diagonal(self.matrix(frequency), axis1=1, axis2=2)) ** 2, axis=0))
         if not direct.max() > 0.0:
             raise InputError(f"the estimate '{self.name}' does not move in the band; name one that does")
-        direct = np.maximum(direct, RIGID * direct.max())
+        direct = np.maximum(direct, RULES.rigid * direct.max())
         return np.asarray(np.sqrt(np.outer(direct, direct)))
+
+
+# --- a measured estimate without its noise --------------------------------------------------------------------------
+
+
+def without_noise(source: xr.Dataset, band: tuple[float, float]) -> xr.Dataset | None:
+    """Return a measured compliance as a rational model has it.
+
+    Parameters
+    ----------
+    source : xarray.Dataset
+        With ``compliance`` and, where it is known, ``compliance_std``; else the scatter between lines counts.
+    band : (float, float)
+        That is planned for [Hz].
+
+    Returns
+    -------
+    xarray.Dataset or None
+        On a fine frequency axis, what was not measured as zero; None where fewer than 16 lines were measured in the
+        band.
+    """
+    full = full_matrix(source)
+    known = np.isfinite(full).all(axis=(1, 2))
+    known &= np.abs(source["frequency"].values - 0.5 * sum(band)) <= 0.5 * (band[1] - band[0]) + RULES.margin
+    at, compliance = source["frequency"].values[known], full[known]
+    if at.size < 16:
+        return None
+    step = float(np.median(np.diff(at)))
+    lines = _one_line_each(at, compliance, step)
+    weight = 1.0 / _variance(source, known, compliance)[:, None, :]
+    fine = np.arange(at[0], at[-1] + 0.5 * RULES.bin_width, RULES.bin_width)
+    fine[-1] = at[-1]
+    fit = fit_rational(lines, lines, weight, (at[0] - 0.5 * step, at[-1] + 0.5 * step), fine, 3)
+    return make_compliance(fine, fit.value, AXES, attrs={"poles": fit.poles.size})
+
+
+def _one_line_each(at: Real, compliance: Complex, step: float) -> Equations:
+    """Return bins that hold one line each, at the centre; four terms let the fit expand about the edge of a bin."""
+    terms = 4
+    gram = np.zeros((at.size, 1, terms, 3, terms, 3), dtype=complex)
+    gram[:, 0, 0, :, 0, :] = np.eye(3)
+    cross = np.zeros((at.size, 1, terms, 3, 3), dtype=complex)
+    cross[:, 0, 0] = compliance.swapaxes(1, 2)
+    joint = (compliance @ compliance.conj().swapaxes(1, 2))[:, None]
+    moment = np.zeros((at.size, 1, terms, terms))
+    moment[:, 0, 0, 0] = 3.0
+    return Equations(at, step, gram, cross, joint, moment)
+
+
+def _variance(source: xr.Dataset, known: NDArray[np.bool_], compliance: Complex) -> Real:
+    """Return the mean square error of each row, shape (lines, 3)."""
+    size = np.mean(np.abs(compliance) ** 2, axis=(0, 2))
+    least = np.maximum(RULES.least_error**2 * size, 1e-8 * size.max())
+    if "compliance_std" in source:
+        std = full_matrix(source.assign(compliance=source["compliance_std"].astype(complex))).real[known]
+        variance = np.mean(np.nan_to_num(std) ** 2, axis=2)
+    else:
+        # Of white noise the second difference has six times the variance; a median passes over the resonances.
+        bend = np.abs(np.diff(compliance, 2, axis=0)) ** 2 / 6.0 / np.log(2.0)
+        variance = np.broadcast_to(np.median(bend, axis=0).mean(axis=1), (compliance.shape[0], 3))
+    return np.asarray(np.maximum(variance, least))
+
+
+# --- the task --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -208,8 +267,8 @@ def _estimate(campaign: Campaign, limits: PlanTable, raw: Mapping[str, Any], pro
     found = identify_measurement(campaign, measured[name], progress).compliance
     array = found["compliance"]
     lacking = [a for a in AXES if a not in array["response"].values or a not in array["excitation"].values]
-    told = (f"'{name}' has no {', '.join(lacking)}; what was not measured is taken as rigid",) if lacking else ()
-    return Estimate(name, found, None, told, without_noise(found, limits.frequency_range))
+    warning = (f"'{name}' has no {', '.join(lacking)}; what was not measured is taken as rigid",) if lacking else ()
+    return Estimate(name, found, None, warning, without_noise(found, limits.frequency_range))
 
 
 def _of_scenario(path: Path, limits: PlanTable) -> Estimate:
@@ -221,82 +280,9 @@ def _of_scenario(path: Path, limits: PlanTable) -> Estimate:
     low, high = limits.feed or (0.0, 0.0)
     feed = {"x": 0.5 * (low + high)} if "x" in scenario.machine.axes else {}
     point = scenario.machine.at(feed, limits.controller)
-    grid = np.arange(1.0, 3.0 * limits.frequency_range[1], _GRID_STEP)
-    told = (
+    grid = np.arange(1.0, 3.0 * limits.frequency_range[1], RULES.axis_step)
+    warning = (
         f"the machine is taken for small vibration at a feed of {6e4 * feed.get('x', 0.0):g} mm/min in x; friction "
         "makes its compliance depend on feed and force",
     )
-    return Estimate(limits.scenario, point.compliance(grid), table, told)
-
-
-# --- What a measured estimate says of a machine without its noise: a rational model of the band that is planned for.
-
-
-STEP = 1.0 / 16.0
-"""Step of the frequency axis that comes back [Hz]."""
-
-MARGIN = 4.0
-"""How far beyond the band it reaches, where something was measured there [Hz]."""
-
-TERMS = 4
-"""Terms of the expansion about the edge of a bin."""
-
-LEAST = 1e-3
-"""Error over the rms of a row that a measured compliance has at least."""
-
-
-def without_noise(source: xr.Dataset, band: tuple[float, float]) -> xr.Dataset | None:
-    """Return a measured compliance as a rational model has it.
-
-    Parameters
-    ----------
-    source : xarray.Dataset
-        With ``compliance`` and, where it is known, ``compliance_std``; else the scatter between lines counts.
-    band : (float, float)
-        That is planned for [Hz].
-
-    Returns
-    -------
-    xarray.Dataset or None
-        On a fine frequency axis, what was not measured as zero; None where fewer than 16 lines were measured in the
-        band.
-    """
-    full = full_matrix(source)
-    known = np.isfinite(full).all(axis=(1, 2))
-    known &= np.abs(source["frequency"].values - 0.5 * sum(band)) <= 0.5 * (band[1] - band[0]) + MARGIN
-    at, compliance = source["frequency"].values[known], full[known]
-    if at.size < 16:
-        return None
-    step = float(np.median(np.diff(at)))
-    lines = _one_line_each(at, compliance, step)
-    weight = 1.0 / _variance(source, known, compliance)[:, None, :]
-    fine = np.arange(at[0], at[-1] + 0.5 * STEP, STEP)
-    fine[-1] = at[-1]
-    fit = fit_rational(lines, lines, weight, (at[0] - 0.5 * step, at[-1] + 0.5 * step), fine, 3)
-    return make_compliance(fine, fit.value, AXES, attrs={"poles": fit.poles.size})
-
-
-def _one_line_each(at: Real, compliance: Complex, step: float) -> Equations:
-    """Return bins that hold one line each, at the centre; the terms let the fit expand about the edge of a bin."""
-    gram = np.zeros((at.size, 1, TERMS, 3, TERMS, 3), dtype=complex)
-    gram[:, 0, 0, :, 0, :] = np.eye(3)
-    cross = np.zeros((at.size, 1, TERMS, 3, 3), dtype=complex)
-    cross[:, 0, 0] = compliance.swapaxes(1, 2)
-    joint = (compliance @ compliance.conj().swapaxes(1, 2))[:, None]
-    moment = np.zeros((at.size, 1, TERMS, TERMS))
-    moment[:, 0, 0, 0] = 3.0
-    return Equations(at, step, gram, cross, joint, moment)
-
-
-def _variance(source: xr.Dataset, known: NDArray[np.bool_], compliance: Complex) -> Real:
-    """Return the mean square error of each row, shape (lines, 3)."""
-    size = np.mean(np.abs(compliance) ** 2, axis=(0, 2))
-    least = np.maximum(LEAST**2 * size, 1e-8 * size.max())
-    if "compliance_std" in source:
-        std = full_matrix(source.assign(compliance=source["compliance_std"].astype(complex))).real[known]
-        told = np.mean(np.nan_to_num(std) ** 2, axis=2)
-    else:
-        # Of white noise the second difference has six times the variance; a median passes over the resonances.
-        bend = np.abs(np.diff(compliance, 2, axis=0)) ** 2 / 6.0 / np.log(2.0)
-        told = np.broadcast_to(np.median(bend, axis=0).mean(axis=1), (compliance.shape[0], 3))
-    return np.asarray(np.maximum(told, least))
+    return Estimate(limits.scenario, point.compliance(grid), table, warning)

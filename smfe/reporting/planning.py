@@ -52,7 +52,7 @@ def write_page(found: Plan, passes: pd.DataFrame, folder: Path) -> Path:
     found : Plan
         The plan.
     passes : pandas.DataFrame
-        `smfe.commands.plan.passes_table`.
+        `smfe.planning.sweep_files.passes_table`.
     folder : Path
         Where to.
 

@@ -706,7 +706,7 @@ def _with_rational(
         covariance=np.where(take[..., None, None], covariance, found.covariance),
         half_width=half_width,
         between=between,
-        freedom=np.where(take, 2.0 * fit.freedom / found.compliance.shape[1], found.freedom),
+        freedom=np.where(take, 2.0 * fit.degrees_of_freedom / found.compliance.shape[1], found.freedom),
         delay=delay_of(fit.poles, fit.residue, fit.residue_variance * scale, (float(f[0]), float(f[-1]))),
     )
 

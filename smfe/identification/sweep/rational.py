@@ -26,7 +26,7 @@ COARSE = 0.25
 """Width of the bins that are joined to find the poles [Hz]."""
 
 NARROW = 8.0
-"""A pole narrower than so many of them is polished with the finest bins: its third derivative shows within a bin."""
+"""A pole narrower than so many of them is polished with the finest bins: its third derivative counts within a bin."""
 
 MOST_ORDER = 6
 """Order of the smooth remainder at most."""
@@ -60,7 +60,7 @@ class RationalFit:
         Poles [Hz], imaginary part ``zeta f``.
     misfit : float
         Weighted mean square of the residual; 1 where the weights are the inverse noise and the model is right.
-    freedom : float
+    degrees_of_freedom : float
         Degrees of freedom of the residual, complex.
     value : ndarray of complex, shape (f, r, e)
         At the frequencies asked for [m/N].
@@ -72,7 +72,7 @@ class RationalFit:
         Between rows whose noise is independent: their poles are the same. Zero within a row.
     terms : int
         Functions of frequency an entry has.
-    entry_freedom : ndarray, shape (r, e)
+    entry_degrees_of_freedom : ndarray, shape (r, e)
         Degrees of freedom of the mean square error of an entry over the frequencies: how much it scatters.
     residue : ndarray of complex, shape (m, r, e)
         Amplitude of each pole [m/N Hz].
@@ -82,13 +82,13 @@ class RationalFit:
 
     poles: Complex
     misfit: float
-    freedom: float
+    degrees_of_freedom: float
     value: Complex
     covariance: Complex
     linear: Complex
     between: Complex
     terms: int
-    entry_freedom: Real
+    entry_degrees_of_freedom: Real
     residue: Complex
     residue_variance: Real
 
@@ -406,13 +406,13 @@ def _result(
         linear,
         between,
         n,
-        _entry_freedom(reach, within),
+        _entry_degrees_of_freedom(reach, within),
         np.asarray(at.amplitude[:, :m, :excitations].swapaxes(0, 1) / size[:m, None, None]),
         np.asarray(scatter / size[:m, None, None] ** 2),
     )
 
 
-def _entry_freedom(reach: Complex, spread: Complex | Real) -> Real:
+def _entry_degrees_of_freedom(reach: Complex, spread: Complex | Real) -> Real:
     """Return the degrees of freedom of the mean square error of each entry over all frequencies, shape (r, e).
 
     An error of covariance C has a mean square of mean ``tr C`` and variance ``tr C^2`` (circular): that of a chi-square

@@ -12,10 +12,12 @@ from places import DATASETS
 
 from process.errors import InputError
 from smfe import cli, simulate
-from smfe.commands.plan import Plan, Verification, explain, plan, recommend, verify
+from smfe.commands.plan import plan
 from smfe.planning.limits import KEYS
+from smfe.planning.recommend import Plan, recommend
 from smfe.planning.search import Search
 from smfe.planning.task import load_task
+from smfe.planning.verification import Verification, explain, verify
 from smfe.results import read_groups
 from smfe.scenario import load_scenario
 from stability import semi_discretization, zero_order
@@ -79,7 +81,7 @@ def test_the_passes_are_in_field_units_and_agree_with_each_other(found: tuple[Pl
     np.testing.assert_allclose(feed, table["feed_mm_min"], rtol=1e-6)
     np.testing.assert_allclose(table["feed_mm_min"] / 60.0 * table["duration_s"], table["length_of_cut_mm"], rtol=1e-6)
     assert (table["depth_of_cut_mm"] <= 0.5 * table["smallest_limit_depth_mm"]).all()
-    arc = sweep.passes[0].arc(sweep.tool.diameter)
+    arc = sweep.passes[0].engagement(sweep.tool.diameter)
     speeds = result.prediction["spindle_speed"].values
     machine, material = result.task.estimate.source, result.task.coefficients
     found = semi_discretization(machine, sweep.tool, arc, material, speeds)["limit_depth"].values

@@ -58,7 +58,7 @@ def published(width: float = 0.012, duration: float = 65.0, **changes: float) ->
 
 def spectrum(plan: SweepPlan, one: Pass, machine: ModalModel = STIFF) -> BlockSpectra:
     """Transform of the force of one pass, from the time simulation of the cut."""
-    cut = MillingCut(plan.tool, one.arc(plan.tool.diameter), MATERIAL, plan.depth, feed_rate=plan.feed_rate)
+    cut = MillingCut(plan.tool, one.engagement(plan.tool.diameter), MATERIAL, plan.depth, feed_rate=plan.feed_rate)
     spindle = Spindle(plan.start - plan.lead * plan.acceleration, plan.acceleration)
     record = simulate_milling(machine, cut, spindle, plan.duration, 2000.0, plan.lead, plan.tail)
     return whole_record(record, (5.0, 100.0), ["x", "y", "z"])
@@ -66,7 +66,7 @@ def spectrum(plan: SweepPlan, one: Pass, machine: ModalModel = STIFF) -> BlockSp
 
 def predicted(plan: SweepPlan, one: Pass, frequency: np.ndarray) -> np.ndarray:
     orders = orders_within(plan.tooth_passing, float(frequency.max()))
-    parts = unit_harmonics(plan.tool, one.arc(plan.tool.diameter), MATERIAL, plan.depth, orders)
+    parts = unit_harmonics(plan.tool, one.engagement(plan.tool.diameter), MATERIAL, plan.depth, orders)
     return energy(frequency, parts, orders, plan.tooth_passing, plan.duration, plan.feed_rate)
 
 
