@@ -84,19 +84,11 @@ def _force_errors(family: DriveRecordFamily, finding: Finding, aside: Sequence[s
 
 
 def stable_depths(campaign: Campaign, baseline: AxisBaseline, values: Values) -> tuple[StableDepth, ...]:
-    """Return the limit depths at the speeds of the lobes and cutting tests that a campaign asks for.
+    """Return the zero-order limit depths at the speeds of the lobes and cutting tests that a campaign asks for.
 
     The machine is linearised for small vibration about the feed of the cut, ``feed_per_tooth teeth n``; directions
-    other than the axis are rigid. Zero-order method.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        With tool and work material; without them, or without lobes and cutting tests, nothing is returned.
-    baseline : AxisBaseline
-        The axis as the campaign gives it.
-    values : mapping
-        Parameters of the extended model (SI).
+    other than the axis are rigid. `values` are those of the extended model (SI). Without tool, work material, lobes and
+    cutting tests nothing is returned.
     """
     given: Mapping[str, float] = {
         p.name: p.start for p in (*baseline.nuisances(), *(p for c in baseline.causes() for p in c.parameters))

@@ -36,18 +36,10 @@ _ANGLES = 360  # of one revolution, where the start of a record is looked for
 
 @dataclass(frozen=True)
 class KnownForce:
-    """A constant force that is known, on the force sensor: a weight, a calibrated screw.
+    """A constant force that is known, on the force sensor: a weight, a calibrated screw."""
 
-    Parameters
-    ----------
-    force : tuple of float
-        Along x, y, z [N], as the sensor should show it.
-    std : float
-        What force and reading are uncertain by [N].
-    """
-
-    force: tuple[float, float, float]
-    std: float
+    force: tuple[float, float, float]  # along x, y, z [N], as the sensor should show it
+    std: float  # what force and reading are uncertain by [N]
 
 
 @dataclass(frozen=True)

@@ -50,58 +50,26 @@ _HEARD = 0.02
 
 @dataclass(frozen=True)
 class Trial:
-    """One cutting test.
+    """One cutting test."""
 
-    Parameters
-    ----------
-    spindle_speed : float
-        [rpm].
-    depth : float
-        Axial depth [m].
-    chatter : bool
-        Whether it chattered.
-    frequency : float, optional
-        Chatter frequency [Hz].
-    """
-
-    spindle_speed: float
-    depth: float
-    chatter: bool
-    frequency: float | None = None
+    spindle_speed: float  # [rpm]
+    depth: float  # axial depth [m]
+    chatter: bool  # whether it chattered
+    frequency: float | None = None  # chatter frequency [Hz]
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit as it was found, or one that could be looked for.
+    """A limit as it was found, or one that could be looked for."""
 
-    Parameters
-    ----------
-    spindle_speed : float
-        [rpm].
-    depth : float, optional
-        Axial depth [m]; None: not tested yet.
-    depth_std : float, optional
-        Standard deviation of its logarithm; the `MODEL_FLOOR` is added.
-    frequency : float, optional
-        Chatter frequency [Hz].
-    frequency_std : float, optional
-        Its standard deviation [Hz]; the `FREQUENCY_FLOOR` is added.
-    feed_per_tooth : float, optional
-        [m]; with the depth it sets how hard the machine is shaken.
-    arc : Engagement, optional
-        Where it differs from the family's.
-    name : str, optional
-        For people; default made of speed and feed per tooth.
-    """
-
-    spindle_speed: float
-    depth: float | None = None
-    depth_std: float = 0.03
-    frequency: float | None = None
-    frequency_std: float = 0.5
-    feed_per_tooth: float = 1e-4
-    arc: Engagement | None = None
-    name: str = ""
+    spindle_speed: float  # [rpm]
+    depth: float | None = None  # axial depth [m]; None: not tested yet
+    depth_std: float = 0.03  # standard deviation of its logarithm; the `MODEL_FLOOR` is added
+    frequency: float | None = None  # chatter frequency [Hz]
+    frequency_std: float = 0.5  # its standard deviation [Hz]; the `FREQUENCY_FLOOR` is added
+    feed_per_tooth: float = 1e-4  # [m]; with the depth it sets how hard the machine is shaken
+    arc: Engagement | None = None  # where it differs from the family's
+    name: str = ""  # for people; default made of speed and feed per tooth
 
     @property
     def words(self) -> str:
@@ -273,13 +241,7 @@ class CuttingLimits(Abilities):
         return modal_crossings(self.changed(values, limit), loop)
 
     def predict(self, condition: Condition, values: Values) -> Real:
-        """Return log depth and chatter frequency, whitened like the data.
-
-        Raises
-        ------
-        InputError
-            Where no depth is unstable.
-        """
+        """Return log depth and chatter frequency, whitened like the data; `InputError` where no depth is unstable."""
         known = _known(condition)
         depth, frequency = self.limits_at(known.limit, values)
         if not depth.size:

@@ -99,12 +99,8 @@ def cutting_orders(
     """Return the spindle orders of a record of a steady cut.
 
     The standard deviation is that of the mean over blocks of four revolutions, with their correlation, and what a model
-    is not expected to reach: shares of the alternating force along the axis and in all.
-
-    Raises
-    ------
-    InputError
-        When the record has no three forces, or less than forty revolutions.
+    is not expected to reach: shares of the alternating force along the axis and in all. `InputError` when the record
+    has not three forces, or less than forty revolutions.
     """
     if "force" not in record or set(map(str, record["axis"].values)) != set(AXES):
         raise InputError("the forces along x, y and z are needed; declare the channels force_x, force_y and force_z")
@@ -145,18 +141,7 @@ def _by_block(force: Real, step: float, blocks: int, count: int) -> Complex:
 def find_rotation(force: Real, dt: float, nominal: float, teeth: int, reach: float = 0.01) -> float:
     """Return the spindle speed [rad/s] near a nominal one that puts most power into the spindle orders.
 
-    Parameters
-    ----------
-    force : ndarray, shape (3, n)
-        Forces [N].
-    dt : float
-        Sampling interval [s].
-    nominal : float
-        Nominal speed [rad/s].
-    teeth : int
-        Number of teeth.
-    reach : float, optional
-        Largest relative deviation that is searched.
+    Forces (3, n) [N] at an interval dt [s]; deviations of 1 % from the nominal speed [rad/s] are searched.
     """
     turn = max(1, round(2.0 * math.pi / (nominal * dt)))
     blocks = force.shape[1] // turn

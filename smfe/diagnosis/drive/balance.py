@@ -57,23 +57,11 @@ class Channels:
 
 
 def check_balance(force: Real, acceleration: Real, velocity: Real, mass: float | None) -> None:
-    """Refuse force and motion that cannot be those of an axis: a sign or a unit is wrong.
+    """Refuse force [N] and motion [m/s2, m/s] of one band that cannot be those of an axis: a sign or a unit is wrong.
 
-    Least squares of ``F = M x'' + sigma x' + F0`` says what mass is moved, wherever inertia is a good part of the
-    force. And an axis takes up energy: over a closed path, ``int (F - F0) x' dt >= 0`` but for the kinetic energy at
-    its beginning.
-
-    Parameters
-    ----------
-    force, acceleration, velocity : ndarray, shape (n,)
-        Drive force [N], and motion [m/s2], [m/s], in the same band.
-    mass : float or None
-        Moved mass [kg], if it is known.
-
-    Raises
-    ------
-    InputError
-        When the mass is negative, or beyond a factor of ten of the known one, or the axis gives out energy.
+    Least squares of ``F = M x'' + sigma x' + F0`` gives the mass that is moved, wherever inertia is a good part of the
+    force: it must be positive, and within a factor of ten of the mass [kg] that is known. And an axis takes up energy:
+    over a closed path, ``int (F - F0) x' dt >= 0`` but for the kinetic energy at its beginning.
     """
     columns = np.stack([acceleration, velocity, np.ones_like(velocity)], axis=1)
     moved = float(np.linalg.lstsq(columns, force, rcond=None)[0][0])
@@ -159,16 +147,8 @@ def balance_of(
 ) -> Balance:
     """Return the balance of a record in a band [Hz].
 
-    Parameters
-    ----------
-    raw : Channels
-        Record.
-    cutoff : float
-        Band [Hz].
-    limit : float or None
-        Drive force beyond which the reference may lose some [N].
-    lead, line : float, optional
-        Wavelength [m] and frequency [Hz] of waves that the reference has.
+    `limit` is the drive force [N] beyond which the reference may lose some; `lead` [m] and `line` [Hz] are wavelength
+    and frequency of waves that the reference has.
     """
     every = int(0.5 / (cutoff * raw.step) * (1.0 + 1e-9))
     if every < 2:

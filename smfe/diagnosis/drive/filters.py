@@ -182,18 +182,7 @@ def presliding(
 
     At the first sample it slides. With the sample interval `step` [s] a reversal is where the velocity passes zero
     between two samples: within a millisecond an axis goes back by a good part of the distance over which its friction
-    gives way.
-
-    Parameters
-    ----------
-    position, velocity : ndarray, shape (n,)
-        Of the axis [m], [m/s].
-    slide : float
-        Distance [m].
-    step : float, optional
-        Sample interval [s]; zero: reversals are at samples.
-    turns : tuple, optional
-        What `reversals` found.
+    gives way. `turns` are the `reversals`.
     """
     way, found = reversals(position, velocity) if turns is None else turns
     out = np.full(velocity.size, way)
@@ -209,16 +198,9 @@ def presliding(
 
 
 class Path:
-    """Position and velocity of a whole record in the widest band that its encoder allows.
+    """Position [m] and velocity [m/s] of a whole record in the widest band that its encoder allows.
 
-    Parameters
-    ----------
-    position, velocity : ndarray, shape (n,)
-        Of the axis [m], [m/s].
-    step : float
-        Sample interval [s].
-    least : float, optional
-        Way back [m] from which a reversal counts.
+    A reversal counts from a way back of `least` [m].
     """
 
     def __init__(self, position: Real, velocity: Real, step: float, least: float = 0.0) -> None:

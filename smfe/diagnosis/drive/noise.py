@@ -62,16 +62,11 @@ class Whitener:
 
 
 def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> Whitener:
-    """Return the whitener of residuals, one array a move.
+    """Return the whitener of what least squares has left in each move.
 
-    Parameters
-    ----------
-    residuals : sequence of ndarray
-        What least squares has left in each move.
-    regressors : ndarray, shape (n, k), optional
-        Of that least squares, over all moves: what they have taken from the noise, most of it slow, is put back. Noise
-        is drawn from the autoregression and projected off them; the covariances are moved until those of the draws are
-        the ones observed.
+    What its `regressors`, (n, k) over all moves, have taken from the noise, most of it slow, is put back: noise is
+    drawn from the autoregression and projected off them; the covariances are moved until those of the draws are the
+    ones observed.
     """
     kept = _kept(residuals)
     observed, values = _covariances(residuals, kept), _values(residuals, kept)
@@ -100,18 +95,9 @@ def without_memory(residuals: Sequence[Real]) -> Whitener:
 def learned_again(
     found: Whitener, residuals: Sequence[Real], regressors: Real, draws: int
 ) -> Iterator[tuple[Whitener, Sequence[Real]]]:
-    """Yield whiteners that records of the noise of one would give, and what the least squares leaves of each record.
+    """Yield whiteners that records of the noise of `found` would give, and what least squares leaves of each record.
 
-    Parameters
-    ----------
-    found : Whitener
-        Whose noise is drawn.
-    residuals : sequence of ndarray
-        That it was learned from (`fit_whitener`).
-    regressors : ndarray, shape (n, k)
-        Of the least squares.
-    draws : int
-        How many.
+    `residuals` and `regressors` are those that `found` was learned from (`fit_whitener`).
     """
     kept, basis, sizes = _kept(residuals), _orthonormal(regressors), [r.size for r in residuals]
     whole = _coloured(found, np.random.default_rng(1).standard_normal((draws, RULES.settles + sum(sizes))))
@@ -126,16 +112,7 @@ def freedom_left(found: Whitener, residuals: Sequence[Real], regressors: Real) -
     """Return the sum of squares that white noise of one unit leaves of each move behind least squares, whitened.
 
     It is the number of whitened values less what the least squares takes, most of it from slow noise and from moves
-    that few others are like.
-
-    Parameters
-    ----------
-    found : Whitener
-        Whose noise is drawn.
-    residuals : sequence of ndarray
-        What the least squares has left of each move; only their sizes count.
-    regressors : ndarray, shape (n, k)
-        Of the least squares.
+    that few others are like. Of the residuals only their sizes count.
     """
     sizes = [r.size for r in residuals]
     white = np.random.default_rng(2).standard_normal((RULES.drawn, RULES.settles + sum(sizes)))
@@ -241,15 +218,7 @@ def usable_band(force: Real, left: Real, step: float, highest: float, runs: Sequ
 
 
 def unbroken(runs: Sequence[int], order: int) -> Real:
-    """Return 1 for each whitened value whose `order` values before are of its own run, else 0.
-
-    Parameters
-    ----------
-    runs : sequence of int
-        Numbers of values that follow each other without a gap.
-    order : int
-        Of the whitener.
-    """
+    """Return 1 for each whitened value whose `order` values before are of its own run without a gap, else 0."""
     found = np.ones(sum(runs) - order)
     for joint in np.cumsum(runs)[:-1]:
         found[max(joint - order, 0) : joint] = 0.0
@@ -259,29 +228,12 @@ def unbroken(runs: Sequence[int], order: int) -> Real:
 def strongest_wave(
     phase: Real, left: Real, whitener: Whitener, lowest: float, highest: float, runs: Sequence[int] = ()
 ) -> tuple[float, float] | None:
-    """Return the wave over time or position that explains most of a residual, and how likely noise alone is as good.
+    """Return the wave that explains most of a residual [N], in cycles per second or metre, and its p-value.
 
-    Least squares of cosine and sine in the whitened residual. Noise reaches twice ``z`` somewhere between the lowest
-    and the highest wave with a chance of ``W sqrt(z) exp(-z)``, ``W = (highest - lowest) sqrt(4 pi var(phase))``
-    (Baluev, MNRAS 385, 2008): looking everywhere is paid for.
-
-    Parameters
-    ----------
-    phase : ndarray, shape (n,)
-        Time [s] or position [m] of the residual.
-    left : ndarray, shape (n,)
-        Residual [N].
-    whitener : Whitener
-        Of the residual.
-    lowest, highest : float
-        Cycles per second or per metre.
-    runs : sequence of int, optional
-        Numbers of values that follow each other without a gap; default: all do.
-
-    Returns
-    -------
-    tuple or None
-        Cycles per second or metre, and the chance; None where there is no room between lowest and highest.
+    Least squares of cosine and sine over the phase, time [s] or position [m], in the whitened residual. Noise reaches
+    twice ``z`` somewhere between the lowest and the highest wave with a probability of ``W sqrt(z) exp(-z)``, ``W =
+    (highest - lowest) sqrt(4 pi var(phase))`` (Baluev, MNRAS 385, 2008), which pays for looking everywhere. None where
+    there is no room between lowest and highest. `runs` are numbers of values that follow each other without a gap.
     """
     waves = np.arange(lowest, highest, 0.2 / max(float(np.ptp(phase)), 1e-300))
     if waves.size == 0:
@@ -312,19 +264,8 @@ def _powers(waves: Real, phase: Real, white: Real, whitener: Whitener, used: Rea
 def boxes(left: Real, whitener: Whitener, time: Real, runs: Sequence[int]) -> tuple[tuple[float, float, float], ...]:
     """Return begin, end [s] and sign of the boxes that noise does not explain; none as a rule.
 
-    Boxes of 50, 100, 200 and 400 ms are moved over the residual; of the width that stands out most, all beyond 5.5
+    Boxes of 50, 100, 200 and 400 ms are moved over the residual [N]; of the width that stands out most, all beyond 5.5
     standard deviations that do not overlap, as noise of a hundred thousand places has but once in a hundred times.
-
-    Parameters
-    ----------
-    left : ndarray, shape (n,)
-        Residual [N].
-    whitener : Whitener
-        Of the residual.
-    time : ndarray, shape (n,)
-        Of its values [s].
-    runs : sequence of int
-        Numbers of values that follow each other without a gap.
     """
     step, used = float(time[1] - time[0]), unbroken(runs, whitener.order)
     white = whitener(left) * used
@@ -366,19 +307,7 @@ class NoiseDraw:
 def noise_draws(
     whitener: Whitener, residuals: Sequence[Real], regressors: Real, kinds: Sequence[object]
 ) -> tuple[NoiseDraw, ...]:
-    """Learn a whitener again from records that it would give.
-
-    Parameters
-    ----------
-    whitener : Whitener
-        As it was learned.
-    residuals : sequence of ndarray
-        What the reference left in each move.
-    regressors : ndarray, shape (n, k)
-        The reference.
-    kinds : sequence
-        Kind of each move.
-    """
+    """Learn a whitener again from records that it would give: what the reference left in each move, and its kind."""
     below = np.concatenate(([1.0], whitener.coefficients))
     expected: dict[object, float] = {}
     for kind, freedom in zip(kinds, freedom_left(whitener, residuals, regressors), strict=True):

@@ -201,13 +201,7 @@ class DriveRecordFamily(Abilities):
         raise InputError(f"condition {condition.name} is not one of this family")
 
     def noises(self, columns: Sequence[tuple[Condition, Real]]) -> list[Real]:
-        """Return products of the columns of all conditions, (m, m): one covariance for each noise that may be true.
-
-        Parameters
-        ----------
-        columns : sequence of tuple
-            Conditions in their order in time, with an array (n, m) each.
-        """
+        """Return products of the columns of all conditions, (m, m): one covariance for each noise that may be true."""
         moving = [(c, x) for c, x in columns if isinstance(c.data, ForceData)]
         others = [x for c, x in columns if not isinstance(c.data, ForceData)]
         rest = sum((x.T @ x for x in others), np.zeros((columns[0][1].shape[1],) * 2))

@@ -35,17 +35,7 @@ class Detectable:
 
 
 def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...]:
-    """Return the detectable size of each parameter of each cause that is not in the fit, at a threshold.
-
-    Parameters
-    ----------
-    model : Model
-        What predicts.
-    at : Tangent
-        The fit, linearised.
-    limit : float
-        Threshold of ``LR - 2 parameters``.
-    """
+    """Return the detectable size of each parameter of each cause that is not in the fit, at a limit of ``LR - 2 p``."""
     found = []
     for k, cause in enumerate(model.causes):
         own = [s for s in at.signatures if s.cause == k]

@@ -108,74 +108,38 @@ class BaselineParameter:
 
 @dataclass(frozen=True)
 class Finding:
-    """A diagnosis.
-
-    Attributes
-    ----------
-    verdict : {"consistent", "named", "ambiguous", "unknown", "insufficient_data"}
-        The verdict.
-    reason : str
-        What it rests on.
-    causes : tuple of FoundCause
-        Causes of the best model. Each has passed the calibrated threshold and gains on held-out conditions, whatever
-        the verdict; the verdict says whether they are all ("named"), whether another could stand in for one of them
-        ("ambiguous", see `alternatives`), or whether something else is left ("unknown", see `remainder`).
-    alternatives : tuple of tuple of FoundCause
-        Sets that cannot be told apart; each begins with the cause that fits best. Causes of the best model that are in
-        none are certain.
-    search_steps : tuple of SearchStep
-        Steps of the search.
-    misfit_before_db, misfit_after_db : float or None
-        Misfit of the baseline and of the best model, over noise; 0 dB is noise alone.
-    gain : Gain or None
-        Of all causes together, on conditions held out in turn.
-    held_out_gain : Gain or None
-        The same on the conditions that were set aside beforehand and opened at the end.
-    remainder : Remainder or None
-        What the best model leaves.
-    detectable : tuple of Detectable
-        Size of each cause that would have been seen in the baseline's residual with 95 %.
-    inseparable : tuple of tuple of str
-        Causes that do nearly the same in these conditions: only strong effects can be told apart.
-    unconverged : mapping
-        Hypothesis -> why its fit was not used.
-    next_experiment : Proposal or None
-        What would settle what is open.
-    threshold : float
-        Of the likelihood ratio of the first cause, less two for each of its parameters.
-    conditions : tuple of ConditionMisfit
-        Misfit of each condition before and after.
-    values, values_before : mapping
-        Parameters of the best model, and of the baseline fitted to the same data (SI).
-    stable_depth : tuple of StableDepth
-        Where the finding repairs the machine of a campaign that asks for stable depths.
-    force_error : tuple of ForceError
-        Where it repairs the model of a drive.
-    baseline : tuple of BaselineParameter
-        The baseline's own parameters, as given and as fitted: a verdict is about what is beyond them.
-    """
+    """A diagnosis: a verdict and what it rests on."""
 
     verdict: Verdict
-    reason: str
+    reason: str  # what it rests on
     causes: tuple[FoundCause, ...] = ()
+    """Causes of the best model. Each has passed the calibrated threshold and gains on held-out conditions, whatever the
+    verdict; the verdict says whether they are all ("named"), whether another could stand in for one of them
+    ("ambiguous", see `alternatives`), or whether something else is left ("unknown", see `remainder`)."""
     alternatives: tuple[tuple[FoundCause, ...], ...] = ()
-    search_steps: tuple[SearchStep, ...] = ()
-    misfit_before_db: float | None = None
-    misfit_after_db: float | None = None
-    gain: Gain | None = None
-    held_out_gain: Gain | None = None
-    remainder: Remainder | None = None
+    """Sets that the data do not separate; each begins with the cause that fits best. Causes of the best model that are
+    in none are certain."""
+    search_steps: tuple[SearchStep, ...] = ()  # steps of the search
+    misfit_before_db: float | None = None  # of the baseline, over noise; 0 dB is noise alone
+    misfit_after_db: float | None = None  # of the best model
+    gain: Gain | None = None  # of all causes together, on conditions held out in turn
+    held_out_gain: Gain | None = None  # the same on the conditions that no fit used
+    remainder: Remainder | None = None  # what the best model leaves
     detectable: tuple[Detectable, ...] = ()
+    """Size of each cause that would have been seen in the baseline's residual with 95 %."""
     inseparable: tuple[tuple[str, ...], ...] = ()
-    unconverged: tuple[tuple[str, str], ...] = ()
-    next_experiment: Proposal | None = None
-    threshold: float | None = None
-    conditions: tuple[ConditionMisfit, ...] = ()
-    values: Mapping[str, float] = field(default_factory=dict)
-    values_before: Mapping[str, float] = field(default_factory=dict)
+    """Causes that do nearly the same in these conditions: only strong effects are separated."""
+    unconverged: tuple[tuple[str, str], ...] = ()  # hypothesis -> why its fit was not used
+    next_experiment: Proposal | None = None  # what would settle what is open
+    threshold: float | None = None  # of the likelihood ratio of the first cause, less two for each of its parameters
+    conditions: tuple[ConditionMisfit, ...] = ()  # misfit of each condition before and after
+    values: Mapping[str, float] = field(default_factory=dict)  # parameters of the best model (SI)
+    values_before: Mapping[str, float] = field(default_factory=dict)  # of the baseline, fitted to the same data
     stable_depth: tuple[StableDepth, ...] = ()
-    force_error: tuple[ForceError, ...] = ()
+    """Where the finding repairs the machine of a campaign that asks for stable depths."""
+    force_error: tuple[ForceError, ...] = ()  # where it repairs the model of a drive
     baseline: tuple[BaselineParameter, ...] = ()
+    """The baseline's own parameters, as given and as fitted: a verdict is about what is beyond them."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for ``finding.json``; numbers that are not finite become None."""
@@ -211,13 +175,7 @@ def _plain(x: Any) -> Any:
 
 
 def explain(finding: Finding) -> str:
-    """Say a finding in plain sentences.
-
-    Parameters
-    ----------
-    finding : Finding
-        From `smfe.diagnosis.inference.diagnose.diagnose`.
-    """
+    """Say a finding in plain sentences, one a line."""
     opening = _PARTLY if finding.verdict == "unknown" and finding.causes else _OPENING[finding.verdict]
     parts = [f"{opening}: {finding.reason}.", *_misfit(finding), *_own(finding.baseline)]
     parts += [_cause(c) for c in finding.causes]

@@ -189,25 +189,9 @@ class _State:
 def fit(
     model: Model, target: Target, causes: Sequence[int], start: Real, slope: Mapping[int, Real] | None = None
 ) -> Fit:
-    """Fit the nuisances and some causes.
+    """Fit the nuisances and some causes, beginning with slopes of another hypothesis where they are given.
 
-    Parameters
-    ----------
-    model : Model
-        What predicts.
-    target : Target
-        Data and priors.
-    causes : sequence of int
-        Numbers of the causes that are free; all others stay where `start` has them.
-    start : ndarray
-        All scaled parameters.
-    slope : mapping, optional
-        Slopes to begin with, as known from another hypothesis; they need not belong to `start`.
-
-    Returns
-    -------
-    Fit
-        With `converged` False and a reason where it may not be used.
+    All other causes stay where `start` has them. A fit that has not converged, and may not be used, says why.
     """
     chosen = tuple(sorted(causes))
     free = model.free(chosen)
@@ -249,12 +233,7 @@ def approach(
 ) -> Fit | None:
     """Fit with given slopes only, corrected on the way; None where nothing is predicted.
 
-    Parameters
-    ----------
-    model, target, causes, start, slope
-        As in `fit`.
-    most : float, optional
-        Largest misfit that would matter: what will not come below it has lost, and is followed no further.
+    A fit that will not come below `most`, the largest misfit that would matter, has lost and is followed no further.
     """
     chosen = tuple(sorted(causes))
     free = model.free(chosen)

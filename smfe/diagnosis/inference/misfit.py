@@ -65,16 +65,9 @@ KNOWN = NoiseKnowledge()
 
 
 def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseKnowledge = KNOWN) -> Misfit:
-    """Test residuals whose covariance is ``I - L L^T`` (they were fitted) or ``I + L L^T`` (they were held out).
+    """Test residuals whose covariance is ``I - L L^T`` (fitted: it shrinks) or ``I + L L^T`` (held out).
 
-    Parameters
-    ----------
-    groups : sequence of Group
-        Conditions that were fitted, or held out, together.
-    shrinks : bool
-        Whether they were fitted.
-    noise : NoiseKnowledge, optional
-        How well the noise is known: Fisher's F in place of chi-square.
+    Where the noise was measured itself, Fisher's F takes the place of chi-square.
     """
     sign = -1.0 if shrinks else 1.0
     whole = slow = np.zeros(2)

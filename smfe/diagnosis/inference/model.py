@@ -33,14 +33,7 @@ Stencil = Sequence[tuple[float, float]]
 class Model:
     """Predictions of a family, as functions of one vector of scaled parameters.
 
-    Parameters
-    ----------
-    family : Family
-        What predicts.
-    conditions : sequence of Condition
-        All that may be asked for: measured, held out and proposed.
-    helpers : Helpers, optional
-        Processes that predict where it takes long.
+    `conditions` are all that may be asked for: measured, held out and proposed. `helpers` predict where it takes long.
     """
 
     def __init__(self, family: Family, conditions: Sequence[Condition], helpers: Helpers | None = None) -> None:

@@ -53,20 +53,9 @@ def probability_to_settle(found: float) -> float:
 
 
 def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int], title: str = "") -> list[Proposal]:
-    """Rank proposals, the one that is expected to settle the matter soonest first.
+    """Rank proposals (rows) by how soon they are expected to decide between hypotheses, `title`, the soonest first.
 
-    Only the `InferenceRules.proposals_tried` that could tell most, if no parameter gave way, are examined.
-
-    Parameters
-    ----------
-    model, target : Model, Target
-        What predicts; the data measured so far.
-    open_ : sequence of Fit
-        Hypotheses that remain.
-    rows : sequence of int
-        Conditions that could be measured.
-    title : str, optional
-        What the hypotheses are about, for the words.
+    Only the proposals that separate most, if no parameter gave way, are examined.
     """
     found = []
     for row in _promising(model, open_, rows):
@@ -111,19 +100,7 @@ def _stated_minutes(model: Model, row: int) -> float | None:
 
 
 def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Sequence[int]) -> Proposal | None:
-    """Return the proposal that shows most of what the measured conditions hide; None where none does.
-
-    Parameters
-    ----------
-    model, target : Model, Target
-        What predicts; the data measured so far.
-    null : Fit
-        The baseline, fitted.
-    limit : float
-        Threshold of ``LR - 2 parameters``.
-    rows : sequence of int
-        Conditions that could be measured.
-    """
+    """Return the proposal (row) that shows most of what the measured conditions hide; None where none does."""
     before = _sizes(model, detectable(model, tangent(model, target, null), limit))
     hidden = {key: size for key, size in before.items() if size > 1.0}
     best: tuple[float, int, dict[tuple[str, str], float]] | None = None

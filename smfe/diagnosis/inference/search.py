@@ -363,19 +363,9 @@ def _products(options: Sequence[Sequence[Signature]]) -> list[tuple[Signature, .
 
 
 def search(bench: Bench, most: int = RULES.most_causes) -> tuple[Fit, list[Step]]:
-    """Take causes in as long as they pass, and drop what has become idle.
+    """Add causes as long as they pass, and drop what has become idle.
 
-    Parameters
-    ----------
-    bench : Bench
-        Fits and data.
-    most : int, optional
-        Causes at which the search ends.
-
-    Returns
-    -------
-    tuple
-        The fit that remains and the steps that led there, refused steps included.
+    Return the fit that remains and the steps that led there, refused ones included.
     """
     at = bench.null()
     seen: set[tuple[int, ...]] = {()}
@@ -583,19 +573,7 @@ class Change:
 
 
 def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: float = RULES.changing) -> Change | None:
-    """Return the parameter that differs most between the conditions; None where no setting contrasts them.
-
-    Parameters
-    ----------
-    model : Model
-        With the conditions.
-    at : Tangent
-        The fit.
-    rng : numpy.random.Generator
-        Draws the threshold.
-    chance : float, optional
-        Of noise alone to be above the threshold.
-    """
+    """Return the parameter that differs most between the conditions; None where no setting contrasts them."""
     found = list(_patterns(model, at))
     if not found:
         return None

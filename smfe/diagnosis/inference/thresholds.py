@@ -92,21 +92,8 @@ def products_of_noise(
 ) -> list[Real]:
     """Draw products of noise with columns X of residuals, (draws, m): Gaussian with the covariance ``X^T X``.
 
-    A family may know several noises that its data could have come from (``noises``: columns of conditions to
-    covariances); then as many draws come from each.
-
-    Parameters
-    ----------
-    model : Model
-        With the family.
-    at : Tangent
-        Whose residuals they are.
-    columns : sequence of ndarray, shape (N, m)
-        The same draws of noise are multiplied with all of them.
-    rng : numpy.random.Generator
-        Draws.
-    draws : int
-        How many, at the least.
+    The same noise is multiplied with all columns. Of a family that knows several noises that its data could have come
+    from as many draws come from each.
     """
     if not columns:
         return []
@@ -121,14 +108,7 @@ def products_of_noise(
 def covariances_of_noise(model: Model, residual: Mapping[int, Real], columns: Real) -> Sequence[Real]:
     """Return the covariance of products of noise with columns X, (m, m): ``X^T X``, or one for each noise it may be.
 
-    Parameters
-    ----------
-    model : Model
-        With the family.
-    residual : mapping
-        Residuals of the conditions, in the order of the rows of X.
-    columns : ndarray, shape (N, m)
-        Rows of the data, then of the priors, whose noise is known.
+    The rows of X are those of the residuals, then of the priors, whose noise is known.
     """
     parts = np.split(columns, np.cumsum([r.size for r in residual.values()]))
     found = model.family.noises([(model.conditions[r], x) for r, x in zip(residual, parts[:-1], strict=True)])

@@ -49,19 +49,7 @@ def judge(
     steps: Sequence[Step],
     sizes: Sequence[Detectable],
 ) -> Judgement:
-    """Judge the outcome of a search.
-
-    Parameters
-    ----------
-    bench : Bench
-        Fits and data.
-    at : Fit
-        What the search ended with.
-    steps : sequence of Step
-        Its steps.
-    sizes : sequence of Detectable
-        What would have been seen.
-    """
+    """Judge the fit and the steps that a search ended with, given what would have been seen."""
     if not at.causes:
         return _without_cause(bench, at, steps, sizes)
     gain = bench.gain(bench.null(), at)

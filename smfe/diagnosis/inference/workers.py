@@ -42,18 +42,7 @@ def cores() -> int:
 
 
 class Helpers:
-    """Processes that predict for one model at a time.
-
-    Parameters
-    ----------
-    count : int, optional
-        How many; default: one a core, no more than `InferenceRules.most_workers`. With one, nobody helps.
-
-    Raises
-    ------
-    InputError
-        For fewer than one.
-    """
+    """Processes that predict for one model at a time: by default one a core, `RULES.most_workers` at most."""
 
     def __init__(self, count: int | None = None) -> None:
         if count is not None and count < 1:
