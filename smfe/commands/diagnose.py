@@ -43,8 +43,8 @@ def diagnose(
     seed : int, optional
         Of all draws.
     held_out : sequence of str, optional
-        Measurements, or files of cutting tests, that are set aside and opened once, at the very end, besides those
-        that the campaign marks so.
+        Measurements, or files of cutting tests, that no fit uses: they are compared once, at the very end, besides
+        those that the campaign marks so.
     progress : callable, optional
         Called with (what, done, of).
     licence : callable, optional
@@ -69,7 +69,7 @@ def diagnose(
     checked = audited(loaded, progress, path.parent / KEPT)
     suspects = checked.suspects
     case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), progress)
-    finding, content = _questioned(loaded, case, suspects, seed, progress, held_out, workers)
+    finding, content = _tested(loaded, case, suspects, seed, progress, held_out, workers)
     write_json(path, content)
     return finding
 
@@ -82,7 +82,7 @@ def finding_of(
 ) -> dict[str, object]:
     """Return what ``finding.json`` holds for a campaign with a baseline that was audited and identified already."""
     case = case_of(*_usable(campaign, Audit(list(suspects)).excluded, found), progress)
-    return _questioned(campaign, case, suspects, 0, progress, ())[1]
+    return _tested(campaign, case, suspects, 0, progress, ())[1]
 
 
 def _usable(
@@ -96,7 +96,7 @@ def _usable(
     return replace(campaign, measurements=measurements, cutting_tests=tests), kept
 
 
-def _questioned(
+def _tested(
     campaign: Campaign,
     case: Case,
     suspects: Sequence[Suspect],
@@ -105,9 +105,9 @@ def _questioned(
     held_out: Sequence[str],
     workers: int | None = None,
 ) -> tuple[Finding, dict[str, object]]:
-    aside = case.set_aside(held_out)
-    finding = diagnose_family(case.family, seed, progress, aside, workers)
-    finding = with_consequences(campaign, case.family, finding, aside)
+    left_out = case.held_out_conditions(held_out)
+    finding = diagnose_family(case.family, seed, progress, left_out, workers)
+    finding = with_consequences(campaign, case.family, finding, left_out)
     return finding, {"campaign": campaign.name, **as_dict(finding, [*suspects, *case.suspects])}
 
 

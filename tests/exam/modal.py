@@ -18,7 +18,7 @@ from truth.modal_machine import (
 
 from process.machine.modes import ModalModel
 from smfe.diagnosis.frf.modes import ModalFrfs
-from smfe.diagnosis.frf.noise import Excited, freedom_of
+from smfe.diagnosis.frf.noise import Excited, degrees_of_freedom_of
 from smfe.diagnosis.inference.problem import Condition
 
 SPREAD = {"frequency": 0.01, "damping": 0.2, "stiffness": 0.05}
@@ -77,8 +77,8 @@ def excited_by(record: Record, entries=ALL, floor=FLOOR) -> tuple[Excited, np.nd
     pick = [(AXES.index(r), AXES.index(e)) for r, e in entries]
     std = np.stack([np.hypot(size[i, j] / f, floor * np.abs(mean[:, i, j])) for i, j in pick], axis=1)
     seen = np.stack([mean[:, i, j] for i, j in pick], axis=1)
-    freedom = freedom_of(len(value), std.size)
-    return Excited(f, tuple(entries), std, "actuator", record.setting.level, noise_freedom=freedom), seen
+    known = degrees_of_freedom_of(len(value), std.size)
+    return Excited(f, tuple(entries), std, "actuator", record.setting.level, degrees_of_freedom=known), seen
 
 
 def condition_of(record: Record, entries=ALL, measured=True) -> Condition:

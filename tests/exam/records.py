@@ -8,10 +8,11 @@ from truth.axis import MM_MIN, Truth
 from truth.campaign import PRETRIGGER, SAMPLE_RATE, reduce
 
 from process.drive.axis import Drive
+from process.drive.sampled_servo import SampledServo
 from process.drive.servo import Servo
 from smfe.diagnosis.frf.axis import MachineFrfs, as_hit
-from smfe.diagnosis.frf.axis_baseline import AxisBaseline, sampled
-from smfe.diagnosis.frf.noise import Excited, Hits, chosen_lines, freedom_of, scatter_of, smooth_errors
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline
+from smfe.diagnosis.frf.noise import Excited, Hits, chosen_lines, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
 
 BAND = (8.0, 128.0)
@@ -22,14 +23,14 @@ FLOOR = 0.002
 """The same of what is not smooth, line by line."""
 
 CONTACT = 0.025
-"""Time [s] of a blow."""
+"""Time [s] of a hit."""
 
 HALF_SINE_WIDTH = math.sqrt(0.25 - 2.0 / math.pi**2)
 WINDOW = 1.9
 
 
 def pulses(force):
-    """Impulse [N s], width [s] and share of a second blow of each hit, shape (r,)."""
+    """Impulse [N s], width [s] and share of a second hit of each hit, shape (r,)."""
     start = round(PRETRIGGER * SAMPLE_RATE) - 4
     x = force[:, start : start + round(0.03 * SAMPLE_RATE)]
     t = np.arange(x.shape[1]) / SAMPLE_RATE
@@ -58,8 +59,8 @@ def hits_of(record, frequency):
     centred = {k: record[k] - record[k][:, :quiet].mean(axis=1, keepdims=True) for k in ("force", "acceleration")}
     force, response = (np.fft.rfft(x)[:, lines] for x in centred.values())
     start = round(PRETRIGGER * SAMPLE_RATE)
-    blow = centred["force"][:, start : start + round(CONTACT * SAMPLE_RATE)]
-    return Hits(blow, SAMPLE_RATE, (response / force / -((2.0 * np.pi * frequency) ** 2))[:, :, None])
+    pulse = centred["force"][:, start : start + round(CONTACT * SAMPLE_RATE)]
+    return Hits(pulse, SAMPLE_RATE, (response / force / -((2.0 * np.pi * frequency) ** 2))[:, :, None])
 
 
 def excited_by(record):
@@ -82,7 +83,7 @@ def excited_by(record):
     level, duration = (float(np.sum(impulse**2 * x) / np.sum(impulse**2)) for x in (impulse, width))
     hits = replace(hits, compliance=hits.compliance[:, pick])
     more = {"shared": shared, "window": WINDOW, "hits": hits, **common}
-    more["noise_freedom"] = freedom_of(len(hits.force), f.size)
+    more["degrees_of_freedom"] = degrees_of_freedom_of(len(hits.force), f.size)
     return Excited(f, (("x", "x"),), std, "hammer", level, duration, **more), h
 
 
@@ -103,6 +104,28 @@ def conditions_of(records):
         condition_of(r, f"{n}, at {r['condition'].order:.2f}" if names.count(n) > 1 else n)
         for r, n in zip(used, names, strict=True)
     )
+
+
+def sampled(servo: Servo, period: float, lag: int = 1, latency: float = 0.0) -> Servo:
+    """Return the continuous servo that equals a sampled one whose velocity is the difference of two readings.
+
+    To the second order of the period T: hold, lag and latency are a dead time, the rectangular integral is worth
+    ``Kp (1 + T/(2 Ti))`` and ``Ti + T/2``, and the velocity, T/2 later than the position, makes ``Kp (1 + Kv T/2)`` and
+    ``Kv/(1 + Kv T/2)`` with half a period more of dead time.
+
+    Parameters
+    ----------
+    servo : Servo
+        Gains, without a delay.
+    period : float
+        Sampling period [s].
+    lag : int, optional
+        Whole periods from reading to force.
+    latency : float, optional
+        Further dead time [s].
+    """
+    plain, later = SampledServo(servo, period, lag).continuous(), 1.0 + 0.5 * servo.Kv * period
+    return replace(plain, Kp=plain.Kp * later, Kv=plain.Kv / later, delay=plain.delay + latency + 0.5 * period)
 
 
 def baseline(friction="stribeck", truth=None):

@@ -1,4 +1,4 @@
-"""What a campaign puts to the question: a family of models, and which of its conditions belong to which measurement."""
+"""What is tested of a campaign: a family of models, which of its conditions belong to which measurement, its modes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from smfe.records.formats.channels import did_you_mean, listed
 
 @dataclass(frozen=True)
 class Case:
-    """A campaign as the engine takes it.
+    """A campaign in the form that the inference takes.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Case:
     groups : mapping
         Name of a measurement, or file of a cutting test -> names of its conditions.
     held_out : tuple of str
-        Those of the groups that the campaign sets aside.
+        Those of the groups that the campaign holds out.
     suspects : tuple of Suspect
         What was noticed about the data on the way.
     """
@@ -37,8 +37,8 @@ class Case:
     held_out: tuple[str, ...] = ()
     suspects: tuple[Suspect, ...] = field(default=())
 
-    def set_aside(self, more: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return the conditions that are opened at the end: those of the campaign, and of `more` measurements.
+    def held_out_conditions(self, more: Iterable[str] = ()) -> tuple[str, ...]:
+        """Return the conditions that no fit uses: those held out by the campaign, and those of `more` measurements.
 
         Raises
         ------
@@ -55,12 +55,9 @@ class Case:
         return tuple(condition for name in names for condition in self.groups[name])
 
 
-# --- Modes that a baseline names: those of a ``[[model]]``, or those fitted to a measured compliance.
-
-
 @dataclass(frozen=True)
 class NamedModes:
-    """Modes of a baseline.
+    """Modes of a baseline: those of a ``[[model]]``, or those fitted to a measured compliance.
 
     Parameters
     ----------
@@ -81,16 +78,7 @@ class NamedModes:
 
 
 def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification]) -> NamedModes:
-    """Return the modes of a model, or fit those of a measurement.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        With its models.
-    name : str
-        Of a model or of a measurement.
-    found : mapping
-        Measurement name -> identification.
+    """Return the modes of a model, or fit those of a measurement, by its name.
 
     Raises
     ------

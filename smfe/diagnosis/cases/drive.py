@@ -10,10 +10,9 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
-from process.types import Real
 from smfe.campaign import Campaign, Measurement, RigidDrive
 from smfe.diagnosis.cases.case import Case
-from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.checks.suspect import Suspect, warning
 from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.identification.measurement import records_of
@@ -34,7 +33,7 @@ class _Read:
 def drive_case(campaign: Campaign, baseline: RigidDrive) -> Case:
     """Return the case of the drive records of a campaign.
 
-    The first record that is not held out teaches band, noise and starts; all others are judged with these.
+    The first record that is not held out gives band, noise and starts; all others are judged with these.
 
     Raises
     ------
@@ -44,17 +43,21 @@ def drive_case(campaign: Campaign, baseline: RigidDrive) -> Case:
     reads = _records(campaign)
     if not reads or reads[0].measurement.held_out:
         raise InputError("no measurement with method = 'drive' is left to be fitted; add one that is not held out")
-    first = _family(reads[0], baseline, None)
-    families = [first, *(_family(r, baseline, first) for r in reads[1:])]
+    mass = None if baseline.moving_mass is None else (baseline.moving_mass, MASS_SPREAD * baseline.moving_mass)
+    families: list[DriveRecordFamily] = []
     groups: dict[str, tuple[str, ...]] = {}
-    for read, family in zip(reads, families, strict=True):
-        mine = tuple(c.name for c in family.conditions)
-        groups[read.measurement.name] = (*groups.get(read.measurement.name, ()), *mine)
-    return Case(
-        replace(first, conditions=tuple(c for f in families for c in f.conditions)),
-        groups,
-        tuple(dict.fromkeys(r.measurement.name for r in reads if r.measurement.held_out)),
-    )
+    for read in reads:
+        like, name = (families[0] if families else None), read.measurement.name
+        try:
+            family = DriveRecordFamily.from_record(
+                read.record, baseline.axis, mass=mass, delay=baseline.delay, like=like, name=f"{read.name},"
+            )
+        except InputError as error:
+            raise InputError(f"measurement '{read.name}': {error}") from error
+        families.append(family)
+        groups[name] = (*groups.get(name, ()), *(c.name for c in family.conditions))
+    held_out = tuple(dict.fromkeys(r.measurement.name for r in reads if r.measurement.held_out))
+    return Case(replace(families[0], conditions=tuple(c for f in families for c in f.conditions)), groups, held_out)
 
 
 def _records(campaign: Campaign) -> list[_Read]:
@@ -68,51 +71,28 @@ def _records(campaign: Campaign) -> list[_Read]:
     return out
 
 
-def _family(read: _Read, baseline: RigidDrive, like: DriveRecordFamily | None) -> DriveRecordFamily:
-    mass = baseline.moving_mass
-    try:
-        return DriveRecordFamily.from_record(
-            read.record,
-            baseline.axis,
-            mass=None if mass is None else (mass, MASS_SPREAD * mass),
-            delay=baseline.delay,
-            like=like,
-            name=f"{read.name},",
-        )
-    except InputError as error:
-        raise InputError(f"measurement '{read.name}': {error}") from error
-
-
 def unlogged_suspects(campaign: Campaign, baseline: RigidDrive) -> Iterator[Suspect]:
     """Look in every drive record for commands that the control law does not give; without its gains nothing is said."""
     if baseline.Kp is None or baseline.Kv is None:
         return
     law: ControlLaw | None = None
     for read in _records(campaign):
-        channels = _followed(read, baseline.axis)
+        names, axis = ("reference_position", "encoder_position", "drive_force"), baseline.axis
+        if lost := [n for n in names if n not in read.record or axis not in axis_present(read.record, n)]:
+            raise InputError(
+                f"measurement '{read.name}': no {lost[0]}_{axis}; the control law needs it: declare it, or take Kp and "
+                "Kv out of [baseline]"
+            )
+        x, q, f = (np.asarray(read.record[n].sel(axis=axis).values, dtype=float) for n in names)
         step = sample_interval(read.record)
-        law = law or fit_control_law(*channels, step, Gains(baseline.Kv, baseline.Kp))
-        pulses = unlogged_command(law, *channels, step)[1]
+        law = law or fit_control_law(x, q, f, step, Gains(baseline.Kv, baseline.Kp))
+        pulses = unlogged_command(law, x, q, f, step)[1]
         if pulses:
             height, length = np.median([(p.height, p.end - p.begin) for p in pulses], axis=0)
-            yield Suspect(
+            yield warning(
                 "hidden_input",
-                "warning",
                 read.name,
                 f"{len(pulses)} commands that the control law with its gains does not give, of {height:.4g} N over "
                 f"{length:.3g} s (medians), the first from {pulses[0].begin:.4g} s on",
                 "find out who adds to the command, and log it",
             )
-
-
-def _followed(read: _Read, axis: str) -> tuple[Real, Real, Real]:
-    """Return reference, position and force of a record."""
-    names = ("reference_position", "encoder_position", "drive_force")
-    lost = [n for n in names if n not in read.record or axis not in axis_present(read.record, n)]
-    if lost:
-        raise InputError(
-            f"measurement '{read.name}': no {lost[0]}_{axis}; the control law needs it: declare it, or take Kp and Kv "
-            "out of [baseline]"
-        )
-    x, q, f = (np.asarray(read.record[n].sel(axis=axis).values, dtype=float) for n in names)
-    return x, q, f

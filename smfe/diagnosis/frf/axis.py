@@ -1,18 +1,17 @@
-"""Diagnosis of compliances: a baseline machine under hammer and actuator, at every feed, level and controller.
+"""Diagnosis of compliances: a model of one axis under hammer and actuator, at every feed, level and controller.
 
-The prediction goes through what the measurement goes through: a hammer hit is a half sine of its impulse and duration
-that moves the machine in time, and H1 is taken from that motion; an actuator's sine is balanced at its force level.
-Sensors come last. Where a machine is not linear, some hits together do not find what their mean finds: `as_hit` takes
-the difference off the data, and what the differences between the hits explain off their scatter.
+The prediction is made as the measurement is: a hammer hit is a half sine of its impulse and duration that moves the
+machine in time, and H1 is taken from that motion; an actuator's sine is balanced at its force level. Sensors come last.
+Where a machine is not linear, the mean of some hits is not their mean hit: `as_hit` takes the difference off the data,
+and what the differences between the hits explain off their scatter.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,75 +21,12 @@ from process.machine.machine import Machine
 from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.machine import Struck
 from process.types import Complex, Real
-from smfe.diagnosis.frf.axis_baseline import Effective
-from smfe.diagnosis.frf.noise import Excited, scatter_of, smooth_errors
-from smfe.diagnosis.frf.noise import condition_of as condition_of
-from smfe.diagnosis.frf.noise import excitation_of as excitation_of
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
+from smfe.diagnosis.frf.causes import sensor_causes
+from smfe.diagnosis.frf.noise import RULES, Excited, kept, scatter_of, smooth_errors
 from smfe.diagnosis.inference.fit import Target, roughly
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
-
-_RATE = 2000.0  # samples and steps a second of a simulated hit
-_ACCURACY = 1e-4  # of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters
-_REST = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
-_SAME_LEVEL = 0.2  # relative difference of levels of hits that are meant to be the same
-_KEPT = 20000
-_MACHINES = 200
-
-UNSURE = 0.5
-"""Share of what the mean of the hits finds more than the mean hit, that is uncertain because the baseline is."""
-
-
-class Baseline(Protocol):
-    """A simulation that can be questioned."""
-
-    @property
-    def axis(self) -> str:
-        """Name of the axis."""
-
-    def nuisances(self) -> tuple[Parameter, ...]:
-        """Parameters that every hypothesis fits anew."""
-
-    def causes(self) -> tuple[Cause, ...]:
-        """What the baseline may lack."""
-
-    def effective(self, values: Values, settings: Mapping[str, float | str], feed: float) -> Effective:
-        """Return what a set of values comes to under the settings of a condition."""
-
-    def machine(self, found: Effective) -> Machine:
-        """Build the machine for what a set of values comes to."""
-
-
-SENSOR_CAUSES: tuple[Cause, ...] = (
-    Cause(
-        "sensor_gain",
-        "gain of a sensor",
-        (Parameter("gain_error", "%", 0.0, 0.02, -0.9, 9.0, shown=100.0),),
-        kind="measurement",
-    ),
-    Cause(
-        "time_skew",
-        "time skew between force and motion",
-        (Parameter("skew", "us", 0.0, 2e-5, -2e-3, 2e-3, shown=1e6),),
-        kind="measurement",
-    ),
-)
-
-
-def missing_mode(band: tuple[float, float], count: int = 6) -> Cause:
-    """Return the cause of a mode that the baseline does not have, searched for all over a band [Hz]."""
-    low, high = band
-    middle = tuple(float(v) for v in np.geomspace(low * 1.05, high * 0.95, count))
-    return Cause(
-        "missing_mode",
-        "a mode that the model does not have",
-        (
-            Parameter("mode_compliance", "um/N", 0.0, 1e-8, 0.0, 1e-4, shown=1e6),
-            Parameter("mode_frequency", "Hz", float(np.sqrt(low * high)), 0.02 * high, 0.7 * low, 1.5 * high),
-            Parameter("mode_damping", "%", 0.03, 0.01, 0.002, 0.3, shown=100.0),
-        ),
-        starts=tuple((2e-8, f, 0.03) for f in middle),
-    )
 
 
 @dataclass(frozen=True)
@@ -99,10 +35,10 @@ class MachineFrfs(Abilities):
 
     Parameters
     ----------
-    baseline : Baseline
-        The simulation that is questioned.
+    baseline : AxisBaseline
+        The simulation that is tested.
     conditions : tuple of Condition
-        Measured compliances (`condition_of`).
+        Measured compliances (`smfe.diagnosis.frf.noise.condition_of`).
     proposals : tuple of Condition, optional
         Experiments that could be done next.
     without : sequence of str, optional
@@ -111,33 +47,16 @@ class MachineFrfs(Abilities):
         What `conditions` were before `as_hit`.
     discrepancy : float, optional
         See `as_hit`.
-    model_error : float, optional
-        Relative error of the predictions that looks like a change of the parameters, root mean square over all lines;
-        the intervals allow for it. Between single hits in motion in two simulations of one machine 0.1 to 0.2 % were
-        measured, half of it because one takes a sampled servo for a continuous one.
     """
 
-    baseline: Baseline
+    baseline: AxisBaseline
     conditions: tuple[Condition, ...]
     proposals: tuple[Condition, ...] = ()
     without: Sequence[str] = ()
     measured: tuple[Condition, ...] = ()
     discrepancy: float = 0.0
-    model_error: float = 0.002
     _kept: dict[tuple[object, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
-    _machines: dict[Effective, Machine] = field(default_factory=dict, repr=False, compare=False)
-
-    def condition_degrees_of_freedom(self, condition: Condition) -> float:
-        """Degrees of freedom with which the noise of a measured compliance is known."""
-        return condition.data.noise_freedom if isinstance(condition.data, Excited) else math.inf
-
-    @property
-    def roughness(self) -> float:
-        """How far predictions are off a smooth function of the parameters: root of the sum of squares, in noise.
-
-        Measured on a hit of 400 N that breaks the guideway away at rest: 1; it stays with ten times the accuracy.
-        """
-        return 1.0
+    _machines: dict[Effective, SimulatedMachine] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
@@ -149,38 +68,42 @@ class MachineFrfs(Abilities):
         """Every candidate but those left out."""
         data = [c.data for c in self.conditions if isinstance(c.data, Excited)]
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
-        every = (*self.baseline.causes(), *SENSOR_CAUSES, missing_mode(band))
+        every = (*self.baseline.causes(), *sensor_causes(band))
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
+
+    @property
+    def roughness(self) -> float:
+        """Distance of predictions from a smooth function of the parameters, in noise."""
+        return RULES.roughness
+
+    @property
+    def model_error(self) -> float:
+        """Relative error of predictions that looks like a change of the parameters."""
+        return RULES.model_error
+
+    def condition_degrees_of_freedom(self, condition: Condition) -> float:
+        """Degrees of freedom with which the noise of a measured compliance is known."""
+        return condition.data.degrees_of_freedom if isinstance(condition.data, Excited) else math.inf
 
     def relative(self, condition: Condition, predicted: Real, slopes: Real) -> Complex:
         """Return slopes of a prediction, (n, p), over the prediction itself, each line by itself, (n/2, p)."""
-        assert isinstance(condition.data, Excited)
-        return condition.data.unwhitened(slopes) / condition.data.unwhitened(predicted[:, None])
+        excited = excited_of(condition)
+        return excited.unwhitened(slopes) / excited.unwhitened(predicted[:, None])
 
     def alike(self, conditions: Sequence[Condition]) -> list[int]:
-        """Return a number for each condition, the same for those that a simulation without causes cannot tell apart."""
+        """Return a number for each condition, the same for those that a simulation without causes predicts alike."""
         keys: list[tuple[object, float]] = []
         numbers: list[int] = []
         for condition in conditions:
-            d = condition.data
-            assert isinstance(d, Excited)
+            d = excited_of(condition)
             mass = float(condition.settings.get("added_mass", 0.0))
             how = (d.method, tuple(d.feed.items()), d.controller, mass, d.entries, d.frequency.tobytes())
             level = math.log(abs(d.level))
-            found = [n for n, (one, other) in enumerate(keys) if how == one and abs(level - other) < _SAME_LEVEL]
+            found = [n for n, (one, other) in enumerate(keys) if how == one and abs(level - other) < RULES.same_level]
             if not found:
                 keys.append((how, level))
             numbers.append(found[0] if found else len(keys) - 1)
         return numbers
-
-    def _machine(self, found: Effective) -> Machine:
-        """Build a machine once: what is made ready for a hit is found by it."""
-        machine = self._machines.get(found)
-        if machine is None:
-            if len(self._machines) >= _MACHINES:
-                self._machines.clear()
-            machine = self._machines[found] = self.baseline.machine(found)
-        return machine
 
     @property
     def prepares_data(self) -> bool:
@@ -195,104 +118,110 @@ class MachineFrfs(Abilities):
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the compliance that a set of values predicts, whitened like the data."""
-        excited = condition.data
-        assert isinstance(excited, Excited)
+        excited = excited_of(condition)
         found = self.baseline.effective(values, condition.settings, excited.feed.get(self.baseline.axis, 0.0))
-        key = (excited.way, found)
-        phi = self._kept.get(key)
-        if phi is None:
-            phi = compliance_under(self._machine(found), excited)
-            if len(self._kept) >= _KEPT:
-                self._kept.clear()
-            self._kept[key] = phi
-        return excited.whitened(_through_sensors(phi, excited.frequency, excited.entries, values))
+        phi = kept(
+            self._kept, (excited.way, found), lambda: self._machine(found).compliance(excited), RULES.predictions_kept
+        )
+        f, skew = excited.frequency, values.get("skew", 0.0)
+        phi = phi * (1.0 + values.get("gain_error", 0.0)) * np.exp(-2j * np.pi * f * skew)[:, None]
+        size = values.get("mode_compliance", 0.0)
+        if size > 0.0:
+            ratio = f / values["mode_frequency"]
+            mode = size / (1.0 - ratio**2 + 2j * values["mode_damping"] * ratio)
+            phi = phi + mode[:, None] * np.array([r == e for r, e in excited.entries])
+        return excited.whitened(phi)
+
+    def _machine(self, found: Effective) -> SimulatedMachine:
+        return kept(self._machines, found, lambda: SimulatedMachine(self.baseline.machine(found)), RULES.machines_kept)
 
 
-def _through_sensors(phi: Complex, f: Real, entries: Sequence[tuple[str, str]], values: Values) -> Complex:
-    phi = phi * (1.0 + values.get("gain_error", 0.0)) * np.exp(-2j * np.pi * f * values.get("skew", 0.0))[:, None]
-    size = values.get("mode_compliance", 0.0)
-    if size > 0.0:
-        ratio = f / values["mode_frequency"]
-        mode = size / (1.0 - ratio**2 + 2j * values["mode_damping"] * ratio)
-        phi = phi + mode[:, None] * np.array([r == e for r, e in entries])
-    return phi
+def excited_of(condition: Condition) -> Excited:
+    """Return how a condition was excited."""
+    assert isinstance(condition.data, Excited)
+    return condition.data
 
 
-def compliance_under(machine: Machine, excited: Excited) -> Complex:
-    """Return what a measurement of this kind finds on a machine [m/N], shape (f, entries).
+class SimulatedMachine:
+    """A machine that is measured by simulation; what is prepared for its hits is kept.
 
     Raises
     ------
     InputError
         When the servos are unstable.
     """
-    feed = {axis: excited.feed.get(axis, 0.0) for axis in machine.axes}
-    if excited.method == "actuator":
-        columns = tuple(dict.fromkeys(e for _, e in excited.entries))
-        found = quasi_compliance(
-            machine, excited.frequency, excited.level, feed, excited.controller, excitation=columns
-        )["compliance"]
-        return np.stack([found.sel(response=r, excitation=e).values for r, e in excited.entries], axis=1)
-    return _hit(machine, excited, feed)
-
-
-def _hit(machine: Machine, excited: Excited, feed: Mapping[str, float]) -> Complex:
-    """H1 of the mean hit."""
-    pulse = HalfSine(excited.level, excited.duration, 0.0)
-    return _struck(machine, excited, feed, pulse, _spectrum(pulse, excited.frequency.tobytes()))
-
-
-def _struck(
-    machine: Machine, excited: Excited, feed: Mapping[str, float], pulse: Excitation, force: Complex
-) -> Complex:
-    """H1 of a hit with a pulse and its spectrum [N s], once for each excitation."""
-    out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
-    for axis in dict.fromkeys(e for _, e in excited.entries):
-        ready = _made_ready(_One(machine), axis, excited.window, tuple(feed.items()), excited.controller)
-        found = ready.displacement(pulse, _REST)
-        for i, (response, excitation) in enumerate(excited.entries):
-            if excitation == axis:
-                out[:, i] = _transform(found["xyz".index(response)], excited) / force
-    return out
-
-
-class _One:
-    """A machine that is like no other."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
+        self._prepared: dict[tuple[object, ...], Struck] = {}
 
-    def __hash__(self) -> int:
-        return id(self.machine)
+    def compliance(self, excited: Excited) -> Complex:
+        """Return the compliance that a measurement of this kind finds [m/N], shape (f, entries)."""
+        if excited.method == "hammer":
+            pulse = HalfSine(excited.level, excited.duration, 0.0)
+            return self.hit(excited, pulse, _spectrum(pulse, excited.frequency.tobytes()))
+        columns = tuple(dict.fromkeys(e for _, e in excited.entries))
+        feed = {axis: excited.feed.get(axis, 0.0) for axis in self.machine.axes}
+        balanced = (self.machine, excited.frequency, excited.level, feed, excited.controller)
+        found = quasi_compliance(*balanced, excitation=columns)["compliance"]
+        return np.stack([found.sel(response=r, excitation=e).values for r, e in excited.entries], axis=1)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _One) and self.machine is other.machine
+    def hit(self, excited: Excited, pulse: Excitation, force: Complex) -> Complex:
+        """Return H1 of a hit with a pulse and its spectrum [N s], shape (f, entries), once for each excitation."""
+        out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
+        for axis in dict.fromkeys(e for _, e in excited.entries):
+            found = self._impact(axis, excited).displacement(pulse, RULES.rest)
+            for i, (response, excitation) in enumerate(excited.entries):
+                if excitation == axis:
+                    out[:, i] = _transform(found["xyz".index(response)], excited) / force
+        return out
 
-
-@lru_cache(maxsize=_MACHINES)
-def _made_ready(
-    one: _One, axis: str, window: float, feed: tuple[tuple[str, float], ...], controller: str | None
-) -> Struck:
-    return Struck(
-        one.machine,
-        axis,
-        duration=window,
-        feed=dict(feed),
-        controller=controller,
-        sample_rate=_RATE,
-        accuracy=_ACCURACY,
-    )
+    def _impact(self, axis: str, excited: Excited) -> Struck:
+        feed = {a: excited.feed.get(a, 0.0) for a in self.machine.axes}
+        key = (axis, excited.window, excited.controller, tuple(feed.items()))
+        if key not in self._prepared:
+            self._prepared[key] = Struck(
+                self.machine,
+                axis,
+                duration=excited.window,
+                feed=feed,
+                controller=excited.controller,
+                sample_rate=RULES.rate,
+                accuracy=RULES.accuracy,
+            )
+        return self._prepared[key]
 
 
 @lru_cache(maxsize=256)
 def _spectrum(pulse: Excitation, frequency: bytes) -> Complex:
-    return _spectrum_of(pulse, np.frombuffer(frequency, dtype=float))
-
-
-def _spectrum_of(pulse: Excitation, frequency: Real) -> Complex:
     """Fourier transform of a pulse [N s]."""
     fine = np.linspace(0.0, pulse.end, 401)
-    return np.asarray(np.trapezoid(pulse.force(fine) * np.exp(-2j * np.pi * np.outer(frequency, fine)), fine, axis=1))
+    turn = np.exp(-2j * np.pi * np.outer(np.frombuffer(frequency, dtype=float), fine))
+    return np.asarray(np.trapezoid(pulse.force(fine) * turn, fine, axis=1))
+
+
+def _transform(x: Real, excited: Excited) -> Complex:
+    """Fourier transform of a displacement that stays where it ends after the window, as from its acceleration.
+
+    Where it ends before the window it is back where it was.
+    """
+    count = round(excited.window * RULES.rate)
+    cosine, sine = _fourier(excited.frequency.tobytes(), count)[:, :, : x.size] @ x
+    out = np.asarray((cosine - 1j * sine) / RULES.rate)
+    if x.size < count:
+        return out
+    w = 2.0 * np.pi * excited.frequency
+    return np.asarray(out + x[-1] * np.exp(-1j * w * count / RULES.rate) / (1j * w))
+
+
+@lru_cache(maxsize=16)
+def _fourier(frequency: bytes, count: int) -> Real:
+    """Cosines and sines of sampled time at some frequencies, shape (2, f, count)."""
+    turn = 2.0 * np.pi * np.outer(np.frombuffer(frequency, dtype=float), np.arange(count) / RULES.rate)
+    return np.array([np.cos(turn), np.sin(turn)])
+
+
+# --- From single hits to the mean hit.
 
 
 @dataclass(frozen=True)
@@ -334,58 +263,28 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
         Of the machine that is simulated; default the baseline, roughly fitted.
     """
     if values is None:
-        values = _rough_baseline(family)
-    told = [_told(family, c, values, discrepancy) for c in family.conditions]
-    return replace(family, conditions=tuple(told), measured=family.conditions, discrepancy=discrepancy)
+        model = Model(family, family.conditions)
+        data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
+        values = model.values(roughly(model, Target(data, model.null())))
+    found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
+    return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
 
 
-def _rough_baseline(family: MachineFrfs) -> Values:
-    model = Model(family, family.conditions)
-    data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
-    return model.values(roughly(model, Target(data, model.null())))
-
-
-def _told(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
-    excited = condition.data
-    assert isinstance(excited, Excited)
-    hits = excited.hits
+def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
+    excited = excited_of(condition)
+    hits, baseline = excited.hits, family.baseline
     if hits is None:
         return condition
-    axis = family.baseline.axis
-    machine = family.baseline.machine(
-        family.baseline.effective(values, condition.settings, excited.feed.get(axis, 0.0))
-    )
-    feed = {a: excited.feed.get(a, 0.0) for a in machine.axes}
+    found = baseline.effective(values, condition.settings, excited.feed.get(baseline.axis, 0.0))
+    machine = SimulatedMachine(baseline.machine(found))
     pulses = [Recorded(tuple(f.tolist()), hits.rate) for f in hits.force]
-    spectra = [_spectrum_of(p, excited.frequency) for p in pulses]
-    each = np.stack([_struck(machine, excited, feed, p, f) for p, f in zip(pulses, spectra, strict=True)])
+    spectra = [_spectrum(p, excited.frequency.tobytes()) for p in pulses]
+    each = np.stack([machine.hit(excited, p, f) for p, f in zip(pulses, spectra, strict=True)])
     weight = np.abs(np.array(spectra)) ** 2
     weight = (weight / weight.sum(axis=0))[:, :, None]
-    more = (weight * each).sum(axis=0) - _hit(machine, excited, feed)
+    more = (weight * each).sum(axis=0) - machine.compliance(excited)
     mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each
     own = np.stack([scatter_of(x, hits.impulse)[1] for x in np.moveaxis(unexplained, 2, 0)], axis=2)
-    shared = np.concatenate([own, smooth_errors(excited.frequency, mean, discrepancy), UNSURE * more[None]])
-    told = replace(excited, shared=shared)
-    return replace(condition, data=told, observed=told.whitened(mean - more))
-
-
-def _transform(x: Real, excited: Excited) -> Complex:
-    """Fourier transform of a displacement that stays where it ends after the window, as from its acceleration.
-
-    Where it ends before the window it is back where it was.
-    """
-    count = round(excited.window * _RATE)
-    turn = _fourier(excited.frequency.tobytes(), count)
-    cosine, sine = turn[:, :, : x.size] @ x
-    out = np.asarray((cosine - 1j * sine) / _RATE)
-    if x.size < count:
-        return out
-    w = 2.0 * np.pi * excited.frequency
-    return np.asarray(out + x[-1] * np.exp(-1j * w * count / _RATE) / (1j * w))
-
-
-@lru_cache(maxsize=16)
-def _fourier(frequency: bytes, count: int) -> Real:
-    """Cosines and sines of sampled time at some frequencies, shape (2, f, count)."""
-    turn = 2.0 * np.pi * np.outer(np.frombuffer(frequency, dtype=float), np.arange(count) / _RATE)
-    return np.array([np.cos(turn), np.sin(turn)])
+    smooth = smooth_errors(excited.frequency, mean, discrepancy)
+    corrected = replace(excited, shared=np.concatenate([own, smooth, RULES.unsure * more[None]]))
+    return replace(condition, data=corrected, observed=corrected.whitened(mean - more))

@@ -1,7 +1,7 @@
 """Diagnosis of a modal model of the machine: compliances from hits or sines in x, y, z, under many conditions.
 
 The prediction is closed form. The modes take up the changes that a cause makes under the settings of a condition
-(`smfe.diagnosis.frf.modal_dynamics`); the sensors come last (`smfe.diagnosis.frf.modes`).
+(`smfe.diagnosis.frf.modal_dynamics`); the sensors come last: gains and signs, exchanged and turned axes, a time skew.
 """
 
 from __future__ import annotations
@@ -9,26 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
-from smfe.diagnosis.frf.modal_causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
+from smfe.diagnosis.frf.causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
-from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.frf.noise import RULES, Excited, kept
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
 """Prior standard deviation of what the baseline says of a mode, relative."""
 
-SENSORS = {"laser": 0.0, "two": 2.0}
+ACCELEROMETERS = {"laser": 0.0, "two": 2.0}
 """Setting ``sensor`` -> accelerometers that the tool carries; one without it."""
 
-_KEPT = 4000
+JOINTS = ("joint_micro_slip", "joint_hardening")
 
 
 @dataclass(frozen=True)
@@ -36,8 +35,8 @@ class ModalFrfs(Abilities):
     """A family for `smfe.diagnosis.inference.diagnose`: a modal machine under many conditions.
 
     Settings of a condition that count: ``position`` [m]; ``order`` (0 first, 1 last in the session); ``spindle_speed``
-    [rad/s]; ``added_mass`` [kg]; ``sensor`` (``"laser"`` weighs nothing and has no axes, ``"two"`` has a twin beside
-    it); ``free_mass`` [kg], a mass on soft springs in the machine's place. What is not given is zero.
+    [rad/s]; ``added_mass`` [kg]; ``sensor`` (``"laser"`` weighs nothing and has no axes, ``"two"`` has a second one
+    beside it); ``free_mass`` [kg], a mass on soft springs in the machine's place. What is not given is zero.
 
     Parameters
     ----------
@@ -58,9 +57,10 @@ class ModalFrfs(Abilities):
     proposals: tuple[Condition, ...] = ()
     without: Sequence[str] = ()
     spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
-    _kept: dict[tuple[int, Changed], Complex] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _alive: dict[int, Excited] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _seen: dict[tuple[object, ...], Real] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _at_tool: dict[tuple[Excited, Changed], Complex] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    _predicted: dict[tuple[object, ...], Real] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Refuse conditions of another kind."""
@@ -92,8 +92,8 @@ class ModalFrfs(Abilities):
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
         size = float(np.abs(self.model.matrix(np.linspace(*band, 400))).max())
         places = {self._place(c) for c in self._every}
-        reach = {"position": max(map(abs, places)) or 1.0, "places": float(len(places))}
-        every = modal_causes(self.model.frequency.size, band, size, reach)
+        reach = max(map(abs, places)) or 1.0
+        every = modal_causes(self.model.frequency.size, band, size, reach, len(places))
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
     @cached_property
@@ -125,12 +125,11 @@ class ModalFrfs(Abilities):
 
     def _place(self, condition: Condition) -> float:
         """Position from that of the first condition that gives one [m]."""
-        settings = condition.settings
-        return float(settings["position"]) - self._first_place if "position" in settings else 0.0
+        return float(condition.settings.get("position", self._first_place)) - self._first_place
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
-        return condition.data.noise_freedom if isinstance(condition.data, Excited) else math.inf
+        return condition.data.degrees_of_freedom if isinstance(condition.data, Excited) else math.inf
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the compliance that a set of values predicts, whitened like the data.
@@ -142,33 +141,32 @@ class ModalFrfs(Abilities):
         """
         excited = condition.data
         assert isinstance(excited, Excited)
-        self._alive[id(excited)] = excited  # what is kept is found by this number: it must not be given away
-        free = float(condition.settings.get("free_mass", 0.0))
-        machine = free + self._carried(condition, values) if free else self.changed(condition, values)
-        laser = condition.settings.get("sensor") == "laser"
-        key = (id(excited), machine, laser, tuple([values.get(n, 0.0) for n in SEEN]))
-        if key not in self._seen:
-            _make_room(self._seen)
-            phi = seen(self._at_tool(excited, machine), excited.frequency, values, accelerometer=not laser)
-            rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
-            self._seen[key] = excited.whitened(phi[:, rows, columns])
-        return self._seen[key]
+        settings = condition.settings
+        free, laser = float(settings.get("free_mass", 0.0)), settings.get("sensor") == "laser"
+        carried = self._carried(condition, values)
+        machine = None if free else self.changed(condition, values)
 
-    def _at_tool(self, excited: Excited, machine: Changed | float) -> Complex:
-        """Compliance at the tool, or of a free mass [kg], [m/N], shape (f, 3, 3)."""
-        if isinstance(machine, float):
-            return np.asarray(-np.eye(3) / (machine * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2) + 0j)
-        key = (id(excited), machine)
-        if key not in self._kept:
-            _make_room(self._kept)
+        def at_tool() -> Complex:
+            """Compliance of a free mass on soft springs, or of the machine."""
+            if machine is None:
+                inverse = -((free + carried) * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2)
+                return np.asarray(np.eye(3) / inverse, dtype=complex)
             shaken = Shaken(excited.method, excited.level, self._reference)
-            self._kept[key] = full_compliance(machine, excited.frequency, shaken)
-        return self._kept[key]
+            make = partial(full_compliance, machine, excited.frequency, shaken)
+            return kept(self._at_tool, (excited, machine), make, RULES.modal_kept)
+
+        def predicted() -> Real:
+            phi = measured(at_tool(), excited.frequency, values, accelerometer=not laser)
+            rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
+            return excited.whitened(phi[:, rows, columns])
+
+        key = (excited, machine or free + carried, laser, tuple([values.get(n, 0.0) for n in SENSORS]))
+        return kept(self._predicted, key, predicted, RULES.modal_kept)
 
     def _carried(self, condition: Condition, values: Values) -> float:
         """Mass that the tool carries beyond its own [kg]."""
         settings = condition.settings
-        count = SENSORS.get(str(settings.get("sensor", "")), 1.0)
+        count = ACCELEROMETERS.get(str(settings.get("sensor", "")), 1.0)
         return float(settings.get("added_mass", 0.0)) + count * values.get("sensor_mass", 0.0)
 
     def changed(self, condition: Condition, values: Values) -> Changed:
@@ -182,8 +180,18 @@ class ModalFrfs(Abilities):
             Nuisances, and of the causes those that are active; what is not there has its null value.
         """
         names = self._names
-        heavier, scale = 1.0 + values.get("mass_error", 0.0), 1.0 + values.get("scale_error", 0.0)
-        root = math.sqrt(heavier)
+        root, scale = math.sqrt(1.0 + values.get("mass_error", 0.0)), 1.0 + values.get("scale_error", 0.0)
+        slip, hardening = (
+            (values[j], *vector([values[a] for a in names[j]])) if values.get(j, 0.0) > 0.0 else () for j in JOINTS
+        )
+        residual = tuple(values.get(n, 0.0) for n in RESIDUAL)
+        mode: tuple[float, ...] = ()
+        if (size := values.get("mode_compliance", 0.0)) > 0.0:
+            # Spherical angles: the elevation first.
+            turn, lift, length = values["mode_azimuth"], values["mode_elevation"], math.sqrt(size)
+            flat = length * math.cos(lift)
+            along = (flat * math.cos(turn), flat * math.sin(turn), length * math.sin(lift))
+            mode = (*along, values["mode_frequency"], values["mode_damping"])
         return Changed(
             tuple(values[n] / root for n in names["frequency"]),
             tuple(values[n] / root for n in names["damping"]),
@@ -192,28 +200,28 @@ class ModalFrfs(Abilities):
             self._springs(condition, values),
             self._gyroscopic(condition, values),
             self._carried(condition, values),
-            _joint(values, "joint_micro_slip", names["joint_micro_slip"]),
-            _joint(values, "joint_hardening", names["joint_hardening"]),
-            _mode(values),
-            _residual(values),
+            slip,
+            hardening,
+            mode,
+            residual if any(residual) else (),
         )
 
     @cached_property
     def _frames(self) -> Real:
         """Each mode vector, and two across it of the same length, shape (M, 3, 3)."""
-        vectors = self.model.direction
         frames = []
-        for u in vectors:
-            least = np.eye(3)[int(np.argmin(np.abs(u)))]
-            length = float(np.linalg.norm(u))
-            a = np.cross(u, least)
+        for u in self.model.direction:
+            length, a = float(np.linalg.norm(u)), np.cross(u, np.eye(3)[int(np.argmin(np.abs(u)))])
             a *= length / np.linalg.norm(a)
             frames.append([u, a, np.cross(u, a) / length])
         return np.array(frames)
 
     def _directions(self, values: Values) -> tuple[float, ...]:
         """Mode vectors, turned as a whole without a change of length."""
-        turns = [(values.get(a, 0.0), values.get(b, 0.0)) for a, b in zip(*self._turns, strict=True)]
+        turns = [
+            (values.get(a, 0.0), values.get(b, 0.0))
+            for a, b in zip(self._names["turn_a"], self._names["turn_b"], strict=True)
+        ]
         if not any(p or q for p, q in turns):
             return self._as_given
         out: list[float] = []
@@ -226,10 +234,6 @@ class ModalFrfs(Abilities):
     @cached_property
     def _as_given(self) -> tuple[float, ...]:
         return unchanged(self.model).direction
-
-    @cached_property
-    def _turns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        return self._names["turn_a"], self._names["turn_b"]
 
     def _springs(self, condition: Condition, values: Values) -> tuple[float, ...]:
         """Change of the modal stiffnesses with position, order and speed, and by itself, (M^2,); empty for none."""
@@ -266,53 +270,26 @@ class ModalFrfs(Abilities):
         """Names of the parameters of each mode, and of those that fill a matrix, row by row of its upper half."""
         whole = pairs(self.model.frequency.size)
         across = tuple((r, s) for r, s in whole if r < s)
-        names = {what: whole for what in ("posture", "curved", "drift", "coupling", *(f"{b}bearings" for b in TWICE))}
+        names = dict.fromkeys(("posture", "curved", "drift", "coupling", *(f"{b}bearings" for b in TWICE)), whole)
         names |= {f"{b}gyroscopic": across for b in TWICE}
         found = {what: tuple(f"{what}_{r}{s}" for r, s in where) for what, where in names.items()}
         modes = range(1, self.model.frequency.size + 1)
         found |= {w: tuple(f"{w}_{r}" for r in modes) for w in (*self.spread, "turn_a", "turn_b")}
-        return found | {w: tuple(f"{w}_angle_{r}" for r in modes[:-1]) for w in ("joint_micro_slip", "joint_hardening")}
+        return found | {w: tuple(f"{w}_angle_{r}" for r in modes[:-1]) for w in JOINTS}
 
 
-def _make_room(kept: dict[Any, Any]) -> None:
-    if len(kept) >= _KEPT:
-        kept.clear()
+# --- The sensors.
 
-
-def _joint(values: Values, name: str, angles: Sequence[str]) -> tuple[float, ...]:
-    """Return size and unit vector of a joint; empty for none."""
-    size = values.get(name, 0.0)
-    return (size, *vector([values[a] for a in angles])) if size > 0.0 else ()
-
-
-def _mode(values: Values) -> tuple[float, ...]:
-    """Return a further mode; empty for none."""
-    size = values.get("mode_compliance", 0.0)
-    if size <= 0.0:
-        return ()
-    turn, lift = values["mode_azimuth"], values["mode_elevation"]
-    flat = math.sqrt(size) * math.cos(lift)
-    vector = (flat * math.cos(turn), flat * math.sin(turn), math.sqrt(size) * math.sin(lift))
-    return (*vector, values["mode_frequency"], values["mode_damping"])
-
-
-def _residual(values: Values) -> tuple[float, ...]:
-    found = tuple(values.get(n, 0.0) for n in RESIDUAL)
-    return found if any(found) else ()
-
-
-# --- What the sensors make of a compliance: gains and signs, exchanged and turned axes, a time skew.
-
-_NAMES = (
+_ACCELEROMETER = (
     *(f"{what}_{a}" for what in ("gain", "turned") for a in AXES),
     *(f"exchanged_{a}{b}" for a, b in PLANES),
 )
-SEEN = (*_NAMES, "gain_force", "skew")
+SENSORS = (*_ACCELEROMETER, "gain_force", "skew")
 """Parameters of the sensors."""
 
 
-def seen(phi: Complex, frequency: Real, values: Values, accelerometer: bool = True) -> Complex:
-    """Return a compliance (f, 3, 3) as the sensors show it.
+def measured(phi: Complex, frequency: Real, values: Values, accelerometer: bool = True) -> Complex:
+    """Return a compliance as the sensors measure it, shape (f, 3, 3).
 
     Parameters
     ----------
@@ -323,33 +300,29 @@ def seen(phi: Complex, frequency: Real, values: Values, accelerometer: bool = Tr
     values : mapping
         ``gain_force``, ``gain_x`` ..., ``exchanged_xy`` ..., ``turned_x`` ... [rad], ``skew`` [s].
     accelerometer : bool, optional
-        Whether the motion is seen by the accelerometer, or by a laser that shares none of its faults.
+        Whether the motion is measured by the accelerometer, or by a laser that has none of its faults.
     """
     factor = 1.0 + values.get("gain_force", 0.0)
     out = phi * factor if factor != 1.0 else phi
-    if accelerometer and any(values.get(n, 0.0) for n in _NAMES):
+    if accelerometer and any(values.get(n, 0.0) for n in _ACCELEROMETER):
         out = mounting(values) @ out
     skew = values.get("skew", 0.0)
     return out * np.exp(-2j * np.pi * frequency * skew)[:, None, None] if skew else out
 
 
 def mounting(values: Values) -> Real:
-    """Matrix from the motion to what the channels x, y, z of the accelerometer show: turned, exchanged, scaled."""
-    x, y, z = (values.get(f"turned_{a}", 0.0) for a in AXES)
-    out = _about(0, x) @ _about(1, y) @ _about(2, z) if x or y or z else np.eye(3)
+    """Matrix from the motion to the channels x, y, z of the accelerometer: turned, exchanged, scaled."""
+    out = np.eye(3)
+    for k, a in enumerate(AXES):
+        angle = values.get(f"turned_{a}", 0.0)
+        i, j = (k + 1) % 3, (k + 2) % 3
+        turn = np.eye(3)
+        turn[i, i] = turn[j, j] = math.cos(angle)
+        turn[i, j], turn[j, i] = -math.sin(angle), math.sin(angle)
+        out = out @ turn
     for a, b in PLANES:
         if values.get(f"exchanged_{a}{b}", 0.0) > 0.5:
             rows = [AXES.index(a), AXES.index(b)]
             out[rows] = out[rows[::-1]]
-    for i, a in enumerate(AXES):
-        out[i] *= 1.0 + values.get(f"gain_{a}", 0.0)
-    return out
-
-
-def _about(axis: int, angle: float) -> Real:
-    """Rotation about an axis [rad]."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    out = np.eye(3)
-    out[i, i] = out[j, j] = math.cos(angle)
-    out[i, j], out[j, i] = -math.sin(angle), math.sin(angle)
-    return out
+    gains: Real = 1.0 + np.array([values.get(f"gain_{a}", 0.0) for a in AXES])
+    return np.asarray(out * gains[:, None])

@@ -9,8 +9,9 @@ noise two simulations of one machine differ a little, smoothly over frequency: t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping, MutableMapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 import xarray as xr
@@ -20,17 +21,68 @@ from process.errors import InputError
 from process.types import Complex, Real
 from smfe.diagnosis.inference.problem import Condition
 
-MOST_LINES = 120
-"""Lines of a condition that are compared, at most."""
 
-SHARED = 2.0
-"""Factor on the variance that hits share: it comes from three or four of them only."""
+@dataclass(frozen=True)
+class FrfRules:
+    """What the comparison of compliances with a simulation takes for granted."""
 
-SMOOTH_SHAPES = 4
-"""Cosines over the logarithm of frequency that the difference between model and machine is made of."""
+    most_lines: int = 120
+    """Lines of a condition that are compared, at most."""
+    lowest: float = 5.0
+    """Frequency from which an axis is compared [Hz] ..."""
+    reach: float = 3.0
+    """... and to which, over the frequency of the locked axis: beyond, two masses do not describe it."""
+    floor: float = 0.002
+    """Least standard deviation relative to the compliance: a difference of a line that no model is expected to meet."""
+    fewest_hits: int = 3
+    """Hits from which their scatter is known."""
+    shared: float = 2.0
+    """Factor on the variance that hits share: it comes from three or four of them only."""
+    smooth_lines: int = 15
+    """Lines over which the variance of noise is averaged."""
+    correlated: float = 1.88
+    """Variance of second differences over that of independent ones: 1 + 2 (4/9 14/15 + 1/36 13/15)."""
+    smooth_shapes: int = 4
+    """Cosines over the logarithm of frequency that the difference between model and machine is made of."""
+    discrepancy: float = 0.004
+    """Root mean square of the smooth relative error by which two simulations of one machine may differ."""
+    model_error: float = 0.002
+    """Rms relative error of predictions that looks like a change of the parameters: between single hits in motion in
+    two simulations of one machine 0.1 to 0.2 %, half of it from a sampled servo taken for a continuous one."""
+    roughness: float = 1.0
+    """Distance of predictions from a smooth function of the parameters, in noise: measured on a hit of 400 N that
+    breaks the guideway away at rest; it stays with ten times the accuracy."""
+    unsure: float = 0.5
+    """Share of what the mean of the hits has more than the mean hit that is uncertain because the baseline is."""
+    rate: float = 2000.0
+    """Samples and steps a second of a simulated hit [Hz]."""
+    accuracy: float = 1e-4
+    """Of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters."""
+    rest: float = 1e-7
+    """Of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N."""
+    same_level: float = 0.2
+    """Relative difference of levels of hits that are meant to be the same."""
+    predictions_kept: int = 20000
+    """Compliances that a family keeps."""
+    modal_kept: int = 4000
+    """The same of a modal machine, whose compliances are closed form."""
+    machines_kept: int = 40
+    """Machines that are kept with what was prepared for their hits."""
 
-_SMOOTH = 15
-_CORRELATED = 1.88  # how much less second differences tell than independent ones: 1 + 2 (4/9 14/15 + 1/36 13/15)
+
+RULES = FrfRules()
+
+Result = TypeVar("Result")
+Key = TypeVar("Key", bound=Hashable)
+
+
+def kept(results: MutableMapping[Key, Result], key: Key, make: Callable[[], Result], most: int) -> Result:
+    """Return a result that was made before, or make it; all are dropped when there are too many."""
+    if key not in results:
+        if len(results) >= most:
+            results.clear()
+        results[key] = make()
+    return results[key]
 
 
 @dataclass(frozen=True)
@@ -57,7 +109,7 @@ class Hits:
         return np.asarray(self.force.sum(axis=1) / self.rate)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Excited:
     """How a compliance was measured, and where.
 
@@ -85,8 +137,8 @@ class Excited:
         Time after a hit that was transformed [s].
     hits : Hits, optional
         The hits one by one, where they are known.
-    noise_freedom : float, optional
-        Degrees of freedom with which `std` is known over all lines (`freedom_of`); infinite: it is known.
+    degrees_of_freedom : float, optional
+        With which `std` is known over all lines (`degrees_of_freedom_of`); infinite: it is known.
     """
 
     frequency: Real
@@ -99,8 +151,10 @@ class Excited:
     controller: str | None = None
     shared: Complex | None = None
     window: float = 2.0
-    hits: Hits | None = field(default=None, repr=False, compare=False)
-    noise_freedom: float = math.inf
+    hits: Hits | None = field(default=None, repr=False)
+    degrees_of_freedom: float = math.inf
+    _rows: Real = field(init=False, repr=False)
+    _less: Real = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Keep the directions in which the errors are shared, and how much less counts there."""
@@ -124,15 +178,12 @@ class Excited:
         ``(I + L L^T)^(-1/2)``.
         """
         flat = _scaled(values, self.std)
-        rows: Real = self._rows  # type: ignore[attr-defined]
-        less: Real = self._less  # type: ignore[attr-defined]
-        return np.asarray(flat - rows.T @ (less * (rows @ flat)))
+        return np.asarray(flat - self._rows.T @ (self._less * (self._rows @ flat)))
 
     def unwhitened(self, values: Real) -> Complex:
         """Return complex values, columns of shape (entries f, n), from real ones, (2 f entries, n), of `whitened`."""
-        rows: Real = self._rows  # type: ignore[attr-defined]
-        less: Real = self._less  # type: ignore[attr-defined]
-        flat = values + rows.T @ ((less / (1.0 - less))[:, None] * (rows @ values))
+        more = (self._less / (1.0 - self._less))[:, None]
+        flat = values + self._rows.T @ (more * (self._rows @ values))
         return np.asarray((flat[0::2] + 1j * flat[1::2]) * self.std.T.reshape(-1, 1) / np.sqrt(2.0))
 
 
@@ -141,48 +192,15 @@ def _scaled(values: Complex, std: Real) -> Real:
     return np.stack([scaled.real, scaled.imag], axis=-1).ravel()
 
 
-def condition_of(
-    name: str,
-    compliance: xr.Dataset,
-    excited: Excited,
-    settings: Mapping[str, float | str],
-    source: str = "",
-) -> Condition:
-    """Return a condition from a measured compliance.
-
-    Parameters
-    ----------
-    name : str
-        For people.
-    compliance : xarray.Dataset
-        Measured, with its standard deviation.
-    excited : Excited
-        From `excitation_of`.
-    settings : mapping
-        What tells this condition from others.
-    source : str, optional
-        Independent experiment.
-    """
-    f = compliance["frequency"].values
-    pick = np.searchsorted(f, excited.frequency - 1e-9)
-    values = np.stack(
-        [compliance["compliance"].sel(response=r, excitation=e).values[pick] for r, e in excited.entries], axis=1
-    )
-    return Condition(name, dict(settings), excited.whitened(values), source, excited)
+# --- From a measured compliance to a condition.
 
 
 def excitation_of(
-    compliance: xr.Dataset,
-    method: str,
-    level: float,
-    band: tuple[float, float],
-    floor: float = 0.002,
-    **more: object,
+    compliance: xr.Dataset, method: str, level: float, band: tuple[float, float], **more: object
 ) -> Excited:
     """Return how a measured compliance was excited, with the lines that are compared.
 
-    Neighbouring lines share their error over ``error_lines``; they are thinned to independent ones, and to at most
-    `MOST_LINES`.
+    Neighbouring lines share their error over ``error_lines``; they are thinned to independent ones.
 
     Parameters
     ----------
@@ -192,24 +210,19 @@ def excitation_of(
         See `Excited`.
     band : (float, float)
         Compared from, to [Hz].
-    floor : float, optional
-        Least standard deviation relative to the compliance: what no model is expected to do better.
     **more : object
-        ``duration``, ``feed``, ``controller``, ``window``, ``noise_freedom`` of `Excited`.
+        Other fields of `Excited`.
     """
     f = compliance["frequency"].values
     lines = chosen_lines(f, band, float(compliance.attrs.get("error_lines", 1.0)))
-    rows = [str(a) for a in compliance["response"].values]
-    columns = [str(a) for a in compliance["excitation"].values]
     entries, std = [], []
-    for r in rows:
-        for e in columns:
-            entry = {"response": r, "excitation": e}
-            phi = compliance["compliance"].sel(entry).values[lines]
-            error = compliance["compliance_std"].sel(entry).values[lines]
+    for r in map(str, compliance["response"].values):
+        for e in map(str, compliance["excitation"].values):
+            at = {"response": r, "excitation": e}
+            phi, error = (compliance[n].sel(at).values[lines] for n in ("compliance", "compliance_std"))
             if np.all(np.isfinite(phi) & np.isfinite(error)):
                 entries.append((r, e))
-                std.append(np.hypot(error, floor * np.abs(phi)))
+                std.append(np.hypot(error, RULES.floor * np.abs(phi)))
     if not entries:
         raise InputError(
             f"no entry of the compliance is known with its standard deviation from {band[0]:g} to {band[1]:g} Hz; "
@@ -219,13 +232,73 @@ def excitation_of(
 
 
 def chosen_lines(frequency: Real, band: tuple[float, float], apart: float = 1.0) -> NDArray[np.int64]:
-    """Return the lines of a band [Hz] that are compared: `apart` lines or more between them, at most `MOST_LINES`."""
+    """Return the lines of a band [Hz] that are compared, `apart` lines or more between them."""
     inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & (frequency > 0.0))
-    return inside[:: max(1, round(apart), -(-inside.size // MOST_LINES))]
+    return inside[:: max(1, round(apart), -(-inside.size // RULES.most_lines))]
+
+
+def compared(excited: Excited, compliance: xr.Dataset, hits: xr.Dataset | None) -> Excited:
+    """Return how a compliance along one axis was excited, as a simulation in time is compared with it.
+
+    Parameters
+    ----------
+    excited : Excited
+        From `excitation_of`, one entry; its level gets the sign of the force.
+    compliance : xarray.Dataset
+        The mean.
+    hits : xarray.Dataset, optional
+        What it is the mean of (`smfe.identification.hammer.impacts.single_hits`).
+    """
+    ((response, excitation),) = excited.entries
+    mean = compliance["compliance"].sel(response=response, excitation=excitation).values
+    mean = mean[_places(compliance, excited)]
+    smooth = smooth_errors(excited.frequency, mean[:, None], RULES.discrepancy)
+    if hits is None:
+        return replace(excited, shared=smooth)
+    pick = _places(hits, excited)
+    # A sensor that roves is not along this axis in every hit.
+    hits = hits.isel(hit=np.isfinite(hits["compliance"].sel(response=response).values[:, pick]).all(axis=1))
+    if hits.sizes["hit"] < RULES.fewest_hits:
+        return replace(excited, shared=smooth)
+    each = hits["compliance"].sel(response=response).values
+    force, rate = hits["force"].values, 1.0 / float(np.diff(hits["contact_time"].values[:2])[0])
+    impulse = force.sum(axis=1) / rate
+    known = np.isfinite(each).all(axis=0)
+    std, shared = np.full(known.size, np.nan), np.full(each.shape, np.nan, dtype=complex)
+    std[known], shared[:, known] = scatter_of(each[:, known], impulse)
+    # Whatever was done to the mean (another estimator, the mass of a sensor taken off) is done to the hits.
+    each = each[:, pick] * (mean / ((impulse**2 @ each[:, pick]) / np.sum(impulse**2)))
+    return replace(
+        excited,
+        std=np.hypot(std[pick], RULES.floor * np.abs(mean))[:, None],
+        shared=np.concatenate([shared[:, pick, None], smooth]),
+        level=math.copysign(excited.level, impulse.sum()),
+        window=float(hits.attrs["window_s"]),
+        hits=Hits(force, rate, each[:, :, None]),
+        degrees_of_freedom=degrees_of_freedom_of(len(each), pick.size),
+    )
+
+
+def condition_of(
+    name: str, compliance: xr.Dataset, excited: Excited, settings: Mapping[str, float | str], source: str = ""
+) -> Condition:
+    """Return a condition from a measured compliance, excited as `excitation_of` says."""
+    pick = _places(compliance, excited)
+    phi = compliance["compliance"]
+    values = np.stack([phi.sel(response=r, excitation=e).values[pick] for r, e in excited.entries], axis=1)
+    return Condition(name, dict(settings), excited.whitened(values), source, excited)
+
+
+def _places(compliance: xr.Dataset, excited: Excited) -> NDArray[np.int64]:
+    """Numbers of the compared lines among those of a compliance."""
+    return np.searchsorted(compliance["frequency"].values, excited.frequency - 1e-9)
+
+
+# --- Errors.
 
 
 def scatter_of(hits: Complex, impulse: Real) -> tuple[Real, Complex]:
-    """Return what the mean of some hits is worth: standard deviation of each line, and errors shared by all lines.
+    """Return the errors of the mean of some hits: standard deviation of each line, and errors shared by all lines.
 
     Parameters
     ----------
@@ -241,44 +314,36 @@ def scatter_of(hits: Complex, impulse: Real) -> tuple[Real, Complex]:
     shared : ndarray, shape (r, f)
         See `Excited`.
     """
-    count = hits.shape[0]
-    if count < 3:
-        raise InputError(f"{count} hits tell nothing about their scatter; give three or more")
+    count, lines = hits.shape[0], RULES.smooth_lines
+    if count < RULES.fewest_hits:
+        raise InputError(f"the scatter of {count} hits is not known; give three or more")
     away = hits - hits.mean(axis=0)
     bend = away[:, :-2] - 2.0 * away[:, 1:-1] + away[:, 2:]
     square = np.sum(np.abs(bend) ** 2, axis=0) / (6.0 * (count - 1))
-    kernel = np.ones(_SMOOTH)
-    size = np.convolve(np.ones(square.size), kernel, "same")
-    smooth = np.pad(np.convolve(square, kernel, "same") / size, 1, mode="edge")
-    freedom = count - 1
+    sums, size = (np.convolve(x, np.ones(lines), "same") for x in (square, np.ones(square.size)))
+    smooth = np.pad(sums / size, 1, mode="edge")
+    degrees_of_freedom = count - 1
     if count > 3:
         level = impulse - impulse.mean()
         away = away - np.outer(level, level @ away) / max(float(level @ level), 1e-300)
-        freedom -= 1
+        degrees_of_freedom -= 1
     # A complex row stands for two real factors: real and imaginary parts of the error go together. The scatter is known
     # from a few lines only: a mean square of n complex values divides by n/(n - 1) of itself on average.
-    known = (count - 1) * _SMOOTH / _CORRELATED
-    return np.sqrt(smooth / count * known / (known - 1.0)), away * np.sqrt(SHARED / (freedom * count))
+    known = (count - 1) * lines / RULES.correlated
+    return np.sqrt(smooth / count * known / (known - 1.0)), away * np.sqrt(RULES.shared / (degrees_of_freedom * count))
 
 
-def freedom_of(repeats: int, values: int) -> float:
-    """Return the degrees of freedom with which a scatter over some repeats is known over many lines.
+def degrees_of_freedom_of(repeats: int, values: int) -> float:
+    """Return the degrees of freedom with which a scatter over some hits or records is known over many lines.
 
-    Values that are compared, not all that the scatter was smoothed over: what those between them add is lost again
-    where noise is taken for that of a few neighbours.
-
-    Parameters
-    ----------
-    repeats : int
-        Hits or records that were averaged.
-    values : int
-        Independent complex values that are compared.
+    Independent complex values that are compared count, not all that the scatter was smoothed over: what those between
+    them add is lost again where noise is taken for that of a few neighbours.
     """
     return 2.0 * (repeats - 1) * values
 
 
 def smooth_errors(frequency: Real, compliance: Complex, share: float) -> Complex:
-    """Return smooth relative errors of a compliance, shape (2 `SMOOTH_SHAPES`, f, entries); for `Excited.shared`.
+    """Return smooth relative errors of a compliance, shape (2 shapes, f, entries); for `Excited.shared`.
 
     Parameters
     ----------
@@ -290,67 +355,7 @@ def smooth_errors(frequency: Real, compliance: Complex, share: float) -> Complex
         Root mean square of the complex relative error of a line, all shapes together.
     """
     u = np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0])
-    order = np.arange(SMOOTH_SHAPES)
+    order = np.arange(RULES.smooth_shapes)
     shapes = np.cos(np.pi * order[:, None] * u) * np.where(order == 0, 1.0, np.sqrt(2.0))[:, None]
-    each = share / np.sqrt(2.0 * SMOOTH_SHAPES) * shapes[:, :, None] * compliance
+    each = share / np.sqrt(2.0 * RULES.smooth_shapes) * shapes[:, :, None] * compliance
     return np.concatenate([each, 1j * each])
-
-
-# --- What the single hits of a measurement tell a diagnosis: their scatter, their forces, and how long they were
-# followed.
-
-DISCREPANCY = 0.004
-"""Root mean square of the smooth relative error by which two simulations of one machine may differ."""
-
-FEWEST = 3
-"""Hits whose scatter tells anything."""
-
-
-def compared(
-    excited: Excited, compliance: xr.Dataset, hits: xr.Dataset | None, discrepancy: float, floor: float = 0.002
-) -> Excited:
-    """Return how a compliance along one axis was excited, as a simulation in time is compared with it.
-
-    Parameters
-    ----------
-    excited : Excited
-        From `excitation_of`, one entry; its level gets the sign of the force.
-    compliance : xarray.Dataset
-        The mean.
-    hits : xarray.Dataset, optional
-        What it is the mean of (`smfe.identification.hammer.impacts.single_hits`).
-    discrepancy : float
-        Root mean square of the smooth relative error of the simulation.
-    floor : float, optional
-        As of `excitation_of`.
-    """
-    ((response, excitation),) = excited.entries
-    mean = compliance["compliance"].sel(response=response, excitation=excitation).values
-    mean = mean[np.searchsorted(compliance["frequency"].values, excited.frequency - 1e-9)]
-    smooth = smooth_errors(excited.frequency, mean[:, None], discrepancy)
-    if hits is None:
-        return replace(excited, shared=smooth)
-    f = hits["frequency"].values
-    pick = np.searchsorted(f, excited.frequency - 1e-9)
-    # A sensor that roves is not along this axis in every hit.
-    hits = hits.isel(hit=np.isfinite(hits["compliance"].sel(response=response).values[:, pick]).all(axis=1))
-    if hits.sizes["hit"] < FEWEST:
-        return replace(excited, shared=smooth)
-    each = hits["compliance"].sel(response=response).values
-    force, rate = hits["force"].values, 1.0 / float(np.diff(hits["contact_time"].values[:2])[0])
-    impulse = force.sum(axis=1) / rate
-    known = np.isfinite(each).all(axis=0)
-    std, shared = np.full(f.size, np.nan), np.full((len(each), f.size), np.nan, dtype=complex)
-    std[known], shared[:, known] = scatter_of(each[:, known], impulse)
-    # Whatever was done to the mean (another estimator, the mass of a sensor taken off) is done to the hits.
-    plain = (impulse**2 @ each[:, pick]) / np.sum(impulse**2)
-    each = each[:, pick] * (mean / plain)
-    return replace(
-        excited,
-        std=np.hypot(std[pick], floor * np.abs(mean))[:, None],
-        shared=np.concatenate([shared[:, pick, None], smooth]),
-        level=math.copysign(excited.level, impulse.sum()),
-        window=float(hits.attrs["window_s"]),
-        hits=Hits(force, rate, each[:, :, None]),
-        noise_freedom=freedom_of(len(each), pick.size),
-    )

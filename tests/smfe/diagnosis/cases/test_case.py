@@ -1,4 +1,4 @@
-"""Claims: a campaign file puts the same question as the records by hand, and what is proposed next can be done."""
+"""Claims: a campaign file gives the same family as the records by hand, and what is proposed next can be done."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from smfe.campaign import Campaign, LobeRequest, Measurement, RecordEntry, load_
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.compliances import case_of, steadied
-from smfe.diagnosis.cases.experiments import menu
+from smfe.diagnosis.cases.experiments import proposed_experiments
 from smfe.diagnosis.checks.channels import silence_suspects
 from smfe.diagnosis.consequences import stable_depths
 from smfe.diagnosis.cutting.forces import cutting_family
@@ -46,7 +46,7 @@ def public(name: str, monkeypatch: pytest.MonkeyPatch) -> Campaign:
 
 
 def test_a_drive_campaign_is_the_family_of_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The record that is held out has no say in filter, noise and starts, and its moves are the ones set aside."""
+    """The record that is held out has no say in filter, noise and starts, and its moves are the ones held out."""
     campaign = public("emps", monkeypatch)
     case = case_of(campaign, {})
     records = [read_records(m.records[0].files[0], m.records[0].channels)[0] for m in campaign.measurements]
@@ -54,11 +54,11 @@ def test_a_drive_campaign_is_the_family_of_its_records(monkeypatch: pytest.Monke
     other = DriveRecordFamily.from_record(records[1], like=first)
     for mine, byhand in zip(case.family.conditions, (*first.conditions, *other.conditions), strict=True):
         np.testing.assert_array_equal(mine.observed, byhand.observed)
-    assert case.set_aside() == case.groups["moves with pulses"]
-    assert len(case.set_aside()) == len(other.conditions)
+    assert case.held_out_conditions() == case.groups["moves with pulses"]
+    assert len(case.held_out_conditions()) == len(other.conditions)
 
 
-def test_commands_that_nobody_logged_are_found_in_the_record_that_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_that_are_not_logged_are_found_in_the_record_that_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """25 pulses of 5 V, which are 175.8 N; none in the other record."""
     (found,) = [s for s in audit(public("emps", monkeypatch)) if s.cause == "hidden_input"]
     assert found.where == "moves with pulses"
@@ -91,12 +91,12 @@ def to_and_fro(**channels: np.ndarray) -> xr.Dataset:
         ({}, "measurement 'moved': drive_force_x is 1 N in all samples"),
     ],
 )
-def test_a_drive_record_that_lacks_something_is_told_so(tmp_path: Path, lost: dict, said: str) -> None:
+def test_a_drive_record_that_lacks_something_is_refused_by_name(tmp_path: Path, lost: dict, said: str) -> None:
     with pytest.raises(InputError, match=said):
         case_of(drive_campaign(tmp_path, to_and_fro(**lost)), {})
 
 
-def test_a_control_law_without_its_reference_is_told_so(tmp_path: Path) -> None:
+def test_a_control_law_without_its_reference_is_refused_by_name(tmp_path: Path) -> None:
     campaign = drive_campaign(tmp_path, to_and_fro(), "Kp = '8 N s/m'\nKv = '16 1/s'\n")
     found = audit(campaign)
     assert any("no reference_position_x; the control law needs it" in str(s) for s in found), found
@@ -104,11 +104,11 @@ def test_a_control_law_without_its_reference_is_told_so(tmp_path: Path) -> None:
 
 def test_what_is_held_out_must_be_measured_and_leave_something() -> None:
     case = Case(None, {"a": ("a, move 1", "a, move 2"), "b": ("b, move 1",)}, ("b",))
-    assert case.set_aside() == ("b, move 1",)
+    assert case.held_out_conditions() == ("b, move 1",)
     with pytest.raises(InputError, match="'c' cannot be held out; compared are 'a', 'b'"):
-        case.set_aside(["c"])
+        case.held_out_conditions(["c"])
     with pytest.raises(InputError, match="everything is held out"):
-        case.set_aside(["a"])
+        case.held_out_conditions(["a"])
 
 
 # --- forces of cuts -----------------------------------------------------------------------------------------
@@ -122,9 +122,9 @@ def test_a_campaign_of_cuts_is_the_family_of_its_records(monkeypatch: pytest.Mon
     byhand = cutting_family(
         {"cut": (read_records(test.file, test.channels)[0], cut)}, Tool(0.025, 2), (900e6, 300e6, 150e6)
     )
-    (aside,) = case.set_aside()
-    assert aside == "cut at 6000 rpm, 0.125 mm per tooth, 3 mm deep"
-    (mine,) = [c for c in case.family.conditions if c.name == aside]
+    (held_out,) = case.held_out_conditions()
+    assert held_out == "cut at 6000 rpm, 0.125 mm per tooth, 3 mm deep"
+    (mine,) = [c for c in case.family.conditions if c.name == held_out]
     np.testing.assert_allclose(mine.observed, byhand.conditions[0].observed, rtol=1e-12)
     names = [p.name for p in case.family.proposals]
     assert names[0] == "cut at 6000 rpm, 0.25 mm per tooth, 3 mm deep"
@@ -175,7 +175,7 @@ def machine(true: dict[str, float], *conditions: Condition) -> MachineFrfs:
 
 def test_each_proposal_changes_one_thing_and_none_was_measured() -> None:
     family = machine(values(), condition("idle", 0.0), condition("moving", 500.0), condition("slow", 100.0))
-    proposals = menu(family)
+    proposals = proposed_experiments(family)
     names = [p.name for p in proposals]
     assert "as moving, but at 50 mm/min" in names
     assert "as moving, but at -500 mm/min, the other direction" in names
@@ -189,9 +189,9 @@ def test_each_proposal_changes_one_thing_and_none_was_measured() -> None:
         assert p.settings["minutes"] >= 5.0
 
 
-def test_a_named_place_tells_apart_and_a_length_counts() -> None:
+def test_another_position_is_proposed_as_a_length() -> None:
     family = machine(values(), condition("near", 500.0, position=0.1))
-    further = [p for p in menu(family) if "further along" in p.name]
+    further = [p for p in proposed_experiments(family) if "further along" in p.name]
     assert [p.settings["position"] for p in further] == [pytest.approx(0.4)]
 
 
@@ -218,7 +218,7 @@ def test_between_coulomb_and_stribeck_it_asks_for_a_feed_of_the_transition() -> 
     assert found[0].probability > 0.99 > 0.05 > max(p.probability for p in found[1:])
 
 
-def test_of_two_experiments_that_tell_the_same_the_shorter_comes_first() -> None:
+def test_of_two_experiments_that_separate_alike_the_shorter_comes_first() -> None:
     family = machine(values(), condition("moving", 500.0))
     twice = [condition("long", 50.0, minutes=30.0), condition("short", 50.0, minutes=5.0)]
     model = Model(family, [*family.conditions, *twice])
@@ -279,10 +279,10 @@ def silent_campaign(folder: Path, moving: np.ndarray) -> Campaign:
     return Campaign(folder / "campaign.toml", "silence", measurements=tuple(out))
 
 
-def test_an_axis_that_vibrates_by_itself_is_named_and_a_loud_one_is_not(tmp_path: Path) -> None:
+def test_an_axis_that_vibrates_by_itself_is_named_and_a_noisy_one_is_not(tmp_path: Path) -> None:
     time, rng = np.arange(8000) * 1e-3, np.random.default_rng(2)
-    loud = 0.5 * rng.standard_normal(time.size)
-    assert list(silence_suspects(silent_campaign(tmp_path, loud))) == []
+    noise = 0.5 * rng.standard_normal(time.size)
+    assert list(silence_suspects(silent_campaign(tmp_path, noise))) == []
     sine = np.sin(2.0 * np.pi * 61.3 * time) + 0.05 * rng.standard_normal(time.size)
     (found,) = silence_suspects(silent_campaign(tmp_path, sine))
     assert found.cause == "limit_cycle"

@@ -1,4 +1,4 @@
-"""Claims: cutting tests of a campaign file bracket limits and put their model to the question."""
+"""Claims: cutting tests of a campaign file bracket limits against which their model is tested."""
 
 import json
 import math
@@ -44,9 +44,9 @@ def written(folder: Path, found: list[Found], baseline: str = 'limits = "bench"'
         f"[baseline]\n{baseline}",
     ]
     for number, f in enumerate(found):
-        for verdict, depth, heard in (("stable", f.stable, None), ("chatter", f.chatter, f.frequency)):
+        for verdict, depth, measured in (("stable", f.stable, None), ("chatter", f.chatter, f.frequency)):
             name = f"{number}_{verdict}.csv"
-            cut(folder / name, f.speed, heard, number)
+            cut(folder / name, f.speed, measured, number)
             lines.append(
                 f'[[cutting_test]]\nfile = "{name}"\nspindle_speed = "{f.speed} rpm"\n'
                 f'depth_of_cut = "{depth * 1e3} mm"\n'
@@ -65,8 +65,8 @@ def test_a_softer_or_harder_material_is_named_from_the_cutting_tests_of_a_campai
     assert [(c.id, c.variant) for c in found.causes] == [("force_coefficients", "size")]
     (size,) = found.causes[0].parameters
     assert abs(size.value) == pytest.approx(15.0, abs=3.0)
-    told = json.loads((tmp_path / "finding.json").read_text())
-    depths = told["stable_depth"]
+    written_finding = json.loads((tmp_path / "finding.json").read_text())
+    depths = written_finding["stable_depth"]
     assert len(depths) == 22
     ratio = [row["after_mm"] / row["before_mm"] for row in depths]
     assert ratio == pytest.approx([1.0 / (1.0 + size.value / 100.0)] * 22, rel=0.1)
@@ -86,12 +86,12 @@ def test_limits_and_chatter_frequencies_are_those_of_the_cutting_tests(tmp_path:
         assert case.groups[f"{tests.index(test)}_stable.csv"] == (condition.name,)
 
 
-def test_what_cannot_be_questioned_is_said(tmp_path: Path) -> None:
+def test_what_cannot_be_tested_is_refused(tmp_path: Path) -> None:
     one = [Found(300.0, 1e-4, 1.9e-3, 2.1e-3, 71.3)]
-    loud = written(tmp_path, one, observed=True)
-    loud.write_text(loud.read_text().replace('observed = "stable"', 'observed = "chatter"'))
+    chattering = written(tmp_path, one, observed=True)
+    chattering.write_text(chattering.read_text().replace('observed = "stable"', 'observed = "chatter"'))
     with pytest.raises(InputError, match=r"no limit is bracketed .* at 300 rpm every cut chattered.* other side"):
-        case_of(load_campaign(loud), {})
+        case_of(load_campaign(chattering), {})
     with pytest.raises(InputError, match=r"baseline.limits: 'bnch' is neither a measurement nor a model"):
         load_campaign(written(tmp_path, one, 'limits = "bnch"'))
     with pytest.raises(InputError, match="one simulation is questioned at a time"):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exam.records import baseline, condition_of, family
+from exam.records import baseline, condition_of, family, sampled
 from scipy import stats
 from truth.axis import MM_MIN, Truth
 from truth.blind import draw
@@ -13,9 +13,8 @@ from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
 
 from process.drive.servo import Servo
-from smfe.diagnosis.frf.axis import MachineFrfs, as_hit, compliance_under
-from smfe.diagnosis.frf.axis_baseline import sampled
-from smfe.diagnosis.frf.noise import Excited, freedom_of, scatter_of, smooth_errors
+from smfe.diagnosis.frf.axis import MachineFrfs, SimulatedMachine, as_hit
+from smfe.diagnosis.frf.noise import Excited, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.problem import Condition
 
@@ -58,7 +57,7 @@ def test_without_friction_a_hit_finds_the_compliance_of_the_linear_axis(controll
     condition = nominal(MOVING, controller=controller)
     found = MachineFrfs(baseline("viscous"), (condition,))
     machine = found.baseline.machine(found.baseline.effective(values_of(found), {}, MOVING))
-    hit = compliance_under(machine, condition.data)[:, 0]
+    hit = SimulatedMachine(machine).compliance(condition.data)[:, 0]
     exact = machine.at({"x": MOVING}, controller).matrix(LINES)[:, 0, 0]
     assert np.abs(hit - exact).max() < 2e-3 * np.abs(exact).max()
 
@@ -101,7 +100,7 @@ def test_what_was_whitened_can_be_made_compliance_again():
     assert again == pytest.approx(np.column_stack([phi.T.ravel(), 2j * phi.T.ravel()]), rel=1e-9)
 
 
-def test_places_and_times_are_nothing_that_a_simulation_knows_of():
+def test_a_simulation_predicts_the_same_at_every_place_and_time():
     here, there, late = nominal(), nominal(position=0.5), nominal(order=0.7)
     others = nominal(feed=MOVING), nominal(level=0.6), nominal(controller="K3"), nominal(added_mass=1.0)
     family = MachineFrfs(baseline(), (here,))
@@ -123,17 +122,17 @@ def test_scatter_is_smooth_noise_and_what_the_hits_share():
 @pytest.mark.parametrize("count", [3, 4, 6])
 def test_squares_over_the_scatter_of_a_few_hits_follow_fishers_law(count):
     """240 lines of noise, every third compared: 1 in 100 beyond its bound; with noise taken as known up to 3."""
-    rng, chances, known = np.random.default_rng(count), [], []
+    rng, p_values, known = np.random.default_rng(count), [], []
     for _ in range(1500):
         noise = rng.standard_normal((count, 240)) + 1j * rng.standard_normal((count, 240))
         std, _ = scatter_of(noise, np.linspace(1.0, 1.1, count))
         z = 2.0 * np.abs(noise.mean(axis=0) / std)[::3] ** 2
-        freedom = freedom_of(count, z.size)
-        chances.append(stats.f.sf(z.sum() / (2 * z.size), 2 * z.size, freedom))
+        known_to = degrees_of_freedom_of(count, z.size)
+        p_values.append(stats.f.sf(z.sum() / (2 * z.size), 2 * z.size, known_to))
         known.append(stats.chi2.sf(z.sum(), 2 * z.size))
-    assert np.mean(np.array(chances) < 0.01) <= 0.015
-    assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.09, abs=0.03)
-    assert np.mean(np.array(known) < 0.01) > np.mean(np.array(chances) < 0.01)
+    assert np.mean(np.array(p_values) < 0.01) <= 0.015
+    assert np.mean(np.array(p_values) < 0.1) == pytest.approx(0.09, abs=0.03)
+    assert np.mean(np.array(known) < 0.01) > np.mean(np.array(p_values) < 0.01)
 
 
 @pytest.mark.parametrize(
@@ -142,22 +141,20 @@ def test_squares_over_the_scatter_of_a_few_hits_follow_fishers_law(count):
 )
 def test_two_simulations_of_the_same_axis_differ_by_no_more_than_the_stated_discrepancy(feed, level, controller, most):
     record, condition, found, values = one(feed, level, controller)
-    ours = compliance_under(
-        found.baseline.machine(found.baseline.effective(values, {}, feed * MM_MIN)), condition.data
-    )[:, 0]
+    machine = found.baseline.machine(found.baseline.effective(values, {}, feed * MM_MIN))
+    ours = SimulatedMachine(machine).compliance(condition.data)[:, 0]
     reduced = reduce(record)
     theirs = reduced["compliance"][np.isin(reduced["frequency"], condition.data.frequency)]
     away = np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)
     assert 5e-5 < away < most
 
 
-def test_hits_that_break_away_are_not_worth_their_mean_and_as_hit_makes_up_for_it():
+def test_the_mean_of_hits_that_break_away_is_not_their_mean_hit_and_as_hit_corrects_it():
     _, condition, found, values = one(0.0, 400.0, "K2")
-    (told,) = as_hit(found, 0.0, values).conditions
-    ours = found.predict(told, values)
-    plain = np.linalg.norm(ours - told.data.whitened(condition.data.hits.compliance.mean(axis=0)))
-    corrected = np.linalg.norm(ours - told.observed)
-    assert corrected < 0.7 * plain
+    (corrected,) = as_hit(found, 0.0, values).conditions
+    ours = found.predict(corrected, values)
+    plain = np.linalg.norm(ours - corrected.data.whitened(condition.data.hits.compliance.mean(axis=0)))
+    assert np.linalg.norm(ours - corrected.observed) < 0.7 * plain
 
 
 @pytest.mark.parametrize("level", [1.3, 1.5])
@@ -168,7 +165,7 @@ def test_a_hit_that_breaks_the_guideway_away_changes_smoothly_with_the_machine(l
         found.baseline.machine(found.baseline.effective(values | {"stiffness": k * values["stiffness"]}, {}, 0.0))
         for k in np.linspace(1.0, 1.02, 41)
     )
-    every = np.array([compliance_under(m, excited)[:, 0] for m in machines])
+    every = np.array([SimulatedMachine(m).compliance(excited)[:, 0] for m in machines])
     bend = np.linalg.norm(np.diff(every, 2, axis=0), axis=1) / np.linalg.norm(every[0])
     assert bend.max() < 2.5 * np.median(bend)
 

@@ -25,8 +25,8 @@ from truth.modal_machine import (
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.diagnosis.cases.experiments import FREE_MASS, modal_proposals
-from smfe.diagnosis.frf.modal_causes import vector
+from smfe.diagnosis.cases.experiments import FREE_MASS, proposed_modal_experiments
+from smfe.diagnosis.frf.causes import vector
 from smfe.diagnosis.frf.modal_dynamics import DECAYING, Changed, Shaken, full_compliance, unchanged
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import Excited
@@ -120,10 +120,10 @@ class TestClosedForms:
         assert 1e-6 < away(found, truth) < 0.02
         assert away(found, truth) < 0.1 * away(linear, truth)
 
-    def test_a_blow_is_a_decaying_vibration(self) -> None:
+    def test_a_hit_is_a_decaying_vibration(self) -> None:
         f, z, k = 40.0, 0.02, 1e7
         w, level, strength = 2.0 * math.pi * f, 2.0, 0.1
-        start = level * w / math.sqrt(k)  # amplitude after the blow in scaled coordinates
+        start = level * w / math.sqrt(k)  # amplitude after the hit in scaled coordinates
 
         def motion(hard: float, t: np.ndarray) -> np.ndarray:
             def rate(_: float, y: np.ndarray) -> list[float]:
@@ -172,7 +172,7 @@ def prediction(fam: ModalFrfs, k: int, **more: float) -> np.ndarray:
 class TestFamily:
     def test_every_cause_at_its_null_leaves_the_baseline(self, null: ModalFrfs) -> None:
         values = {p.name: p.start for p in null.nuisances}
-        for c in (*null.conditions, *modal_proposals(null.conditions)):
+        for c in (*null.conditions, *proposed_modal_experiments(null.conditions)):
             assert isinstance(c.data, Excited)
             alone = null.predict(c, values)
             for cause in null.causes:
@@ -241,13 +241,13 @@ class TestFamily:
             _ = replace(null, conditions=()).causes
 
     def test_what_could_be_measured_is_not_measured_already(self, null: ModalFrfs) -> None:
-        names = [c.name for c in modal_proposals(null.conditions)]
+        names = [c.name for c in proposed_modal_experiments(null.conditions)]
         assert not any("laser" in n or "spindle" in n or "free mass" in n for n in names)
         bare = [replace(c, settings={}) for c in null.conditions[:1]]
-        names = [c.name for c in modal_proposals(bare)]
+        names = [c.name for c in proposed_modal_experiments(bare)]
         assert any("laser" in n for n in names)
         assert f"a free mass of {FREE_MASS:g} kg in the machine's place" in names
-        assert modal_proposals(()) == ()
+        assert proposed_modal_experiments(()) == ()
 
     def test_what_a_design_without_contrast_cannot_tell_apart(self) -> None:
         """To first order, before any data."""
