@@ -45,6 +45,7 @@ def public(name: str, monkeypatch: pytest.MonkeyPatch) -> Campaign:
 # --- records of a moving axis -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_drive_campaign_is_the_family_of_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
     """The record that is held out has no say in filter, noise and starts, and its moves are the ones held out."""
     campaign = public("emps", monkeypatch)
@@ -195,6 +196,7 @@ def test_another_position_is_proposed_as_a_length() -> None:
     assert [p.settings["position"] for p in further] == [pytest.approx(0.4)]
 
 
+@pytest.mark.slow
 def test_between_coulomb_and_stribeck_it_asks_for_a_feed_of_the_transition() -> None:
     """Light hits stick at rest and slide alike at 500 mm/min: only in between does the fall of the friction show.
 

@@ -119,7 +119,7 @@ def test_scatter_is_smooth_noise_and_what_the_hits_share():
     assert spread.max() == pytest.approx(2e-6 * np.sqrt(4.0 * 2.0 / (2.0 * 4.0)), rel=0.1)
 
 
-@pytest.mark.parametrize("count", [3, 4, 6])
+@pytest.mark.parametrize("count", [4, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 6))])
 def test_squares_over_the_scatter_of_a_few_hits_follow_fishers_law(count):
     """240 lines of noise, every third compared: 1 in 100 beyond its bound; with noise taken as known up to 3."""
     rng, p_values, known = np.random.default_rng(count), [], []
@@ -199,16 +199,16 @@ def test_a_healthy_axis_hit_at_rest_and_in_motion_is_consistent():
     assert diagnose(family(records)).verdict == "consistent"
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_a_healthy_axis_whose_noise_one_cause_follows_is_consistent():
     """Servo gains beat their threshold by little here; held-out conditions do not bear them out, and noise is all."""
     sealed = draw(510_024, effects=(None,))
     found = diagnose(family(sealed.records))
-    sealed.require(found.verdict == "consistent" and not found.causes, found.reason)
+    assert (found.verdict, [c.id for c in found.causes]) == ("consistent", []), sealed.reveal(found.reason)
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_an_effect_of_the_size_that_must_be_found_is_named():
     sealed = draw(11_900, effects=("gain",))
     found = diagnose(family(sealed.records))
-    sealed.require([c.id for c in found.causes] == ["sensor_gain"] and found.verdict == "named", found.reason)
+    assert (found.verdict, [c.id for c in found.causes]) == ("named", ["sensor_gain"]), sealed.reveal(found.reason)

@@ -12,7 +12,7 @@ from truth.effects import EFFECTS, apply
 
 from smfe.diagnosis.inference.diagnose import diagnose
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.exam
 
 MOVING = Plan(feed=500.0)
 SEPARATING = {"delay": {"hammer idle, 100 N, K2, 0 m", "hammer +500 mm/min, 100 N, K1, 0 m"}}

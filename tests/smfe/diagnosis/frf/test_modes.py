@@ -249,12 +249,18 @@ class TestFamily:
         assert f"a free mass of {FREE_MASS:g} kg in the machine's place" in names
         assert proposed_modal_experiments(()) == ()
 
-    def test_what_a_design_without_contrast_cannot_tell_apart(self) -> None:
+    @pytest.mark.parametrize(
+        ("name", "both"),
+        [
+            ("posture or drift", {"posture", "drift"}),
+            pytest.param("gain or scale", {"modal_scale", GAIN}, marks=pytest.mark.slow),
+        ],
+    )
+    def test_a_design_without_contrast_does_not_separate_two_causes(self, name: str, both: set[str]) -> None:
         """To first order, before any data."""
-        groups = {n: isolability(pair(n, 0, 1, False)[0]).groups for n in ("posture or drift", "gain or scale")}
-        for name, both in (("posture or drift", {"posture", "drift"}), ("gain or scale", {"modal_scale", GAIN})):
-            assert any(both <= set(g) for g in groups[name])
-            assert not any(both <= set(g) for g in isolability(pair(name, 0, 1, True)[0]).groups)
+        before, after = (isolability(pair(name, 0, 1, settled)[0]).groups for settled in (False, True))
+        assert any(both <= set(g) for g in before)
+        assert not any(both <= set(g) for g in after)
 
 
 def named(fam: ModalFrfs, seed: int) -> tuple[str, set[str]]:
@@ -269,6 +275,7 @@ class TestHidden:
         assert peak_shift(built, slip, (NOMINAL_LEVEL, 2.0 * NOMINAL_LEVEL))[0] == pytest.approx(-0.05, abs=0.002)
         assert peak_shift(built, hard, (0.5 * NOMINAL_LEVEL, 2.0 * NOMINAL_LEVEL))[1] == pytest.approx(0.03, abs=0.003)
 
+    @pytest.mark.slow
     def test_nothing_is_wrong_where_nothing_is(self, null: ModalFrfs) -> None:
         assert named(null, 1) == ("consistent", set())
 
@@ -276,7 +283,7 @@ class TestHidden:
     def test_an_effect_is_named(self, hidden: str) -> None:
         assert named(family(hidden, 1)[0], 1) == ("named", {NAMES[hidden]})
 
-    @pytest.mark.slow
+    @pytest.mark.exam
     def test_every_effect_is_named_or_at_least_no_other(self) -> None:
         """One in four; the exam has them all, seed by seed."""
         wrong, right, asked = [], 0, RELIABLE[1::4]
@@ -288,7 +295,7 @@ class TestHidden:
         assert not wrong
         assert right >= len(asked) - 1
 
-    @pytest.mark.slow
+    @pytest.mark.exam
     def test_no_false_alarms(self) -> None:
         """The exam has more; more than one of 4 would be less likely than 1 in 400 at 2 %."""
         alarms = sum(
@@ -319,8 +326,9 @@ RELIABLE = [n for n in NAMES if n not in ("scale", "mass")]
 
 
 class TestConfounded:
-    @pytest.mark.slow
-    @pytest.mark.parametrize("which", [0, 1])
+    @pytest.mark.parametrize(
+        "which", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.exam)]
+    )
     def test_posture_and_drift_are_a_set_until_the_first_position_is_measured_again(self, which: int) -> None:
         fam, truth = pair("posture or drift", which, 2, False)
         before = diagnose(fam, 0)
@@ -330,8 +338,13 @@ class TestConfounded:
         assert before.next_experiment.probability > 0.9
         assert named(pair("posture or drift", which, 2, True)[0], 0) == ("named", {truth})
 
-    @pytest.mark.slow
-    @pytest.mark.parametrize(("name", "which"), [*product([n for n in PAIRS if n != "posture or drift"], (0, 1))])
+    @pytest.mark.parametrize(
+        ("name", "which"),
+        [
+            pytest.param(*each, marks=pytest.mark.slow if each == ("gain or scale", 0) else pytest.mark.exam)
+            for each in product([n for n in PAIRS if n != "posture or drift"], (0, 1))
+        ],
+    )
     def test_the_others_are_never_taken_for_each_other(self, name: str, which: int) -> None:
         for settled in (False, True):
             fam, truth = pair(name, which, 3, settled)
@@ -340,7 +353,7 @@ class TestConfounded:
             if settled and truth not in ("modal_mass", "modal_scale"):
                 assert (verdict, causes) == ("named", {truth})
 
-    @pytest.mark.slow
+    @pytest.mark.exam
     def test_permuted_labels_give_no_gain(self) -> None:
         gains = []
         for seed in range(8):

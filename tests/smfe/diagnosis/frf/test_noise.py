@@ -135,8 +135,13 @@ MIXED = (
 """Hits that stick, break away, reverse the carriage, and leave it in motion."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("asymmetry", "said"), [(0.0, []), (0.2, ["friction_asymmetry"])])
+@pytest.mark.parametrize(
+    ("asymmetry", "said"),
+    [
+        pytest.param(0.0, [], marks=pytest.mark.exam),
+        pytest.param(0.2, ["friction_asymmetry"], marks=pytest.mark.slow),
+    ],
+)
 def test_an_axis_that_is_hit_hard_in_motion_is_judged_rightly_from_its_campaign_file(
     tmp_path: Path, asymmetry: float, said: list[str]
 ) -> None:
