@@ -60,21 +60,14 @@ _CORRECT = "correct the campaign file or the record; nothing can be computed fro
 
 @dataclass
 class Audit:
-    """What an audit found, and what it identified on the way.
-
-    Parameters
-    ----------
-    suspects : list of Suspect
-        Suspicions.
-    identified : dict
-        Measurement, or level of a sweep -> its identification.
-    seen : list of Seen
-        Records, by their samples.
-    """
+    """What an audit found, and what it identified on the way."""
 
     suspects: list[Suspect] = field(default_factory=list)
+    """Suspicions."""
     identified: dict[str, Identification] = field(default_factory=dict)
+    """Measurement, or level of a sweep -> its identification."""
     seen: list[Seen] = field(default_factory=list)
+    """Records, by their samples."""
 
     @property
     def excluded(self) -> Failures:

@@ -18,24 +18,16 @@ from smfe.records.formats.channels import did_you_mean, listed
 
 @dataclass(frozen=True)
 class Case:
-    """A campaign in the form that the inference takes.
-
-    Parameters
-    ----------
-    family : Family
-        Baseline, causes, conditions and proposals.
-    groups : mapping
-        Name of a measurement, or file of a cutting test -> names of its conditions.
-    held_out : tuple of str
-        Those of the groups that the campaign holds out.
-    suspects : tuple of Suspect
-        What was noticed about the data on the way.
-    """
+    """A campaign in the form that the inference takes."""
 
     family: Family
+    """Baseline, causes, conditions and proposals."""
     groups: Mapping[str, tuple[str, ...]]
+    """Name of a measurement, or file of a cutting test -> names of its conditions."""
     held_out: tuple[str, ...] = ()
+    """Those of the groups that the campaign holds out."""
     suspects: tuple[Suspect, ...] = field(default=())
+    """What was noticed about the data on the way."""
 
     def held_out_conditions(self, more: Iterable[str] = ()) -> tuple[str, ...]:
         """Return the conditions that no fit uses: those held out by the campaign, and those of `more` measurements.
@@ -57,24 +49,16 @@ class Case:
 
 @dataclass(frozen=True)
 class NamedModes:
-    """Modes of a baseline: those of a ``[[model]]``, or those fitted to a measured compliance.
-
-    Parameters
-    ----------
-    modal : ModalModel
-        The modes.
-    band : (float, float)
-        Lowest and highest natural frequency that count as modes of the machine [Hz].
-    suspects : tuple of Suspect
-        What the fit warns of.
-    spread : mapping
-        What a ``[[model]]`` states as its ``uncertainty``, relative; empty where it states none.
-    """
+    """Modes of a baseline: those of a ``[[model]]``, or those fitted to a measured compliance."""
 
     modal: ModalModel
+    """The modes."""
     band: tuple[float, float]
+    """Lowest and highest natural frequency that count as modes of the machine [Hz]."""
     suspects: tuple[Suspect, ...] = ()
+    """What the fit warns of."""
     spread: Mapping[str, float] = field(default_factory=dict)
+    """What a ``[[model]]`` states as its ``uncertainty``, relative; empty where it states none."""
 
 
 def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification]) -> NamedModes:

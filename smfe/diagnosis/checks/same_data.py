@@ -14,24 +14,16 @@ from smfe.diagnosis.checks.suspect import Part, Suspect, fault, warning
 
 @dataclass(frozen=True)
 class Seen:
-    """One record, and what it is said to be.
-
-    Parameters
-    ----------
-    part : (str, str)
-        What it belongs to.
-    file : str
-        Where it was read.
-    said : tuple
-        What the campaign says of it: conditions, axis, cut.
-    digest : str
-        The same for the same samples.
-    """
+    """One record, and what it is said to be."""
 
     part: Part
+    """What it belongs to."""
     file: str
+    """Where it was read."""
     said: tuple[object, ...]
+    """What the campaign says of it: conditions, axis, cut."""
     digest: str
+    """The same for the same samples."""
 
 
 def seen(record: xr.Dataset, part: Part, said: Iterable[object], excitation: str | None = None) -> Seen:

@@ -17,30 +17,20 @@ Part = tuple[str, str]
 
 @dataclass(frozen=True)
 class Suspect:
-    """One suspicion.
-
-    Parameters
-    ----------
-    cause : str
-        Cause id (``"saturation"``, ``"double_hit"``, ``"unit_error"``, ...).
-    level : {"fault", "warning", "note"}
-        How much it matters.
-    where : str
-        Measurement, file, channel, hit.
-    evidence : str
-        What was seen, with numbers.
-    advice : str
-        What to do, or what was done.
-    excludes : tuple of (str, str), optional
-        Kind and name ("measurement", "hammer"; "cutting test", "cut.csv") of what a fault leaves out of a run.
-    """
+    """One suspicion."""
 
     cause: str
+    """Cause id (``"saturation"``, ``"double_hit"``, ``"unit_error"``, ...)."""
     level: str
+    """How much it matters: "fault" or "warning" or "note"."""
     where: str
+    """Measurement, file, channel, hit."""
     evidence: str
+    """What was seen, with numbers."""
     advice: str
+    """What to do, or what was done."""
     excludes: tuple[Part, ...] = ()
+    """Kind and name ("measurement", "hammer"; "cutting test", "cut.csv") of what a fault leaves out of a run."""
 
 
 def _of_level(level: str, cause: str, where: str, evidence: str, advice: str, *excludes: Part) -> Suspect:

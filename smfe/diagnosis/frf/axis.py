@@ -31,30 +31,20 @@ from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parame
 
 @dataclass(frozen=True)
 class MachineFrfs(Abilities):
-    """A family for `smfe.diagnosis.inference.diagnose`: compliances of one machine under many conditions.
-
-    Parameters
-    ----------
-    baseline : AxisBaseline
-        The simulation that is tested.
-    conditions : tuple of Condition
-        Measured compliances (`smfe.diagnosis.frf.noise.condition_of`).
-    proposals : tuple of Condition, optional
-        Experiments that could be done next.
-    without : sequence of str, optional
-        Keys of causes that are left out of the catalogue.
-    measured : tuple of Condition, optional
-        What `conditions` were before `as_hit`.
-    discrepancy : float, optional
-        See `as_hit`.
-    """
+    """A family for `smfe.diagnosis.inference.diagnose`: compliances of one machine under many conditions."""
 
     baseline: AxisBaseline
+    """The simulation that is tested."""
     conditions: tuple[Condition, ...]
+    """Measured compliances (`smfe.diagnosis.frf.noise.condition_of`)."""
     proposals: tuple[Condition, ...] = ()
+    """Experiments that could be done next."""
     without: Sequence[str] = ()
+    """Keys of causes that are left out of the catalogue."""
     measured: tuple[Condition, ...] = ()
+    """What `conditions` were before `as_hit`."""
     discrepancy: float = 0.0
+    """See `as_hit`."""
     _kept: dict[tuple[object, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
     _machines: dict[Effective, SimulatedMachine] = field(default_factory=dict, repr=False, compare=False)
 

@@ -63,28 +63,19 @@ class Effective(NamedTuple):
 
 @dataclass(frozen=True)
 class AxisBaseline:
-    """One feed axis as its maker describes it.
-
-    Parameters
-    ----------
-    drive : Drive
-        Masses, stiffness and damping; sigma is the viscous friction. Its servo is not used.
-    servos : mapping
-        Controller name -> servo.
-    axis : {"x", "y", "z"}, optional
-        Name of the axis.
-    known : mapping, optional
-        Friction that the baseline has already: ``coulomb``, ``static`` [N], ``stribeck_speed`` [m/s], ``viscous``
-        [N s/m]: one value, or one forth and one back. Of ``viscous`` the ratio of the sides counts.
-    spread : mapping, optional
-        Prior standard deviation of each nuisance, relative; default `SPREAD`.
-    """
+    """One feed axis as its maker describes it."""
 
     drive: Drive
+    """Masses, stiffness and damping; sigma is the viscous friction. Its servo is not used."""
     servos: Mapping[str, Servo]
+    """Controller name -> servo."""
     axis: str = "x"
+    """Name of the axis: "x" or "y" or "z"."""
     known: Mapping[str, float | Sides] = field(default_factory=dict)
+    """Friction that the baseline has already: ``coulomb``, ``static`` [N], ``stribeck_speed`` [m/s], ``viscous`` [N
+    s/m]: one value, or one forth and one back. Of ``viscous`` the ratio of the sides counts."""
     spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
+    """Prior standard deviation of each nuisance, relative; default `SPREAD`."""
 
     def nuisances(self) -> tuple[Parameter, ...]:
         """Return the parameters that every hypothesis fits anew."""

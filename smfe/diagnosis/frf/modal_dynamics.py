@@ -33,58 +33,39 @@ _ACCURATE = 1e-9
 
 
 class Changed(NamedTuple):
-    """A modal machine with all that has been changed; alike for values that change nothing.
-
-    Attributes
-    ----------
-    frequency, damping, stiffness : tuple of float, of length M
-        [Hz], [1], [N/m].
-    direction : tuple of float, of length 3 M
-        Mode vectors, one after the other.
-    springs : tuple of float, of length M^2, or empty
-        S.
-    gyroscopic : tuple of float, of length M^2, or empty
-        G [1/Hz].
-    mass : float
-        At the tool [kg].
-    slip, hardening : tuple of float, of length 1 + M, or empty
-        Joint: share of the stiffness of a mode that is lost, or gained, at the amplitude of reference if the mode moves
-        nothing else; its unit vector v.
-    mode : tuple of float, of length 6, or empty
-        A further mode: its compliance along x, y, z as ``sqrt(m/N)``, its frequency and damping, 0.
-    residual : tuple of float, of length 6, or empty
-        Compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N].
-    """
+    """A modal machine with all that has been changed; alike for values that change nothing."""
 
     frequency: tuple[float, ...]
     damping: tuple[float, ...]
     stiffness: tuple[float, ...]
+    """Of each mode [Hz], [1], [N/m], length M."""
     direction: tuple[float, ...]
+    """Mode vectors, one after the other, length 3 M."""
     springs: tuple[float, ...] = ()
+    """S, length M^2, or empty."""
     gyroscopic: tuple[float, ...] = ()
+    """G [1/Hz], length M^2, or empty."""
     mass: float = 0.0
+    """At the tool [kg]."""
     slip: tuple[float, ...] = ()
     hardening: tuple[float, ...] = ()
+    """Joint: share of the stiffness of a mode that is lost, or gained, at the amplitude of reference if the mode moves
+    nothing else; its unit vector v."""
     mode: tuple[float, ...] = ()
+    """A further mode: its compliance along x, y, z as ``sqrt(m/N)``, its frequency and damping, 0."""
     residual: tuple[float, ...] = ()
+    """Compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N]."""
 
 
 class Shaken(NamedTuple):
-    """How hard a machine is shaken.
-
-    Attributes
-    ----------
-    method : {"hammer", "actuator"}
-        Blow or sine.
-    level : float
-        Impulse [N s] or amplitude [N].
-    reference : float
-        Amplitude of reference in scaled coordinates [sqrt(J)].
-    """
+    """How hard a machine is shaken."""
 
     method: str
+    """Impact or sine: "hammer" or "actuator"."""
     level: float
+    """Impulse [N s] or amplitude [N]."""
     reference: float
+    """Amplitude of reference in scaled coordinates [sqrt(J)]."""
 
 
 def unchanged(model: ModalModel) -> Changed:
@@ -163,7 +144,7 @@ def _beyond(machine: Changed, frequency: Real) -> Complex:
 
 
 def amplitude(machine: Changed, method: str, level: float) -> float:
-    """Largest amplitude of any mode in scaled coordinates under a blow or a sine along x, y or z [sqrt(J)]."""
+    """Largest amplitude of any mode in scaled coordinates under an impact or a sine along x, y or z [sqrt(J)]."""
     shape = np.array(machine.direction).reshape(-1, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
     force = level * np.abs(shape).max(axis=1)
     if method == "hammer":

@@ -37,26 +37,18 @@ class ModalFrfs(Abilities):
     Settings of a condition that count: ``position`` [m]; ``order`` (0 first, 1 last in the session); ``spindle_speed``
     [rad/s]; ``added_mass`` [kg]; ``sensor`` (``"laser"`` weighs nothing and has no axes, ``"two"`` has a second one
     beside it); ``free_mass`` [kg], a mass on soft springs in the machine's place. What is not given is zero.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The baseline.
-    conditions : tuple of Condition
-        Measured compliances (`smfe.diagnosis.frf.noise.condition_of`).
-    proposals : tuple of Condition, optional
-        Experiments that could be done next.
-    without : sequence of str, optional
-        Keys or ids of causes that are left out of the catalogue.
-    spread : mapping, optional
-        Prior standard deviation of ``frequency``, ``damping``, ``stiffness`` of a mode, relative; default `SPREAD`.
     """
 
     model: ModalModel
+    """The baseline."""
     conditions: tuple[Condition, ...]
+    """Measured compliances (`smfe.diagnosis.frf.noise.condition_of`)."""
     proposals: tuple[Condition, ...] = ()
+    """Experiments that could be done next."""
     without: Sequence[str] = ()
+    """Keys or ids of causes that are left out of the catalogue."""
     spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
+    """Prior standard deviation of ``frequency``, ``damping``, ``stiffness`` of a mode, relative; default `SPREAD`."""
     _at_tool: dict[tuple[Excited, Changed], Complex] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )

@@ -87,21 +87,14 @@ def kept(results: MutableMapping[Key, Result], key: Key, make: Callable[[], Resu
 
 @dataclass(frozen=True)
 class Hits:
-    """The hits that a mean compliance was taken from.
-
-    Attributes
-    ----------
-    force : ndarray, shape (r, n)
-        Force from the first contact on [N].
-    rate : float
-        Its samples a second [Hz].
-    compliance : ndarray, shape (r, f, entries)
-        From each hit [m/N].
-    """
+    """The hits that a mean compliance was taken from."""
 
     force: Real
+    """Force from the first contact on [N], shape (r, n)."""
     rate: float
+    """Its samples a second [Hz]."""
     compliance: Complex
+    """From each hit [m/N], shape (r, f, entries)."""
 
     @property
     def impulse(self) -> Real:
@@ -111,48 +104,32 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Excited:
-    """How a compliance was measured, and where.
-
-    Parameters
-    ----------
-    frequency : ndarray, shape (f,)
-        Lines that are compared [Hz].
-    entries : tuple of (str, str)
-        (response, excitation) of each entry.
-    std : ndarray, shape (f, entries)
-        Root mean square of the complex error of each line by itself [m/N].
-    method : {"hammer", "actuator"}
-        How the force was applied.
-    level : float
-        Impulse [N s] of a hammer, amplitude [N] of an actuator.
-    duration : float, optional
-        Contact time of the hammer [s].
-    feed : mapping, optional
-        Axis -> feed [m/s].
-    controller : str, optional
-        Name of the controller.
-    shared : ndarray, shape (m, f, entries), optional
-        Errors that all lines have in common, each with a random factor of unit variance [m/N].
-    window : float, optional
-        Time after a hit that was transformed [s].
-    hits : Hits, optional
-        The hits one by one, where they are known.
-    degrees_of_freedom : float, optional
-        With which `std` is known over all lines (`degrees_of_freedom_of`); infinite: it is known.
-    """
+    """How a compliance was measured, and where."""
 
     frequency: Real
+    """Lines that are compared [Hz], shape (f,)."""
     entries: tuple[tuple[str, str], ...]
+    """(response, excitation) of each entry."""
     std: Real
+    """Root mean square of the complex error of each line by itself [m/N], shape (f, entries)."""
     method: str
+    """How the force was applied: "hammer" or "actuator"."""
     level: float
+    """Impulse [N s] of a hammer, amplitude [N] of an actuator."""
     duration: float = 4e-3
+    """Contact time of the hammer [s]."""
     feed: Mapping[str, float] = field(default_factory=dict)
+    """Axis -> feed [m/s]."""
     controller: str | None = None
+    """Name of the controller."""
     shared: Complex | None = None
+    """Errors that all lines have in common, each with a random factor of unit variance [m/N], shape (m, f, entries)."""
     window: float = 2.0
+    """Time after a hit that was transformed [s]."""
     hits: Hits | None = field(default=None, repr=False)
+    """The hits one by one, where they are known."""
     degrees_of_freedom: float = math.inf
+    """With which `std` is known over all lines (`degrees_of_freedom_of`); infinite: it is known."""
     _rows: Real = field(init=False, repr=False)
     _less: Real = field(init=False, repr=False)
 
