@@ -79,7 +79,7 @@ def test_what_a_delay_changes_is_undone_by_it() -> None:
     np.testing.assert_allclose(shown + changed_by_delay(shown, frequency, 1e-4), true, rtol=1e-12)
 
 
-@pytest.mark.parametrize("late", [0.0, -8e-5])
+@pytest.mark.parametrize("late", [pytest.param(0.0, marks=pytest.mark.slow), -8e-5])
 def test_a_late_channel_is_said_with_its_delay_and_the_interval_holds_the_truth(late: float) -> None:
     healthy = {"clock": 0.0, "column": 0.0, "rub": (0.0, 0.0), "fade": 0.0, "quantised": 0, "resampled": 0.0}
     cut = {"teeth": 3, "widths": (0.02, 0.03, 0.05), "depths": (0.6e-3,) * 3, "first": 16.0, "last": 60.0}

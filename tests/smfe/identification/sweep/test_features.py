@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,6 +34,8 @@ MACHINE = ModalModel(
     np.array([[0.3, 0.8, 0.52], [0.1, -0.7, 0.71], [0.95, 0.1, 0.3]]),
 )
 COARSE = LocalPolynomial(resolution=1.0)
+QUICK = LocalPolynomial(2.0, (0.5, 1.0, 2.0), rational=False)
+QUICK_MOVING = LocalPolynomial(2.0, (0.5, 1.0, 2.0), rational=False, position_dependent=True)
 
 
 @functools.cache
@@ -97,6 +100,7 @@ def test_intervals_of_95_percent_hold_the_truth_in_92_to_98_percent_of_50_seeds(
     assert hits.mean(axis=1).max() < 0.98
 
 
+@pytest.mark.slow
 def test_wide_bands_and_the_model_beat_the_narrow_band_and_stay_calibrated() -> None:
     data = passes(3)
     both = identify_sweep("s", data, BAND, COARSE).compliance
@@ -109,12 +113,9 @@ def test_wide_bands_and_the_model_beat_the_narrow_band_and_stay_calibrated() -> 
 
 
 def test_noise_of_the_forces_is_taken_out_not_only_charged() -> None:
-    quiet, loud = (
-        np.mean([_gain(identify_sweep("s", passes(k, force=n), BAND, COARSE).compliance) for k in range(2)])
-        for n in (0.0, 5.0)
-    )
+    quiet, loud = (_gain(identify_sweep("s", passes(1, force=n), (25.0, 60.0), QUICK).compliance) for n in (0.0, 5.0))
     # Least squares would lose N (F F^H)^-1 of it, several per cent.
-    lost = np.mean([_gain(identify_sweep("s", passes(k, force=5.0), BAND, Segments(1.0)).compliance) for k in range(2)])
+    lost = _gain(identify_sweep("s", passes(1, force=5.0), (26.0, 34.0), Segments(1.0)).compliance)
     assert quiet == pytest.approx(1.0, abs=2e-3)
     assert lost < 0.98
     assert abs(loud - 1.0) < 0.35 * abs(lost - 1.0)
@@ -132,7 +133,7 @@ def test_noise_does_not_make_dependent_passes_independent() -> None:
     data = [SweepPass(noisy(cut_record("down"), rng, force=4.0), f"down {k}") for k in range(3)]
     with pytest.raises(InputError, match="not independent"):
         identify_sweep("s", data, BAND, LocalPolynomial(1.0, rational=False))
-    found = identify_sweep("s", data, BAND, Segments(1.0)).compliance
+    found = identify_sweep("s", data, (40.0, 45.0), Segments(1.0)).compliance
     assert found["force_condition"].median() < 200.0
 
 
@@ -162,7 +163,7 @@ def test_an_air_cut_takes_out_what_the_spindle_shakes() -> None:
         record["acceleration"] = record["acceleration"] + unbalance()["acceleration"].values
         shaken.append(SweepPass(record, p.label, p.arc))
     air = SweepPass(noisy(unbalance(), np.random.default_rng(9)), "air")
-    narrow = LocalPolynomial(1.0, (0.25, 0.5, 1.0), rational=False)
+    narrow = LocalPolynomial(2.0, (0.25, 0.5, 1.0), rational=False)
     ignored = identify_sweep("s", shaken, (25.0, 60.0), narrow).compliance
     found = identify_sweep("s", shaken, (25.0, 60.0), narrow, background=[air]).compliance
     undisturbed = identify_sweep("s", passes(2), (25.0, 60.0), narrow).compliance
@@ -179,8 +180,8 @@ def test_an_air_cut_needs_the_local_polynomial() -> None:
 
 def test_the_instrument_changes_nothing_where_there_is_no_bias() -> None:
     data = passes(4)
-    plain = identify_sweep("s", data, BAND, COARSE).compliance
-    teeth = identify_sweep("s", data, BAND, LocalPolynomial(1.0, instrument_teeth=2)).compliance
+    plain = identify_sweep("s", data, BAND, QUICK).compliance
+    teeth = identify_sweep("s", data, BAND, replace(QUICK, instrument_teeth=2)).compliance
     spread = np.hypot(plain["compliance_std"], teeth["compliance_std"]).values
     ratio = np.abs(plain["compliance"].values - teeth["compliance"].values) / spread
     assert np.sqrt(np.mean(ratio**2)) < 1.3
@@ -252,7 +253,7 @@ def test_a_tacho_that_loses_a_pulse_or_stands_still_is_refused() -> None:
         force_angle(make_record(t[:2000], {"force": {"x": np.sin(t[:2000])}}), 2)
 
 
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_order_tracking_finds_the_compliance_at_any_sweep_rate_also_by_the_angle_of_the_force(known: bool) -> None:
     data = passes(5)
     if not known:
@@ -331,7 +332,7 @@ def test_a_compliance_that_changes_along_the_pass_is_found_with_its_change() -> 
         record = ends[0].copy()
         record["acceleration"] = (1.0 - share) * ends[0]["acceleration"] + share * ends[1]["acceleration"]
         data.append(SweepPass(record, name))
-    found = identify_sweep("s", data, (25.0, 70.0), LocalPolynomial(1.0, position_dependent=True)).compliance
+    found = identify_sweep("s", data, (25.0, 70.0), QUICK_MOVING).compliance
     f = found["frequency"].values
     middle, change = 0.5 * (stiff.matrix(f) + soft.matrix(f)), 0.5 * (soft.matrix(f) - stiff.matrix(f))
     assert np.abs(found["compliance"].values - middle).max() < 0.02 * np.abs(middle).max()
@@ -364,7 +365,7 @@ def test_a_compliance_that_is_not_reciprocal_is_not_made_so_silently() -> None:
         p.record["acceleration"] = p.record["acceleration"] * xr.DataArray(
             [1.0, 1.3, 1.0], {"axis": ["x", "y", "z"]}, ("axis",)
         )
-    found = identify_sweep("s", data, BAND, COARSE, reciprocal=True)
+    found = identify_sweep("s", data, BAND, QUICK, reciprocal=True)
     assert any("not reciprocal" in w for w in found.warnings)
 
 
@@ -373,16 +374,16 @@ def test_a_compliance_that_is_not_reciprocal_is_not_made_so_silently() -> None:
 
 def test_order_of_passes_signs_and_units_change_what_they_should_and_nothing_else() -> None:
     data = passes(8)
-    plain = identify_sweep("s", data, (30.0, 60.0), COARSE).compliance
-    turned = identify_sweep("s", data[::-1], (30.0, 60.0), COARSE).compliance
+    plain = identify_sweep("s", data, (30.0, 60.0), QUICK).compliance
+    turned = identify_sweep("s", data[::-1], (30.0, 60.0), QUICK).compliance
     np.testing.assert_allclose(turned["compliance"].values, plain["compliance"].values, rtol=1e-5, atol=1e-13)
     sign = np.array([1.0, -1.0, 1.0])
     axis = xr.DataArray(sign, {"axis": ["x", "y", "z"]}, ("axis",))
     flipped = [SweepPass(p.record.assign(force=p.record["force"] * axis), p.label, p.arc) for p in data]
-    found = identify_sweep("s", flipped, (30.0, 60.0), COARSE).compliance
+    found = identify_sweep("s", flipped, (30.0, 60.0), QUICK).compliance
     np.testing.assert_allclose(found["compliance"].values * sign, plain["compliance"].values, rtol=1e-5, atol=1e-13)
     scaled = [SweepPass(p.record.assign(force=p.record["force"] * 1e-3), p.label, p.arc) for p in data]
-    found = identify_sweep("s", scaled, (30.0, 60.0), COARSE).compliance
+    found = identify_sweep("s", scaled, (30.0, 60.0), QUICK).compliance
     for name in ("compliance", "compliance_std"):
         np.testing.assert_allclose(found[name].values * 1e-3, plain[name].values, rtol=1e-5, atol=1e-13)
 

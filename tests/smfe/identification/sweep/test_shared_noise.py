@@ -54,7 +54,9 @@ def expected(common: float, own: float = 1e-2) -> np.ndarray:
     return np.asarray(power / np.outer(size, size))
 
 
-@pytest.mark.parametrize("estimator", [BANDS, LocalPolynomial(2.0)], ids=["bands", "model"])
+@pytest.mark.parametrize(
+    "estimator", [BANDS, pytest.param(LocalPolynomial(2.0), marks=pytest.mark.slow)], ids=["bands", "model"]
+)
 def test_common_noise_is_seen_as_a_covariance_of_the_rows(estimator: LocalPolynomial) -> None:
     found = [identify_sweep("s", sweeps(k, 3e-2), BAND, estimator).compliance for k in range(8)]
     d = np.array([c["compliance"].values - truth(c["frequency"].values) for c in found])
@@ -77,11 +79,18 @@ def test_independent_noise_stays_independent() -> None:
 
 
 @pytest.mark.parametrize(
-    "estimator", [BANDS, pytest.param(LocalPolynomial(2.0), marks=pytest.mark.slow)], ids=["bands", "model"]
+    ("estimator", "seeds"),
+    [
+        pytest.param(BANDS, 4, id="bands"),
+        pytest.param(BANDS, 12, marks=pytest.mark.slow, id="bands of more seeds"),
+        pytest.param(LocalPolynomial(2.0), 12, marks=pytest.mark.slow, id="model"),
+    ],
 )
-def test_a_symmetric_compliance_from_common_noise_is_better_and_its_intervals_hold(estimator: LocalPolynomial) -> None:
+def test_a_symmetric_compliance_from_common_noise_is_better_and_its_intervals_hold(
+    estimator: LocalPolynomial, seeds: int
+) -> None:
     inside, with_it, without = [], [], []
-    for seed in range(12):
+    for seed in range(seeds):
         data = sweeps(seed, 3e-2)
         tied = identify_sweep("s", data, BAND, estimator, reciprocal=True).compliance
         exact, bounds = truth(tied["frequency"].values), interval(tied)
@@ -93,8 +102,9 @@ def test_a_symmetric_compliance_from_common_noise_is_better_and_its_intervals_ho
             free = identify_sweep("s", data, BAND, estimator).compliance
             without.append(np.mean(np.abs(free["compliance"].values - exact) ** 2))
             assert reciprocity(free).p_value > 1e-4
-    assert 0.92 < np.mean(inside) < 0.98
-    assert np.mean(inside, axis=(0, 1)).min() > 0.89
+    # Of 20 lines, 9 entries and 2 parts, the errors of neighbours are shared: some 100 independent ones a seed.
+    assert abs(np.mean(inside) - 0.95) < (0.03 if seeds == 12 else 0.05)
+    assert np.mean(inside, axis=(0, 1)).min() > (0.89 if seeds == 12 else 0.85)
     assert np.mean(with_it) < np.mean(without)
 
 

@@ -36,7 +36,7 @@ def quiet(**changes: object) -> Stranger:
     )
     healthy = {"clock": 0.0, "column": 0.0, "column_late": 0.0, "late": 0.0, "tells": "speed", "nominal": False}
     rest = {"lead": 1.0, "tail": 1.5, "rub": (0.0, 0.0), "fade": 0.0, "diameter": 0.08, "resampled": 0.0, "first": 16.0}
-    ramp = {"last": 60.0, "seconds": 8.0, "force_noise": 0.5, "motion_noise": 0.005, "quantised": 0}
+    ramp = {"last": 60.0, "seconds": 6.0, "force_noise": 0.5, "motion_noise": 0.005, "quantised": 0}
     return replace(base, **(healthy | rest | ramp | changes))
 
 
@@ -47,7 +47,7 @@ def passes(stated: bool = False, **changes: object) -> list[PreparedPass]:
     return [prepare(p) for p in stranger_passes(this, measure(this, 3), stated)]
 
 
-@pytest.mark.parametrize("error", [-0.02, 0.003])
+@pytest.mark.parametrize("error", [pytest.param(-0.02, marks=pytest.mark.slow), 0.003])
 def test_a_time_base_or_a_speed_column_that_is_wrong_is_found_to_a_few_parts_in_ten_thousand(error: float) -> None:
     for key, expected in (("clock", 1.0 / (1.0 + error)), ("column", 1.0 / (1.0 + error))):
         (found,) = compare_speeds(passes(**{key: error})[0], 3)
@@ -56,7 +56,7 @@ def test_a_time_base_or_a_speed_column_that_is_wrong_is_found_to_a_few_parts_in_
         assert found.real
 
 
-@pytest.mark.parametrize("tells", ["speed", "angle", "tacho"])
+@pytest.mark.parametrize("tells", ["speed", *(pytest.param(t, marks=pytest.mark.slow) for t in ("angle", "tacho"))])
 def test_nothing_is_said_of_a_column_that_is_right_late_or_without_the_wander_of_the_spindle(tells: str) -> None:
     for changes in ({}, {"column_late": 0.15}, {"nominal": True, "wander": 2e-3}):
         for p in passes(tells=tells, **changes):

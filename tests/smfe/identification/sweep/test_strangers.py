@@ -47,13 +47,13 @@ def test_a_tool_that_rubs_and_a_cut_that_fades_are_no_noise_of_the_force_sensor(
     assert over_stated(stranger(21, **changes), 21) < 1.5
 
 
-def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_ends() -> None:
-    for rub in ((0.0, 0.0), (0.04, 0.0), (0.0, 0.04)):
-        this = stranger(22, force_noise=5.0, rub=rub)
-        found = force_noise([prepare(p) for p in stranger_passes(this, measure(this, 22))], ["x", "y", "z"], BAND)
-        assert found is not None
-        assert found.air
-        np.testing.assert_allclose(found.density, this.force_noise**2 / 1000.0, rtol=3.0 * found.spread)
+@pytest.mark.parametrize("rub", [(0.0, 0.04), *(pytest.param(r, marks=pytest.mark.slow) for r in ((0, 0), (0.04, 0)))])
+def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_ends(rub: tuple[float, float]) -> None:
+    this = stranger(22, force_noise=5.0, rub=rub)
+    found = force_noise([prepare(p) for p in stranger_passes(this, measure(this, 22))], ["x", "y", "z"], BAND)
+    assert found is not None
+    assert found.air
+    np.testing.assert_allclose(found.density, this.force_noise**2 / 1000.0, rtol=3.0 * found.spread)
 
 
 @pytest.mark.slow
@@ -66,6 +66,7 @@ def test_without_air_the_noise_of_the_forces_is_bounded_by_the_cut_and_charged()
     assert over_stated(this, 23) < 2.0
 
 
+@pytest.mark.slow
 def test_sensors_without_noise_leave_the_error_of_the_model() -> None:
     # 3.8 with what the noise alone explains.
     this = stranger(25, force_noise=1e-3, motion_noise=1e-5, seconds=20.0, first=14.0, last=85.0)
@@ -120,6 +121,7 @@ def test_a_pass_that_chatters_is_left_out_with_the_reason_and_too_few_are_refuse
 # --- a single reference -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_single_reference_states_an_error_that_holds_the_truth() -> None:
     this = stranger(41, motion_noise=0.05, force_noise=1.0, seconds=20.0)
     found = identify_sweep("s", stranger_passes(this, measure(this, 41)), BAND, SingleReference(overlap=0.8)).compliance

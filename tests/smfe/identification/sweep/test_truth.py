@@ -105,11 +105,20 @@ def judged(campaign: Campaign, seed: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return entry_errors(ours, campaign, False), entry_errors(ours, campaign), entry_errors(theirs, campaign)
 
 
-def test_four_modes_are_found_to_less_than_a_per_cent_with_the_error_that_is_stated() -> None:
-    # Recorded at 1 kHz with the density of noise that 5 kHz have.
-    campaign = required(4, 11, rate=1000.0)
+@pytest.mark.parametrize(
+    ("faster", "rate", "resolution"),
+    [(3.0, 500.0, 2.0), pytest.param(1.0, 1000.0, 0.5, marks=pytest.mark.slow)],
+    ids=["20 s", "60 s"],
+)
+def test_four_modes_are_found_to_less_than_a_per_cent_with_the_error_that_is_stated(
+    faster: float, rate: float, resolution: float
+) -> None:
+    # Recorded at a lower rate with the density of noise that 5 kHz have; a faster sweep has as much noise a line.
+    quiet = 1.0 / math.sqrt(faster)
+    campaign = required(4, 11, rate=rate, seconds=60.0 / faster, force_noise=1.5 * quiet, motion_noise=0.012 * quiet)
+    campaign = replace(campaign, acceleration=campaign.acceleration * faster)
     data = sweep_passes(sweep.measure(campaign, 11), campaign)
-    ours = identify_sweep("all", data, BAND, LocalPolynomial(resolution=0.5)).compliance
+    ours = identify_sweep("all", data, BAND, LocalPolynomial(resolution)).compliance
     theirs = identify_sweep("x", data, BAND, SingleReference()).compliance
     assert np.median(entry_errors(ours, campaign, False)) < 0.01
     assert entry_errors(ours, campaign).mean() < 0.5 * entry_errors(theirs, campaign).mean()
