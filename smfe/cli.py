@@ -22,10 +22,7 @@ from process.units import parse
 from smfe._version import __version__
 from smfe.commands.demo import DEMO_SEED
 from smfe.diagnosis.inference.finding import explain
-from smfe.identification.drive.drives import FILE as DRIVE_FILE
-from smfe.identification.drive.drives import drive_lines
-from smfe.identification.drive.loops import FILE as LOOP_FILE
-from smfe.identification.drive.loops import loop_lines
+from smfe.identification.drive.drives import DRIVE_FILE, LOOP_FILE, drive_lines, loop_lines
 from smfe.planning import recommend, verification
 from smfe.progress import Progress
 from smfe.records.look import summary as summary_of_look

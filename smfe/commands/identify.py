@@ -12,10 +12,7 @@ from smfe.campaign import Campaign, Measurement, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.identification.compliances import labelled
-from smfe.identification.drive.drives import FILE as DRIVE_FILE
-from smfe.identification.drive.drives import drives_of, write_drives
-from smfe.identification.drive.loops import FILE as LOOP_FILE
-from smfe.identification.drive.loops import loops_of, write_loops
+from smfe.identification.drive.drives import DRIVE_FILE, LOOP_FILE, drives_of, loops_of, write_drives, write_loops
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import belongs, condition_cubes, level_cubes, with_levels
 from smfe.identification.measurement import cached_identification, check_sweep, split_levels

@@ -31,10 +31,15 @@ from smfe.comparison.explained import explain
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.checks.suspect import as_rows as suspect_rows
 from smfe.identification.compliances import labelled
-from smfe.identification.drive.drives import FILE as DRIVE_FILE
-from smfe.identification.drive.drives import drives_of, notes_of, write_drives
-from smfe.identification.drive.loops import FILE as LOOP_FILE
-from smfe.identification.drive.loops import loops_of, write_loops
+from smfe.identification.drive.drives import (
+    DRIVE_FILE,
+    LOOP_FILE,
+    drives_of,
+    loops_of,
+    notes_of,
+    write_drives,
+    write_loops,
+)
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import file_hash

@@ -35,9 +35,8 @@ from smfe.diagnosis.checks.hammer import hit_suspects
 from smfe.diagnosis.checks.same_data import Seen, same_suspects, seen
 from smfe.diagnosis.checks.suspect import Part, Suspect, fault, note, warning
 from smfe.diagnosis.checks.sweep import sweep_suspects
-from smfe.identification.drive.drives import drive_of, notes_of
+from smfe.identification.drive.drives import drive_of, loop_of, notes_of
 from smfe.identification.drive.loop import summary
-from smfe.identification.drive.loops import loop_of
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import levels_of, with_levels
 from smfe.identification.measurement import (

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import label, sample_interval
 from process.types import Complex, Real
+from smfe.identification.spectra.periods import periods_of
 from smfe.identification.spectra.spectra import block_spectra, force_samples, motion_axes, record_source
 
 Index = NDArray[np.int64]
@@ -389,8 +390,8 @@ def _clock(forces: Sequence[Real], length: int, count: int, excited: Index) -> t
         return math.nan, math.nan
     turns, weights = [], []
     for force in forces:
-        each = np.fft.rfft(force[: length * count].reshape(count, length), axis=1)[:, excited]
-        step = np.sum(each[1:] * each[:-1].conj(), axis=0)
+        each = periods_of(force[: length * count], length)[excited - 1]
+        step = np.sum(each[:, 1:] * each[:, :-1].conj(), axis=1)
         turns.append(-np.angle(step) / (2.0 * np.pi * excited))
         weights.append(np.abs(step) * excited.astype(float) ** 2)
     turn, weight = np.concatenate(turns), np.concatenate(weights)

@@ -1,10 +1,9 @@
 """Inertial actuator, periodic force: multisines and repeated chirps -> compliance with its uncertainty.
 
-Over whole periods a periodic force and its settled response have lines and nothing between them: no window, no leakage.
 ``Phi = sum_r Y_r conj(U_r) / sum_r |U_r|^2`` with the mean spectra U, Y of the periods of each record r (for one record
-``Y/U``), which averages the noise of force and response out before it divides (Pintelon and Schoukens 2012, 2.4). What
-changes from period to period is noise. Distortion repeats with the force and does not show in it; three records with
-other phases show it as well (`smfe.identification.actuator.distortion` tells even from odd).
+``Y/U``; see `smfe.identification.spectra.periods`). What changes from period to period is noise. Distortion repeats
+with the force and is not in it; three records with other phases have it in their scatter as well
+(`smfe.identification.actuator.distortion` distinguishes even from odd).
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from process.labels import AXES, axis_index, make_compliance, sample_interval
 from process.types import Complex, Real
 from smfe.identification.errors.averaging import degrees_of_freedom
 from smfe.identification.errors.result import Identification
+from smfe.identification.spectra.periods import error, noise_power, response, settled
 from smfe.identification.spectra.spectra import block_spectra, check_records, force_samples, record_source
 
 _WEAK = 1e-4
@@ -110,8 +110,7 @@ def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: f
     mean_u = np.stack([s.force.mean(axis=1) for s in spectra], axis=1)
     mean_y = np.stack([s.motion.mean(axis=2) for s in spectra], axis=2)
     power = np.sum(np.abs(mean_u) ** 2, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a line that nothing excites
-        phi = np.sum(mean_y * mean_u.conj()[:, None, :], axis=2) / power[:, None]
+    phi = response(mean_y, mean_u)
     if len(records) >= 3:
         variance, relation, each = _between_records(phi, mean_y, mean_u)
     else:
@@ -157,12 +156,12 @@ class _Periods:
 
     def error(self, phi: Complex) -> Complex:
         """Return what each period has beside the mean of its record, ``Y - Phi U``, shape (f, 3, P)."""
-        e = self.motion - phi[:, :, None] * self.force[:, None, :]
+        e = error(self.motion, self.force, phi)
         return np.asarray(e - e.mean(axis=2, keepdims=True))
 
     def scatter(self, phi: Complex) -> Real:
         """Return the mean power of that, unbiased, shape (f, 3)."""
-        return np.asarray(np.sum(np.abs(self.error(phi)) ** 2, axis=2) / (self.count - 1))
+        return noise_power(self.error(phi))
 
     def row(self, axis: str) -> dict[str, object]:
         """Return the row of the table."""
@@ -198,12 +197,11 @@ def _periods(record: xr.Dataset, axis: str, source: str, period: float, settling
             f"{source}: a period of {period:g} s is {samples:.6g} samples long; lines would leak: give the right "
             "period, or resample the record so that it is a whole number of samples"
         )
-    skip = length if settling is None and available >= 3 * length else round((settling or 0.0) / dt)
-    count = (available - skip) // length
+    skip, count = settled(available, length, dt, settling)
     if count < 2:
         raise InputError(
             f"{source}: {available * dt:.4g} s hold {max(count, 0)} periods of {period:g} s after {skip * dt:.3g} s of "
-            "settling; two are needed to tell noise, better five: record longer"
+            "settling; two are needed for the noise, better five: record longer"
         )
     spectra = block_spectra(record, [skip + k * length for k in range(count)], length)
     motion = np.full((spectra.frequency.size, len(AXES), count), np.nan, dtype=complex)
@@ -236,7 +234,7 @@ def _between_records(phi: Complex, mean_y: Complex, mean_u: Complex) -> tuple[Re
     power = np.sum(np.abs(mean_u) ** 2, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         leverage = np.abs(mean_u) ** 2 / power[:, None]
-        e = mean_y - phi[:, :, None] * mean_u[:, None, :]
+        e = error(mean_y, mean_u, phi)
         d = mean_u.conj()[:, None, :] * e / power[:, None, None] / np.sqrt(1.0 - leverage)[:, None, :]
     each = degrees_of_freedom(np.nan_to_num(np.broadcast_to(leverage[:, None, :], d.shape)))
     with np.errstate(invalid="ignore"):
@@ -244,11 +242,10 @@ def _between_records(phi: Complex, mean_y: Complex, mean_u: Complex) -> tuple[Re
 
 
 def _excited(spectra: Sequence[_Periods], power: Real, frequency: Real) -> NDArray[np.bool_]:
-    """Tell which lines the force excites: within 40 dB of the strongest, 20 dB out of its own noise."""
+    """Return which lines the force excites: within 40 dB of the strongest, 20 dB out of its own noise."""
     noise = np.zeros(power.size)
     for s in spectra:
-        own = s.force - s.force.mean(axis=1, keepdims=True)
-        noise += np.sum(np.abs(own) ** 2, axis=1) / (s.count - 1) / s.count
+        noise += noise_power(s.force - s.force.mean(axis=1, keepdims=True)) / s.count
     highest = frequency[-1] * 2.0 / _ANTI_ALIAS
     return np.asarray((power > _WEAK * power.max()) & (power > _NOISY * noise) & (frequency <= highest))
 

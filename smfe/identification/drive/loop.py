@@ -2,10 +2,10 @@
 
     T_k = sum_p Y_pk conj(U_pk) / sum_p |U_pk|^2
 
-over the whole periods p of a setpoint that repeats itself (Pintelon and Schoukens 2012, 2.4): lines and no leakage. U
-is the setpoint, Y the actual value, both speeds or both positions, so that T is a number without unit: 1 where the axis
-follows. It is the response of the *closed* loop to its setpoint. It is no compliance, and no compliance can be had from
-it: the force that the loop answers is not in the record.
+over the whole periods p of a setpoint that repeats itself (`smfe.identification.spectra.periods`). U is the setpoint, Y
+the actual value, both speeds or both positions, so that T is a number without unit: 1 where the axis follows. It is the
+response of the *closed* loop to its setpoint. It is no compliance, and no compliance can be had from it: the force that
+the loop answers is not in the record.
 
 With several periods the standard deviation is that of what changes from period to period. From a single one (a control
 averages its periods and keeps the mean) it is read from how rough T is from line to line, which takes a resonance
@@ -28,7 +28,15 @@ from scipy import ndimage
 from process.errors import InputError
 from process.labels import axis_present, label, sample_interval
 from process.types import Complex, Real
-from smfe.identification.spectra.periods import Period, find_period
+from smfe.identification.spectra.periods import (
+    Period,
+    error,
+    find_period,
+    noise_power,
+    periods_of,
+    response,
+    settled,
+)
 
 PAIRS = {"speed": ("reference_speed", "encoder_speed"), "position": ("reference_position", "encoder_position")}
 """Loop -> its setpoint and actual value. Positions are differenced, which removes the feed and cancels in T."""
@@ -42,11 +50,11 @@ _BAND = 2.0
 
 _SURROUNDINGS = 101
 _STANDS_OUT = 10.0
-"""Gain over that of its surroundings from which a line beyond the bandwidth is told of: 20 dB."""
+"""Gain over that of its surroundings from which a line beyond the bandwidth is named: 20 dB."""
 
 _SINGLE = (
     "one period a record: the standard deviation is read from how rough the response is from line to line, and "
-    "distortion that repeats with the setpoint cannot be told from it",
+    "distortion that repeats with the setpoint cannot be separated from it",
 )
 
 
@@ -121,12 +129,12 @@ def identify_loop(
         "loop_response_std": (("feed", "frequency"), np.stack([s for _, s in found.values()])),
     }
     coords = {"feed": np.array(list(found)), "frequency": frequency[lines]}
-    response = label(xr.Dataset(data, coords=coords, attrs={"loop": loop, "axis": axis, "method": "loop"}))
-    table = pd.DataFrame([_row(response.sel(feed=feed), feed, group) for feed, group in groups.items()])
+    whole = label(xr.Dataset(data, coords=coords, attrs={"loop": loop, "axis": axis, "method": "loop"}))
+    table = pd.DataFrame([_row(whole.sel(feed=feed), feed, group) for feed, group in groups.items()])
     single = all(sum(r.setpoint.shape[1] for r in runs) == 1 for runs in groups.values())
-    response.attrs["std_from"] = "neighbouring lines" if single else "periods"
-    notes = [*(_SINGLE if single else ()), *_direction_notes(response, table, single)]
-    return LoopResponse(name, response, table, tuple(notes))
+    whole.attrs["std_from"] = "neighbouring lines" if single else "periods"
+    notes = [*(_SINGLE if single else ()), *_direction_notes(whole, table, single)]
+    return LoopResponse(name, whole, table, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -169,12 +177,11 @@ def _run(record: xr.Dataset, loop: str, axis: str, period: float | None, settlin
         u, y = np.diff(u) / dt, np.diff(y) / dt
     source = str(record.attrs.get("source", "the record"))
     found = find_period(u, dt, source) if period is None else Period(_whole(period, dt, u.size, source), "periodic")
-    skip = found.samples if settling is None and u.size >= 3 * found.samples else round((settling or 0.0) / dt)
-    count = (u.size - skip) // found.samples
+    skip, count = settled(u.size, found.samples, dt, settling)
     if count < 1:
         raise InputError(f"{source}: {u.size * dt:.4g} s hold no period of {found.samples * dt:.4g} s after settling")
     part = slice(skip, skip + count * found.samples)
-    setpoints, actuals = (np.fft.rfft(v[part].reshape(count, -1), axis=1).T[1:] for v in (u, y))
+    setpoints, actuals = (periods_of(v[part], found.samples) for v in (u, y))
     frequency = np.arange(1, found.samples // 2 + 1) / (found.samples * dt)
     feed = float(f"{6e4 * float(np.mean(u[part])):.3g}")
     return _Run(frequency, setpoints, actuals, feed, found, dt)
@@ -204,24 +211,22 @@ def _response(runs: Sequence[_Run], lines: NDArray[np.intp]) -> tuple[Complex, R
     """Return T and its standard deviation at the lines."""
     u = np.concatenate([r.setpoint[lines] for r in runs], axis=1)
     y = np.concatenate([r.actual[lines] for r in runs], axis=1)
-    power = np.sum(np.abs(u) ** 2, axis=1)
-    response = np.sum(y * u.conj(), axis=1) / power
+    found = response(y, u)
     if u.shape[1] > 1:
-        scatter = np.sum(np.abs(y - response[:, None] * u) ** 2, axis=1) / (u.shape[1] - 1)
-        return response, np.sqrt(scatter / power)
+        return found, np.sqrt(noise_power(error(y, u, found)) / np.sum(np.abs(u) ** 2, axis=1))
     # Independent noise of variance s^2 has E |T_-1 - 2 T_0 + T_1|^2 = 6 s^2; the median of an exponential
     # distribution is ln 2 of its mean.
-    bend = np.abs(np.diff(response, 2)) ** 2
+    bend = np.abs(np.diff(found, 2)) ** 2
     level = ndimage.median_filter(bend, min(_NEIGHBOURS, bend.size), mode="nearest") / (6.0 * np.log(2.0))
-    return response, np.sqrt(np.pad(level, 1, mode="edge"))
+    return found, np.sqrt(np.pad(level, 1, mode="edge"))
 
 
 # --- what is said of it --------------------------------------------------------------------------------------------
 
 
-def _row(response: xr.Dataset, feed: float, runs: Sequence[_Run]) -> dict[str, object]:
+def _row(one: xr.Dataset, feed: float, runs: Sequence[_Run]) -> dict[str, object]:
     """Return the row of one feed."""
-    f, t = response["frequency"].values, response["loop_response"].values
+    f, t = one["frequency"].values, one["loop_response"].values
     size, phase = np.abs(t), np.unwrap(np.angle(t))
     bandwidth = _falls_below(f, 20.0 * np.log10(size), 20.0 * np.log10(np.sqrt(0.5)))
     slow = f <= 0.25 * bandwidth if np.isfinite(bandwidth) else f <= f[min(5, f.size - 1)]
@@ -230,8 +235,8 @@ def _row(response: xr.Dataset, feed: float, runs: Sequence[_Run]) -> dict[str, o
     top = int(np.argmax(np.where(shown, size, 0.0)))
     first = runs[0]
     return {
-        "loop": response.attrs["loop"],
-        "axis": response.attrs["axis"],
+        "loop": one.attrs["loop"],
+        "axis": one.attrs["axis"],
         "feed_mm_min": feed,
         "setpoint": first.period.kind,
         "period_s": first.period.samples * first.dt,
@@ -246,7 +251,7 @@ def _row(response: xr.Dataset, feed: float, runs: Sequence[_Run]) -> dict[str, o
         "peak_Hz": f[top],
         **_resonance(f, size, ~shown),
         "lag_ms": -1e3 * float(np.sum(f[slow] * phase[slow]) / (2.0 * np.pi * np.sum(f[slow] ** 2))),
-        "std_at_lowest": float(response["loop_response_std"].values[0]),
+        "std_at_lowest": float(one["loop_response_std"].values[0]),
     }
 
 
@@ -285,18 +290,18 @@ def _falls_below(f: Real, values: Real, limit: float) -> float:
     return float(np.interp(limit, values[[k, k - 1]], f[[k, k - 1]]))
 
 
-def _direction_notes(response: xr.Dataset, table: pd.DataFrame, single: bool) -> list[str]:
+def _direction_notes(whole: xr.Dataset, table: pd.DataFrame, single: bool) -> list[str]:
     """Say by how much opposite directions differ, and how much of it noise explains."""
     out = []
-    for a, b in combinations([float(v) for v in response["feed"].values], 2):
+    for a, b in combinations([float(v) for v in whole["feed"].values], 2):
         if not a < 0.0 < b or abs(a + b) > 0.05 * b:
             continue
         end = _BAND * float(np.nanmean(table["bandwidth_Hz"]))
-        band = response.sel(frequency=response["frequency"] <= end) if np.isfinite(end) else response
+        band = whole.sel(frequency=whole["frequency"] <= end) if np.isfinite(end) else whole
         one, other = (band["loop_response"].sel(feed=feed).values for feed in (a, b))
-        whole = float(np.sum(np.abs(0.5 * (one + other)) ** 2))
-        differs = float(np.sum(np.abs(one - other) ** 2)) / whole
-        std = float(np.sum(band["loop_response_std"].sel(feed=[a, b]).values ** 2)) / whole
+        power = float(np.sum(np.abs(0.5 * (one + other)) ** 2))
+        differs = float(np.sum(np.abs(one - other) ** 2)) / power
+        std = float(np.sum(band["loop_response_std"].sel(feed=[a, b]).values ** 2)) / power
         out.append(
             f"{b:g} and {a:g} mm/min differ by {10.0 * np.log10(differs):.1f} dB of the response up to "
             f"{float(band['frequency'][-1]):.4g} Hz; {_judged(differs, std, single)}"
@@ -307,7 +312,7 @@ def _direction_notes(response: xr.Dataset, table: pd.DataFrame, single: bool) ->
 def _judged(differs: float, std: float, single: bool) -> str:
     """Say what a difference of directions means; of single periods `std` is the roughness, which both may share."""
     if not single:
-        verdict = "that is more: friction or play" if differs > 4.0 * std else "nothing tells them apart"
+        verdict = "that is more: friction or play" if differs > 4.0 * std else "nothing distinguishes them"
         return f"noise alone makes {10.0 * np.log10(std):.1f} dB: {verdict}"
     text = "noise, and what friction and play do to one direction only, are at most that"
     if differs < 0.5 * std:

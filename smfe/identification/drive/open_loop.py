@@ -19,6 +19,7 @@ from process.drive.axis import Drive
 from process.errors import InputError
 from process.labels import axis_present, label, sample_interval
 from process.types import Complex, Real
+from smfe.identification.spectra.periods import error, noise_power, periods_of, response
 
 _EXCITED = 1e-3
 _NEIGHBOURS = 9
@@ -95,9 +96,9 @@ def open_loop_response(
     count, n = force.shape
     lines = np.arange(1, (n + 1) // 2)
     frequency = lines / period
-    f_p, x_p = (np.fft.rfft(samples, axis=1)[:, lines] for samples in (force, position))
-    f_p = f_p * np.sinc(frequency * hold) * np.exp(-1j * np.pi * frequency * hold)
-    f, x = f_p.mean(axis=0), x_p.mean(axis=0)
+    f_p, x_p = (periods_of(samples, n)[: lines.size] for samples in (force, position))
+    f_p = f_p * (np.sinc(frequency * hold) * np.exp(-1j * np.pi * frequency * hold))[:, None]
+    f, x = f_p.mean(axis=1), x_p.mean(axis=1)
     excited = np.abs(f) > _EXCITED * np.abs(f).max()
     used = excited & (frequency >= band[0]) & (frequency <= band[1])
     if not used.any():
@@ -105,13 +106,13 @@ def open_loop_response(
             f"no line between {band[0]:g} and {band[1]:g} Hz is excited by the drive force; widen the band, or check "
             "the period"
         )
-    frequency, f_p, x_p, f, x = frequency[used], f_p[:, used], x_p[:, used], f[used], x[used]
-    h = x / f
-    scatter = np.sum(np.abs(x_p - h * f_p) ** 2, axis=0) / (count * (count - 1))
+    frequency, f_p, x_p, f, x = frequency[used], f_p[used], x_p[used], f[used], x[used]
+    h = response(x[:, None], f[:, None])
+    scatter = noise_power(error(x_p, f_p, h)) / count
     std = np.sqrt(ndimage.uniform_filter1d(scatter, min(_NEIGHBOURS, scatter.size), mode="nearest")) / np.abs(f)
     distortion = _distortion(frequency, h, np.abs(f), std)
-    cross = np.abs(np.sum(x_p * np.conj(f_p), axis=0)) ** 2
-    coherence = cross / (np.sum(np.abs(x_p) ** 2, axis=0) * np.sum(np.abs(f_p) ** 2, axis=0))
+    cross = np.abs(np.sum(x_p * np.conj(f_p), axis=1)) ** 2
+    coherence = cross / (np.sum(np.abs(x_p) ** 2, axis=1) * np.sum(np.abs(f_p) ** 2, axis=1))
     data = {
         "response": ("frequency", h, {"units": "m/N"}),
         "std": ("frequency", np.hypot(std, distortion), {"units": "m/N"}),

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -27,11 +28,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import optimize, stats
 
 from process.errors import InputError
+from process.labels import make_record
 from process.types import Real
 from smfe.identification.drive.correlated_residual import covariance_of, independent_values, underestimate
+from smfe.identification.drive.friction import friction_runs
 from smfe.identification.drive.motion import (
     KINDS,
     WAYS,
@@ -45,9 +48,8 @@ from smfe.identification.drive.motion import (
     trace_of,
     which_drive,
 )
-from smfe.identification.drive.results import DriveFit, DriveParameter, Estimate, positive
+from smfe.identification.drive.results import LEVEL, DriveFit, DriveParameter, Estimate, positive
 from smfe.identification.drive.ripple import ripple_columns, waves_of
-from smfe.identification.drive.runs import steady_points
 from smfe.identification.drive.stribeck import Allowed, Curve, Grid, allowed, drawn, grid_of, refined, speed_interval
 
 Name = tuple[str, str]
@@ -217,8 +219,8 @@ def _fit(b: Balance, kept: Sequence[Kept], band: float, known: float | None) -> 
         timing += float(share * covariance[-1, -1])
         if float(left @ left) < least:
             least = float(left @ left)
-            rubbing = [j for n, j in place.items() if n[0] != "inertia"]
-            friction = left + whole[:, rubbing] @ value[rubbing]
+            sliding = [j for n, j in place.items() if n[0] != "inertia"]
+            friction = left + whole[:, sliding] @ value[sliding]
     spread = math.hypot(math.sqrt(timing), _CLOCK * kept[0].trace.step)
     return _Fit(
         tuple(components),
@@ -436,7 +438,7 @@ def _friction(f: _Fit, b: Balance, traces: Sequence[Trace]) -> pd.DataFrame:
     velocity = b.velocity.sum(axis=0)
     motion = pd.DataFrame({"velocity": velocity[thin], "force": f.friction[thin]})
     inertia = f.fixed if f.fixed is not None else f.sum_of({("inertia", "both"): 1.0}).value
-    frames = [motion.assign(kind="motion"), steady_points(traces, inertia).assign(kind="steady run")]
+    frames = [motion.assign(kind="motion"), _steady_points(traces, inertia).assign(kind="steady run")]
     for k, (way, sign) in enumerate(zip(WAYS, (1.0, -1.0), strict=True)):
         size = np.abs(b.velocity[k][b.share[k] > 0.5])
         if not size.size:
@@ -455,6 +457,26 @@ def _friction(f: _Fit, b: Balance, traces: Sequence[Trace]) -> pd.DataFrame:
         frames.append(pd.DataFrame(rows, columns=["velocity", "force", "low", "high"]).assign(kind="curve"))
     whole = pd.concat([frame for frame in frames if len(frame)], ignore_index=True)
     return whole.reindex(columns=["kind", "velocity", "force", "low", "high"])
+
+
+def _steady_points(traces: Sequence[Trace], inertia: float) -> pd.DataFrame:
+    """Return a row for each stretch of constant velocity: velocity, mean force without inertia, its 95 % interval."""
+    reach = float(stats.norm.ppf(0.5 + 0.5 * LEVEL))
+    rows = []
+    for t in traces:
+        place = t.motion
+        if t.is_velocity:
+            place = np.concatenate([[0.0], np.cumsum(0.5 * (t.motion[1:] + t.motion[:-1])) * t.step])
+        record = make_record(
+            t.step * np.arange(t.force.size), {"encoder_position": {"x": place}, "drive_force": {"x": t.force}}
+        )
+        with suppress(InputError):
+            for _, run in friction_runs(record, "x").to_dataframe().iterrows():
+                force = run["force"] - inertia * run["acceleration"]
+                rows.append(
+                    (run["velocity"], force, force - reach * run["force_std"], force + reach * run["force_std"])
+                )
+    return pd.DataFrame(rows, columns=["velocity", "force", "low", "high"])
 
 
 def _notes(f: _Fit, b: Balance, units: dict[str, str]) -> list[str]:

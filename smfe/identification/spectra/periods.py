@@ -1,4 +1,13 @@
-"""The period of a setpoint that a control has made: found in the record, not declared."""
+"""Whole periods of a record: the response between two signals, its noise, and the period of a setpoint.
+
+Over whole periods a periodic input and its settled output have lines and nothing between them: no window, no leakage.
+
+    T = sum_p Y_p conj(U_p) / sum_p |U_p|^2
+
+with the transforms U, Y of the periods p averages noise out before it divides, where U is the same in all of them or a
+mean over them (Pintelon and Schoukens 2012, 2.4). ``E_p = Y_p - T U_p`` changes from period to period: that is noise.
+Distortion repeats with the period and is not in it.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +17,72 @@ import numpy as np
 from scipy import fft
 
 from process.errors import InputError
-from process.types import Real
+from process.types import Complex, Real
 
 _SAME = 1e-6
 """Mean square change from one period to the next, of the variance, up to which a setpoint repeats itself."""
 
 _FLAT = 1e-6
 """Relative difference of the lines of a binary sequence of maximum length, but for rounding."""
+
+
+def settled(available: int, length: int, dt: float, settling: float | None) -> tuple[int, int]:
+    """Return the first sample that is used, and how many whole periods follow.
+
+    Parameters
+    ----------
+    available, length : int
+        Samples of the record, and of a period.
+    dt : float
+        Sampling interval [s].
+    settling : float or None
+        Time that is dropped at the beginning [s]. None: the first period, where there are three or more.
+    """
+    default = length if available >= 3 * length else 0
+    first = default if settling is None else round(settling / dt)
+    return first, (available - first) // length
+
+
+def periods_of(samples: Real, length: int) -> Complex:
+    """Return the transforms of the periods of a signal, without their means, shape (f, P).
+
+    Parameters
+    ----------
+    samples : ndarray, shape (P * length,)
+        Whole periods.
+    length : int
+        Samples of a period.
+    """
+    return np.asarray(np.fft.rfft(samples.reshape(-1, length), axis=1).T[1:])
+
+
+def response(output: Complex, source: Complex) -> Complex:
+    """Return T, shape (f, ...), from the transforms of output and input; NaN or infinite where nothing is put in.
+
+    Parameters
+    ----------
+    output : ndarray of complex, shape (f, ..., P)
+        Y of each period, or their means in each record.
+    source : ndarray of complex, shape (f, P)
+        U of the same.
+    """
+    u = source.reshape(source.shape[0], *(1,) * (output.ndim - 2), -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.sum(output * u.conj(), axis=-1) / np.sum(np.abs(u) ** 2, axis=-1))
+
+
+def error(output: Complex, source: Complex, found: Complex) -> Complex:
+    """Return ``E_p = Y_p - T U_p``, shape (f, ..., P); arguments as of `response`, and T."""
+    u = source.reshape(source.shape[0], *(1,) * (output.ndim - 2), -1)
+    return np.asarray(output - found[..., None] * u)
+
+
+def noise_power(errors: Complex) -> Real:
+    """Return the mean power of the noise of a period, ``sum_p |E_p|^2/(P - 1)``, shape (f, ...)."""
+    return np.asarray(np.sum(np.abs(errors) ** 2, axis=-1) / (errors.shape[-1] - 1))
+
+
+# --- the period of a setpoint that a control has made ----------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def test_the_period_of_a_setpoint_is_found(order: int) -> None:
     assert (find_period(slow, 1e-3).samples, find_period(slow, 1e-3).kind) == (175, "periodic")
 
 
-def test_a_resonance_far_above_the_bandwidth_is_told_of() -> None:
+def test_a_resonance_far_above_the_bandwidth_is_named() -> None:
     """A lag of 40 Hz, and beside it a mode at 2000 Hz of 0.2 % damping with a gain of 0.5; without it, silence."""
     one = 0.002 * prbs(11)
     y, _ = first_order(one, 40.0)
@@ -139,7 +139,7 @@ def test_what_does_not_repeat_itself_is_refused() -> None:
 def test_friction_of_one_direction_shows_against_noise() -> None:
     """A lag that is slower in one direction: the difference is found, and without it noise is named."""
     one = 0.002 * prbs(9)
-    for corner, said in ((60.0, "nothing tells them apart"), (54.0, "friction or play")):
+    for corner, said in ((60.0, "nothing distinguishes them"), (54.0, "friction or play")):
         runs = []
         for seed, sign, own in ((1, 1.0, 60.0), (2, -1.0, corner)):
             y, _ = first_order(sign * (0.01 + one), own)
