@@ -214,7 +214,7 @@ class Response:
     relation : ndarray of complex
         ``E[d^2]``.
     degrees_of_freedom, coherence : ndarray
-        Degrees of degrees_of_freedom of each part; coherence.
+        Degrees of freedom of each part; coherence.
     lost : ndarray
         Share of the value that noise of the force takes from a least squares, or may take.
     unclaimed : ndarray of bool, shape (f,)

@@ -246,7 +246,7 @@ def _polynomials(away: tuple[int, ...]) -> tuple[Real, Real, Real]:
     """
     shift = np.array(away) / max(float(np.abs(away).max()), 1.0)
     terms = shift[:, None] ** np.arange(ORDER + 3)
-    return terms, np.linalg.pinv(terms[:, : ORDER + 1]), np.linalg.pinv(terms)[0]
+    return terms, np.asarray(np.linalg.pinv(terms[:, : ORDER + 1])), np.asarray(np.linalg.pinv(terms)[0])
 
 
 def _between(values: Complex, between: Index, at: int) -> tuple[Complex, Complex, Real, Real]:

@@ -59,7 +59,7 @@ class Step:
     compliance, std : mapping of str to complex, float
         Axis -> compliance and root mean square of its complex error [m/N].
     degrees_of_freedom : float
-        Degrees of degrees_of_freedom of each part of that error.
+        Degrees of freedom of each part of that error.
     drift : float
         Largest relative difference of the compliances of the two halves of the fitted part [1], of those responses
         where it exceeds three standard deviations.

@@ -275,8 +275,13 @@ def coloured(record: xr.Dataset, seed: int, size: float) -> xr.Dataset:
     return out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "repeats"), [("white", 1), ("coloured", 1), ("distorted", 1), ("white", 2)])
+@pytest.mark.parametrize(
+    ("kind", "repeats"),
+    [
+        *(pytest.param(kind, 1, marks=SLOW) for kind in ("white", "coloured", "distorted")),
+        pytest.param("white", 2, marks=pytest.mark.exam),
+    ],
+)
 def test_intervals_hold_the_truth_as_often_as_they_say(kind: str, repeats: int) -> None:
     """95 % intervals of stepped sines over 200 seeds: 92 to 98 % for each part, all steps together."""
     steps = np.array([15.0, 22.0, 24.0, 27.0, 40.0])

@@ -96,12 +96,14 @@ CASES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "seeds", [pytest.param(n, marks=m) for n, m in ((100, pytest.mark.slow), (200, pytest.mark.exam))]
+)
 @pytest.mark.parametrize("case", CASES, ids=list(CASES))
-def test_intervals_hold_the_truth_as_often_as_they_say(case: str) -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(case: str, seeds: int) -> None:
     """95 % intervals over 200 seeds: 92 to 98 % for each response and part."""
     count, noise, averaging, gate = CASES[case]
-    found = coverage(count, 200, averaging, gate, **noise)
+    found = coverage(count, seeds, averaging, gate, **noise)
     assert found.min() > 92.0
     assert found.max() < 98.0
 
