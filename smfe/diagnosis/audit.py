@@ -87,14 +87,7 @@ def audit(campaign: Campaign, progress: Progress = silent) -> list[Suspect]:
 def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None = None) -> Audit:
     """Audit the data of a campaign.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        The campaign.
-    progress : callable, optional
-        Called with (what, done, of).
-    kept : path, optional
-        Folder in which identifications are kept, and found again while neither records nor settings have changed.
+    Identifications are kept in the folder `kept`, and found again while neither records nor settings have changed.
     """
     out = Audit()
     whole = with_levels(campaign)

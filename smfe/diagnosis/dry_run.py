@@ -30,18 +30,8 @@ def refusals(
 ) -> list[Suspect]:
     """Return what `smfe run` and the other commands would refuse of identified measurements: "unusable" faults.
 
-    Lobes are computed at three speeds. Cutting tests that no source of lobes belongs to are warnings.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        The campaign.
-    found : mapping of str to Identification
-        Measurements, levels of sweeps too.
-    known : list of Failure
-        Parts that are left out already: what needs them is refused, and is not said once more.
-    progress : callable, optional
-        Called with (what, done, of).
+    Lobes are computed at three speeds. Cutting tests that no source of lobes belongs to are warnings. What needs a part
+    that is `known` to be left out already is refused, and is not said once more.
     """
     whole, refused = with_levels(campaign), list(known)
     compliances = labelled(whole, found)

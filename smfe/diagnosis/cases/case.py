@@ -30,13 +30,7 @@ class Case:
     """What was noticed about the data on the way."""
 
     def held_out_conditions(self, more: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return the conditions that no fit uses: those held out by the campaign, and those of `more` measurements.
-
-        Raises
-        ------
-        InputError
-            For a measurement that is none of the campaign's, or when nothing is left to fit.
-        """
+        """Return the conditions that no fit uses: those held out by the campaign, and those of `more` measurements."""
         names = dict.fromkeys((*self.held_out, *more))
         for name in names:
             if name not in self.groups:
@@ -62,13 +56,7 @@ class NamedModes:
 
 
 def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification]) -> NamedModes:
-    """Return the modes of a model, or fit those of a measurement, by its name.
-
-    Raises
-    ------
-    InputError
-        When a measurement does not carry a modal model.
-    """
+    """Return the modes of a model, or fit those of a measurement, by its name."""
     for model in campaign.models:
         if model.name == name:
             low, high = float(model.modal.frequency.min()), float(model.modal.frequency.max())

@@ -29,13 +29,7 @@ from smfe.progress import Progress, silent
 
 
 def axis_baseline(baseline: AxisModel) -> AxisBaseline:
-    """Return the baseline of a campaign as one that can be tested.
-
-    Raises
-    ------
-    InputError
-        When its friction is a law that cannot be tested (LuGre, Maxwell slip, or one that differs by direction).
-    """
+    """Return the baseline of a campaign as one that can be tested."""
     law, names = baseline.friction, ("coulomb", "static", "stribeck_speed")
     one_sided = not isinstance(law, Andersson) or law.negative is None
     if not (isinstance(law, Viscous | Coulomb | CoulombViscous | Andersson) and one_sided):
@@ -51,14 +45,7 @@ def axis_baseline(baseline: AxisModel) -> AxisBaseline:
 def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent) -> Case:
     """Return what is tested of a campaign, whatever its baseline predicts.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        With ``[baseline]``.
-    found : mapping
-        Measurement name -> identification, where the baseline predicts compliances.
-    progress : callable, optional
-        Called with (what, done, of).
+    `found` holds the identification of each measurement, by name, where the baseline predicts compliances.
 
     Raises
     ------

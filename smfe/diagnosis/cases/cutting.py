@@ -32,11 +32,6 @@ def cutting_case(campaign: Campaign) -> Case:
     """Return the case of the forces of ``[tool]`` and ``[material]`` against those of the cutting tests of a campaign.
 
     Proposed are cuts with more and less feed, one at half the speed, and the spindle in air.
-
-    Raises
-    ------
-    InputError
-        When a record lacks a force or is too short.
     """
     tool, material = _tool(campaign, "a mechanistic force")
     cuts = [
@@ -99,11 +94,6 @@ def limit_case(
 
     A test is stable or not as the campaign says (``observed``), else as the spectral criterion judges its record; the
     chatter frequency is that of the record. One that stays undecided bounds nothing.
-
-    Raises
-    ------
-    InputError
-        When the source has no modes, a record cannot be judged, or no limit is bracketed.
     """
     modes, (tool, material) = modes_named(campaign, baseline.source, found), _tool(campaign, "a limit depth")
     tests, suspects = _of_source(campaign, baseline)

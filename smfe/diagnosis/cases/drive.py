@@ -34,11 +34,6 @@ def drive_case(campaign: Campaign, baseline: RigidDrive) -> Case:
     """Return the case of the drive records of a campaign.
 
     The first record that is not held out gives band, noise and starts; all others are judged with these.
-
-    Raises
-    ------
-    InputError
-        When a record lacks a channel, or holds too little motion.
     """
     reads = _records(campaign)
     if not reads or reads[0].measurement.held_out:

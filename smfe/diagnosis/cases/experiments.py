@@ -125,16 +125,8 @@ SPEED = 300.0
 def proposed_modal_experiments(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
     """Return experiments that are not among the measured ones, each as accurate as the first of these.
 
-    Parameters
-    ----------
-    conditions : sequence of Condition
-        Measured compliances of the machine.
-
-    Returns
-    -------
-    tuple of Condition
-        The first condition once more at the end; hits in all directions; a free mass; no accelerometer, and two;
-        twice and half the level; another position; a turning spindle.
+    The first condition once more at the end; hits in all directions; a free mass; no accelerometer, and two; twice and
+    half the level; another position; a turning spindle.
     """
     used = [c for c in conditions if isinstance(c.data, Excited) and "free_mass" not in c.settings]
     if not used:

@@ -27,16 +27,9 @@ def channels_of(record: xr.Dataset) -> Iterator[tuple[str, Real]]:
 
 
 def channel_suspects(record: xr.Dataset, where: str, pulsed: bool = False) -> Iterator[Suspect]:
-    """Yield what is suspicious in the channels of one record.
+    """Yield what is suspicious in the channels of one record; `where` names measurement and file.
 
-    Parameters
-    ----------
-    record : xarray.Dataset
-        The record.
-    where : str
-        Measurement and file.
-    pulsed : bool, optional
-        The force is a series of hits: it rests most of the time, and its hits are judged one by one elsewhere.
+    A `pulsed` force is a series of hits: it rests most of the time, and its hits are judged one by one elsewhere.
     """
     for line in record.attrs.get("notes", "").splitlines():
         advice = "the record is used as it is; export it again, whole, if that is not meant"

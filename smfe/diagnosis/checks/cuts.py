@@ -34,18 +34,9 @@ def clock_suspects(record: xr.Dataset, where: str, teeth: int | None) -> Iterato
 
 
 def speed_suspects(record: xr.Dataset, where: str, stated: float | None, part: Part) -> Iterator[Suspect]:
-    """Compare the stated speed [rpm], the speed channel and the tacho of one record.
+    """Compare the stated speed [rpm] (None: none is stated), the speed channel and the tacho of one record.
 
-    Parameters
-    ----------
-    record : xarray.Dataset
-        The record.
-    where : str
-        Measurement or test, and file.
-    stated : float or None
-        Spindle speed that the campaign states [rpm].
-    part : (str, str)
-        What a disagreement leaves out.
+    A disagreement leaves `part` out.
     """
     speeds = {} if stated is None else {"the stated speed": stated}
     if "spindle_speed" in record:
@@ -80,26 +71,13 @@ def tooth_suspects(
 ) -> Iterator[Suspect]:
     """Look for an order with a much larger amplitude than every multiple of the number of teeth, in a steady cut.
 
-    Force, else acceleration, of all axes together; amplitudes at the orders of the spindle from 2 (Hann, while the tool
-    cuts). Run-out is at order 1, which is not looked at; chatter lies between the orders. With run-out the force at
-    order n is ``P(n) R(n)``: the spectrum P of one tooth in its engagement, and R of the chips of the teeth, 1 at
-    multiples of their number and the relative run-out elsewhere. Where P hardly has the multiples (the force of four
-    teeth in a slot is constant), run-out is larger than they are; an order counts beyond `CheckLimits.runout` times
-    what P makes of it. An acceleration is amplified by modes, one order at a time: a further multiple must stand out
-    as well.
-
-    Parameters
-    ----------
-    record : xarray.Dataset
-        The record.
-    where : str
-        Test and file.
-    speed : float
-        Spindle speed [rpm].
-    tool : Tool
-        With the declared number of teeth.
-    engagement : Engagement or Engagements
-        Where a tooth cuts.
+    Force, else acceleration, of all axes together; amplitudes at the orders of the spindle (`speed` [rpm]) from 2
+    (Hann, while the tool cuts). Run-out is at order 1, which is not looked at; chatter lies between the orders. With
+    run-out the force at order n is ``P(n) R(n)``: the spectrum P of one tooth in its engagement, and R of the chips of
+    the teeth, 1 at multiples of their number and the relative run-out elsewhere. Where P hardly has the multiples (the
+    force of four teeth in a slot is constant), run-out is larger than they are; an order counts beyond
+    `CheckLimits.runout` times what P makes of it. An acceleration is amplified by modes, one order at a time: a further
+    multiple must stand out as well.
     """
     name = "force" if "force" in record and axis_present(record, "force") else "acceleration"
     axes = axis_present(record, name) if name in record else []

@@ -21,16 +21,7 @@ def hit_suspects(
 ) -> Iterator[Suspect]:
     """Yield what is suspicious in a hammer measurement.
 
-    Parameters
-    ----------
-    name : str
-        Measurement.
-    records : mapping of str to sequence of xarray.Dataset
-        Excitation axis -> records.
-    found : Identification
-        What was identified from these records with these settings.
-    **settings : object
-        Of `smfe.identification.hammer.hammer.identify_hammer`, but for ``exclude``.
+    `records` (excitation axis -> records) were identified as `found`, with `settings` of `identify_hammer`.
     """
     hits = found.tables["hits"]
     # Read back from a file, a column without a reason holds numbers.

@@ -28,19 +28,7 @@ from smfe.identification.sweep.sweep import identify_sweep
 def sweep_suspects(
     name: str, passes: Sequence[SweepPass], teeth: int, frequency_range: tuple[float, float]
 ) -> Iterator[Suspect]:
-    """Yield suspicions about what an inversion of sweeps takes for granted: ``regeneration_bias``, ``posture``.
-
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    passes : sequence of SweepPass
-        As for `smfe.identification.sweep.sweep.identify_sweep`.
-    teeth : int
-        Of the tool.
-    frequency_range : (float, float)
-        Band that is identified [Hz].
-    """
+    """Yield suspicions about what an inversion of sweeps takes for granted: ``regeneration_bias``, ``posture``."""
     biased = regeneration_difference(passes, teeth, frequency_range)
     if biased is not None and matters(biased):
         yield warning(

@@ -241,16 +241,8 @@ class Recorded(Excitation):
 def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None) -> MachineFrfs:
     """Return a family whose data are what the mean hit of each condition would have found.
 
-    Every hit is simulated with the force that was recorded, and the mean hit.
-
-    Parameters
-    ----------
-    family : MachineFrfs
-        Conditions whose `Excited` has its hits.
-    discrepancy : float
-        Root mean square of the smooth relative error that two simulations of one machine may differ by.
-    values : mapping, optional
-        Of the machine that is simulated; default the baseline, roughly fitted.
+    Every hit is simulated with the force that was recorded, and the mean hit, on the machine of `values` (default: the
+    baseline, roughly fitted). Two simulations of one machine may differ smoothly by the relative `discrepancy` (rms).
     """
     if values is None:
         model = Model(family, family.conditions)

@@ -99,15 +99,8 @@ class AxisBaseline:
     def effective(self, values: Values, settings: Mapping[str, float | str], feed: float) -> Effective:
         """Return what a set of values comes to under the settings of a condition.
 
-        Parameters
-        ----------
-        values : mapping
-            Nuisances, and of the causes those that are active; what is not there has its null value.
-        settings : mapping
-            ``position`` [m], ``order`` (0 first, 1 last in the session), ``added_mass`` [kg], ``sensor`` (``"laser"``
-            weighs nothing), where they are known.
-        feed : float
-            Of the axis [m/s]; its sign is the direction of sliding.
+        Settings that count: ``position`` [m], ``order`` (0 first, 1 last in the session), ``added_mass`` [kg],
+        ``sensor`` (``"laser"`` weighs nothing). The sign of the feed [m/s] is the direction of sliding.
         """
         place, order = float(settings.get("position", 0.0)), float(settings.get("order", 0.0))
         grown = 1.0 + values.get("stiffness_per_metre", 0.0) * place

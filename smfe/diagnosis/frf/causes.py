@@ -66,14 +66,8 @@ def axis_causes(
 ) -> tuple[Cause, ...]:
     """Return what the model of a feed axis may lack.
 
-    Parameters
-    ----------
-    known : collection of str
-        Friction that the baseline has already: ``coulomb``, ``static``.
-    stiffness, tip_mass : float
-        Of the baseline [N/m], [kg].
-    servos : sequence of Servo
-        Of all controllers.
+    Its stiffness [N/m], its tip mass [kg], the servos of all controllers, and what is `known` of its friction already:
+    ``coulomb``, ``static``.
     """
     k, newton = stiffness, (0.0, 10.0, 0.0, 1e4)
     coulomb, under, rise = (Parameter(n, "N", *newton) for n in ("coulomb", "stribeck_coulomb", "static_rise"))
@@ -151,20 +145,10 @@ def sensor_causes(band: tuple[float, float]) -> tuple[Cause, ...]:
 
 
 def modal_causes(modes: int, band: tuple[float, float], size: float, reach: float, places: int) -> tuple[Cause, ...]:
-    """Return what a modal model may lack, and in what its measurement may be wrong.
+    """Return what a model of some modes may lack, and in what its measurement may be wrong.
 
-    Parameters
-    ----------
-    modes : int
-        Number of modes of the baseline.
-    band : (float, float)
-        Compared from, to [Hz].
-    size : float
-        Largest compliance of the baseline in the band [m/N].
-    reach : float
-        Largest distance of a position from that of the baseline [m], of all conditions; 1 where all are alike.
-    places : int
-        Number of positions.
+    It was compared over a band [Hz], in which its largest compliance is `size` [m/N], at a number of places, the
+    farthest `reach` [m] from that of the baseline (1 where all are alike).
     """
     small, far = 0.003 * size, 0.9 / reach
     whole, across = pairs(modes), tuple(combinations(range(1, modes + 1), 2))

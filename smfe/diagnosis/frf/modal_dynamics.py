@@ -77,16 +77,9 @@ def unchanged(model: ModalModel) -> Changed:
 
 
 def full_compliance(machine: Changed, frequency: Real, shaken: Shaken) -> Complex:
-    """Return the compliance matrix [m/N], shape (f, 3, 3).
+    """Return the compliance matrix of a machine at frequencies [Hz], [m/N], shape (f, 3, 3).
 
-    Parameters
-    ----------
-    machine : Changed
-        The machine.
-    frequency : ndarray, shape (f,)
-        [Hz].
-    shaken : Shaken
-        How hard; counts where a joint is not linear.
+    How hard it is shaken counts where a joint is not linear.
 
     Raises
     ------

@@ -162,15 +162,7 @@ class ModalFrfs(Abilities):
         return float(settings.get("added_mass", 0.0)) + count * values.get("sensor_mass", 0.0)
 
     def changed(self, condition: Condition, values: Values) -> Changed:
-        """Return the machine that a set of values comes to under the settings of a condition.
-
-        Parameters
-        ----------
-        condition : Condition
-            Its settings count.
-        values : mapping
-            Nuisances, and of the causes those that are active; what is not there has its null value.
-        """
+        """Return the machine that a set of values comes to under the settings of a condition."""
         names = self._names
         root, scale = math.sqrt(1.0 + values.get("mass_error", 0.0)), 1.0 + values.get("scale_error", 0.0)
         slip, hardening = (
@@ -281,18 +273,10 @@ SENSORS = (*_ACCELEROMETER, "gain_force", "skew")
 
 
 def measured(phi: Complex, frequency: Real, values: Values, accelerometer: bool = True) -> Complex:
-    """Return a compliance as the sensors measure it, shape (f, 3, 3).
+    """Return a compliance at the tool [m/N] as the sensors measure it, shape (f, 3, 3).
 
-    Parameters
-    ----------
-    phi : ndarray, shape (f, 3, 3)
-        At the tool [m/N].
-    frequency : ndarray, shape (f,)
-        [Hz].
-    values : mapping
-        ``gain_force``, ``gain_x`` ..., ``exchanged_xy`` ..., ``turned_x`` ... [rad], ``skew`` [s].
-    accelerometer : bool, optional
-        Whether the motion is measured by the accelerometer, or by a laser that has none of its faults.
+    Values are ``gain_force``, ``gain_x`` ..., ``exchanged_xy`` ..., ``turned_x`` ... [rad], ``skew`` [s]. A laser in
+    place of the accelerometer has none of its faults.
     """
     factor = 1.0 + values.get("gain_force", 0.0)
     out = phi * factor if factor != 1.0 else phi

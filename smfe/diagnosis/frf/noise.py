@@ -175,20 +175,15 @@ def _scaled(values: Complex, std: Real) -> Real:
 def excitation_of(
     compliance: xr.Dataset, method: str, level: float, band: tuple[float, float], **more: object
 ) -> Excited:
-    """Return how a measured compliance was excited, with the lines that are compared.
+    """Return how a measured compliance was excited, with the lines of a band [Hz] that are compared.
 
-    Neighbouring lines share their error over ``error_lines``; they are thinned to independent ones.
+    Neighbouring lines share their error over ``error_lines``; they are thinned to independent ones. `more` are other
+    fields of `Excited`.
 
-    Parameters
-    ----------
-    compliance : xarray.Dataset
-        With ``compliance_std``.
-    method, level
-        See `Excited`.
-    band : (float, float)
-        Compared from, to [Hz].
-    **more : object
-        Other fields of `Excited`.
+    Raises
+    ------
+    InputError
+        Without an entry that is known with its standard deviation.
     """
     f = compliance["frequency"].values
     lines = chosen_lines(f, band, float(compliance.attrs.get("error_lines", 1.0)))
@@ -217,14 +212,8 @@ def chosen_lines(frequency: Real, band: tuple[float, float], apart: float = 1.0)
 def compared(excited: Excited, compliance: xr.Dataset, hits: xr.Dataset | None) -> Excited:
     """Return how a compliance along one axis was excited, as a simulation in time is compared with it.
 
-    Parameters
-    ----------
-    excited : Excited
-        From `excitation_of`, one entry; its level gets the sign of the force.
-    compliance : xarray.Dataset
-        The mean.
-    hits : xarray.Dataset, optional
-        What it is the mean of (`smfe.identification.hammer.impacts.single_hits`).
+    `compliance` is the mean of `hits` (`smfe.identification.hammer.impacts.single_hits`), where they are known; the
+    level gets the sign of the force.
     """
     ((response, excitation),) = excited.entries
     mean = compliance["compliance"].sel(response=response, excitation=excitation).values
@@ -275,21 +264,10 @@ def _places(compliance: xr.Dataset, excited: Excited) -> NDArray[np.int64]:
 
 
 def scatter_of(hits: Complex, impulse: Real) -> tuple[Real, Complex]:
-    """Return the errors of the mean of some hits: standard deviation of each line, and errors shared by all lines.
+    """Return the errors of the mean of hits, from the compliance [m/N], (r, f), and impulse [N s], (r,), of each.
 
-    Parameters
-    ----------
-    hits : ndarray, shape (r, f)
-        Compliance from each hit [m/N], r >= 3.
-    impulse : ndarray, shape (r,)
-        Of each hit [N s].
-
-    Returns
-    -------
-    std : ndarray, shape (f,)
-        Root mean square of the complex error of each line, smooth over frequency [m/N].
-    shared : ndarray, shape (r, f)
-        See `Excited`.
+    There are r >= 3 hits. The root mean square of the complex error of each line, smooth over frequency [m/N], shape
+    (f,); errors shared by all lines, shape (r, f), as of `Excited`.
     """
     count, lines = hits.shape[0], RULES.smooth_lines
     if count < RULES.fewest_hits:
@@ -320,16 +298,9 @@ def degrees_of_freedom_of(repeats: int, values: int) -> float:
 
 
 def smooth_errors(frequency: Real, compliance: Complex, share: float) -> Complex:
-    """Return smooth relative errors of a compliance, shape (2 shapes, f, entries); for `Excited.shared`.
+    """Return smooth relative errors of a compliance (f, entries), shape (2 shapes, f, entries), as of `Excited.shared`.
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (f,)
-        [Hz].
-    compliance : ndarray, shape (f, entries)
-        [m/N].
-    share : float
-        Root mean square of the complex relative error of a line, all shapes together.
+    All shapes together have the root mean square `share` of the complex relative error of a line.
     """
     u = np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0])
     order = np.arange(RULES.smooth_shapes)
