@@ -46,8 +46,8 @@ def sitting(job: tuple[int, bool]) -> dict[str, object]:
         said = levels[0] if levels else "nothing"
         failed = _runs(folder, seed)
         unsaid = ["the run was refused"] if failed is None else _unsaid(table, failed)
-        told = "; ".join(f"{r.level} {r.cause}: {r.where}: {r.evidence}" for r in table.itertuples())
-        return {"seed": seed, "fault": fault, "said": said, "evidence": told, "unsaid": unsaid, "seconds": seconds,
+        found = "; ".join(f"{r.level} {r.cause}: {r.where}: {r.evidence}" for r in table.itertuples())
+        return {"seed": seed, "fault": fault, "said": said, "evidence": found, "unsaid": unsaid, "seconds": seconds,
                 "failed": len(failed or [])}  # fmt: skip
 
 
@@ -90,9 +90,9 @@ def main() -> None:
         rows = []
         for k, row in enumerate(pool.map(sitting, jobs), 1):
             rows.append(row)
-            loud = row["unsaid"] or (row["fault"] == "none" and row["said"] in ("fault", "warning"))
+            wrong = row["unsaid"] or (row["fault"] == "none" and row["said"] in ("fault", "warning"))
             print(f"{k}/{len(jobs)}", row["seed"], row["fault"], row["said"], row["unsaid"] or "", flush=True)
-            if loud or given.table.name == "-":
+            if wrong or given.table.name == "-":
                 print("    ", row["evidence"], flush=True)
     if given.table.name != "-":
         given.table.write_text(_table(rows), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Stability limits for the exam: a mill with something hidden, marched in time, as a family that can be diagnosed."""
+"""Stability limits for the exam: a mill with something hidden, simulated in time, as a family that can be diagnosed."""
 
 import functools
 import math

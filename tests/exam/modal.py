@@ -135,7 +135,7 @@ def family(hidden: str | None, seed: int, snr: float = 40.0, without=(), size: f
 
 @dataclass(frozen=True)
 class Pair:
-    """Two effects that a design cannot tell apart, and what separates them.
+    """Two effects that a design does not separate, and what separates them.
 
     `design` and `entries` are what is measured first, `separating` what settles it; the effects are hidden `size` times
     as large as they must be found.

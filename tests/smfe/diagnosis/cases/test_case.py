@@ -200,7 +200,7 @@ def test_another_position_is_proposed_as_a_length() -> None:
 def test_between_coulomb_and_stribeck_it_asks_for_a_feed_of_the_transition() -> None:
     """Light hits stick at rest and slide alike at 500 mm/min: only in between does the fall of the friction show.
 
-    Stribeck friction contains Coulomb's, so that no experiment could tell were Coulomb's the truth.
+    Stribeck friction contains Coulomb's, so that no experiment could prove Coulomb's.
     """
     true = {"stribeck_coulomb": 40.0, "static_rise": 15.0, "stribeck_speed": 2e-3}
     family = machine(values(**true), condition("idle", 0.0, 0.05), condition("moving", 500.0, 0.05))

@@ -210,7 +210,7 @@ class TestFamily:
         for name in ("gyroscopic_12", "gain_x", "exchanged_xy", "turned_z"):
             assert broken(**{name: 1.0 if name == "exchanged_xy" else 0.05}) > 1e-4
 
-    def test_a_free_mass_shows_its_mass_and_the_gains(self, null: ModalFrfs) -> None:
+    def test_a_free_mass_gives_its_mass_and_the_gains(self, null: ModalFrfs) -> None:
         k = next(k for k, c in enumerate(null.conditions) if "free_mass" in c.settings)
         data, mass = null.conditions[k].data, float(null.conditions[k].settings["free_mass"])
         assert isinstance(data, Excited)
@@ -322,7 +322,7 @@ class TestHidden:
 
 
 RELIABLE = [n for n in NAMES if n not in ("scale", "mass")]
-"""A wrong scale or mass of all modes shows in no contrast: it is only held against the word of the baseline."""
+"""A wrong scale or mass of all modes changes no contrast: it is only compared with the priors of the baseline."""
 
 
 class TestConfounded:
