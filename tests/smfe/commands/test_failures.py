@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from kept import kept
+from samples.campaigns import HAMMER
 
 import smfe
 from process.errors import InputError
@@ -16,26 +17,6 @@ from smfe import cli
 from smfe import results as failures
 from smfe.commands.check import check
 from smfe.results import Failure, attempt, of_file, read_groups, unpack
-
-CAMPAIGN = """
-[campaign]
-name = "Small"
-[tool]
-diameter = "80 mm"
-teeth = 2
-[material]
-Ktc = "1900 N/mm^2"
-Krc = "800 N/mm^2"
-Kac = "300 N/mm^2"
-[channels]
-time = { column = "t", unit = "s" }
-force_x = { column = "Fx", unit = "N" }
-acceleration_x = { column = "ax", unit = "m/s^2" }
-[[measurement]]
-name = "hammer"
-method = "hammer"
-records = [ { file = "hit.csv", excitation = "x" } ]
-"""
 
 MODEL = """
 [[model]]
@@ -115,7 +96,7 @@ def parts(folder: Path) -> None:
     # The hammer gives 1 x 1 of the compliance from 0 to 1000 Hz: enough for zero order, not for an operating point.
     requests = LOBES.format(method="zero_order") + LOBES.format(method="operating_point").replace(', "broken"', "")
     tests = CUTTING_TEST.replace("cut.csv", "other.csv") + WRONG_COLUMN + CUTTING_TEST
-    text = CAMPAIGN + SECOND + MODEL + requests + tests
+    text = HAMMER + SECOND + MODEL + requests + tests
     (folder / "campaign.toml").write_text(text)
     smfe_run = ("-m", "smfe", "run", folder / "campaign.toml", "--out", folder / "results", "--json")
     done = subprocess.run([sys.executable, *smfe_run], capture_output=True, text=True, check=False)
@@ -194,7 +175,7 @@ def test_a_command_of_which_nothing_is_left_writes_nothing(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "broken.csv").write_bytes((folder / "broken.csv").read_bytes())
-    (tmp_path / "nothing.toml").write_text(CAMPAIGN.replace("hit.csv", "broken.csv"))
+    (tmp_path / "nothing.toml").write_text(HAMMER.replace("hit.csv", "broken.csv"))
     assert command(monkeypatch, "identify", tmp_path / "nothing.toml", "-o", tmp_path / "nothing.nc") == 1
     assert not (tmp_path / "nothing.nc").exists()
     assert command(monkeypatch, "run", tmp_path / "nothing.toml", "--out", tmp_path / "nothing") == 3
@@ -220,7 +201,7 @@ def test_a_mistake_of_ours_costs_its_part_and_an_interruption_everything() -> No
 def test_a_cut_under_another_controller_is_not_compared_and_every_output_says_so(folder: Path, tmp_path: Path) -> None:
     for name in ("hit.csv", "cut.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
-    text = CAMPAIGN + 'controller = "K1"\n' + LOBES.format(method="zero_order").replace(', "broken", "m"', "")
+    text = HAMMER + 'controller = "K1"\n' + LOBES.format(method="zero_order").replace(', "broken", "m"', "")
     (tmp_path / "campaign.toml").write_text(text + CUTTING_TEST + 'controller = "K2"\n')
     out = smfe.run(tmp_path / "campaign.toml", tmp_path / "results").parent
     (row,) = pd.read_csv(out / "chatter.csv", keep_default_na=False).to_dict("records")

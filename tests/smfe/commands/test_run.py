@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from kept import kept
 from nptdms import ChannelObject, RootObject, TdmsWriter
+from samples.campaigns import HAMMER
 from scipy.io import savemat
 
 import smfe
@@ -214,28 +215,6 @@ def test_the_same_seed_makes_the_same_records(demo: Path, size: DemoSize, tmp_pa
         assert (tmp_path / "records" / name).read_bytes() == (demo / "records" / name).read_bytes()
 
 
-CAMPAIGN = """
-[campaign]
-name = "Small"
-[tool]
-diameter = "80 mm"
-teeth = 2
-[material]
-name = "steel"
-Ktc = "1900 N/mm^2"
-Krc = "800 N/mm^2"
-Kac = "300 N/mm^2"
-[channels]
-time = { column = "t", unit = "s" }
-force_x = { column = "Fx", unit = "N" }
-acceleration_x = { column = "ax", unit = "m/s^2" }
-[[measurement]]
-name = "hammer"
-method = "hammer"
-records = [ { file = "hit.csv", excitation = "x" } ]
-"""
-
-
 def hit_table() -> pd.DataFrame:
     """A good hammer record: three hits on a 50 Hz mode, 3 % damping, 5 N/um."""
     t = np.arange(12000) / 2000.0
@@ -276,8 +255,8 @@ def test_what_is_identified_already_is_read_back_unless_its_record_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     campaign, results = tmp_path / "campaign.toml", tmp_path / "results"
-    second = CAMPAIGN[CAMPAIGN.index("[[measurement]]") :].replace('"hammer"\nm', '"again"\nm').replace("hit", "again")
-    campaign.write_text(CAMPAIGN + second)
+    second = HAMMER[HAMMER.index("[[measurement]]") :].replace('"hammer"\nm', '"again"\nm').replace("hit", "again")
+    campaign.write_text(HAMMER + second)
     table = hit_table()
     for name in ("hit.csv", "again.csv"):
         table.to_csv(tmp_path / name, index=False)
@@ -425,7 +404,7 @@ def test_bad_input_is_one_clear_message_and_exit_code_1_or_3(
 ) -> None:
     change, write, words = BAD_INPUT[case]
     if change is not None:
-        (tmp_path / "campaign.toml").write_text(change(CAMPAIGN))
+        (tmp_path / "campaign.toml").write_text(change(HAMMER))
     write(tmp_path)  # type: ignore[operator]
     out = tmp_path / "results"
     code = 1 if case in FILE_IS_WRONG else 3
@@ -447,7 +426,7 @@ def test_bad_input_is_one_clear_message_and_exit_code_1_or_3(
 def test_good_input_of_the_same_kind_runs_and_its_report_can_be_written_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    (tmp_path / "campaign.toml").write_text(HAMMER)
     hit_table().to_csv(tmp_path / "hit.csv", index=False)
     assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
     report = tmp_path / "results" / "report.html"
@@ -465,17 +444,17 @@ def contents(folder: Path) -> dict[Path, bytes]:
 def test_a_campaign_file_that_is_wrong_leaves_an_older_folder_of_results_as_it_was(tmp_path: Path) -> None:
     campaign, out = tmp_path / "campaign.toml", tmp_path / "results"
     with_cut(tmp_path)
-    campaign.write_text(CAMPAIGN + CUTTING_TEST)
+    campaign.write_text(HAMMER + CUTTING_TEST)
     smfe.run(campaign, out)
     before = contents(out)
     assert {"frf.nc", "chatter.csv", "provenance.json"} <= {p.name for p in before}
-    campaign.write_text(CAMPAIGN.replace('name = "hammer"', 'name = "other"') + CUTTING_TEST + "teeth = 4\n")
+    campaign.write_text(HAMMER.replace('name = "hammer"', 'name = "other"') + CUTTING_TEST + "teeth = 4\n")
     with pytest.raises(InputError, match="teeth"):
         smfe.run(campaign, out)
     assert contents(out) == before
 
 
-HEAD = CAMPAIGN[: CAMPAIGN.index("[[measurement]]")]
+HEAD = HAMMER[: HAMMER.index("[[measurement]]")]
 WITHOUT_MATERIAL = HEAD[: HEAD.index("[material]")] + HEAD[HEAD.index("[channels]") :]
 MODEL = """
 [[model]]
@@ -573,7 +552,7 @@ def test_wrong_usage_is_exit_code_2(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_warnings_are_printed_where_the_run_was_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "campaign.toml").write_text(CAMPAIGN + SWEEPS_LOBES)
+    (tmp_path / "campaign.toml").write_text(HAMMER + SWEEPS_LOBES)
     hit_table().to_csv(tmp_path / "hit.csv", index=False)
     assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
     assert "partial matrix" in capsys.readouterr().err

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from samples.campaigns import DRIVE
 from truth import workshop
 
 from process.cut.engagement import CUTS, Engagement, engagement
@@ -267,23 +268,10 @@ def test_one_stroke_is_too_little_for_a_drive_and_the_check_says_so(tmp_path: Pa
     speed = 0.1 * np.clip((t - 1.0) / 0.5, 0.0, 1.0) * np.clip((5.0 - t) / 0.5, 0.0, 1.0)
     force = 95.0 * np.gradient(speed, t) + 20.0 * (speed > 1e-6) + 200.0 * speed + 0.5 * rng.standard_normal(t.size)
     place = np.cumsum(speed) * 1e-3 + 1e-6 * rng.standard_normal(t.size)
-    pd.DataFrame({"t": t, "x": place, "F": force}).to_csv(tmp_path / "stroke.csv", index=False)
-    (tmp_path / "campaign.toml").write_text("""
-[campaign]
-name = "stroke"
-[channels]
-time = { column = "t", unit = "s" }
-encoder_position_x = { column = "x", unit = "m" }
-drive_force_x = { column = "F", unit = "N" }
-[[measurement]]
-name = "stroke"
-method = "drive"
-records = [ { file = "stroke.csv" } ]
-[baseline]
-drive = "rigid"
-axis = "x"
-moving_mass = "95 kg"
-""")
+    frame = pd.DataFrame({"time [s]": t, "enc_x [m]": place, "Fd_x [N]": force})
+    frame.to_csv(tmp_path / "stroke.csv", index=False)
+    baseline = '[baseline]\ndrive = "rigid"\naxis = "x"\nmoving_mass = "95 kg"\n'
+    (tmp_path / "campaign.toml").write_text(DRIVE + baseline)
     (row,) = check(tmp_path / "campaign.toml").to_dict("records")
     assert (row["cause"], row["level"], row["where"]) == ("unusable", "fault", "diagnosis")
     assert "record more moves" in row["evidence"]

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from places import CHECKOUT
+from samples.campaigns import DRIVE
 from truth.drive_rig import draw, truths
 
 import smfe
@@ -241,23 +242,9 @@ def written(folder: Path) -> Path:
     return folder / "stroke.csv"
 
 
-CAMPAIGN = """
-[campaign]
-name = "drive"
-[channels]
-time = { column = "time [s]", unit = "s" }
-encoder_position_x = { column = "enc_x [m]", unit = "m" }
-drive_force_x = { column = "Fd_x [N]", unit = "N" }
-[[measurement]]
-name = "stroke"
-method = "drive"
-records = [{ file = "stroke.csv" }]
-"""
-
-
 def test_a_run_writes_the_drive_into_its_results_and_its_report(tmp_path: Path) -> None:
     written(tmp_path)
-    (tmp_path / "c.toml").write_text(CAMPAIGN)
+    (tmp_path / "c.toml").write_text(DRIVE)
     report = smfe.run(tmp_path / "c.toml", tmp_path / "out")
     table = pd.read_csv(tmp_path / "out" / "drives.csv")
     row = table[table["parameter"] == "inertia"].iloc[0]
@@ -277,7 +264,7 @@ def test_a_drive_that_cannot_be_identified_fails_alone_and_the_check_says_so(tmp
     frame = pd.read_csv(path)
     frame["Fd_x [N]"] *= -1.0
     frame.to_csv(tmp_path / "turned.csv", index=False)
-    text = CAMPAIGN + CAMPAIGN.split("[[measurement]]")[1].join(["[[measurement]]", ""])
+    text = DRIVE + DRIVE.split("[[measurement]]")[1].join(["[[measurement]]", ""])
     text = text.replace('name = "stroke"', 'name = "turned"', 1).replace('"stroke.csv"', '"turned.csv"', 1)
     (tmp_path / "c.toml").write_text(text)
     said = check(tmp_path / "c.toml")
