@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import combinations, combinations_with_replacement, product
 
@@ -27,8 +28,14 @@ TWICE = ("", "also_")
 """Prefixes of parameters that are in two variants of a cause."""
 
 _RIGHT = 0.5 * np.pi
-_MISSING = "a mode that the model does not have"
-_SKEW = "time skew between force and motion"
+_MEASUREMENT = ("sensor_gain", "sensor_axis", "time_skew", "accelerometer_mass")  # the other causes are physics
+
+Starts = tuple[tuple[float, ...], ...]
+
+
+def _cause(id_: str, title: str, *parameters: Parameter, variant: str = "", starts: Starts = ()) -> Cause:
+    kind = "measurement" if id_ in _MEASUREMENT else "physics"
+    return Cause(id_, title, parameters, variant, kind, starts)
 
 
 def _percent(name: str, scale: float = 0.01, low: float = -0.9, high: float = 0.9, unit: str = "%") -> Parameter:
@@ -41,21 +48,32 @@ def _angle(name: str, scale: float, most: float) -> Parameter:
 
 def _skew(scale: float) -> Cause:
     shift = Parameter("skew", "us", 0.0, scale, -2e-3, 2e-3, shown=1e6)
-    return Cause("time_skew", _SKEW, (shift,), kind="measurement")
+    return _cause("time_skew", "time skew between force and motion", shift)
 
 
-def _mode(band: tuple[float, float], scale: float, most: float, low: float, high: float) -> tuple[Parameter, ...]:
-    """Compliance, frequency and damping of a further mode, searched for all over a band [Hz]."""
-    middle = float(np.sqrt(band[0] * band[1]))
-    return (
+def _missing_mode(
+    band: tuple[float, float],
+    limits: tuple[float, float, float, float],
+    start: float,
+    count: int,
+    *more: Parameter,
+    along: Starts = ((),),
+    variant: str = "",
+) -> Cause:
+    """A further mode, searched for all over a band [Hz], along some directions.
+
+    Limits are scale and largest value of its compliance [m/N], and lowest and highest frequency over those of the band.
+    """
+    scale, most, low, high = limits
+    mode = (
         Parameter("mode_compliance", "um/N", 0.0, scale, 0.0, most, shown=1e6),
-        Parameter("mode_frequency", "Hz", middle, 0.02 * band[1], low * band[0], high * band[1]),
+        Parameter("mode_frequency", "Hz", math.sqrt(band[0] * band[1]), 0.02 * band[1], low * band[0], high * band[1]),
         Parameter("mode_damping", "%", 0.03, 0.01, 0.002, 0.3, shown=100.0),
     )
-
-
-def _over(band: tuple[float, float], count: int) -> list[float]:
-    return [float(f) for f in np.geomspace(band[0] * 1.05, band[1] * 0.95, count)]
+    middle = np.geomspace(band[0] * 1.05, band[1] * 0.95, count).tolist()
+    starts = tuple((start, f, 0.03, *a) for f, a in product(middle, along))
+    title = "a mode that the model does not have"
+    return _cause("missing_mode", title, *mode, *more, variant=variant, starts=starts)
 
 
 # --- A feed axis: two masses, servo, friction.
@@ -77,48 +95,36 @@ def axis_causes(
     gap = Parameter("gap", "um", 2e-6, 1e-6, 0.0, 1e-3, shown=1e6)
     delay = Parameter("extra_delay", "ms", 0.0, 1e-4, -min((s.delay for s in servos), default=0.0), 5e-3, shown=1e3)
     loading = Parameter("sensor_mass", "kg", 0.0, 0.01 * tip_mass, 0.0, 0.5 * tip_mass)
-    gains = tuple(_percent(name, 0.05, -0.8, 4.0) for name in ("Kp_error", "Ti_error", "Kv_error"))
+    gains = (_percent(name, 0.05, -0.8, 4.0) for name in ("Kp_error", "Ti_error", "Kv_error"))
     product_of_servos = float(np.exp(np.mean([np.log(s.Kv * s.Ti) for s in servos if s.Kv > 0.0] or [0.0])))
+    servo_gains = _cause("servo_gains", "servo gains other than recorded", *gains)
+    slides = partial(_cause, "guideway_friction")
     friction = []
     if "coulomb" not in known:
-        title = "Coulomb friction of the guideway"
-        friction.append(Cause("guideway_friction", title, (coulomb,), "coulomb", starts=((40.0,),)))
+        friction.append(slides("Coulomb friction of the guideway", coulomb, variant="coulomb", starts=((40.0,),)))
     if "static" not in known:
-        both: tuple[tuple[Parameter, ...], tuple[tuple[float, ...], ...]] = (
-            ((rise, speed), ((30.0, 6e-3), (30.0, 2e-2)))
-            if "coulomb" in known
-            else ((under, rise, speed), ((40.0, 30.0, 6e-3), (20.0, 20.0, 2e-2)))
-        )
-        title = "Stribeck friction of the guideway"
-        friction.append(Cause("guideway_friction", title, both[0], "stribeck", starts=both[1]))
+        stribeck = (rise, speed) if "coulomb" in known else (under, rise, speed)
+        starts: Starts = ((40.0, 30.0, 6e-3), (20.0, 20.0, 2e-2))
+        if "coulomb" in known:
+            starts = ((30.0, 6e-3), (30.0, 2e-2))
+        friction.append(slides("Stribeck friction of the guideway", *stribeck, variant="stribeck", starts=starts))
     if "coulomb" in known:
-        level = (_percent("friction_level", 0.05, -0.9, 4.0),)
-        friction.append(Cause("guideway_friction", "level of the guideway's friction", level, "level"))
-    slip = (_percent("micro_slip_share", 0.02, 0.0), travel)
+        level = _percent("friction_level", 0.05, -0.9, 4.0)
+        friction.append(slides("level of the guideway's friction", level, variant="level"))
+    share, part = _percent("micro_slip_share", 0.02, 0.0), _percent("gap_share", 0.1, 0.0, 0.95)
     return (
         *friction,
-        Cause(
-            "friction_asymmetry",
-            "friction that differs between the directions",
-            (_percent("friction_asymmetry", 0.05),),
+        _cause(
+            "friction_asymmetry", "friction that differs between the directions", _percent("friction_asymmetry", 0.05)
         ),
-        Cause("joint_micro_slip", "micro-slip in a joint", slip, starts=((0.02, 1e-4), (0.02, 4e-4))),
-        Cause("joint_hardening", "a joint that hardens or softens with displacement", (cubic,)),
-        Cause(
-            "backlash",
-            "play in a joint",
-            (_percent("gap_share", 0.1, 0.0, 0.95), gap),
-            starts=((0.3, 2e-6), (0.3, 2e-5)),
-        ),
-        Cause(
-            "servo_gains", "servo gains other than recorded", gains, equivalent=partial(_exchanged, product_of_servos)
-        ),
-        Cause("loop_delay", "a dead time in the control loop", (delay,)),
-        Cause(
-            "posture", "stiffness that depends on the position", (_percent("stiffness_per_metre", 0.02, unit="%/m"),)
-        ),
-        Cause("drift", "stiffness that drifts over the session", (_percent("stiffness_over_session"),)),
-        Cause("accelerometer_mass", "mass of the sensor", (loading,), kind="measurement"),
+        _cause("joint_micro_slip", "micro-slip in a joint", share, travel, starts=((0.02, 1e-4), (0.02, 4e-4))),
+        _cause("joint_hardening", "a joint that hardens or softens with displacement", cubic),
+        _cause("backlash", "play in a joint", part, gap, starts=((0.3, 2e-6), (0.3, 2e-5))),
+        replace(servo_gains, equivalent=partial(_exchanged, product_of_servos)),
+        _cause("loop_delay", "a dead time in the control loop", delay),
+        _cause("posture", "stiffness that depends on the position", _percent("stiffness_per_metre", 0.02, unit="%/m")),
+        _cause("drift", "stiffness that drifts over the session", _percent("stiffness_over_session")),
+        _cause("accelerometer_mass", "mass of the sensor", loading),
     )
 
 
@@ -133,12 +139,8 @@ def _exchanged(product_of_servos: float, values: Mapping[str, float]) -> tuple[f
 
 def sensor_causes(band: tuple[float, float]) -> tuple[Cause, ...]:
     """Return what the sensors along an axis may do, and a mode beyond those of the axis in a band [Hz]."""
-    starts = tuple((2e-8, f, 0.03) for f in _over(band, 6))
-    return (
-        Cause("sensor_gain", "gain of a sensor", (_percent("gain_error", 0.02, -0.9, 9.0),), kind="measurement"),
-        _skew(2e-5),
-        Cause("missing_mode", _MISSING, _mode(band, 1e-8, 1e-4, 0.7, 1.5), starts=starts),
-    )
+    gain = _cause("sensor_gain", "gain of a sensor", _percent("gain_error", 0.02, -0.9, 9.0))
+    return gain, _skew(2e-5), _missing_mode(band, (1e-8, 1e-4, 0.7, 1.5), 2e-8, 6)
 
 
 # --- A machine that is modelled by modes.
@@ -153,68 +155,57 @@ def modal_causes(modes: int, band: tuple[float, float], size: float, reach: floa
     small, far = 0.003 * size, 0.9 / reach
     whole, across = pairs(modes), tuple(combinations(range(1, modes + 1), 2))
 
-    def matrix(
-        what: str, entries: Sequence[tuple[int, int]], most: float = 0.9, unit: str = "%"
-    ) -> tuple[Parameter, ...]:
-        return tuple(_percent(f"{what}_{r}{s}", 0.01, -most, most, unit) for r, s in entries)
+    def matrix(what: str, at: Sequence[tuple[int, int]] = whole, most: float = 0.9, unit: str = "%") -> list[Parameter]:
+        return [_percent(f"{what}_{r}{s}", 0.01, -most, most, unit) for r, s in at]
 
     def joint(id_: str, title: str) -> Cause:
-        angles = tuple(_angle(f"{id_}_angle_{r}", 0.2, 4.0) for r in range(1, modes))
+        angles = (_angle(f"{id_}_angle_{r}", 0.2, 4.0) for r in range(1, modes))
         # Along each axis of mode space, a little off where the angles count.
         starts = tuple((0.01, *(_RIGHT if s < r else 0.1 for s in range(modes - 1))) for r in range(modes))
-        return Cause(id_, title, (_percent(id_, 0.01, 0.0, 3.0), *angles), starts=starts)
+        return _cause(id_, title, _percent(id_, 0.01, 0.0, 3.0), *angles, starts=starts)
 
-    spinning = "modes that change with the speed of the spindle"
-    bearings, with_bearings = (matrix(f"{b}bearings", whole) for b in TWICE)
-    turning, with_turning = (matrix(f"{b}gyroscopic", across) for b in TWICE)
-    position = "stiffness that depends on the position"
+    depends = partial(_cause, "posture", "stiffness that depends on the position")
     bend = Parameter("posture_bend", "1/m", 0.0, 0.3 / reach, -10.0 * far, 10.0 * far)
-    mode = (
-        *_mode(band, small, 10.0 * size, 0.5, 2.0),
-        *(_angle(f"mode_{n}", 0.3, 2.0 * np.pi) for n in ("azimuth", "elevation")),
-    )
+    spindle = partial(_cause, "spindle_speed_dynamics", "modes that change with the speed of the spindle")
+    both = [p for what, at in (("bearings", whole), ("gyroscopic", across)) for p in matrix(TWICE[1] + what, at)]
+    turns = (_angle(f"turn_{side}_{r}", 0.02, _RIGHT) for r, side in product(range(1, modes + 1), "ab"))
+    directions = (_angle(f"mode_{n}", 0.3, 2.0 * np.pi) for n in ("azimuth", "elevation"))
     along = ((0.01, 0.01), (_RIGHT, 0.01), (0.01, _RIGHT))
-    starts = tuple((small, f, 0.03, *a) for f, a in product(_over(band, 10), along))
-    residual = tuple(
-        Parameter(n, "um/N", 0.0, small, 0.0 if n[-1] == n[-2] else -size, size, shown=1e6) for n in RESIDUAL
-    )
-    turns = tuple(_angle(f"turn_{side}_{r}", 0.02, _RIGHT) for r, side in product(range(1, modes + 1), "ab"))
-    measured: list[Cause] = []
-    gains = [("force", "gain of the force sensor"), *((a, f"gain of the accelerometer along {a}") for a in AXES)]
-    for a, title in gains:  # a wrong sign is a gain of -200 %
-        gain = (_percent(f"gain_{a}", 0.01, -12.0, 12.0),)
-        measured.append(Cause("sensor_gain", title, gain, a, "measurement", ((-2.0,),)))
-    for a, b in PLANES:  # there or not: above one half it is; nothing lies between
-        name = f"exchanged_{a}{b}"
-        switch = (Parameter(name, "0/1", 0.0, 1.0, 0.0, 1.5),)
-        measured.append(
-            Cause("sensor_axis", f"{a} and {b} of the accelerometer are exchanged", switch, name, "measurement")
-        )
-    turned = tuple(_angle(f"turned_{a}", 0.02, 1.0) for a in AXES)
-    loading = (Parameter("sensor_mass", "kg", 0.0, 0.05, 0.0, 100.0),)
+    lowest = {n: 0.0 if n[-1] == n[-2] else -size for n in RESIDUAL}
+    residual = (Parameter(n, "um/N", 0.0, small, low, size, shown=1e6) for n, low in lowest.items())
+    gains = {"force": "gain of the force sensor", **{a: f"gain of the accelerometer along {a}" for a in AXES}}
+    exchanged = {f"exchanged_{a}{b}": f"{a} and {b} of the accelerometer are exchanged" for a, b in PLANES}
     return (
-        Cause("posture", position, matrix("posture", whole, far, "%/m")),
-        *([Cause("posture", position, (*matrix("curved", whole, far, "%/m"), bend), "curved")] if places > 3 else []),
-        Cause("drift", "stiffness that drifts over the session", matrix("drift", whole)),
-        Cause("spindle_speed_dynamics", spinning, bearings, "bearings"),
-        *([Cause("spindle_speed_dynamics", spinning, turning, "gyroscopic")] if across else []),
-        *([Cause("spindle_speed_dynamics", spinning, (*with_bearings, *with_turning), "both")] if across else []),
+        depends(*matrix("posture", whole, far, "%/m")),
+        *([depends(*matrix("curved", whole, far, "%/m"), bend, variant="curved")] if places > 3 else []),
+        _cause("drift", "stiffness that drifts over the session", *matrix("drift")),
+        spindle(*matrix("bearings"), variant="bearings"),
+        *([spindle(*matrix("gyroscopic", across), variant="gyroscopic")] if across else []),
+        *([spindle(*both, variant="both")] if across else []),
         joint("joint_micro_slip", "micro-slip in a joint"),
         joint("joint_hardening", "a joint that hardens with displacement"),
-        Cause("cross_axis_coupling", "directions of the modes: axes that are coupled", turns, "directions"),
-        Cause("cross_axis_coupling", "springs between the axes", matrix("coupling", whole), "springs"),
-        Cause("missing_mode", _MISSING, mode, "in band", starts=starts),
-        Cause("missing_mode", "flexibility of modes above the band", residual, "above"),
-        Cause(
-            "modal_scale",
-            "scale of all modes: stiffness and mass together",
-            (_percent("scale_error", 0.01, -0.9, 9.0),),
+        _cause("cross_axis_coupling", "directions of the modes: axes that are coupled", *turns, variant="directions"),
+        _cause("cross_axis_coupling", "springs between the axes", *matrix("coupling"), variant="springs"),
+        _missing_mode(band, (small, 10.0 * size, 0.5, 2.0), small, 10, *directions, along=along, variant="in band"),
+        _cause("missing_mode", "flexibility of modes above the band", *residual, variant="above"),
+        _cause("modal_scale", "scale of all modes: stiffness and mass together", _percent("scale_error", high=9.0)),
+        _cause("modal_mass", "mass of all modes, the stiffness as it is", _percent("mass_error", high=9.0)),
+        *(  # a wrong sign is a gain of -200 %
+            _cause("sensor_gain", title, _percent(f"gain_{a}", 0.01, -12.0, 12.0), variant=a, starts=((-2.0,),))
+            for a, title in gains.items()
         ),
-        Cause("modal_mass", "mass of all modes, the stiffness as it is", (_percent("mass_error", 0.01, -0.9, 9.0),)),
-        *measured,
-        Cause("sensor_axis", "the accelerometer is turned", turned, "turned", "measurement"),
+        *(  # there or not: above one half it is; nothing lies between
+            _cause("sensor_axis", title, Parameter(n, "0/1", 0.0, 1.0, 0.0, 1.5), variant=n)
+            for n, title in exchanged.items()
+        ),
+        _cause(
+            "sensor_axis",
+            "the accelerometer is turned",
+            *(_angle(f"turned_{a}", 0.02, 1.0) for a in AXES),
+            variant="turned",
+        ),
         _skew(1e-5),
-        Cause("accelerometer_mass", "mass of the sensor", loading, kind="measurement"),
+        _cause("accelerometer_mass", "mass of the sensor", Parameter("sensor_mass", "kg", 0.0, 0.05, 0.0, 100.0)),
     )
 
 

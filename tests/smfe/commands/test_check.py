@@ -17,12 +17,11 @@ from process.cut.tool import Tool
 from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.commands import run as run_command
-from smfe.commands.check import check
+from smfe.commands.check import check, refusals
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.checks.cuts import tooth_suspects
 from smfe.diagnosis.checks.same_data import Seen, same_suspects
 from smfe.diagnosis.checks.suspect import Suspect
-from smfe.diagnosis.dry_run import refusals
 from smfe.identification.sweep.passes import in_cut
 from smfe.results import read_groups
 
