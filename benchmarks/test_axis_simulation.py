@@ -17,7 +17,7 @@ from process.machine.joints import Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Excitation, HalfSine, SteppedSine
-from process.simulation.machine import Struck, as_machine, machine_motion, simulate_axis
+from process.simulation.machine import RepeatedImpact, as_machine, machine_motion, simulate_axis
 
 MM_MIN = 1.0 / 6e4
 FRICTION = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
@@ -163,7 +163,7 @@ def test_two_hits_on_a_machine_made_ready_once_against_two_simulations(benchmark
     blows = [HalfSine.from_peak(peak, start=0.0) for peak in (50.0, 100.0)]
 
     def once() -> list[np.ndarray]:
-        ready = Struck(machine, "x", **common)
+        ready = RepeatedImpact(machine, "x", **common)
         return [ready.displacement(blow, rest=1e-7)[0] for blow in blows]
 
     def each() -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""Numba helpers of the cut, for any kernel that marches a tool: the turning spindle, the teeth, the surface they leave.
+"""Numba helpers of the cut for kernels that integrate the motion of a tool: spindle, teeth, and the surface they leave.
 
 Every edge element (a tooth, or one slice of a helical tooth) keeps the surface that it leaves behind on a ring of
 nodes, fixed angles of the tool's turn. A kernel calls, once a step::
@@ -9,8 +9,8 @@ nodes, fixed angles of the tool's turn. A kernel calls, once a step::
     after = moved(pose, x, y, z)                                          once that force has corrected the position
     pass_over(teeth, surfaces, before, after)                             from the last final pose to this one
 
-All are inlined. Compile the kernel with ``_nrt=False`` and allocate its arrays outside: counting references to the
-arrays in the tuples would take most of the time.
+All are inlined: they are compiled as part of the kernel that calls them. Compile that kernel with ``_nrt=False`` and
+allocate its arrays outside: counting references to the arrays in the tuples would take most of the time.
 """
 
 import math

@@ -1,4 +1,8 @@
-"""Compiled friction: scalars in, scalars out, SI. Friction force opposes motion: ``m x'' = F - friction_force(x')``."""
+"""Compiled friction: scalars in, scalars out, SI. Friction force opposes motion: ``m x'' = F - friction_force(x')``.
+
+Compiled at the first call and cached: every function below for an int64 code of the law, float64 scalars, and float64
+arrays, C-contiguous, of parameters, states, velocities and results. Each takes 0.3 to 0.9 s of CPU.
+"""
 
 import math
 

@@ -1,8 +1,12 @@
-"""Compiled harmonic balance of several non-linear points: alternating time and frequency, Newton, Hill's determinant.
+"""Compiled harmonic balance of several nonlinear elements: alternating time and frequency, Newton, Hill's determinant.
 
-Point p feels ``bias + gain u(t)``, ``u(t) = Re sum_k u_k exp(j k w t)``, in m/s (friction) or m (joints, gain 1/w). Its
-force less ``reference`` times what it feels enters ``u_pk + sum_q A_pqk f_qk = d_p delta_k1``.
+The motion of element p is ``bias + gain u(t)``, ``u(t) = Re sum_k u_k exp(j k w t)``, in m/s (friction) or m (joints,
+gain 1/w). Its force less ``reference`` times its motion enters ``u_pk + sum_q A_pqk f_qk = d_p delta_k1``.
 Real layout of K complex coefficients: K real parts, then K imaginary parts.
+
+Compiled at the first call and cached, for the tuples `Elements` and `Grid` of float64 and int64 arrays and for
+complex128 arrays, C-contiguous: `sweep`, `newton`, `element_forces`, `element_slopes`, `hill_turns` and `crossings`,
+with what they call, in 36 s of CPU.
 """
 
 import math
@@ -18,10 +22,10 @@ CUBIC = 20  # stiffness, cubic
 GAP = 21  # stiffness, gap
 SLIDERS = 22  # parallel spring-slider elements
 
-# Per point (P, ...): code; parameters (12); steepness; stiffness and slip (E) of the elements, unused ones zero; bias;
-# whether it feels a displacement; reference.
-Points = namedtuple(
-    "Points", ["code", "parameters", "steepness", "stiffness", "slip", "bias", "displacement", "reference"]
+# Per element (P, ...): code; parameters (12); steepness; stiffness and slip (E) of its sliders, unused ones zero; bias;
+# whether its motion is a displacement; reference.
+Elements = namedtuple(
+    "Elements", ["code", "parameters", "steepness", "stiffness", "slip", "bias", "displacement", "reference"]
 )
 # Harmonics (K,), a multiple of `step` apart; panels of `nodes` over `span` of a period, the sum of weights is 1; cosine
 # and sine of the harmonics (N, K) and of the lags 0, step, 2 step ... (N, L) at the nodes.
@@ -67,7 +71,7 @@ def _force_and_slope(code, p, x):
 
 @njit(cache=True, nogil=True)
 def _rough(steepness, low, high):
-    """Tell whether the passage through rest falls into a panel in which x runs from low to high."""
+    """Return whether the passage through rest falls into a panel in which x runs from low to high."""
     near = 0.0 if low < 0.0 < high else min(abs(low), abs(high))
     return steepness * (high - low) > _RISE and steepness * near < _SATURATED
 
@@ -236,29 +240,45 @@ def _sliders(stiffness, slip, bias, gain, u, v, grid, force, tangent, slope):
 
 
 @njit(cache=True, nogil=True)
-def forces(points, gain, u, grid, force, tangent, slope):
+def forces(elements, gain, u, grid, force, tangent, slope):
     """Fill force (P, K) complex, tangent (P, 2 K, 2 K) and slope (P, 2 L) under u (P, K)."""
     n = grid.orders.size
     mean = np.empty(2 * n)
     for p in range(u.shape[0]):
         real, imaginary = u[p].real.copy(), u[p].imag.copy()
-        if points.code[p] == SLIDERS:
+        if elements.code[p] == SLIDERS:
             _sliders(
-                points.stiffness[p], points.slip[p], points.bias[p], gain[p], real, imaginary, grid, mean,
-                tangent[p], slope[p],
-            )  # fmt: skip
+                elements.stiffness[p],
+                elements.slip[p],
+                elements.bias[p],
+                gain[p],
+                real,
+                imaginary,
+                grid,
+                mean,
+                tangent[p],
+                slope[p],
+            )
         else:
             memoryless(
-                points.code[p], points.parameters[p], points.bias[p], gain[p], points.steepness[p], real, imaginary,
-                grid, mean, slope[p],
-            )  # fmt: skip
+                elements.code[p],
+                elements.parameters[p],
+                elements.bias[p],
+                gain[p],
+                elements.steepness[p],
+                real,
+                imaginary,
+                grid,
+                mean,
+                slope[p],
+            )
             _toeplitz_and_hankel(slope[p], grid, gain[p], tangent[p])
-        slope[p, 0] -= points.reference[p]
+        slope[p, 0] -= elements.reference[p]
         for k in range(n):
             c = 1.0 if grid.orders[k] == 0 else 2.0
-            force[p, k] = c * complex(mean[k], mean[n + k]) - points.reference[p] * gain[p] * u[p, k]
-            tangent[p, k, k] -= points.reference[p] * gain[p]
-            tangent[p, n + k, n + k] -= points.reference[p] * gain[p]
+            force[p, k] = c * complex(mean[k], mean[n + k]) - elements.reference[p] * gain[p] * u[p, k]
+            tangent[p, k, k] -= elements.reference[p] * gain[p]
+            tangent[p, n + k, n + k] -= elements.reference[p] * gain[p]
 
 
 @njit(cache=True, nogil=True)
@@ -279,37 +299,37 @@ def _residual(u, force, admittance, drive, first, out):
 @njit(cache=True, nogil=True)
 def _step(residual, tangent, admittance):
     """Newton step (P, K) complex."""
-    points, n = residual.shape
-    jacobian = np.zeros((2 * n * points, 2 * n * points))
-    right = np.empty(2 * n * points)
-    for p in range(points):
+    elements, n = residual.shape
+    jacobian = np.zeros((2 * n * elements, 2 * n * elements))
+    right = np.empty(2 * n * elements)
+    for p in range(elements):
         for k in range(n):
             i = 2 * n * p + k
             jacobian[i, i], jacobian[i + n, i + n] = 1.0, 1.0
             right[i], right[i + n] = -residual[p, k].real, -residual[p, k].imag
-            for q in range(points):
+            for q in range(elements):
                 a = admittance[k, p, q]
                 for m in range(2 * n):
                     re, im = tangent[q, k, m], tangent[q, n + k, m]
                     jacobian[i, 2 * n * q + m] += a.real * re - a.imag * im
                     jacobian[i + n, 2 * n * q + m] += a.real * im + a.imag * re
     d = np.linalg.solve(jacobian, right)
-    out = np.empty((points, n), dtype=np.complex128)
-    for p in range(points):
+    out = np.empty((elements, n), dtype=np.complex128)
+    for p in range(elements):
         for k in range(n):
             out[p, k] = complex(d[2 * n * p + k], d[2 * n * p + n + k])
     return out
 
 
 @njit(cache=True, nogil=True)
-def newton(points, gain, admittance, drive, grid, u, steps):
+def newton(elements, gain, admittance, drive, grid, u, steps):
     """Solve from u (P, K) by Newton with halving of the step; u is changed; return whether it converged."""
     n = grid.orders.size
     first = 1 if grid.orders[0] == 0 else 0
     lags = grid.lag_cosine.shape[1]
     force, r = np.empty_like(u), np.empty_like(u)
     tangent, slope = np.empty((u.shape[0], 2 * n, 2 * n)), np.empty((u.shape[0], 2 * lags))
-    forces(points, gain, u, grid, force, tangent, slope)
+    forces(elements, gain, u, grid, force, tangent, slope)
     size = _residual(u, force, admittance, drive, first, r)
     limit = _TOLERANCE * np.abs(drive).max()
     for _ in range(steps):
@@ -321,7 +341,7 @@ def newton(points, gain, admittance, drive, grid, u, steps):
         share = 1.0
         while share > 1e-3:
             new = u + share * d
-            forces(points, gain, new, grid, force, tangent, slope)
+            forces(elements, gain, new, grid, force, tangent, slope)
             now = _residual(new, force, admittance, drive, first, r)
             if now < (1.0 - 0.1 * share) * size or now <= limit:
                 break
@@ -334,54 +354,70 @@ def newton(points, gain, admittance, drive, grid, u, steps):
 
 
 @njit(cache=True, nogil=True)
-def gains(points, angular):
-    """Return what turns u [m/s] into what the points feel: 1, or 1/w for a displacement."""
-    out = np.ones(points.code.size)
+def gains(elements, angular):
+    """Return the factors from u [m/s] to the motion of the elements: 1, or 1/w for a displacement."""
+    out = np.ones(elements.code.size)
     for p in range(out.size):
-        if points.displacement[p]:
+        if elements.displacement[p]:
             out[p] = 1.0 / angular
     return out
 
 
 @njit(cache=True, nogil=True)
-def sweep(points, angular, admittance, drive, grid, start, chain, steps, out, good):
+def sweep(elements, angular, admittance, drive, grid, start, chain, steps, out, good):
     """Solve at each frequency (n,) from the last solution (if `chain`), else from start (n, P, K)."""
     for i in range(angular.size):
-        gain = gains(points, angular[i])
+        gain = gains(elements, angular[i])
         good[i] = False
         if chain and i > 0 and good[i - 1]:
             u = out[i - 1].copy()
-            good[i] = newton(points, gain, admittance[i], drive[i], grid, u, steps)
+            good[i] = newton(elements, gain, admittance[i], drive[i], grid, u, steps)
             out[i] = u
         if not good[i]:
             u = start[i].copy()
-            good[i] = newton(points, gain, admittance[i], drive[i], grid, u, steps)
+            good[i] = newton(elements, gain, admittance[i], drive[i], grid, u, steps)
             out[i] = u
 
 
 @njit(cache=True, nogil=True)
-def point_forces(points, angular, u, grid, out):
+def element_forces(elements, angular, u, grid, out):
     """Fill out (n, P, K) with the harmonics of the forces under u (n, P, K)."""
     n, lags = grid.orders.size, grid.lag_cosine.shape[1]
     mean, none, slope = np.empty(2 * n), np.empty(0), np.empty(2 * lags)
     tangent = np.empty((2 * n, 2 * n))
     for i in range(angular.size):
-        gain = gains(points, angular[i])
+        gain = gains(elements, angular[i])
         for p in range(u.shape[1]):
             real, imaginary = u[i, p].real.copy(), u[i, p].imag.copy()
-            if points.code[p] == SLIDERS:
+            if elements.code[p] == SLIDERS:
                 _sliders(
-                    points.stiffness[p], points.slip[p], points.bias[p], gain[p], real, imaginary, grid, mean, tangent,
+                    elements.stiffness[p],
+                    elements.slip[p],
+                    elements.bias[p],
+                    gain[p],
+                    real,
+                    imaginary,
+                    grid,
+                    mean,
+                    tangent,
                     slope,
-                )  # fmt: skip
+                )
             else:
                 memoryless(
-                    points.code[p], points.parameters[p], points.bias[p], gain[p], points.steepness[p], real, imaginary,
-                    grid, mean, none,
-                )  # fmt: skip
+                    elements.code[p],
+                    elements.parameters[p],
+                    elements.bias[p],
+                    gain[p],
+                    elements.steepness[p],
+                    real,
+                    imaginary,
+                    grid,
+                    mean,
+                    none,
+                )
             for k in range(n):
                 c = 1.0 if grid.orders[k] == 0 else 2.0
-                out[i, p, k] = c * complex(mean[k], mean[n + k]) - points.reference[p] * gain[p] * u[i, p, k]
+                out[i, p, k] = c * complex(mean[k], mean[n + k]) - elements.reference[p] * gain[p] * u[i, p, k]
 
 
 @njit(cache=True, nogil=True)
@@ -438,15 +474,15 @@ def _direction(matrix):
 @njit(cache=True, nogil=True)
 def _hill(share, f, slope, step, order, frequency, admittance):
     """Direction of det D at the disturbance ``share f``; admittance (m, P, P) tabulated over frequency (m,)."""
-    points, lags, n = slope.shape[0], slope.shape[1] // 2, 2 * order + 1
-    matrix = np.zeros((points * n, points * n), dtype=np.complex128)
+    elements, lags, n = slope.shape[0], slope.shape[1] // 2, 2 * order + 1
+    matrix = np.zeros((elements * n, elements * n), dtype=np.complex128)
     for k in range(n):
         at = (share + k - order) * f
         size = abs(at)
         i = min(max(np.searchsorted(frequency, size) - 1, 0), frequency.size - 2)
         part = (size - frequency[i]) / (frequency[i + 1] - frequency[i])
-        for p in range(points):
-            for q in range(points):
+        for p in range(elements):
+            for q in range(elements):
                 a = admittance[i, p, q] + part * (admittance[i + 1, p, q] - admittance[i, p, q])
                 if at < 0.0:
                     a = a.conjugate()
@@ -460,13 +496,13 @@ def _hill(share, f, slope, step, order, frequency, admittance):
 
 
 @njit(cache=True, nogil=True)
-def point_slopes(points, angular, u, grid, slope):
-    """Fill slope (n, P, 2 lags) with the Fourier coefficients of the local slope of each point, real then imaginary."""
+def element_slopes(elements, angular, u, grid, slope):
+    """Fill slope (n, P, 2 lags) with the Fourier coefficients of the local slope of each element: real, imaginary."""
     n = grid.orders.size
     force = np.empty(u.shape[1:], dtype=np.complex128)
     tangent = np.empty((u.shape[1], 2 * n, 2 * n))
     for i in range(angular.size):
-        forces(points, gains(points, angular[i]), u[i], grid, force, tangent, slope[i])
+        forces(elements, gains(elements, angular[i]), u[i], grid, force, tangent, slope[i])
 
 
 @njit(cache=True, nogil=True)

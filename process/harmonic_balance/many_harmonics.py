@@ -1,7 +1,7 @@
-"""Harmonic balance of many harmonics: alternating frequency and time, Newton, as many harmonics as the error asks for.
+"""Harmonic balance of many harmonics: alternating frequency and time, Newton, as many harmonics as the error needs.
 
-The linear machine does the feedback at each harmonic, the points work in time; a motion that the machine does not stay
-on is told by Hill's determinant.
+The linear machine does the feedback at each harmonic, the elements work in time; an unstable periodic motion is
+found by Hill's determinant.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from process.errors import InputError
 from process.friction.linearised import steepness
 from process.harmonic_balance import _kernels as kernels
-from process.harmonic_balance.network import Balance, FrictionPoint, Network, checked
+from process.harmonic_balance.network import Balance, FrictionElement, Network, checked
 from process.types import Complex, Real
 
-LADDER = (9, 25, 70, 140)
+HARMONICS = (9, 25, 70, 140)
 """Highest harmonics that are tried one after the other."""
 
 _SOFTEST = 300.0  # kt [s/m] at which the continuation starts
@@ -43,7 +43,7 @@ def multi_harmonic(
     Parameters
     ----------
     network : Network
-        Linear machine and its non-linear points.
+        Linear machine and its nonlinear elements.
     force : float
         Amplitude of the sine force on the tool [N].
     frequency : array_like, shape (n,)
@@ -63,7 +63,7 @@ def multi_harmonic(
     """
     f = checked(force, frequency)
     if harmonics < 1:
-        raise InputError(f"{harmonics} harmonics were asked for; at least 1 is needed")
+        raise InputError(f"{harmonics} harmonics are given; at least 1 is needed")
     sweep = _Sweep(network, force, f, harmonics, excitation)
     motion, good = sweep.solve(start)
     return sweep.balance(motion, good, start)
@@ -112,8 +112,8 @@ class _Sweep:
 
     def _continue(self, i: int, u: Complex) -> bool:
         """Solve for u (P, K) at a soft passage through rest and steepen it; a step that fails is halved."""
-        points = self.network.points
-        laws = [p.law for p in points if isinstance(p, FrictionPoint)]
+        elements = self.network.elements
+        laws = [p.law for p in elements if isinstance(p, FrictionElement)]
         hardest = max([steepness(law) for law in laws] + [_SOFTEST])
         factor, kt, done = (hardest / _SOFTEST) ** (1.0 / (_CONTINUATION_STEPS - 1)), _SOFTEST, 0.0
         gain = 1.0 / self.scale[i]
@@ -132,15 +132,15 @@ class _Sweep:
         return True
 
     def balance(self, motion: Complex, good: NDArray[np.bool_], start: Balance | None) -> Balance:
-        """Turn the motion of the points into that of the tool."""
+        """Turn the motion of the elements into that of the tool."""
         t = self.network.directions
         force = np.empty_like(motion)
-        kernels.point_forces(self.network.packed(), self.angular, np.nan_to_num(motion), self.grid, force)
+        kernels.element_forces(self.network.packed(), self.angular, np.nan_to_num(motion), self.grid, force)
         push = np.where(good[:, None], force[:, :, self.first], np.nan)
         x = self.compliance[:, :t, self.excitation] * self.force
         x = x - np.einsum("ntp,np->nt", self.compliance[:, :t, t:], push)
         u = motion / self.scale[:, :, None]
-        reference = np.array([p.reference for p in self.network.points])
+        reference = np.array([p.reference for p in self.network.elements])
         with np.errstate(divide="ignore", invalid="ignore"):
             coefficient = push / u[:, :, self.first] + reference
         out = Balance(
@@ -163,12 +163,12 @@ def _remaining(coarse: Balance, fine: Balance) -> Real:
 def as_many_as_needed(
     network: Network, force: float, start: Balance, tolerance: float, excitation: int = 0
 ) -> tuple[Balance, NDArray[np.int64], NDArray[np.int64]]:
-    """Climb the ladder of harmonics from a single-harmonic balance until the estimated error is below a tolerance.
+    """Raise the number of harmonics, from a single-harmonic balance on, until the estimated error is below a tolerance.
 
     Parameters
     ----------
     network : Network
-        Linear machine and its non-linear points.
+        Linear machine and its nonlinear elements.
     force : float
         Amplitude of the sine force on the tool [N].
     start : Balance
@@ -192,13 +192,13 @@ def as_many_as_needed(
     harmonics, unstable, error = np.ones(n, dtype=np.int64), np.full(n, -1), start.error.copy()
     good = np.zeros(n, dtype=bool)
     left, coarse = np.arange(n), start
-    for highest in LADDER:
+    for highest in HARMONICS:
         fine = multi_harmonic(network, force, start.frequency[left], highest, coarse, excitation)
         compliance[left], motion[left], coefficient[left] = fine.compliance, fine.fundamental, fine.coefficient
         harmonics[left], error[left], good[left] = highest, fine.error, fine.converged
-        # A start that did not converge tells nothing of the error.
+        # A start that did not converge gives no error estimate.
         more = fine.converged & ~(fine.error < tolerance)
-        done = fine.converged & ~more if highest != LADDER[-1] else fine.converged
+        done = fine.converged & ~more if highest != HARMONICS[-1] else fine.converged
         unstable[left[done]] = unstable_multipliers(network, fine.part(done))
         left, coarse = left[more], fine.part(more)
         if not left.size:
@@ -213,8 +213,8 @@ def unstable_multipliers(network: Network, balance: Balance, order: int = 8) -> 
     """Count the ways in which a periodic response is unstable: Floquet multipliers outside the unit circle.
 
     A disturbance ``sum_k u_k exp(j (k w + n) t)`` lives where ``det(1 + A(k w + n) G_{k-m}) = 0``, with G the Fourier
-    coefficients of the local slope of each point (Hill). The turns of the determinant about zero while n runs over one
-    interval of w count the unstable multipliers, as Nyquist's curve counts poles. Such a response is a solution of
+    coefficients of the local slope of each element (Hill). The turns of the determinant about zero while n runs over
+    one interval of w count the unstable multipliers, as Nyquist's curve counts poles. Such a response is a solution of
     the balance, but the machine does not stay on it.
 
     A guideway that sticks has a slope G_0 so large that ``A G_0`` is not small at any harmonic that is kept: the curve
@@ -225,7 +225,7 @@ def unstable_multipliers(network: Network, balance: Balance, order: int = 8) -> 
     Parameters
     ----------
     network : Network
-        Linear machine and its non-linear points.
+        Linear machine and its nonlinear elements.
     balance : Balance
         From `multi_harmonic`, shape (n,).
     order : int, optional
@@ -253,7 +253,7 @@ def unstable_multipliers(network: Network, balance: Balance, order: int = 8) -> 
     _, here, there = np.intersect1d(grid.orders, balance.orders, return_indices=True)
     motion[:, :, here] = balance.motion[good][:, :, there] * scale[:, :, None]
     slope = np.empty((good.size, scale.shape[1], 2 * grid.lag_cosine.shape[1]))
-    kernels.point_slopes(network.packed(), angular, motion, grid, slope)
+    kernels.element_slopes(network.packed(), angular, motion, grid, slope)
     for i, line in enumerate(good):
         mean = slope[i, :, 0].copy()
         slope[i, :, 0] = 0.0
@@ -264,7 +264,7 @@ def unstable_multipliers(network: Network, balance: Balance, order: int = 8) -> 
 
 
 def _unstable_with(network: Network, mean: Real) -> int:
-    """Count the unstable poles of the linear machine whose points have constant slopes (P,) (Nyquist)."""
+    """Count the unstable poles of the linear machine whose elements have constant slopes (P,) (Nyquist)."""
     t = network.directions
 
     def determinant(f: Real) -> Complex:
@@ -286,7 +286,7 @@ def _unstable_with(network: Network, mean: Real) -> int:
 
 
 def _tabulated(network: Network, mean: Real, lowest: float, highest: float) -> tuple[Real, Complex]:
-    """Admittance (m, P, P) with the mean slopes (P,) of the points, at frequencies (m,).
+    """Admittance (m, P, P) with the mean slopes (P,) of the elements, at frequencies (m,).
 
     They are so dense that straight lines between them are right to one per mille.
     """

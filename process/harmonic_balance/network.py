@@ -1,11 +1,11 @@
-"""A linear machine with non-linear points: guideways that rub and joints that slip, harden or have play.
+"""A linear machine with nonlinear elements: guideways with friction, joints that slip, harden or have play.
 
-Between the tool (T directions, first) and P points the linear machine has the compliance G; point p resists with the
-force f_p of what it feels, u_p: the velocity at a guideway, ``s_p = j w``, or the displacement at a joint, ``s_p = 1``,
+Between the tool (T directions, first) and P elements the linear machine has the compliance G; element p resists with
+the force f_p of its motion u_p: the velocity at a guideway, ``s_p = j w``, or the displacement at a joint, ``s_p = 1``,
 
     u_p(k w) = s_p(k w) (G_pe F delta_k1 - sum_q G_pq f_q(k w)),   x_t(k w) = G_te F delta_k1 - sum_q G_tq f_q(k w).
 
-A `reference` coefficient (force for a unit of u) may belong to the linear machine; the point resists with the rest.
+A `reference` coefficient (force for a unit of u) may belong to the linear machine; the element resists with the rest.
 Convention exp(+j w t); phasors are peak values.
 """
 
@@ -34,14 +34,14 @@ _NODES = 8
 _PARAMETERS = 12
 
 
-class NonlinearPoint(ABC):
-    """What resists at one point. Subclasses are frozen dataclasses."""
+class NonlinearElement(ABC):
+    """A nonlinear force at one place of the machine. Subclasses are frozen dataclasses."""
 
     reference: float
 
     @property
     @abstractmethod
-    def feels_displacement(self) -> bool:
+    def uses_displacement(self) -> bool:
         """Whether u is a displacement [m]; else a velocity [m/s]."""
 
     @property
@@ -61,13 +61,13 @@ class NonlinearPoint(ABC):
     def packed(self) -> tuple[int, Real, float, tuple[Real, Real], float]:
         """Return code, parameters, steepness, (stiffness, slip) of the elements, bias."""
 
-    def softened(self, kt: float) -> NonlinearPoint:
-        """Return the point with a passage through rest no steeper than kt [s/m]."""
+    def softened(self, kt: float) -> NonlinearElement:
+        """Return the element with a passage through rest no steeper than kt [s/m]."""
         return self
 
 
 @dataclass(frozen=True)
-class FrictionPoint(NonlinearPoint):
+class FrictionElement(NonlinearElement):
     """A guideway that is fed at a constant rate; the drive holds its mean velocity.
 
     Parameters
@@ -90,7 +90,7 @@ class FrictionPoint(NonlinearPoint):
             raise InputError("the friction force jumps at rest (kt is infinite); give a finite kt, e.g. 15000 s/m")
 
     @property
-    def feels_displacement(self) -> bool:
+    def uses_displacement(self) -> bool:
         """A velocity."""
         return False
 
@@ -114,10 +114,12 @@ class FrictionPoint(NonlinearPoint):
         kt = self.law.kt if isinstance(self.law, _SoftenedLaw) else steepness(self.law)
         return *self.law.packed(), kt, (np.empty(0), np.empty(0)), self.feed
 
-    def softened(self, kt: float) -> FrictionPoint:
-        """Return the point with a law no steeper than kt [s/m]."""
+    def softened(self, kt: float) -> FrictionElement:
+        """Return the element with a law no steeper than kt [s/m]."""
         return (
-            self if steepness(self.law) <= kt else FrictionPoint(_SoftenedLaw(self.law, kt), self.feed, self.reference)
+            self
+            if steepness(self.law) <= kt
+            else FrictionElement(_SoftenedLaw(self.law, kt), self.feed, self.reference)
         )
 
 
@@ -134,7 +136,7 @@ class _SoftenedLaw(FrictionLaw):
 
 
 @dataclass(frozen=True)
-class JointPoint(NonlinearPoint):
+class JointElement(NonlinearElement):
     """A joint across which the machine moves.
 
     Parameters
@@ -149,7 +151,7 @@ class JointPoint(NonlinearPoint):
     reference: float = 0.0
 
     @property
-    def feels_displacement(self) -> bool:
+    def uses_displacement(self) -> bool:
         """A displacement."""
         return True
 
@@ -182,32 +184,32 @@ class JointPoint(NonlinearPoint):
         if isinstance(j, Iwan):
             return kernels.SLIDERS, np.empty(0), 0.0, j.packed(), 0.0
         raise InputError(
-            f"the joint is a {type(j).__name__}; harmonic balance knows Jenkins, Iwan, CubicSpring and Gap"
+            f"the joint is a {type(j).__name__}; harmonic balance takes Jenkins, Iwan, CubicSpring and Gap"
         )
 
 
 @dataclass(frozen=True)
 class Network:
-    """A linear machine and its non-linear points.
+    """A linear machine and its nonlinear elements.
 
     Parameters
     ----------
     compliance : callable
         Frequency [Hz], shape (n,) -> compliance of the linear machine [m/N], shape (n, T + P, T + P): first the
-        directions of the tool, then the points; response before excitation.
-    points : sequence of NonlinearPoint
-        What resists there.
+        directions of the tool, then the elements; response before excitation.
+    elements : sequence of NonlinearElement
+        Friction and joints.
     directions : int, optional
         Number T.
     static : ndarray, shape (P, P), optional
-        Compliance between the points at 0 Hz with the slides held [m/N], for the mean of a motion; by default the mean
-        of every point stays.
+        Compliance between the elements at 0 Hz with the slides held [m/N], for the mean of a motion; default: the
+        mean of every element stays.
     unstable_poles : int, optional
-        Of the linear machine without its points.
+        Of the linear machine without its elements.
     """
 
     compliance: Compliance
-    points: Sequence[NonlinearPoint]
+    elements: Sequence[NonlinearElement]
     directions: int = 1
     static: Real | None = None
     unstable_poles: int = 0
@@ -215,60 +217,60 @@ class Network:
     @property
     def symmetric(self) -> bool:
         """Whether odd harmonics are enough."""
-        return all(p.symmetric for p in self.points)
+        return all(p.symmetric for p in self.elements)
 
     @property
     def displaced(self) -> NDArray[np.bool_]:
-        """Which points feel a displacement, shape (P,)."""
-        return np.array([p.feels_displacement for p in self.points], dtype=bool)
+        """Which elements take a displacement, shape (P,)."""
+        return np.array([p.uses_displacement for p in self.elements], dtype=bool)
 
     def matrix(self, frequency: Real) -> Complex:
         """Return the compliance [m/N], shape (n, T + P, T + P), checked."""
         g = np.asarray(self.compliance(frequency), dtype=complex)
-        size = self.directions + len(self.points)
+        size = self.directions + len(self.elements)
         if g.shape != (frequency.size, size, size):
             needed = (frequency.size, size, size)
-            raise InputError(f"the compliance has shape {g.shape}; {needed} is needed: tool, friction point")
+            raise InputError(f"the compliance has shape {g.shape}; {needed} is needed: tool, elements")
         if not np.all(np.isfinite(g)):
             raise InputError("the compliance is not finite at some frequency; check the machine model there")
         return g
 
     def admittance(self, frequency: Real, compliance: Complex) -> Complex:
-        """Return u over force between the points, shape (n, P, P), of their compliance."""
+        """Return u over force between the elements, shape (n, P, P), of their compliance."""
         s = np.where(self.displaced, 1.0, 2j * np.pi * frequency[:, None])
         return np.asarray(s[:, :, None] * compliance)
 
     def reached(self, frequency: Real, excitation: int) -> NDArray[np.int64]:
-        """Return which points a force on the tool can move at these frequencies, through others or not: indices."""
+        """Return which elements a force on the tool can move at these frequencies, through others or not: indices."""
         t = self.directions
         g = self.matrix(frequency)
         size = np.abs(g).max(axis=0)
         scale = np.sqrt(np.diag(size))
         linked = size > 1e-10 * np.outer(scale, scale)
         reach = linked[t:, excitation]
-        for _ in self.points:
+        for _ in self.elements:
             reach = reach | (linked[t:, t:] & reach).any(axis=1)
         return np.flatnonzero(reach)
 
     def part(self, which: NDArray[np.int64]) -> Network:
-        """Return the network with some of the points; the others do not matter."""
+        """Return the network with some of the elements; the others do not matter."""
         rows = np.concatenate([np.arange(self.directions), self.directions + which])
         static = None if self.static is None else self.static[np.ix_(which, which)]
-        points = tuple(self.points[i] for i in which)
+        elements = tuple(self.elements[i] for i in which)
 
         def compliance(frequency: Real) -> Complex:
             return np.asarray(self.compliance(frequency))[:, rows][:, :, rows]
 
-        return Network(compliance, points, self.directions, static, self.unstable_poles)
+        return Network(compliance, elements, self.directions, static, self.unstable_poles)
 
-    def packed(self, steepest: float = math.inf) -> kernels.Points:
-        """Return the points as the kernels take them, with a passage through rest no steeper than given [s/m]."""
-        parts = [p.softened(steepest).packed() for p in self.points]
+    def packed(self, steepest: float = math.inf) -> kernels.Elements:
+        """Return the elements as the kernels take them, with a passage through rest no steeper than given [s/m]."""
+        parts = [p.softened(steepest).packed() for p in self.elements]
         most = max([e[0].size for _, _, _, e, _ in parts], default=0)
         parameters, stiffness, slip = np.zeros((len(parts), _PARAMETERS)), *np.zeros((2, len(parts), max(most, 1)))
         for i, (_, p, _, (k, f), _) in enumerate(parts):
             parameters[i, : p.size], stiffness[i, : k.size], slip[i, : f.size] = p, k, f
-        return kernels.Points(
+        return kernels.Elements(
             np.array([code for code, *_ in parts], dtype=np.int64),
             parameters,
             np.array([kt for _, _, kt, _, _ in parts], dtype=float),
@@ -276,7 +278,7 @@ class Network:
             np.where(stiffness > 0.0, slip, 1e300),
             np.array([bias for *_, bias in parts], dtype=float),
             self.displaced,
-            np.array([p.reference for p in self.points], dtype=float),
+            np.array([p.reference for p in self.elements], dtype=float),
         )
 
     def grid(self, highest: int) -> kernels.Grid:
@@ -325,7 +327,7 @@ class Balance:
     compliance : ndarray of complex, shape (n, T)
         Fundamental of the displacement of the tool over the force [m/N].
     motion : ndarray of complex, shape (n, P, K)
-        Phasors of what the points feel, [m/s] or [m], at the harmonics `orders`.
+        Phasors of the motion of the elements, [m/s] or [m], at the harmonics `orders`.
     orders : ndarray of int, shape (K,)
         Harmonics.
     coefficient : ndarray of complex, shape (n, P)
@@ -349,7 +351,7 @@ class Balance:
 
     @property
     def fundamental(self) -> Complex:
-        """Fundamental of the motion of the points, shape (n, P)."""
+        """Fundamental of the motion of the elements, shape (n, P)."""
         return np.asarray(self.motion[:, :, int(np.argmax(self.orders == 1))])
 
     def part(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Balance:
@@ -360,10 +362,10 @@ class Balance:
         )  # fmt: skip
 
     def spread(self, network: Network, which: NDArray[np.int64]) -> Balance:
-        """Return the balance with all points of a network, where `which` have been moved and the others rest."""
-        n, p = self.frequency.size, len(network.points)
+        """Return the balance with all elements of a network, where `which` have been moved and the others rest."""
+        n, p = self.frequency.size, len(network.elements)
         motion = np.zeros((n, p, self.orders.size), dtype=complex)
-        rest = [complex(q.coefficient(0.0)) + q.reference for q in network.points]
+        rest = [complex(q.coefficient(0.0)) + q.reference for q in network.elements]
         coefficient = np.tile(np.array(rest, dtype=complex), (n, 1))
         motion[:, which], coefficient[:, which] = self.motion, self.coefficient
         return replace(self, motion=motion, coefficient=coefficient)

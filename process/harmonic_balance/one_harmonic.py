@@ -1,6 +1,6 @@
 """Harmonic balance of the fundamental alone: ``u = (1 + A c(|u|))^-1 d`` at each frequency, for all at once.
 
-A is the admittance between the non-linear points, d what the force excites without them, c their describing functions.
+A is the admittance between the nonlinear elements, d what the force excites without them, c their describing functions.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _HARMONICS = 9
 def single_harmonic(network: Network, force: float, frequency: ArrayLike, excitation: int = 0) -> Balance:
     """Solve the balance of the fundamental alone: a whole FRF in milliseconds.
 
-    From the lowest solution of each point with the others held, Newton on the logarithms of all amplitudes.
+    From the lowest solution of each element with the others held, Newton on the logarithms of all amplitudes.
 
     Parameters
     ----------
     network : Network
-        Linear machine and its non-linear points.
+        Linear machine and its nonlinear elements.
     force : float
         Amplitude of the sine force on the tool [N].
     frequency : array_like, shape (n,)
@@ -44,7 +44,7 @@ def single_harmonic(network: Network, force: float, frequency: ArrayLike, excita
     Notes
     -----
     Right to a few per mille where a guideway slides or is locked, but wrong by 50 % and more where it is near
-    stick-slip: `Balance.error` tells where, `multi_harmonic` does it right.
+    stick-slip: `Balance.error` states where; `multi_harmonic` is right there.
     """
     f = checked(force, frequency)
     g, t = network.matrix(f), network.directions
@@ -56,14 +56,14 @@ def single_harmonic(network: Network, force: float, frequency: ArrayLike, excita
     u = np.where(found[:, None], problem.response(c), np.nan)
     x = g[:, :t, excitation] * force - np.einsum("ntp,np->nt", g[:, :t, t:], c * u)
     error = np.where(found, _error(problem, f, g, u, c, x), np.inf)
-    whole = c + np.array([p.reference for p in network.points])
+    whole = c + np.array([p.reference for p in network.elements])
     return Balance(
         f, x / force, u[:, :, None], np.array([1]), np.where(found[:, None], whole, np.nan), count, found, error
     )
 
 
 class _Problem:
-    """Admittance (n, P, P), drive (n, P) and a table of the coefficient of each point."""
+    """Admittance (n, P, P), drive (n, P) and a table of the coefficient of each element."""
 
     def __init__(self, network: Network, admittance: Complex, drive: Complex) -> None:
         self.network, self.admittance, self.drive = network, admittance, drive
@@ -73,19 +73,19 @@ class _Problem:
         self.tables = [self._table(i) for i in range(drive.shape[1])]
 
     def _table(self, i: int) -> tuple[Real, Complex]:
-        point = self.network.points[i]
-        stiffest = float(np.abs(point.coefficient([1e-12, 1e-6, 1e-3, 1.0])).max())
+        element = self.network.elements[i]
+        stiffest = float(np.abs(element.coefficient([1e-12, 1e-6, 1e-3, 1.0])).max())
         drive = np.maximum(np.abs(self.drive[:, i]), self.least[i])
         low = float(np.min(drive / (1.0 + np.abs(self.admittance[:, i, i]) * stiffest)))
         high = max(float(drive.max()), float(self.least.max() * 1e9))
-        return point.table(max(0.1 * low, 1e-13 * high), 100.0 * high)
+        return element.table(max(0.1 * low, 1e-13 * high), 100.0 * high)
 
     def coefficients(self, log_u: Real) -> Complex:
         """Return c (n, P) at the logarithms of the amplitudes (n, P): closed forms of joints, tables of friction."""
         out = np.empty(log_u.shape, dtype=complex)
-        for i, (point, (grid, value)) in enumerate(zip(self.network.points, self.tables, strict=True)):
-            if point.feels_displacement:
-                out[:, i] = point.coefficient(np.exp(log_u[:, i]))
+        for i, (element, (grid, value)) in enumerate(zip(self.network.elements, self.tables, strict=True)):
+            if element.uses_displacement:
+                out[:, i] = element.coefficient(np.exp(log_u[:, i]))
             else:
                 out[:, i] = _interpolated(np.log(grid), value, log_u[:, i])
         return out
@@ -96,14 +96,14 @@ class _Problem:
 
     def solve(self) -> tuple[Real, NDArray[np.int64], NDArray[np.bool_]]:
         """Return the logarithms of the amplitudes (n, P), the number of solutions (n,) and whether one was found."""
-        n, points = self.drive.shape
+        n, elements = self.drive.shape
         count, found = np.ones(n, dtype=np.int64), np.ones(n, dtype=bool)
         log_u = np.log(np.maximum(np.abs(self.drive), self.least))
-        for i in range(points):
+        for i in range(elements):
             log_u[:, i] = np.log(self.tables[i][0][-1])
-        for _ in range(_SWEEPS if points > 1 else 1):
+        for _ in range(_SWEEPS if elements > 1 else 1):
             count[:], found[:] = 1, True
-            for i in range(points):
+            for i in range(elements):
                 place, number = self._alone(i, log_u)
                 grid = np.log(self.tables[i][0])
                 log_u[:, i] = np.interp(place, np.arange(grid.size), grid)
@@ -111,7 +111,7 @@ class _Problem:
         return self._newton(log_u, count, found)
 
     def _alone(self, i: int, log_u: Real) -> tuple[Real, NDArray[np.int64]]:
-        """Lowest solution for point i, the others held: its place in the table (n,), and the number of solutions."""
+        """Lowest solution for element i, the others held: its place in the table (n,), and the number of solutions."""
         c = self.coefficients(log_u)
         c[:, i] = 0.0
         both = np.stack([self.drive, self.admittance[:, :, i]], axis=-1)
@@ -182,7 +182,7 @@ def _error(problem: _Problem, f: Real, g: Complex, u: Complex, c: Complex, x: Co
     in the response, which leads near rest.
     """
     network, t = problem.network, problem.network.directions
-    if not network.points:
+    if not network.elements:
         return np.zeros(f.size)
     u, x = np.nan_to_num(u), np.nan_to_num(x)
     grid, packed = network.grid(_HARMONICS), network.packed()
@@ -193,13 +193,13 @@ def _error(problem: _Problem, f: Real, g: Complex, u: Complex, c: Complex, x: Co
     motion = np.zeros((*u.shape, order.size), dtype=complex)
     motion[:, :, first] = u * scale
     before, after = np.empty_like(motion), np.empty_like(motion)
-    kernels.point_forces(packed, 2.0 * np.pi * f, motion, grid, before)
+    kernels.element_forces(packed, 2.0 * np.pi * f, motion, grid, before)
     at = (f[:, None] * order[high]).ravel()
     a = network.admittance(at, network.matrix(at)[:, t:, t:]).reshape(f.size, int(high.sum()), *g[0, t:, t:].shape)
     push = np.einsum("nkpq,nqk->nkp", a, before[:, :, high])
     reply = -_solved(a, np.broadcast_to(c[:, None], push.shape), push)
     motion[:, :, high] = np.moveaxis(reply, 1, 2) * scale[:, :, None]
-    kernels.point_forces(packed, 2.0 * np.pi * f, motion, grid, after)
+    kernels.element_forces(packed, 2.0 * np.pi * f, motion, grid, after)
     change = after[:, :, first] - before[:, :, first]
     shown = _at_tool(problem, g[:, :t, t:], c)
     size = np.maximum(np.linalg.norm(x, axis=1), 1e-300)
@@ -212,10 +212,10 @@ def _error(problem: _Problem, f: Real, g: Complex, u: Complex, c: Complex, x: Co
 
 
 def _at_tool(problem: _Problem, tool: Complex, c: Complex) -> Complex:
-    """Displacement of the tool for a unit of additional force at each point, the others answering: (n, T, P)."""
-    points = c.shape[1]
-    loop = np.eye(points) + problem.admittance * c[:, None, :]
-    answer = np.eye(points) - c[:, :, None] * np.linalg.solve(loop, problem.admittance)
+    """Displacement of the tool for a unit of additional force at each element, the others answering: (n, T, P)."""
+    elements = c.shape[1]
+    loop = np.eye(elements) + problem.admittance * c[:, None, :]
+    answer = np.eye(elements) - c[:, :, None] * np.linalg.solve(loop, problem.admittance)
     return np.asarray(tool @ answer)
 
 

@@ -21,7 +21,7 @@ from process.errors import InputError
 from process.friction.laws import FrictionLaw, Viscous
 from process.friction.linearised import FrictionImpedance
 from process.harmonic_balance.many_harmonics import as_many_as_needed
-from process.harmonic_balance.network import Balance, Compliance, FrictionPoint, JointPoint, Network, checked
+from process.harmonic_balance.network import Balance, Compliance, FrictionElement, JointElement, Network, checked
 from process.harmonic_balance.one_harmonic import single_harmonic
 from process.labels import AXES, axis_index, make_compliance
 from process.machine.machine import FEW_MICROSLIP, FeedAxis, Machine
@@ -49,13 +49,13 @@ class SlidingAxis(Network):
     """
 
     def __init__(self, compliance: Compliance, law: FrictionLaw, feed: float) -> None:
-        super().__init__(compliance, (FrictionPoint(law, feed),))
+        super().__init__(compliance, (FrictionElement(law, feed),))
 
     @property
     def feed(self) -> float:
         """Feed v0 [m/s]."""
-        (point,) = self.points
-        assert isinstance(point, FrictionPoint)
+        (point,) = self.elements
+        assert isinstance(point, FrictionElement)
         return point.feed
 
 
@@ -107,7 +107,7 @@ def unstable_poles(axis: SlidingAxis, frequency: ArrayLike | None = None) -> int
         When the frequencies are too coarse to follow the phase, or end where the loop still acts.
     """
     f = np.geomspace(1e-3, 1e5, 40_000) if frequency is None else np.asarray(frequency, dtype=float)
-    (point,) = axis.points
+    (point,) = axis.elements
     slope = float(np.real(point.coefficient(0.0)))
     loop = 1.0 + slope * axis.admittance(f, axis.matrix(f)[:, 1:, 1:])[:, 0, 0]
     turns = np.angle(loop[1:] / loop[:-1])
@@ -152,7 +152,7 @@ def balanced(
     Parameters
     ----------
     network : Network
-        Linear machine and its non-linear points.
+        Linear machine and its nonlinear elements.
     force : float
         Amplitude of the sine force on the tool [N].
     frequency : array_like, shape (n,)
@@ -168,11 +168,11 @@ def balanced(
     one = single_harmonic(network, force, f, excitation)
     n = one.frequency.size
     method, harmonics, distortion = np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64), one.error
-    doubt = np.flatnonzero((one.error > tolerance) | (one.solutions != 1))
-    if doubt.size:
-        many, harmonics[doubt], unstable = as_many_as_needed(network, force, one.part(doubt), tolerance, excitation)
-        method[doubt] = np.select([~many.converged, unstable > 0], [2, 3], 1)
-        one = one.replaced(doubt, many)
+    left = np.flatnonzero((one.error > tolerance) | (one.solutions != 1))
+    if left.size:
+        many, harmonics[left], unstable = as_many_as_needed(network, force, one.part(left), tolerance, excitation)
+        method[left] = np.select([~many.converged, unstable > 0], [2, 3], 1)
+        one = one.replaced(left, many)
     one.compliance[method > 1] = np.nan
     return Answer(one.spread(whole, moved), method, harmonics, distortion)
 
@@ -183,7 +183,7 @@ def quasi_frf(
     """Return the compliance that a stepped sine of constant force would measure.
 
     Single-harmonic balance everywhere; many harmonics where its error exceeds the tolerance, and there
-    `unstable_multipliers` tells whether the response is one that the axis stays on.
+    `unstable_multipliers` decides whether the axis stays on the response.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def network(
         For friction with memory or with a jump at rest, and for a slide without servo that is fed.
     """
     structure = machine.structure_at(position)
-    joints = [JointPoint(m.joint, _reference(m.joint)) for m in machine.joints]
+    joints = [JointElement(m.joint, _reference(m.joint)) for m in machine.joints]
     rows = [m.participation for m in machine.joints]
     stiffness = structure.stiffness + sum(
         (p.reference * np.outer(r, r) for p, r in zip(joints, rows, strict=True)), np.zeros_like(structure.stiffness)
@@ -289,15 +289,15 @@ def network(
             guideways.append((structure.slides[name], point))
         slides.append(SlideImpedance(name, servo, FrictionImpedance(_damping(axis, point))))
     operating = OperatingPoint(linear, tuple(slides))
-    points = [*(p for _, p in guideways), *joints]
+    elements = [*(p for _, p in guideways), *joints]
     shown = np.vstack([structure.tool, *(r for r, _ in guideways), *rows])
 
     def compliance(frequency: Real) -> Complex:
         return operating.receptance(frequency, shown)
 
-    static = _static(linear, shown[3:], np.array([p.feels_displacement for p in points], dtype=bool))
-    unstable = operating.unstable_poles() if points else 0
-    return Network(compliance, tuple(points), 3, static, unstable)
+    static = _static(linear, shown[3:], np.array([p.uses_displacement for p in elements], dtype=bool))
+    unstable = operating.unstable_poles() if elements else 0
+    return Network(compliance, tuple(elements), 3, static, unstable)
 
 
 def _reference(joint: Any) -> float:
@@ -306,7 +306,7 @@ def _reference(joint: Any) -> float:
     return small if small > 0.0 else float(joint.stiffness)
 
 
-def _guideway(name: str, axis: FeedAxis, servo: Servo | None, feed: float) -> FrictionPoint | None:
+def _guideway(name: str, axis: FeedAxis, servo: Servo | None, feed: float) -> FrictionElement | None:
     """Friction of an axis, unless it is viscous."""
     law = axis.friction
     if isinstance(law, Viscous):
@@ -319,10 +319,10 @@ def _guideway(name: str, axis: FeedAxis, servo: Servo | None, feed: float) -> Fr
         )
     if servo is None and feed != 0.0:
         raise InputError(f"axis {name} is fed but has no servo that would hold its speed; give it one, or feed 0")
-    return FrictionPoint(law, feed, 0.0 if servo is not None else float(law.force(_FREE_SPEED)) / _FREE_SPEED)
+    return FrictionElement(law, feed, 0.0 if servo is not None else float(law.force(_FREE_SPEED)) / _FREE_SPEED)
 
 
-def _damping(axis: FeedAxis, point: FrictionPoint | None) -> float:
+def _damping(axis: FeedAxis, point: FrictionElement | None) -> float:
     if point is not None:
         return point.reference
     return float(axis.friction.sigma) if isinstance(axis.friction, Viscous) else 0.0
@@ -404,7 +404,7 @@ def quasi_compliance(
 
 
 def _points(machine: Machine, linear: Network, answers: list[Answer]) -> dict[str, Any]:
-    """Variables of the points, of dimensions (frequency, slide or joint, excitation)."""
+    """Variables of the elements, of dimensions (frequency, slide or joint, excitation)."""
     coefficient = np.stack([a.balance.coefficient for a in answers], axis=-1)
     amplitude = np.abs(np.stack([a.balance.fundamental for a in answers], axis=-1))
     axes = ("frequency", "excitation")

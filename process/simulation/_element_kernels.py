@@ -1,7 +1,10 @@
-"""Numba kernels of what is not linear in a machine: friction and joints, and the collocation that solves for them.
+"""Numba kernels of the nonlinear forces of a machine, friction and joints, and of the collocation that solves for them.
 
 Their forces are inputs of the linear part, quadratic in time over a step: the values in the middle and at the end are
 solved for with Newton's method; where the quadratic does not follow a force, the step has to be halved.
+
+Most are inlined into `_machine_kernels.integrate` and compiled with it. The others, for an int64 kind, float64 scalars
+and C-contiguous float64 arrays, take below 1 s of CPU each.
 """
 
 import math
@@ -48,11 +51,11 @@ def _joint(kind, p, state, x):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _remembering(kind, law, p, feed, felt, third, step, state, beside):
+def _with_memory(kind, law, p, feed, motion, third, step, state, beside):
     """Force and slope of an element with memory or of a joint; its state moves on, that beside it is scratch."""
     if kind != MEMORY:
-        return _joint(kind, p, state, felt)
-    v, inner = feed + felt, feed + third
+        return _joint(kind, p, state, motion)
+    v, inner = feed + motion, feed + third
     if law == LUGRE:
         state[0], force, _, _, _, slope, _ = lugre_part(p, state[0], inner, v, step)
         return force, slope
@@ -66,26 +69,26 @@ def _remembering(kind, law, p, feed, felt, third, step, state, beside):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _bristles(el, e, work, half):
+def _lugre_element(el, e, work, half):
     """Fill slope and force of LuGre element e in the middle and at the end, as its force there depends on both."""
     p, first, count = el.parameters[el.start[e] : el.start[e + 1]], el.first[e], el.kind.size
     steady, linear, slope = el.steady[e], el.slope[e], work.slope
-    v0, vm, v1 = el.feed[e] + work.felt[0, e], el.feed[e] + work.felt[1, e], el.feed[e] + work.felt[2, e]
+    v0, vm, v1 = el.feed[e] + work.motion[0, e], el.feed[e] + work.motion[1, e], el.feed[e] + work.motion[2, e]
     z, force, z3, z1, f3, f1, _ = lugre_part(p, work.states[0, first], (5.0 * v0 + 5.0 * vm - v1) / 9.0, vm, half)
     bend_middle, bend_end = z1 + 5.0 / 9.0 * z3, -z3 / 9.0
     slope[e, 0], slope[e, 1] = f1 + 5.0 / 9.0 * f3 - linear, -f3 / 9.0
-    work.states[1, first], work.part[e] = z, force - steady - linear * work.felt[1, e]
+    work.states[1, first], work.part[e] = z, force - steady - linear * work.motion[1, e]
     z, force, _, _, f3, f1, fz = lugre_part(p, z, (8.0 * vm + 2.0 * v1 - v0) / 9.0, v1, half)
     slope[count + e, 0], slope[count + e, 1] = 8.0 / 9.0 * f3 + fz * bend_middle, f1 + 2.0 / 9.0 * f3 + fz * bend_end
     slope[count + e, 1] -= linear
-    work.states[2, first], work.part[count + e] = z, force - steady - linear * work.felt[2, e]
+    work.states[2, first], work.part[count + e] = z, force - steady - linear * work.motion[2, e]
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _sliding(law, p, v):
+def _without_memory(law, p, v):
     """Force and slope of a law without memory, of finite steepness: `friction_force` and `friction_slope` in one.
 
-    Exponential, power and hyperbolic tangent are most of what a step costs; here each is taken once.
+    Exponential, power and hyperbolic tangent take most of the time of a step; each is evaluated once.
     """
     if law == VISCOUS:
         return p[0] * v, p[0]
@@ -103,21 +106,21 @@ def _sliding(law, p, v):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _element(el, e, felt, third, step, states, row):
+def _element(el, e, motion, third, step, states, row):
     """Force that element e takes from its input, and its slope; its states move from a row of states to the next.
 
-    What it feels is that at the end of the (half) step, and at the third of it.
+    `motion` is its velocity or displacement at the end of the (half) step, `third` at the third of it.
     """
     p = el.parameters[el.start[e] : el.start[e + 1]]
     if el.kind[e] == FRICTION:
-        force, slope = _sliding(el.law[e], p, el.feed[e] + felt)
+        force, slope = _without_memory(el.law[e], p, el.feed[e] + motion)
     else:
         low, high = el.first[e], el.first[e + 1]
         for k in range(low, high):
             states[row + 1, k] = states[row, k]
         state, beside = states[row + 1, low:high], states[3, low:high]
-        force, slope = _remembering(el.kind[e], el.law[e], p, el.feed[e], felt, third, step, state, beside)
-    return force - el.steady[e] - el.slope[e] * felt, slope - el.slope[e]
+        force, slope = _with_memory(el.kind[e], el.law[e], p, el.feed[e], motion, third, step, state, beside)
+    return force - el.steady[e] - el.slope[e] * motion, slope - el.slope[e]
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -165,9 +168,9 @@ def _evaluate(el, work, step):
     count, half = el.kind.size, 0.5 * step
     for e in range(count):
         if el.law[e] == LUGRE:
-            _bristles(el, e, work, half)
+            _lugre_element(el, e, work, half)
             continue
-        v0, vm, v1 = work.felt[0, e], work.felt[1, e], work.felt[2, e]
+        v0, vm, v1 = work.motion[0, e], work.motion[1, e], work.motion[2, e]
         third = (5.0 * v0 + 5.0 * vm - v1) / 9.0
         work.part[e], work.slope[e, 0] = _element(el, e, vm, third, half, work.states, 0)
         third = (8.0 * vm + 2.0 * v1 - v0) / 9.0
@@ -176,14 +179,14 @@ def _evaluate(el, work, step):
 
 @njit(cache=True, nogil=True, inline="always")
 def _linearise(el, table, base, work):
-    """Fill work.system and work.change with the equations for the change of what the elements feel."""
+    """Fill work.system and work.change with the equations for the change of the motion of the elements."""
     count, size = el.kind.size, work.z.size
     slope = work.slope
     for stage in range(2):
         for e in range(count):
             row = stage * count + e
             place = 2 * size + count + row
-            rest = base[place] - work.felt[1 + stage, e]
+            rest = base[place] - work.motion[1 + stage, e]
             for d in range(count):
                 column = size + 3 * el.target[d]
                 one, two = table[column + 1, place], table[column + 2, place]
@@ -205,13 +208,13 @@ def _solve(el, table, base, work, step, allowed):
     for stage in range(2):
         for e in range(count):
             row = stage * count + e
-            felt = base[tail + row]
+            motion = base[tail + row]
             for d in range(count):
                 column = size + 3 * el.target[d]
-                felt += (
+                motion += (
                     table[column + 1, tail + row] * work.force[1, d] + table[column + 2, tail + row] * work.force[2, d]
                 )
-            work.felt[1 + stage, e] = felt
+            work.motion[1 + stage, e] = motion
     for _ in range(_NEWTON):
         _evaluate(el, work, step)
         _linearise(el, table, base, work)
@@ -219,8 +222,8 @@ def _solve(el, table, base, work, step, allowed):
         largest = 0.0
         for e in range(count):
             middle, end = work.change[e], work.change[count + e]
-            work.felt[1, e] += middle
-            work.felt[2, e] += end
+            work.motion[1, e] += middle
+            work.motion[2, e] += end
             for stage in range(2):
                 row = stage * count + e
                 moves = work.slope[row, 0] * middle + work.slope[row, 1] * end
@@ -234,8 +237,8 @@ def _solve(el, table, base, work, step, allowed):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _strays(el, table, base, work, step, allowed):
-    """Say whether the quadratic through the three forces misses the force at a quarter of the step."""
+def _misses(el, table, base, work, step, allowed):
+    """Return whether the quadratic through the three forces misses the force at a quarter of the step."""
     count, size = el.kind.size, work.z.size
     for e in range(count):
         f0, fm, f1 = work.force[0, e], work.force[1, e], work.force[2, e]
@@ -244,13 +247,13 @@ def _strays(el, table, base, work, step, allowed):
         if el.kind[e] == SLIDERS or el.law[e] == MAXWELL_SLIP:  # bent where one slips, wherever that is
             miss = 0.125 * (f0 - 2.0 * fm + f1)
         else:
-            felt = base[2 * size + e]
+            motion = base[2 * size + e]
             for d in range(count):
                 column = size + 3 * el.target[d]
-                felt += table[column + 1, 2 * size + e] * work.force[1, d]
-                felt += table[column + 2, 2 * size + e] * work.force[2, d]
-            third = (5.0 * work.felt[0, e] + 5.0 * felt - work.felt[1, e]) / 9.0
-            force, _ = _element(el, e, felt, third, 0.25 * step, work.states, 0)
+                motion += table[column + 1, 2 * size + e] * work.force[1, d]
+                motion += table[column + 2, 2 * size + e] * work.force[2, d]
+            third = (5.0 * work.motion[0, e] + 5.0 * motion - work.motion[1, e]) / 9.0
+            force, _ = _element(el, e, motion, third, 0.25 * step, work.states, 0)
             miss = force + 0.375 * f0 + 0.75 * fm - 0.125 * f1
         if abs(miss) > allowed:
             return True

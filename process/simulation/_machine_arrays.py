@@ -1,4 +1,4 @@
-"""What the numba loop of a machine in time works on: constants, and tuples of arrays.
+"""Constants and tuples of arrays of the numba loop that integrates a machine in time.
 
 Plain arrays only, made in Python by `process.simulation.packing` and `process.simulation.step_maps`.
 """
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 # Kinds of elements: a force for a slide's velocity (the first two), or for a displacement.
 FRICTION, MEMORY, CUBIC, FLANKS, SLIDERS = 0, 1, 2, 3, 4
 
-# What march returns first.
+# First value that `integrate` returns.
 DONE, RAN_AWAY, NOT_SOLVED = 0, 1, 2
 
 FARTHEST = 1e6
@@ -24,7 +24,7 @@ class Linear(NamedTuple):
     """The linear part: n coordinates, N states (q, q', integrals), u inputs, e elements.
 
     maps (p, l, N + 3 u, 2 N + 3 e): at path point p, for a step halved l times: from the state and the three values of
-    each input to the state in the middle, at the end, and to what the elements feel at a quarter, half and end of it.
+    each input to the state in the middle, at the end, and the motion of the elements at a quarter, half and end of it.
     places (steps,): path point of each step, a share between two. power (n, N), mass, stiffness (n, n): energy flow
     ``q' . power z`` of the linear part. reach (u, n): participation of each input. tool (p, 3, n).
     """
@@ -39,10 +39,11 @@ class Linear(NamedTuple):
 
 
 class Elements(NamedTuple):
-    """Friction and joints, e of them: kind, input that they push on, law, parameters, what is taken off.
+    """Friction and joints, e of them: kind, input that they push on, law, parameters, what is subtracted.
 
-    Felt is ``rows z``, (e, N); the force is ``f(feed + felt) - steady - slope felt``, as the slope is in the linear
-    part. Parameters and states of element i are those from start[i] to start[i + 1], first[i] to first[i + 1].
+    Their motion is ``rows z``, (e, N); the force is ``f(feed + motion) - steady - slope motion``, as the slope is in
+    the linear part. Parameters and states of element i are those from start[i] to start[i + 1], and first[i] to
+    first[i + 1].
     """
 
     kind: Any
@@ -95,10 +96,10 @@ class Cut(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch arrays; `z`, states[0], force, felt, the rings and the last three carry over from step to step.
+    """Scratch arrays; `z`, states[0], force, motion, the rings and the last three carry over from step to step.
 
     states (4, .): of the elements now, in the middle, at the end, and for trial. part (2 e,), slope (2 e, 2): force of
-    each element in the middle, then at the end, and its slope for what that element feels in the middle and at the end.
+    each element in the middle, then at the end, and its slope for its motion in the middle and at the end.
     """
 
     z: Any
@@ -107,7 +108,7 @@ class Work(NamedTuple):
     piece: Any
     part: Any
     force: Any
-    felt: Any
+    motion: Any
     slope: Any
     system: Any
     change: Any

@@ -1,9 +1,14 @@
 """Numba loop of a machine in time. Floats and plain arrays only; labels live in `process.simulation.machine`.
 
-A step is the exact map of the linear part for inputs that are quadratic in time (values at start, middle and end). What
-is not linear, friction and joints, is an input too: its values in the middle and at the end are solved for
-(collocation, implicit), and where the quadratic does not follow it the step is halved, as often as needed. The loop
-runs without reference counting: every array is made in Python.
+A step is the exact map of the linear part for inputs that are quadratic in time (values at start, middle and end).
+Nonlinear forces (friction, joints) are inputs too: their values in the middle and at the end of the step are unknowns
+of an implicit collocation; where the quadratic does not follow a force the step is halved. The loop runs without
+reference counting: every array is made in Python.
+
+Compiled at the first call and cached: `integrate`, with all that it inlines, for the tuples of `_machine_arrays` of
+float64 and int64 arrays (one compilation serves every machine, with or without a cut), `low_pass` and `combine` for
+float64 arrays, C-contiguous; 37 s of CPU in all. A change of this file, of `_element_kernels`, `_machine_arrays`,
+`cut._kernels` or `friction._kernels` takes effect here only when this file is compiled again.
 """
 
 import math
@@ -11,7 +16,7 @@ import math
 from numba import njit
 
 from process.cut._kernels import cutting_force, make_pose, moved, pass_over, turn
-from process.simulation._element_kernels import _add, _apply, _element, _solve, _strays
+from process.simulation._element_kernels import _add, _apply, _element, _misses, _solve
 from process.simulation._machine_arrays import (
     DONE,
     ENERGY,
@@ -32,12 +37,12 @@ from process.simulation._machine_arrays import (
     WORST,
 )
 
-_LOOK = 16
+_EVERY = 16
 _SOLVED = 0.01
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _cut_out(known, piece, low, width):
+def _part_of_parabola(known, piece, low, width):
     """Fill piece with the three values of each input's parabola on a part of the step."""
     for i in range(known.shape[0]):
         a, m, b = known[i, 0], known[i, 1], known[i, 2]
@@ -64,7 +69,7 @@ def _power(lin, el, state, start, values, node, forces):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _stored(lin, z):
+def _stored_energy(lin, z):
     """Energy [J] in masses and springs."""
     n = lin.mass.shape[0]
     total = 0.0
@@ -75,7 +80,7 @@ def _stored(lin, z):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _table(lin, work, step, level):
+def _step_map(lin, work, step, level):
     """Return the map of a step on the path: that of its point, or the blend of two."""
     place = lin.places[step]
     point = min(int(place), lin.maps.shape[0] - 1)
@@ -92,29 +97,29 @@ def _table(lin, work, step, level):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _start(el, work):
-    """Set what the elements feel and do at the state as it is."""
+def _start_elements(el, work):
+    """Set motion and force of the elements at the present state."""
     for e in range(el.kind.size):
-        felt = 0.0
+        motion = 0.0
         for r in range(work.z.size):
-            felt += el.rows[e, r] * work.z[r]
-        work.felt[0, e] = felt
-        force, _ = _element(el, e, felt, felt, 0.0, work.states, 0)
+            motion += el.rows[e, r] * work.z[r]
+        work.motion[0, e] = motion
+        force, _ = _element(el, e, motion, motion, 0.0, work.states, 0)
         work.force[0, e] = -force
     work.mode[STALE] = 0
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _begin(el, work, table, values):
-    """Apply the map to what is known at the start of a step; the force of the elements there too."""
+def _map_known(el, work, table, values):
+    """Map state, known inputs and present forces of the elements over the step into work.base."""
     _apply(table, work.z, values, work.base)
     for d in range(el.kind.size):
         _add(table, work.z.size + 3 * el.target[d], work.force[0, d], work.base)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _serve(servos, work, node, state, start):
-    """Write what the servos ask for at a half step on the ring."""
+def _write_servo_forces(servos, work, node, state, start):
+    """Write the force commands of the servos at a half step on the ring."""
     for s in range(servos.target.size if servos.every == 0 else 0):
         force = 0.0
         for r in range(work.z.size):
@@ -123,8 +128,8 @@ def _serve(servos, work, node, state, start):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _late(servos, work, i):
-    """Add the forces that the servos asked for a dead time ago: four half steps, from a ring, share in each."""
+def _add_delayed_forces(servos, work, i):
+    """Add the force commands of a dead time ago, interpolated by a cubic through four half steps on the ring."""
     mask = work.ring.shape[1] - 1
     for s in range(servos.target.size):
         for k in range(3):
@@ -135,7 +140,7 @@ def _late(servos, work, i):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _sample(servos, work, i, step):
+def _add_sampled_forces(servos, work, i, step):
     """Add the held forces of sampled servos; at a sample read the encoder first. integral (s, 2): I, reading."""
     lag = work.ring.shape[1]
     for s in range(servos.target.size):
@@ -159,8 +164,8 @@ def _sample(servos, work, i, step):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _gather(given, servos, work, i, step):
-    """Fill work.known with the inputs of a step that do not depend on what happens in it."""
+def _fill_known_inputs(given, servos, work, i, step):
+    """Fill work.known with the inputs of a step that do not depend on its motion."""
     for a in range(work.known.shape[0]):
         for k in range(3):
             work.known[a, k] = 0.0
@@ -169,14 +174,14 @@ def _gather(given, servos, work, i, step):
             for k in range(3):
                 work.known[given.target[g], k] += given.values[g, i, k]
     if servos.every > 0:
-        _sample(servos, work, i, step)
+        _add_sampled_forces(servos, work, i, step)
     elif servos.target.size:
-        _serve(servos, work, 2 * i, work.z, 0)
-        _late(servos, work, i)
+        _write_servo_forces(servos, work, 2 * i, work.z, 0)
+        _add_delayed_forces(servos, work, i)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _swing(tool, state, start):
+def _tool_motion(tool, state, start):
     """Return the three sums of a tool row times a part of a state."""
     x, y, z = 0.0, 0.0, 0.0
     for r in range(tool.shape[1]):
@@ -188,9 +193,9 @@ def _swing(tool, state, start):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _attempt(el, work, table, piece, level, here, allowed, last):
-    """Apply the map of a part of the step and solve for the elements; say whether it is good enough."""
-    _begin(el, work, table, piece)
+def _solve_part(el, work, table, piece, level, here, allowed, last):
+    """Apply the map of a part of the step and solve for the elements; return whether the error is allowed."""
+    _map_known(el, work, table, piece)
     if not el.kind.size:
         return True
     if work.mode[GUESSED] != level:
@@ -199,12 +204,12 @@ def _attempt(el, work, table, piece, level, here, allowed, last):
     work.mode[GUESSED] = -1
     if not _solve(el, table, work.base, work, here, _SOLVED * allowed):
         return False
-    return last or not _strays(el, table, work.base, work, here, allowed)
+    return last or not _misses(el, table, work.base, work, here, allowed)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _accept(lin, el, work, table, piece, level, here):
-    """Take the end of a part of the step as the state; book its energy; the parabolas go on as a guess."""
+def _finish_part(lin, el, work, table, piece, level, here):
+    """Take the end of a part of the step as the state, add its energy, extrapolate the parabolas as the next guess."""
     size, tally = work.z.size, work.tally
     flow = _power(lin, el, work.z, 0, piece, 0, work.force)
     for d in range(el.kind.size):
@@ -217,21 +222,21 @@ def _accept(lin, el, work, table, piece, level, here):
         work.states[0, k] = work.states[2, k]
     flow += 4.0 * _power(lin, el, work.base, 0, piece, 1, work.force)
     flow += _power(lin, el, work.base, size, piece, 2, work.force)
-    held = _stored(lin, work.z)
+    held = _stored_energy(lin, work.z)
     tally[ENERGY] += here * flow / 6.0
     tally[WORST] = max(tally[WORST], abs(held - tally[ENERGY]))
     tally[LARGEST] = max(tally[LARGEST], held)
     for e in range(el.kind.size):
         f0, fm, f1 = work.force[0, e], work.force[1, e], work.force[2, e]
-        work.felt[0, e], work.force[0, e] = work.felt[2, e], f1
+        work.motion[0, e], work.force[0, e] = work.motion[2, e], f1
         work.force[1, e], work.force[2, e] = f0 - 3.0 * fm + 3.0 * f1, 3.0 * f0 - 8.0 * fm + 6.0 * f1
         tally[SCALE] = max(tally[SCALE], abs(f1))
     work.mode[GUESSED] = level
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _advance(lin, el, servos, work, i, step, accuracy):
-    """Move the machine by step i, in one part or in several; return what happened."""
+def _integrate_step(lin, el, servos, work, i, step, accuracy):
+    """Integrate step i in one part or in several; return DONE, RAN_AWAY or NOT_SOLVED."""
     finest, done = lin.maps.shape[1] - 1, 0
     while done < 1 << finest:
         level = work.mode[LEVEL]
@@ -239,20 +244,20 @@ def _advance(lin, el, servos, work, i, step, accuracy):
         if done & (width - 1):
             work.mode[LEVEL] = level + 1
             continue
-        table, piece, share = _table(lin, work, i, level), work.known, width / (1 << finest)
+        table, piece, share = _step_map(lin, work, i, level), work.known, width / (1 << finest)
         if level > 0:
-            _cut_out(work.known, work.piece, done / (1 << finest), share)
+            _part_of_parabola(work.known, work.piece, done / (1 << finest), share)
             piece = work.piece
-        if not _attempt(el, work, table, piece, level, step * share, accuracy * work.tally[SCALE], level == finest):
+        if not _solve_part(el, work, table, piece, level, step * share, accuracy * work.tally[SCALE], level == finest):
             if level == finest:
                 return NOT_SOLVED
             work.mode[LEVEL] = level + 1
             continue
-        _accept(lin, el, work, table, piece, level, step * share)
+        _finish_part(lin, el, work, table, piece, level, step * share)
         done += width
         if level == 0 or 2 * done == 1 << finest:
             # The state in the middle of this part, or at its end.
-            _serve(servos, work, 2 * i + 1, work.base, 0 if level == 0 else work.z.size)
+            _write_servo_forces(servos, work, 2 * i + 1, work.base, 0 if level == 0 else work.z.size)
         if level > 0 and done & (2 * width - 1) == 0:
             work.mode[LEVEL] = level - 1
     for r in range(lin.mass.shape[0]):
@@ -262,26 +267,26 @@ def _advance(lin, el, servos, work, i, step, accuracy):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _predict(lin, el, work, i):
+def _predict_tool(lin, el, work, i):
     """Position and velocity of the tool at the end of step i, with the cutting force held and the elements guessed."""
     for axis in range(3):
         for k in range(3):
             work.known[axis, k] += work.cutting[axis]
-    table, size = _table(lin, work, i, 0), work.z.size
+    table, size = _step_map(lin, work, i, 0), work.z.size
     tool = lin.tool[int(lin.places[i] + 0.5)]
-    _begin(el, work, table, work.known)
+    _map_known(el, work, table, work.known)
     held = 0 if work.mode[GUESSED] != 0 else 1
     for d in range(el.kind.size):
         column = size + 3 * el.target[d]
         _add(table, column + 1, work.force[held, d], work.base)
         _add(table, column + 2, work.force[2 * held, d], work.base)
-    x, y, z = _swing(tool, work.base, size)
-    vx, vy, vz = _swing(tool, work.base, size + tool.shape[1])
+    x, y, z = _tool_motion(tool, work.base, size)
+    vx, vy, vz = _tool_motion(tool, work.base, size + tool.shape[1])
     return x, y, z, vx, vy, vz
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _bite(cut, work, t, step, moving, old):
+def _apply_cutting_force(cut, work, t, step, moving, old):
     """Return the pose at time t, and write the cutting force there; linear over the step."""
     x, y, z, vx, vy, vz = moving
     motion, memory = cut.motion, work.cutting
@@ -310,22 +315,22 @@ def _leave_surface(lin, cut, work, place, t, before, pose):
     """Let the teeth pass over the surface, or the impulse act at entry; return the final pose."""
     now = cut.entry <= t < cut.leave
     if now:
-        x, y, z = _swing(lin.tool[place], work.z, 0)
+        x, y, z = _tool_motion(lin.tool[place], work.z, 0)
         pose = moved(pose, x, y, z)
         if work.cutting[INSIDE] == 1.0:
             pass_over(cut.teeth, cut.surfaces, before, pose)
         else:
-            work.tally[ENERGY] -= _stored(lin, work.z)
+            work.tally[ENERGY] -= _stored_energy(lin, work.z)
             for r in range(cut.kick.size):
                 work.z[cut.kick.size + r] += cut.kick[r]
-            work.tally[ENERGY] += _stored(lin, work.z)
+            work.tally[ENERGY] += _stored_energy(lin, work.z)
             work.mode[GUESSED], work.mode[STALE] = -1, 1
     work.cutting[INSIDE] = 1.0 if now else 0.0
     return pose
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _keep(el, work, i, states, inputs):
+def _store(el, work, i, states, inputs):
     """Write state, inputs and forces of the elements at the start of step i."""
     for r in range(work.z.size):
         states[i, r] = work.z[r]
@@ -336,50 +341,50 @@ def _keep(el, work, i, states, inputs):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _settled(work, i, rest):
-    """Say whether all has been at rest for longer than servos look back: states and forces, next to their largest."""
-    if i % _LOOK:
+def _at_rest(work, i, rest):
+    """Return whether states and forces have stayed below a share of their largest for longer than the dead times."""
+    if i % _EVERY:
         return False
     largest, size, moving = work.largest, work.z.size, False
     for k in range(largest.size):
         now = abs(work.z[k]) if k < size else abs(work.force[0, k - size])
         largest[k] = max(largest[k], now)
         moving = moving or now > rest * largest[k]
-    work.mode[STILL] = 0 if moving else work.mode[STILL] + _LOOK
+    work.mode[STILL] = 0 if moving else work.mode[STILL] + _EVERY
     return work.mode[STILL] > work.ring.shape[1]
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def march(lin, el, servos, given, work, step, accuracy, rest, cut, states, inputs):
-    """March the machine; return what happened and the steps done.
+def integrate(lin, el, servos, given, work, step, accuracy, rest, cut, states, inputs):
+    """Integrate the machine; return DONE, RAN_AWAY or NOT_SOLVED, and the number of steps done.
 
     states (steps, N) and inputs (steps, u + e) receive the state, the inputs and the forces of the elements at the
     start of each step. `accuracy` is the largest error of an element's force, over the largest force so far. work.tally
-    tells the largest difference between the energy in masses and springs and the integral of the power (Simpson). With
-    a cut the first three inputs are the forces on the tool. Once all is below a share `rest` of its largest and nothing
-    will excite it, it stays there: what follows of states and inputs, which must be zero before, is left as it is.
+    receives the largest difference between the energy in masses and springs and the integral of the power (Simpson).
+    With a cut the first three inputs are the forces on the tool. Once all states and forces are below a share `rest` of
+    their largest and no excitation follows, the run ends: states and inputs must be zero before and stay so.
     """
     steps, milling = states.shape[0], cut.leave > cut.entry
     work.tally[SCALE] = given.peak
     pose = make_pose(cut.teeth, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
-    # The first turn is no step: it brings the cutting force at t = 0.
+    # The first pass is no step: it computes the cutting force at t = 0.
     for i in range(-1 if milling else 0, steps):
         before, t = pose, (i + 1) * step
         if work.mode[STALE] == 1:
-            _start(el, work)
+            _start_elements(el, work)
         if i >= 0:
-            _gather(given, servos, work, i, step)
+            _fill_known_inputs(given, servos, work, i, step)
         if milling:
             moving = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             if i >= 0:
-                moving = _predict(lin, el, work, i)
-            pose = _bite(cut, work, t, step, moving, before)
+                moving = _predict_tool(lin, el, work, i)
+            pose = _apply_cutting_force(cut, work, t, step, moving, before)
         if i >= 0:
-            _keep(el, work, i, states, inputs)
-            result = _advance(lin, el, servos, work, i, step, accuracy)
+            _store(el, work, i, states, inputs)
+            result = _integrate_step(lin, el, servos, work, i, step, accuracy)
             if result != DONE:
                 return result, i
-            if i >= given.values.shape[1] and servos.every == 0 and not milling and _settled(work, i, rest):
+            if i >= given.values.shape[1] and servos.every == 0 and not milling and _at_rest(work, i, rest):
                 return DONE, i + 1
         if milling:
             pose = _leave_surface(lin, cut, work, int(lin.places[max(i, 0)] + 0.5), t, before, pose)

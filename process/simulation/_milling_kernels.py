@@ -1,4 +1,8 @@
-"""Numba loops of the time simulation. Floats and plain arrays only; labels live in `process.simulation.milling`."""
+"""Numba loops of the time simulation. Floats and plain arrays only; labels live in `process.simulation.milling`.
+
+Compiled at the first call and cached, for the tuples `Modes`, `Motion` and `Teeth` of float64 arrays and scalars:
+`forced_response` in 0.5 s of CPU, `milling` in 2 s.
+"""
 
 from typing import Any, NamedTuple
 
@@ -58,8 +62,8 @@ def _at_tool(modes, state, column):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _hit(modes, state, impulse):
-    """Add to the prediction what the velocity does that an impulse (3,) gives every mode now."""
+def _add_impulse(modes, state, impulse):
+    """Add to the prediction the velocity that an impulse (3,) gives every mode now."""
     for m in range(state.shape[0]):
         modal = modes.shape[m, 0] * impulse[0] + modes.shape[m, 1] * impulse[1] + modes.shape[m, 2] * impulse[2]
         state[m, 0] += modes.step[m, 1] * modes.law[m, 0] * modal
@@ -68,7 +72,7 @@ def _hit(modes, state, impulse):
 
 @njit(cache=True, nogil=True, _nrt=False)
 def forced_response(modes, state, force, displacement, acceleration):
-    """March linear modes under a given force (3, n), linear between samples; fill the other two (3, n).
+    """Integrate linear modes under a given force (3, n), linear between samples; fill the other two (3, n).
 
     state (m, 3): position, velocity and force of each mode at the first sample.
     """
@@ -80,7 +84,7 @@ def forced_response(modes, state, force, displacement, acceleration):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
 def milling(modes, state, motion, teeth, surfaces, step, start, stop, impulse, force, displacement, acceleration):
-    """March linear modes under their own cutting force, with the chip cut from the surface left behind.
+    """Integrate linear modes under their own cutting force, with the chip cut from the surface left behind.
 
     state (m, 3) is zero: at rest before the first sample. The tool is in the work while start <= t < stop; the impulse
     [N s] acts at entry. The force is linear between steps; one prediction and one correction a step. force,
@@ -117,7 +121,7 @@ def milling(modes, state, motion, teeth, surfaces, step, start, stop, impulse, f
             if cutting:
                 pass_over(teeth, surfaces, before, after)
             else:
-                _hit(modes, state, impulse)
+                _add_impulse(modes, state, impulse)
                 px, py, pz = _at_tool(modes, state, 0)
             before = after
         cutting = inside

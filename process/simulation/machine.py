@@ -28,7 +28,7 @@ from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.excitation import SteppedSine as SteppedSine
 from process.simulation.milling import STEPS_PER_PERIOD, STEPS_PER_TOOTH, MillingCut, Spindle
-from process.simulation.packing import pack_blow, pack_forces
+from process.simulation.packing import pack_forces, pack_impact
 from process.simulation.problem import Problem, problem
 from process.simulation.problem import SampledControl as SampledControl
 from process.simulation.record import (
@@ -39,8 +39,8 @@ from process.simulation.record import (
     as_motion,
     as_record,
     displacement_of,
-    made_ready,
-    march,
+    integrate,
+    prepare,
 )
 from process.simulation.step_maps import System, fastest_pole, system_of
 from process.types import Real
@@ -88,7 +88,7 @@ def _keep(p: Problem, sample_rate: float, largest: float) -> int:
 
 
 def _prepared(p: Problem, sample_rate: float, step: float | None, accuracy: float | None = None) -> tuple[System, Run]:
-    """March a problem; also return its linear part."""
+    """Integrate a problem; return its linear part and the run."""
     if not p.total * sample_rate >= 2.0:
         raise InputError(f"{p.total:g} s at {sample_rate:g} Hz; at least two samples are needed")
     require_bounded(p)
@@ -102,12 +102,12 @@ def _prepared(p: Problem, sample_rate: float, step: float | None, accuracy: floa
     if accuracy is None:
         accuracy = min(1e-2, ACCURACY / (sample_rate * keep * usual) ** 4)
     h = 1.0 / (sample_rate * keep)
-    # The low-pass looks ahead: march beyond the end of the record.
+    # The low-pass looks ahead: integrate beyond the end of the record.
     steps = (round(p.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
     given, forces = pack_forces(p, h, steps)
     # A mode rings after an impulse with a force of its frequency times that.
     given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.impulse)))
-    return system, march(made_ready(p, system, h, steps), given, forces, keep=keep, accuracy=accuracy)
+    return system, integrate(prepare(p, system, h, steps), given, forces, keep=keep, accuracy=accuracy)
 
 
 def simulate_machine(
@@ -271,21 +271,21 @@ def require_fine(p: Problem, fastest: float, step: float) -> None:
         )
 
 
-# --- A machine in uniform motion that is struck again and again: all but the blow is made ready once.
+# --- Repeated impacts on a machine in uniform motion: all but the force is prepared once.
 
 
 _ANY = HalfSine(1.0)
 
 
-class Struck:
-    """A machine that is struck along one axis; its samples are its steps, and nothing is low-passed.
+class RepeatedImpact:
+    """A machine that is hit along one axis many times; its samples are its steps, and nothing is low-passed.
 
     Parameters
     ----------
     machine : Machine
         At rest or in uniform motion.
     axis : str
-        Axis of the blow.
+        Axis of the impact.
     duration : float
         Time that is followed [s].
     feed, controller, position
@@ -319,27 +319,27 @@ class Struck:
         require_bounded(p)
         system, step = system_of(p), 1.0 / sample_rate
         require_fine(p, fastest_pole(p, system), step)
-        self._ready = made_ready(p, system, step, round(p.total * sample_rate))
+        self._prepared = prepare(p, system, step, round(p.total * sample_rate))
         self._accuracy = accuracy
 
-    def displacement(self, blow: Excitation, rest: float = AT_REST) -> Real:
+    def displacement(self, impact: Excitation, rest: float = AT_REST) -> Real:
         """Return the displacement of the tool [m] from the ramp at each sample, shape (3, m), until it is at rest.
 
         Parameters
         ----------
-        blow : Excitation
+        impact : Excitation
             Force on the tool; hashable: how it is sampled is kept.
         rest : float, optional
-            Share of their largest below which states and forces are at rest once the blow is over. Then the record
-            ends: the tool stays where it was before the blow.
+            Share of their largest below which states and forces are at rest once the impact is over. Then the record
+            ends: the tool stays where it was before the impact.
 
         Raises
         ------
         InputError
             When friction and joints cannot be solved for, or the tool leaves the range of 1 m.
         """
-        r = self._ready
-        run = march(r, pack_blow(blow, r.step, r.steps), [], keep=1, accuracy=self._accuracy, rest=rest)
+        r = self._prepared
+        run = integrate(r, pack_impact(impact, r.step, r.steps), [], keep=1, accuracy=self._accuracy, rest=rest)
         return displacement_of(r.problem, run)
 
 
@@ -351,7 +351,7 @@ def operating_point(p: Problem) -> OperatingPoint:
     return p.machine.at(dict(zip(p.machine.axes, p.feeds, strict=True)), p.controller, p.position)
 
 
-class _Asked:
+class _StabilityCase:
     """What a verdict is about: two problems are alike where their keys are."""
 
     def __init__(self, p: Problem) -> None:
@@ -366,14 +366,14 @@ class _Asked:
         return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Asked) and self.key == other.key
+        return isinstance(other, _StabilityCase) and self.key == other.key
 
 
 def require_bounded(p: Problem) -> None:
     """Friction limits a motion only where its force rises with speed: the servo must be stable when sliding fast."""
     if not any(v is not None for v in p.servos):
         return
-    count = _unbounded(_Asked(p))
+    count = _unbounded(_StabilityCase(p))
     if count:
         gains = "; ".join(
             f"axis {name} has Kp {servo.Kp:g} N s/m, Ti {servo.Ti * 1e3:g} ms, Kv {servo.Kv:g} 1/s, delay "
@@ -388,9 +388,9 @@ def require_bounded(p: Problem) -> None:
 
 
 @lru_cache(maxsize=256)
-def _unbounded(asked: _Asked) -> int:
+def _unbounded(case: _StabilityCase) -> int:
     """Count unstable poles when sliding fast, in the worse direction. Kept: the same machine is hit many times."""
-    p = asked.problem
+    p = case.problem
     point = operating_point(p)
     counts = [0]
     for slopes in dict.fromkeys(zip(*(r.fast for r in p.friction), strict=True)):

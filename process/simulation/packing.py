@@ -16,10 +16,10 @@ from process.errors import InputError
 from process.friction._kernels import friction_step
 from process.friction.laws import FrictionLaw
 from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins, Joint
-from process.simulation import _machine_arrays as machine_parts
+from process.simulation import _machine_arrays as arrays
 from process.simulation.excitation import Excitation
 from process.simulation.milling import MillingCut, Spindle, flat_surfaces, pack_motion, pack_teeth
-from process.simulation.problem import Problem, Rubbing
+from process.simulation.problem import Problem, SlideFriction
 from process.simulation.step_maps import System, exact_maps, gains, reach
 from process.types import Real
 
@@ -38,21 +38,21 @@ _NODES = np.array([[1.0, 1.0, 1.0], [-3.0, 0.0, 3.0], [5.0, -2.5, 5.0]])
 def _joint_kind(joint: Joint) -> tuple[int, Real]:
     """Kind and parameters of a joint for the kernel."""
     if isinstance(joint, CubicSpring):
-        return machine_parts.CUBIC, np.array([joint.stiffness, joint.cubic])
+        return arrays.CUBIC, np.array([joint.stiffness, joint.cubic])
     if isinstance(joint, Gap):
         k, g = joint.stiffness, joint.gap
-        return machine_parts.FLANKS, np.array([k, 1.0, g, k, -1.0, g])
+        return arrays.FLANKS, np.array([k, 1.0, g, k, -1.0, g])
     if isinstance(joint, DoublePinion):
-        return machine_parts.FLANKS, np.array(joint.flanks).ravel()
+        return arrays.FLANKS, np.array(joint.flanks).ravel()
     if isinstance(joint, Iwan):
-        return machine_parts.SLIDERS, np.concatenate(joint.packed())
+        return arrays.SLIDERS, np.concatenate(joint.packed())
     if isinstance(joint, Jenkins):
-        return machine_parts.SLIDERS, np.array([joint.stiffness, joint.slip_force])
+        return arrays.SLIDERS, np.array([joint.stiffness, joint.slip_force])
     raise InputError(f"a joint of type {type(joint).__name__} cannot be simulated; use one of process.machine.joints")
 
 
 class _Element(NamedTuple):
-    """One row of `machine_parts.Elements`, and its states at the start."""
+    """One row of `arrays.Elements`, and its states at the start."""
 
     kind: int
     target: int
@@ -63,31 +63,31 @@ class _Element(NamedTuple):
     state: Real
 
 
-def _of_slide(rub: Rubbing, target: int, row: Real, size: int) -> _Element:
+def _of_slide(friction: SlideFriction, target: int, row: Real, size: int) -> _Element:
     """Friction of a slide whose row is given, in steady motion."""
-    code, parameters = rub.law.packed()
-    offset = (rub.feed, rub.steady, rub.slope)
-    felt = np.concatenate([np.zeros(row.size), row, np.zeros(size - 2 * row.size)])
-    if isinstance(rub.law, FrictionLaw):
-        return _Element(machine_parts.FRICTION, target, code, parameters, offset, felt, np.zeros(0))
-    state = np.zeros(rub.law.states)
-    if rub.feed != 0.0:
+    code, parameters = friction.law.packed()
+    offset = (friction.feed, friction.steady, friction.slope)
+    motion = np.concatenate([np.zeros(row.size), row, np.zeros(size - 2 * row.size)])
+    if isinstance(friction.law, FrictionLaw):
+        return _Element(arrays.FRICTION, target, code, parameters, offset, motion, np.zeros(0))
+    state = np.zeros(friction.law.states)
+    if friction.feed != 0.0:
         for _ in range(2):  # until it slips, then until it is steady
-            friction_step(code, parameters, state, rub.feed, _LONG)
-    return _Element(machine_parts.MEMORY, target, code, parameters, offset, felt, state)
+            friction_step(code, parameters, state, friction.feed, _LONG)
+    return _Element(arrays.MEMORY, target, code, parameters, offset, motion, state)
 
 
 def _mounted(joint: Joint, participation: Real, target: int, size: int) -> _Element:
     kind, parameters = _joint_kind(joint)
-    states = parameters.size // 2 if kind == machine_parts.SLIDERS else 0
-    felt = np.concatenate([participation, np.zeros(size - participation.size)])
-    return _Element(kind, target, 0, parameters, (0.0, 0.0, 0.0), felt, np.zeros(states))
+    states = parameters.size // 2 if kind == arrays.SLIDERS else 0
+    motion = np.concatenate([participation, np.zeros(size - participation.size)])
+    return _Element(kind, target, 0, parameters, (0.0, 0.0, 0.0), motion, np.zeros(states))
 
 
-def pack_elements(p: Problem, system: System) -> tuple[machine_parts.Elements, Real]:
+def pack_elements(p: Problem, system: System) -> tuple[arrays.Elements, Real]:
     """Pack friction and joints; also return their states at the start."""
     slides, tools = p.structures[0].slide_rows(), len(p.tools)
-    made = [_of_slide(p.friction[i], tools + i, slides[i], system.size) for i in system.rubbing]
+    made = [_of_slide(p.friction[i], tools + i, slides[i], system.size) for i in system.nonlinear]
     for k, mounted in enumerate(p.machine.joints):
         made.append(_mounted(mounted.joint, mounted.participation, tools + len(slides) + k, system.size))
 
@@ -96,7 +96,7 @@ def pack_elements(p: Problem, system: System) -> tuple[machine_parts.Elements, R
 
     parameters, states = [m.parameters for m in made], [m.state for m in made]
     offsets = np.array([m.offset for m in made], dtype=float).reshape(-1, 3).T.copy()
-    elements = machine_parts.Elements(
+    elements = arrays.Elements(
         kind=np.array([m.kind for m in made], dtype=np.int64),
         target=np.array([m.target for m in made], dtype=np.int64),
         law=np.array([m.law for m in made], dtype=np.int64),
@@ -124,7 +124,7 @@ def _looking_back(lag: Real) -> tuple[NDArray[np.int64], Real]:
     return first.astype(np.int64), np.ascontiguousarray(share)
 
 
-def pack_servos(p: Problem, system: System, step: float) -> tuple[machine_parts.Servos, int]:
+def pack_servos(p: Problem, system: System, step: float) -> tuple[arrays.Servos, int]:
     """Pack the servos outside the linear part; also return the length of their ring."""
     tools, rows = len(p.tools), p.structures[0].slide_rows()
     blank, none = np.zeros((0, 3)), np.zeros((0, 2))
@@ -134,7 +134,7 @@ def pack_servos(p: Problem, system: System, step: float) -> tuple[machine_parts.
         late = np.array([-rows_of[i] for i in system.late]).reshape(len(system.late), system.size)
         target = np.array([tools + i for i in system.late], dtype=np.int64)
         longest = int(lag.max(initial=0.0)) + 8
-        return machine_parts.Servos(target, late, *_looking_back(lag), 0, blank, 0.0, none), 1 << longest.bit_length()
+        return arrays.Servos(target, late, *_looking_back(lag), 0, blank, 0.0, none), 1 << longest.bit_length()
     held = [(i, v) for i, v in enumerate(p.servos) if v is not None]
     read = np.zeros((2 * len(held), system.size))
     for k, (i, _) in enumerate(held):
@@ -143,9 +143,7 @@ def pack_servos(p: Problem, system: System, step: float) -> tuple[machine_parts.
     ramp = np.array([(p.feeds[i], -v.following_error(p.feeds[i])) for i, v in held]).reshape(-1, 2)
     target = np.array([tools + i for i, _ in held], dtype=np.int64)
     every, fine = max(1, round(p.control.period / step)), p.control.encoder_resolution
-    return machine_parts.Servos(
-        target, read, *_looking_back(np.zeros(0)), every, gains_of, fine, ramp
-    ), p.control.lag + 1
+    return arrays.Servos(target, read, *_looking_back(np.zeros(0)), every, gains_of, fine, ramp), p.control.lag + 1
 
 
 @lru_cache(maxsize=8)
@@ -225,7 +223,7 @@ def _sampled(excitation: Excitation, step: float, steps: int) -> Sampled:
     return Sampled(smooth, times[inside] / step, heights[inside])
 
 
-def pack_forces(p: Problem, step: float, steps: int) -> tuple[machine_parts.Given, list[Sampled]]:
+def pack_forces(p: Problem, step: float, steps: int) -> tuple[arrays.Given, list[Sampled]]:
     """Pack the forces over time, first those on the tool; also return them as sampled."""
     tools, axes = p.tools, list(p.machine.axes)
     target = [tools.index(a) for a in p.forces] + [len(tools) + axes.index(a) for a in p.drive_forces]
@@ -234,12 +232,12 @@ def pack_forces(p: Problem, step: float, steps: int) -> tuple[machine_parts.Give
 
 
 @lru_cache(maxsize=512)
-def pack_blow(blow: Excitation, step: float, steps: int) -> machine_parts.Given:
-    """Pack the force of one blow, the only input that is given; kept for machines that are struck alike."""
-    return _given([_sampled(blow, step, steps)], [0])
+def pack_impact(impact: Excitation, step: float, steps: int) -> arrays.Given:
+    """Pack the force of one impact, the only input that is given; cached for machines that are hit alike."""
+    return _given([_sampled(impact, step, steps)], [0])
 
 
-def _given(forces: list[Sampled], target: list[int]) -> machine_parts.Given:
+def _given(forces: list[Sampled], target: list[int]) -> arrays.Given:
     """Forces as sampled, made parabolas of each step."""
     longest = max([(f.smooth.size - 1) // SUB for f in forces], default=0)
     values, peak = np.zeros((len(forces), longest, 3)), 0.0
@@ -251,7 +249,7 @@ def _given(forces: list[Sampled], target: list[int]) -> machine_parts.Given:
             row[: windows.shape[0]] += _held(f.at, f.height, windows.shape[0])
             largest += float(np.abs(np.cumsum(f.height)).max())
         peak = max(peak, largest)
-    return machine_parts.Given(np.array(target, dtype=np.int64), values, peak)
+    return arrays.Given(np.array(target, dtype=np.int64), values, peak)
 
 
 def _held(at: Real, height: Real, steps: int) -> Real:
@@ -266,9 +264,7 @@ def _held(at: Real, height: Real, steps: int) -> Real:
     return np.asarray(out)
 
 
-def pack_linear(
-    p: Problem, system: System, elements: machine_parts.Elements, step: float, steps: int
-) -> machine_parts.Linear:
+def pack_linear(p: Problem, system: System, elements: arrays.Elements, step: float, steps: int) -> arrays.Linear:
     """Discretise the linear part at every point of the path."""
     halvings = HALVINGS if elements.kind.size else 0
     maps = np.array([exact_maps(a, b, elements.rows, step, halvings) for a, b in system.matrices])
@@ -277,22 +273,22 @@ def pack_linear(
     power[:, :n] += first.stiffness
     places = np.minimum(np.arange(steps) * (step / p.total), 1.0) * (len(p.structures) - 1.0)
     tool = np.array([s.tool for s in p.structures])
-    return machine_parts.Linear(maps, places, power, first.mass, first.stiffness, reach(p, first), tool)
+    return arrays.Linear(maps, places, power, first.mass, first.stiffness, reach(p, first), tool)
 
 
 def scratch(
-    linear: machine_parts.Linear, elements: machine_parts.Elements, servos: machine_parts.Servos, ring: int, state: Real
-) -> machine_parts.Work:
+    linear: arrays.Linear, elements: arrays.Elements, servos: arrays.Servos, ring: int, state: Real
+) -> arrays.Work:
     """Make the arrays that the loop works in, with the states of the elements at the start."""
     count, size, inputs, held = elements.kind.size, linear.power.shape[1], linear.reach.shape[0], servos.target.size
-    return machine_parts.Work(
+    return arrays.Work(
         z=np.zeros(size),
         base=np.zeros(linear.maps.shape[3]),
         known=np.zeros((inputs, 3)),
         piece=np.zeros((inputs, 3)),
         part=np.zeros(2 * count),
         force=np.zeros((3, count)),
-        felt=np.zeros((3, count)),
+        motion=np.zeros((3, count)),
         slope=np.zeros((2 * count, 2)),
         system=np.zeros((2 * count, 2 * count)),
         change=np.zeros(2 * count),
@@ -309,14 +305,14 @@ def scratch(
 
 
 @lru_cache(maxsize=1)
-def _no_cut() -> machine_parts.Cut:
+def _no_cut() -> arrays.Cut:
     """Return a cut that never begins, of the types that the kernel is compiled for."""
     cut = MillingCut(Tool(0.01, 1), Engagement(0.0, math.pi), CuttingCoefficients(1.0, 0.0, 0.0), 1.0, 1.0)
     teeth = pack_teeth(cut, 1e-3, 1.0, 1.0)
-    return machine_parts.Cut(pack_motion(Spindle(1.0), cut), teeth, flat_surfaces(teeth), 0.0, 0.0, np.zeros(1))
+    return arrays.Cut(pack_motion(Spindle(1.0), cut), teeth, flat_surfaces(teeth), 0.0, 0.0, np.zeros(1))
 
 
-def pack_cut(p: Problem, step: float) -> machine_parts.Cut:
+def pack_cut(p: Problem, step: float) -> arrays.Cut:
     """Pack the cut; without one there are no teeth."""
     if p.cut is None or p.spindle is None:
         return _no_cut()
@@ -324,4 +320,4 @@ def pack_cut(p: Problem, step: float) -> machine_parts.Cut:
     teeth = pack_teeth(p.cut, step, slowest, fastest)
     first = p.structures[0]
     kick = np.linalg.solve(first.mass, first.tool.T @ np.asarray(p.impulse, dtype=float))
-    return machine_parts.Cut(pack_motion(p.spindle, p.cut), teeth, flat_surfaces(teeth), p.entry, p.leave, kick)
+    return arrays.Cut(pack_motion(p.spindle, p.cut), teeth, flat_surfaces(teeth), p.entry, p.leave, kick)

@@ -1,4 +1,4 @@
-"""What a time simulation of a machine is asked: all names resolved, and refused where it makes no sense."""
+"""What a time simulation of a machine is case: all names resolved, and refused where it makes no sense."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class SampledControl:
             )
 
 
-class Rubbing(NamedTuple):
+class SlideFriction(NamedTuple):
     """Friction of one slide in steady motion: law, feed [m/s], force [N], and slopes [N s/m].
 
     `slope` belongs to the linear part: the local one where it slides, else that far up; `fast`: far up, both ways.
@@ -65,15 +65,15 @@ class Rubbing(NamedTuple):
     fast: tuple[float, float]
 
     @property
-    def bends(self) -> bool:
+    def nonlinear(self) -> bool:
         """Whether the law is more than viscous."""
         return isinstance(self.law, MemoryLaw) or self.law.packed()[0] != 0
 
 
-def _rubbing(law: FrictionLaw | MemoryLaw, feed: float) -> Rubbing:
+def _slide_friction(law: FrictionLaw | MemoryLaw, feed: float) -> SlideFriction:
     if isinstance(law, MemoryLaw):
         sides = law.towards(FAST).sigma, law.towards(-FAST).sigma
-        return Rubbing(law, feed, float(law.steady_force(feed)), min(sides), sides)
+        return SlideFriction(law, feed, float(law.steady_force(feed)), min(sides), sides)
     local, rest, up, down = (float(v) for v in law.slope(np.array([feed, 0.0, FAST, -FAST])))
     if not (math.isfinite(local) and math.isfinite(rest)):
         raise InputError(
@@ -81,7 +81,7 @@ def _rubbing(law: FrictionLaw | MemoryLaw, feed: float) -> Rubbing:
         )
     fast = min(up, down)
     slope = local if feed != 0.0 and local <= max(fast, 0.0) else fast
-    return Rubbing(law, feed, float(law.force(feed)), slope, (up, down))
+    return SlideFriction(law, feed, float(law.force(feed)), slope, (up, down))
 
 
 class Problem(NamedTuple):
@@ -89,7 +89,7 @@ class Problem(NamedTuple):
 
     machine: Machine
     structures: tuple[Structure, ...]
-    friction: tuple[Rubbing, ...]
+    friction: tuple[SlideFriction, ...]
     servos: tuple[Servo | None, ...]
     controller: str | None
     forces: dict[str, Excitation]
@@ -169,14 +169,14 @@ def problem(
         raise InputError("a sampled servo has a delay of its own; its period and lag make the dead time: set delay 0")
     if cut is None and any(impulse):
         raise InputError("an impulse at entry is given, but no cut; use forces, e.g. a HalfSine")
-    strangers = [a for a in drive_forces or {} if a not in machine.axes]
-    if strangers:
-        raise InputError(f"a drive force on axis {', '.join(strangers)}; this machine drives {', '.join(machine.axes)}")
+    unknown = [a for a in drive_forces or {} if a not in machine.axes]
+    if unknown:
+        raise InputError(f"a drive force on axis {', '.join(unknown)}; this machine drives {', '.join(machine.axes)}")
     axis_index(list(forces or {}))
     return Problem(
         machine,
         _along_path(machine, feeds, position, total),
-        tuple(_rubbing(axis.friction, feeds[name]) for name, axis in machine.axes.items()),
+        tuple(_slide_friction(axis.friction, feeds[name]) for name, axis in machine.axes.items()),
         servos,
         controller,
         dict(forces or {}),

@@ -1,4 +1,4 @@
-"""A machine made ready for `process.simulation._machine_kernels`, and its march through time."""
+"""A machine prepared for `process.simulation._machine_kernels`, its integration in time, and the record of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy import signal
 from process.errors import InputError
 from process.labels import AXES, UNITS, axis_index
 from process.machine.structure import Structure
-from process.simulation import _machine_arrays as machine_parts
+from process.simulation import _machine_arrays as arrays
 from process.simulation import _machine_kernels as kernels
 from process.simulation.packing import (
     HALVINGS,
@@ -36,42 +36,42 @@ AT_REST = 1e-12
 """Share of the largest states and forces below which a machine that nothing excites any more is at rest."""
 
 
-class Ready(NamedTuple):
+class PreparedMachine(NamedTuple):
     """All of a problem that does not depend on how large its forces are, with steps of `step` [s]."""
 
     problem: Problem
     system: System
-    elements: machine_parts.Elements
+    elements: arrays.Elements
     state: Real
-    servos: machine_parts.Servos
+    servos: arrays.Servos
     ring: int
-    linear: machine_parts.Linear
+    linear: arrays.Linear
     step: float
     steps: int
 
 
-def made_ready(p: Problem, system: System, step: float, steps: int) -> Ready:
+def prepare(p: Problem, system: System, step: float, steps: int) -> PreparedMachine:
     """Pack a problem for so many steps [s]."""
     elements, state = pack_elements(p, system)
     servos, ring = pack_servos(p, system, step)
     linear = pack_linear(p, system, elements, step, steps)
-    return Ready(p, system, elements, state, servos, ring, linear, step, steps)
+    return PreparedMachine(p, system, elements, state, servos, ring, linear, step, steps)
 
 
-def march(
-    r: Ready,
-    given: machine_parts.Given,
+def integrate(
+    r: PreparedMachine,
+    given: arrays.Given,
     forces: list[Sampled],
     *,
     keep: int,
     accuracy: float,
     rest: float = AT_REST,
 ) -> Run:
-    """March under forces over time, as packed and as sampled.
+    """Integrate under forces over time, as packed and as sampled.
 
     Parameters
     ----------
-    r : Ready
+    r : PreparedMachine
         The machine.
     given, forces
         From `process.simulation.packing.pack_forces`.
@@ -91,16 +91,18 @@ def march(
     states = np.zeros((r.steps, r.system.size))
     work = scratch(r.linear, r.elements, r.servos, r.ring, r.state)
     cut = pack_cut(r.problem, r.step)
-    end, done = kernels.march(r.linear, r.elements, r.servos, given, work, r.step, accuracy, rest, cut, states, inputs)
-    if end == machine_parts.NOT_SOLVED:
+    end, done = kernels.integrate(
+        r.linear, r.elements, r.servos, given, work, r.step, accuracy, rest, cut, states, inputs
+    )
+    if end == arrays.NOT_SOLVED:
         raise InputError(
             f"friction and joints cannot be solved for at {done * r.step:.4g} s even with steps of "
             f"{r.step / 2**HALVINGS * 1e6:.3g} us; give a shorter step, or a law that is less steep"
         )
     _require_near(r.problem, states[: min(done + 1, r.steps), : r.system.n], end, done, r.step)
-    worst, largest = work.tally[machine_parts.WORST], work.tally[machine_parts.LARGEST]
+    worst, largest = work.tally[arrays.WORST], work.tally[arrays.LARGEST]
     share = float(worst / largest) if largest > 0.0 else 0.0
-    lost, thickest = float(work.cutting[machine_parts.LOST]), float(work.cutting[machine_parts.THICKEST])
+    lost, thickest = float(work.cutting[arrays.LOST]), float(work.cutting[arrays.THICKEST])
     # Within a step forces over time are not what their parabolas are at its start: `as_record` adds them as sampled.
     pushes = list(zip(given.target.tolist(), forces, strict=False))
     for (target, _), values in zip(pushes, given.values, strict=False):
@@ -113,16 +115,16 @@ def _require_near(p: Problem, coordinates: Real, end: int, done: int, step: floa
     """Refuse a tool that left the range of 1 m."""
     # Coordinates that are small enough bound the tool without its path.
     farthest = np.abs(p.structures[0].tool).sum(axis=1).max() * np.abs(coordinates).max(initial=0.0)
-    if end == machine_parts.DONE and farthest < 1.0:
+    if end == arrays.DONE and farthest < 1.0:
         return
     tip = np.abs(coordinates @ p.structures[0].tool.T)
-    if end == machine_parts.RAN_AWAY or not tip.max(initial=0.0) < 1.0:
+    if end == arrays.RAN_AWAY or not tip.max(initial=0.0) < 1.0:
         late = np.flatnonzero(~(tip.max(axis=1) < 1.0))
         when = (late[0] if late.size else done) * step
         raise InputError(f"the tool left the range of 1 m after {when:.3g} s; it is hit too hard, or unstable")
 
 
-# --- From the states of a march to a record: channels, low-pass, labels, and a verdict on how it ends.
+# --- From states and inputs to a record: channels, low-pass, labels, and a verdict on how it ends.
 
 
 MARGIN = 10
@@ -197,7 +199,7 @@ def _tool_rows(p: Problem, system: System, at: int, axes: list[int]) -> Real:
     """Rows of displacement and acceleration of the tool along axes, for (state, inputs, elements) of a structure."""
     n, tools, (a, b) = system.n, len(p.tools), system.matrices[at]
     tool = p.structures[at].tool[axes]
-    targets = [tools + i for i in system.rubbing] + [tools + len(p.servos) + k for k in range(len(p.machine.joints))]
+    targets = [tools + i for i in system.nonlinear] + [tools + len(p.servos) + k for k in range(len(p.machine.joints))]
     direct = tool @ b[n : 2 * n]
     place = np.zeros((len(axes), system.size + direct.shape[1] + len(targets)))
     place[:, :n] = tool
@@ -339,11 +341,11 @@ def _labelled(p: Problem, sample_rate: float, axes: list[int], force: Real, slow
     values = {"force": force, "displacement": slow[:m], "acceleration": slow[m : 2 * m]}
     if count:
         slides = np.full((3, m, time.size), np.nan)
-        for i, (name, rub, servo) in enumerate(zip(p.machine.axes, p.friction, p.servos, strict=True)):
-            lag, ramp = 0.0 if servo is None else servo.following_error(rub.feed), rub.feed * time
+        for i, (name, friction, servo) in enumerate(zip(p.machine.axes, p.friction, p.servos, strict=True)):
+            lag, ramp = 0.0 if servo is None else servo.following_error(friction.feed), friction.feed * time
             at = axes.index(AXES.index(name))
             slides[0, at], slides[1, at] = ramp - lag + slow[2 * m + i], ramp
-            slides[2, at] = rub.steady + slow[2 * m + count + i]
+            slides[2, at] = friction.steady + slow[2 * m + count + i]
         values.update(zip(("encoder_position", "reference_position", "drive_force"), slides, strict=True))
     data = {name: xr.Variable(("axis", "time"), rows, {"units": UNITS[name]}) for name, rows in values.items()}
     if p.spindle is not None:
@@ -370,7 +372,7 @@ def _attributes(p: Problem, run: Run) -> dict[str, float | list[float]]:
 def _verdict(
     p: Problem, swings: Real, speeds: Real, slides: Real, dt: float, poles: int
 ) -> dict[str, float | int | str]:
-    """Say how the record ends: settled, decaying, or in a motion that nobody excites.
+    """Return how the record ends: settled, decaying, excited or self-excited.
 
     The third and the last quarter of the time after the excitation are compared; they should hold several periods.
     """

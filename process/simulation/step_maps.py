@@ -28,7 +28,7 @@ class System(NamedTuple):
     size: int
     prompt: list[int]
     late: list[int]
-    rubbing: list[int]
+    nonlinear: list[int]
     matrices: list[tuple[Real, Real]]
 
     @property
@@ -43,8 +43,8 @@ def system_of(p: Problem) -> System:
     late = [i for i in driven if p.servos[i].delay > 0.0]  # type: ignore[union-attr]
     prompt = [i for i in driven if i not in late]
     n = p.structures[0].size
-    rubbing = [i for i, r in enumerate(p.friction) if r.bends]
-    system = System(n, 2 * n + len(driven), prompt, late, rubbing, [])
+    nonlinear = [i for i, r in enumerate(p.friction) if r.nonlinear]
+    system = System(n, 2 * n + len(driven), prompt, late, nonlinear, [])
     return system._replace(matrices=[_matrices(p, system, s) for s in p.structures])
 
 
@@ -118,8 +118,8 @@ def exact_maps(a: Real, b: Real, rows: Real, step: float, halvings: int) -> Real
     inputs = stages[..., size:].reshape(halvings + 1, 3, size, 3, u)
     turned = np.einsum("lkd,lgsdu->lguks", _parabolas(step, halvings), inputs)
     maps = np.concatenate([stages[..., :size].swapaxes(2, 3), turned.reshape(halvings + 1, 3, 3 * u, size)], axis=2)
-    felt = maps @ rows.T
-    return np.concatenate([maps[:, 1], maps[:, 2], felt[:, 0], felt[:, 1], felt[:, 2]], axis=2)
+    motion = maps @ rows.T
+    return np.concatenate([maps[:, 1], maps[:, 2], motion[:, 0], motion[:, 1], motion[:, 2]], axis=2)
 
 
 def _parabolas(step: float, halvings: int) -> Real:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import xarray as xr
-from truth.sweep_strangers import CUTS, Stranger
+from truth.sweep_strangers import CUTS, DrawnSweep
 
 from process import engagement
 from process.labels import make_record
@@ -27,7 +27,7 @@ def labelled(raw: dict[str, Any]) -> xr.Dataset:
     return record
 
 
-def stranger_passes(this: Stranger, records: Sequence[dict[str, Any]], stated: bool = False) -> list[SweepPass]:
+def stranger_passes(this: DrawnSweep, records: Sequence[dict[str, Any]], stated: bool = False) -> list[SweepPass]:
     """Return the passes, with the speeds that a user would state where asked for."""
     width = dict(zip(CUTS, this.widths, strict=True))
     return [

@@ -40,17 +40,17 @@ def examine(seed: int) -> Row:
     this = draw(seed)
     records = measure(this, seed)
     stated = seed % 2 == 0
-    column = this.column if this.tells == "speed" else 0.0
+    column = this.column if this.speed_signal == "speed" else 0.0
     row: Row = {
         "seed": seed,
-        "clock": abs(this.clock) if this.clock and (stated or this.tells == "speed") else 0.0,
-        "untold": abs(this.clock) if this.clock and not (stated or this.tells == "speed") else 0.0,
+        "clock": abs(this.clock) if this.clock and (stated or this.speed_signal == "speed") else 0.0,
+        "unstated": abs(this.clock) if this.clock and not (stated or this.speed_signal == "speed") else 0.0,
         "column": abs(column),
         "late": abs(this.late),
-        "tells": this.tells,
+        "speed_signal": this.speed_signal,
         "stated": stated,
         "between": max(r["between_orders"] for r in records),
-        "touch": max(this.rub) > 0.0 or this.fade > 0.0,
+        "touch": max(this.touch_share) > 0.0 or this.fade > 0.0,
         "air": int(this.lead > 0.0) + int(this.tail > 0.0),
         "force_noise": this.force_noise,
         "quiet": this.force_noise < 0.1 and this.motion_noise < 1e-3,
@@ -87,7 +87,7 @@ def _interval(count: int, of: int) -> str:
 
 
 def _healthy(r: Row) -> bool:
-    return not (r["clock"] or r["untold"] or r["column"] or r["late"] or r["between"] > CHATTERS)
+    return not (r["clock"] or r["unstated"] or r["column"] or r["late"] or r["between"] > CHATTERS)
 
 
 def _off(r: Row) -> float:
@@ -103,10 +103,10 @@ GROUPS: dict[str, Callable[[Row], bool]] = {
     "of these: force noise above 5 N": lambda r: _healthy(r) and r["force_noise"] > 5.0,
     "of these: quiet sensors (below 0.1 N and 1e-3 m/s²)": lambda r: _healthy(r) and r["quiet"],
     "time base or speed column wrong by 0.3 to 1 %": lambda r: 0.0 < _off(r) <= 0.01,
-    "of these: only stated speeds say so": lambda r: 0.0 < _off(r) <= 0.01 and r["tells"] != "speed",
+    "of these: only stated speeds say so": lambda r: 0.0 < _off(r) <= 0.01 and r["speed_signal"] != "speed",
     "time base or speed column wrong by 1 to 5 %": lambda r: _off(r) > 0.01,
-    "of these: only stated speeds say so ": lambda r: _off(r) > 0.01 and r["tells"] != "speed",
-    "time base wrong by 0.3 to 5 %, nothing states the speed": lambda r: r["untold"] > 0.0,
+    "of these: only stated speeds say so ": lambda r: _off(r) > 0.01 and r["speed_signal"] != "speed",
+    "time base wrong by 0.3 to 5 %, nothing states the speed": lambda r: r["unstated"] > 0.0,
     "acceleration late or early by up to 0.2 ms": lambda r: r["late"] > 0.0,
     "a pass chatters": lambda r: r["between"] > CHATTERS,
     "between stable and chatter": lambda r: STABLE < r["between"] <= CHATTERS,
@@ -123,7 +123,7 @@ def _says(r: Row, cause: str) -> bool:
 def _cause_said(r: Row) -> bool:
     """Whether what is wrong with a draw is said; any warning where nothing is known to be wrong."""
     causes = [
-        *(["clock"] if r["clock"] or r["column"] or r["untold"] else []),
+        *(["clock"] if r["clock"] or r["column"] or r["unstated"] else []),
         *(["late"] if r["late"] else []),
         *(["chatter"] if r["between"] > CHATTERS else []),
     ]
@@ -176,7 +176,7 @@ def page(rows: Sequence[Row]) -> str:
     ]
     stable = [r for r in rows if r["between"] <= STABLE]
     loud = [r for r in rows if r["between"] > CHATTERS]
-    right = [r for r in rows if not (r["clock"] or r["column"] or r["untold"])]
+    right = [r for r in rows if not (r["clock"] or r["column"] or r["unstated"])]
     for text, cause, so, not_so in (
         ("a pass chatters", "chatter", loud, stable),
         ("speed and tooth passing disagree, by 1 to 5 %", "clock", [r for r in rows if _off(r) > 0.01], right),

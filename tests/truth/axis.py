@@ -118,7 +118,7 @@ class Control:
 
 @dataclass(frozen=True)
 class Appendage:
-    """An oscillator that no catalogue knows: mass [kg] (0: none), frequency [Hz], damping ratio."""
+    """An oscillator outside every catalogue: mass [kg] (0: none), frequency [Hz], damping ratio."""
 
     mass: float = 0.0
     frequency: float = 48.0
@@ -223,8 +223,19 @@ def simulate(
         np.ascontiguousarray(np.zeros((0, 3)) if waves is None else waves, dtype=float).reshape(-1, 3),
     )
     plant, jenkins = _plant(truth, setting)
-    kernels.march(
-        y, plant, _rub(truth.friction), loop, excitation, jenkins, steady, setting.position, feed, RATE, mode, out
+    kernels.integrate(
+        y,
+        plant,
+        _packed_friction(truth.friction),
+        loop,
+        excitation,
+        jenkins,
+        steady,
+        setting.position,
+        feed,
+        RATE,
+        mode,
+        out,
     )
     return out
 
@@ -250,9 +261,9 @@ def _plant(truth: Truth, setting: Setting) -> tuple[kernels.Plant, np.ndarray]:
     return plant, j.jenkins()
 
 
-def _rub(f: Friction) -> kernels.Rub:
+def _packed_friction(f: Friction) -> kernels.Friction:
     spring = f.bristle_stiffness * np.array(STIFF)
-    return kernels.Rub(
+    return kernels.Friction(
         KINDS[f.kind],
         f.curve(),
         f.delta,
@@ -277,7 +288,7 @@ def _preload(f: Friction, setting: Setting, y: np.ndarray, mode: np.ndarray) -> 
         mode[0] = way
 
 
-def shows_rest(truth: Truth, setting: Setting) -> tuple[bool, float]:
+def response_at_rest(truth: Truth, setting: Setting) -> tuple[bool, float]:
     """Return whether uniform motion settles after a small kick (0.02 N s), and the vibration that stays over the feed.
 
     At rest: the tip's speed varies by less than 2 % of the feed (rms, last quarter of 2 s).

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from truth import chain as instruments
-from truth.axis import MM_MIN, Setting, Truth, shows_rest, simulate
+from truth.axis import MM_MIN, Setting, Truth, response_at_rest, simulate
 from truth.chain import SAMPLE_RATE, Chain
 
 Record = dict[str, Any]
@@ -22,7 +22,7 @@ RUN_IN = 0.25
 
 PRETRIGGER = 0.1
 LENGTH = 2.0
-"""Length of the record of one blow [s]."""
+"""Length of the record of one impact [s]."""
 
 DWELL, FIT = 0.9, 0.7
 """A step of the actuator: settles, is fitted [s]."""
@@ -36,7 +36,7 @@ STEPS = np.concatenate([np.arange(12.0, 56.0, 4.0), np.arange(56.0, 67.0, 1.0), 
 
 @dataclass(frozen=True)
 class Condition:
-    """One line of the plan: feed in mm/min with its sign; level in N (peak of a blow, amplitude of the actuator).
+    """One line of the plan: feed in mm/min with its sign; level in N (peak of a impact, amplitude of the actuator).
 
     `order` is 0 for the first and 1 for the last of the session; `added_mass` [kg] is known and sits on the tip.
     sensor "laser" puts no mass on the tip.
@@ -93,9 +93,9 @@ def ordered(name: str, conditions: Sequence[Condition], seed: int, bracket: Cond
 
 
 def full(seed: int = 0) -> Design:
-    """Silent record; idle blows at 3 levels; 2 feeds x 2 ways x 2 levels x 2 controllers; 3 places; one added mass.
+    """Silent record; idle impacts at 3 levels; 2 feeds x 2 ways x 2 levels x 2 controllers; 3 places; one added mass.
 
-    The idle blow of the middle level at the first place brackets the session: first, middle, last.
+    The idle impact of the middle level at the first place brackets the session: first, middle, last.
     """
     return ordered("full", _minimum(), seed, Condition())
 
@@ -111,7 +111,7 @@ def _minimum() -> list[Condition]:
 
 
 def with_laser(seed: int = 0) -> Design:
-    """Full design, and idle blows seen by a laser, which weighs nothing, without and with the added mass."""
+    """Full design, and idle impacts seen by a laser, which weighs nothing, without and with the added mass."""
     laser = [Condition(sensor="laser"), Condition(sensor="laser", added_mass=1.0)]
     return ordered("with laser", [*_minimum(), *laser], seed, Condition())
 
@@ -159,7 +159,7 @@ def measure(truth: Truth, design: Design, seed: int, chain: Chain | None = None)
     seeds = np.random.SeedSequence(seed).spawn(len(design.conditions))
     moving = {(s.feed, s.controller): s for s in settings if s.feed != 0.0}
     with ThreadPoolExecutor(2) as pool:
-        rest = {key: pool.submit(shows_rest, truth, s) for key, s in moving.items()}
+        rest = {key: pool.submit(response_at_rest, truth, s) for key, s in moving.items()}
         jobs = [
             pool.submit(_signals, truth, c, s, chain, q)
             for c, s, q in zip(design.conditions, settings, seeds, strict=True)
@@ -262,7 +262,7 @@ def _recorded(
 
 
 def reduce(record: Record) -> Record:
-    """Estimate the tip compliance from a record: H1 over the blows, or a sine fit per step.
+    """Estimate the tip compliance from a record: H1 over the impacts, or a sine fit per step.
 
     Returns ``condition``, ``settings``, ``at_rest``; ``frequency`` (f,) [Hz]; ``compliance`` (f,) [m/N];
     ``std`` (f,) [m/N]: standard deviation of the estimate, ``sqrt(E|error|^2)``, from the scatter; ``dof``.

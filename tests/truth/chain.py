@@ -1,4 +1,4 @@
-"""What instruments make of a signal: blows of a hand, anti-alias filter, coloured noise, converter, skew, tone."""
+"""What instruments make of a signal: impacts of a hand, anti-alias filter, coloured noise, converter, skew, tone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Chain:
 
 
 def hit(rng: np.random.Generator, level: float, double: float) -> np.ndarray:
-    """Rows (start [s] after 0, peak [N], rise [s], exponent) of one blow of about `level` N: steep up, slow down."""
+    """Rows (start [s] after 0, peak [N], rise [s], exponent) of one impact of about `level` N: steep up, slow down."""
     rise, exponent = rng.uniform(1.5e-3, 1.9e-3), rng.uniform(2.5, 3.5)
     first = [0.0, level * rng.uniform(0.93, 1.07), rise, exponent]
     if rng.uniform() >= double:

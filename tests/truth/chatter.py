@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import fft, signal
 
-from truth.chatter_kernel import march, push, speed_at
+from truth.chatter_kernel import integrate, push, speed_at
 
 STEPS_A_WAVE = 36
 FEED = 1e-4
@@ -107,7 +107,7 @@ def limit(cut: Cut) -> float:
 
 
 def repeats(cut: Cut, depth: float, runout: bool, at: float, span: float) -> float:
-    """Return by how much the motion differs from that a period before, over its largest value; the whole cut marched.
+    """Return by how much the motion differs from that a period before, over its largest value, in the whole cut.
 
     Without run-out the period is that of a tooth, with it that of a turn. Constant speed, no noise: what is left after
     `span` [s] decides whether a cut chatters where its forced motion makes teeth leave the cut,
@@ -121,7 +121,9 @@ def repeats(cut: Cut, depth: float, runout: bool, at: float, span: float) -> flo
     still, w = np.zeros(cut.w.size), cut.w * (1.0 + bend * cut.bend)
     e = cut.runout if runout else 0.0 * cut.runout
     law = _law(cut, depth)
-    march(steady, arc, ramps, cut.lags, e, cut.lag, law, w, cut.zeta, cut.mass, cut.shape, still, 0.0, 1, 1, out, clock)
+    integrate(
+        steady, arc, ramps, cut.lags, e, cut.lag, law, w, cut.zeta, cut.mass, cut.shape, still, 0.0, 1, 1, out, clock
+    )
     back = cut.steps if runout else cut.steps // cut.teeth
     last = out[-3 * cut.steps :, : cut.w.size].sum(axis=1)
     return float(np.abs(last[back:] - last[:-back]).max() / np.abs(last).max())
@@ -230,7 +232,7 @@ def draw(seed: int, share: tuple[float, float]) -> Drawn:
 
 
 def _record(rng, cut: Cut, depth, share, frequency, long, classes: list[str]) -> Drawn | None:
-    """Make the record; none where a cut above the limit, as marched with its entry, stays periodic all the same."""
+    """Make the record; none where a cut above the limit, as integrated with its entry, stays periodic all the same."""
     lead, tail = rng.uniform(0.15, 1.0, 2) * (rng.uniform(size=2) < 0.7)
     enter, leave = np.maximum(rng.uniform(0.02, 0.5, 2), 120.0 / cut.speed)
     classes += ["entry" if lead > 0.0 else "no entry", "exit" if tail > 0.0 else "no exit"]
@@ -247,7 +249,7 @@ def _record(rng, cut: Cut, depth, share, frequency, long, classes: list[str]) ->
     law = _law(cut, depth)
     noise, hold = rng.uniform(0.005, 0.04), max(1, cut.steps // 150)
     arc = np.array([*cut.arc, cut.steps])
-    march(
+    integrate(
         spindle,
         arc,
         ramps,
@@ -304,7 +306,7 @@ def _record(rng, cut: Cut, depth, share, frequency, long, classes: list[str]) ->
 
 
 def _uniform(clock, values, end, rate):
-    """Return the march at a constant rate, low-passed before."""
+    """Return the cut at a constant rate, low-passed before."""
     fine = rate * max(1, math.ceil(1.0 / np.diff(clock[:64]).mean() / rate))
     time = np.arange(0.0, end, 1.0 / fine)
     rows = np.array([np.interp(time, clock, column) for column in values.T])

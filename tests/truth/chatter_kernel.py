@@ -1,4 +1,4 @@
-"""Milling marched step by step of the angle: modes, the surface that every tooth leaves, teeth that leave the cut.
+"""Milling integrated step by step of the angle: modes, the surface that every tooth leaves, teeth that leave the cut.
 
 A surface is kept for every angle: the radius to which the work has been cut there. A tooth that reaches beyond it cuts
 what stands between; one that does not cuts nothing. So regeneration over several passes and the end of growth come out
@@ -19,14 +19,14 @@ def speed_at(t, span, base, drift, sag, sag_time, wave, wave_rate):
 
 
 @njit(cache=True, nogil=True)
-def march(spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, bend, noise, hold, seed, out, clock):
-    """March a cut and fill out (n, m + 2) with modal accelerations and forces, clock (n,) with times [s].
+def integrate(spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, bend, noise, hold, seed, out, clock):
+    """Integrate a cut and fill out (n, m + 2) with modal accelerations and forces, clock (n,) with times [s].
 
     spindle: what `speed_at` takes; arc: entry, exit [rad], steps a turn; ramps: begin and end of the entry, those of
     the exit [s]; lags (Z,): steps by which a tooth is ahead; runout (Z,) [m]; lag: steps from slice to slice; law:
     depth of a slice [m], kt, kr [N/m2], ke [N/m], feed a second [m/s]; bend: drift of the modes over the span [1].
     """
-    np.random.seed(seed)  # noqa: NPY002 (what numba knows)
+    np.random.seed(seed)  # noqa: NPY002 (that numba compiles)
     m, teeth, slices = w.size, lags.size, runout.shape[1]
     steps = int(arc[2])
     dphi = 2.0 * math.pi / steps
@@ -100,7 +100,7 @@ def march(spindle, arc, ramps, lags, runout, lag, law, w, zeta, mass, shape, ben
 
 @njit(cache=True, nogil=True)
 def push(omega, arc, lags, slices, lag, depth, kt, kr, w, zeta, mass, shape, out):
-    """March the linear equation of a small push (no run-out, teeth never leave the cut); out (n, 2): tip motion."""
+    """Integrate the linear equation of a small push (no run-out, teeth never leave the cut); out (n, 2): tip motion."""
     m, teeth = w.size, lags.size
     steps = int(arc[2])
     dphi = 2.0 * math.pi / steps

@@ -205,7 +205,7 @@ CUT_EFFECTS = {
 """Effects of the catalogue."""
 
 CUT_OUTSIDE = {"dull_tooth": CutEffect(lambda mill, size: replace(mill, dull=size), 1e4, "N/m")}
-"""Effects that no catalogue knows: one insert is worn."""
+"""Effects outside every catalogue: one insert is worn."""
 
 
 def draw_cuts(

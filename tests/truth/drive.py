@@ -25,7 +25,7 @@ class Axis:
     `thinning_speed`. asymmetry: `d |v|` [N s/m]. slope: force along the stroke [N/m]. ripple: force [N], once per lead
     [m]. delay: of the force beyond its hold [s]. drift: relative change of the viscous friction over the record.
     command: height of pulses [N] that the drive gets besides its controller. push: a force on the axis [N] for 0.3 s;
-    pushes: one for 0.2 s, 16 times at random. limit: the drive gives no more [N], though it is asked to. hum: amplitude
+    pushes: one for 0.2 s, 16 times at random. limit: the drive gives no more [N], whatever the command. hum: amplitude
     of a line in the logged force [N]. gain_error: relative, of the logged force. noise: rms of the disturbing force [N]
     and its pole a sample; wander: rms of another that is slow, with its corner [Hz]. one_way: first all moves forth.
     """
@@ -228,7 +228,7 @@ DRIVE_EFFECTS = {
     "saturation": DriveEffect(lambda a, s: replace(a, limit=(1.0 - s) * strongest(a)), 0.1, ""),
     "hum": DriveEffect(lambda a, s: replace(a, hum=s), 0.5, "N"),
 }
-"""Effects that the catalogue of drive records knows. Asymmetry: |v| part over the viscous friction."""
+"""Effects in the catalogue of drive records. Asymmetry: |v| part over the viscous friction."""
 
 DRIVE_OUTSIDE = {
     "pushes": DriveEffect(lambda a, s: replace(a, pushes=s), 10.0, "N", True),

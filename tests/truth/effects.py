@@ -1,4 +1,4 @@
-"""What can be hidden in the data: effects that a catalogue of causes knows, and effects outside it.
+"""What can be hidden in the data: effects in a catalogue of causes, and effects outside it.
 
 An effect takes truth, chain and size, and returns truth and chain; at size zero nothing changes.
 """
@@ -97,7 +97,7 @@ def gap(truth: Truth, chain: Chain, size: float) -> tuple[Truth, Chain]:
 
 
 def gain(truth: Truth, chain: Chain, size: float) -> tuple[Truth, Chain]:
-    """The accelerometer shows `size` (relative) too much."""
+    """The accelerometer reads `size` (relative) too much."""
     return truth, replace(chain, gain=1.0 + size)
 
 
@@ -194,7 +194,7 @@ OUTSIDE = {
     "saturation": Effect(saturation, 0.5, "", signed=False),
     "screw_ripple": Effect(screw_ripple, 2.0, "N", signed=False),
 }
-"""Effects that no catalogue knows."""
+"""Effects outside every catalogue."""
 
 
 def apply(sizes: dict[str, float], truth: Truth, chain: Chain) -> tuple[Truth, Chain]:

@@ -1,5 +1,5 @@
 """One feed axis in time, from its differential equations: Dormand-Prince 5(4) with its own step control, in absolute
-coordinates, between the events of a sampled servo. All arrays are made in `march`; the rest counts no references.
+coordinates, between the events of a sampled servo. All arrays are made in `integrate`; the rest counts no references.
 
 State: tip x, v; carriage x, v; host x, v; cable x, v; four friction states; integral of a continuous servo.
 """
@@ -46,7 +46,7 @@ class Plant(NamedTuple):
     pitch: float
 
 
-class Rub(NamedTuple):
+class Friction(NamedTuple):
     """Friction: kind; rows (forth, back) of Coulomb, static [N], Stribeck speed [m/s], viscous [N s/m]; bristles."""
 
     kind: int
@@ -104,46 +104,46 @@ def push(excitation, t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def level(rub, v):
+def level(friction, v):
     """Stribeck curve without its viscous part [N], never negative; the side follows the sign of v."""
     side = 0 if v >= 0.0 else 1
-    ratio = abs(v) / rub.curve[side, 2]
-    if rub.delta != 1.0:
-        ratio = ratio**rub.delta
-    return rub.curve[side, 0] + (rub.curve[side, 1] - rub.curve[side, 0]) * math.exp(-ratio)
+    ratio = abs(v) / friction.curve[side, 2]
+    if friction.delta != 1.0:
+        ratio = ratio**friction.delta
+    return friction.curve[side, 0] + (friction.curve[side, 1] - friction.curve[side, 0]) * math.exp(-ratio)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def viscous(rub, v):
+def viscous(friction, v):
     """Viscous part of the friction [N]."""
-    return rub.curve[0 if v >= 0.0 else 1, 3] * v
+    return friction.curve[0 if v >= 0.0 else 1, 3] * v
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _rubbing(rub, mode, y, dy, pull):
+def _friction_force(friction, mode, y, dy, pull):
     """Friction on the carriage [N]; fills the rates of the friction states. `pull` is all else that acts on it."""
     v = y[_VM] - y[_VH]
-    if rub.kind == NONE:
-        return viscous(rub, v)
-    if rub.kind == LUGRE:
-        top = level(rub, v)
-        dy[_Z] = v - rub.s0 * abs(v) / top * y[_Z]
-        if rub.s0 * abs(v) > FASTEST * top:
-            dy[_Z] *= FASTEST * top / (rub.s0 * abs(v))
-        return rub.s0 * y[_Z] + rub.s1 * dy[_Z] + viscous(rub, v)
-    if rub.kind == SLIP:
-        top = level(rub, v)
-        total = viscous(rub, v)
+    if friction.kind == NONE:
+        return viscous(friction, v)
+    if friction.kind == LUGRE:
+        top = level(friction, v)
+        dy[_Z] = v - friction.s0 * abs(v) / top * y[_Z]
+        if friction.s0 * abs(v) > FASTEST * top:
+            dy[_Z] *= FASTEST * top / (friction.s0 * abs(v))
+        return friction.s0 * y[_Z] + friction.s1 * dy[_Z] + viscous(friction, v)
+    if friction.kind == SLIP:
+        top = level(friction, v)
+        total = viscous(friction, v)
         for i in range(_ELEMENTS):
             if mode[i] == 0:
-                dy[_Z + i] = rub.spring[i] * v
+                dy[_Z + i] = friction.spring[i] * v
             else:
-                dy[_Z + i] = rub.attraction * (mode[i] * rub.share[i] - y[_Z + i] / top)
+                dy[_Z + i] = friction.attraction * (mode[i] * friction.share[i] - y[_Z + i] / top)
             total += y[_Z + i]
         return total
     if mode[0] == 0:
         return pull
-    return mode[0] * level(rub, mode[0] * abs(v)) + viscous(rub, v)
+    return mode[0] * level(friction, mode[0] * abs(v)) + viscous(friction, v)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -159,7 +159,7 @@ def _joint(plant, jenkins, anchor, held, d):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _rates(t, y, dy, plant, rub, loop, excitation, jenkins, anchor, held, mode, drive, start, feed):
+def _rates(t, y, dy, plant, friction, loop, excitation, jenkins, anchor, held, mode, drive, start, feed):
     """Fill the time derivative of the state; return the drive force [N]."""
     dy[:] = 0.0
     x, v = y[_XM] - y[_XH], y[_VM] - y[_VH]
@@ -177,15 +177,15 @@ def _rates(t, y, dy, plant, rub, loop, excitation, jenkins, anchor, held, mode, 
     pull = drive + joint
     if plant.ripple > 0.0:
         pull += plant.ripple * math.sin(2.0 * math.pi * x / plant.pitch)
-    rubbing = _rubbing(rub, mode, y, dy, pull)
+    resisting = _friction_force(friction, mode, y, dy, pull)
     dy[_XT] = y[_VT]
     dy[_VT] = (push(excitation, t) - joint - cable) / plant.tip
     dy[_XM] = y[_VM]
-    dy[_VM] = (pull - rubbing) / plant.carriage
+    dy[_VM] = (pull - resisting) / plant.carriage
     if plant.host > 0.0:
         dy[_XH] = y[_VH]
-        dy[_VH] = (rubbing - pull + joint - plant.host_k * y[_XH] - plant.host_c * y[_VH]) / plant.host
-        if rub.kind == STICK and mode[0] == 0:
+        dy[_VH] = (resisting - pull + joint - plant.host_k * y[_XH] - plant.host_c * y[_VH]) / plant.host
+        if friction.kind == STICK and mode[0] == 0:
             both = plant.carriage + plant.host
             dy[_VM] = (joint - plant.host_k * y[_XH] - plant.host_c * y[_VH]) / both
             dy[_VH] = dy[_VM]
@@ -208,7 +208,7 @@ _ERROR = np.array([71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _trial(t, y, h, k, new, live, plant, rub, loop, excitation, jenkins, anchor, held, mode, drive, start, feed):
+def _trial(t, y, h, k, new, live, plant, friction, loop, excitation, jenkins, anchor, held, mode, drive, start, feed):
     """Dormand-Prince step from y to new; return the scaled error.
 
     k[0] holds the first rates, k[6] gets the last; live: states that move.
@@ -220,13 +220,13 @@ def _trial(t, y, h, k, new, live, plant, rub, loop, excitation, jenkins, anchor,
                 total += _WEIGHTS[stage, r] * k[r, j]
             new[j] = y[j] + h * total
         at = t + _NODES[stage] * h
-        _rates(at, new, k[stage], plant, rub, loop, excitation, jenkins, anchor, held, mode, drive, start, feed)
+        _rates(at, new, k[stage], plant, friction, loop, excitation, jenkins, anchor, held, mode, drive, start, feed)
     worst = 0.0
     for j in live:
         total = 0.0
         for r in range(7):
             total += _ERROR[r] * k[r, j]
-        worst = max(worst, abs(h * total) / _tolerance(j, rub.kind, new[j]))
+        worst = max(worst, abs(h * total) / _tolerance(j, friction.kind, new[j]))
     return worst
 
 
@@ -241,17 +241,17 @@ def _tolerance(j, kind, value):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _passed(rub, mode, y, pull):
+def _passed(friction, mode, y, pull):
     """Return True when a friction event lies behind state y."""
     v = y[_VM] - y[_VH]
-    if rub.kind == STICK:
+    if friction.kind == STICK:
         if mode[0] == 0:
-            return abs(pull) > rub.curve[0 if pull > 0.0 else 1, 1]
+            return abs(pull) > friction.curve[0 if pull > 0.0 else 1, 1]
         return v * mode[0] < 0.0
-    if rub.kind == SLIP:
+    if friction.kind == SLIP:
         for i in range(_ELEMENTS):
             if mode[i] == 0:
-                if abs(y[_Z + i]) > rub.share[i] * level(rub, v) and y[_Z + i] * v > 0.0:
+                if abs(y[_Z + i]) > friction.share[i] * level(friction, v) and y[_Z + i] * v > 0.0:
                     return True
             elif v * mode[i] < 0.0:
                 return True
@@ -259,21 +259,21 @@ def _passed(rub, mode, y, pull):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _switch(rub, mode, y, pull):
+def _switch(friction, mode, y, pull):
     """Carry out the friction events that lie behind state y."""
     v = y[_VM] - y[_VH]
-    if rub.kind == STICK:
+    if friction.kind == STICK:
         if mode[0] == 0:
             mode[0] = 1 if pull > 0.0 else -1
         else:
             y[_VM] = y[_VH]
             mode[0] = 0
-            if abs(pull) > rub.curve[0 if pull > 0.0 else 1, 1]:
+            if abs(pull) > friction.curve[0 if pull > 0.0 else 1, 1]:
                 mode[0] = 1 if pull > 0.0 else -1
         return
     for i in range(_ELEMENTS):
         if mode[i] == 0:
-            if abs(y[_Z + i]) > rub.share[i] * level(rub, v) and y[_Z + i] * v > 0.0:
+            if abs(y[_Z + i]) > friction.share[i] * level(friction, v) and y[_Z + i] * v > 0.0:
                 mode[i] = 1 if v > 0.0 else -1
         elif v * mode[i] < 0.0:
             mode[i] = 0
@@ -289,21 +289,21 @@ def _pull(y, plant, jenkins, anchor, held, drive):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _advance(clock, until, y, k, new, live, plant, rub, loop, excitation, jenkins, held, mode, drive, start, feed):
+def _advance(clock, until, y, k, new, live, plant, friction, loop, excitation, jenkins, held, mode, drive, start, feed):
     """Integrate to time `until`; clock: time [s], step that the error allows [s], joint deformation last accepted."""
     fresh = True
     while clock[0] < until - 1e-13:
         t, step, anchor = clock[0], min(clock[1], until - clock[0]), clock[2]
         if fresh:
-            _rates(t, y, k[0], plant, rub, loop, excitation, jenkins, anchor, held, mode, drive, start, feed)
+            _rates(t, y, k[0], plant, friction, loop, excitation, jenkins, anchor, held, mode, drive, start, feed)
         error = _trial(
-            t, y, step, k, new, live, plant, rub, loop, excitation, jenkins, anchor, held, mode, drive, start, feed
+            t, y, step, k, new, live, plant, friction, loop, excitation, jenkins, anchor, held, mode, drive, start, feed
         )
         fresh = False
         if error > 1.0 and step > _SHORTEST:
             clock[1] = step * max(0.2, 0.9 * error**-0.2)
             continue
-        event = rub.kind >= SLIP and _passed(rub, mode, new, _pull(new, plant, jenkins, anchor, held, drive))
+        event = friction.kind >= SLIP and _passed(friction, mode, new, _pull(new, plant, jenkins, anchor, held, drive))
         if event and step > _EVENT:
             clock[1] = 0.5 * step
             continue
@@ -315,7 +315,7 @@ def _advance(clock, until, y, k, new, live, plant, rub, loop, excitation, jenkin
             pulled = held[i] + jenkins[i, 0] * (clock[2] - anchor)
             held[i] = min(max(pulled, -jenkins[i, 1]), jenkins[i, 1])
         if event:
-            _switch(rub, mode, y, _pull(y, plant, jenkins, clock[2], held, drive))
+            _switch(friction, mode, y, _pull(y, plant, jenkins, clock[2], held, drive))
             fresh = True
         if step == clock[1] or error > 0.3:
             clock[1] = step * min(5.0, 0.9 * max(error, 1e-6) ** -0.2)
@@ -340,25 +340,25 @@ def _read(t, y, memory, loop, start, feed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _live(plant, rub, loop):
+def _live(plant, friction, loop):
     """States that can move."""
     moves = np.zeros(STATES, np.bool_)
     moves[:_XH] = True
     moves[_XH:_XC] = plant.host > 0.0
     moves[_XC:_Z] = plant.cable > 0.0
-    moves[_Z] = rub.kind == LUGRE or rub.kind == SLIP
-    moves[_Z + 1 : _I] = rub.kind == SLIP
+    moves[_Z] = friction.kind == LUGRE or friction.kind == SLIP
+    moves[_Z + 1 : _I] = friction.kind == SLIP
     moves[_I] = loop.period == 0.0
     return np.flatnonzero(moves)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def march(y, plant, rub, loop, excitation, jenkins, steady, start, feed, rate, mode, out):
-    """March from state y (t = 0, changed in place) and fill out (CHANNELS, n) at `rate` [Hz].
+def integrate(y, plant, friction, loop, excitation, jenkins, steady, start, feed, rate, mode, out):
+    """Integrate from state y (t = 0, changed in place) and fill out (CHANNELS, n) at `rate` [Hz].
 
     steady [N]: drive force before the first reading. mode (4,): friction events, 0 sticks, else the direction of slip.
     """
-    k, new, held, live = np.zeros((7, y.size)), y.copy(), np.zeros(jenkins.shape[0]), _live(plant, rub, loop)
+    k, new, held, live = np.zeros((7, y.size)), y.copy(), np.zeros(jenkins.shape[0]), _live(plant, friction, loop)
     rates = np.zeros(y.size)
     clock = np.array([0.0, 1e-6, y[_XT] - y[_XM]])
     memory = np.array([steady * loop.ti / loop.kp if loop.kp > 0.0 else 0.0, math.nan])
@@ -370,7 +370,9 @@ def march(y, plant, rub, loop, excitation, jenkins, steady, start, feed, rate, m
         change = queue[get % _QUEUE, 0] if get < put else math.inf
         while min(reading, change) <= goal:
             at = min(reading, change)
-            _advance(clock, at, y, k, new, live, plant, rub, loop, excitation, jenkins, held, mode, drive, start, feed)
+            _advance(
+                clock, at, y, k, new, live, plant, friction, loop, excitation, jenkins, held, mode, drive, start, feed
+            )
             if change <= reading:
                 drive = queue[get % _QUEUE, 1]
                 get += 1
@@ -380,7 +382,11 @@ def march(y, plant, rub, loop, excitation, jenkins, steady, start, feed, rate, m
                 put += 1
                 reading += loop.period
             change = queue[get % _QUEUE, 0] if get < put else math.inf
-        _advance(clock, goal, y, k, new, live, plant, rub, loop, excitation, jenkins, held, mode, drive, start, feed)
-        now = _rates(goal, y, rates, plant, rub, loop, excitation, jenkins, clock[2], held, mode, drive, start, feed)
+        _advance(
+            clock, goal, y, k, new, live, plant, friction, loop, excitation, jenkins, held, mode, drive, start, feed
+        )
+        now = _rates(
+            goal, y, rates, plant, friction, loop, excitation, jenkins, clock[2], held, mode, drive, start, feed
+        )
         out[0, sample], out[1, sample], out[2, sample] = rates[_VT], y[_XM] - y[_XH], now
         out[3, sample], out[4, sample], out[5, sample] = push(excitation, goal), y[_XT], y[_VM]

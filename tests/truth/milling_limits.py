@@ -1,8 +1,8 @@
-"""Limits of milling by marching in time. Shares no code with the packages.
+"""Limits of milling by integration in time. Shares no code with the packages.
 
 Teeth on a circle cut what the tooth before left; the machine is a set of modes; a worn flank resists the motion into
-the work. Nothing is averaged over a turn: the delay equation is marched as it is (velocity Verlet, dampers in the half
-steps), a small push is followed, and the depth at which it neither grows nor dies is the limit. SI throughout,
+the work. Nothing is averaged over a turn: the delay equation is integrated as it is (velocity Verlet, dampers in the
+half steps), a small push is followed, and the depth at which it neither grows nor dies is the limit. SI throughout,
 angles from +y towards +x.
 """
 
@@ -22,8 +22,8 @@ PER_PERIOD = 70
 
 
 @njit(cache=True, nogil=True)
-def _march(depth, teeth, entry, leave, kt, kr, flank, friction, period, steps, w, zeta, gain, shape, out):
-    """March modes (m,) from a push and write the motion in x and y, (n, 2). gain: 1/modal mass."""
+def _integrate(depth, teeth, entry, leave, kt, kr, flank, friction, period, steps, w, zeta, gain, shape, out):
+    """Integrate modes (m,) from a push and write the motion in x and y, (n, 2). gain: 1/modal mass."""
     m = w.size
     dt = period / steps
     q, v, a = np.zeros(m), np.zeros(m), np.zeros(m)
@@ -128,7 +128,7 @@ def growth(mill: Mill, speed: float, depth: float, section: float = 0.0, waves: 
     cutting = math.pi * mill.diameter * speed / 60.0
     periods = math.ceil(max(60, waves / (w.min() / (2.0 * math.pi)) / period))
     out = np.zeros((2 * periods * steps, 2))
-    _march(
+    _integrate(
         depth,
         mill.teeth,
         mill.entry,
@@ -211,13 +211,13 @@ def search(mill: Mill, speeds, rng: np.random.Generator, ratio: float = 1.08, fe
             if not math.isfinite(depth):
                 continue
             below = depth * ratio ** -rng.uniform()
-            heard = frequency * (1.0 + 0.003 * rng.normal())
-            found.append(Found(speed, feed, below, below * ratio, heard))
+            measured = frequency * (1.0 + 0.003 * rng.normal())
+            found.append(Found(speed, feed, below, below * ratio, measured))
     return found
 
 
 def drawn(rng: np.random.Generator, mill: Mill) -> Mill:
-    """Modes a little other than those that were identified: 0.4 %, 8 % and 2 %, and a weak mode nobody knows."""
+    """Modes a little other than those that were identified: 0.4 %, 8 % and 2 %, and a weak mode beside them."""
     m = mill.modes
     n = len(m.frequency)
     modes = replace(

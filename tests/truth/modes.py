@@ -90,7 +90,7 @@ def draw(seed: int) -> Draw:
     lines = int(np.exp(rng.uniform(np.log(400.0), np.log(64_000.0))))
     count = int(rng.choice([1, 1, 2, 3, 5, 8, 12, 20, 30]))
     references = min(count, int(rng.choice([1, 1, 1, 2, 3])))
-    if lines * count * references > 250_000:  # nobody keeps more than this in one file of a laptop
+    if lines * count * references > 250_000:  # more than this is not kept in one file
         references, count = 1, max(1, 250_000 // lines)
     damping = _dampings(rng)
     modes, shapes, rigid, top = (_beam if beam else _machine)(rng, count, references, damping)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg, signal
 
 from truth import chain as instruments
-from truth.sweep_kernel import march
+from truth.sweep_kernel import integrate
 
 INNER_RATE = 20000.0
 """Steps a second."""
@@ -210,10 +210,10 @@ def clean(campaign: Campaign, cut: str, rng: np.random.Generator) -> tuple[Real,
         stretch = 1.0 + campaign.posture * np.clip(middle / (0.5 * campaign.seconds), -1.0, 1.0)
     force, motion = np.empty((t.size, 3)), np.empty((t.size, 3))
     steps = _steps(campaign.modes, stretch)
-    blow = _turning(campaign, angle)
+    impact = _turning(campaign, angle)
     cutting, edge = np.array(campaign.cutting), np.array(campaign.edge)
     shape = np.ascontiguousarray(campaign.modes.direction)
-    march(angle, depth, travel, arc, radii, campaign.approach, cutting, edge, blow, shape, steps, force, motion)
+    integrate(angle, depth, travel, arc, radii, campaign.approach, cutting, edge, impact, shape, steps, force, motion)
     return angle, force.T, motion.T
 
 
@@ -238,7 +238,7 @@ def record(campaign: Campaign, cut: str, rng: np.random.Generator) -> dict[str, 
 
 
 def _clock(campaign: Campaign, angle: Real, rng: np.random.Generator) -> dict[str, Real]:
-    """What tells the angle: counts of an encoder, or one pulse a turn with some noise."""
+    """Angle signal: counts of an encoder, or one pulse a turn with some noise."""
     mounted = angle + campaign.mounted
     if campaign.encoder:
         count = 2.0 * math.pi / campaign.encoder

@@ -1,4 +1,4 @@
-"""March a machine of modes through a milling pass, step by step; teeth cut what all earlier teeth left.
+"""Integrate a machine of modes through a milling pass, step by step; teeth cut what all earlier teeth left.
 
 A tooth writes into a table over its arc how far out it went; the chip of a later tooth is measured against the
 outermost of what all teeth wrote last, so that a tooth that leaves the cut is nothing special. Modes are advanced
@@ -129,7 +129,7 @@ def _answer(q, v, shape, steps, change, total, acceleration):
 
 
 @njit(cache=True, nogil=True)
-def march(angle, depth, travel, arc, radii, approach, cutting, edge, unmeasured, shape, steps, force, motion):
+def integrate(angle, depth, travel, arc, radii, approach, cutting, edge, unmeasured, shape, steps, force, motion):
     """Fill force (n, 3) [N] and acceleration (n, 3) [m/s2].
 
     angle, depth, travel (n,): spindle [rad], depth of cut [m], way of the feed [m]. arc: entry and exit [rad].

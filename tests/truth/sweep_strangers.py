@@ -1,9 +1,9 @@
-"""Sweeps as strangers bring them: machine, tool, sensors, ends of the record, clocks and cut drawn at random.
+"""Sweeps drawn at random: machine, tool, sensors, ends of the record, clocks and cut drawn at random.
 
 Nothing is imported from the packages. Machine and cut are those of `truth.sweep`; drawn are 2 to 5 modes, 2 to 8 teeth,
-widths, depth, run-out and edges; noise of the sensors over decades; air at none, one or both ends, rubbing in it, a cut
-that fades, ramps of entry and exit; a time base or a speed column that is wrong; records that are resampled and
-quantised, one channel late; and passes that chatter. Short passes at a moderate rate. SI.
+widths, depth, run-out and edges; noise of the sensors over decades; air at none, one or both ends, teeth that touch in
+it, a cut that fades, ramps of entry and exit; a time base or a speed column that is wrong; records that are resampled
+and quantised, one channel late; and passes that chatter. Short passes at a moderate rate. SI.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy import ndimage, signal
 
 from truth import chain as instruments
 from truth.sweep import CUTS, INNER_RATE, Campaign, Modes, _steps
-from truth.sweep_kernel import march
+from truth.sweep_kernel import integrate
 
 RATE = 1000.0
 """Rate of the records [Hz]."""
@@ -26,14 +26,14 @@ Real = np.ndarray
 
 
 @dataclass(frozen=True)
-class Stranger:
+class DrawnSweep:
     """One campaign of three passes.
 
     first, last: tooth passing [Hz] at begin and end of the cut; seconds in the cut. lead, tail: air [s]. ramps: entry
-    and exit [s]. rub: share of the depth that still touches in the air, before and after. fade: share of the cut at
-    whose end the depth has fallen to a tenth. depths: of each pass [m]. clock: relative error of the time base;
+    and exit [s]. touch_share: share of the depth that still touches in the air, before and after. fade: share of the
+    cut at whose end the depth has fallen to a tenth. depths: of each pass [m]. clock: relative error of the time base;
     column: of the speed column. late: of the accelerations [s]. quantised: bits, 0 for none. resampled: rate that the
-    records are interpolated to [Hz], 0 for none. tells: what tells the speed, "speed", "angle", "tacho" or "nothing".
+    records are interpolated to [Hz], 0 for none. speed_signal: "speed", "angle", "tacho" or "nothing".
     nominal: the speed column is the commanded ramp, without the wander of the spindle.
     """
 
@@ -54,7 +54,7 @@ class Stranger:
     lead: float = 1.0
     tail: float = 2.0
     ramps: tuple[float, float] = (0.3, 0.3)
-    rub: tuple[float, float] = (0.0, 0.0)
+    touch_share: tuple[float, float] = (0.0, 0.0)
     fade: float = 0.0
     wander: float = 1e-3
     clock: float = 0.0
@@ -63,7 +63,7 @@ class Stranger:
     late: float = 0.0
     quantised: int = 0
     resampled: float = 0.0
-    tells: str = "speed"
+    speed_signal: str = "speed"
     nominal: bool = False
 
     def arc(self, cut: str) -> tuple[float, float]:
@@ -86,7 +86,7 @@ def drawn_machine(rng: np.random.Generator) -> Modes:
     return Modes(f[order], z[order], k[order], (u / np.linalg.norm(u, axis=1)[:, None])[order])
 
 
-def draw(seed: int) -> Stranger:
+def draw(seed: int) -> DrawnSweep:
     """Draw one campaign."""
     rng = np.random.default_rng([seed, 181])
     teeth, diameter = int(rng.integers(2, 9)), float(rng.choice([0.05, 0.063, 0.08, 0.1, 0.125]))
@@ -98,12 +98,12 @@ def draw(seed: int) -> Stranger:
             depths[k] = deep * rng.uniform(5.0, 30.0)
     ends, noise = int(rng.choice(4, p=[0.15, 0.15, 0.15, 0.55])), rng.uniform(size=2)
     lead, tail = rng.uniform(0.4, 2.0) * (ends in (1, 3)), rng.uniform(0.5, 4.0) * (ends in (2, 3))
-    rub = rng.uniform(0.0, 0.05, 2) * (rng.uniform(size=2) < 0.35)
+    touch_share = rng.uniform(0.0, 0.05, 2) * (rng.uniform(size=2) < 0.35)
     wrong, sign = rng.uniform(), rng.choice([-1.0, 1.0])
     off = sign * math.exp(rng.uniform(math.log(3e-3), math.log(0.05)))
     setting = rng.uniform(0.0, 20e-6) * rng.uniform(-1.0, 1.0, teeth) * (rng.uniform() < 0.85)
-    tells = str(rng.choice(["speed", "angle", "tacho", "nothing"], p=[0.6, 0.2, 0.12, 0.08]))
-    return Stranger(
+    speed_signal = str(rng.choice(["speed", "angle", "tacho", "nothing"], p=[0.6, 0.2, 0.12, 0.08]))
+    return DrawnSweep(
         modes=drawn_machine(rng),
         teeth=teeth,
         diameter=diameter,
@@ -123,7 +123,7 @@ def draw(seed: int) -> Stranger:
         lead=float(lead),
         tail=float(tail),
         ramps=(float(rng.uniform(0.02, 0.8)), float(rng.uniform(0.02, 0.8))),
-        rub=(float(rub[0]), float(rub[1])),
+        touch_share=(float(touch_share[0]), float(touch_share[1])),
         fade=float(rng.uniform(0.1, 0.6)) * float(rng.uniform() < 0.2),
         wander=float(rng.uniform(0.0, 2e-3)),
         clock=off * (wrong < 0.15),
@@ -132,12 +132,12 @@ def draw(seed: int) -> Stranger:
         late=float(rng.uniform(-2e-4, 2e-4)) * float(rng.uniform() < 0.1),
         quantised=int(rng.choice([0, 12, 16, 24])),
         resampled=float(rng.choice([0.0, 1024.0, 800.0])) if rng.uniform() < 0.3 else 0.0,
-        tells=tells,
+        speed_signal=speed_signal,
         nominal=bool(rng.uniform() < 0.4),
     )  # fmt: skip
 
 
-def _depth(t: Real, depth: float, this: Stranger) -> Real:
+def _depth(t: Real, depth: float, this: DrawnSweep) -> Real:
     """Depth of cut at each step [m]: ramps, a fading cut, and what still touches in the air."""
     inside = t - this.lead
     up, down = inside / this.ramps[0], (this.seconds - inside) / this.ramps[1]
@@ -149,11 +149,13 @@ def _depth(t: Real, depth: float, this: Stranger) -> Real:
     if this.fade:
         start = (1.0 - this.fade) * this.seconds
         cut = cut * np.clip(1.0 - 0.9 * (inside - start) / (this.seconds - start), 0.1, 1.0)
-    touch = np.where(inside < 0.5 * this.seconds, this.rub[0], this.rub[1])
+    touch = np.where(inside < 0.5 * this.seconds, this.touch_share[0], this.touch_share[1])
     return depth * np.maximum(cut, touch)
 
 
-def clean(this: Stranger, cut: str, rng: np.random.Generator, kick: float = 0.0) -> tuple[Real, Real, Real, Real, Real]:
+def clean(
+    this: DrawnSweep, cut: str, rng: np.random.Generator, kick: float = 0.0
+) -> tuple[Real, Real, Real, Real, Real]:
     """Time, rate of the spindle as commanded, angle (n,), force and acceleration (3, n), before any instrument.
 
     kick: force [N] that pushes for 5 ms every 2 s.
@@ -172,7 +174,9 @@ def clean(this: Stranger, cut: str, rng: np.random.Generator, kick: float = 0.0)
     cutting, edge = np.array(this.cutting), np.array(this.edge)
     none = np.zeros((0, 3))
     radii = np.array(this.radii)
-    march(angle, depth, travel, this.arc(cut), radii, math.pi / 4.0, cutting, edge, none, shape, steps, force, motion)
+    integrate(
+        angle, depth, travel, this.arc(cut), radii, math.pi / 4.0, cutting, edge, none, shape, steps, force, motion
+    )
     return t, commanded if this.nominal else rotation, angle, force.T, motion.T
 
 
@@ -188,11 +192,11 @@ def between_orders(angle: Real, force: Real, teeth: int) -> float:
     near = np.abs(order - np.round(order)) < 2.5 / turns
     used = (order > 0.4 * teeth) & (order < 3.2 * teeth)
     repeats, rest = power[:, used & near].sum(axis=1), power[:, used & ~near].sum(axis=1)
-    loud = repeats > 0.05 * np.quantile(repeats, 0.9)
-    return float(np.sqrt((rest[loud] / repeats[loud]).max()))
+    strong = repeats > 0.05 * np.quantile(repeats, 0.9)
+    return float(np.sqrt((rest[strong] / repeats[strong]).max()))
 
 
-def chatter(this: Stranger, angle: Real, force: Real) -> float:
+def chatter(this: DrawnSweep, angle: Real, force: Real) -> float:
     """Return `between_orders` of what is wholly in the cut: a tool that enters shakes the machine, too."""
     begin = this.lead + (this.ramps[0] + 0.3) * (this.lead > 0.0)
     end = this.lead + this.seconds - (this.ramps[1] + 0.1) * (this.tail > 0.0)
@@ -205,8 +209,8 @@ def _shifted(x: Real, late: float) -> Real:
     return ndimage.shift(x, (0.0, late * INNER_RATE), order=3, mode="nearest") if late else x
 
 
-def record(this: Stranger, cut: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Return ``cut``, ``time``, ``force``, ``acceleration`` (3, n), what tells the speed, what was stated, and
+def record(this: DrawnSweep, cut: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Return ``cut``, ``time``, ``force``, ``acceleration`` (3, n), the signal of the speed, what was stated, and
     ``between_orders``: how much of the force without noise chatters."""
     t, rate, angle, force, motion = clean(this, cut, rng)
     division = round(INNER_RATE / RATE)
@@ -224,26 +228,26 @@ def record(this: Stranger, cut: str, rng: np.random.Generator) -> dict[str, Any]
     slow = (
         ndimage.shift(rate, round(this.column_late * INNER_RATE), order=0, mode="nearest") if this.column_late else rate
     )
-    time, told = t[::division], slow[::division] * 30.0 / math.pi * (1.0 + this.column)
+    time, stated = t[::division], slow[::division] * 30.0 / math.pi * (1.0 + this.column)
     turned = angle[::division]
     if this.resampled:
         fresh = np.arange(math.floor(time[-1] * this.resampled)) / this.resampled
         for name in levels:
             out[name] = np.array([np.interp(fresh, time, row) for row in out[name]])
-        time, told, turned = fresh, np.interp(fresh, time, told), np.interp(fresh, time, turned)
+        time, stated, turned = fresh, np.interp(fresh, time, stated), np.interp(fresh, time, turned)
     out["time"] = time * (1.0 + this.clock)
-    if this.tells == "speed":
-        out["speed"] = told
-    elif this.tells == "angle":
+    if this.speed_signal == "speed":
+        out["speed"] = stated
+    elif this.speed_signal == "angle":
         out["angle"] = np.floor(turned / (2.0 * math.pi / 1024)) * (2.0 * math.pi / 1024)
-    elif this.tells == "tacho":
+    elif this.speed_signal == "tacho":
         out["tacho"] = 5.0 * (np.mod(turned, 2.0 * math.pi) < 0.5 * math.pi) + 0.05 * rng.standard_normal(turned.size)
     # What a user writes into the campaign file: the speeds the ramp was set to.
     out["stated"] = tuple(float(v) * 60.0 / this.teeth for v in (this.first, this.last))
     return out
 
 
-def measure(this: Stranger, seed: int) -> list[dict[str, Any]]:
+def measure(this: DrawnSweep, seed: int) -> list[dict[str, Any]]:
     """Cut the three passes, one record each."""
     streams = np.random.SeedSequence([seed, 182]).spawn(len(CUTS))
     return [record(this, cut, np.random.default_rng(s)) for cut, s in zip(CUTS, streams, strict=True)]

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from process.harmonic_balance.quasi_frf import quasi_compliance
 from process.machine.machine import Machine
 from process.simulation.excitation import Excitation, HalfSine
-from process.simulation.machine import Struck
+from process.simulation.machine import RepeatedImpact
 from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
@@ -143,7 +143,7 @@ class SimulatedMachine:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
-        self._prepared: dict[tuple[object, ...], Struck] = {}
+        self._prepared: dict[tuple[object, ...], RepeatedImpact] = {}
 
     def compliance(self, excited: Excited) -> Complex:
         """Return the compliance that a measurement of this kind finds [m/N], shape (f, entries)."""
@@ -166,11 +166,11 @@ class SimulatedMachine:
                     out[:, i] = _transform(found["xyz".index(response)], excited) / force
         return out
 
-    def _impact(self, axis: str, excited: Excited) -> Struck:
+    def _impact(self, axis: str, excited: Excited) -> RepeatedImpact:
         feed = {a: excited.feed.get(a, 0.0) for a in self.machine.axes}
         key = (axis, excited.window, excited.controller, tuple(feed.items()))
         if key not in self._prepared:
-            self._prepared[key] = Struck(
+            self._prepared[key] = RepeatedImpact(
                 self.machine,
                 axis,
                 duration=excited.window,

@@ -177,7 +177,7 @@ def test_the_poles_are_zeros_of_one_plus_the_loop_gain() -> None:
         np.testing.assert_allclose(spread, spread[0], rtol=1e-6)
 
 
-def march(sampled: SampledServo, force: np.ndarray, fine: int, quantum: float = 0.0) -> np.ndarray:
+def integrate(sampled: SampledServo, force: np.ndarray, fine: int, quantum: float = 0.0) -> np.ndarray:
     """Tip, carriage and drive force of a plain recursion, `fine` steps a period, force on the tip held for a step."""
     period, servo = sampled.period, sampled.servo
     h = period / fine
@@ -213,7 +213,7 @@ def test_the_tip_compliance_is_the_response_of_a_plain_recursion(period: float, 
     h = period / fine
     n = round(1.0 / h)
     t = np.arange(3 * n) * h
-    tip = march(sampled, np.sin(2.0 * np.pi * frequency * t), fine)[0]
+    tip = integrate(sampled, np.sin(2.0 * np.pi * frequency * t), fine)[0]
     # Whole periods of 60 Hz and of the sampling, after the transient; the force was held for h, half of it late.
     wave = np.exp(-2j * np.pi * frequency * t[2 * n :])
     response = 2.0 * np.mean(tip[2 * n :] * wave) * 1j
@@ -234,7 +234,7 @@ def test_the_tip_compliance_tends_to_that_of_the_continuous_servo_with_second_or
 def test_quantisation_of_a_moving_axis_shakes_the_drive_as_the_lyapunov_equation_says() -> None:
     quantum = 1e-6
     sampled = SampledServo(SERVOS["K2"], 1e-3, 1, quantum)
-    _, carriage, push = march(sampled, np.zeros(30000), 1, quantum)
+    _, carriage, push = integrate(sampled, np.zeros(30000), 1, quantum)
     force_std, position_std = sampled.quantisation_noise(FREE)
     assert np.std(push[2000:]) == pytest.approx(force_std, rel=0.05)
     assert np.std(carriage[2000:]) == pytest.approx(position_std, rel=0.1)

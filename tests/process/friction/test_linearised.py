@@ -155,7 +155,7 @@ HIT = np.where(np.arange(LENGTH) * STEP < 4e-3, np.sin(np.pi * np.arange(LENGTH)
 
 @njit
 def _hit(force, law, parameters, feed, damping, step, tip, carriage):
-    """Semi-implicit march of the bench of theory.md 3.1; a law code below zero means linear friction."""
+    """Semi-implicit integration of the bench of theory.md 3.1; a law code below zero means linear friction."""
     xt, vt, xm, vm, integral = 0.0, 0.0, 0.0, 0.0, 0.0
     kp, ti, kv = 6268.0, 10.9e-3, 45.5
     rest = friction_force(law, parameters, feed) if law >= 0 else 0.0

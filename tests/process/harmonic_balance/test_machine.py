@@ -12,7 +12,7 @@ from process.drive.servo import Servo
 from process.errors import InputError
 from process.friction.laws import Andersson, CoulombViscous, LuGre, Viscous
 from process.harmonic_balance._kernels import forces, gains
-from process.harmonic_balance.network import FrictionPoint, JointPoint, Network
+from process.harmonic_balance.network import FrictionElement, JointElement, Network
 from process.harmonic_balance.quasi_frf import (
     SlidingAxis,
     balanced,
@@ -134,7 +134,7 @@ def _two_axes(s, push, mass, damping, stiffness, gains, law, feeds, offset, out)
 
 
 @njit
-def _march_two(f, push, mass, damping, stiffness, gains, law, feeds, offset, settle, listen, steps):
+def _integrate_two(f, push, mass, damping, stiffness, gains, law, feeds, offset, settle, listen, steps):
     h, w = 1.0 / (f * steps), 2.0 * math.pi * f
     s, k = np.zeros(10), np.zeros((4, 10))
     phasor = np.zeros(4, dtype=np.complex128)
@@ -164,7 +164,7 @@ def test_two_coupled_axes_with_friction_equal_the_time_integration(feed: float, 
     offset = np.array([float(BENCH.force(v0)), float(COULOMB.force(v0))])
     steps = 2 * math.ceil(1.0 / (frequency * 40e-6))
     args = (np.diag(s.mass).copy(), s.damping, s.stiffness, gains_of, law, np.full(2, v0), offset)
-    end = _march_two(frequency, np.array([force, 0.0, 0.0, 0.0]), *args, int(3.0 * frequency), 20, steps)
+    end = _integrate_two(frequency, np.array([force, 0.0, 0.0, 0.0]), *args, int(3.0 * frequency), 20, steps)
     found = quasi_compliance(machine, [frequency], force, v0, excitation=["x"])["compliance"].values[0, :2, 0]
     expected = end[[0, 2]] / force
     assert np.linalg.norm(found - expected) < 2e-3 * np.linalg.norm(expected)
@@ -187,7 +187,7 @@ def test_one_harmonic_of_a_joint_is_the_closed_describing_function(joint: Joint)
 
 
 @njit
-def _march_joint(f, force, kind, parameters, stiffness, slip, settle, listen, steps):
+def _integrate_joint(f, force, kind, parameters, stiffness, slip, settle, listen, steps):
     h, w = 1.0 / (f * steps), 2.0 * math.pi * f
     q, v, phasor = 0.0, 0.0, 0j
     anchor = np.zeros(stiffness.size)
@@ -231,7 +231,7 @@ def test_many_harmonics_of_a_joint_equal_the_time_integration(joint: Joint, freq
     else:
         kind = 1 if isinstance(joint, CubicSpring) else 2
         parameters = np.array([joint.stiffness, joint.cubic if isinstance(joint, CubicSpring) else joint.gap])
-    expected = _march_joint(frequency, 60.0, kind, parameters, *elements, int(3.0 * frequency), 20, 2000)
+    expected = _integrate_joint(frequency, 60.0, kind, parameters, *elements, int(3.0 * frequency), 20, 2000)
     found = quasi_compliance(oscillator(joint), [frequency], 60.0, excitation=["x"])
     assert found.attrs["status"] == "ok"
     assert abs(x(found)[0] - expected) < 2e-3 * abs(expected)
@@ -253,11 +253,14 @@ def test_a_level_lowers_a_micro_slip_peak_and_raises_the_frequency_of_a_hardenin
 
 def test_the_tangent_of_every_point_is_the_derivative_of_its_force() -> None:
     rng = np.random.default_rng(1)
-    points = (
-        FrictionPoint(BENCH, 3e-3), FrictionPoint(COULOMB, -2e-3, 300.0), JointPoint(JOINTS[0]), JointPoint(JOINTS[1]),
-        JointPoint(JOINTS[2], 1e5),
-    )  # fmt: skip
-    packed = (net := Network(lambda f: np.zeros((f.size, 6, 6)), points)).packed()
+    elements = (
+        FrictionElement(BENCH, 3e-3),
+        FrictionElement(COULOMB, -2e-3, 300.0),
+        JointElement(JOINTS[0]),
+        JointElement(JOINTS[1]),
+        JointElement(JOINTS[2], 1e5),
+    )
+    packed = (net := Network(lambda f: np.zeros((f.size, 6, 6)), elements)).packed()
     grid, scale = net.grid(4), gains(net.packed(), 300.0)
     size = np.array([1e-2, 1e-2, 4e-2, 4e-2, 4e-2])
     shape = (5, grid.orders.size)

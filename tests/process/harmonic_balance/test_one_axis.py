@@ -62,7 +62,7 @@ def _rate(s, force, gains, law, parameters, feed, out):
 
 
 @njit
-def _march(f, force, gains, law, parameters, feed, settle, listen, steps):
+def _integrate(f, force, gains, law, parameters, feed, settle, listen, steps):
     """RK4 over whole periods; return the phasor of x_t over the last `listen` periods, and their rms residue."""
     h, w = 1.0 / (f * steps), 2 * math.pi * f
     s, k1, k2, k3, k4 = np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(5)
@@ -84,7 +84,7 @@ def _march(f, force, gains, law, parameters, feed, settle, listen, steps):
 def simulated(gains: tuple, law: FrictionLaw, feed: float, force: float, f: float, seconds: float = 3.0) -> complex:
     steps = 2 * math.ceil(1.0 / (f * 40e-6))
     args = (np.array(gains), *law.packed(), feed, int(seconds * f), 20, steps)
-    return complex(_march(f, force, *args)) / force
+    return complex(_integrate(f, force, *args)) / force
 
 
 def peak(feed: float, force: float) -> tuple[float, float]:
@@ -309,7 +309,7 @@ def test_refusals_say_what_is_needed() -> None:
         single_harmonic(axis, 1.0, [0.0, 40.0])
     with pytest.raises(InputError, match="at least 1"):
         multi_harmonic(axis, 1.0, [40.0], 0)
-    with pytest.raises(InputError, match="tool, friction point"):
+    with pytest.raises(InputError, match="tool, elements"):
         single_harmonic(SlidingAxis(lambda f: np.zeros(f.size, dtype=complex), BENCH, 0.0), 1.0, [40.0])
     with pytest.raises(InputError, match="denser frequencies"):
         unstable_poles(axis, [1.0, 60.0, 62.0, 1000.0])

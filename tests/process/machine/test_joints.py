@@ -15,7 +15,7 @@ POINTS = 4000
 
 
 def cycle(joint: Joint, amplitude: float) -> tuple[NDArray, NDArray]:
-    """Displacement and force over one steady cycle, by marching two."""
+    """Displacement and force over one steady cycle, by integrating two."""
     t = 2.0 * math.pi * np.arange(2 * POINTS) / POINTS
     x = amplitude * np.cos(t)
     return x[POINTS:], joint.force(x)[POINTS:]

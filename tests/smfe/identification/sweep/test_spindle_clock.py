@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from accuracy.strangers import stranger_passes
 from truth.sweep import drawn_modes
-from truth.sweep_strangers import Stranger, draw, measure
+from truth.sweep_strangers import DrawnSweep, draw, measure
 
 from process.errors import InputError
 from process.labels import make_record
@@ -29,13 +29,14 @@ COARSE = LocalPolynomial(resolution=0.5, half_widths=(0.5, 1.0), rational=False)
 MACHINE = drawn_modes(3, np.random.default_rng(8))
 
 
-def quiet(**changes: object) -> Stranger:
+def quiet(**changes: object) -> DrawnSweep:
     """A healthy campaign of three teeth, with what is changed."""
     base = replace(
         draw(1), modes=MACHINE, teeth=3, radii=(4e-6, -3e-6, 0.0), depths=(0.5e-3,) * 3, widths=(0.02, 0.03, 0.05)
     )
-    healthy = {"clock": 0.0, "column": 0.0, "column_late": 0.0, "late": 0.0, "tells": "speed", "nominal": False}
-    rest = {"lead": 1.0, "tail": 1.5, "rub": (0.0, 0.0), "fade": 0.0, "diameter": 0.08, "resampled": 0.0, "first": 16.0}
+    healthy = {"clock": 0.0, "column": 0.0, "column_late": 0.0, "late": 0.0, "speed_signal": "speed", "nominal": False}
+    rest = {"lead": 1.0, "tail": 1.5, "touch_share": (0.0, 0.0), "fade": 0.0, "diameter": 0.08}
+    rest |= {"resampled": 0.0, "first": 16.0}
     ramp = {"last": 60.0, "seconds": 6.0, "force_noise": 0.5, "motion_noise": 0.005, "quantised": 0}
     return replace(base, **(healthy | rest | ramp | changes))
 
@@ -59,7 +60,7 @@ def test_a_time_base_or_a_speed_column_that_is_wrong_is_found_to_a_few_parts_in_
 @pytest.mark.parametrize("tells", ["speed", *(pytest.param(t, marks=pytest.mark.slow) for t in ("angle", "tacho"))])
 def test_nothing_is_said_of_a_column_that_is_right_late_or_without_the_wander_of_the_spindle(tells: str) -> None:
     for changes in ({}, {"column_late": 0.15}, {"nominal": True, "wander": 2e-3}):
-        for p in passes(tells=tells, **changes):
+        for p in passes(speed_signal=tells, **changes):
             (found,) = compare_speeds(p, 3)
             assert not found.real
             assert abs(found.difference) < max(5e-4, 2.0 * found.std)
@@ -92,7 +93,7 @@ def test_two_per_cent_are_refused_with_the_figure_and_half_a_per_cent_is_in_the_
 
 def test_stated_speeds_find_a_time_base_that_encoder_and_forces_share() -> None:
     for error in (0.0, 0.02):
-        data = passes(stated=True, clock=error, tells="angle")
+        data = passes(stated=True, clock=error, speed_signal="angle")
         if error:
             with pytest.raises(InputError, match="the stated spindle speeds"):
                 identify_sweep("s", data, (25.0, 75.0), COARSE, teeth=3)
@@ -142,12 +143,12 @@ def test_a_record_without_air_bounds_the_clock_by_the_speeds_that_it_misses() ->
 
 
 def test_seven_parts_in_a_thousand_are_found_against_stated_speeds_and_not_more() -> None:
-    data = passes(stated=True, clock=0.007, tells="angle", ramps=(0.05, 0.05), seconds=14.0)
+    data = passes(stated=True, clock=0.007, speed_signal="angle", ramps=(0.05, 0.05), seconds=14.0)
     clock = judge_clock("s", data, 3)
     assert any("the stated spindle speeds" in w for w in clock.warnings)
     assert clock.difference == pytest.approx(-0.007, abs=3e-3)
     for ramps in ((0.05, 0.05), (0.8, 0.8)):
-        assert judge_clock("s", passes(stated=True, tells="angle", ramps=ramps, wander=2e-3), 3).warnings == ()
+        assert judge_clock("s", passes(stated=True, speed_signal="angle", ramps=ramps, wander=2e-3), 3).warnings == ()
 
 
 def test_a_wrong_time_base_changes_a_compliance_by_the_scale_of_frequency_and_of_two_integrations() -> None:
@@ -168,9 +169,9 @@ def test_a_cut_without_lines_says_nothing() -> None:
 
 
 def test_check_says_it_of_a_campaign_and_takes_stated_speeds(tmp_path: Path) -> None:
-    this = quiet(clock=0.02, tells="angle")
+    this = quiet(clock=0.02, speed_signal="angle")
     rows = []
-    for p in passes(clock=0.02, tells="angle"):
+    for p in passes(clock=0.02, speed_signal="angle"):
         write_record_netcdf(p.record, tmp_path / f"{p.label}.nc")
         width = dict(zip(("down", "up", "central"), this.widths, strict=True))[p.label] * 1e3
         speeds = [f"{60.0 * f / 3.0:.4g} rpm" for f in (this.first, this.last)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from accuracy.strangers import stranger_passes
 from truth.sweep import Modes, drawn_modes
-from truth.sweep_strangers import Stranger, draw, measure
+from truth.sweep_strangers import DrawnSweep, draw, measure
 
 from process.errors import InputError
 from smfe import LocalPolynomial, SingleReference, identify_sweep
@@ -19,7 +19,7 @@ from smfe.identification.sweep.passes import prepare
 BAND = (25.0, 75.0)
 
 
-def stranger(seed: int, **changes: object) -> Stranger:
+def stranger(seed: int, **changes: object) -> DrawnSweep:
     """A sweep of 10 s with three teeth on a machine of three modes, with what is changed."""
     machine = {"modes": drawn_modes(3, np.random.default_rng(seed))}
     cut = {"teeth": 3, "diameter": 0.08, "widths": (0.02, 0.03, 0.05), "depths": (0.6e-3,) * 3, "feed": 1e-4}
@@ -29,7 +29,7 @@ def stranger(seed: int, **changes: object) -> Stranger:
     return replace(draw(seed), **(machine | cut | healthy | sensors | changes))
 
 
-def over_stated(this: Stranger, seed: int, estimator: object = None) -> float:
+def over_stated(this: DrawnSweep, seed: int, estimator: object = None) -> float:
     """Rms error over the stated standard deviation."""
     data = stranger_passes(this, measure(this, seed))
     found = identify_sweep("s", data, BAND, estimator or LocalPolynomial(resolution=0.5)).compliance
@@ -76,7 +76,7 @@ def test_sensors_without_noise_leave_the_error_of_the_model() -> None:
 # --- chatter ----------------------------------------------------------------------------------------------------------
 
 
-def chattering(depths: tuple[float, float, float], **changes: object) -> Stranger:
+def chattering(depths: tuple[float, float, float], **changes: object) -> DrawnSweep:
     """Return a soft machine of one bad mode, cut with six teeth."""
     mode = Modes(np.array([45.0]), np.array([0.02]), np.array([20e6]), np.array([[0.6, 0.8, 0.0]]))
     changes = {"modes": mode, "teeth": 6, "radii": (2e-6, -2e-6, 0.0, 1e-6, 0.0, -1e-6), "tells": "angle"} | changes
