@@ -4,8 +4,8 @@ from process.cut.engagement import AnyEngagement, Engagement, Engagements, engag
 from process.cut.force import CuttingCoefficients, ProcessDamping, directional_matrix, force_harmonics
 from process.cut.tool import Tool
 from process.drive.axis import Drive
-from process.drive.sampled_servo import SampledServo, sampled_poles
-from process.drive.servo import Servo, tune
+from process.drive.sampled_servo import SampledServo
+from process.drive.servo import Loop, Margins, Servo, tune
 from process.errors import InputError
 from process.friction.laws import Andersson, Coulomb, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
 from process.friction.linearised import FrictionImpedance, equivalent_damping, linearised
@@ -54,8 +54,10 @@ __all__ = [
     "Iwan",
     "Jenkins",
     "LogarithmicChirp",
+    "Loop",
     "LuGre",
     "Machine",
+    "Margins",
     "MillingCut",
     "ModalModel",
     "MountedJoint",
@@ -96,7 +98,6 @@ __all__ = [
     "quasi_frf",
     "released_compliance",
     "released_modes",
-    "sampled_poles",
     "show",
     "silent_trial",
     "simulate_axis",

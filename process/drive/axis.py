@@ -11,14 +11,14 @@ Here the friction f is its slope sigma; `process.simulation.machine` takes the w
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
-from process.drive.servo import Plant, QuasiPolynomial, Servo, position_characteristic, require_stable
+from process.drive.delay_equation import DelayEquation, oscillations
+from process.drive.servo import Loop, Servo
 from process.errors import InputError
 from process.labels import make_compliance
 from process.types import Complex, Real
@@ -77,17 +77,6 @@ class Drive:
         """Damping ratio [1] with the carriage held, ``c/(2 sqrt(k m_t))``."""
         return self.damping / (2.0 * math.sqrt(self.stiffness * self.tip_mass))
 
-    @property
-    def static_compliance(self) -> float:
-        """``Phi(0)`` [m/N]: 1/k with any servo, whose integrator holds the carriage; infinite without."""
-        return math.inf if self.servo is None else 1.0 / self.stiffness
-
-    def plant(self) -> Plant:
-        """Return Eq. (2) without its delay: carriage position over drive force, for `process.drive.servo`."""
-        mm, mt, k, c, sigma = self.moving_mass, self.tip_mass, self.stiffness, self.damping, self.sigma
-        # Eq. (2); its denominator is (m_m s^2 + sigma s + c s + k)(m_t s^2 + c s + k) - (c s + k)^2.
-        return Plant((k, c, mt), (0.0, sigma * k, k * (mm + mt) + sigma * c, c * (mm + mt) + sigma * mt, mm * mt))
-
     def tip_transfer(self, s: ArrayLike) -> Complex:
         """Return the tip compliance [m/N] at complex s [rad/s], stable or not (the formula and nothing else).
 
@@ -115,11 +104,6 @@ class Drive:
         self.require_stable()
         return self.tip_transfer(2j * np.pi * np.asarray(frequency, dtype=float))
 
-    def locked_compliance(self, frequency: ArrayLike) -> Complex:
-        """Return the tip compliance [m/N] with the carriage held, ``1/(m_t s^2 + c s + k)``, at frequencies [Hz]."""
-        s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        return np.asarray(1.0 / (self.tip_mass * s**2 + self.damping * s + self.stiffness))
-
     def compliance(self, frequency: ArrayLike, axis: str = "x") -> xr.Dataset:
         """Return the labelled compliance of the tip along `axis` at frequencies [Hz]."""
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
@@ -138,31 +122,41 @@ class Drive:
         if delay is None:
             delay = 0.0 if self.servo is None else self.servo.delay
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        return np.asarray(self.plant()(s) * np.exp(-delay * s))
+        return np.asarray(self._free_carriage(s) * np.exp(-delay * s))
 
-    def characteristic(self) -> QuasiPolynomial:
-        """Return the characteristic function of the axis: with its servo, or free."""
-        plant = self.plant()
+    def _free_carriage(self, s: Complex) -> Complex:
+        """Return carriage position over drive force [m/N] without dead time at complex s [rad/s]."""
+        mm, mt, k, c, sigma = self.moving_mass, self.tip_mass, self.stiffness, self.damping, self.sigma
+        # The denominator is (m_m s^2 + sigma s + c s + k)(m_t s^2 + c s + k) - (c s + k)^2.
+        total = mm + mt
+        below = s * (sigma * k + s * (k * total + sigma * c + s * (c * total + sigma * mt + s * mm * mt)))
+        return np.asarray((k + s * (c + s * mt)) / below)
+
+    def delay_equation(self) -> DelayEquation:
+        """Return the axis as ``q' = A q + B F_tip + sum E K q(t - tau)``, ``x_tip = C q``, in relative coordinates.
+
+        State ``(x_t - x_m, x_t', x_m')``, with a servo also ``x_m`` and its integral: the rigid-body position of a free
+        axis is left out.
+        """
+        a, b, out, gain = self.state_space()
         if self.servo is None:
-            return QuasiPolynomial(Polynomial(plant.denominator[1:]), Polynomial([0.0]), 0.0)
-        return position_characteristic(self.servo, plant)
+            return DelayEquation(*_relative(a[:4, :4], b[:4], out[:4]))
+        inlet = np.array([0.0, 0.0, 0.0, 1.0 / self.moving_mass, 0.0])
+        return _with_dead_time(a, b, out, inlet, -gain, self.servo.delay)
 
     def poles(self) -> Complex:
         """Return the poles [rad/s], rightmost first; with a dead time those within ``|s| < pi/tau``.
 
         Without servo the rigid-body pole at s = 0 is left out.
         """
-        return self.characteristic().roots()
+        return self.delay_equation().poles()
 
     def modes(self) -> Real:
         """Return natural frequency [Hz] and damping ratio [1] of each oscillating pole, shape (modes, 2), sorted.
 
         ``f = |s|/2 pi``, ``zeta = -Re s/|s|``; negative damping is an unstable pole.
         """
-        s = self.poles()
-        s = s[s.imag > 1e-9 * np.abs(s)]
-        table = np.stack([np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s)], axis=1)
-        return np.asarray(table[np.argsort(table[:, 0])])
+        return oscillations(self.poles())
 
     def unstable_poles(self) -> int:
         """Return the number of poles in the right half plane (argument principle, exact delay).
@@ -172,12 +166,69 @@ class Drive:
         if self.servo is None:
             s = self.poles()
             return int(np.sum(s.real > 1e-9 * np.abs(s).max()))
-        return self.characteristic().unstable_count()
+        return self.delay_equation().unstable_poles()
 
     def require_stable(self) -> None:
         """Raise `InputError` when there is a servo and its loop is unstable."""
         if self.servo is not None:
-            require_stable(self.characteristic(), f"the axis (friction slope {self.sigma:g} N s/m)", self.servo)
+            self._refuse(self.unstable_poles(), f"the axis (friction slope {self.sigma:g} N s/m)")
+
+    def velocity_loop(self) -> Loop:
+        """Return the velocity loop ``Kp (1 + 1/(Ti s)) e^(-s tau) s H``, H the plant of Eq. (2)."""
+        servo = self._held()
+
+        def gain(f: Real) -> Complex:
+            s = 2j * np.pi * f
+            return np.asarray(servo.velocity_controller(s) * s * self._free_carriage(s))
+
+        def require_stable() -> None:
+            self._refuse(self._velocity_equation(servo).unstable_poles(), "the velocity loop")
+
+        return Loop(gain, self.loop_frequencies(), require_stable)
+
+    def position_loop(self) -> Loop:
+        """Return both loops together, cut at the drive force: ``G H``, G the feedback of the servo, H Eq. (2)."""
+        servo = self._held()
+
+        def gain(f: Real) -> Complex:
+            s = 2j * np.pi * f
+            return np.asarray(servo.feedback(s) * self._free_carriage(s))
+
+        def require_stable() -> None:
+            self._refuse(self.unstable_poles(), "the position loop")
+
+        return Loop(gain, self.loop_frequencies(), require_stable)
+
+    def loop_frequencies(self) -> Real:
+        """Return frequencies [Hz] over the band of the loops, dense at poles and zeros of plant and closed loop."""
+        servo = self._held()
+        free = np.linalg.eigvals(replace(self, servo=None).delay_equation().a)
+        closed = np.linalg.eigvals(self.delay_equation().prompt())
+        size = np.abs(np.concatenate([free, closed, [servo.Kv, 1.0 / servo.Ti, 2.0 * np.pi * self.locked_frequency]]))
+        size = size[size > 1e-9 * size.max()] / (2.0 * np.pi)
+        coarse = np.geomspace(1e-2 * size.min(), 50.0 * size.max(), 6000)
+        return np.unique(np.concatenate([coarse, np.outer(size, np.linspace(0.9, 1.1, 401)).ravel()]))
+
+    def _velocity_equation(self, servo: Servo) -> DelayEquation:
+        """Return the axis under the velocity controller alone, whose integral is the carriage position."""
+        a, b, out, _ = replace(self, servo=None).state_space()
+        gain, inlet = np.array([0.0, 0.0, servo.Kp / servo.Ti, servo.Kp]), np.array([0.0, 0.0, 0.0, 1.0])
+        return _with_dead_time(a[:4, :4], b[:4], out[:4], inlet / self.moving_mass, -gain, servo.delay)
+
+    def _held(self) -> Servo:
+        if self.servo is None:
+            raise InputError("the axis has no servo and therefore no loop; give it one")
+        return self.servo
+
+    def _refuse(self, unstable: int, what: str) -> None:
+        if unstable:
+            servo = self._held()
+            raise InputError(
+                f"{what} is unstable with Kp {servo.Kp:g} N s/m, Ti {servo.Ti * 1e3:g} ms, Kv {servo.Kv:g} 1/s, "
+                f"delay {servo.delay * 1e3:g} ms: {unstable} pole(s) in the right half plane; a closed-loop quantity "
+                "needs a stable loop: lower Kp or Kv, raise Ti, shorten the delay, or look at the friction slope (a "
+                "falling friction force drives the carriage)"
+            )
 
     def state_space(self) -> tuple[Real, Real, Real, Real]:
         """Return A, B, C, K of ``q' = A q + B F_tip - E K q(t - tau)``, ``x_tip = C q``.
@@ -201,3 +252,21 @@ class Drive:
             v = self.servo
             gain[2:] = v.Kp * np.array([v.Kv + 1.0 / v.Ti, 1.0, v.Kv / v.Ti])
         return a, b, out, gain
+
+
+def _relative(a: Real, b: Real, out: Real) -> tuple[Real, Real, Real]:
+    """Return A, B, C of the free axis for the states (x_t - x_m, x_t', x_m'), without the rigid-body position.
+
+    The output is the tip relative to the carriage.
+    """
+    # x_t = (x_t - x_m) + x_m; nothing depends on x_m alone.
+    keep = [0, 1, 3]
+    part = a[np.ix_(keep, keep)].copy()
+    part[0, 2] -= 1.0
+    return part, b[keep, None], out[None, keep]
+
+
+def _with_dead_time(a: Real, b: Real, out: Real, inlet: Real, row: Real, delay: float) -> DelayEquation:
+    if delay == 0.0:
+        return DelayEquation(a + np.outer(inlet, row), b[:, None], out[None])
+    return DelayEquation(a, b[:, None], out[None], ((delay, inlet, row),))

@@ -1,4 +1,8 @@
-"""Counting unstable poles: the argument principle on an adaptively refined imaginary axis."""
+"""Linear equations with dead times: poles, number of unstable poles, characteristic function, Pade state space.
+
+Poles are found by Chebyshev collocation of the history and Newton's method on the exact equation; unstable poles are
+counted by the argument principle on an adaptively refined imaginary axis.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +17,11 @@ from scipy import linalg
 from process.errors import InputError
 from process.types import Complex, Real
 
-_PHASE_STEP = 0.3
-_ROUNDS = 60
+_PHASE_STEP = 0.3  # [rad] of the characteristic function between two frequencies, at most
+_ROUNDS = 60  # of halving the frequency grid
+_COLLOCATION = 24  # Chebyshev intervals over the longest dead time
+_NEWTON = 30  # steps to an exact pole
+_INDEPENDENT = 1e8  # condition number of the mode vectors up to which they are taken as a basis
 
 
 def right_half_plane_zeros(
@@ -70,14 +77,6 @@ def _contour(
     even = np.arange(0.0, far, 0.25 / longest_delay)[:20000] if longest_delay > 0.0 else np.zeros(1)
     w = np.concatenate([[0.0], np.geomspace(1e-6 * float(scales.max()), far, 1500), near, even])
     return np.unique(np.clip(w, 0.0, far))
-
-
-# --- Linear equations with several dead times: poles, characteristic function, Pade state space.
-
-
-_COLLOCATION = 24
-_NEWTON = 30
-_INDEPENDENT = 1e8
 
 
 @dataclass(frozen=True)
@@ -169,10 +168,14 @@ class DelayEquation:
             found = self._polished(self._collocated())
         return np.asarray(found[np.lexsort((found.imag, -found.real))])
 
+    def unstable_poles(self) -> int:
+        """Return the number of poles in the right half plane, those on the axis too (`right_half_plane_zeros`)."""
+        return right_half_plane_zeros(self.characteristic, self.scales, self.longest)
+
     def _collocated(self) -> Complex:
         n, m = self.order, _COLLOCATION
         points = 0.5 * self.longest * (np.cos(np.pi * np.arange(m + 1) / m) - 1.0)
-        matrix = np.kron(chebyshev_derivative(m) * 2.0 / self.longest, np.eye(n))
+        matrix = np.kron(_chebyshev_derivative(m) * 2.0 / self.longest, np.eye(n))
         matrix[:n] = 0.0
         matrix[:n, :n] = self.a
         for tau, e, k in self.delayed:
@@ -219,7 +222,17 @@ class DelayEquation:
         return a, b, c
 
 
-def chebyshev_derivative(order: int) -> Real:
+def oscillations(poles: Complex) -> Real:
+    """Return natural frequency ``|s|/2 pi`` [Hz] and damping ratio ``-Re s/|s|`` of each oscillating pole [rad/s].
+
+    Shape (modes, 2), sorted by frequency; negative damping is an unstable pole.
+    """
+    s = poles[poles.imag > 1e-9 * np.abs(poles)]
+    table = np.stack([np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s)], axis=1)
+    return np.asarray(table[np.argsort(table[:, 0])])
+
+
+def _chebyshev_derivative(order: int) -> Real:
     """Return the differentiation matrix on the points cos(pi i/order), i = 0..order (Trefethen 2000, p. 54)."""
     x = np.cos(np.pi * np.arange(order + 1) / order)
     c = np.ones(order + 1)

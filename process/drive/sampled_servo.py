@@ -11,7 +11,6 @@ Encoder position and velocity are read every T; ``e = a v_ref + Kv (x_ref - x) -
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from process.drive.axis import Drive
-from process.drive.servo import Margins, Servo, bandwidth, frequency_grid, margins
+from process.drive.servo import Loop, Servo
 from process.errors import InputError
 from process.types import Complex, Real
 
@@ -41,20 +40,17 @@ class SampledServo:
         Sampling period T [s].
     lag : int, optional
         Whole periods from reading to force.
-    resolution : float, optional
-        Step of the encoder [m], for `quantisation_noise`; zero is none.
 
     Raises
     ------
     InputError
-        When the servo has a delay, the period is not positive or longer than Ti, the lag is not a whole number from 0
-        up, or the resolution is negative.
+        When the servo has a delay, the period is not positive or longer than Ti, or the lag is not a whole number
+        from 0 up.
     """
 
     servo: Servo
     period: float
     lag: int = 1
-    resolution: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what does not sample."""
@@ -68,8 +64,6 @@ class SampledServo:
                 f"the sampling period {self.period:g} s is longer than the integral time Ti {self.servo.Ti:g} s; "
                 "sample faster or raise Ti"
             )
-        if not 0.0 <= self.resolution < math.inf:
-            raise InputError(f"the encoder step is {self.resolution:g} m; give zero or a positive step")
 
     @property
     def nyquist(self) -> float:
@@ -170,44 +164,33 @@ class SampledServo:
             )
         return f
 
-    def open_velocity_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
-        """Return the velocity loop gain ``C V`` [1] at frequencies [Hz] up to half the sampling rate."""
-        f = self._band(frequency)
-        return np.asarray(self._controller(f) * self._plant(drive, f)[0])
+    def velocity_loop(self, drive: Drive) -> Loop:
+        """Return the velocity loop ``C V`` up to half the sampling rate."""
 
-    def open_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
-        """Return the gain of both loops cut at the force, ``C (V + Kv X)`` [1], at frequencies [Hz]."""
+        def gain(frequency: Real) -> Complex:
+            f = self._band(frequency)
+            return np.asarray(self._controller(f) * self._plant(drive, f)[0])
+
+        def require_stable() -> None:
+            self._require_stable("the sampled velocity loop", self.velocity_poles(drive))
+
+        return Loop(gain, self._grid(drive), require_stable, sampled=True)
+
+    def position_loop(self, drive: Drive) -> Loop:
+        """Return both loops together, cut at the drive force, ``C (V + Kv X)``, up to half the sampling rate."""
+        return Loop(
+            lambda f: self._both_loops(drive, f), self._grid(drive), lambda: self.require_stable(drive), sampled=True
+        )
+
+    def _both_loops(self, drive: Drive, frequency: ArrayLike) -> Complex:
+        """``C (V + Kv X)`` [1] at frequencies [Hz]."""
         f = self._band(frequency)
         speed, place = self._plant(drive, f)
         return np.asarray(self._controller(f) * (speed + self.servo.Kv * place))
 
-    def velocity_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
-        """Return the closed velocity loop [1], sampled carriage velocity over command, at frequencies [Hz].
-
-        Raises
-        ------
-        InputError
-            When the loop is unstable.
-        """
-        self._require_stable("the sampled velocity loop", self.velocity_poles(drive))
-        gain = self.open_velocity_loop(drive, frequency)
-        return np.asarray(gain / (1.0 + gain))
-
-    def position_loop(self, drive: Drive, frequency: ArrayLike) -> Complex:
-        """Return the closed position loop [1], sampled carriage position over reference position, at frequencies [Hz].
-
-        ``(a s + Kv) C X/(1 + L)``: the reference generator gives the velocity of its sine exactly.
-
-        Raises
-        ------
-        InputError
-            When the loop is unstable.
-        """
-        self.require_stable(drive)
-        f = self._band(frequency)
-        command = 2j * np.pi * f * self.servo.feed_forward + self.servo.Kv
-        gain = command * self._controller(f) * self._plant(drive, f)[1]
-        return np.asarray(gain / (1.0 + self.open_loop(drive, f)))
+    def _grid(self, drive: Drive) -> Real:
+        f = replace(drive, servo=self.continuous()).loop_frequencies()
+        return np.append(f[f < self.nyquist], self.nyquist)
 
     def tip_compliance(self, drive: Drive, frequency: ArrayLike) -> Complex:
         """Return the tip's response [m/N] at the frequency [Hz] of a force on it, between samples too.
@@ -229,7 +212,7 @@ class SampledServo:
         # The force on the tip reaches the carriage through the joint, and the other way round.
         cross = tip * joint / carriage
         hold = -np.expm1(-s * self.period) / (s * self.period)
-        servo = hold * self._controller(f) / (1.0 + self.open_loop(drive, f))
+        servo = hold * self._controller(f) / (1.0 + self._both_loops(drive, f))
         return np.asarray(tip - cross**2 * servo * (s + self.servo.Kv))
 
     def require_stable(self, drive: Drive) -> None:
@@ -245,72 +228,6 @@ class SampledServo:
                 "unit circle; lower Kp or Kv, raise Ti, sample faster, or look at the friction slope"
             )
 
-    def _margins(self, loop: Callable[[Real], Complex], drive: Drive) -> Margins:
-        """Margins of a loop whose gain is real at half the sampling rate too: a pole may leave at z = -1."""
-        found = margins(loop, self._grid(drive))
-        last = float(loop(np.array([self.nyquist]))[0].real)
-        return replace(found, gain=min(found.gain, -1.0 / last)) if -1.0 < last < 0.0 else found
-
-    def _grid(self, drive: Drive) -> Real:
-        f = frequency_grid(self.continuous(), drive.plant())
-        return np.append(f[f < self.nyquist], self.nyquist)
-
-    def velocity_margins(self, drive: Drive) -> Margins:
-        """Return the margins of the velocity loop."""
-        self._require_stable("the sampled velocity loop", self.velocity_poles(drive))
-        return self._margins(lambda f: self.open_velocity_loop(drive, f), drive)
-
-    def position_margins(self, drive: Drive) -> Margins:
-        """Return the margins of both loops together, cut at the drive force."""
-        self.require_stable(drive)
-        return self._margins(lambda f: self.open_loop(drive, f), drive)
-
-    def velocity_bandwidth(self, drive: Drive) -> float:
-        """Return the -3 dB frequency [Hz] of the closed velocity loop (the lowest one)."""
-        self._require_stable("the sampled velocity loop", self.velocity_poles(drive))
-        grid = self._grid(drive)
-
-        def closed(f: Real) -> Complex:
-            gain = self.open_velocity_loop(drive, f)
-            return np.asarray(gain / (1.0 + gain))
-
-        return bandwidth(closed, grid[0], grid[-1])
-
-    def quantisation_noise(self, drive: Drive) -> tuple[float, float]:
-        """Return the standard deviations of drive force [N] and carriage position [m] that the encoder's steps cause.
-
-        The reading errs by q, uniform in a step and independent from sample to sample (an axis that moves by several
-        steps a sample); the velocity, read as a difference, by ``(q_k - q_(k-1))/T``. The covariance of the closed loop
-        is that of its Lyapunov equation.
-
-        Raises
-        ------
-        InputError
-            When the loop is unstable.
-        """
-        self.require_stable(drive)
-        z, entry = self._closed(drive)
-        n = len(z)
-        # One more state, the last error, in units of the step's standard deviation.
-        rate = 1.0 / self.period
-        whole, noise = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
-        whole[:n, :n] = z
-        whole[:n, n] = entry * rate
-        noise[:n], noise[n] = -entry * (self.servo.Kv + rate), 1.0
-        gain = self.servo.Kp * (1.0 + self.period / self.servo.Ti)
-        # All states in units of a step of the encoder.
-        scale = np.array([1.0, rate, 1.0, rate, 1.0, *[gain * rate] * self.lag, 1.0])
-        own = noise / scale
-        covariance = linalg.solve_discrete_lyapunov(whole * scale / scale[:, None], np.outer(own, own))
-        covariance *= np.outer(scale, scale)
-        force = np.zeros(n + 1)
-        force[_CARRIAGE], force[_CARRIAGE_SPEED] = -gain * self.servo.Kv, -gain
-        force[_MASSES] = self.servo.Kp / self.servo.Ti
-        force[n] = gain * rate
-        variance = float(force @ covariance @ force) + (gain * (self.servo.Kv + rate)) ** 2
-        step = self.resolution / math.sqrt(12.0)
-        return step * math.sqrt(variance), step * math.sqrt(float(covariance[_CARRIAGE, _CARRIAGE]))
-
 
 def _held(drive: Drive, period: float) -> tuple[Real, Real]:
     """``exp(A T) - 1``, shape (4, 4), and the push of a unit force on the carriage held for T, shape (4,)."""
@@ -320,25 +237,3 @@ def _held(drive: Drive, period: float) -> tuple[Real, Real]:
     # Integral of exp(A t) from 0 to T.
     integral = linalg.expm(block * period)[:_MASSES, _MASSES:]
     return np.asarray(a @ integral), np.asarray(integral[:, _CARRIAGE_SPEED] / drive.moving_mass)
-
-
-def sampled_poles(drive: Drive, period: float, lag: int = 1) -> Complex:
-    """Return the poles [rad/s] of an axis whose own servo, with delay 0, is sampled (`SampledServo.poles`).
-
-    Parameters
-    ----------
-    drive : Drive
-        Axis with a servo without a delay of its own.
-    period : float
-        Sampling period T [s].
-    lag : int, optional
-        Whole periods from reading to force.
-
-    Returns
-    -------
-    ndarray of complex, shape (5 + lag,)
-        Poles, rightmost first; see `SampledServo.poles`.
-    """
-    if drive.servo is None:
-        raise InputError("the axis has no servo; sampled poles need one, with delay 0")
-    return SampledServo(drive.servo, period, lag).poles(drive)

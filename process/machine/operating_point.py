@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from process.drive.delay_equation import DelayEquation, right_half_plane_zeros
+from process.drive.delay_equation import DelayEquation, oscillations
 from process.drive.servo import Servo
 from process.errors import InputError
 from process.friction.linearised import FrictionImpedance
@@ -144,10 +144,7 @@ class OperatingPoint:
 
     def modes(self) -> Real:
         """Return natural frequency [Hz] and damping ratio [1] of each oscillating pole, shape (modes, 2), sorted."""
-        s = self.poles()
-        s = s[s.imag > 1e-9 * np.abs(s)]
-        table = np.stack([np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s)], axis=1)
-        return np.asarray(table[np.argsort(table[:, 0])])
+        return oscillations(self.poles())
 
     def unstable_poles(self) -> int:
         """Return the number of poles in the right half plane (argument principle with the exact dead times).
@@ -158,7 +155,7 @@ class OperatingPoint:
         equation = self.delay_equation
         prompt = np.abs(np.linalg.eigvals(equation.prompt()))
         if prompt.min(initial=math.inf) > _ORIGIN * prompt.max(initial=0.0):
-            return right_half_plane_zeros(equation.characteristic, equation.scales, equation.longest)
+            return equation.unstable_poles()
         s = self.poles()
         largest = np.abs(s).max(initial=0.0)
         return int(np.sum((s.real > 1e-9 * largest) & (np.abs(s) > _ORIGIN * largest)))

@@ -8,15 +8,8 @@ import pytest
 from scipy import signal
 
 from process.drive.axis import Drive
-from process.drive.sampled_servo import SampledServo, sampled_poles
-from process.drive.servo import (
-    Servo,
-    position_loop,
-    position_margins,
-    velocity_bandwidth,
-    velocity_loop,
-    velocity_margins,
-)
+from process.drive.sampled_servo import SampledServo
+from process.drive.servo import Servo
 from process.errors import InputError
 
 SERVOS = {
@@ -27,6 +20,11 @@ SERVOS = {
 }
 FREE = Drive(23.1, 11.3, 1.68e6, 104.0, None, 168.0)
 F = np.geomspace(1.0, 240.0, 60)
+
+
+def sampled_poles(drive: Drive, period: float, lag: int = 1) -> np.ndarray:
+    assert drive.servo is not None
+    return SampledServo(drive.servo, period, lag).poles(drive)
 
 
 def bench(servo: str = "K2", delay: float = 0.0) -> Drive:
@@ -97,17 +95,16 @@ def by_cont2discrete(frequency: np.ndarray, period: float, output: list[float]) 
 @pytest.mark.parametrize("lag", [0, 1, 2])
 @pytest.mark.parametrize("period", [0.25e-3, 1e-3])
 def test_loops_are_those_of_another_discretisation(period: float, lag: int) -> None:
-    servo = replace(SERVOS["K2"], feed_forward=0.4)
-    sampled = SampledServo(servo, period, lag)
+    sampled = SampledServo(SERVOS["K2"], period, lag)
     z = np.exp(2j * np.pi * F * period)
     controller = 6268.0 * (1 + period / 10.9e-3 * z / (z - 1)) / z**lag
     speed, place = (by_cont2discrete(F, period, row) for row in ([0, 0, 0, 1.0], [0, 0, 1.0, 0]))
-    np.testing.assert_allclose(sampled.open_velocity_loop(FREE, F), controller * speed, rtol=1e-8)
-    np.testing.assert_allclose(sampled.open_loop(FREE, F), controller * (speed + 45.5 * place), rtol=1e-8)
-    inner = controller * speed / (1 + controller * speed)
-    np.testing.assert_allclose(sampled.velocity_loop(FREE, F), inner, rtol=1e-8)
-    closed = (0.4 * 2j * np.pi * F + 45.5) * controller * place / (1 + controller * (speed + 45.5 * place))
-    np.testing.assert_allclose(sampled.position_loop(FREE, F), closed, rtol=1e-8)
+    for loop, gain in (
+        (sampled.velocity_loop(FREE), controller * speed),
+        (sampled.position_loop(FREE), controller * (speed + 45.5 * place)),
+    ):
+        np.testing.assert_allclose(loop(F), gain, rtol=1e-8)
+        np.testing.assert_allclose(loop.closed(F), gain / (1.0 + gain), rtol=1e-8)
 
 
 def order(errors: list[float]) -> float:
@@ -117,12 +114,13 @@ def order(errors: list[float]) -> float:
 @pytest.mark.parametrize("lag", [0, 1, 3])
 def test_a_short_period_is_a_dead_time_of_lag_and_a_half_periods(lag: int) -> None:
     plain, corrected = [], []
-    for period in (80e-6, 40e-6, 20e-6):
+    for period in (20e-6, 10e-6, 5e-6):
         sampled = SampledServo(SERVOS["K3"], period, lag)
         late = replace(SERVOS["K3"], delay=(lag + 0.5) * period)
-        own = np.concatenate([sampled.velocity_loop(FREE, F), sampled.position_loop(FREE, F)])
+        own = np.concatenate([loop.closed(F) for loop in (sampled.velocity_loop(FREE), sampled.position_loop(FREE))])
         for servo, errors in ((late, plain), (sampled.continuous(), corrected)):
-            other = np.concatenate([loop(servo, FREE.plant(), F) for loop in (velocity_loop, position_loop)])
+            drive = replace(FREE, servo=servo)
+            other = np.concatenate([loop.closed(F) for loop in (drive.velocity_loop(), drive.position_loop())])
             errors.append(float(np.abs(own - other).max()))
     # Gains as they stand: the rectangular integral is of first order. With its half step in the gains: second.
     assert order(plain) == pytest.approx(1.0, abs=0.1)
@@ -134,11 +132,12 @@ def test_margins_and_bandwidth_tend_to_the_continuous_ones_with_second_order() -
     errors: dict[str, list[float]] = {}
     for period in (200e-6, 100e-6, 50e-6):
         sampled = SampledServo(SERVOS["K2"], period)
-        servo, plant = sampled.continuous(), FREE.plant()
-        pairs = {"bandwidth": (sampled.velocity_bandwidth(FREE), velocity_bandwidth(servo, plant))}
+        drive = replace(FREE, servo=sampled.continuous())
+        velocity, continuous = sampled.velocity_loop(FREE), drive.velocity_loop()
+        pairs = {"bandwidth": (velocity.bandwidth(), continuous.bandwidth())}
         for which, own, other in (
-            ("velocity", sampled.velocity_margins(FREE), velocity_margins(servo, plant)),
-            ("position", sampled.position_margins(FREE), position_margins(servo, plant)),
+            ("velocity", velocity.margins(), continuous.margins()),
+            ("position", sampled.position_loop(FREE).margins(), drive.position_loop().margins()),
         ):
             pairs[f"{which} phase"] = own.phase, other.phase
             pairs[f"{which} crossover"] = own.crossover, other.crossover
@@ -153,31 +152,31 @@ def test_margins_and_bandwidth_tend_to_the_continuous_ones_with_second_order() -
 def test_the_gain_margin_is_where_the_poles_leave_the_unit_circle(period: float, lag: int) -> None:
     servo = SERVOS["K2"]
     for margins, poles in (
-        (SampledServo(servo, period, lag).position_margins(FREE), SampledServo.poles),
-        (SampledServo(servo, period, lag).velocity_margins(FREE), SampledServo.velocity_poles),
+        (SampledServo(servo, period, lag).position_loop(FREE).margins(), SampledServo.poles),
+        (SampledServo(servo, period, lag).velocity_loop(FREE).margins(), SampledServo.velocity_poles),
     ):
         assert 1.0 < margins.gain < math.inf
         for factor, unstable in ((0.999, False), (1.001, True)):
-            louder = SampledServo(replace(servo, Kp=servo.Kp * margins.gain * factor), period, lag)
-            assert bool(poles(louder, FREE)[0].real > 0.0) is unstable
+            changed = SampledServo(replace(servo, Kp=servo.Kp * margins.gain * factor), period, lag)
+            assert bool(poles(changed, FREE)[0].real > 0.0) is unstable
 
 
 def test_the_poles_are_zeros_of_one_plus_the_loop_gain() -> None:
     sampled = SampledServo(SERVOS["K3"], 1e-3, 1)
-    for poles, loop in ((sampled.poles, sampled.open_loop), (sampled.velocity_poles, sampled.open_velocity_loop)):
+    for poles, loop in ((sampled.poles, sampled.position_loop), (sampled.velocity_poles, sampled.velocity_loop)):
         kept = poles(FREE)
-        gain = loop(FREE, F)
+        gain = loop(FREE)(F)
         z, roots = np.exp(2j * np.pi * F * 1e-3), np.exp(kept * 1e-3)
         # 1 + L is the product of (z - closed poles) over that of (z - open poles).
         ratio = (1.0 + gain) / np.prod(z[:, None] - roots, axis=1)
-        opened = np.exp(1e-3 * np.array([0.0, *np.roots(FREE.plant().denominator[::-1])[:]]))
-        if loop == sampled.open_velocity_loop:
-            opened = np.delete(opened, np.argmin(np.abs(opened[1:] - 1.0)) + 1)
-        spread = ratio * np.prod(z[:, None] - opened, axis=1) * z ** (kept.size - opened.size)
+        # Integrator of the servo, then the axis: with its rigid-body pole where the position is fed back.
+        own = [0.0] if loop == sampled.velocity_loop else [0.0, 0.0]
+        before = np.exp(1e-3 * np.array([*own, *FREE.poles()]))
+        spread = ratio * np.prod(z[:, None] - before, axis=1) * z ** (kept.size - before.size)
         np.testing.assert_allclose(spread, spread[0], rtol=1e-6)
 
 
-def integrate(sampled: SampledServo, force: np.ndarray, fine: int, quantum: float = 0.0) -> np.ndarray:
+def integrate(sampled: SampledServo, force: np.ndarray, fine: int) -> np.ndarray:
     """Tip, carriage and drive force of a plain recursion, `fine` steps a period, force on the tip held for a step."""
     period, servo = sampled.period, sampled.servo
     h = period / fine
@@ -186,17 +185,11 @@ def integrate(sampled: SampledServo, force: np.ndarray, fine: int, quantum: floa
     a[3, 3] = -(c + sigma) / mm
     inputs = np.array([[0, 0], [1 / mt, 0], [0, 0], [0, 1 / mm]])
     a_d, b_d, *_ = signal.cont2discrete((a, inputs, np.eye(4), np.zeros((4, 2))), h, "zoh")
-    q, integral, last = np.zeros(4), 0.0, 0.0
+    q, integral = np.zeros(4), 0.0
     waiting, push, out = [0.0] * sampled.lag, 0.0, np.empty((3, force.size))
     for i in range(force.size):
         if i % fine == 0:
             place, speed = q[2], q[3]
-            if quantum:
-                # From ten steps a sample up: the fraction of a step takes all values.
-                time = i // fine * period
-                ramp = (1e-2 + 0.5e-3 * time) * time
-                error = quantum * round((place + ramp) / quantum) - ramp - place
-                place, speed, last = place + error, speed + (error - last) / period, error
             e = -servo.Kv * place - speed
             integral += period * e
             waiting.append(servo.Kp * (e + integral / servo.Ti))
@@ -231,27 +224,14 @@ def test_the_tip_compliance_tends_to_that_of_the_continuous_servo_with_second_or
     assert order(errors) == pytest.approx(2.0, abs=0.1)
 
 
-def test_quantisation_of_a_moving_axis_shakes_the_drive_as_the_lyapunov_equation_says() -> None:
-    quantum = 1e-6
-    sampled = SampledServo(SERVOS["K2"], 1e-3, 1, quantum)
-    _, carriage, push = integrate(sampled, np.zeros(30000), 1, quantum)
-    force_std, position_std = sampled.quantisation_noise(FREE)
-    assert np.std(push[2000:]) == pytest.approx(force_std, rel=0.05)
-    assert np.std(carriage[2000:]) == pytest.approx(position_std, rel=0.1)
-    # In proportion to the step.
-    finer = replace(sampled, resolution=quantum / 10).quantisation_noise(FREE)
-    np.testing.assert_allclose(finer, np.array([force_std, position_std]) / 10.0)
-    assert SampledServo(SERVOS["K2"], 1e-3).quantisation_noise(FREE) == (0.0, 0.0)
-
-
-def test_an_unstable_sampled_servo_is_refused_where_a_closed_loop_is_asked_for() -> None:
+def test_an_unstable_sampled_servo_is_refused_where_a_closed_loop_is_needed() -> None:
     slow = SampledServo(SERVOS["K3"], 4e-3)
-    for closed in (slow.position_loop, slow.tip_compliance):
+    for closed in (lambda drive, f: slow.position_loop(drive).closed(f), slow.tip_compliance):
         with pytest.raises(InputError, match=r"Kp 10590.*period 4 ms, lag 1: .*outside the unit circle.*sample faster"):
             closed(FREE, [10.0])
     with pytest.raises(InputError, match="velocity loop is unstable"):
-        SampledServo(SERVOS["K4"], 3.5e-3, 2).velocity_loop(FREE, [10.0])
-    assert np.isfinite(slow.open_loop(FREE, [10.0])).all()
+        SampledServo(SERVOS["K4"], 3.5e-3, 2).velocity_loop(FREE).margins()
+    assert np.isfinite(slow.position_loop(FREE)([10.0])).all()
 
 
 @pytest.mark.parametrize(
@@ -262,7 +242,6 @@ def test_an_unstable_sampled_servo_is_refused_where_a_closed_loop_is_asked_for()
         ({"lag": -1}, "whole lag from 0 up"),
         ({"servo": replace(SERVOS["K2"], delay=1e-3)}, "delay 0"),
         ({"period": 12e-3}, "longer than the integral time"),
-        ({"resolution": -1e-9}, "encoder step is -1e-09 m"),
     ],
 )
 def test_what_is_no_sampled_servo_is_refused(change: dict[str, object], message: str) -> None:
@@ -272,8 +251,6 @@ def test_what_is_no_sampled_servo_is_refused(change: dict[str, object], message:
 
 def test_a_sampled_loop_answers_up_to_half_the_sampling_rate() -> None:
     sampled = SampledServo(SERVOS["K2"], 1e-3)
-    for f in (0.0, 500.1):
-        with pytest.raises(InputError, match="up to 500 Hz"):
-            sampled.open_loop(FREE, [f])
-    with pytest.raises(InputError, match="no servo"):
-        sampled_poles(FREE, 1e-3)
+    for f, message in ((0.0, "f > 0"), (500.1, "up to 500 Hz")):
+        with pytest.raises(InputError, match=message):
+            sampled.position_loop(FREE)([f])
