@@ -8,8 +8,8 @@ from process.drive.sampled_servo import SampledServo
 from process.drive.servo import Loop, Margins, Servo, tune
 from process.errors import InputError
 from process.friction.laws import Andersson, Coulomb, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
-from process.friction.linearised import FrictionImpedance, equivalent_damping, linearised
-from process.harmonic_balance.quasi_frf import SlidingAxis, compliance_map, quasi_compliance, quasi_frf
+from process.friction.linearised import FrictionImpedance, equivalent_damping, invariant_feed, linearised
+from process.harmonic_balance.quasi_frf import compliance_map, quasi_compliance
 from process.instruments.sensors import Sensors, with_added_mass
 from process.instruments.trials import Running, actuator_trial, hammer_trial, milling_trial, moving_trial, silent_trial
 from process.labels import make_compliance, make_record
@@ -28,8 +28,9 @@ from process.simulation.excitation import (
     SteppedSine,
     Sum,
 )
-from process.simulation.machine import SampledControl, simulate_axis, simulate_machine
-from process.simulation.milling import MillingCut, Spindle, milling_step_error, simulate_forced, simulate_milling
+from process.simulation.machine import simulate_machine, step_error
+from process.simulation.milling import MillingCut, Spindle, simulate_forced, simulate_milling
+from process.simulation.problem import MachineRun, SampledControl
 from process.units import parse, show
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "Loop",
     "LuGre",
     "Machine",
+    "MachineRun",
     "Margins",
     "MillingCut",
     "ModalModel",
@@ -71,7 +73,6 @@ __all__ = [
     "SampledServo",
     "Sensors",
     "Servo",
-    "SlidingAxis",
     "Spindle",
     "SteppedSine",
     "Structure",
@@ -87,23 +88,22 @@ __all__ = [
     "force_harmonics",
     "free_modes",
     "hammer_trial",
+    "invariant_feed",
     "linearised",
     "make_compliance",
     "make_record",
-    "milling_step_error",
     "milling_trial",
     "moving_trial",
     "parse",
     "quasi_compliance",
-    "quasi_frf",
     "released_compliance",
     "released_modes",
     "show",
     "silent_trial",
-    "simulate_axis",
     "simulate_forced",
     "simulate_machine",
     "simulate_milling",
+    "step_error",
     "tune",
     "two_mass_axes",
     "with_added_mass",

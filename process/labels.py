@@ -3,7 +3,7 @@
 Conventions (docs/conventions.md): ``exp(+j w t)``; forces act on the tool; x is the feed direction, z the tool
 axis pointing away from the workpiece; a tooth angle is measured from +y towards +x.
 
-Shop-floor quantities carry shop units wherever a label shows them (`SHOP_UNITS`); everything else is SI.
+Shop-floor quantities carry shop units in labels (`SHOP_UNITS`); everything else is SI.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ RECORD_SCALARS: tuple[str, ...] = ("spindle_angle", "spindle_speed", "tacho", "s
 
 
 def label(dataset: xr.Dataset) -> xr.Dataset:
-    """Set ``attrs["units"]`` of every variable and coordinate the vocabulary knows."""
+    """Set ``attrs["units"]`` of every variable and coordinate of the vocabulary."""
     for name in [*dataset.data_vars, *dataset.coords]:
         if str(name) in UNITS:
             dataset[name].attrs["units"] = UNITS[str(name)]

@@ -2,7 +2,7 @@
 
 This is the only place where field units are converted. Everything inside the packages is SI (angles in rad,
 rotation in rad/s). A unit belongs to a dimension, so that ``"g"`` is 9.80665 m/s2 where an acceleration is
-asked for and 0.001 kg where a mass is. `implausible`, `check_feed` and `check_diameter` find values that no machine
+expected and 0.001 kg where a mass is. `implausible`, `check_feed` and `check_diameter` find values that no machine
 tool has: field units that were given where SI is meant.
 """
 
@@ -226,14 +226,14 @@ RANGES: dict[str, Range] = {
     "tip_mass": Range(0.01, 1e5, 1.0, "kg", "a tool weighs some 10 g, a ram some 10 t"),
     "stiffness": Range(1e4, 1e10, 1e-6, "N/um", "tool tips and feed drives have 0.1 to 1000 N/um"),
 }
-"""Parameter -> what the field knows of it."""
+"""Parameter -> range that occurs in the field."""
 
 _MOST_RATIO = 3.0
 """Radial or axial over tangential coefficient that no edge reaches: friction and rake angle allow 0.1 to 1."""
 
 
 def implausible(values: Mapping[str, float]) -> list[str]:
-    """Return a sentence for each value that lies outside of what the field knows.
+    """Return a sentence for each value that lies outside of `RANGES`.
 
     Parameters
     ----------

@@ -90,7 +90,7 @@ class Engagements:
 
     @property
     def entry(self) -> float:
-        """Raise `InputError`: what asks for one entry takes one arc only."""
+        """Raise `InputError`: one entry needs one arc."""
         raise InputError(f"the cut has {len(self.arcs)} arcs of engagement; one is needed here. {_ONE_ARC}")
 
     @property

@@ -144,7 +144,7 @@ _TRIG = {1: np.array([-0.5j, 0.5, 0.0]), -1: np.array([0.5j, 0.5, 0.0]), 0: np.a
 def gram_matrix(arc: AnyEngagement, order: int = 0) -> Complex:
     """Return ``integral (s, c, 1)(s, c, 1)^T exp(-j order phi) dphi`` over all arcs, in closed form, shape (3, 3).
 
-    Kept from call to call and therefore read-only: a fit of coefficients asks for the same arcs thousands of times.
+    Cached and therefore read-only: a fit of coefficients needs the same arcs thousands of times.
     """
     total = np.zeros((3, 3), dtype=complex)
     for n, a in _TRIG.items():
@@ -185,7 +185,7 @@ def directional_matrix(tool: Tool, arc: AnyEngagement, coefficients: CuttingCoef
     _require_equal_pitch(tool, "the directional matrix")
     if order != 0 and tool.helix_angle > 0.0:
         raise InputError(
-            f"harmonic {order} of the directional matrix is asked for a helix of "
+            f"harmonic {order} of the directional matrix is not available for a helix of "
             f"{math.degrees(tool.helix_angle):g} deg; straight edges are needed: a helix makes it depend on the depth. "
             "Ask for order 0, or leave helix_angle out to neglect the helix"
         )

@@ -1,19 +1,20 @@
-"""What a small vibration feels of a friction law at a feed: ``F/V = direct + residue/(s + rate)``."""
+"""Linearised friction at a feed: impedance of a small vibration, equivalent damping of one with an amplitude.
+
+`linearised` returns ``F/V = direct + residue/(s + rate)``; `equivalent_damping` the describing function of a law
+without memory, tabulated by `DampingCurve`; `invariant_feed` the feed above which friction no longer changes a
+response.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
-from scipy.special import ive
 
-from process import units
 from process.errors import InputError
 from process.friction import _kernels as kernels
 from process.friction.laws import (
@@ -62,7 +63,7 @@ def linearised(law: FrictionLaw | MemoryLaw, feed: float) -> FrictionImpedance:
     Without memory it is the slope f'(v0). LuGre in motion, from ``z' = v - k |v| z/s(v)``:
     ``sigma + (k + d s) b/(s + p)``, ``b = |v0| s'/s(v0)``, ``p = k |v0|/s(v0)``; at rest ``sigma + d + k/s``.
     Generalised Maxwell slip in motion: ``sigma + (C s'/s)/(s + C/s(v0))``; at rest ``sigma + sum k/s``. At rest sigma
-    and d are the mean of both directions, which is what the fundamental of a vibration feels.
+    and d are the mean of both directions, which acts on the fundamental of a vibration.
     """
     if isinstance(law, FrictionLaw):
         slope = float(law.slope(feed))
@@ -89,7 +90,7 @@ def linearised(law: FrictionLaw | MemoryLaw, feed: float) -> FrictionImpedance:
     raise InputError(f"{type(law).__name__} is not a friction law that can be linearised")
 
 
-# --- Equivalent damping of friction: what a vibration feels of a friction law while the axis is fed.
+# --- Equivalent damping
 
 _NEAR = np.geomspace(3e-4, 0.3, 50)
 
@@ -149,68 +150,6 @@ def equivalent_damping(law: FrictionLaw, feed: ArrayLike, amplitude: ArrayLike) 
     return np.where(still, law.slope(bias), out / moving).reshape(v.shape)
 
 
-def coulomb_damping(coulomb: float, feed: ArrayLike, amplitude: ArrayLike) -> Real:
-    """Return c_eq of pure Coulomb friction ``F sign(v)`` in closed form [N s/m].
-
-    Zero for V <= v0, else ``4 F/(pi V) sqrt(1 - (v0/V)^2)``; its largest value is ``2 F/(pi v0)``, at V = sqrt(2) v0.
-
-    Parameters
-    ----------
-    coulomb : float
-        Sliding force F [N].
-    feed, amplitude : array_like
-        Mean velocity v0 and amplitude V > 0 of the vibration velocity [m/s].
-    """
-    v0, v = np.asarray(feed, dtype=float), np.asarray(amplitude, dtype=float)
-    return np.asarray(4.0 * coulomb / (np.pi * v) * np.sqrt(np.clip(1.0 - (v0 / v) ** 2, 0.0, None)))
-
-
-def stribeck_damping(law: Andersson, feed: ArrayLike, amplitude: ArrayLike) -> Real:
-    """Return c_eq of a sliding contact that never reverses, in closed form [N s/m].
-
-    ``sigma - 2 (Fs - Fc) exp(-v0/vs) I1(V/vs)/V`` for delta = 1 and V < v0, where tanh(kt v) is 1 throughout.
-
-    Parameters
-    ----------
-    law : Andersson
-        Law with delta = 1; its part for positive velocity is used.
-    feed, amplitude : array_like
-        Mean velocity v0 and amplitude 0 < V < v0 of the vibration velocity [m/s].
-    """
-    v0, v = np.broadcast_arrays(np.asarray(feed, dtype=float), np.asarray(amplitude, dtype=float))
-    if law.delta != 1.0:
-        raise InputError(f"delta is {law.delta:g}; the closed form needs delta = 1, use equivalent_damping")
-    if np.any(v >= v0) or np.any(v <= 0.0):
-        raise InputError("the closed form needs 0 < amplitude < feed; use equivalent_damping where the motion reverses")
-    vs = law.stribeck_speed
-    bessel = ive(1, v / vs) * np.exp((v - v0) / vs)
-    return np.asarray(law.sigma - 2.0 * (law.static - law.coulomb) * bessel / v)
-
-
-def tanh_damping(kt: float, feed: float, amplitude: float, terms: int = 20000) -> float:
-    """Return c_eq of ``tanh(kt v)``, per newton, as an exact series [s/m].
-
-    ``4/(V b) {sum_n Re[1 - A_n/sqrt(A_n^2 - b^2)] + b^2/(2 pi^2 M)}``, ``A_n = kt v0 - j (2n - 1) pi/2``, ``b = kt V``,
-    with the root for which ``|A - root| < |A + root|``; from ``tanh x = sum_n 2x/(x^2 + ((2n-1) pi/2)^2)``.
-
-    Parameters
-    ----------
-    kt : float
-        Steepness at rest [s/m].
-    feed, amplitude : float
-        Mean velocity v0 and amplitude V > 0 of the vibration velocity [m/s].
-    terms : int, optional
-        Number M of terms; the tail is added in closed form.
-    """
-    b = kt * amplitude
-    a = kt * feed - 0.5j * np.pi * (2.0 * np.arange(1, terms + 1) - 1.0)
-    root = np.sqrt(a**2 - b**2)
-    root = np.where(np.abs(a - root) < np.abs(a + root), root, -root)
-    # 1 - a/root without cancellation: (root - a)/root = -b^2/(root (root + a)).
-    inside = float(np.sum(-(b**2) / (root * (root + a))).real) + b**2 / (2.0 * np.pi**2 * terms)
-    return 4.0 * inside / (amplitude * b)
-
-
 @dataclass(frozen=True)
 class DampingCurve:
     """Equivalent damping of a law at one feed over the amplitude, tabulated once and interpolated.
@@ -263,87 +202,6 @@ class DampingCurve:
         return np.asarray(self._curve(np.log(inside)), dtype=float)
 
 
-def damping_table(law: FrictionLaw, feed: Sequence[float], amplitude: ArrayLike) -> xr.DataArray:
-    """Tabulate c_eq over feed and amplitude, labelled.
-
-    Parameters
-    ----------
-    law : FrictionLaw
-        Friction without memory.
-    feed : sequence of float
-        Feeds [mm/min], as the label shows them.
-    amplitude : array_like, shape (n,)
-        Amplitudes of vibration velocity [m/s].
-
-    Returns
-    -------
-    xarray.DataArray
-        ``equivalent_damping(feed, velocity_amplitude)`` [N s/m].
-    """
-    shop = np.asarray(feed, dtype=float)
-    v0 = shop * units.factor("mm/min", "speed")
-    size = np.asarray(amplitude, dtype=float)
-    table = xr.DataArray(
-        equivalent_damping(law, v0[:, None], size[None, :]),
-        dims=("feed", "velocity_amplitude"),
-        coords={"feed": shop, "velocity_amplitude": size},
-        name="equivalent_damping",
-        attrs={"units": "N s/m"},
-    )
-    table["feed"].attrs["units"] = "mm/min"
-    table["velocity_amplitude"].attrs["units"] = "m/s"
-    return table
-
-
-def transient_damping(
-    law: FrictionLaw,
-    feed: float,
-    response: Callable[[float], Real],
-    tolerance: float = 1e-4,
-    iterations: int = 200,
-) -> float:
-    """Return the constant damping that stands for friction in a transient, such as a hammer hit [N s/m].
-
-    ``c = int (f(v0 + v) - f(v0)) v dt / int v^2 dt``: the least-squares line through the force, with v the response of
-    the linear machine that has this very c (fixed point; each step goes half the way, in log c where c is positive).
-
-    Parameters
-    ----------
-    law : FrictionLaw
-        Friction without memory.
-    feed : float
-        Mean velocity v0 [m/s].
-    response : callable
-        Damping c [N s/m] -> vibration velocity of the friction point [m/s], shape (n,), in equal time steps.
-    tolerance : float, optional
-        Relative change of c at which the iteration ends.
-    iterations : int, optional
-        Largest number of iterations.
-
-    Raises
-    ------
-    InputError
-        When no damping reproduces itself.
-
-    Notes
-    -----
-    Right for hits that leave the friction point where it was: locked, or sliding in one direction. In the transition
-    no constant damping exists (errors of 50 % of the FRF); simulate such hits in time.
-    """
-    steady = float(law.force(feed))
-    c = float(law.slope(feed))
-    for _ in range(iterations):
-        v = np.asarray(response(c), dtype=float)
-        power = float(v @ v)
-        if not (math.isfinite(power) and power > 0.0):
-            raise InputError(f"the response with damping {c:g} N s/m is zero or not finite; the axis may be unstable")
-        new = float((law.force(feed + v) - steady) @ v) / power
-        if abs(new - c) <= tolerance * abs(new) + 1e-6:
-            return new
-        c = math.sqrt(c * new) if c > 0.0 and new > 0.0 else 0.5 * (c + new)
-    raise InputError("no constant damping stands for the friction in this transient; simulate it in time")
-
-
 def invariant_feed(law: FrictionLaw, force: float, gain: float, share: float = 0.1) -> float:
     """Return the feed above which friction no longer changes the response [m/s].
 
@@ -360,6 +218,12 @@ def invariant_feed(law: FrictionLaw, force: float, gain: float, share: float = 0
         Velocity gain Kp of the servo [N s/m].
     share : float, optional
         What counts as small against the gain.
+
+    Returns
+    -------
+    float
+        Feed [m/s]. Faster than this the frequency response depends on servo and structure alone (invariant FRF, Franco
+        et al. 2024).
 
     Raises
     ------

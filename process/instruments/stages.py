@@ -151,12 +151,12 @@ class Sensitivity(Stage):
 
     @classmethod
     def gains(cls, channel: str, factors: Sequence[float]) -> Sensitivity:
-        """Return a sensor that shows each axis multiplied by a factor; -1 turns a sign."""
+        """Return a sensor that multiplies each axis by a factor; -1 turns a sign."""
         return cls._of(channel, np.diag(np.asarray(factors, dtype=float)))
 
     @classmethod
     def rotated(cls, channel: str, axis: str, angle: float) -> Sensitivity:
-        """Return a sensor turned by an angle [rad] about an axis (right hand): it shows ``R^T`` times the truth."""
+        """Return a sensor turned by an angle [rad] about an axis (right hand): it reads ``R^T`` times the truth."""
         i = axis_index([axis])[0]
         j, k = (i + 1) % 3, (i + 2) % 3
         r = np.eye(3)
@@ -178,8 +178,8 @@ class Sensitivity(Stage):
 class Inertia(Stage):
     """Mass between a cut and the force sensor that carries it: ``F_measured = F - m a``.
 
-    A dynamometer shows what reaches the machine behind its plate, or the tool in it. What pushes from outside, through
-    a mass that moves with the tool, shows more than the tool gets: `Stinger`, `HammerTip`.
+    A dynamometer reads the force on the machine behind its plate, or on the tool in it. A force sensor outside a mass
+    that moves with the tool reads more than the force on the tool: `Stinger`, `HammerTip`.
 
     Parameters
     ----------
@@ -357,7 +357,7 @@ class AntiAlias(Stage):
 
 @dataclass(frozen=True)
 class Clock(Stage):
-    """Clock of a channel or of a second recorder: shows at t what happened at ``t (1 + rate_error) - skew``.
+    """Time base of a channel or of a second recorder: it reads at t the value of ``t (1 + rate_error) - skew``.
 
     Parameters
     ----------

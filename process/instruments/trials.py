@@ -21,8 +21,9 @@ from process.labels import AXES, axis_index
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.simulation.excitation import Excitation, HalfSine, SteppedSine, Sum
-from process.simulation.machine import SampledControl, simulate_machine
+from process.simulation.machine import simulate_machine
 from process.simulation.milling import MillingCut, Spindle, default_step, simulate_forced, simulate_milling
+from process.simulation.problem import SampledControl
 
 DEFAULT_SAMPLE_RATE = 2000.0
 """Samples a second [Hz] of a virtual record."""
@@ -161,16 +162,7 @@ def _excited(
 
 
 def _simulated(machine: Machine, duration: float, rate: float, running: Running, **loads: Any) -> xr.Dataset:
-    return simulate_machine(
-        machine,
-        duration=duration,
-        feed=running.feed,
-        controller=running.controller,
-        position=running.position,
-        control=running.control,
-        sample_rate=rate,
-        **loads,
-    )
+    return simulate_machine(machine, duration=duration, sample_rate=rate, **vars(running), **loads)
 
 
 def _require_rest(running: Running) -> None:
@@ -205,7 +197,7 @@ def moving_trial(
     rng : numpy.random.Generator
         Seeded by the caller.
     drive_forces : mapping, optional
-        Axis name -> force added to the one that its servo asks for.
+        Axis name -> force added to that of its servo.
     sample_rate : float, optional
         Samples a second [Hz].
     running : Running, optional

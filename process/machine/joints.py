@@ -1,4 +1,4 @@
-"""Joints: micro-slip, hardening and gaps, with the stiffness and damping that a vibration feels.
+"""Joints: micro-slip, hardening and gaps, with their stiffness and damping for a vibration.
 
 For a displacement ``X cos(w t)`` the fundamental of the force is ``X Re[(K + j H) exp(j w t)]``: K is the equivalent
 stiffness, H the loss stiffness, both [N/m]; the equivalent viscous damping is ``H/w`` and the energy lost in a cycle
@@ -42,7 +42,7 @@ class Joint(ABC):
 
     @abstractmethod
     def equivalent_stiffness(self, amplitude: ArrayLike) -> Real:
-        """Return the stiffness K [N/m] that a vibration of amplitude X [m] feels."""
+        """Return the stiffness K [N/m] for a vibration of amplitude X [m]."""
 
     def loss_stiffness(self, amplitude: ArrayLike) -> Real:
         """Return the loss stiffness H [N/m] at amplitude X [m]; zero without hysteresis."""
@@ -293,7 +293,7 @@ class DoublePinion(Joint):
         return np.asarray(sum(k * side * np.maximum(side * x - d, 0.0) for k, side, d in self.flanks))
 
     def equivalent_stiffness(self, amplitude: ArrayLike, bias: ArrayLike = 0.0) -> Real:
-        """Return the stiffness K [N/m] that a vibration ``b + X cos(w t)`` feels.
+        """Return the stiffness K [N/m] for a vibration ``b + X cos(w t)``.
 
         A flank with threshold d adds ``k/pi (q - c sqrt(1 - c^2))``, with ``c = (d - b)/X`` between -1 and 1 and
         ``q = arccos c``.

@@ -4,21 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
+from scipy.special import ive
 
 from process.errors import InputError
-from process.friction._kernels import friction_force, friction_slope
-from process.friction.laws import Andersson, Coulomb, CoulombViscous, FrictionLaw, Viscous
-from process.friction.linearised import (
-    DampingCurve,
-    coulomb_damping,
-    damping_table,
-    equivalent_damping,
-    invariant_feed,
-    stribeck_damping,
-    tanh_damping,
-    transient_damping,
-)
+from process.friction.laws import Andersson, Coulomb, CoulombViscous, Viscous
+from process.friction.linearised import DampingCurve, equivalent_damping, invariant_feed
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)  # Table 1 of the paper, positive direction
@@ -38,6 +28,33 @@ REFERENCE = {
 }
 
 
+def coulomb_damping(coulomb: float, feed: float, amplitude: np.ndarray) -> np.ndarray:
+    """c_eq of pure Coulomb friction: zero for V <= v0, else ``4 F/(pi V) sqrt(1 - (v0/V)^2)``."""
+    return 4.0 * coulomb / (np.pi * amplitude) * np.sqrt(np.clip(1.0 - (feed / amplitude) ** 2, 0.0, None))
+
+
+def stribeck_damping(law: Andersson, feed: float, amplitude: float) -> float:
+    """c_eq of a sliding contact that never reverses, delta = 1: ``sigma - 2 (Fs - Fc) exp(-v0/vs) I1(V/vs)/V``."""
+    vs = law.stribeck_speed
+    bessel = ive(1, amplitude / vs) * np.exp((amplitude - feed) / vs)
+    return float(law.sigma - 2.0 * (law.static - law.coulomb) * bessel / amplitude)
+
+
+def tanh_damping(kt: float, feed: float, amplitude: float, terms: int = 20000) -> float:
+    """c_eq of ``tanh(kt v)``, per newton, from ``tanh x = sum_n 2x/(x^2 + ((2n-1) pi/2)^2)``.
+
+    ``4/(V b) {sum_n Re[1 - A_n/sqrt(A_n^2 - b^2)] + b^2/(2 pi^2 M)}``, ``A_n = kt v0 - j (2n - 1) pi/2``, ``b = kt V``,
+    with the root for which ``|A - root| < |A + root|``; the tail after M terms is in closed form.
+    """
+    b = kt * amplitude
+    a = kt * feed - 0.5j * np.pi * (2.0 * np.arange(1, terms + 1) - 1.0)
+    root = np.sqrt(a**2 - b**2)
+    root = np.where(np.abs(a - root) < np.abs(a + root), root, -root)
+    # 1 - a/root without cancellation: (root - a)/root = -b^2/(root (root + a)).
+    inside = float(np.sum(-(b**2) / (root * (root + a))).real) + b**2 / (2.0 * np.pi**2 * terms)
+    return 4.0 * inside / (amplitude * b)
+
+
 @pytest.mark.parametrize("amplitude", REFERENCE)
 def test_the_bench_friction_has_the_tabulated_equivalent_damping(amplitude: int) -> None:
     found = equivalent_damping(BENCH, np.array(FEEDS) * MM_MIN, amplitude * MM_MIN)
@@ -48,7 +65,7 @@ def test_viscous_friction_is_its_own_equivalent() -> None:
     np.testing.assert_array_equal(equivalent_damping(Viscous(168.0), [0.0, 0.01], 0.02), 168.0)
 
 
-def test_a_small_vibration_feels_the_local_slope() -> None:
+def test_a_small_vibration_is_damped_by_the_local_slope() -> None:
     v0 = np.array([0.0, 2.0, 25.0, 500.0, 1396.0]) * MM_MIN
     tiny = equivalent_damping(BENCH, v0, 1e-9)
     np.testing.assert_allclose(tiny, BENCH.slope(v0), rtol=1e-4, atol=0.01)
@@ -80,11 +97,6 @@ def test_a_sliding_contact_follows_the_bessel_form(amplitude: float, expected: f
     v0, v = 500.0 * MM_MIN, amplitude * MM_MIN
     assert float(stribeck_damping(BENCH, v0, v)) == pytest.approx(expected, abs=1e-3)
     assert float(equivalent_damping(BENCH, v0, v)) == pytest.approx(expected, abs=1e-3)
-
-
-def test_the_bessel_form_survives_a_large_argument() -> None:
-    slow = Andersson(44.2, 84.0, 1e-6, 168.0, 15000.0)
-    assert float(stribeck_damping(slow, 0.02, 0.01)) == pytest.approx(168.0)
 
 
 @pytest.mark.parametrize(
@@ -142,58 +154,6 @@ def test_the_curve_interpolates_the_quadrature() -> None:
     np.testing.assert_array_equal(curve([7.0]), curve.damping[-1:])
 
 
-def test_the_table_is_labelled_in_shop_units() -> None:
-    table = damping_table(BENCH, FEEDS, np.array([100.0, 500.0]) * MM_MIN)
-    assert table.attrs["units"] == "N s/m"
-    assert table["feed"].attrs["units"] == "mm/min"
-    np.testing.assert_allclose(table.sel(feed=500.0).values, [-1542, -1293], rtol=5e-3)
-
-
-STEP, LENGTH = 1e-5, 400_000
-HIT = np.where(np.arange(LENGTH) * STEP < 4e-3, np.sin(np.pi * np.arange(LENGTH) * STEP / 4e-3), 0.0)
-
-
-@njit
-def _hit(force, law, parameters, feed, damping, step, tip, carriage):
-    """Semi-implicit integration of the bench of theory.md 3.1; a law code below zero means linear friction."""
-    xt, vt, xm, vm, integral = 0.0, 0.0, 0.0, 0.0, 0.0
-    kp, ti, kv = 6268.0, 10.9e-3, 45.5
-    rest = friction_force(law, parameters, feed) if law >= 0 else 0.0
-    for i in range(force.size):
-        tip[i], carriage[i] = xt, vm
-        spring = 1.68e6 * (xt - xm) + 104.0 * (vt - vm)
-        error = -kv * xm - vm
-        if law >= 0:
-            slope = friction_slope(law, parameters, feed + vm)
-            friction = friction_force(law, parameters, feed + vm) - rest
-        else:
-            slope, friction = damping, damping * vm
-        vt += step * (force[i] - spring) / 11.3
-        vm += step * (spring + kp * (error + integral / ti) - friction) / 23.1 / (1.0 + step * max(slope, 0.0) / 23.1)
-        xt += step * vt
-        xm += step * vm
-        integral += step * error
-
-
-def hit(law: FrictionLaw | None, feed: float, newton: float, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    tip, carriage = np.zeros(LENGTH), np.zeros(LENGTH)
-    code, parameters = law.packed() if law is not None else (-1, np.zeros(1))
-    _hit(newton * HIT, code, parameters, feed, damping, STEP, tip, carriage)
-    return tip, carriage
-
-
-@pytest.mark.parametrize(("feed", "newton", "error"), [(0.0, 25.0, 0.005), (500.0, 25.0, 0.06), (1000.0, 25.0, 0.012)])
-def test_a_light_hit_feels_a_constant_damping(feed: float, newton: float, error: float) -> None:
-    # theory.md 4.4: idle .0 %, 500 mm/min 2.9 %, 1000 mm/min .6 % of the norm of the FRF.
-    v0 = feed * MM_MIN
-    c = transient_damping(BENCH, v0, lambda damping: hit(None, 0.0, newton, damping)[1])
-    band = slice(40, 480)  # 10 to 120 Hz at 0.25 Hz
-    nonlinear = np.fft.rfft(hit(BENCH, v0, newton)[0])[band]
-    linear = np.fft.rfft(hit(None, 0.0, newton, c)[0])[band]
-    assert np.linalg.norm(linear - nonlinear) < error * np.linalg.norm(nonlinear)
-    assert c == pytest.approx(float(BENCH.slope(v0)), rel=0.2)
-
-
 def test_the_bench_is_invariant_above_the_larger_of_both_criteria() -> None:
     # theory.md 4.1: 2 F/(pi Kp) = 305 mm/min for 50 N and K2.
     assert invariant_feed(Coulomb(44.2), 50.0, 6268.0, 1.0) / MM_MIN == pytest.approx(305, abs=1)
@@ -206,13 +166,7 @@ def test_the_bench_is_invariant_above_the_larger_of_both_criteria() -> None:
 def test_refusals_say_what_is_needed() -> None:
     with pytest.raises(InputError, match="amplitudes >= 0"):
         equivalent_damping(BENCH, 0.0, -1.0)
-    with pytest.raises(InputError, match="delta = 1"):
-        stribeck_damping(Andersson(1.0, 2.0, 1.0, 0.0, 1e4, 2.0), 1.0, 0.5)
-    with pytest.raises(InputError, match="where the motion reverses"):
-        stribeck_damping(BENCH, 0.01, 0.02)
     with pytest.raises(InputError, match="0 < lowest < highest"):
         DampingCurve(BENCH, 0.0, lowest=1.0, highest=0.5)
-    with pytest.raises(InputError, match="zero or not finite"):
-        transient_damping(BENCH, 0.0, lambda c: np.zeros(3))
     with pytest.raises(InputError, match="must be positive"):
         invariant_feed(BENCH, 0.0, 1.0)

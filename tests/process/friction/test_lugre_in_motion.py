@@ -17,7 +17,7 @@ from process.friction.linearised import linearised
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import two_mass_axes
 from process.simulation.excitation import HalfSine
-from process.simulation.machine import machine_motion, simulate_machine
+from process.simulation.machine import simulate_machine
 
 MM_MIN = 1.0 / 6e4
 FORTH = LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0)
@@ -33,8 +33,8 @@ def axis(law: LuGre) -> Machine:
 def swing(law: LuGre, feed: float, step: float, peak: float = 50.0) -> np.ndarray:
     hit = {"x": HalfSine.from_peak(peak)}
     rate = 1.0 / step
-    run = machine_motion(axis(law), duration=0.3, feed=feed * MM_MIN, forces=hit, sample_rate=rate, step=step)
-    return np.asarray(run.displacement[0])
+    run = simulate_machine(axis(law), duration=0.3, feed=feed * MM_MIN, forces=hit, sample_rate=rate, step=step)
+    return np.asarray(run["displacement"].values[0])
 
 
 @pytest.mark.parametrize(("feed", "peak"), [(500.0, 50.0), (500.0, 300.0), (50.0, 50.0), (0.0, 50.0), (0.0, 300.0)])
@@ -93,11 +93,11 @@ def test_the_slopes_of_a_part_of_a_step_are_those_of_its_values(sign: float) -> 
 def test_a_light_hit_in_motion_gives_the_linearised_compliance_of_its_direction(feed: float) -> None:
     machine, rate, f = axis(BOTH), 4000.0, np.array([10.0, 25.0, 40.0, 60.0, 90.0])
     hit = {"x": HalfSine.from_peak(0.05, start=0.0)}
-    run = machine_motion(
+    run = simulate_machine(
         machine, duration=2.0, feed=feed * MM_MIN, forces=hit, sample_rate=8 * rate, step=1.0 / (8 * rate)
     )
-    turn = np.exp(-2j * np.pi * np.outer(f, run.time))
-    found = (turn @ run.displacement[0]) / (turn @ run.force[0])
+    turn = np.exp(-2j * np.pi * np.outer(f, run["time"].values))
+    found = (turn @ run["displacement"].values[0]) / (turn @ run["force"].values[0])
     exact = machine.at(feed * MM_MIN).matrix(f)[:, 0, 0]
     np.testing.assert_allclose(found, exact, rtol=1e-3)
 
