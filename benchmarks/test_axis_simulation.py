@@ -17,12 +17,14 @@ from process.machine.joints import Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Excitation, HalfSine, SteppedSine
-from process.simulation.machine import RepeatedImpact, as_machine, machine_motion, simulate_axis
+from process.simulation.machine import RepeatedImpact, integrate_problem, simulate_machine
+from process.simulation.problem import MachineRun, resolve
+from process.simulation.record import displacement_of
 
 MM_MIN = 1.0 / 6e4
 FRICTION = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
 BENCH = Drive(23.1, 11.3, 1.68e6, 104.0, Servo(6268.0, 10.9e-3, 45.5))
-MACHINE = as_machine(BENCH, FRICTION)
+MACHINE = Machine.of_axis(BENCH, FRICTION)
 DURATION, RATE = 2.0, 2500.0
 ALLOWED = (1e-4, 1e-6)
 STEPS = (400e-6, 200e-6, 100e-6, 50e-6)
@@ -36,13 +38,20 @@ CASES = {
 
 
 def ours(excitation: Excitation, feed: float, step: float) -> np.ndarray:
-    record = simulate_axis(BENCH, FRICTION, excitation, feed, DURATION, 1.0 / step, step)
+    forces = {"x": excitation}
+    record = simulate_machine(MACHINE, duration=DURATION, feed=feed, forces=forces, sample_rate=1.0 / step, step=step)
     return np.asarray(record["displacement"].values[0][:: round(1.0 / RATE / step)])
+
+
+def motion(machine: Machine, run: MachineRun, rate: float, accuracy: float | None = None) -> np.ndarray:
+    """Displacement of the tool (3, n), without record: a sample is a step."""
+    problem = resolve(machine, run)
+    return displacement_of(problem, integrate_problem(problem, rate, 1.0 / rate, accuracy)[1])
 
 
 def plain(excitation: Excitation, feed: float, step: float) -> None:
     """Run the same without labels and verdict, as LSODA gives it."""
-    machine_motion(MACHINE, duration=DURATION, feed=feed, forces={"x": excitation}, sample_rate=1.0 / step, step=step)
+    motion(MACHINE, MachineRun(DURATION, feed, forces={"x": excitation}), 1.0 / step)
 
 
 def fastest(run: Callable[[], object], count: int) -> float:
@@ -143,8 +152,10 @@ def test_one_hit_of_two_seconds_at_half_a_millisecond(benchmark, law, feed, join
 
     def hit(rate: float) -> np.ndarray:
         pulse = {"x": HalfSine.from_peak(50.0)}
-        run = machine_motion(machine, duration=2.0, feed=feed * MM_MIN, forces=pulse, sample_rate=rate, step=1.0 / rate)
-        return np.asarray(run.displacement[0])
+        out = np.zeros(round(2.0 * rate))
+        moved = motion(machine, MachineRun(2.0, feed * MM_MIN, forces=pulse), rate)[0]
+        out[: moved.size] = moved
+        return out
 
     truth = hit(64e3)[::32]
     found = benchmark(hit, 2000.0)
@@ -156,21 +167,18 @@ def test_one_hit_of_two_seconds_at_half_a_millisecond(benchmark, law, feed, join
 
 @pytest.mark.benchmark(group="hit")
 @pytest.mark.parametrize("feed", [500.0, 0.0])
-def test_two_hits_on_a_machine_made_ready_once_against_two_simulations(benchmark, feed) -> None:  # type: ignore[no-untyped-def]
+def test_two_hits_on_a_machine_prepared_once_against_two_simulations(benchmark, feed) -> None:  # type: ignore[no-untyped-def]
     assert BENCH.servo is not None
     machine = Machine(two_mass_axes({"x": BENCH}), {"x": FeedAxis(replace(BENCH.servo, delay=1e-3), LUGRE)})
-    common = {"duration": 2.0, "feed": feed * MM_MIN, "accuracy": 1e-4}
-    blows = [HalfSine.from_peak(peak, start=0.0) for peak in (50.0, 100.0)]
+    run = MachineRun(2.0, feed * MM_MIN)
+    impacts = [HalfSine.from_peak(peak, start=0.0) for peak in (50.0, 100.0)]
 
     def once() -> list[np.ndarray]:
-        ready = RepeatedImpact(machine, "x", **common)
-        return [ready.displacement(blow, rest=1e-7)[0] for blow in blows]
+        prepared = RepeatedImpact(machine, "x", run, accuracy=1e-4)
+        return [prepared.displacement(impact, rest=1e-7)[0] for impact in impacts]
 
     def each() -> list[np.ndarray]:
-        return [
-            machine_motion(machine, forces={"x": blow}, step=5e-4, **common).displacement[0]  # type: ignore[arg-type]
-            for blow in blows
-        ]
+        return [motion(machine, replace(run, forces={"x": impact}), 2000.0, 1e-4)[0] for impact in impacts]
 
     found, whole = benchmark(once), each()
     error = max(float(np.abs(a - b[: a.size]).max() / np.abs(b).max()) for a, b in zip(found, whole, strict=True))

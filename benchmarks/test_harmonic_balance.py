@@ -11,26 +11,26 @@ from process.friction.laws import Andersson
 from process.friction.linearised import equivalent_damping
 from process.harmonic_balance.many_harmonics import multi_harmonic
 from process.harmonic_balance.one_harmonic import single_harmonic
-from process.harmonic_balance.quasi_frf import SlidingAxis, quasi_compliance, quasi_frf, two_mass_compliance
+from process.harmonic_balance.quasi_frf import network, quasi_compliance
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import two_mass_axes
-from process.simulation.machine import SteppedSine, simulate_axis
+from process.simulation.excitation import SteppedSine
+from process.simulation.machine import simulate_machine
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
 FREQUENCY = np.linspace(20.0, 95.0, 1100)
-DRIVE, SERVO = Drive(23.1, 11.3, 1.68e6, 104.0), Servo(6268.0, 10.9e-3, 45.5)
+SERVO = Servo(6268.0, 10.9e-3, 45.5)
+DRIVE = Drive(23.1, 11.3, 1.68e6, 104.0, SERVO)
+ONE, FEED = Machine.of_axis(DRIVE, BENCH), 500.0 * MM_MIN
+AXIS = network(ONE, FEED)
 FEW = np.arange(25, FREQUENCY.size, 250)
-
-compliance = two_mass_compliance(23.1, 11.3, 1.68e6, 104.0, lambda f: SERVO.feedback(2j * np.pi * f))
-AXIS = SlidingAxis(compliance, BENCH, 500.0 * MM_MIN)
 
 
 def stepped_sine(frequency: float, force: float, feed: float) -> complex:
     """One point by time simulation: phasor over the last whole periods of 4 s."""
-    drive = Drive(23.1, 11.3, 1.68e6, 104.0, SERVO)
-    sine = SteppedSine((float(frequency),), force, 4.0, 0.0)
-    record = simulate_axis(drive, BENCH, sine, feed, 4.0, 100.0 * frequency)
+    sine = {"x": SteppedSine((float(frequency),), force, 4.0, 0.0)}
+    record = simulate_machine(ONE, duration=4.0, feed=feed, forces=sine, sample_rate=100.0 * frequency)
     shown = slice(-100 * int(frequency), None)
     wave = np.exp(-2j * np.pi * frequency * record["time"].values[shown])
     x, push = (record[name].values[0, shown] @ wave for name in ("displacement", "force"))
@@ -43,12 +43,12 @@ def test_single_harmonic_frf_against_a_bisection_for_each_frequency(benchmark) -
     benchmark(single_harmonic, AXIS, 50.0, FREQUENCY)
     few = np.arange(0, FREQUENCY.size, 100)
     start = time.perf_counter()
-    g, s = compliance(FREQUENCY[few]), 2j * np.pi * FREQUENCY[few]
+    g, s = AXIS.matrix(FREQUENCY[few]), 2j * np.pi * FREQUENCY[few]
     low, high = np.full(few.size, 1e-9), np.full(few.size, 1.0)
     for _ in range(60):
         middle = np.sqrt(low * high)
-        loop = np.abs(1.0 + s * g[:, 1, 1] * equivalent_damping(BENCH, AXIS.feed, middle))
-        above = middle * loop > np.abs(s * g[:, 1, 0]) * 50.0
+        loop = np.abs(1.0 + s * g[:, 3, 3] * equivalent_damping(BENCH, FEED, middle))
+        above = middle * loop > np.abs(s * g[:, 3, 0]) * 50.0
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     seconds = (time.perf_counter() - start) / few.size * FREQUENCY.size
     np.testing.assert_allclose(np.abs(found.fundamental[few, 0]), middle, rtol=2e-3)
@@ -67,9 +67,11 @@ def test_many_harmonics(benchmark) -> None:
 @pytest.mark.benchmark(group="harmonic balance")
 @pytest.mark.parametrize(("feed", "force"), [(500.0, 50.0), (250.0, 60.0), (0.0, 50.0)])
 def test_quasi_frf_against_stepped_sines(benchmark, feed: float, force: float) -> None:
-    axis = SlidingAxis(compliance, BENCH, feed * MM_MIN)
-    quasi_frf(axis, force, FREQUENCY[::100])
-    result = benchmark.pedantic(quasi_frf, (axis, force, FREQUENCY), rounds=2)
+    def found_at(frequency: np.ndarray):  # type: ignore[no-untyped-def]
+        return quasi_compliance(ONE, frequency, force, feed * MM_MIN, excitation=["x"], response=["x"])
+
+    found_at(FREQUENCY[::100])
+    result = benchmark.pedantic(found_at, (FREQUENCY,), rounds=2)
     found = result["compliance"].values[FEW, 0, 0]
     # A part of the points is simulated, and its time scaled to all of them.
     stepped_sine(40.0, force, feed * MM_MIN)

@@ -121,7 +121,7 @@ class Drive:
         """
         if delay is None:
             delay = 0.0 if self.servo is None else self.servo.delay
-        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        s = _laplace(frequency)
         return np.asarray(self._free_carriage(s) * np.exp(-delay * s))
 
     def _free_carriage(self, s: Complex) -> Complex:
@@ -178,7 +178,7 @@ class Drive:
         servo = self._held()
 
         def gain(f: Real) -> Complex:
-            s = 2j * np.pi * f
+            s = _laplace(f)
             return np.asarray(servo.velocity_controller(s) * s * self._free_carriage(s))
 
         def require_stable() -> None:
@@ -191,7 +191,7 @@ class Drive:
         servo = self._held()
 
         def gain(f: Real) -> Complex:
-            s = 2j * np.pi * f
+            s = _laplace(f)
             return np.asarray(servo.feedback(s) * self._free_carriage(s))
 
         def require_stable() -> None:
@@ -252,6 +252,11 @@ class Drive:
             v = self.servo
             gain[2:] = v.Kp * np.array([v.Kv + 1.0 / v.Ti, 1.0, v.Kv / v.Ti])
         return a, b, out, gain
+
+
+def _laplace(frequency: ArrayLike) -> Complex:
+    """``j w`` [rad/s] at frequencies [Hz]."""
+    return np.asarray(2j * np.pi * np.asarray(frequency, dtype=float), dtype=np.complex128)
 
 
 def _relative(a: Real, b: Real, out: Real) -> tuple[Real, Real, Real]:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from process.drive.axis import Drive
 from process.drive.servo import Servo
 from process.errors import InputError
 from process.friction.laws import FrictionLaw, MemoryLaw, Viscous
@@ -21,7 +22,7 @@ from process.friction.linearised import linearised
 from process.labels import axis_index, check_compliance, make_compliance
 from process.machine.joints import Joint
 from process.machine.operating_point import OperatingPoint, SlideImpedance
-from process.machine.structure import Posture, Structure
+from process.machine.structure import Posture, Structure, two_mass_axes
 from process.types import Complex, Real
 from process.units import check_feed
 
@@ -31,7 +32,7 @@ FEW_MICROSLIP = 1e-12
 
 @dataclass(frozen=True)
 class FeedAxis:
-    """What drives and rubs one slide.
+    """Drive and friction of one slide.
 
     Parameters
     ----------
@@ -110,10 +111,10 @@ class Machine:
     def __post_init__(self) -> None:
         """Refuse axes without a slide and joints that do not fit; free slides get an axis of their own."""
         one = self.structure.structures[0] if isinstance(self.structure, Posture) else self.structure
-        strangers = [a for a in self.axes if a not in one.slides]
-        if strangers:
+        unknown = [a for a in self.axes if a not in one.slides]
+        if unknown:
             raise InputError(
-                f"axis {', '.join(strangers)} has no slide in the structure, which has "
+                f"axis {', '.join(unknown)} has no slide in the structure, which has "
                 f"{', '.join(one.slides) or 'none'}; name the axes that the structure moves along"
             )
         for mounted in self.joints:
@@ -123,6 +124,33 @@ class Machine:
                 )
         object.__setattr__(self, "axes", {a: self.axes.get(a, FeedAxis()) for a in one.slides})
         object.__setattr__(self, "joints", tuple(self.joints))
+
+    @classmethod
+    def of_axis(cls, drive: Drive, friction: FrictionLaw | MemoryLaw | None = None, axis: str = "x") -> Machine:
+        """Return the machine of one feed axis: carriage, tip and servo of a drive, and the friction of its guideway.
+
+        Parameters
+        ----------
+        drive : Drive
+            Masses, joint and servo.
+        friction : FrictionLaw or MemoryLaw, optional
+            Of the carriage; default viscous with the drive's own sigma.
+        axis : {"x", "y", "z"}, optional
+            Name of the axis.
+
+        Raises
+        ------
+        InputError
+            When the drive has a sigma and a law is given too.
+        """
+        if friction is None:
+            friction = Viscous(drive.sigma)
+        elif drive.sigma != 0.0:
+            raise InputError(
+                f"the drive has sigma {drive.sigma:g} N s/m and a friction law is given: friction would count twice; "
+                "put the viscous part into the law and leave sigma 0"
+            )
+        return cls(two_mass_axes({axis: replace(drive, sigma=0.0)}), {axis: FeedAxis(drive.servo, friction)})
 
     def structure_at(self, position: float | None = None) -> Structure:
         """Return the structure at a position [m] of the axis that the posture depends on."""
@@ -148,11 +176,9 @@ class Machine:
             check_feed(one)
         if not isinstance(feed, Mapping):
             return dict.fromkeys(self.axes, float(feed))
-        strangers = [a for a in feed if a not in self.axes]
-        if strangers:
-            raise InputError(
-                f"feed of axis {', '.join(strangers)}; this machine moves {', '.join(self.axes) or 'none'}"
-            )
+        unknown = [a for a in feed if a not in self.axes]
+        if unknown:
+            raise InputError(f"feed of axis {', '.join(unknown)}; this machine moves {', '.join(self.axes) or 'none'}")
         return {a: float(feed.get(a, 0.0)) for a in self.axes}
 
     def at(
@@ -284,8 +310,8 @@ def _check_axes(
 def _feeds(axes: Mapping[str, FeedAxis], feed: float | Mapping[str, float]) -> dict[str, float]:
     """Return the feed of each axis [m/s]; a plain value moves all."""
     given = feed if isinstance(feed, Mapping) else dict.fromkeys(axes, feed)
-    strangers = [a for a in given if a not in axes]
-    if strangers or not all(math.isfinite(v) for v in given.values()):
+    unknown = [a for a in given if a not in axes]
+    if unknown or not all(math.isfinite(v) for v in given.values()):
         raise InputError(f"feed {dict(given)} m/s; finite numbers are needed, for the axes {', '.join(axes)}")
     return {a: float(given.get(a, 0.0)) for a in axes}
 

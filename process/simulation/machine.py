@@ -9,39 +9,25 @@ out; the loop is in `process.simulation._machine_kernels`.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy import linalg
+from scipy import linalg, signal
 
-from process.drive.axis import Drive
 from process.errors import InputError
-from process.friction.laws import FrictionLaw, MemoryLaw, Viscous
 from process.friction.linearised import FrictionImpedance
-from process.machine.machine import FeedAxis, Machine
+from process.machine.machine import Machine
+from process.machine.modes import ModalModel
 from process.machine.operating_point import OperatingPoint
-from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Excitation, HalfSine
-from process.simulation.excitation import SteppedSine as SteppedSine
-from process.simulation.milling import STEPS_PER_PERIOD, STEPS_PER_TOOTH, MillingCut, Spindle
+from process.simulation.milling import STEPS_PER_PERIOD, STEPS_PER_TOOTH, MillingCut, Spindle, simulate_milling
 from process.simulation.packing import pack_forces, pack_impact
-from process.simulation.problem import Problem, problem
-from process.simulation.problem import SampledControl as SampledControl
-from process.simulation.record import (
-    AT_REST,
-    MARGIN,
-    Motion,
-    Run,
-    as_motion,
-    as_record,
-    displacement_of,
-    integrate,
-    prepare,
-)
+from process.simulation.problem import MachineRun, Problem, SampledControl, resolve
+from process.simulation.record import AT_REST, MARGIN, Run, as_record, displacement_of, integrate, prepare
 from process.simulation.step_maps import System, fastest_pole, system_of
 from process.types import Real
 
@@ -62,12 +48,12 @@ _COARSEST = 20
 
 def _default_step(p: Problem, fastest: float) -> float:
     """Return the default step [s], which `simulate_machine` states."""
-    bounds = [*(e.shortest / STEPS_PER_EVENT for e in p.excitations), *p.delays]
+    bounds = [*(e.shortest / STEPS_PER_EVENT for e in p.run.excitations), *p.delays]
     period = 2.0 * math.pi / fastest
     bounds.append(period / STEPS_PER_POLE)
-    if p.cut is not None and p.spindle is not None:
-        _, turning = p.spindle.extremes(0.0, p.total)
-        bounds.append(1.0 / (STEPS_PER_TOOTH * p.cut.tool.tooth_passing_frequency(turning)))
+    if p.run.cut is not None and p.run.spindle is not None:
+        _, turning = p.run.spindle.extremes(0.0, p.run.total)
+        bounds.append(1.0 / (STEPS_PER_TOOTH * p.run.cut.tool.tooth_passing_frequency(turning)))
         bounds.append(period / STEPS_PER_PERIOD)
     return min(bounds)
 
@@ -75,22 +61,24 @@ def _default_step(p: Problem, fastest: float) -> float:
 def _keep(p: Problem, sample_rate: float, largest: float) -> int:
     """Steps a sample: the step divides the sampling intervals of record and controller."""
     keep = max(1, math.ceil(1.0 / (sample_rate * largest) - 1e-9))
-    if p.control is None:
+    if p.run.control is None:
         return keep
     for more in range(keep, 64 * keep + 64):
-        ratio = p.control.period * sample_rate * more
+        ratio = p.run.control.period * sample_rate * more
         if abs(ratio - round(ratio)) < 1e-9 * ratio and round(ratio) >= 1:
             return more
     raise InputError(
-        f"no step divides both the servo's period {p.control.period:g} s and the interval of {sample_rate:g} samples a "
-        "second; give a sample rate that is a simple fraction of the servo's"
+        f"no step divides both the servo's period {p.run.control.period:g} s and the interval of {sample_rate:g} "
+        "samples a second; give a sample rate that is a simple fraction of the servo's"
     )
 
 
-def _prepared(p: Problem, sample_rate: float, step: float | None, accuracy: float | None = None) -> tuple[System, Run]:
+def integrate_problem(
+    p: Problem, sample_rate: float, step: float | None, accuracy: float | None = None
+) -> tuple[System, Run]:
     """Integrate a problem; return its linear part and the run."""
-    if not p.total * sample_rate >= 2.0:
-        raise InputError(f"{p.total:g} s at {sample_rate:g} Hz; at least two samples are needed")
+    if not p.run.total * sample_rate >= 2.0:
+        raise InputError(f"{p.run.total:g} s at {sample_rate:g} Hz; at least two samples are needed")
     require_bounded(p)
     system = system_of(p)
     fastest = fastest_pole(p, system)
@@ -103,10 +91,10 @@ def _prepared(p: Problem, sample_rate: float, step: float | None, accuracy: floa
         accuracy = min(1e-2, ACCURACY / (sample_rate * keep * usual) ** 4)
     h = 1.0 / (sample_rate * keep)
     # The low-pass looks ahead: integrate beyond the end of the record.
-    steps = (round(p.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
+    steps = (round(p.run.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
     given, forces = pack_forces(p, h, steps)
     # A mode rings after an impulse with a force of its frequency times that.
-    given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.impulse)))
+    given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.run.impulse)))
     return system, integrate(prepare(p, system, h, steps), given, forces, keep=keep, accuracy=accuracy)
 
 
@@ -195,70 +183,74 @@ def simulate_machine(
         When the servos are unstable when sliding fast, the step is too large, a law jumps at rest, the spindle does
         not turn forward, or the tool leaves the range of 1 m.
     """
-    p = problem(
-        machine,
-        duration=duration,
-        feed=feed,
-        controller=controller,
-        position=position,
-        forces=forces,
-        drive_forces=drive_forces,
-        cut=cut,
-        spindle=spindle,
-        lead=lead,
-        tail=tail,
-        impulse=impulse,
-        control=control,
+    run = MachineRun(
+        duration,
+        feed,
+        controller,
+        position,
+        forces or {},
+        drive_forces or {},
+        cut,
+        spindle,
+        lead,
+        tail,
+        impulse,
+        control,
     )
-    system, run = _prepared(p, sample_rate, step)
-    return as_record(p, system, run, sample_rate, count_unstable(operating_point(p), control))
+    p = resolve(machine, run)
+    system, states = integrate_problem(p, sample_rate, step)
+    return as_record(p, system, states, sample_rate, count_unstable(operating_point(p), control))
 
 
-def machine_motion(
-    machine: Machine,
-    *,
-    sample_rate: float = 2000.0,
-    step: float | None = None,
-    accuracy: float | None = None,
-    **arguments: Any,
-) -> Motion:
-    """Return the motion of the tool of `simulate_machine` as plain arrays, for those who ask for it many times.
+def step_error(machine: Machine | ModalModel, *, step: float | None = None, **arguments: Any) -> float:
+    """Return the error of a step: largest change of the record when the step is halved, over the largest value [1].
 
-    The same numbers, without labels, slides and verdict; parameters and errors are those of `simulate_machine`.
-    accuracy: largest error of a friction or joint force in a step, over the largest force so far; default `ACCURACY`
-    times the fourth power of the step over the default one.
-
-    Returns
-    -------
-    Motion
-        ``time`` [s], shape (n,), ``force`` [N], ``displacement`` [m], ``acceleration`` [m/s^2], shape (3, n).
-    """
-    p = problem(machine, **arguments)
-    system, run = _prepared(p, sample_rate, step, accuracy)
-    return as_motion(p, system, run, sample_rate)
-
-
-def step_error(machine: Machine, *, step: float | None = None, **arguments: Any) -> float:
-    """Return what the step costs: largest change of the tool's displacement when it is halved, over the largest [1].
+    The displacement of the tool is compared, and with a cut its force too, as means over a tooth period weighted by a
+    Hann window: where a tooth enters, a sample is the share of its step. The order of a cut is two, so that the
+    remaining error of the halved step is about a third of this. Above the stability limit two runs part exponentially,
+    whatever the step.
 
     Parameters
     ----------
-    machine : Machine
+    machine : Machine or ModalModel
         The machine.
     step : float, optional
-        Step to judge [s]; default that of `simulate_machine`.
+        Step to judge [s], shortened to divide the record; default that of the simulation.
     **arguments
-        As of `simulate_machine`; a sample is a step here.
+        As of `simulate_machine`, or of `process.simulation.milling.simulate_milling`; a sample is a step here.
+
+    Raises
+    ------
+    InputError
+        When the cut lasts less than two tooth periods, or the simulation refuses its arguments.
     """
-    arguments.pop("sample_rate", None)
+    simulate: Callable[..., xr.Dataset] = simulate_machine
+    if isinstance(machine, ModalModel):
+        simulate = simulate_milling
+    total = sum(arguments.get(name, 0.0) for name in ("lead", "duration", "tail"))
     if step is None:
-        step = simulate_machine(machine, **arguments).attrs["step_s"]
-    coarse, fine = (
-        simulate_machine(machine, sample_rate=1.0 / h, step=h, **arguments)["displacement"].values
-        for h in (step, 0.5 * step)
-    )
-    n = min(coarse.shape[1], (fine.shape[1] + 1) // 2)
-    return float(np.abs(coarse[:, :n] - fine[:, ::2][:, :n]).max() / np.abs(fine).max())
+        step = float(simulate(machine, sample_rate=2.0 / total, **arguments).attrs["step_s"])
+    count = math.ceil(total / step * (1.0 - 1e-9))
+    runs = [simulate(machine, sample_rate=n / total, step=total / n, **arguments) for n in (count, 2 * count)]
+    pairs = [[run["displacement"].values for run in runs]]
+    cut, spindle = arguments.get("cut"), arguments.get("spindle")
+    if cut is not None and spindle is not None:
+        tooth = cut.tool.tooth_passing_frequency(spindle.extremes(0.0, total)[1])
+        half_width = max(1, round(0.5 * count / (total * tooth)))
+        if count < 4 * half_width:
+            raise InputError(f"the cut lasts {total:g} s; the step can be judged by two tooth periods or more")
+        pairs.append([_smoothed(run["force"].values, n * half_width) for n, run in enumerate(runs, 1)])
+    errors = []
+    for coarse, fine in pairs:
+        n = min(coarse.shape[1], (fine.shape[1] + 1) // 2)
+        errors.append(float(np.abs(coarse[:, :n] - fine[:, ::2][:, :n]).max() / np.abs(fine).max()))
+    return max(errors)
+
+
+def _smoothed(samples: Real, half_width: int) -> Real:
+    """Mean over 2 half_width samples, weighted by a Hann window; the half widths at both ends are left out."""
+    window = 0.5 + 0.5 * np.cos(np.pi * np.arange(-half_width, half_width + 1) / half_width)
+    return np.asarray(signal.oaconvolve(samples, window[None, :] / half_width, mode="valid", axes=-1))
 
 
 def require_fine(p: Problem, fastest: float, step: float) -> None:
@@ -274,9 +266,6 @@ def require_fine(p: Problem, fastest: float, step: float) -> None:
 # --- Repeated impacts on a machine in uniform motion: all but the force is prepared once.
 
 
-_ANY = HalfSine(1.0)
-
-
 class RepeatedImpact:
     """A machine that is hit along one axis many times; its samples are its steps, and nothing is low-passed.
 
@@ -286,14 +275,12 @@ class RepeatedImpact:
         At rest or in uniform motion.
     axis : str
         Axis of the impact.
-    duration : float
-        Time that is followed [s].
-    feed, controller, position
-        As of `process.simulation.machine.simulate_machine`.
-    sample_rate : float, optional
-        Samples and steps a second [Hz].
+    run : MachineRun
+        Duration, feed, controller and position; without forces.
     accuracy : float
         Largest error of a friction or joint force in a step, over the largest force so far.
+    sample_rate : float, optional
+        Samples and steps a second [Hz].
 
     Raises
     ------
@@ -302,24 +289,13 @@ class RepeatedImpact:
     """
 
     def __init__(
-        self,
-        machine: Machine,
-        axis: str,
-        *,
-        duration: float,
-        accuracy: float,
-        feed: float | Mapping[str, float] = 0.0,
-        controller: str | None = None,
-        position: float | None = None,
-        sample_rate: float = 2000.0,
+        self, machine: Machine, axis: str, run: MachineRun, *, accuracy: float, sample_rate: float = 2000.0
     ) -> None:
-        p = problem(
-            machine, duration=duration, feed=feed, controller=controller, position=position, forces={axis: _ANY}
-        )
+        p = resolve(machine, replace(run, forces={axis: HalfSine(1.0)}))
         require_bounded(p)
         system, step = system_of(p), 1.0 / sample_rate
         require_fine(p, fastest_pole(p, system), step)
-        self._prepared = prepare(p, system, step, round(p.total * sample_rate))
+        self._prepared = prepare(p, system, step, round(run.total * sample_rate))
         self._accuracy = accuracy
 
     def displacement(self, impact: Excitation, rest: float = AT_REST) -> Real:
@@ -348,19 +324,22 @@ class RepeatedImpact:
 
 def operating_point(p: Problem) -> OperatingPoint:
     """Return the machine linearised in uniform motion, with the local friction."""
-    return p.machine.at(dict(zip(p.machine.axes, p.feeds, strict=True)), p.controller, p.position)
+    return p.machine.at(dict(zip(p.machine.axes, p.feeds, strict=True)), p.run.controller, p.run.position)
 
 
 class _StabilityCase:
     """What a verdict is about: two problems are alike where their keys are."""
 
     def __init__(self, p: Problem) -> None:
-        self.problem = p._replace(forces={}, drive_forces={}, cut=None, spindle=None)
+        # Neither forces nor the cut change the poles.
+        self.problem = p._replace(
+            run=replace(p.run, forces={}, drive_forces={}, cut=None, spindle=None, impulse=(0, 0, 0))
+        )
         first = p.structures[0]
         matrices = (first.mass, first.damping, first.stiffness, first.slide_rows())
         joints = tuple((m.joint, m.participation.tobytes()) for m in p.machine.joints)
         fast = tuple(r.fast for r in p.friction)
-        self.key: Hashable = (tuple(m.tobytes() for m in matrices), joints, p.servos, p.control, fast)
+        self.key: Hashable = (tuple(m.tobytes() for m in matrices), joints, p.servos, p.run.control, fast)
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -395,7 +374,7 @@ def _unbounded(case: _StabilityCase) -> int:
     counts = [0]
     for slopes in dict.fromkeys(zip(*(r.fast for r in p.friction), strict=True)):
         slides = [replace(s, friction=FrictionImpedance(v)) for s, v in zip(point.slides, slopes, strict=True)]
-        counts.append(count_unstable(OperatingPoint(point.structure, slides), p.control))
+        counts.append(count_unstable(OperatingPoint(point.structure, slides), p.run.control))
     return max(counts)
 
 
@@ -448,79 +427,3 @@ def _sampled_transition(point: OperatingPoint, control: SampledControl) -> Real:
             z[queue] = force
             z[queue + 1 : queue + lag, queue : queue + lag - 1] = np.eye(lag - 1)
     return z
-
-
-# --- Time simulation of one feed axis: `process.simulation.machine` for a `Drive`, a friction law, a force on the tip.
-
-
-def as_machine(drive: Drive, friction: FrictionLaw | MemoryLaw | None = None, axis: str = "x") -> Machine:
-    """Return the machine of one axis that a drive is; its own sigma is the friction where no law is given.
-
-    Raises
-    ------
-    InputError
-        When the drive has a sigma and a law is given too.
-    """
-    if friction is None:
-        friction = Viscous(drive.sigma)
-    elif drive.sigma != 0.0:
-        raise InputError(
-            f"the drive has sigma {drive.sigma:g} N s/m and a friction law is given: friction would count twice; "
-            "put the viscous part into the law and leave sigma 0"
-        )
-    return Machine(two_mass_axes({axis: replace(drive, sigma=0.0)}), {axis: FeedAxis(drive.servo, friction)})
-
-
-def simulate_axis(
-    drive: Drive,
-    friction: FrictionLaw | MemoryLaw | None,
-    excitation: Excitation,
-    feed: float,
-    duration: float,
-    sample_rate: float = 2000.0,
-    step: float | None = None,
-    axis: str = "x",
-) -> xr.Dataset:
-    """Return the record of an axis that moves at a constant feed while its tip is hit or shaken.
-
-    Parameters
-    ----------
-    drive : Drive
-        Masses, joint and servo; the axis follows its ramp steadily before the excitation.
-    friction : FrictionLaw, MemoryLaw or None
-        Friction of the carriage; None means the drive's own sigma. With a law, the drive's sigma must be zero.
-    excitation : Excitation
-        Force on the tip.
-    feed : float
-        Feed v0 [m/s], of either sign; zero is idle.
-    duration : float
-        Length of the record [s].
-    sample_rate : float, optional
-        Samples a second [Hz]; above it every channel is low-passed alike.
-    step : float, optional
-        Largest integration step [s]; default that of `simulate_machine`.
-    axis : {"x", "y", "z"}, optional
-        Name of the axis.
-
-    Returns
-    -------
-    xarray.Dataset
-        That of `process.simulation.machine.simulate_machine`, of this axis alone.
-    """
-    machine = as_machine(drive, friction, axis)
-    return simulate_machine(
-        machine, duration=duration, feed=feed, forces={axis: excitation}, sample_rate=sample_rate, step=step
-    )
-
-
-def axis_step_error(
-    drive: Drive,
-    friction: FrictionLaw | MemoryLaw | None,
-    excitation: Excitation,
-    feed: float,
-    duration: float,
-    step: float | None = None,
-) -> float:
-    """Return `process.simulation.machine.step_error` of an axis; parameters are those of `simulate_axis`."""
-    machine = as_machine(drive, friction)
-    return step_error(machine, duration=duration, feed=feed, forces={"x": excitation}, step=step)

@@ -331,37 +331,6 @@ def simulate_milling(
     return record
 
 
-def milling_step_error(
-    machine: ModalModel, cut: MillingCut, spindle: Spindle, duration: float, step: float | None = None
-) -> float:
-    """Return what the step costs: largest change of force or displacement when it is halved, over the largest [1].
-
-    Parameters are those of `simulate_milling`; the default step is `default_step`. Forces are compared as weighted
-    means over a tooth period: where a tooth enters, a sample is the share of its step. The order is two, so the
-    remaining error of the halved step is about a third of this. Above the stability limit two runs part exponentially,
-    whatever the step.
-    """
-    fastest = spindle.extremes(0.0, duration)[1]
-    count = math.ceil(duration / (default_step(machine, cut, fastest) if step is None else step))
-    runs = [
-        simulate_milling(machine, cut, spindle, duration, n / duration, step=duration / n) for n in (count, 2 * count)
-    ]
-    half_width = max(1, round(0.5 * count / (duration * cut.tool.tooth_passing_frequency(fastest))))
-    if count < 4 * half_width:
-        raise InputError(f"the cut lasts {duration:g} s; the step can be judged by two tooth periods or more")
-    force = [_smoothed(run["force"].values, n * half_width) for n, run in enumerate(runs, 1)]
-    displacement = [run["displacement"].values for run in runs]
-    return max(
-        float(np.abs(coarse - fine[:, ::2]).max() / np.abs(fine).max()) for coarse, fine in (force, displacement)
-    )
-
-
-def _smoothed(samples: Real, half_width: int) -> Real:
-    """Mean over 2 half_width samples, weighted by a Hann window; the half widths at both ends are left out."""
-    window = 0.5 + 0.5 * np.cos(np.pi * np.arange(-half_width, half_width + 1) / half_width)
-    return np.asarray(signal.oaconvolve(samples, window[None, :] / half_width, mode="valid", axes=-1))
-
-
 def _require_times(duration: float, lead: float, tail: float, sample_rate: float) -> None:
     if not (0.0 < duration < math.inf and 0.0 <= lead < math.inf and 0.0 <= tail < math.inf):
         raise InputError(

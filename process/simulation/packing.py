@@ -86,7 +86,7 @@ def _mounted(joint: Joint, participation: Real, target: int, size: int) -> _Elem
 
 def pack_elements(p: Problem, system: System) -> tuple[arrays.Elements, Real]:
     """Pack friction and joints; also return their states at the start."""
-    slides, tools = p.structures[0].slide_rows(), len(p.tools)
+    slides, tools = p.structures[0].slide_rows(), len(p.run.tool_axes)
     made = [_of_slide(p.friction[i], tools + i, slides[i], system.size) for i in system.nonlinear]
     for k, mounted in enumerate(p.machine.joints):
         made.append(_mounted(mounted.joint, mounted.participation, tools + len(slides) + k, system.size))
@@ -126,9 +126,9 @@ def _looking_back(lag: Real) -> tuple[NDArray[np.int64], Real]:
 
 def pack_servos(p: Problem, system: System, step: float) -> tuple[arrays.Servos, int]:
     """Pack the servos outside the linear part; also return the length of their ring."""
-    tools, rows = len(p.tools), p.structures[0].slide_rows()
+    tools, rows = len(p.run.tool_axes), p.structures[0].slide_rows()
     blank, none = np.zeros((0, 3)), np.zeros((0, 2))
-    if p.control is None:
+    if p.run.control is None:
         rows_of = gains(p, system, p.structures[0])
         lag = np.array([2.0 * p.servos[i].delay / step for i in system.late])  # type: ignore[union-attr]
         late = np.array([-rows_of[i] for i in system.late]).reshape(len(system.late), system.size)
@@ -142,8 +142,8 @@ def pack_servos(p: Problem, system: System, step: float) -> tuple[arrays.Servos,
     gains_of = np.array([(v.Kp, 1.0 / v.Ti, v.Kv) for _, v in held]).reshape(-1, 3)
     ramp = np.array([(p.feeds[i], -v.following_error(p.feeds[i])) for i, v in held]).reshape(-1, 2)
     target = np.array([tools + i for i, _ in held], dtype=np.int64)
-    every, fine = max(1, round(p.control.period / step)), p.control.encoder_resolution
-    return arrays.Servos(target, read, *_looking_back(np.zeros(0)), every, gains_of, fine, ramp), p.control.lag + 1
+    every, fine = max(1, round(p.run.control.period / step)), p.run.control.encoder_resolution
+    return arrays.Servos(target, read, *_looking_back(np.zeros(0)), every, gains_of, fine, ramp), p.run.control.lag + 1
 
 
 @lru_cache(maxsize=8)
@@ -225,9 +225,9 @@ def _sampled(excitation: Excitation, step: float, steps: int) -> Sampled:
 
 def pack_forces(p: Problem, step: float, steps: int) -> tuple[arrays.Given, list[Sampled]]:
     """Pack the forces over time, first those on the tool; also return them as sampled."""
-    tools, axes = p.tools, list(p.machine.axes)
-    target = [tools.index(a) for a in p.forces] + [len(tools) + axes.index(a) for a in p.drive_forces]
-    sampled = [_sampled(e, step, steps) for e in p.excitations]
+    tools, axes = p.run.tool_axes, list(p.machine.axes)
+    target = [tools.index(a) for a in p.run.forces] + [len(tools) + axes.index(a) for a in p.run.drive_forces]
+    sampled = [_sampled(e, step, steps) for e in p.run.excitations]
     return _given(sampled, target), sampled
 
 
@@ -271,7 +271,7 @@ def pack_linear(p: Problem, system: System, elements: arrays.Elements, step: flo
     first, n, a = p.structures[0], system.n, system.matrices[0][0]
     power = first.mass @ a[n : 2 * n]
     power[:, :n] += first.stiffness
-    places = np.minimum(np.arange(steps) * (step / p.total), 1.0) * (len(p.structures) - 1.0)
+    places = np.minimum(np.arange(steps) * (step / p.run.total), 1.0) * (len(p.structures) - 1.0)
     tool = np.array([s.tool for s in p.structures])
     return arrays.Linear(maps, places, power, first.mass, first.stiffness, reach(p, first), tool)
 
@@ -314,10 +314,10 @@ def _no_cut() -> arrays.Cut:
 
 def pack_cut(p: Problem, step: float) -> arrays.Cut:
     """Pack the cut; without one there are no teeth."""
-    if p.cut is None or p.spindle is None:
+    if p.run.cut is None or p.run.spindle is None:
         return _no_cut()
-    slowest, fastest = p.spindle.extremes(0.0, p.total)
-    teeth = pack_teeth(p.cut, step, slowest, fastest)
+    slowest, fastest = p.run.spindle.extremes(0.0, p.run.total)
+    teeth = pack_teeth(p.run.cut, step, slowest, fastest)
     first = p.structures[0]
-    kick = np.linalg.solve(first.mass, first.tool.T @ np.asarray(p.impulse, dtype=float))
-    return arrays.Cut(pack_motion(p.spindle, p.cut), teeth, flat_surfaces(teeth), p.entry, p.leave, kick)
+    kick = np.linalg.solve(first.mass, first.tool.T @ np.asarray(p.run.impulse, dtype=float))
+    return arrays.Cut(pack_motion(p.run.spindle, p.run.cut), teeth, flat_surfaces(teeth), p.run.lead, p.run.leave, kick)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -84,24 +84,99 @@ def _slide_friction(law: FrictionLaw | MemoryLaw, feed: float) -> SlideFriction:
     return SlideFriction(law, feed, float(law.force(feed)), slope, (up, down))
 
 
+@dataclass(frozen=True)
+class MachineRun:
+    """What a machine does and what acts on it while it is simulated; `process.simulation.machine.simulate_machine`.
+
+    Parameters
+    ----------
+    duration : float
+        Length of the record, with a cut the time in the cut [s].
+    feed : float or mapping, optional
+        Feed of all axes, or axis name -> feed [m/s], of either sign.
+    controller : str, optional
+        Name of the controllers.
+    position : float, optional
+        Position [m], at t = 0, of the axis that a posture depends on.
+    forces, drive_forces : mapping, optional
+        Axis name -> force on the tool, or added to that of the drive.
+    cut, spindle : optional
+        The cut and the speed of the spindle: both or neither.
+    lead, tail : float, optional
+        Time before and after the cut [s].
+    impulse : (float, float, float), optional
+        Impulse on the tool at entry [N s].
+    control : SampledControl, optional
+        The servos work on samples.
+
+    Raises
+    ------
+    InputError
+        When a cut has no spindle or a spindle no cut, a time is not possible, or an impulse has no cut.
+    """
+
+    duration: float
+    feed: float | Mapping[str, float] = 0.0
+    controller: str | None = None
+    position: float | None = None
+    forces: Mapping[str, Excitation] = field(default_factory=dict)
+    drive_forces: Mapping[str, Excitation] = field(default_factory=dict)
+    cut: MillingCut | None = None
+    spindle: Spindle | None = None
+    lead: float = 0.0
+    tail: float = 0.0
+    impulse: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    control: SampledControl | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together."""
+        if (self.cut is None) != (self.spindle is None):
+            raise InputError("a cut needs a spindle and a spindle a cut; give both or neither")
+        if self.cut is not None and not (self.duration > 0.0 and self.lead >= 0.0 and self.tail >= 0.0):
+            raise InputError(
+                f"{self.lead:g} s in air, {self.duration:g} s in the cut, {self.tail:g} s in air; the cut must last, "
+                "and the others must be zero or positive"
+            )
+        if not math.isfinite(self.total):
+            raise InputError(f"a simulation of {self.total:g} s; give a finite time")
+        if self.cut is None and any(self.impulse):
+            raise InputError("an impulse at entry is given, but no cut; use forces, e.g. a HalfSine")
+        axis_index(list(self.forces))
+
+    @property
+    def total(self) -> float:
+        """Length of the record [s]."""
+        return self.lead + self.duration + self.tail
+
+    @property
+    def leave(self) -> float:
+        """Time [s] at which the tool leaves the cut; it enters at `lead`."""
+        return self.lead + self.duration
+
+    @property
+    def excitations(self) -> list[Excitation]:
+        """Every force over time, those on the tool first."""
+        return [*self.forces.values(), *self.drive_forces.values()]
+
+    @property
+    def tool_axes(self) -> list[str]:
+        """Axes along which a force acts on the tool."""
+        return list(AXES) if self.cut is not None else list(self.forces)
+
+    @property
+    def end(self) -> float:
+        """Time [s] after which nothing excites the machine."""
+        return max([e.end for e in self.excitations] + [self.leave if self.cut is not None else 0.0])
+
+
 class Problem(NamedTuple):
-    """What is to be simulated, with all names resolved; times in s."""
+    """A machine and its run, with all names resolved."""
 
     machine: Machine
+    run: MachineRun
     structures: tuple[Structure, ...]
     friction: tuple[SlideFriction, ...]
     servos: tuple[Servo | None, ...]
-    controller: str | None
-    forces: dict[str, Excitation]
-    drive_forces: dict[str, Excitation]
-    cut: MillingCut | None
-    spindle: Spindle | None
-    entry: float
-    leave: float
-    total: float
-    impulse: tuple[float, float, float]
-    control: SampledControl | None
-    position: float | None
 
     @property
     def feeds(self) -> list[float]:
@@ -109,87 +184,28 @@ class Problem(NamedTuple):
         return [r.feed for r in self.friction]
 
     @property
-    def excitations(self) -> list[Excitation]:
-        """Every force that is given."""
-        return [*self.forces.values(), *self.drive_forces.values()]
-
-    @property
     def delays(self) -> list[float]:
         """Dead times [s] of the servos."""
         return [v.delay for v in self.servos if v is not None and v.delay > 0.0]
 
-    @property
-    def tools(self) -> list[str]:
-        """Axes along which a force acts on the tool."""
-        return list(AXES) if self.cut is not None else list(self.forces)
 
-    @property
-    def end(self) -> float:
-        """Time [s] after which nothing excites the machine."""
-        cut = self.leave if self.cut is not None else 0.0
-        return max([e.end for e in self.excitations] + [cut])
-
-
-def problem(
-    machine: Machine,
-    *,
-    duration: float,
-    feed: float | Mapping[str, float] = 0.0,
-    controller: str | None = None,
-    position: float | None = None,
-    forces: Mapping[str, Excitation] | None = None,
-    drive_forces: Mapping[str, Excitation] | None = None,
-    cut: MillingCut | None = None,
-    spindle: Spindle | None = None,
-    lead: float = 0.0,
-    tail: float = 0.0,
-    impulse: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    control: SampledControl | None = None,
-) -> Problem:
-    """Resolve the arguments of `process.simulation.machine.simulate_machine`.
+def resolve(machine: Machine, run: MachineRun) -> Problem:
+    """Resolve the names of a run.
 
     Raises
     ------
     InputError
-        When they do not fit each other or the machine.
+        When the run does not fit the machine.
     """
-    feeds = machine.feeds(feed)
-    if (cut is None) != (spindle is None):
-        raise InputError("a cut needs a spindle and a spindle a cut; give both or neither")
-    total = lead + duration + tail
-    if cut is not None and not (duration > 0.0 and lead >= 0.0 and tail >= 0.0):
-        raise InputError(
-            f"{lead:g} s in air, {duration:g} s in the cut, {tail:g} s in air; the cut must last, and the others must "
-            "be zero or positive"
-        )
-    if not all(math.isfinite(v) for v in [total, *feeds.values()]):
-        raise InputError(f"{total:g} s at a feed {', '.join(f'{v:g}' for v in feeds.values())} m/s; give finite ones")
-    servos = tuple(machine.servos(controller))
-    if control is not None and any(v is not None and v.delay > 0.0 for v in servos):
+    feeds = machine.feeds(run.feed)
+    servos = tuple(machine.servos(run.controller))
+    if run.control is not None and any(v is not None and v.delay > 0.0 for v in servos):
         raise InputError("a sampled servo has a delay of its own; its period and lag make the dead time: set delay 0")
-    if cut is None and any(impulse):
-        raise InputError("an impulse at entry is given, but no cut; use forces, e.g. a HalfSine")
-    unknown = [a for a in drive_forces or {} if a not in machine.axes]
+    unknown = [a for a in run.drive_forces if a not in machine.axes]
     if unknown:
         raise InputError(f"a drive force on axis {', '.join(unknown)}; this machine drives {', '.join(machine.axes)}")
-    axis_index(list(forces or {}))
-    return Problem(
-        machine,
-        _along_path(machine, feeds, position, total),
-        tuple(_slide_friction(axis.friction, feeds[name]) for name, axis in machine.axes.items()),
-        servos,
-        controller,
-        dict(forces or {}),
-        dict(drive_forces or {}),
-        cut,
-        spindle,
-        lead,
-        lead + duration,
-        total,
-        impulse,
-        control,
-        position,
-    )
+    friction = tuple(_slide_friction(axis.friction, feeds[name]) for name, axis in machine.axes.items())
+    return Problem(machine, run, _along_path(machine, feeds, run.position, run.total), friction, servos)
 
 
 def _along_path(

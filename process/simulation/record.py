@@ -154,18 +154,6 @@ class Run(NamedTuple):
     done: int
 
 
-class Motion(NamedTuple):
-    """Motion of the tool (deviation from the ramp) as plain arrays: time [s] (n,); x, y, z (3, n).
-
-    Force [N], displacement [m], acceleration [m/s^2].
-    """
-
-    time: Real
-    force: Real
-    displacement: Real
-    acceleration: Real
-
-
 @lru_cache(maxsize=32)
 def _taps(factor: int) -> tuple[NDArray[np.int64], Real]:
     """Low-pass for every `factor`-th sample: windowed sinc of 20 samples of the slow rate, of gain 1 at 0 Hz.
@@ -192,12 +180,12 @@ def _slow(channels: Real, factor: int, samples: int) -> Real:
 def moving_axes(p: Problem) -> list[int]:
     """Numbers of the axes along which the tool can move or is pushed, or that have a slide; all in a cut."""
     moves = [any(s.tool[i].any() for s in p.structures) for i in range(len(AXES))]
-    return [i for i, moving in enumerate(moves) if moving or AXES[i] in p.tools or AXES[i] in p.machine.axes]
+    return [i for i, moving in enumerate(moves) if moving or AXES[i] in p.run.tool_axes or AXES[i] in p.machine.axes]
 
 
 def _tool_rows(p: Problem, system: System, at: int, axes: list[int]) -> Real:
     """Rows of displacement and acceleration of the tool along axes, for (state, inputs, elements) of a structure."""
-    n, tools, (a, b) = system.n, len(p.tools), system.matrices[at]
+    n, tools, (a, b) = system.n, len(p.run.tool_axes), system.matrices[at]
     tool = p.structures[at].tool[axes]
     targets = [tools + i for i in system.nonlinear] + [tools + len(p.servos) + k for k in range(len(p.machine.joints))]
     direct = tool @ b[n : 2 * n]
@@ -215,7 +203,7 @@ def _slide_rows(p: Problem, system: System, structure: Structure, axes: list[int
     rows[3 * count :, n : 2 * n] = structure.tool[axes]
     held = gains(p, system, structure)
     for i in range(count):
-        rows[count + i, system.size + len(p.tools) + i] = 1.0
+        rows[count + i, system.size + len(p.run.tool_axes) + i] = 1.0
         if i in system.prompt:
             rows[count + i, : system.size] = -held[i]
     return rows
@@ -253,11 +241,11 @@ def _add_pushes(p: Problem, run: Run, axes: list[int], slow: Real, force: Real) 
 
     slow: displacement and acceleration of the tool along axes, positions and drive forces of the slides.
     """
-    m, tools, samples = len(axes), len(p.tools), force.shape[1]
+    m, tools, samples = len(axes), len(p.run.tool_axes), force.shape[1]
     targets, pushes = [target for target, _ in run.forces], _pushes(run, samples)
     if not targets:
         return
-    rows = axis_index(p.tools)
+    rows = axis_index(p.run.tool_axes)
     for target, push in zip(targets, pushes, strict=True):
         if target < tools:
             force[rows[target]] += push
@@ -279,7 +267,7 @@ def _hold(drive_forces: Real, every: int) -> None:
 
 def _cutting_force(p: Problem, run: Run, samples: int) -> Real:
     """Force of the cut on the tool, (3, samples)."""
-    if p.cut is None:
+    if p.run.cut is None:
         return np.zeros((3, samples))
     return _slow(run.inputs[:, :3].T, run.keep, samples)
 
@@ -292,27 +280,16 @@ def displacement_of(p: Problem, run: Run) -> Real:
     return _channels(seen, rows)
 
 
-def as_motion(p: Problem, system: System, run: Run, sample_rate: float) -> Motion:
-    """Low-pass the motion of the tool."""
-    samples, axes = round(p.total * sample_rate), moving_axes(p)
-    m, force = len(axes), _cutting_force(p, run, samples)
-    slow = _slow(_channels(run, [_tool_rows(p, system, k, axes) for k in range(len(p.structures))]), run.keep, samples)
-    _add_pushes(p, run, axes, slow, force)
-    out = np.zeros((2, 3, samples))
-    out[:, axes] = slow.reshape(2, m, samples)
-    return Motion(np.arange(samples) / sample_rate, force, out[0], out[1])
-
-
 def as_record(p: Problem, system: System, run: Run, sample_rate: float, poles: int) -> xr.Dataset:
     """Low-pass and label the channels; put the ramps and the steady friction back; add the verdict."""
-    samples, axes = round(p.total * sample_rate), moving_axes(p)
+    samples, axes = round(p.run.total * sample_rate), moving_axes(p)
     rows = []
     for k, structure in enumerate(p.structures):
         tool = _tool_rows(p, system, k, axes)
         rows.append(np.vstack([tool, _slide_rows(p, system, structure, axes, tool.shape[1])]))
     every, m, count = _channels(run, rows), len(axes), len(p.servos)
-    if p.control is not None and run.keep > 1:
-        _hold(every[2 * m + count : 2 * (m + count)], max(1, round(p.control.period / run.step)))
+    if p.run.control is not None and run.keep > 1:
+        _hold(every[2 * m + count : 2 * (m + count)], max(1, round(p.run.control.period / run.step)))
     slow, force = _slow(every[: 2 * (m + count)], run.keep, samples), _cutting_force(p, run, samples)
     _add_pushes(p, run, axes, slow, force)
     record = _labelled(p, sample_rate, axes, force[axes], slow)
@@ -348,8 +325,8 @@ def _labelled(p: Problem, sample_rate: float, axes: list[int], force: Real, slow
             slides[2, at] = friction.steady + slow[2 * m + count + i]
         values.update(zip(("encoder_position", "reference_position", "drive_force"), slides, strict=True))
     data = {name: xr.Variable(("axis", "time"), rows, {"units": UNITS[name]}) for name, rows in values.items()}
-    if p.spindle is not None:
-        for name, turning in (("spindle_angle", p.spindle.angle), ("spindle_speed", p.spindle.speed)):
+    if p.run.spindle is not None:
+        for name, turning in (("spindle_angle", p.run.spindle.angle), ("spindle_speed", p.run.spindle.speed)):
             data[name] = xr.Variable("time", turning(time), {"units": UNITS[name]})
     return xr.Dataset(data, coords=coordinates)
 
@@ -363,8 +340,8 @@ def _attributes(p: Problem, run: Run) -> dict[str, float | list[float]]:
         "step_s": run.step,
         "energy_error": run.energy_error if len(p.structures) == 1 else math.nan,
     }
-    if p.cut is not None:
-        engaged = (p.leave - p.entry) / run.step * p.cut.tool.teeth * p.cut.arc.arc / (2.0 * math.pi)
+    if p.run.cut is not None:
+        engaged = (p.run.leave - p.run.lead) / run.step * p.run.cut.tool.teeth * p.run.cut.arc.arc / (2.0 * math.pi)
         out.update(lost_contact=run.lost / engaged, largest_chip_thickness_m=run.thickest)
     return out
 
@@ -377,7 +354,7 @@ def _verdict(
     The third and the last quarter of the time after the excitation are compared; they should hold several periods.
     """
     steps = speeds.shape[1]
-    quarter = max(2, (steps - round(p.end / dt)) // 4)
+    quarter = max(2, (steps - round(p.run.end / dt)) // 4)
     last, before = (_scatter(speeds[:, part]) for part in (slice(-quarter, None), slice(-2 * quarter, -quarter)))
     quiet = last <= 1e-3 * float(np.abs(speeds).max(initial=0.0))
     motion = "settled"
@@ -385,7 +362,7 @@ def _verdict(
         motion = (
             f"self-excited: uniform motion is unstable at this feed (stick-slip, {poles} poles in the right half plane)"
         )
-    elif (steps - 2 * quarter) * dt < p.end:
+    elif (steps - 2 * quarter) * dt < p.run.end:
         motion = "excited to the end"
     elif not quiet and last > 0.97 * before:
         motion = "self-excited: the motion is not at rest without excitation and does not decay"

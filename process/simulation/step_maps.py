@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +40,7 @@ class System(NamedTuple):
 
 def system_of(p: Problem) -> System:
     """Return the linear part of a problem."""
-    driven = [] if p.control else [i for i, v in enumerate(p.servos) if v is not None]
+    driven = [] if p.run.control else [i for i, v in enumerate(p.servos) if v is not None]
     late = [i for i in driven if p.servos[i].delay > 0.0]  # type: ignore[union-attr]
     prompt = [i for i in driven if i not in late]
     n = p.structures[0].size
@@ -69,7 +70,7 @@ def reach(p: Problem, structure: Structure) -> Real:
     """Participation of the inputs, shape (u, n): forces on the tool, on the slides, in the joints."""
     joints = [m.participation for m in p.machine.joints]
     parts = [
-        structure.tool[axis_index(p.tools)],
+        structure.tool[axis_index(p.run.tool_axes)],
         structure.slide_rows(),
         np.reshape(joints, (len(joints), structure.size)),
     ]
@@ -96,8 +97,8 @@ def _matrices(p: Problem, system: System, structure: Structure, closed: list[int
 
 def fastest_pole(p: Problem, system: System) -> float:
     """Largest frequency [rad/s] of the linear part, without dead times."""
-    if p.control is not None:
-        system = system_of(p._replace(control=None, structures=p.structures[:1]))
+    if p.run.control is not None:
+        system = system_of(p._replace(run=replace(p.run, control=None), structures=p.structures[:1]))
     a, _ = _matrices(p, system, p.structures[0], system.driven) if system.late else system.matrices[0]
     return float(np.abs(np.linalg.eigvals(a)).max(initial=1e-9))
 

@@ -29,8 +29,8 @@ from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import Posture
 from process.simulation.excitation import Chirp
-from process.simulation.machine import SampledControl
 from process.simulation.milling import MillingCut, Spindle
+from process.simulation.problem import SampledControl
 from process.units import show
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.scenario import schema

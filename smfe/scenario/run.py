@@ -25,7 +25,7 @@ from process.labels import RECORD_SCALARS
 from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import Posture
-from process.simulation.machine import SampledControl
+from process.simulation.problem import SampledControl
 from process.units import show as quantity
 from smfe.campaign.toml import table
 from smfe.progress import Progress, silent

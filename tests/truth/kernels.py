@@ -2,6 +2,9 @@
 coordinates, between the events of a sampled servo. All arrays are made in `integrate`; the rest counts no references.
 
 State: tip x, v; carriage x, v; host x, v; cable x, v; four friction states; integral of a continuous servo.
+
+Compiled at the first call and cached: `integrate` and what it calls, for the tuples below of float64 arrays and
+scalars, in 8 s of CPU.
 """
 
 import math

@@ -6,6 +6,7 @@ The equations in the limit without friction are solved here, not taken from eith
 import ast
 import json
 import math
+import re
 import sys
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,7 +25,8 @@ from process.friction.laws import Andersson, FrictionLaw, Viscous
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Excitation
-from process.simulation.machine import SampledControl, simulate_machine
+from process.simulation.machine import simulate_machine
+from process.simulation.problem import SampledControl
 from truth.axis import MM_MIN, RATE, SERVOS, Appendage, Friction, Setting, Truth, response_at_rest, simulate
 from truth.blind import draw, seed_of
 from truth.campaign import BAND, LENGTH, STEPS, Condition, Design, actuator, full, measure, reduce
@@ -33,6 +35,7 @@ from truth.cutting import CUT_EFFECTS, CUT_OUTSIDE, Cut, Mill, chip, draw_cuts, 
 from truth.effects import EFFECTS, OUTSIDE, apply
 
 HERE = CHECKOUT / "tests" / "truth"
+SLOW = pytest.mark.slow
 NO_TONES = np.zeros((0, 5))
 IMPACT = (0.1, 25.0, 1.7e-3, 3.0)
 SMOOTH = replace(Friction(), kind="none")
@@ -71,13 +74,11 @@ class TestIndependence:
                 names += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
                 assert {n.split(".")[0] for n in names} <= allowed, f"{file.name}, line {node.lineno}"
 
-    def test_the_packages_do_not_know_it(self) -> None:
+    def test_no_package_imports_it(self) -> None:
         root = HERE.parents[1]
         for file in (f for package in ("process", "stability", "smfe") for f in (root / package).rglob("*.py")):
-            for node in ast.walk(ast.parse(file.read_text())):
-                names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-                names += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
-                assert not [n for n in names if n.split(".")[0] in {"truth", "tests"}], file.name
+            imports = re.findall(r"^\s*(?:from|import)\s.*\b(?:truth|tests)\b.*", file.read_text(), re.MULTILINE)
+            assert not imports, f"{file.name}: {imports[0]}"
 
 
 def closed_loop(truth: Truth, f: np.ndarray, servo: str, dead_time: float = 0.0) -> np.ndarray:
@@ -93,7 +94,7 @@ def closed_loop(truth: Truth, f: np.ndarray, servo: str, dead_time: float = 0.0)
 
 
 class TestLinearLimit:
-    @pytest.mark.parametrize("servo", ["K1", "K2", "K3", "K4"])
+    @pytest.mark.parametrize("servo", ["K1", "K3", pytest.param("K2", marks=SLOW), pytest.param("K4", marks=SLOW)])
     def test_without_friction_and_sampling_it_is_the_corrected_equation_4(self, servo: str) -> None:
         truth = Truth(friction=SMOOTH, control=replace(EXACT, period=0.0))
         f, h = impact_response(truth, Setting(500.0 * MM_MIN, servo))
@@ -176,7 +177,7 @@ class SmoothImpact(Excitation):
     end = 0.15
 
 
-def accused(
+def of_package(
     law: FrictionLaw, servo: str, feed: float, peak: float, step: float = 20e-9
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compliance by `process.simulation.machine`, sampled servo with differenced readings."""
@@ -201,16 +202,16 @@ class TestAgainstProduction:
     def test_both_solve_the_same_equations_where_nothing_is_a_matter_of_taste(self) -> None:
         truth = Truth(friction=SMOOTH, control=replace(Truth().control, resolution=1e-13))
         _, h = impact_response(truth, Setting(500.0 * MM_MIN, phase=0.0), 25.0, 2.0)
-        assert away(h, accused(Viscous(168.0), "K2", 500.0 * MM_MIN, 25.0, 1e-13)[1]) < 1e-4
+        assert away(h, of_package(Viscous(168.0), "K2", 500.0 * MM_MIN, 25.0, 1e-13)[1]) < 1e-4
 
     @pytest.mark.parametrize(("servo", "feed"), [("K2", 500.0), ("K3", -1000.0)])
     def test_sliding_they_differ_a_little(self, servo: str, feed: float) -> None:
         _, h = impact_response(Truth(), Setting(feed * MM_MIN, servo), 50.0, 2.0)
-        assert 2e-3 < away(h, accused(sides(), servo, feed * MM_MIN, 50.0)[1]) < 2e-2
+        assert 2e-3 < away(h, of_package(sides(), servo, feed * MM_MIN, 50.0)[1]) < 2e-2
 
     def test_at_rest_they_differ_by_what_a_smooth_law_loses(self) -> None:
         _, h = impact_response(Truth(), Setting(), 25.0, 2.0)
-        assert 2e-3 < away(h, accused(sides(), "K2", 0.0, 25.0)[1]) < 0.5
+        assert 2e-3 < away(h, of_package(sides(), "K2", 0.0, 25.0)[1]) < 0.5
 
 
 class TestInstruments:
@@ -242,19 +243,21 @@ def small() -> Design:
 
 
 class TestMeasuring:
-    def test_reported_scatter_is_the_scatter_over_repetitions(self) -> None:
-        reports = [[reduce(r) for r in measure(Truth(), small(), seed)] for seed in range(8)]
+    # Four repetitions know their scatter to 30 %, eight to 20 %, at each of many lines that are not independent.
+    @pytest.mark.parametrize(("count", "median", "mean"), [(4, 0.5, 0.25), pytest.param(8, 0.3, 0.15, marks=SLOW)])
+    def test_reported_scatter_is_the_scatter_over_repetitions(self, count: int, median: float, mean: float) -> None:
+        reports = [[reduce(r) for r in measure(Truth(), small(), seed)] for seed in range(count)]
         for i in range(2):
             h = np.array([r[i]["compliance"] for r in reports])
             seen = np.sqrt((np.abs(h - h.mean(axis=0)) ** 2).sum(axis=0) / (h.shape[0] - 1))
-            said = np.sqrt(np.mean([r[i]["std"] ** 2 for r in reports], axis=0))
+            stated = np.sqrt(np.mean([r[i]["std"] ** 2 for r in reports], axis=0))
             band = reports[0][i]["frequency"] < 120.0
-            assert np.median(said[band] ** 2 / seen[band] ** 2) == pytest.approx(1.0, abs=0.3)
-            ratio = np.sqrt((said[band] ** 2 / np.abs(h[:, band].mean(axis=0)) ** 2).mean())
+            assert np.median(stated[band] ** 2 / seen[band] ** 2) == pytest.approx(1.0, abs=median)
+            ratio = np.sqrt((stated[band] ** 2 / np.abs(h[:, band].mean(axis=0)) ** 2).mean())
             ratio /= np.sqrt((seen[band] ** 2 / np.abs(h[:, band].mean(axis=0)) ** 2).mean())
-            assert ratio == pytest.approx(1.0, abs=0.15)
+            assert ratio == pytest.approx(1.0, abs=mean)
 
-    def test_blows_and_stepped_sines_measure_the_same_compliance(self) -> None:
+    def test_impacts_and_stepped_sines_measure_the_same_compliance(self) -> None:
         truth, chain = Truth(friction=SMOOTH, control=EXACT), Chain(snr=80.0, double=0.0)
         impacts = Condition(feed=500.0, controller="K3")
         by_hand, by_sine = (

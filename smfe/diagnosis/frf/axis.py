@@ -20,6 +20,7 @@ from process.harmonic_balance.quasi_frf import quasi_compliance
 from process.machine.machine import Machine
 from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.machine import RepeatedImpact
+from process.simulation.problem import MachineRun
 from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
@@ -170,14 +171,9 @@ class SimulatedMachine:
         feed = {a: excited.feed.get(a, 0.0) for a in self.machine.axes}
         key = (axis, excited.window, excited.controller, tuple(feed.items()))
         if key not in self._prepared:
+            run = MachineRun(excited.window, feed, excited.controller)
             self._prepared[key] = RepeatedImpact(
-                self.machine,
-                axis,
-                duration=excited.window,
-                feed=feed,
-                controller=excited.controller,
-                sample_rate=RULES.rate,
-                accuracy=RULES.accuracy,
+                self.machine, axis, run, sample_rate=RULES.rate, accuracy=RULES.accuracy
             )
         return self._prepared[key]
 

@@ -11,8 +11,9 @@ from process.friction.laws import Andersson, Viscous
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import free_modes
 from process.simulation.excitation import HalfSine, PseudoRandom, Sum
-from process.simulation.machine import SampledControl, as_machine, simulate_machine
+from process.simulation.machine import simulate_machine
 from process.simulation.packing import stairs
+from process.simulation.problem import SampledControl
 
 MM_MIN = 1.0 / 6e4
 K2 = Servo(6268.0, 10.9e-3, 45.5)
@@ -41,7 +42,7 @@ def test_a_held_force_is_recorded_without_a_dead_time_at_the_default_step(where:
     e = PseudoRandom(20.0, clock, 7, 3, (20 + offset) / clock)
     name = "drive_forces" if where == "drive_force" else "forces"
     record = simulate_machine(
-        as_machine(BENCH, Viscous(168.0)), duration=e.start + 3 * e.period, sample_rate=2000.0, **{name: {"x": e}}
+        Machine.of_axis(BENCH, Viscous(168.0)), duration=e.start + 3 * e.period, sample_rate=2000.0, **{name: {"x": e}}
     )
     f = np.arange(1, 51) / e.period
     found = lines_of(record[where].values[0], 5e-4, e, f)
@@ -69,7 +70,7 @@ def test_the_recorded_lines_of_a_held_force_converge_with_the_fourth_order() -> 
     for per_tick in (4, 8, 16):
         rate = per_tick * e.clock
         record = simulate_machine(
-            as_machine(BENCH, Viscous(168.0)),
+            Machine.of_axis(BENCH, Viscous(168.0)),
             duration=e.end,
             drive_forces={"x": Sum((e, HalfSine(0.1, 0.02, 0.001)))},
             sample_rate=rate,
@@ -99,7 +100,7 @@ def test_the_force_of_a_sampled_servo_has_no_dead_time_where_the_record_is_low_p
     # The servo holds its command for 2 ms; eight samples a millisecond see the staircase as it is.
     control = SampledControl(2e-3)
     e = PseudoRandom(20.0, 500.0, 7, 8, 0.02)
-    axis = as_machine(Drive(23.1, 11.3, 1.68e6, 104.0, Servo(2000.0, 30e-3, 15.0)), Viscous(168.0))
+    axis = Machine.of_axis(Drive(23.1, 11.3, 1.68e6, 104.0, Servo(2000.0, 30e-3, 15.0)), Viscous(168.0))
     record = simulate_machine(
         axis, duration=e.end, drive_forces={"x": e}, control=control, sample_rate=1000.0, step=2.5e-4
     )

@@ -16,7 +16,7 @@ from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.drive.axis import Drive
-from process.drive.sampled_servo import sampled_poles
+from process.drive.sampled_servo import SampledServo
 from process.drive.servo import Servo, tune
 from process.errors import InputError
 from process.friction.laws import Andersson, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
@@ -26,8 +26,9 @@ from process.machine.modes import ModalModel
 from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
 from process.simulation import _element_kernels as kernels
 from process.simulation.excitation import Chirp, HalfSine, SteppedSine
-from process.simulation.machine import SampledControl, count_unstable, machine_motion, simulate_machine, step_error
+from process.simulation.machine import count_unstable, simulate_machine, step_error
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
+from process.simulation.problem import SampledControl
 
 MM_MIN = 1.0 / 6e4
 BENCH = Drive(23.1, 11.3, 1.68e6, 104.0)
@@ -61,14 +62,14 @@ def half_sine_spectrum(f: np.ndarray, hit: HalfSine) -> np.ndarray:
     return hit.impulse * a / 2 * a / (a**2 - w**2) * (1 + np.exp(-1j * w * hit.duration)) * shift
 
 
-@pytest.mark.parametrize("delay", [0.0, 1e-3, 0.7531e-3])
+@pytest.mark.parametrize("delay", [0.0, pytest.param(1e-3, marks=pytest.mark.slow), 0.7531e-3])
 def test_without_nonlinearity_hits_measure_the_whole_matrix_of_the_machine(delay: float) -> None:
     # Compliance in three directions, coupled modes, two servos: time against closed form, to a millionth.
     machine, hit, f = ram(delay=delay), HalfSine(5.0, 4.5e-3, 0.0), np.arange(4.25, 60.0, 0.5)
     expected, found = machine.at(0.0).matrix(f), np.empty((f.size, 3, 3), dtype=complex)
+    kernel = np.exp(-2j * np.pi * np.outer(f, np.arange(80_000) / 10e3)) / 10e3
     for column, axis in enumerate("xyz"):
         record = simulate_machine(machine, duration=8.0, forces={axis: hit}, sample_rate=10e3)
-        kernel = np.exp(-2j * np.pi * np.outer(f, record["time"].values)) / 10e3
         found[:, :, column] = kernel @ record["displacement"].values.T / half_sine_spectrum(f, hit)[:, None]
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
@@ -186,7 +187,8 @@ def test_a_double_pinion_moves_as_runge_kutta_says(preload: float) -> None:
 def test_a_double_pinion_that_does_not_lift_off_is_two_springs() -> None:
     joint, hit = DoublePinion(2e6, 1e6, 15e-6, 100.0), HalfSine.from_peak(50.0, 5e-3)
     stiff = Machine(Structure([[11.3]], [[104.0]], [[1.68e6 + 3e6]], [[1.0], [0.0], [0.0]]))
-    x, y = (machine_motion(m, duration=0.2, forces={"x": hit}).displacement[0] for m in (one_mass(joint), stiff))
+    records = (simulate_machine(m, duration=0.2, forces={"x": hit}) for m in (one_mass(joint), stiff))
+    x, y = (record["displacement"].values[0] for record in records)
     assert np.abs(y).max() < min(np.abs(joint.lift_off_displacements))
     # The hit loads the master away from its flank and the slave onto it; together they stay linear.
     np.testing.assert_allclose(x, y, atol=1e-4 * np.abs(y).max())
@@ -246,11 +248,12 @@ def test_friction_with_memory_converges(law: LuGre | GeneralisedMaxwellSlip, lea
 @pytest.mark.parametrize("friction", [Viscous(168.0), ANDERSSON, LUGRE], ids=["viscous", "Andersson", "LuGre"])
 @pytest.mark.parametrize("delay", [0.0, 1e-3])
 def test_what_has_come_to_rest_stays_there(friction: Viscous | Andersson | LuGre, delay: float) -> None:
-    # A force too small to be felt that does not end keeps the simulation going.
+    # A force too small to matter that does not end keeps the simulation going.
     machine = Machine(two_mass_axes({"x": BENCH}), {"x": FeedAxis(replace(SERVOS["K2"], delay=delay), friction)})
     arguments = {"duration": 2.0, "feed": 500.0 * MM_MIN, "forces": {"x": HalfSine.from_peak(50.0)}}
     on = {"x": SteppedSine((1.0,), 1e-300, 2.0, 0.0)}
-    whole, short = (machine_motion(machine, drive_forces=d, **arguments).displacement[0] for d in (on, None))  # type: ignore[arg-type]
+    records = (simulate_machine(machine, drive_forces=d, **arguments) for d in (on, None))  # type: ignore[arg-type]
+    whole, short = (record["displacement"].values[0] for record in records)
     assert np.all(short[-100:] == 0.0)
     assert np.any(whole[-100:] != 0.0)
     np.testing.assert_allclose(short, whole, rtol=0.0, atol=1e-10 * np.abs(whole).max())
@@ -387,7 +390,7 @@ def test_a_sampled_servo_damps_as_its_poles_say() -> None:
             step=25e-5,
         )
         drive = replace(BENCH, servo=SERVOS["K3"], sigma=168.0)
-        poles = sampled_poles(drive, period, lag)
+        poles = SampledServo(drive.servo, period, lag).poles(drive)
         # Prony: at the samples of the servo the free motion is a sum of the powers of the poles.
         x = record["displacement"].values[0][:: round(period * 4e3)]
         start = round(0.008 / period)
@@ -444,18 +447,8 @@ def test_poles_are_counted_alike_through_those_without_dead_time(delay: float) -
 @pytest.mark.parametrize("law", [ANDERSSON, replace(ANDERSSON, delta=1.7), CoulombViscous(44.2, 168.0, 15000.0)])
 def test_the_loop_has_the_force_and_the_slope_of_the_law(law: Andersson | CoulombViscous) -> None:
     v = np.concatenate([-np.geomspace(1e-8, 1.0, 50), [0.0], np.geomspace(1e-8, 1.0, 50)])
-    found = np.array([kernels._sliding(*law.packed(), speed) for speed in v])
+    found = np.array([kernels._without_memory(*law.packed(), speed) for speed in v])
     np.testing.assert_allclose(found, np.stack([law.force(v), law.slope(v)], axis=1), rtol=1e-12)
-
-
-def test_plain_arrays_hold_the_numbers_of_the_record() -> None:
-    hit, feed = {"x": HalfSine.from_peak(100.0)}, {"x": 500 * MM_MIN}
-    record = simulate_machine(bench(), duration=0.3, feed=feed, forces=hit, sample_rate=1000.0)
-    motion = machine_motion(bench(), duration=0.3, feed=feed, forces=hit, sample_rate=1000.0)
-    np.testing.assert_array_equal(motion.time, record["time"])
-    for name in ("force", "displacement", "acceleration"):
-        np.testing.assert_array_equal(getattr(motion, name)[0], record[name].sel(axis="x"))
-        assert not getattr(motion, name)[1:].any()
 
 
 def moving_mode(frequency: float) -> Structure:

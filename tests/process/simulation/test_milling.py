@@ -13,11 +13,11 @@ from process.cut.force import CuttingCoefficients, ProcessDamping, force_harmoni
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
+from process.simulation.machine import step_error
 from process.simulation.milling import (
     MillingCut,
     Spindle,
     default_step,
-    milling_step_error,
     pack_motion,
     simulate_forced,
     simulate_milling,
@@ -418,6 +418,6 @@ def test_the_step_error_falls_fourfold_with_the_step() -> None:
     cut = MillingCut(arc=Engagement(0.5, 2.5), depth=5e-5, feed_per_tooth=2e-4, **BENCH_CUT)  # type: ignore[arg-type]
     spindle = Spindle(2 * math.pi * 20.0)
     step = default_step(BENCH, cut, spindle.rotation)
-    errors = [milling_step_error(BENCH, cut, spindle, 0.5, h) for h in (step, step / 2, step / 4)]
+    errors = [step_error(BENCH, cut=cut, spindle=spindle, duration=0.5, step=h) for h in (step, step / 2, step / 4)]
     assert errors[0] < 5e-3
     assert 1.7 < math.log2(errors[0] / errors[2]) / 2 < 2.3, errors

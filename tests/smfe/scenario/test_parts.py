@@ -11,7 +11,8 @@ from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import released_modes
 from process.simulation.excitation import HalfSine
-from process.simulation.machine import SampledControl, simulate_machine
+from process.simulation.machine import simulate_machine
+from process.simulation.problem import SampledControl
 from smfe.scenario import run
 from smfe.scenario.run import run_all
 

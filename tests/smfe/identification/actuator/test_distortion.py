@@ -23,7 +23,7 @@ from process.machine.joints import Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Multisine, all_harmonics, odd_random_harmonics
-from process.simulation.machine import simulate_axis, simulate_machine
+from process.simulation.machine import simulate_machine
 from smfe.identification.actuator.distortion import Distortion, distortion
 
 LINES = odd_random_harmonics(1, 199, 4, 3)
@@ -384,7 +384,9 @@ def test_a_prbs_of_one_period_gives_the_linear_response_and_says_that_it_gives_n
 
 
 def test_one_axis_record_is_enough() -> None:
-    rec = simulate_axis(BENCH, Viscous(168.0), Multisine(0.5, BAND, 20.0, 4, 0, 0.02), 0.0, 8.02, 1000.0, 1e-4)
+    forces = {"x": Multisine(0.5, BAND, 20.0, 4, 0, 0.02)}
+    machine = Machine.of_axis(BENCH, Viscous(168.0))
+    rec = simulate_machine(machine, duration=8.02, forces=forces, sample_rate=1000.0, step=1e-4)
     d = distortion([rec], 0.5, BAND, start=2.02, periods=3)
     at = np.array(BAND) - 1
     exact = replace(BENCH, sigma=168.0).tip_compliance(0.5 * np.array(BAND))

@@ -12,8 +12,9 @@ from process.drive.servo import Servo
 from process.errors import InputError
 from process.friction.laws import Andersson
 from process.labels import make_record
+from process.machine.machine import Machine
 from process.simulation.excitation import PseudoRandom
-from process.simulation.machine import as_machine, simulate_machine
+from process.simulation.machine import simulate_machine
 from smfe.identification.drive.open_loop import PARAMETERS, OpenLoopFit, fit_open_loop, open_loop_response
 
 MM_MIN = 1.0 / 6e4
@@ -191,7 +192,7 @@ def test_a_record_without_whole_periods_is_refused(clean_run: Run) -> None:
 
 def bench_run(amplitude: float) -> tuple[xr.Dataset, PseudoRandom]:
     e = PseudoRandom(amplitude, 500.0, 9, 5, 0.02)
-    machine = as_machine(Drive(23.1, 11.3, 1.68e6, 104.0, K2), ANDERSSON)
+    machine = Machine.of_axis(Drive(23.1, 11.3, 1.68e6, 104.0, K2), ANDERSSON)
     return simulate_machine(machine, duration=e.end, feed=500.0 * MM_MIN, drive_forces={"x": e}, sample_rate=2000.0), e
 
 

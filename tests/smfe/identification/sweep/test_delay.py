@@ -81,10 +81,10 @@ def test_what_a_delay_changes_is_undone_by_it() -> None:
 
 @pytest.mark.parametrize("late", [pytest.param(0.0, marks=pytest.mark.slow), -8e-5])
 def test_a_late_channel_is_said_with_its_delay_and_the_interval_holds_the_truth(late: float) -> None:
-    healthy = {"clock": 0.0, "column": 0.0, "rub": (0.0, 0.0), "fade": 0.0, "quantised": 0, "resampled": 0.0}
+    healthy = {"clock": 0.0, "column": 0.0, "touch_share": (0.0, 0.0), "fade": 0.0, "quantised": 0, "resampled": 0.0}
     cut = {"teeth": 3, "widths": (0.02, 0.03, 0.05), "depths": (0.6e-3,) * 3, "first": 16.0, "last": 60.0}
     rest = {"diameter": 0.08, "radii": (3e-6, -2e-6, 0.0), "seconds": 10.0, "lead": 1.0, "tail": 3.0}
-    sensors = {"force_noise": 0.1, "motion_noise": 1e-3, "tells": "speed", "late": late}
+    sensors = {"force_noise": 0.1, "motion_noise": 1e-3, "speed_signal": "speed", "late": late}
     machine = {"modes": drawn_modes(3, np.random.default_rng(24))}
     this = replace(draw(24), **(healthy | cut | rest | sensors | machine))
     found = identify_sweep("s", stranger_passes(this, measure(this, 24)), BAND, COARSE)

@@ -24,7 +24,7 @@ def stranger(seed: int, **changes: object) -> DrawnSweep:
     machine = {"modes": drawn_modes(3, np.random.default_rng(seed))}
     cut = {"teeth": 3, "diameter": 0.08, "widths": (0.02, 0.03, 0.05), "depths": (0.6e-3,) * 3, "feed": 1e-4}
     cut |= {"radii": (3e-6, -2e-6, 0.0), "first": 16.0, "last": 60.0, "seconds": 10.0, "ramps": (0.3, 0.3)}
-    healthy = {"clock": 0.0, "column": 0.0, "late": 0.0, "rub": (0.0, 0.0), "fade": 0.0, "quantised": 0}
+    healthy = {"clock": 0.0, "column": 0.0, "late": 0.0, "touch_share": (0.0, 0.0), "fade": 0.0, "quantised": 0}
     sensors = {"resampled": 0.0, "force_noise": 0.01, "motion_noise": 1e-4, "lead": 1.0, "tail": 3.0}
     return replace(draw(seed), **(machine | cut | healthy | sensors | changes))
 
@@ -40,7 +40,7 @@ def over_stated(this: DrawnSweep, seed: int, estimator: object = None) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
-    [{"rub": (0.03, 0.03)}, {"rub": (0.0, 0.05)}, {"fade": 0.5, "ramps": (0.3, 0.8)}],
+    [{"touch_share": (0.03, 0.03)}, {"touch_share": (0.0, 0.05)}, {"fade": 0.5, "ramps": (0.3, 0.8)}],
     ids=["rub", "end", "fade"],
 )
 def test_a_tool_that_rubs_and_a_cut_that_fades_are_no_noise_of_the_force_sensor(changes: dict[str, object]) -> None:
@@ -49,7 +49,7 @@ def test_a_tool_that_rubs_and_a_cut_that_fades_are_no_noise_of_the_force_sensor(
 
 @pytest.mark.parametrize("rub", [(0.0, 0.04), *(pytest.param(r, marks=pytest.mark.slow) for r in ((0, 0), (0.04, 0)))])
 def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_ends(rub: tuple[float, float]) -> None:
-    this = stranger(22, force_noise=5.0, rub=rub)
+    this = stranger(22, force_noise=5.0, touch_share=rub)
     found = force_noise([prepare(p) for p in stranger_passes(this, measure(this, 22))], ["x", "y", "z"], BAND)
     assert found is not None
     assert found.air
@@ -79,7 +79,12 @@ def test_sensors_without_noise_leave_the_error_of_the_model() -> None:
 def chattering(depths: tuple[float, float, float], **changes: object) -> DrawnSweep:
     """Return a soft machine of one bad mode, cut with six teeth."""
     mode = Modes(np.array([45.0]), np.array([0.02]), np.array([20e6]), np.array([[0.6, 0.8, 0.0]]))
-    changes = {"modes": mode, "teeth": 6, "radii": (2e-6, -2e-6, 0.0, 1e-6, 0.0, -1e-6), "tells": "angle"} | changes
+    changes = {
+        "modes": mode,
+        "teeth": 6,
+        "radii": (2e-6, -2e-6, 0.0, 1e-6, 0.0, -1e-6),
+        "speed_signal": "angle",
+    } | changes
     return stranger(31, depths=depths, seconds=12.0, **changes)
 
 
@@ -96,9 +101,11 @@ def test_a_pass_that_chatters_is_noticed_and_a_stable_one_is_not() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [{"column_late": 0.2}, {"column": 0.02}, {"force_noise": 40.0}, {"tells": "tacho"}])
+@pytest.mark.parametrize(
+    "changes", [{"column_late": 0.2}, {"column": 0.02}, {"force_noise": 40.0}, {"speed_signal": "tacho"}]
+)
 def test_a_late_or_wrong_speed_column_and_a_noisy_sensor_are_no_chatter(changes: dict[str, object]) -> None:
-    this = chattering((0.2e-3,) * 3, **({"tells": "speed"} | changes))
+    this = chattering((0.2e-3,) * 3, **({"speed_signal": "speed"} | changes))
     for data in stranger_passes(this, measure(this, 31)):
         assert chatter_of(prepare(data), 6) == []
 
