@@ -406,7 +406,7 @@ def cached_identification(
 
 
 def _key(campaign: Campaign, measurement: Measurement) -> str:
-    # Which depth of cut a measurement has follows from its records, and not everybody asks for it.
+    # Which depth of cut a measurement has follows from its records, and not every caller asks for it.
     settings = repr((__version__, FORM, campaign.tool, replace(measurement, depth_of_cut=None)))
     files = [f for entry in measurement.records for f in entry.all_files] + list(measurement.background)
     hashes = [file_hash(f) for f in files]

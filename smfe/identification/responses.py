@@ -5,9 +5,9 @@ force explains but for noise, ``H = S_XF/S_FF`` has the complex error
 
     E |d|^2 = |H|^2 (1 - g2)/(g2 (n - 1)),
 
-half of it in each part; Bendat and Piersol (Random Data, 4th ed., 9.2) have n for the true coherence, and the measured
-one, which falls by chance from a true g2 to less residual the fewer averages there are, needs n - 1: what is left of n
-transforms after one number was fitted has n - 1 complex degrees of freedom. An inverse has the same relative error.
+half of it in each part; Bendat and Piersol (Random Data, 4th ed., 9.2) have n for the true coherence; the measured
+one is too high, the more so the fewer averages there are, and needs n - 1: what is left of n transforms after one
+number was fitted has n - 1 complex degrees of freedom. An inverse has the same relative error.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def response_std(response: Complex, coherence: Real, averages: int) -> Real:
         n, independent averages; two at least.
     """
     if averages < 2:
-        raise InputError(f"{averages} average has a coherence of 1 whatever the noise; two at least tell something")
+        raise InputError(f"{averages} average has a coherence of 1 whatever the noise; two are the least")
     left = 1.0 - coherence
     there = left[np.isfinite(left) & (left > 0.0)]
     floor = 0.5 * float(there.min()) if there.size else np.nan
@@ -182,7 +182,7 @@ def turned_text(entries: list[str]) -> str:
 
 
 def _uncertainty_notes(measurement: Measurement, dataset: xr.Dataset) -> list[str]:
-    """Say what is known of the error, and what would tell it."""
+    """Say what is known of the error, and what it needs."""
     if "coherence" not in dataset:
         lost = "" if measurement.averages is None else f" (averages = {measurement.averages} needs one)"
         return [
@@ -225,7 +225,7 @@ def _common_lines(axes: dict[str, Real]) -> tuple[Real, list[NDArray[np.int64]]]
     longest = max(f.size for f in axes.values())
     span = (every[-1] - every[0]) / spacing + 1.5
     if frequency.size > longest and frequency.size > span:
-        told = ", ".join(f"{name}: {f.size} lines, {f[0]:.6g} to {f[-1]:.6g} Hz" for name, f in axes.items())
-        raise InputError(f"its files have different frequency axes ({told}); average them on one axis first")
+        listed = ", ".join(f"{name}: {f.size} lines, {f[0]:.6g} to {f[-1]:.6g} Hz" for name, f in axes.items())
+        raise InputError(f"its files have different frequency axes ({listed}); average them on one axis first")
     edges = 0.5 * (frequency[1:] + frequency[:-1])
     return frequency, [np.searchsorted(edges, f) for f in axes.values()]

@@ -417,7 +417,10 @@ def _warnings(
             "one period is too few: noise is not known, it counts as distortion, and transients stay in; record three "
             "or more",
         ),
-        (count == 2, "two periods are few: one bin between two lines tells transient from noise; record three or more"),
+        (
+            count == 2,
+            "two periods are few: one bin between two lines separates transient from noise; record three or more",
+        ),
         (not np.any(role == "even"), "every even line is excited: even distortion cannot be seen; excite odd lines"),
         (not np.any(role == "odd"), "no odd line is left out: odd distortion cannot be seen; leave some out at random"),
         (

@@ -145,9 +145,9 @@ def _identified(
     }
     kinds = {(axis, k): text for (axis, k), (text, _) in found.items()}
     if len({_METHOD[kind] for kind in kinds.values()}) > 1:
-        told = ", ".join(f"{record_source(records[a][k], k)}: {kind}" for (a, k), kind in kinds.items())
+        listed = ", ".join(f"{record_source(records[a][k], k)}: {kind}" for (a, k), kind in kinds.items())
         raise InputError(
-            f"measurement '{name}' mixes kinds of excitation ({told}); give each kind a measurement of its own"
+            f"measurement '{name}' mixes kinds of excitation ({listed}); give each kind a measurement of its own"
         )
     kind = next(iter(kinds.values()))
     if _METHOD[kind] == "steps":
@@ -156,8 +156,8 @@ def _identified(
     if _METHOD[kind] == "continuous":
         out = identify_continuous(name, records, frequency_range=frequency_range, resolution=resolution)
         said = " and ".join(sorted(set(kinds.values())))
-        told = f"the force was taken for {_ARTICLE.get(said, said)}"
-        return _broadband(replace(out, warnings=(told, *out.warnings)))
+        taken = f"the force was taken for {_ARTICLE.get(said, said)}"
+        return _broadband(replace(out, warnings=(taken, *out.warnings)))
     periods = {at: r for at, (_, r) in found.items() if r}
     return _broadband(_repeated(name, records, periods, settling, frequency_range))
 

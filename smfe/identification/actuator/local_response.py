@@ -31,8 +31,8 @@ ORDER = 2
 AGREEMENT = 2.5
 """Largest difference of a band from a narrower one, in standard deviations of the narrower."""
 
-LOUDER = 1e-3
-"""Probability with which noise alone makes the residual of a narrow band so much louder than that of a wide one."""
+STRONGER = 1e-3
+"""Probability with which noise alone makes the residual of a narrow band so much stronger than that of a wide one."""
 
 MOST_LINES = 1200
 """Lines of the widest band."""
@@ -283,7 +283,7 @@ def solve_either(both: tuple[Sums, Sums], weight: Real, force_noise: Real | None
 
     Of noise, the unknowns of the transients take one variance each from the sum of squares. Where they take clearly
     more, over all responses and neighbouring lines, there is a transient. Where there is none, leaving it out is not
-    only quieter: the beginning of a chirp is a transient, and both cannot be told apart.
+    only weaker: the beginning of a chirp is a transient, and both cannot be separated.
     """
     free = solve_sums(both[1], weight, force_noise)
     if not rest:
@@ -403,9 +403,9 @@ def choose(solved: Sequence[Local], charged: float = 0.0) -> tuple[Local, Real, 
             scale = np.maximum(narrower.std, 1e-300)
             agrees &= np.nan_to_num(away / scale).max(axis=2) <= AGREEMENT
             # What bends within the narrow band makes it uncertain, so that all agrees with it; its residual shows that.
-            most = stats.f.isf(LOUDER, narrower.degrees_of_freedom.max(), solved[k].degrees_of_freedom.max())
+            most = stats.f.isf(STRONGER, narrower.degrees_of_freedom.max(), solved[k].degrees_of_freedom.max())
             agrees &= ~(narrower.noise > most * solved[k].noise)
-        # A mode bends the response over several lines; a single line that agrees by chance does not count.
+        # A mode bends the response over several lines; a single line whose noise agrees does not count.
         agrees = ndimage.minimum_filter(agrees, size=(3, 1), mode="nearest")
         index[agrees] = k
     bent = ~agrees & (index == 0) if len(solved) > 1 else np.ones(rows, dtype=bool)
@@ -433,7 +433,7 @@ def _uneven(
     """Return a solution whose covariance knows that noise of one force comes through the response: most at its peak.
 
     Each line has the noise ``N_x + |Phi|^2 N``, and the scores of the lines add up to ``sum conj(z) z (N_x + |Phi|^2
-    N)``, where the residual only tells the mean.
+    N)``, where the residual only gives the mean.
     """
     gram = np.einsum("mfr,mfkl->frkl", weight, sums.gram, optimize=True)
     inverse = _inverse(gram)
@@ -501,8 +501,8 @@ def with_poles(
         centre_weight = weight[:, [lines[lines.size // 2]]]
         poles, left = np.zeros(0, complex), bent[lines]
         for _ in range(MOST_POLES):
-            loud = np.sum(weight[:, lines].mean(axis=0) * np.abs(response[lines, :, 0]) ** 2 * left, axis=1)
-            start = complex(frequency[lines[int(np.argmax(loud))]], 0.3 * finest)
+            excess = np.sum(weight[:, lines].mean(axis=0) * np.abs(response[lines, :, 0]) ** 2 * left, axis=1)
+            start = complex(frequency[lines[int(np.argmax(excess))]], 0.3 * finest)
             pole = find_pole(records, centre_weight, band, start, poles)
             if pole is None:
                 break

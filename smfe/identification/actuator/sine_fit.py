@@ -15,7 +15,7 @@ from scipy import fft, ndimage, signal
 from process.types import Complex, Real
 
 _HARMONICS = 5  # the highest that is fitted
-_NEIGHBOURS = 8  # lines to either side that tell the noise
+_NEIGHBOURS = 8  # lines to either side that the noise is read from
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class StepRules:
     ----------
     settling : float, optional
         Time dropped at the beginning of each step [s]. Default: the first half of the step, or more, up to seven
-        eighths, where `stationary` tells that it was not enough.
+        eighths, where by `stationary` that was not enough.
     minimum_cycles : int, optional
         A step is fitted over at least this many cycles.
     force_r_squared : float, optional
@@ -234,7 +234,7 @@ def find_steps(force: Real, dt: float) -> list[tuple[int, int, float]]:
     3. A sine is fitted to the middle of the run; the step reaches as far as the force, averaged over a cycle, stays
        with that sine in phase (0.05 rad, or four times its scatter) and amplitude (20 %).
     4. A step whose phase bends over its length is a stretch of a continuous sweep, or mixes two steps: dropped.
-    5. What is left of a run is searched with frames twice as long, which tell closer frequencies apart.
+    5. What is left of a run is searched with frames twice as long, which separate closer frequencies.
 
     Parameters
     ----------
@@ -252,12 +252,12 @@ def find_steps(force: Real, dt: float) -> list[tuple[int, int, float]]:
     if not np.any(force):
         return []
     frame = max(int(np.ceil(4.0 / (_lowest_frequency(force, dt) * dt))), 32)
-    loudest = float(np.abs(force).max())
+    largest = float(np.abs(force).max())
     found: list[tuple[int, int, float]] = []
     pending = [(0, force.size, min(frame, force.size))]
     while pending:
         low, high, frame = pending.pop()
-        for start, stop, frequency in _steady_runs(force[low:high], dt, frame, loudest):
+        for start, stop, frequency in _steady_runs(force[low:high], dt, frame, largest):
             start, stop = start + low, stop + low
             if any(a <= (start + stop) // 2 < b for a, b, _ in found):
                 continue
@@ -292,7 +292,7 @@ def _frame_frequencies(force: Real, starts: NDArray[np.intp], frame: int, dt: fl
     return frequency, size
 
 
-def _steady_runs(force: Real, dt: float, frame: int, loudest: float) -> list[tuple[int, int, float]]:
+def _steady_runs(force: Real, dt: float, frame: int, largest: float) -> list[tuple[int, int, float]]:
     """Return start, stop and frequency of runs of frames whose frequency stays, the longest first."""
     starts = np.arange(0, force.size - frame + 1, max(frame // 8, 1))
     frequency, size = _frame_frequencies(force, starts, frame, dt)
@@ -300,10 +300,10 @@ def _steady_runs(force: Real, dt: float, frame: int, loudest: float) -> list[tup
     scatter = float(np.median(change)) if change.size else 0.0
     # A hundredth of a line is what negative frequencies do to a short frame, noise or not.
     limit = max(6.0 * scatter, 0.01 / (frame * dt))
-    loud = size > 0.01 * loudest * 0.5 * frame  # 0.5 frame: gain of the Hann window
-    joined = (change <= limit) & loud[1:] & loud[:-1]
+    strong = size > 0.01 * largest * 0.5 * frame  # 0.5 frame: gain of the Hann window
+    joined = (change <= limit) & strong[1:] & strong[:-1]
     edges = [0, *(np.flatnonzero(~joined) + 1).tolist(), starts.size]
-    runs = [(a, b) for a, b in pairwise(edges) if loud[a] and (b - a > 2 or starts.size <= 2)]
+    runs = [(a, b) for a, b in pairwise(edges) if strong[a] and (b - a > 2 or starts.size <= 2)]
     runs.sort(key=lambda run: run[0] - run[1])
     return [(int(starts[a]), int(starts[b - 1]) + frame, float(np.median(frequency[a:b]))) for a, b in runs]
 

@@ -175,7 +175,7 @@ def fit_steps(record: xr.Dataset, excitation: str, index: int = 0, rules: StepRu
     motion = {axis: record[channel].sel(axis=axis).values for axis in axes}
     steps = []
     for number, (start, stop, frequency) in enumerate(find_steps(force, dt), start=1):
-        # The ends are known to about a cycle, over which the force was averaged; the whole step tells its frequency.
+        # The ends are known to about a cycle, over which the force was averaged; the whole step gives its frequency.
         cycle = round(1.0 / (frequency * dt))
         inner = force[start + cycle : stop - cycle]
         if inner.size > 4 * cycle:
@@ -372,7 +372,7 @@ def _merge(repeats: Sequence[Step], response: str) -> tuple[complex, float, comp
     """Return the weighted mean of repeats; standard deviation, relation, degrees of freedom of its error; mean R^2.
 
     Weights are inverse variances where these differ clearly.
-    The error is what the noise within the repeats makes of it, unless they scatter by more than chance allows (F test,
+    The error is what the noise within the repeats makes of it, unless they scatter by more than noise allows (F test,
     5 %): then it is their scatter.
     """
     value = np.array([s.compliance[response] for s in repeats])

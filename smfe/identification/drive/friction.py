@@ -52,13 +52,13 @@ class FrictionFit:
 
 @dataclass(frozen=True)
 class _Side:
-    """Fit of one direction: value and std (4,), in the order of `PARAMETERS`; chance of no Stribeck curve."""
+    """Fit of one direction: value and std (4,), in the order of `PARAMETERS`; p-value of no Stribeck curve."""
 
     value: Real
     std: Real
     residual: float
     runs: int
-    chance: float = 0.0
+    p_value: float = 0.0
 
 
 def fit_friction_curve(
@@ -213,11 +213,11 @@ def _fit_stribeck(v: Real, f: Real, weight: Real | None, shape: Andersson) -> _S
     covariance = _covariance(np.asarray(found.jac, dtype=float), found.fun, weight is not None)
     to_law = turn * scale
     std = np.sqrt(np.diag(to_law @ covariance @ to_law.T))
-    chance = _chance(basis(1.0)[:, [0, 2]], f * w, float(found.fun @ found.fun), weight is not None)
-    return _Side(value, std, _scatter(f - _law(shape, value).force(v), 4), v.size, chance)
+    p_value = _p_value(basis(1.0)[:, [0, 2]], f * w, float(found.fun @ found.fun), weight is not None)
+    return _Side(value, std, _scatter(f - _law(shape, value).force(v), 4), v.size, p_value)
 
 
-def _chance(line: Real, f: Real, remaining: float, known: bool) -> float:
+def _p_value(line: Real, f: Real, remaining: float, known: bool) -> float:
     """Probability that runs without a Stribeck curve gain as much by fitting one (chi-square, or F test)."""
     gained = nnls(line, f)[1] ** 2 - remaining
     if known:
@@ -245,11 +245,11 @@ def _estimates(sides: dict[int, _Side]) -> xr.Dataset:
 def _fit_status(sides: dict[int, _Side]) -> str:
     """Say where the Stribeck curve is not resolved by the runs."""
     for direction, side in sides.items():
-        if side.chance > 0.05:
+        if side.p_value > 0.05:
             name = "positive" if direction > 0 else "negative"
             return (
                 f"the Stribeck curve in {name} direction is not resolved: a straight line fits the runs as well "
-                f"(p = {side.chance:.2g}); run more and slower feeds, or use fit_coulomb_curve"
+                f"(p = {side.p_value:.2g}); run more and slower feeds, or use fit_coulomb_curve"
             )
     return "ok"
 
@@ -310,7 +310,7 @@ def friction_runs(
     """Return the stretches of steady velocity in a record, with the mean drive force of each.
 
     A sample is steady where the acceleration changes the velocity by less than `tolerance` within the window, as far as
-    the encoder can tell (4 standard deviations), and where the velocity is 10 standard deviations from zero. A run is
+    the encoder resolves (4 standard deviations), and where the velocity is 10 standard deviations from zero. A run is
     a stretch of such samples, half a window cut from each end, less as much of its beginning (the servo settles) as it
     takes for the velocity to change by less than `tolerance` in all.
 
@@ -361,8 +361,8 @@ def friction_runs(
     kept = [row for row in rows if row is not None]
     if not kept:
         raise InputError(
-            f"no run of {shortest:g} s at steady velocity among {len(spans)} stretches (velocity is told from zero "
-            f"above {_RESOLVED * m.velocity_std:.2g} m/s); run constant feeds for longer, or widen the window"
+            f"no run of {shortest:g} s at steady velocity among {len(spans)} stretches (velocity is distinguished from "
+            f"zero above {_RESOLVED * m.velocity_std:.2g} m/s); run constant feeds for longer, or widen the window"
         )
     start = float(record["time"].values[0])
     return _table(kept, start, axis)
@@ -414,7 +414,8 @@ def constant_force(runs: xr.Dataset, tolerance: float = 0.02) -> tuple[float, fl
 
     Weight, an unbalanced counterweight or an offset of the amplifier: half the sum of the forces at the same speed in
     both directions, averaged with weights over all such pairs. Friction that differs between the directions cannot be
-    told from a constant force by steady runs. The scatter between the pairs counts where it exceeds what the runs say.
+    distinguished from a constant force by steady runs. The scatter between the pairs counts where it exceeds the stated
+    standard errors of the runs.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def noise_ratio(motion: Complex, force: Complex, force_noise: float) -> Real:
 
     What the hits do not have in common has the power ``R = N_x + |H|^2 N_f`` a hit; N_f is known from where the force
     is quiet, so ``N_x = R - |H|^2 N_f``: all that the noise of the force does not explain. R is a mean over 19 lines.
-    Infinite (H1) where the force has no noise or fewer than two hits tell.
+    Infinite (H1) where the force has no noise or fewer than two hits have the response.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ HARMONICS = 4
 """Harmonics of the tooth passing frequency that are looked at together."""
 
 _TURNS = 6.0
-"""Turns over which an order is told from the noise halfway to the next."""
+"""Turns over which an order is separated from the noise halfway to the next."""
 
 _SEEN, _RUN_OUT, _LIKE_TEETH = 3.0, 0.003, 0.25
 """Run-out over noise, run-out over the first harmonic of what was found, and the harmonic that may be the teeth's."""
@@ -39,12 +39,12 @@ def spindle_angle(record: xr.Dataset, teeth: int | None = None) -> tuple[Real, s
     record : xarray.Dataset
         With ``spindle_angle``, ``tacho``, ``spindle_speed``, or the forces of a cut.
     teeth : int, optional
-        Needed where only the force tells the angle.
+        Needed where the angle is taken from the force.
 
     Raises
     ------
     InputError
-        When nothing tells the angle, or the tacho has too few pulses.
+        When no channel gives the angle, or the tacho has too few pulses.
     """
     if "spindle_angle" in record:
         return np.asarray(record["spindle_angle"].values, dtype=float), "spindle_angle"
@@ -56,7 +56,7 @@ def spindle_angle(record: xr.Dataset, teeth: int | None = None) -> tuple[Real, s
         return np.asarray(2.0 * np.pi * np.cumsum(turns)), "spindle_speed"
     if teeth is None or not axis_present(record, "force"):
         raise InputError(
-            "the record tells no spindle angle; declare spindle_angle, tacho (with pulses_per_revolution) or "
+            "the record holds no spindle angle; declare spindle_angle, tacho (with pulses_per_revolution) or "
             "spindle_speed in [channels]"
         )
     return force_angle(record, teeth), "force"
@@ -124,7 +124,7 @@ def _refuse_ambiguous(force: Real, angle: Real, step: float, teeth: int) -> None
     first, of_turn = strength(1.0), strength(float(teeth))
     if found < max(_SEEN * floor, _RUN_OUT * first) and of_turn > _LIKE_TEETH * first:
         raise InputError(
-            f"the forces repeat at about {rate:.3g} Hz and show no run-out: they do not tell whether one of {teeth} "
+            f"the forces repeat at about {rate:.3g} Hz and show no run-out: they do not decide whether one of {teeth} "
             "teeth passes then or the whole tool turns; declare spindle_angle, tacho or spindle_speed in [channels]"
         )
 
@@ -146,8 +146,8 @@ def _comb_path(force: Real, step: float, lowest: float, highest: float) -> tuple
     score = np.asarray(comb)
     cells = round(2.0 * hop * step / (grid[1] - grid[0])) + 1
     path = grid[_best_path(score / score.max(), cells)]
-    loud = score.max(axis=0)
-    cutting = loud > 0.3 * np.quantile(loud, 0.75)
+    strength = score.max(axis=0)
+    cutting = strength > 0.3 * np.quantile(strength, 0.75)
     straight = np.polyval(np.polyfit(times[cutting], path[cutting], 1), times)
     return times, np.where(cutting, path, straight)
 

@@ -148,7 +148,7 @@ class TestPlaces:
         assert {"direction_x", "direction_7:x"} <= set(modes.columns)
 
     def test_a_cross_response_of_a_universal_file_is_not_called_direct(self, tmp_path: Path) -> None:
-        """Node 21 to node 1 was called xx and then told to turn its sign."""
+        """Node 21 to node 1 was called xx, and its sign was to be turned."""
         drawn = (draw(seed, tmp_path, ("uff",)) for seed in range(400))
         file = next(d for d in drawn if d.response != d.excitation and not d.says)
         ends = re.search(r'response = "([^"]*)", excitation = "([^"]*)"', file.table)
