@@ -38,7 +38,7 @@ help:
 	@echo "make figure  figures of a folder of results: RESULTS=demo/results NAME=lobes"
 	@echo "make slow    the slow tests"
 	@echo "make calibrations  tests that count over many seeds"
-	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --rungs 0\" for less)"
+	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --sizes 0\" for less)"
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
 	@echo "make strangers  records that nobody prepared, drawn at random: writes the tables in docs/ (an hour)"
 	@echo "make lint    ruff, mypy, import-linter, checks of files and structure"

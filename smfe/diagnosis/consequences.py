@@ -25,13 +25,13 @@ SPEEDS = 41
 _STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
 
 
-def with_consequences(campaign: Campaign, family: Family, finding: Finding, aside: Sequence[str]) -> Finding:
+def with_consequences(campaign: Campaign, family: Family, finding: Finding, held_out: Sequence[str]) -> Finding:
     """Return a finding with what became of the baseline, and stable depths or force errors where it is repaired."""
     finding = _plausible(replace(finding, baseline=tuple(_baseline(family, finding))))
     if not finding.causes:
         return finding
     if isinstance(family, DriveRecordFamily):
-        return replace(finding, force_error=tuple(_force_errors(family, finding, aside)))
+        return replace(finding, force_error=tuple(_force_errors(family, finding, held_out)))
     if isinstance(family, MachineFrfs) and isinstance(family.baseline, AxisBaseline):
         return replace(finding, stable_depth=stable_depths(campaign, family.baseline, finding.values))
     if isinstance(family, CuttingLimits):
@@ -75,12 +75,12 @@ def _limits(campaign: Campaign, family: CuttingLimits, finding: Finding) -> Iter
             yield StableDepth(where, rpm, feed_per_tooth * campaign.tool.teeth * rpm * 1e3, before, after)
 
 
-def _force_errors(family: DriveRecordFamily, finding: Finding, aside: Sequence[str]) -> Iterator[ForceError]:
-    for held_out in (False, True):
-        part: list[Condition] = [c for c in family.conditions if (c.name in aside) == held_out]
+def _force_errors(family: DriveRecordFamily, finding: Finding, held_out: Sequence[str]) -> Iterator[ForceError]:
+    for apart in (False, True):
+        part: list[Condition] = [c for c in family.conditions if (c.name in held_out) == apart]
         if part:
             errors = (family.force_error(v, part) for v in (finding.values_before, finding.values))
-            yield ForceError(held_out, *errors)
+            yield ForceError(apart, *errors)
 
 
 def stable_depths(campaign: Campaign, baseline: AxisBaseline, values: Values) -> tuple[StableDepth, ...]:

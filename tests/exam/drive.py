@@ -25,17 +25,17 @@ EXPECTED = {
 """Hidden effect -> cause that must be named."""
 
 SLIDING = ("stribeck", "thinning")
-"""Effects that need a guideway that rubs; friction itself needs one that does not. The others get either."""
+"""Effects that need sliding friction; friction itself needs an axis without it. The others get either."""
 
 
 def axis_of(effects, seed, size=1.0):
-    """The axis of a seed with effects hidden, `size` times as large as must be found; half of the axes rub."""
+    """The axis of a seed with effects hidden, `size` times as large as must be found; half have friction."""
     rng = np.random.default_rng([seed, 7])
     axis = _paced(Axis().with_nuisances(rng), np.random.default_rng([seed, 8]))
-    rubs = bool(rng.integers(2))
+    sliding = bool(rng.integers(2))
     every = DRIVE_EFFECTS | DRIVE_OUTSIDE
     signs = rng.choice([-1.0, 1.0], len(every))
-    if set(effects) & set(SLIDING) or (rubs and "friction" not in effects):
+    if set(effects) & set(SLIDING) or (sliding and "friction" not in effects):
         axis = replace(axis, coulomb=float(rng.uniform(0.75, 1.25) * FRICTION))
     for (name, effect), sign in zip(every.items(), signs, strict=True):
         if name in effects:
@@ -61,7 +61,7 @@ def record_of(axis, seed):
 
 
 def family_of(axis, seed, **options):
-    """The family of an axis: its half sample of hold is known, and so is that it rubs, if it does."""
+    """The family of an axis: its half sample of hold is known, and so is its sliding friction, if it has any."""
     options = {"delay": 0.5 * STEP, **options}
     if axis.command:
         options["gains"] = Gains(axis.position_gain, axis.velocity_gain)

@@ -31,7 +31,7 @@ from exam.truths import true_values
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.workers import cores
 
-SEEDS = {"null": 510_000, "effect": 420_000, "unknown": 430_000, "noisy": 440_000, "two": 450_000, "ladder": 460_000}
+SEEDS = {"null": 510_000, "effect": 420_000, "unknown": 430_000, "noisy": 440_000, "two": 450_000, "sizes": 460_000}
 """First seed of each part; the diagnosis was not tuned on any of them."""
 
 AGAIN = 100_000
@@ -40,11 +40,11 @@ AGAIN = 100_000
 NULLS, EACH = 300, 40
 """A full exam: how often nothing is hidden, and seeds of each effect."""
 
-LOUD, NOISY = 40.0, 20.0
+QUIET, NOISY = 40.0, 20.0
 """Signal over noise [dB]."""
 
 SIZES = (0.25, 0.5, 0.75, 1.5, 2.0)
-"""Rungs of the ladder beside 1, the size that must be found."""
+"""Sizes of an effect beside 1, the size that must be found."""
 
 
 @dataclass(frozen=True)
@@ -166,13 +166,13 @@ def _nulls(nulls):
     if not nulls:
         return []
     alarms, named = sum(a.detected for a in nulls), sum(a.verdict in ("named", "ambiguous") for a in nulls)
-    # With fewer nulls than 149 not even none would show 2 %.
+    # With fewer nulls than 149 not even none would prove 2 %.
     allowed = max(0.02, upper(0, len(nulls)))
     found = []
-    for item, count in (("Not consistent where nothing is wrong", alarms), ("A cause blamed there", named)):
+    for item, count in (("Not consistent where nothing is wrong", alarms), ("A cause named there", named)):
         bound = upper(count, len(nulls))
         text = f"{count} of {len(nulls)}, upper bound {100 * bound:.1f} %"
-        text += " (too few to show 2 %)" if allowed > 0.02 else ""
+        text += " (too few to prove 2 %)" if allowed > 0.02 else ""
         found.append(Score(item, "upper bound <= 2 %", text, bound <= allowed))
     return found
 
@@ -247,11 +247,11 @@ def confusion(answers):
     return rows
 
 
-def ladder(answers):
-    """Rows of the ladder: effect, and the sizes at which 50 % and 95 % are detected, and named right."""
+def detected_sizes(answers):
+    """Rows of the table of sizes: effect, and the sizes at which 50 % and 95 % are detected, and named right."""
     rows = []
-    for hidden in dict.fromkeys(a.case.hidden for a in answers if a.case.part == "ladder"):
-        mine = [a for a in answers if a.case.hidden == hidden and a.case.part in ("ladder", "effect")]
+    for hidden in dict.fromkeys(a.case.hidden for a in answers if a.case.part == "sizes"):
+        mine = [a for a in answers if a.case.hidden == hidden and a.case.part in ("sizes", "effect")]
         sizes = np.array([a.case.size for a in mine])
         rows.append((*hidden, len(mine), *(_sizes(sizes, [ok(a) for a in mine]) for ok in (_detected, _right))))
     return rows
@@ -277,7 +277,7 @@ def _sizes(size, seen):
         rate = 1.0 / (1.0 + np.exp(-math.exp(p[1]) * (np.log(size) - p[0])))
         return -float(np.sum(np.log(np.clip(np.where(seen, rate, 1.0 - rate), 1e-12, None))))
 
-    # Slopes within which a curve can be told apart at these rungs.
+    # Slopes within which a curve differ at these sizes.
     starts = [(m, k) for m in np.log((0.25, 0.5, 1.0, 2.0)) for k in np.log((2.0, 8.0))]
     bounds = [(math.log(0.05), math.log(20.0)), (0.0, math.log(30.0))]
     best = min((optimize.minimize(surprise, x, bounds=bounds) for x in starts), key=lambda r: r.fun)
@@ -314,15 +314,15 @@ def _section(subject, answers):
     lines += [f"| {s.item} | {s.target} | {s.measured} | {_word(s)} |" for s in scores(answers)]
     lines += ["", "| hidden | cause | said |", "| --- | --- | --- |"]
     lines += [f"| {hidden} | {cause} | {said} |" for hidden, cause, said in confusion(answers)]
-    rungs = ladder(answers)
-    if rungs:
+    sizes = detected_sizes(answers)
+    if sizes:
         lines += [
             "",
             "Sizes at which 50 % and 95 % are detected, and named right, over the size that must be found:",
             "",
         ]
         lines += ["| hidden | answers | detected | named right |", "| --- | --- | --- | --- |"]
-        lines += [f"| {hidden} | {count} | {seen} | {right} |" for hidden, count, seen, right in rungs]
+        lines += [f"| {hidden} | {count} | {seen} | {right} |" for hidden, count, seen, right in sizes]
     parts = ("effect", "two")
     wrong = [a for a in answers if (a.case.part in parts and not a.right) or (a.case.part == "null" and a.detected)]
     shown = "; ".join(f"{a.case.words} {a.case.seed}: {a.said}" for a in wrong[:40])
@@ -333,16 +333,16 @@ def _word(score):
     return "open" if "too few" in score.measured and score.met else "yes" if score.met else "no"
 
 
-def cases(name, nulls, seeds, rungs=0):
+def cases(name, nulls, seeds, sizes=0):
     """Every case of a subject; all parts mixed, so that an exam that is cut short has some of each."""
     subject = SUBJECTS[name]
     seeds_of = {part: first + subject.sitting * AGAIN for part, first in SEEDS.items()}
-    levels = (40.0, 30.0, 20.0) if subject.noisy else (LOUD,) * 3
+    levels = (40.0, 30.0, 20.0) if subject.noisy else (QUIET,) * 3
     found = [(i / max(nulls, 1), Case(name, (), "null", seeds_of["null"] + i, levels[i % 3])) for i in range(nulls)]
     fewer = -(-seeds // 4)
-    parts = [("effect", seeds, LOUD, 1.0), ("unknown", fewer, LOUD, 1.0)]
+    parts = [("effect", seeds, QUIET, 1.0), ("unknown", fewer, QUIET, 1.0)]
     parts += [("noisy", fewer, NOISY, 1.0)] if subject.noisy else []
-    parts += [("ladder", rungs, LOUD, size) for size in SIZES] if subject.sized else []
+    parts += [("sizes", sizes, QUIET, size) for size in SIZES] if subject.sized else []
     for k, effect in enumerate(subject.effects):
         for part, count, snr, size in parts:
             first = seeds_of[part] + 100 * k
@@ -350,7 +350,7 @@ def cases(name, nulls, seeds, rungs=0):
     rng = np.random.default_rng(seeds_of["two"])
     for i in range(seeds if subject.pairs else 0):
         pair = subject.pairs[rng.integers(len(subject.pairs))]
-        found.append((i / seeds, Case(name, pair, "two", seeds_of["two"] + i, LOUD)))
+        found.append((i / seeds, Case(name, pair, "two", seeds_of["two"] + i, QUIET)))
     return [case for _, case in sorted(found, key=lambda x: x[0])]
 
 
@@ -389,7 +389,7 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("--nulls", type=int, default=NULLS)
     parser.add_argument("--seeds", type=int, default=EACH)
-    parser.add_argument("--rungs", type=int, default=EACH, help="seeds of each rung of the ladder of sizes")
+    parser.add_argument("--sizes", type=int, default=EACH, help="seeds of each size of the table of sizes")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--subjects", default=",".join(SUBJECTS))
     parser.add_argument("--parts", default=",".join(SEEDS), help="those that are sat now")
@@ -399,7 +399,7 @@ def main():
     if arguments.afresh:
         kept.unlink(missing_ok=True)
     subjects, parts = arguments.subjects.split(","), arguments.parts.split(",")
-    each = [cases(s, arguments.nulls, arguments.seeds, arguments.rungs) for s in subjects]
+    each = [cases(s, arguments.nulls, arguments.seeds, arguments.sizes) for s in subjects]
     every = [case for own in each for case in own if case.part in parts]
     arguments.out.write_text(page(sit(every, kept, arguments.jobs)))
 

@@ -123,12 +123,12 @@ def _limits(effects, seed, snr, size):
     return limits.family(effects[0] if effects else None, seed)[0]
 
 
-RUBBING = tuple(frozenset({"friction", other}) for other in drive.SLIDING)
-"""Friction cannot be hidden in an axis that is known to rub."""
+WITH_FRICTION = tuple(frozenset({"friction", other}) for other in drive.SLIDING)
+"""Friction cannot be hidden in an axis that is known to have it."""
 
 SUBJECTS = {
     "axis": Subject("Compliances of a feed axis", AXIS, _axis, apart=(frozenset(AXIS_DESIGN),), sitting=3),
-    "drive": Subject("Records of a moving axis", drive.EXPECTED, _drive, noisy=False, apart=RUBBING, sitting=3),
+    "drive": Subject("Records of a moving axis", drive.EXPECTED, _drive, noisy=False, apart=WITH_FRICTION, sitting=3),
     "modal": Subject("Compliances against a modal model", modal.NAMES, _modal, sitting=1),
     "limits": Subject("Stability limits found by cutting", limits.EXPECTED, _limits, False, False, False),
 }

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from exam.sitting import Answer, always, cases, ladder, page, scores
+from exam.sitting import Answer, always, cases, detected_sizes, page, scores
 from exam.subjects import SUBJECTS
 
 
@@ -36,8 +36,8 @@ def test_every_effect_of_the_exam_stands_on_its_page_with_what_was_said():
         assert all(f"| {name} | {cause} | {cause} 2 |" in text for name, cause in subject.effects.items())
 
 
-def test_the_ladder_finds_the_size_at_which_half_is_seen():
-    rows = ladder([truthful(case) for case in cases("drive", 0, 4, 4)])
+def test_the_table_of_sizes_has_the_size_at_which_half_is_seen():
+    rows = detected_sizes([truthful(case) for case in cases("drive", 0, 4, 4)])
     assert [row[0] for row in rows] == list(SUBJECTS["drive"].effects)
     half, most = (float(x) for x in rows[0][2].split(", "))
     assert 0.5 < half < most < 0.76

@@ -1,4 +1,4 @@
-"""What a set of conditions could tell apart and see before any data: signatures at the most likely nuisances."""
+"""What a set of conditions could separate and detect before any data: signatures at the most likely nuisances."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from smfe.diagnosis.inference.thresholds import threshold
 
 @dataclass(frozen=True)
 class Isolability:
-    """Cosines between the signatures of causes, those that cannot be told apart, the sizes that would be seen."""
+    """Cosines between the signatures of causes, those that are inseparable, the sizes that would be seen."""
 
     cosine: np.ndarray
     groups: tuple[tuple[str, ...], ...]
@@ -21,7 +21,7 @@ class Isolability:
 
 
 def isolability(family, conditions=None, seed=0):
-    """Return what conditions (default: those of the family) can tell apart and see."""
+    """Return what conditions (default: those of the family) can separate and detect."""
     chosen = tuple(family.conditions if conditions is None else conditions)
     model = Model(family, chosen)
     u, rows = model.null(), range(len(chosen))

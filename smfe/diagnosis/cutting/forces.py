@@ -38,7 +38,7 @@ _ANGLES = 360  # of one revolution, where the start of a record is looked for
 class KnownForce:
     """A constant force that is known, on the force sensor: a weight, a calibrated screw."""
 
-    force: tuple[float, float, float]  # along x, y, z [N], as the sensor should show it
+    force: tuple[float, float, float]  # along x, y, z [N], as the sensor should read it
     std: float  # what force and reading are uncertain by [N]
 
 
@@ -205,7 +205,7 @@ def _sensor_causes(highest: float) -> list[Cause]:
             Parameter(f"dynamometer_lag_{a}", "ms", 0.0, 0.05 / highest, 0.0, 10.0 / highest, shown=1e3),
         )
     )
-    ladder = [r / highest for r in (0.65, 0.9, 1.5)]
+    ratios = [r / highest for r in (0.65, 0.9, 1.5)]
     rotating = (
         Parameter("turning_force", "N", 0.0, 2.0, 0.0, 1e3),
         Parameter("turning_force_angle", "deg", 0.5, 0.3, -2.0 * math.pi, 2.0 * math.pi, shown=180.0 / math.pi),
@@ -226,7 +226,7 @@ def _sensor_causes(highest: float) -> list[Cause]:
             "dynamometer_dynamics",
             "dynamics of the dynamometer",
             resonances,
-            starts=tuple((p**2, 0.1 * p, p**2, 0.1 * p, 0.5 * p**2, 0.05 * p) for p in ladder),
+            starts=tuple((p**2, 0.1 * p, p**2, 0.1 * p, 0.5 * p**2, 0.05 * p) for p in ratios),
         ),
         Cause(
             "background_tone", "a force that turns with the spindle without cutting", rotating, "spindle", starts=around

@@ -37,7 +37,7 @@ FREQUENCY_FLOOR = 0.003
 """The same for its chatter frequency: a cut that chatters is deeper than the limit."""
 
 NEAR = 0.1
-"""Crossings deeper than the first by this share may be the ones that were heard."""
+"""Crossings deeper than the first by this share may be the ones that were observed."""
 
 FLANK_FRICTION = 0.3
 """Friction coefficient between flank and work."""
@@ -45,7 +45,7 @@ FLANK_FRICTION = 0.3
 MINUTES = 20.0
 """What it takes to bracket a limit."""
 
-_HEARD = 0.02
+_NEAR_OBSERVED = 0.02
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class _Known:
     frequency_ratio: float
 
     @property
-    def heard(self) -> float | None:
+    def comparable_frequency(self) -> float | None:
         """Chatter frequency as the zero-order limit has it [Hz]; None where there is none to compare."""
         f = self.limit.frequency
         return None if f is None or abs(self.frequency_ratio - 1.0) > ALIKE else f / self.frequency_ratio
@@ -95,10 +95,10 @@ class _Known:
         """Standard deviations of log depth and, where it can be compared, frequency [Hz]."""
         correction = FLOOR_OF_CORRECTION * abs(math.log(self.depth_ratio))
         depth = math.hypot(self.limit.depth_std, MODEL_FLOOR, correction)
-        heard = self.heard
-        if self.limit.depth is not None and heard is None:
+        observed = self.comparable_frequency
+        if self.limit.depth is not None and observed is None:
             return np.array([depth])
-        return np.array([depth, math.hypot(self.limit.frequency_std, FREQUENCY_FLOOR * (heard or 0.0))])
+        return np.array([depth, math.hypot(self.limit.frequency_std, FREQUENCY_FLOOR * (observed or 0.0))])
 
     def whitened(self, depth: float, frequency: float) -> Real:
         """Return depth [m] and frequency [Hz] as a family compares them."""
@@ -134,20 +134,20 @@ def bracketed(trials: Sequence[Trial], feed_per_tooth: float = 1e-4) -> tuple[tu
     limits, notes = [], []
     for speed in sorted({t.spindle_speed for t in trials}):
         stable = [t.depth for t in trials if t.spindle_speed == speed and not t.chatter]
-        loud = sorted((t for t in trials if t.spindle_speed == speed and t.chatter), key=lambda t: t.depth)
-        if not stable or not loud:
-            side = "chattered" if loud else "was stable"
+        chattering = sorted((t for t in trials if t.spindle_speed == speed and t.chatter), key=lambda t: t.depth)
+        if not stable or not chattering:
+            side = "chattered" if chattering else "was stable"
             notes.append(f"at {speed:g} rpm every cut {side}: the limit is not bracketed; cut on the other side of it")
-        elif max(stable) >= loud[0].depth:
+        elif max(stable) >= chattering[0].depth:
             notes.append(
-                f"at {speed:g} rpm {max(stable) * 1e3:g} mm was stable and {loud[0].depth * 1e3:g} mm chattered: one "
-                "depth is no limit there (an island, or a wrong verdict)"
+                f"at {speed:g} rpm {max(stable) * 1e3:g} mm was stable and {chattering[0].depth * 1e3:g} mm chattered: "
+                "one depth is no limit there (an island, or a wrong verdict)"
             )
         else:
-            width = math.log(loud[0].depth / max(stable))
-            middle = math.sqrt(loud[0].depth * max(stable))
-            heard = next((t.frequency for t in loud if t.frequency is not None), None)
-            limits.append(Limit(speed, middle, width / math.sqrt(12.0), heard, feed_per_tooth=feed_per_tooth))
+            width = math.log(chattering[0].depth / max(stable))
+            middle = math.sqrt(chattering[0].depth * max(stable))
+            observed = next((t.frequency for t in chattering if t.frequency is not None), None)
+            limits.append(Limit(speed, middle, width / math.sqrt(12.0), observed, feed_per_tooth=feed_per_tooth))
     return tuple(limits), tuple(notes)
 
 
@@ -248,8 +248,9 @@ class CuttingLimits(Abilities):
             raise InputError(
                 f"{known.limit.words}: this machine does not chatter at any depth; check modes and coefficients"
             )
-        heard = frequency[0] if known.heard is None else frequency[_heard(depth, frequency, known.heard)]
-        return known.whitened(float(depth[0]) * known.depth_ratio, float(heard))
+        observed = known.comparable_frequency
+        at = 0 if observed is None else _observed_crossing(depth, frequency, observed)
+        return known.whitened(float(depth[0]) * known.depth_ratio, float(frequency[at]))
 
 
 def _limit(condition: Condition) -> Limit:
@@ -261,13 +262,13 @@ def _known(condition: Condition) -> _Known:
     return condition.data
 
 
-def _heard(depth: Real, frequency: Real, observed: float) -> int:
-    """Return which crossing was heard: near the first in depth, and near what was observed.
+def _observed_crossing(depth: Real, frequency: Real, observed: float) -> int:
+    """Return which crossing was observed: near the first in depth, and near what was observed.
 
     A cut some per cent too deep may chatter at the lobe beside the deepest valley.
     """
     excess = np.log(depth / depth[0]) / NEAR
-    away = np.minimum(np.abs(frequency / observed - 1.0) / _HEARD, 3.0)
+    away = np.minimum(np.abs(frequency / observed - 1.0) / _NEAR_OBSERVED, 3.0)
     return int(np.argmin(excess**2 + away**2))
 
 
@@ -409,7 +410,7 @@ def _condition(known: _Known, more: dict[str, float | str]) -> Condition:
     settings = {"spindle_speed": limit.spindle_speed, "feed_per_tooth": limit.feed_per_tooth, **more}
     if limit.depth is None:
         return Condition(limit.words, settings, None, "", known)
-    return Condition(limit.words, settings, known.whitened(limit.depth, known.heard or 0.0), "", known)
+    return Condition(limit.words, settings, known.whitened(limit.depth, known.comparable_frequency or 0.0), "", known)
 
 
 def further(limits: Sequence[Limit]) -> tuple[Limit, ...]:

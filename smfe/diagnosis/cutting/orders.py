@@ -195,7 +195,7 @@ def line_score(ratio: Real) -> Real:
 
 
 def hidden_orders(found: Mapping[str, CuttingOrders]) -> tuple[dict[str, CuttingOrders], tuple[Suspect, ...]]:
-    """Set aside the orders that a line of the mains hides where it was seen beside the orders of any record."""
+    """Leave out the orders that a line of the mains hides where it was found beside the orders of any record."""
     suspects: list[Suspect] = []
     seen = set()
     for name, orders in found.items():

@@ -83,7 +83,7 @@ def check_balance(force: Real, acceleration: Real, velocity: Real, mass: float |
         )
 
 
-# --- The force balance of a drive record, and what the record itself tells: moves, band, noise, waves, a limit.
+# --- The force balance of a drive record, and what is found from the record itself: moves, band, noise, waves, a limit.
 
 Kind = tuple[float | str, float | str]
 ANY: Kind = ("", "")
@@ -182,7 +182,7 @@ def _refuse_too_few(regressors: Real, filter_: Resampler) -> None:
         seconds = values * filter_.step * filter_.every
         raise InputError(
             f"{seconds:.3g} s of motion in a band of {filter_.cutoff:.3g} Hz are {values} values, too few to "
-            f"tell noise from friction; {needed} are needed: record {needed / values:.1f} "
+            f"separate noise from friction; {needed} are needed: record {needed / values:.1f} "
             "times as many moves, or moves that accelerate faster, which widens the band"
         )
 
@@ -288,18 +288,18 @@ def whitener_of(balance: Balance) -> Whitener:
 
 
 def noise_of(balance: Balance, whitener: Whitener) -> dict[Kind, float]:
-    """Return the noise of each kind of move: a screw, a belt, a bearing is louder one way, or fast.
+    """Return the noise of each kind of move: a screw, a belt, a bearing has more noise one way, or fast.
 
-    Kinds of which the reference leaves little to judge by are taken for as loud as all.
+    Kinds of which the reference leaves little to judge by are taken to have the noise of all.
     """
-    squares, freedom = dict[Kind, float](), dict[Kind, float]()
-    left = noise.freedom_left(whitener, balance.moves, balance.regressors)
+    squares, counts = dict[Kind, float](), dict[Kind, float]()
+    left = noise.degrees_of_freedom_left(whitener, balance.moves, balance.regressors)
     for own, move, values in zip(balance.kinds, balance.moves, left, strict=True):
         for kind in (own, ANY):
             squares[kind] = squares.get(kind, 0.0) + float(np.sum(np.square(whitener(move))))
-            freedom[kind] = freedom.get(kind, 0.0) + values
-    typical = squares[ANY] / freedom[ANY]
-    return {k: math.sqrt((squares[k] + RULES.like_all * typical) / (freedom[k] + RULES.like_all)) for k in squares}
+            counts[kind] = counts.get(kind, 0.0) + values
+    typical = squares[ANY] / counts[ANY]
+    return {k: math.sqrt((squares[k] + RULES.like_all * typical) / (counts[k] + RULES.like_all)) for k in squares}
 
 
 def kind_of(settings: Mapping[str, float | str]) -> Kind:

@@ -1,7 +1,7 @@
 """The control law of a drive, checked without the plant: reference, encoder and drive force must obey it.
 
 ``F = Kp [Kv (r - q) - q']`` with the velocity ``q'`` from backward differences of the encoder through a short filter of
-unit gain, which is found from the record. What is left over is a command that nobody logged, or other gains.
+unit gain, which is found from the record. What is left over is a command that was not logged, or other gains.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def motion(position: Real, step: float, cutoff: float) -> Motion:
 def _path(position: Real, step: float, cutoff: float) -> Path:
     """Follow a record up to a fifth of the sample rate, where the encoder is finer than friction gives way.
 
-    What the encoder has above tells its noise within the band, which must not pass for reversals.
+    Above that rate the encoder has its noise within the band too, which must not pass for reversals.
     """
     for wide in (max(RULES.wide / step, cutoff), cutoff):
         rough = position - filtered(position, step, wide)
@@ -136,7 +136,7 @@ def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[
     """Yield the moves of a record as (first sample, end): from rest to rest, cut where they last over 2 s.
 
     Rest is a speed below 2 % of the greatest; what lasts less than 0.2 s is left out. Of a rest of 0.2 s or longer only
-    50 ms at either end belong to the moves: an axis that stands still shows its controller and no property of its own.
+    50 ms at either end belong to the moves: the force of an axis at rest is that of its controller.
     """
     speed = np.abs(velocity[first:last])
     resting = speed < RULES.rest * speed.max()

@@ -1,6 +1,6 @@
 """What no smooth model of an axis explains in a drive record: the noise that a diagnosis whitens with.
 
-A reference with far more freedom than any cause of the catalogue (piecewise-linear friction over speed and over
+A reference with far more parameters than any cause of the catalogue (piecewise-linear friction over speed and over
 position for each direction, pre-sliding, jerk, snap, a periodic force) is fitted to the force. Its residual is held to
 be noise, and an autoregression of it (Yule-Walker over whole moves, those with a residual above twice the median left
 out) whitens:
@@ -8,7 +8,7 @@ out) whitens:
 ``e_n = (y_n + a_1 y_(n-1) + ... + a_p y_(n-p))/sigma``.
 
 A force that is periodic in position or in time, and one that lasts a moment, are looked for in the residual of the
-reference; what is found there by looking everywhere must be beyond what noise alone shows somewhere.
+reference; what is found there by looking everywhere must be beyond what noise alone has somewhere.
 
 The reference also says how far up in frequency a record can be used. The axis moves in closed loop: where its motion
 comes from disturbances and not from the reference position, drive force over motion is minus the controller and no
@@ -108,7 +108,7 @@ def learned_again(
         yield _autoregression(lags + taken, _values(residuals, kept)), moves
 
 
-def freedom_left(found: Whitener, residuals: Sequence[Real], regressors: Real) -> list[float]:
+def degrees_of_freedom_left(found: Whitener, residuals: Sequence[Real], regressors: Real) -> list[float]:
     """Return the sum of squares that white noise of one unit leaves of each move behind least squares, whitened.
 
     It is the number of whitened values less what the least squares takes, most of it from slow noise and from moves
@@ -310,8 +310,8 @@ def noise_draws(
     """Learn a whitener again from records that it would give: what the reference left in each move, and its kind."""
     below = np.concatenate(([1.0], whitener.coefficients))
     expected: dict[object, float] = {}
-    for kind, freedom in zip(kinds, freedom_left(whitener, residuals, regressors), strict=True):
-        expected[kind] = expected.get(kind, 0.0) + freedom
+    for kind, left_over in zip(kinds, degrees_of_freedom_left(whitener, residuals, regressors), strict=True):
+        expected[kind] = expected.get(kind, 0.0) + left_over
     found = []
     for again, moves in learned_again(whitener, residuals, regressors, RULES.noise_draws):
         if not again.stable:

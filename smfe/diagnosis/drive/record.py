@@ -83,7 +83,7 @@ class DriveModel:
     terms: tuple[Term, ...]  # forces that may be missing
     delay: float  # known delay from the logged to the acting force [s]
     mass_known: bool
-    """Whether the mass has a prior, without which a gain of the force channel cannot be told from the mass."""
+    """Whether the mass has a prior, without which a gain of the force channel is not separable from the mass."""
     peak: float  # largest drive force [N]
     limit: float | None = None  # drive force beyond which the axis seems to get less than was asked for [N]
     law: ControlLaw | None = None  # control law with its velocity filter
@@ -130,7 +130,7 @@ class DriveRecordFamily(Abilities):
             Known delay from the logged to the acting force [s], such as the half sample for which a command is held.
         lead : float, optional
             Known wavelength of the ripple of screw, rack or magnets [m]. Default: the one that stands out, if one does
-            beyond what noise alone would show at some wavelength; a ripple is in the catalogue in these cases only.
+            beyond what noise alone has at some wavelength; a ripple is in the catalogue in these cases only.
         cutoff : float, optional
             Band of the comparison [Hz]. Default: as far as the force stands 23 dB above what no model explains, at
             most a tenth of the sample rate.
@@ -322,11 +322,11 @@ def _nuisances(balance: Balance, mass: tuple[float, float] | None) -> tuple[Para
 def _timing(cutoff: float) -> Parameter:
     """Return what the known delay is off by, 4 us in a band of 33 Hz.
 
-    No record shows it: the controller answers the disturbances that the balance takes for noise (bias of the direct
-    method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung, Automatica 35,
-    1999). At the end of the band that share is one in `RULES.above_noise`, by which angle noise may turn the force.
-    A sixth of it, one sigma, is taken for the loop, as linearisation at the truth showed for Coulomb friction at 1 kHz;
-    at other rates and bands it is an extrapolation.
+    The record does not contain it: the controller answers the disturbances that the balance takes for noise (bias of
+    the direct method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung,
+    Automatica 35, 1999). At the end of the band that share is one in `RULES.above_noise`, by which angle noise may turn
+    the force. A sixth of it, one sigma, is taken for the loop, as linearisation at the truth showed for Coulomb
+    friction at 1 kHz; at other rates and bands it is an extrapolation.
     """
     off = RULES.closed_loop / (RULES.above_noise * 2.0 * math.pi * cutoff)
     return Parameter("delay.error", "ms", 0.0, off, prior=off, shown=1e3)

@@ -34,7 +34,7 @@ class Term:
 def direction(m: Motion, p: Values) -> Real:
     """Return the direction of sliding [1], that of the bristles: ``z + tau dz/dt`` (`bristles.Path`, `coulomb`).
 
-    Without Coulomb friction nothing tells how long they are: the smooth sign ``tanh(v/v0)``. A friction that builds up
+    Without Coulomb friction their length is not known: the smooth sign ``tanh(v/v0)``. A friction that builds up
     within the slowest speeds would be Coulomb friction by another name, and cheaper.
     """
     if p.get("coulomb.force", 0.0) == 0.0:
@@ -206,7 +206,7 @@ def hidden_force(windows: Sequence[tuple[float, float, float]]) -> Term:
     return Term(cause, pulses)
 
 
-# --- Causes that a drive record can name besides friction: delay, cut-off force, gains, a command nobody logged.
+# --- Causes that a drive record can name besides friction: delay, cut-off force, gains, a command that was not logged.
 
 
 DELAY = Cause(

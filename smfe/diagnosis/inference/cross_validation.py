@@ -4,8 +4,8 @@ Where the conditions differ in a setting (feed, level, direction, controller ...
 together; without such a contrast each condition by itself. A fold without which the others say next to nothing about
 some combination of parameters tests nothing and is left away (known from the slopes, not from the residuals).
 
-Where no condition can be left out because each alone tells something (idle and one feed, say), alternate blocks of the
-values of every condition are: that shows interpolation only, so that the gain asked for is larger.
+Where no condition can be left out because each alone determines some parameter (idle and one feed, say), alternate
+blocks of the values of every condition are: that proves interpolation only, so that the gain asked for is larger.
 
 The error before and after is the repeatable one: a misfit within the 99 % band of noise counts as none, and what then
 remains of it is what the uncertainty of the fitted parameters makes of the prediction, so that no gain is claimed
@@ -262,7 +262,7 @@ def compare(before: HeldOut, after: HeldOut, rng: np.random.Generator) -> Gain:
     excess = floor if noisy else np.array([after.squares[r] - after.values[r] for r in rows])
     drawn = np.concatenate([np.arange(len(rows))[None], rng.integers(0, len(rows), (RULES.resamples, len(rows)))])
     gained = won[drawn].sum(axis=1)
-    # By chance what is left can look smaller than what the uncertain parameters alone make of it: it is not counted so.
+    # Noise can make what is left look smaller than what the uncertain parameters alone make of it.
     left = np.maximum(np.maximum(floor[drawn].sum(axis=1), excess[drawn].sum(axis=1)), 1e-9)
     decibels = np.copysign(10.0 * np.log10(1.0 + np.abs(gained) / left), gained)
     db, sd = float(decibels[0]), float(np.std(decibels[1:]))

@@ -2,7 +2,7 @@
 
 A cause of size s has the noncentrality ``s^2 g`` with g the square of its signature; seen with 95 % is the size at
 which the noncentral distribution of the likelihood ratio lies above the threshold with that probability. Where the
-effect has a shape (the speed of a Stribeck effect, the frequency of a mode), the one that shows least counts.
+effect has a shape (the speed of a Stribeck effect, the frequency of a mode), the least visible one counts.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Detectable:
     cause: str
     title: str
     parameter: str
-    size: float  # change from the null, as shown; infinite where these conditions do not show it
+    size: float  # change from the null, as shown; infinite where it has no effect in these conditions
     proven_size: float
     """The size that is named with 95 %: its gain on held-out conditions is three standard deviations as well."""
     unit: str  # of the sizes
@@ -69,11 +69,11 @@ def _size(model: Model, signature: Signature, j: int, level: float) -> float:
     return math.sqrt(noncentrality(max(level, 1e-6), own.gram.shape[0], one_sided) / square)
 
 
-def noncentrality(level: float, freedom: int, one_sided: bool = False) -> float:
+def noncentrality(level: float, degrees_of_freedom: int, one_sided: bool = False) -> float:
     """Return the noncentrality with which a chi-square statistic exceeds a level with 95 %."""
     if one_sided:
         return (math.sqrt(level) + float(stats.norm.ppf(RULES.seen))) ** 2
-    return float(special.chndtrinc(level, freedom, 1.0 - RULES.seen))
+    return float(special.chndtrinc(level, degrees_of_freedom, 1.0 - RULES.seen))
 
 
 # --- Causes that do nearly the same in these conditions: cosines between their signatures.

@@ -203,7 +203,7 @@ def _unproven(bench: Bench, steps: Sequence[Step]) -> list[Fit]:
 
 
 def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judgement) -> Proposal | None:
-    """Return the proposal that settles best which of the first open set is right, or shows what could be hidden."""
+    """Return the proposal that best separates the first open set, or reveals what could be hidden."""
     model = bench.model
     rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
     if judged.verdict == "consistent":

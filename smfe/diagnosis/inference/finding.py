@@ -83,7 +83,7 @@ class StableDepth:
 
 @dataclass(frozen=True)
 class ForceError:
-    """Error of the drive force over the moves that were fitted, or set aside: rms over rms of the force [1]."""
+    """Error of the drive force over the moves that were fitted, or held out: rms over rms of the force [1]."""
 
     held_out: bool
     before: float
@@ -179,7 +179,7 @@ def explain(finding: Finding) -> str:
     opening = _PARTLY if finding.verdict == "unknown" and finding.causes else _OPENING[finding.verdict]
     parts = [f"{opening}: {finding.reason}.", *_misfit(finding), *_own(finding.baseline)]
     parts += [_cause(c) for c in finding.causes]
-    parts += [f"The data do not tell apart: {', '.join(c.title for c in s)}." for s in finding.alternatives]
+    parts += [f"The data do not separate: {', '.join(c.title for c in s)}." for s in finding.alternatives]
     parts += _gains(finding)
     parts += [_force_error(e) for e in finding.force_error]
     for where in dict.fromkeys(row.where for row in finding.stable_depth):
@@ -232,7 +232,8 @@ def _cause(cause: FoundCause) -> str:
 
 
 def _interval(e: Estimate) -> str:
-    return f"{e.low:.4g} to {e.high:.4g}" if math.isfinite(e.high - e.low) else "not told from others by these data"
+    known = math.isfinite(e.high - e.low)
+    return f"{e.low:.4g} to {e.high:.4g}" if known else "not separable from others in these data"
 
 
 def unit_of(unit: str) -> str:
@@ -246,7 +247,7 @@ def _next(n: Proposal) -> str:
 
 
 def _force_error(error: ForceError) -> str:
-    where = "moves set aside beforehand" if error.held_out else "the moves that were fitted"
+    where = "moves held out beforehand" if error.held_out else "the moves that were fitted"
     return f"Force error over {where}: {100.0 * error.before:.1f} % before, {100.0 * error.after:.1f} % after."
 
 
@@ -280,7 +281,7 @@ def _remainder(finding: Finding) -> list[str]:
 
 def _gains(finding: Finding) -> list[str]:
     found = []
-    for gain, where in ((finding.gain, "held out in turn"), (finding.held_out_gain, "set aside beforehand")):
+    for gain, where in ((finding.gain, "held out in turn"), (finding.held_out_gain, "held out beforehand")):
         if gain is not None and finding.causes:
             found.append(
                 f"On conditions {where} the extension explains {100.0 * gain.share:.3g} % of the repeatable error "
@@ -299,7 +300,7 @@ def _detectable(sizes: Sequence[Detectable]) -> list[str]:
     return [*found, *([f"Would not have been seen in these conditions: {'; '.join(hidden)}."] if hidden else [])]
 
 
-# --- What the baseline and the best model leave of each condition, those that were set aside included.
+# --- What the baseline and the best model leave of each condition, those that were held out included.
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Joint fit of nuisances and causes: bounded least squares of whitened residuals and priors.
 
-Gauss-Newton steps inside the bounds, each slope used as long as it serves and corrected by what every step shows
+Gauss-Newton steps inside the bounds, each slope used as long as it serves and corrected after every step
 (Broyden, Math. Comp. 19, 1965); `scipy.optimize.least_squares` (trust
 region, bounded) takes over where they do not converge. What has converged is said by the decrement, the decrease of
 the misfit that a bounded linear step still predicts: it is a likelihood ratio and can be compared with thresholds.
@@ -102,7 +102,7 @@ def bounded_step(slope: Real, residual: Real, low: Real, high: Real) -> tuple[Re
 
 
 def _least(r: Real, aim: Real) -> Real:
-    """Solve an upper triangular system, of least norm where parameters cannot be told apart."""
+    """Solve an upper triangular system, of least norm where parameters are not separable."""
     diagonal = np.abs(np.diag(r))
     if r.shape[0] == r.shape[1] and diagonal.min() > 1e-6 * diagonal.max():
         return np.asarray(solve_triangular(r, aim))

@@ -51,7 +51,7 @@ class NoiseKnowledge:
         return min(self.common, self.own.get(row, math.inf))
 
     def together(self, sizes: Mapping[int, int]) -> float:
-        """Of the sum over conditions of some sizes, by their own: ``(sum n)^2 / sum(n^2/freedom)`` (Satterthwaite)."""
+        """Of the sum over conditions of some sizes, by their own: ``(sum n)^2/sum(n^2/nu)`` (Satterthwaite)."""
         spread = sum(n**2 / self.own.get(row, math.inf) for row, n in sizes.items())
         return float(sum(sizes.values()) ** 2 / spread) if spread > 0.0 else math.inf
 

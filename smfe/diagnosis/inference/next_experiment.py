@@ -1,9 +1,9 @@
 """Which experiment would settle what remains open: T-optimal discrimination (Atkinson, Fedorov, Biometrika 62, 1975).
 
 ``D(e) = min over pairs of min |y_i - y_j|^2`` over the parameters and nuisances of j, on what was measured and the
-proposal e together, with the data that hypothesis i predicts. The likelihood ratio between the two is then about
-normal with mean D and variance 4 D, which gives the chance that the experiment settles the pair. An experiment that
-takes t minutes and settles it with the chance p, repeated until it does, takes t/p: the least of these comes first.
+proposal e together, with the data that hypothesis i predicts. The likelihood ratio between the two is then about normal
+with mean D and variance 4 D, which gives the probability that the experiment settles the pair. An experiment that takes
+t minutes and settles it with the probability p, repeated until it does, takes t/p: the least of these comes first.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Proposal:
 
     name: str  # of the condition
     discrimination: float
-    """D of the pair that it separates worst [chi-square], what was measured included; NaN where nothing has to be told
-    apart and it is to show what could be hidden."""
-    probability: float  # probability that it settles that pair, or shows what it is said to show
+    """D of the pair that it separates worst [chi-square], what was measured included; NaN where nothing has to be
+    separated and it is to reveal what could be hidden."""
+    probability: float  # probability that it settles that pair, or reveals what it is said to reveal
     expected: str  # what to look for
     minutes: float | None = None  # what it takes; None where nothing is said about it
 
@@ -68,14 +68,14 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
         probability = probability_to_settle(worst.chi2)
         words = (
             f"there the predictions of {title or 'the hypotheses'} differ by {apart:.2g} times the noise (rms) at "
-            f"least; the chance that it settles the question is {100.0 * probability:.0f} %"
+            f"least; the probability that it settles the question is {100.0 * probability:.0f} %"
         )
         found.append(Proposal(model.conditions[row].name, worst.chi2, probability, words, _stated_minutes(model, row)))
     return sorted(found, key=lambda p: ((p.minutes or RULES.minutes) / max(p.probability, 1e-9), -p.discrimination))
 
 
 def _imitates(rival: Fit, truth: Fit) -> bool:
-    """Return whether a rival with more parameters contains the truth: then no experiment tells, but parsimony does."""
+    """Return whether a rival with more parameters contains the truth: parsimony decides then, no experiment."""
     return rival.converged and rival.chi2 < RULES.imitated and rival.free.size > truth.free.size
 
 
@@ -96,11 +96,11 @@ def _stated_minutes(model: Model, row: int) -> float | None:
     return None if said is None else float(said)
 
 
-# --- What the measured conditions do not show, and which experiment would: the next step where nothing was found.
+# --- What the measured conditions hide, and which experiment would: the next step where nothing was found.
 
 
 def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Sequence[int]) -> Proposal | None:
-    """Return the proposal (row) that shows most of what the measured conditions hide; None where none does."""
+    """Return the proposal (row) that reveals most of what the measured conditions hide; None where none does."""
     before = _sizes(model, detectable(model, tangent(model, target, null), limit))
     hidden = {key: size for key, size in before.items() if size > 1.0}
     best: tuple[float, int, dict[tuple[str, str], float]] | None = None
@@ -145,10 +145,10 @@ def _proposal(
     after: Mapping[tuple[str, str], float],
 ) -> Proposal:
     gains = {key: size / max(after.get(key, size), 1.0) for key, size in before.items()}
-    told = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > RULES.worth_saying][
+    listed = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > RULES.worth_saying][
         : RULES.most_said
     ]
-    words = "; ".join(_words(model, key, before[key], after[key]) for key in told)
+    words = "; ".join(_words(model, key, before[key], after[key]) for key in listed)
     minutes = model.conditions[row].settings.get("minutes")
     return Proposal(
         model.conditions[row].name,

@@ -132,7 +132,7 @@ class Bench:
         return self._tangents[at.causes]
 
     def threshold(self, at: Fit) -> float:
-        """Return what chance makes of the best further cause."""
+        """Return what noise alone reaches with the best further cause."""
         if at.causes not in self._thresholds:
             self._thresholds[at.causes] = threshold(self.model, self.tangent(at), self.rng(1, len(at.causes)))
         return self._thresholds[at.causes]
@@ -572,7 +572,9 @@ class Change:
         return self.ratio > self.threshold
 
 
-def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: float = RULES.changing) -> Change | None:
+def most_changing(
+    model: Model, at: Tangent, rng: np.random.Generator, p_value: float = RULES.changing
+) -> Change | None:
     """Return the parameter that differs most between the conditions; None where no setting contrasts them."""
     found = list(_patterns(model, at))
     if not found:
@@ -582,7 +584,7 @@ def most_changing(model: Model, at: Tangent, rng: np.random.Generator, chance: f
     charges = [RULES.penalty * c.shape[1] for c in columns]
     drawn = products_of_noise(model, at, columns, rng, RULES.draws)
     scores = [np.einsum("di,ij,dj->d", p, inv, p) - q for p, inv, q in zip(drawn, inverses, charges, strict=True)]
-    limit = upper(scores, chance)
+    limit = upper(scores, p_value)
     gains = [float(at.residual @ c @ inv @ c.T @ at.residual) for c, inv in zip(columns, inverses, strict=True)]
     k = int(np.argmax(np.array(gains) - charges))
     return Change(found[k][0], found[k][1], gains[k], limit + charges[k])

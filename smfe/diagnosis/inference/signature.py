@@ -44,7 +44,7 @@ class Tangent:
 
 
 def orthonormal(columns: Real) -> Real:
-    """Return an orthonormal basis of the columns, as many as can be told apart."""
+    """Return an orthonormal basis of the columns, as many as are independent."""
     if columns.shape[1] == 0:
         return np.zeros((columns.shape[0], 0))
     size = np.linalg.norm(columns, axis=0)

@@ -65,17 +65,17 @@ def parameters_of(model: Model, causes: Sequence[int]) -> int:
     return sum(len(model.causes[k].parameters) for k in causes)
 
 
-def threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = RULES.false_alarm) -> float:
-    """Return what the best ``gain - 2 parameters`` of any cause exceeds by chance alone with that probability."""
+def threshold(model: Model, at: Tangent, rng: np.random.Generator, p_value: float = RULES.false_alarm) -> float:
+    """Return what the best ``gain - 2 parameters`` of any cause exceeds by noise alone with a probability."""
     best: dict[int, Real] = {}
     products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, RULES.draws)
     for s, product in zip(at.signatures, products, strict=True):
         gain = score(model, [s]).gain(product) - RULES.penalty * parameters_of(model, [s.cause])
         best[s.cause] = np.maximum(best[s.cause], gain) if s.cause in best else gain
-    return upper(list(best.values()), chance)
+    return upper(list(best.values()), p_value)
 
 
-def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: float = RULES.false_alarm) -> float:
+def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, p_value: float = RULES.false_alarm) -> float:
     """Return the same for the best pair of causes, over all pairs."""
     products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, RULES.draws // 5)
     best: dict[int, Real] = {}
@@ -84,7 +84,7 @@ def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, chance: 
             both = np.concatenate([products[i], products[j]], axis=1)
             gain = score(model, [a, b]).gain(both) - RULES.penalty * parameters_of(model, [a.cause, b.cause])
             best[0] = np.maximum(best[0], gain) if best else gain
-    return upper(list(best.values()), chance)
+    return upper(list(best.values()), p_value)
 
 
 def products_of_noise(
@@ -120,13 +120,13 @@ def _root(covariance: Real) -> Real:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def upper(best: Sequence[Real], chance: float) -> float:
+def upper(best: Sequence[Real], p_value: float) -> float:
     """Return the upper quantile of the largest statistic; beyond the draws, its tail is continued as an exponential."""
     if not best:
         return math.inf
     largest = np.max(np.stack(best), axis=0)
     edge = float(np.quantile(largest, 1.0 - RULES.tail))
     beyond = largest[largest > edge] - edge
-    if chance >= RULES.tail or beyond.size == 0:
-        return float(np.quantile(largest, 1.0 - chance))
-    return edge + float(np.mean(beyond)) * math.log(RULES.tail / chance)
+    if p_value >= RULES.tail or beyond.size == 0:
+        return float(np.quantile(largest, 1.0 - p_value))
+    return edge + float(np.mean(beyond)) * math.log(RULES.tail / p_value)

@@ -128,7 +128,7 @@ def _open(bench: Bench, at: Fit, k: int, left: Misfit) -> list[Fit]:
 
 
 def excluded(bench: Bench, best: Fit, rival: Fit, left: Misfit) -> bool:
-    """Whether the data tell a rival from the best hypothesis, which leaves some misfit."""
+    """Whether the data separate a rival from the best hypothesis, which leaves some misfit."""
     ahead = lead(bench, best, rival)
     if ahead <= RULES.margin or (ahead <= most_needed(bench, best, rival) and ahead <= needed_lead(bench, best, rival)):
         return False
@@ -187,8 +187,8 @@ def agrees(bench: Bench, at: Fit, k: int) -> bool:
     informations = [x.T @ x for x in slopes]
     residual = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)[1]
     square = _disagreement(informations, np.stack([-(x.T @ residual) for x in slopes])[:, None, :])[0]
-    freedom = sum(_rank(x) for x in informations) - _rank(np.sum(informations, axis=0))
-    if freedom < 1 or square <= float(stats.chi2.ppf(RULES.agreed, freedom)):
+    degrees_of_freedom = sum(_rank(x) for x in informations) - _rank(np.sum(informations, axis=0))
+    if degrees_of_freedom < 1 or square <= float(stats.chi2.ppf(RULES.agreed, degrees_of_freedom)):
         return True
     return bool(square <= np.quantile(_by_chance(bench, at, slopes, informations), RULES.agreed))
 

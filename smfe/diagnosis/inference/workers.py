@@ -62,7 +62,7 @@ class Helpers:
         self._dismiss()
 
     def answers(self, ask: Ask, wanted: Sequence[Wanted]) -> list[Answer]:
-        """Return what `ask` says to each, in their order; asked here where nobody can help."""
+        """Return what `ask` says to each, in their order; asked here where no process can help."""
         if self.count > 1 and self._ask != ask:
             self._employ(ask)
         if self._pool is None:
@@ -93,7 +93,7 @@ class Helpers:
             raise
 
     def _abandon(self) -> None:
-        """End what has started of processes that did not all start: nobody would ever tell them to go."""
+        """End what has started of processes that did not all start."""
         for process in list((getattr(self._pool, "_processes", None) or {}).values()):
             process.terminate()
             process.join()
@@ -106,7 +106,7 @@ class Helpers:
 
 
 def _parts(wanted: Sequence[Wanted], count: int) -> list[list[Wanted]]:
-    """Keep the same values together, for which a machine is made ready once; share them out where they are few."""
+    """Keep the same values together, for which a machine is prepared once; share them out where they are few."""
     alike = [list(group) for _, group in groupby(wanted, key=lambda w: w[1].tobytes())]
     shares = -(-count // len(alike))
     sizes = [-(-len(part) // shares) for part in alike]

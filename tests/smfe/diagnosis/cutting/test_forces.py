@@ -149,7 +149,7 @@ def test_what_cannot_be_used_is_refused() -> None:
 
 
 def test_a_tone_of_the_mains_is_found_beforehand_and_does_no_harm() -> None:
-    """At 1500 rpm 50 Hz is tooth passing: another speed shows the line, and the order is left out."""
+    """At 1500 rpm 50 Hz is tooth passing: at another speed the line stands apart, and the order is left out."""
     cuts = [Cut(speed=900.0), FEEDS[1]]
     family = family_of(measure_cuts(Mill(tone=5.0), cuts, 0))
     assert {s.cause for s in family.suspects} == {"background_tone"}
@@ -167,7 +167,7 @@ def test_healthy_forces_raise_no_alarm() -> None:
 
 @pytest.mark.slow
 def test_run_out_is_named_with_its_size() -> None:
-    """Two teeth show ``|rho cos(angle)|``."""
+    """Two teeth give ``|rho cos(angle)|``."""
     sealed = draw_cuts(0, effects=("runout",), design="feeds")
     found = diagnose(family_of(sealed.records))
     assert (found.verdict, keys(found)) == ("named", ["runout"])
@@ -220,7 +220,7 @@ def test_resonances_of_the_dynamometer_are_named_where_speeds_reach_them() -> No
 
 @pytest.mark.slow
 def test_a_gain_of_five_percent_hides_in_the_coefficients() -> None:
-    """All axes alike it is exactly a material that cuts 5 % heavier: no data show it, and nothing is said."""
+    """All axes alike it is exactly a material that cuts 5 % heavier: no data reveal it, and nothing is said."""
     assert hidden("sensor_gain", 1)[0].verdict == "consistent"
 
 
@@ -228,7 +228,7 @@ KNOWN = KnownForce((100.0, 100.0, 100.0), 1.0)
 
 
 def doubled(read: bool) -> CuttingForces:
-    """All channels show five times the force; the coefficients are the handbook's. Two weights test each other."""
+    """All channels read five times the force; the coefficients are the handbook's. Two weights test each other."""
     records = measure_cuts(Mill(gain=5.0), FEEDS, 3)
     proposals = {"a weight of 100 N along each axis": KNOWN, "half the depth": setting(Cut(depth=0.5e-3))}
     half = KnownForce((50.0, 50.0, 50.0), 1.0)
@@ -250,7 +250,7 @@ def test_gain_and_material_are_a_set_until_a_known_force_is_measured() -> None:
 
 @pytest.mark.slow
 def test_an_air_cut_separates_run_out_from_unbalance() -> None:
-    """Both show at the spindle's own order; without a cut run-out vanishes and unbalance stays."""
+    """Both act at the spindle's own order; without a cut run-out vanishes and unbalance stays."""
     for mill, cause in ((Mill(unbalance=10.0), "background_tone"), (Mill(runout=2e-5), "runout")):
         found = diagnose(family_of(measure_cuts(mill, [*FEEDS, Cut(air=True)], 5)))
         assert (found.verdict, keys(found)) == ("named", [cause])

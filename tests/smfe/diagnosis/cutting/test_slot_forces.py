@@ -1,7 +1,7 @@
 """Measured slot-milling forces (leekunhwee, ForceCalculation): five feeds at 6000 rpm, two teeth, 3 mm deep.
 
-The authors say in comments that x and y of the dynamometer must be exchanged; nothing here is told so. The fastest feed
-is set aside and opened at the end.
+The authors say in comments that x and y of the dynamometer must be exchanged; nothing here assumes it. The fastest feed
+is held out and predicted at the end.
 """
 
 import math
@@ -66,7 +66,7 @@ def test_no_model_linear_in_the_chip_does_better_than_the_floor(family: CuttingF
 
 
 def _aligned(cut, line):
-    """Turn a record to a line: the line turned to the record shows by how much."""
+    """Turn a record to a line: the line turned to the record gives the angle."""
     here = turned(line, cut)
     shift = np.angle(np.sum((here[2] * line[2].conj())[:2])) / 2.0
     both = [np.exp(-1j * np.arange(len(line)) * (shift + half)) for half in (0.0, math.pi)]
@@ -91,7 +91,7 @@ def test_exchanged_axes_run_out_and_edge_forces_are_found(finding: Finding) -> N
 
 
 @pytest.mark.slow
-def test_the_gain_at_the_feed_that_was_set_aside(finding: Finding) -> None:
+def test_the_gain_at_the_feed_that_was_held_out(finding: Finding) -> None:
     assert finding.held_out_gain is not None
     assert finding.held_out_gain.error_db > 3.0
     assert finding.misfit_before_db - finding.misfit_after_db > 6.0

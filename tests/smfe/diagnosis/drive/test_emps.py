@@ -1,7 +1,7 @@
 """The electro-mechanical positioning system (EMPS, Janot, Gautier and Brunot 2019): a real ball-screw axis.
 
 Everything is learnt from the first record. The second, with pulses added to the command, is only ever predicted. The
-rule, fixed before it is opened, is the one of the engine: a cause enters when its likelihood ratio passes the threshold
+rule, fixed before it is read, is the one of the engine: a cause enters when its likelihood ratio passes the threshold
 calibrated over the catalogue and it gains 1 dB on moves that the fit did not see, all of the first record; the search
 ends where none does; the pulse record is predicted once with what was accepted and has no say in it.
 """
@@ -146,7 +146,7 @@ def test_the_control_law_finds_the_pulses_that_were_added() -> None:
 
 @pytest.mark.slow
 def test_the_engine_finds_the_causes_and_says_what_remains(first: DriveRecordFamily, pulses: DriveRecordFamily) -> None:
-    """Accepted by the rule of the engine from the first record alone; the second is opened once, at the end.
+    """Accepted by the rule of the engine from the first record alone; the second is predicted once, at the end.
 
     Friction, its direction, the delay and the screw, no flexibility and no drift; a remainder of 1.1 % of the error
     keeps the verdict at "unknown". What others have published of the second record was known.

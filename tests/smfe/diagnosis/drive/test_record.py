@@ -135,13 +135,13 @@ def test_moves_leave_standstill_out_but_for_its_edges() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("rest", "coulomb"), [(0.5, 0.0), (0.3, 20.0), (0.8, 20.0)])
 def test_a_healthy_axis_that_pauses_is_consistent(rest: float, coulomb: float) -> None:
-    """At rest an axis shows its controller and, where it sticks, any force; with and without sliding friction."""
+    """At rest the force is that of the controller, where it sticks any; with and without sliding friction."""
     axis = replace(axis_of((), 5), rest=rest, coulomb=coulomb, seconds=36.0)
     assert diagnose(family_of(axis, 5)).verdict == "consistent"
 
 
 def test_a_record_too_short_for_its_noise_is_refused() -> None:
-    with pytest.raises(InputError, match="values, too few to tell noise from friction; 400 are needed: record"):
+    with pytest.raises(InputError, match="values, too few to separate noise from friction; 400 are needed: record"):
         family(replace(Axis(), acceleration=0.2, rest=1.0), seconds=24.0, delay=0.5 * STEP)
 
 

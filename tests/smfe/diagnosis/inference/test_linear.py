@@ -111,13 +111,13 @@ def test_the_gain_of_causes_that_only_go_up_is_that_of_non_negative_least_square
     assert score.gain(noise @ columns) == pytest.approx(right, abs=1e-9)
 
 
-@pytest.mark.parametrize(("chosen", "sides", "freedom"), [(GAIN, 1.0, 1), (FRICTION, 2.0, 1), (BOTH, 1.0, 2)])
-def test_the_threshold_of_a_lone_cause_is_the_quantile_of_its_chi_square_law(chosen, sides, freedom):
+@pytest.mark.parametrize(("chosen", "sides", "parameters"), [(GAIN, 1.0, 1), (FRICTION, 2.0, 1), (BOTH, 1.0, 2)])
+def test_the_threshold_of_a_lone_cause_is_the_quantile_of_its_chi_square_law(chosen, sides, parameters):
     b = bench(measured(replace(FAMILY, causes=(chosen,)), {}, 0))
     at = tangent(b.model, b.target, b.null())
-    for chance in (0.05, 0.001):
-        found = threshold(b.model, at, np.random.default_rng(0), chance) + RULES.penalty * freedom
-        assert found == pytest.approx(stats.chi2.ppf(1.0 - sides * chance, freedom), rel=0.1)
+    for rate in (0.05, 0.001):
+        found = threshold(b.model, at, np.random.default_rng(0), rate) + RULES.penalty * parameters
+        assert found == pytest.approx(stats.chi2.ppf(1.0 - sides * rate, parameters), rel=0.1)
 
 
 @pytest.mark.parametrize("draws", [24, pytest.param(120, marks=pytest.mark.slow)])
@@ -135,8 +135,8 @@ def test_the_detectable_size_is_what_a_simulation_sees_in_95_of_100_cases(draws)
 
 
 def test_the_noncentrality_puts_95_percent_above_the_level():
-    for freedom in (1, 2, 4):
-        assert stats.ncx2.sf(15.0, freedom, noncentrality(15.0, freedom)) == pytest.approx(0.95, abs=1e-9)
+    for count in (1, 2, 4):
+        assert stats.ncx2.sf(15.0, count, noncentrality(15.0, count)) == pytest.approx(0.95, abs=1e-9)
     draws = np.maximum(np.random.default_rng(0).standard_normal(200_000) + sqrt(noncentrality(15.0, 1, True)), 0.0)
     assert np.mean(draws**2 > 15.0) == pytest.approx(0.95, abs=0.002)
 
@@ -231,7 +231,7 @@ def test_of_two_parameters_that_are_seen_only_as_their_sum_neither_has_an_interv
         assert np.isfinite(half).tolist() == [known, known]
     found = FoundCause("a", "", "A", "physics", (Estimate("a.x", 0.4, -np.inf, np.inf, "N"),), 9.0, 3.0, 0.1)
     text = explain(Finding("named", "it is", (found,)))
-    assert "a.x 0.4 N (not told from others by these data)" in text
+    assert "a.x 0.4 N (not separable from others in these data)" in text
 
 
 @pytest.mark.parametrize(("draws", "most"), [(100, 0.12), pytest.param(400, 0.08, marks=pytest.mark.slow)])
@@ -420,10 +420,10 @@ def test_one_strange_condition_does_not_decide_between_two_causes():
     assert f"% of the repeatable error of the baseline, carried by {strange.name}" in text
 
 
-def held_out(squares, chance):
+def held_out(squares, p_value):
     rows = range(len(squares))
     values = dict.fromkeys(rows, 100.0)
-    return HeldOut(dict(enumerate(squares)), dict.fromkeys(rows, 0.5), values, Misfit(chance, 0.0, 1.0, {}), True)
+    return HeldOut(dict(enumerate(squares)), dict.fromkeys(rows, 0.5), values, Misfit(p_value, 0.0, 1.0, {}), True)
 
 
 def test_a_gain_that_ends_near_the_noise_is_proven_if_the_conditions_share_it():
@@ -605,7 +605,7 @@ def test_an_offset_that_creeps_is_unknown_though_no_condition_shows_it():
 
 
 def test_what_creeps_beyond_all_noise_is_still_said_to_creep():
-    """Ten times as much shows in the misfit alone, which says that something is wrong, but not what."""
+    """Ten times as much appears in the misfit alone, which says that something is wrong, but not what."""
     finding = diagnose(measured(CREEPING, {"creep": 0.4}, 3))
     assert finding.verdict == "unknown"
     assert finding.remainder.beyond_noise

@@ -202,7 +202,7 @@ def test_linear_algebra_has_one_thread_while_something_is_diagnosed_and_its_own_
         assert {lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"} == {2}
 
 
-def test_nobody_is_forked_beside_the_main_thread_or_in_a_daemonic_process():
+def test_nothing_is_forked_beside_the_main_thread_or_in_a_daemonic_process():
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(cores).result() == 1
     if sys.platform == "linux":
