@@ -37,12 +37,9 @@ def other_teeth(part: CutPart, teeth: int) -> tuple[int, str]:
     top = min(int(0.4 / (part.dt * part.base)), 6 * max(teeth, 8))
     if top < 2 * teeth:
         return teeth, ""
-    phasors = np.concatenate([order_phasors(row[None], part.dt, part.base, top) for row in part.samples])
-    power = (np.abs(phasors) ** 2).sum(axis=0)
+    power = (np.abs(order_phasors(part.samples, part.dt, part.base, top)) ** 2).sum(axis=0)
     # Lines beside the orders, where there is nothing but noise and chatter: an order must stand out of them.
-    beside = np.concatenate(
-        [order_phasors(row[None], part.dt, part.base * (1.0 + 0.37 / top), top) for row in part.samples]
-    )
+    beside = order_phasors(part.samples, part.dt, part.base * (1.0 + 0.37 / top), top)
     if power.max() <= STANDS_OUT**2 * float(np.median((np.abs(beside) ** 2).sum(axis=0))):
         return teeth, ""
     order = np.arange(1, top + 1)
@@ -156,14 +153,17 @@ def spectrogram(
     shape = signal.windows.hann(n, sym=False)
     frequency = fft.rfftfreq(n, dt)
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    grid = _reduced(frequency[inside], PICTURE[1], np.mean)
+    # Each point of the picture holds the highest of so many neighbouring lines.
+    each = math.ceil(np.count_nonzero(inside) / PICTURE[1])
+    first = np.arange(0, np.count_nonzero(inside), each)
+    grid = np.array([part.mean() for part in np.split(frequency[inside], first[1:])])
     size = np.zeros((values.shape[0], starts.size, grid.size), dtype=np.float32)
     # One window after the other: all at once would take gigabytes for a minute at 50 kHz.
     for row, samples in enumerate(values):
         for column, start in enumerate(starts):
             piece = samples[start : start + n]
             lines = np.abs(fft.rfft((piece - piece.mean()) * shape)) * (2.0 / shape.sum())
-            size[row, column] = _reduced(lines[inside], PICTURE[1])
+            size[row, column] = np.maximum.reduceat(lines[inside], first)
     data = {"amplitude": (("axis", "time", "frequency"), size, {"units": UNITS[channel]})}
     coords = {
         "axis": axes,
@@ -171,10 +171,3 @@ def spectrogram(
         "frequency": ("frequency", grid, {"units": "Hz"}),
     }
     return xr.Dataset(data, coords=coords, attrs={"window_s": n * dt})
-
-
-def _reduced(values: Real, most: int, how=np.max) -> Real:  # type: ignore[no-untyped-def]
-    """Take neighbours along the last axis together until `most` are left."""
-    each = math.ceil(values.shape[-1] / most)
-    parts = [how(values[..., i : i + each], axis=-1) for i in range(0, values.shape[-1], each)]
-    return np.stack(parts, axis=-1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class LineSpectrum:
     phasor: Complex
     resolution: float
 
-    @property
+    @cached_property
     def vector_amplitude(self) -> Real:
         """Root of the sum of squares over the axes, shape (n,); a rotated sensor reads the same."""
         total: Real = np.sqrt((np.abs(self.phasor) ** 2).sum(axis=0))
@@ -75,9 +76,15 @@ def order_phasors(samples: Real, dt: float, base: float, count: int) -> Complex:
     """Return the peak phasors at ``base, 2 base, .. count base`` [Hz], shape (axes, count), exactly there."""
     n = samples.shape[1]
     window = signal.windows.hann(n, sym=False)
-    step = np.exp(-2j * np.pi * base * dt)
-    values = signal.czt(_centred(samples) * window, m=count, w=step, a=np.conj(step), axis=1)
+    values = _zoom(n, count, base, dt)(_centred(samples) * window, axis=1)
     return np.asarray(values * (2.0 / window.sum()), dtype=np.complex128)
+
+
+@lru_cache(maxsize=64)
+def _zoom(n: int, count: int, base: float, dt: float) -> signal.CZT:
+    """Return the transform of n samples at the multiples 1..count of a frequency [Hz]; pieces of one length share it."""
+    step = np.exp(-2j * np.pi * base * dt)
+    return signal.CZT(n, m=count, w=step, a=np.conj(step))
 
 
 def alternating(phasors: Complex, teeth: int) -> tuple[float, float]:

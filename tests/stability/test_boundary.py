@@ -78,7 +78,7 @@ def test_a_plane_without_boundary_is_one_band_everywhere():
     assert len(found.bands) == 129
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(1.0, 3.0), st.floats(1.0, 3.0))
 def test_an_island_that_holds_the_stated_rectangle_is_never_missed(left, below, wide, high):
     """A box whose outside is flat gives no hint: only the guarantee can find it."""
@@ -147,6 +147,7 @@ def test_what_is_no_plane_or_no_function_is_refused():
         find_boundary(lambda x, y: 1.0, *PLANE)
 
 
+@pytest.mark.slow
 def test_the_reference_island_of_milling_is_found_in_the_plane_and_its_bands_agree(make_case):
     """Immersion 0.5: an unstable band 2.1 to 2.3 mm at 10000 rpm, stable again, unstable from 2.35 mm."""
     case = make_case["benchmark"](1, 0.5)
@@ -173,10 +174,10 @@ def test_a_boundary_over_speed_and_immersion_lies_where_the_limit_depth_says(mak
         case = cases(1, immersion)
         return abs(floquet_multipliers(case.machine, *case.cut, 1.5e-3, speed)[0]) - 1.0
 
-    axes = Axis("speed", 12000.0, 20000.0, 32, 8), Axis("immersion", 0.1, 0.9, 32, 8)
+    axes = Axis("speed", 12000.0, 20000.0, 16, 8), Axis("immersion", 0.1, 0.9, 16, 8)
     points = find_boundary(pointwise(growth), *axes).points
     assert len(points) > 20
-    for row in points.iloc[::8].itertuples():
+    for row in points.iloc[::6].itertuples():
         case = cases(1, row.immersion)
         bands = stability_bands(case.machine, *case.cut, row.speed, 2e-3)
         assert np.abs(bands["to_mm"] - 1.5).min() < 0.01

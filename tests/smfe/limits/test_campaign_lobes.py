@@ -38,7 +38,7 @@ method = "{method}"
 cut = "down"
 width_of_cut = "8 mm"
 feed_per_tooth = "0.1 mm"
-spindle_speed = ["4000 rpm", "12000 rpm", "400 rpm"]
+spindle_speed = ["4000 rpm", "12000 rpm", "800 rpm"]
 maximum_depth = "20 mm"
 """
 

@@ -145,9 +145,12 @@ def test_neighbouring_lines_share_their_errors_where_the_covariance_turns():
     assert np.abs(far / np.sqrt(power[:-12] * power[12:])).max() < 0.1
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_band_of_a_compliance_whose_rows_share_errors_is_that_of_measuring_again(authors, sign):
-    """Errors of all rows are 95 % the same noise, of y with this sign: limits of 500 measurements, seed 7.
+@pytest.mark.parametrize(
+    ("sign", "count", "bound"),
+    [(-1.0, 100, 0.15), *(pytest.param(s, 500, 0.07, marks=pytest.mark.slow) for s in (1.0, -1.0))],
+)
+def test_the_band_of_a_compliance_whose_rows_share_errors_is_that_of_measuring_again(authors, sign, count, bound):
+    """Errors of all rows are 95 % the same noise, of y with this sign: limits of so many measurements, seed 7.
 
     They are made here, from white noise and a moving average of seven lines, and not with the model of the errors.
     """
@@ -162,22 +165,15 @@ def test_the_band_of_a_compliance_whose_rows_share_errors_is_that_of_measuring_a
     generator, root = np.random.default_rng(7), np.linalg.cholesky(rows)
     kernel, speed = np.full(7, 1.0 / math.sqrt(7.0)), np.linspace(400.0, 1400.0, 24)
     limits = []
-    for _ in range(500):
+    for _ in range(count):
         white = generator.standard_normal((3, 3, frequency.size + 6, 2)) @ [1.0, 1j] / math.sqrt(2.0)
         smooth = np.apply_along_axis(np.convolve, 2, white, kernel, "valid")
         again = make_compliance(frequency, phi + s * np.einsum("rs,sef->fre", root, smooth))
         limits.append(zero_order(again, *authors.cut, speed)["limit_depth"].values)
     width = np.ptp(np.quantile(limits, [0.05, 0.95], axis=0), axis=0)
-    for band in (linearised_band, partial(sampled_band, count=400, seed=1)):
-        q, apart = (
-            band(c, *authors.cut, speed)["limit_depth_quantile"].values
-            for c in (told, told.drop_vars("entry_covariance"))
-        )
-        print(
-            f"\nwidth over measuring again: {np.median((q[2] - q[0]) / width):.3f}, "
-            f"rows apart: {np.median((apart[2] - apart[0]) / width):.3f}"
-        )
-        assert np.median((q[2] - q[0]) / width) == pytest.approx(1.0, abs=0.07)
+    for band in (linearised_band, partial(sampled_band, count=min(count, 400), seed=1)):
+        q = band(told, *authors.cut, speed)["limit_depth_quantile"].values
+        assert np.median((q[2] - q[0]) / width) == pytest.approx(1.0, abs=bound)
 
 
 def test_the_level_of_the_errors_is_averaged_over_lines_and_gaps_are_bridged():
@@ -222,7 +218,8 @@ def test_unequal_pitch_has_a_band_by_sampling_only(lab_slot):
         linearised_band(lab_slot.machine, *cut, [1000.0], Spread(stiffness=0.03))
 
 
-def test_the_zero_order_band_carried_to_converged_limits_is_that_of_converged_limits(authors):
+@pytest.mark.parametrize(("samples", "bound"), [(8, 0.6), pytest.param(30, 0.3, marks=pytest.mark.slow)])
+def test_the_zero_order_band_carried_to_converged_limits_is_that_of_converged_limits(authors, samples, bound):
     """Damping known to 10 %: sampling of the converged limit against its zero-order band in proportion."""
     speed, spread = [700.0], Spread(damping=0.1)
     band = sampled_band(authors.machine, *authors.cut, speed, spread, count=400)
@@ -230,12 +227,12 @@ def test_the_zero_order_band_carried_to_converged_limits_is_that_of_converged_li
     generator, error = np.random.default_rng(3), ModalError(authors.machine, spread, np.array([1.0]))
     limits = [
         semi_discretization(error.changed(generator.standard_normal((3, 3))), *authors.cut, speed, 5e-3)["limit_depth"]
-        for _ in range(30)
+        for _ in range(samples)
     ]
     limit = carried["limit_depth"].values
     std = np.diff(carried["limit_depth_quantile"].values[[0, 2]], axis=0)[0] / (2 * 1.645) / limit
-    # Thirty samples tell a standard deviation to 13 %.
-    np.testing.assert_allclose(np.std(limits, axis=0) / limit, std, rtol=0.3)
+    # Thirty samples give a standard deviation to 13 %, eight to 25 %.
+    np.testing.assert_allclose(np.std(limits, axis=0) / limit, std, rtol=bound)
     assert np.all(carried["safe_depth"] < limit)
     with pytest.raises(InputError, match="other spindle speeds"):
         with_band(carried, band.assign_coords(spindle_speed=[710.0]))
@@ -340,10 +337,15 @@ def coverage(case, band, campaigns, **more):
     return np.mean(inside), np.mean(safe)
 
 
-def test_the_linearised_band_covers_two_hundred_campaigns(authors):
-    inside, safe = coverage(authors, linearised_band, 200)
-    assert 0.86 < inside < 0.94
-    assert safe > 0.93
+@pytest.mark.parametrize(
+    ("campaigns", "low", "high", "least"),
+    [(40, 0.8, 0.98, 0.88), pytest.param(200, 0.86, 0.94, 0.93, marks=pytest.mark.slow)],
+)
+def test_the_linearised_band_covers_what_measuring_again_finds(authors, campaigns, low, high, least):
+    # Of 40 campaigns a share of 90 % scatters by 5 %, where the speeds of a campaign all err together.
+    inside, safe = coverage(authors, linearised_band, campaigns)
+    assert low < inside < high
+    assert safe > least
 
 
 @pytest.mark.slow

@@ -32,9 +32,9 @@ def cut_record(
     seed=0,
     channel="acceleration",
     growth=None,
+    rate=1024.0,
 ):
     """Air, a cut with tooth harmonics, run-out on orders 1, 2, ... and chatter lines (Hz, amplitude), air."""
-    rate = 2048.0
     t = np.arange(0.0, duration + 2 * air, 1.0 / rate)
     n = rpm / 60.0
     x = sum((line(t, (h + 1) * teeth * n, a, h) for h, a in enumerate(tooth)), np.zeros_like(t))
@@ -54,7 +54,12 @@ def judge(record, rpm=RPM, teeth=TEETH, **choices):
 
 
 @pytest.mark.parametrize(
-    ("amplitude", "verdict"), [(0.37, "stable"), (4.5, "stable"), (5.5, "chatter"), (41.0, "chatter")]
+    ("amplitude", "verdict"),
+    [
+        (4.5, "stable"),
+        (5.5, "chatter"),
+        *(pytest.param(*v, marks=pytest.mark.slow) for v in ((0.37, "stable"), (41.0, "chatter"))),
+    ],
 )
 def test_half_of_the_highest_tooth_harmonic_decides(amplitude, verdict):
     found = judge(cut_record([(63.07, amplitude)]))
@@ -140,8 +145,18 @@ def test_a_constant_cutting_force_shows_the_cut():
 # --- the speed -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("error", [-0.0049, -0.003, 0.001, 0.003, 0.0049])
-@pytest.mark.parametrize("chatter", [(), ((63.07, 20.0),)])
+@pytest.mark.parametrize(
+    ("error", "chatter"),
+    [
+        (0.0049, ()),
+        (-0.003, ((63.07, 20.0),)),
+        *(
+            pytest.param(error, chatter, marks=pytest.mark.slow)
+            for error in (-0.0049, -0.003, 0.001, 0.003, 0.0049)
+            for chatter in ((), ((63.07, 20.0),))
+        ),
+    ],
+)
 def test_the_speed_is_found_in_the_record(error, chatter):
     found = judge(cut_record(chatter, rpm=RPM * (1 + error)))
     assert found.spindle_speed_rpm == pytest.approx(RPM * (1 + error), rel=2e-4)
@@ -157,12 +172,14 @@ def test_without_that_a_wrong_speed_is_no_chatter_but_an_open_question():
 
 def test_a_machine_that_does_not_cut_does_not_chatter():
     # a fan beside a machine that runs idle: one line, and no order of a spindle
-    idle = cut_record([(537.1, 3.0)], tooth=(), runout=(), air=0.0, noise=0.3)
+    idle = cut_record([(537.1, 3.0)], tooth=(), runout=(), air=0.0, noise=0.3, rate=2048.0)
     found = judge(idle)
     assert found.verdict == "undecided"
     assert "no order of a spindle" in found.reason
     # the same line in a cut, its teeth as quiet as the noise lets them be seen
-    assert judge(cut_record([(537.1, 3.0)], tooth=(0.2,), runout=(), air=0.0, noise=0.3)).verdict == "chatter"
+    assert (
+        judge(cut_record([(537.1, 3.0)], tooth=(0.2,), runout=(), air=0.0, noise=0.3, rate=2048.0)).verdict == "chatter"
+    )
 
 
 def test_the_spindle_angle_is_believed_where_it_is_recorded():
@@ -192,10 +209,10 @@ def test_the_search_starts_from_the_recorded_speed():
     assert found.verdict == "stable"
 
 
-@pytest.mark.parametrize("rpm", [RPM, 12000.0])
+@pytest.mark.parametrize("rpm", [pytest.param(RPM, marks=pytest.mark.slow), 12000.0])
 def test_noise_on_a_recorded_speed_is_no_sweep(rpm):
     teeth = 2
-    record = with_speed(cut_record(rpm=rpm, teeth=teeth, tooth=(10.0,)), rpm, noise=0.004)
+    record = with_speed(cut_record(rpm=rpm, teeth=teeth, tooth=(10.0,), rate=2048.0), rpm, noise=0.004)
     assert np.ptp(record.spindle_speed.values) > 0.02 * rpm
     assert judge(record, rpm=rpm, teeth=teeth).verdict == "stable"
 
@@ -217,7 +234,7 @@ def drifting_cut(drift, chatter=(), teeth=TEETH, **more):
     return make_record(t, {"acceleration": rows}), 1.0 + drift * (t / span - 0.5)
 
 
-@pytest.mark.parametrize("drift", [0.002, -0.01])
+@pytest.mark.parametrize("drift", [pytest.param(0.002, marks=pytest.mark.slow), -0.01])
 def test_a_spindle_that_slows_is_no_chatter(drift):
     # Order 12 moves by 1.5 bins at 0.2 %, by 7 at 1 %.
     record, _ = drifting_cut(drift, tooth=(4.0, 2.0, 9.0))
@@ -249,7 +266,7 @@ def test_another_number_of_teeth_that_fits_is_said_and_judged_with():
 
 def test_chatter_lines_that_drift_are_read_in_short_windows():
     # Four lines one spindle order apart, each moving by 4 Hz: over the whole record each is smeared to less than half.
-    record = cut_record(tooth=(10.0, 8.0), duration=10.0, rpm=4020.0, teeth=3)
+    record = cut_record(tooth=(10.0, 8.0), duration=10.0, rpm=4020.0, teeth=3, rate=2048.0)
     t = record.time.values
     sweep = 2 * np.pi * (-2.0 * t + 0.5 * 4.0 / 11.0 * t * t)
     lines = sum(6.0 * np.cos(2 * np.pi * f * t + sweep + f) for f in (364.0, 431.0, 498.0, 565.0))
@@ -264,7 +281,7 @@ def test_a_mode_that_noise_excites_is_left_open():
 
     record = cut_record(tooth=(2.0,), runout=(0.5,), duration=10.0)
     t, w = record.time.values, 2 * math.pi * 63.3
-    mode = signal.cont2discrete(([1.0], [1.0, 2 * 0.02 * w, w * w]), 1 / 2048.0)
+    mode = signal.cont2discrete(([1.0], [1.0, 2 * 0.02 * w, w * w]), 1 / 1024.0)
     shaken = signal.lfilter(np.ravel(mode[0]), mode[1], np.random.default_rng(3).standard_normal(t.size))
     record["acceleration"] += 4.0 * shaken / shaken.std() * ((t > 0.5) & (t < 10.5))
     found = judge(record)
@@ -293,15 +310,26 @@ def judge_without_speed(record, teeth=TEETH, **choices):
     return chatter_verdict(record, None, teeth, **choices)
 
 
-@pytest.mark.parametrize("rpm", [420.0, 1500.0, 3120.0])
-@pytest.mark.parametrize("runout", [(0.5, 0.3), ()], ids=["run-out", "no run-out"])
-@pytest.mark.parametrize("chatter", [False, True], ids=["stable", "chatter"])
+@pytest.mark.parametrize(
+    ("rpm", "runout", "chatter"),
+    [
+        (1500.0, (0.5, 0.3), False),
+        (420.0, (), True),
+        (3120.0, (0.5, 0.3), True),
+        *(
+            pytest.param(rpm, runout, chatter, marks=pytest.mark.slow)
+            for rpm in (420.0, 1500.0, 3120.0)
+            for runout in ((0.5, 0.3), ())
+            for chatter in (False, True)
+        ),
+    ],
+)
 def test_the_spacing_of_the_lines_gives_the_speed_away(rpm, runout, chatter):
     # Chatter between two orders near 63 Hz, with the sideband that regeneration puts one tooth passing frequency above.
     n = rpm / 60.0
     line_at = (round(63.0 / n) + 0.4) * n
     lines = ((line_at, 30.0), (line_at + TEETH * n, 8.0)) if chatter else ()
-    found = judge_without_speed(cut_record(lines, rpm=rpm, runout=runout, seed=int(rpm)))
+    found = judge_without_speed(cut_record(lines, rpm=rpm, runout=runout, seed=int(rpm), rate=2048.0))
     assert found.spindle_speed_rpm == pytest.approx(rpm, rel=1e-3)
     assert found.verdict == ("chatter" if chatter else "stable")
 
@@ -468,9 +496,14 @@ def test_the_spectrum_is_there_to_be_drawn():
 
 
 @pytest.mark.parametrize(
-    ("share", "verdict"), [(0.5, "undecided"), (0.8, "undecided"), (1.03, "chatter"), (1.1, "chatter")]
+    ("share", "verdict"),
+    [
+        (0.8, "undecided"),
+        (1.03, "chatter"),
+        *(pytest.param(*v, marks=pytest.mark.slow) for v in ((0.5, "undecided"), (1.1, "chatter"))),
+    ],
 )
-@pytest.mark.parametrize("runout", [0.0, 20e-6])
+@pytest.mark.parametrize("runout", [pytest.param(0.0, marks=pytest.mark.slow), 20e-6])
 def test_verdict_of_a_simulated_cut_changes_at_the_limit(lab_slot, share, verdict, runout):
     # 1500 rpm: limit 0.1604 mm, chatter at 63.07 Hz (theory 2.5 a). Below it the ideal slot has no tooth line and the
     # table nearly rests: 0.06 m/s^2 of run-out is less than the floor, so that no more can be said than that.
@@ -487,7 +520,10 @@ def test_verdict_of_a_simulated_cut_changes_at_the_limit(lab_slot, share, verdic
         assert "nothing reaches the floor" in found.reason
 
 
-@pytest.mark.parametrize(("share", "verdict"), [(0.5, "stable"), (0.8, "stable"), (1.2, "chatter")])
+@pytest.mark.parametrize(
+    ("share", "verdict"),
+    [pytest.param(0.5, "stable", marks=pytest.mark.slow), (0.8, "stable"), (1.2, "chatter")],
+)
 def test_verdict_of_a_simulated_cut_with_a_tooth_line(lab_slot, share, verdict):
     # Three teeth in a slot: the force changes at the tooth passing frequency and the table follows.
     tool = Tool(50.8e-3, 3)
@@ -552,7 +588,9 @@ def test_chatter_that_comes_and_goes_within_a_cut_is_found(begin, end):
     assert "alone" in found.reason
 
 
-@pytest.mark.parametrize("interval", [(2.0, 2.5), (4.0, 4.5), (6.3, 6.8)])
+@pytest.mark.parametrize(
+    "interval", [(4.0, 4.5), *(pytest.param(v, marks=pytest.mark.slow) for v in ((2.0, 2.5), (6.3, 6.8)))]
+)
 @pytest.mark.parametrize("channel", ["acceleration", "sound"])
 def test_half_a_second_out_of_a_cut_that_chatters_is_not_called_stable(interval, channel):
     # 12 turns of a line that goes on before and after the interval: it is not there in air

@@ -29,7 +29,11 @@ def turn(degrees: tuple[float, ...], speed: float, finer: float = 2.0) -> TurnMa
 
 
 @pytest.mark.parametrize(
-    ("degrees", "speed"), [((85, 95, 85, 95), 9500), ((80, 100, 80, 100), 9700), ((70, 85, 95, 110), 9200)]
+    ("degrees", "speed"),
+    [
+        ((85, 95, 85, 95), 9500),
+        *(pytest.param(*v, marks=pytest.mark.slow) for v in (((80, 100, 80, 100), 9700), ((70, 85, 95, 110), 9200))),
+    ],
 )
 def test_a_fold_of_unequal_pitch_is_the_first_loss(degrees, speed):
     """Multiplier +1: lines that were not closed under conjugation at frequency zero missed it by up to a factor two."""
@@ -51,7 +55,10 @@ def test_equal_pitch_has_no_fold():
     assert "fold" not in multi_frequency(MACHINE, Tool(16e-3, 4), ARC, WORK, speeds).kind.values
 
 
-@pytest.mark.parametrize(("degrees", "speed"), [((85, 95, 85, 95), 10900), ((80, 100, 80, 100), 11500)])
+@pytest.mark.parametrize(
+    ("degrees", "speed"),
+    [((85, 95, 85, 95), 10900), pytest.param((80, 100, 80, 100), 11500, marks=pytest.mark.slow)],
+)
 def test_harmonics_that_vanish_do_not_end_the_search(degrees, speed):
     """Of a pulse over a third of the period every third harmonic is zero: adding those changed nothing."""
     found = multi_frequency(MACHINE, *cut(degrees), [speed])
@@ -81,7 +88,9 @@ def test_nyquist_counts_what_lies_outside():
             assert is_unstable(lambda t, p=p, g=g: np.array([[g / (np.exp(1j * t) - p)]]), angles, depth) == outside
 
 
-@pytest.mark.parametrize("seed", [600_000, 600_003, 600_005, 600_008])
+@pytest.mark.parametrize(
+    "seed", [600_003, 600_008, *(pytest.param(n, marks=pytest.mark.slow) for n in (600_000, 600_005))]
+)
 def test_cuts_drawn_at_random(seed):
     drawn = draw(seed)
     found = judged(drawn, limits(drawn))

@@ -74,7 +74,7 @@ def test_three_modes_in_three_dimensions(make_case, cut, width, zero_order_off):
     np.testing.assert_allclose(off, zero_order_off, atol=0.1)
 
 
-@pytest.mark.parametrize("cut", ["down", "up"])
+@pytest.mark.parametrize("cut", ["down", pytest.param("up", marks=pytest.mark.slow)])
 def test_five_coupled_modes_and_eight_teeth(make_case, cut):
     case = make_case["ram"](cut)
     speeds = [300, 400, 500, 600, 700]

@@ -11,7 +11,7 @@ from process.cut.force import force_harmonics
 from stability import zero_order
 from stability.methods.operating_point import operating_point
 
-SPEEDS = np.linspace(500.0, 2500.0, 12)
+SPEEDS = np.linspace(500.0, 2500.0, 6)
 FEED = 1e-4
 
 
@@ -88,10 +88,10 @@ def test_the_force_level_is_the_first_tooth_passing_harmonic(authors, base, plai
 
 def test_a_machine_that_stiffens_is_stable_again_deeper(authors, base, plain):
     # Stiff from 1.2 L to 3 L: lost at L, won within the rise, lost again at the limit of the stiff machine.
-    limit = float(plain.limit_depth[3])
+    limit = float(plain.limit_depth[1])
     nodes = np.array([0.5, 1.1, 1.3, 6.0]) * limit
     stiffer = over(base, "depth_of_cut", nodes, [1, 1, 0.5, 0.5])
-    found = operating_point(stiffer, *authors.cut, SPEEDS[3:4], FEED)
+    found = operating_point(stiffer, *authors.cut, SPEEDS[1:2], FEED)
     lost, won, again = found.crossing_depth.values[0]
     assert lost == pytest.approx(limit, rel=1e-10)
     # Between 1.1 and 1.3 L the factor falls linearly, k = 1 - 2.5 (a/L - 1.1), and 1/k = a/L.

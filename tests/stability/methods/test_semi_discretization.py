@@ -223,8 +223,17 @@ def test_a_closed_loop_in_motion(lab_slot, loop, expected):
     np.testing.assert_allclose(found.limit_depth, expected, rtol=5e-3)
 
 
-@pytest.mark.parametrize("name", ["authors", "ram"])
-@pytest.mark.parametrize("cut", ["down", "up", "central"])
+@pytest.mark.parametrize(
+    ("name", "cut"),
+    [
+        ("authors", "down"),
+        ("ram", "up"),
+        *(
+            pytest.param(name, cut, marks=pytest.mark.slow)
+            for name, cut in (("authors", "up"), ("authors", "central"), ("ram", "down"), ("ram", "central"))
+        ),
+    ],
+)
 def test_stable_everywhere_below_and_unstable_above(make_case, name, cut):
     case = make_case[name](cut, 50e-3)
     for rpm in (400, 700):

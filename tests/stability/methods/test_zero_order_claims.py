@@ -37,7 +37,14 @@ def scan_limits(case, speeds):
     return np.array(limits)
 
 
-@pytest.mark.parametrize(("cut", "width"), [("down", 12e-3), ("down", 40e-3), ("up", 48e-3), ("central", 72e-3)])
+@pytest.mark.parametrize(
+    ("cut", "width"),
+    [
+        ("down", 12e-3),
+        ("up", 48e-3),
+        *(pytest.param(*v, marks=pytest.mark.slow) for v in (("down", 40e-3), ("central", 72e-3))),
+    ],
+)
 def test_lobe_construction_equals_a_scan_over_frequency(make_case, cut, width):
     case = make_case["authors"](cut, width)
     speeds = np.linspace(450, 2900, 15)
