@@ -8,8 +8,8 @@
 - `operating_point`: limits whose compliance belongs to the feed and the force at which each point is cut.
 - `stationary_vibration`: the periodic vibration of a stable cut, and the surface error that it leaves.
 - `find_boundary`: the boundary of any scalar function of two named axes, with islands and every band.
-- `sampled_band`, `linearised_band`, `with_band`: quantiles of a limit and the depth that is safe; `Spread` for what
-  the compliance does not tell.
+- `sampled_band`, `linearised_band`, `with_band`: quantiles of a limit and the depth that is safe; `Spread` for
+  errors that the compliance does not hold.
 - `best_pockets`, `presets`, `write_presets`: the speeds at which most is removed, and presets for a tool library.
 - `design_pitch`: the unequal pitch that suits a mode and a speed.
 - `chatter_verdict`: stable, chatter or undecided, from the record of a cut.

@@ -386,7 +386,7 @@ def _followed(lattice: Lattice, stride: tuple[int, int]) -> tuple[Nodes, Nodes]:
     """Evaluate scan, lower rim and surroundings of the boundary; return the cells that the boundary crosses."""
     lattice.need(*lattice.every(stride))
     lattice.seek_dips(stride)
-    # The bands of a column are told apart from its lowest node up.
+    # The bands of a column alternate from its lowest node up.
     rim = np.arange(lattice.first.size)
     lattice.need(rim, np.zeros_like(rim))
     visited = np.zeros((lattice.first.size - 1, lattice.second.size - 1), dtype=bool)

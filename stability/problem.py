@@ -1,4 +1,4 @@
-"""What is asked of a stability method: the cut, the speeds, and the compliance made ready for it."""
+"""What is asked of a stability method: the cut, its pitch, the spindle speeds, the compliance or the modes."""
 
 from __future__ import annotations
 
@@ -350,12 +350,12 @@ class Modes:
 
 
 def modes_of(machine: Machine) -> Modes:
-    """Return a machine in its modal coordinates; coinciding poles that share one vector are told apart by 1e-9.
+    """Return a machine in its modal coordinates; coinciding poles that share one vector are moved apart by 1e-9.
 
     Raises
     ------
     InputError
-        When the shapes do not fit, the machine is itself unstable, or its modes cannot be told apart.
+        When the shapes do not fit, the machine is itself unstable, or its modes cannot be separated.
     """
     if not hasattr(machine, "state_space"):
         raise InputError(
@@ -382,4 +382,4 @@ def modes_of(machine: Machine) -> Modes:
         inverse = np.linalg.pinv(vectors)
         if np.linalg.norm((vectors * rate) @ inverse - a) <= 1e-6 * np.linalg.norm(a):
             return Modes(rate.astype(complex), (c @ vectors).astype(complex), (inverse @ b).astype(complex))
-    raise InputError("poles of the machine coincide so that its modes cannot be told apart; shift one by 0.1 %")
+    raise InputError("poles of the machine coincide so that its modes cannot be separated; shift one by 0.1 %")

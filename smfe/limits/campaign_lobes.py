@@ -154,23 +154,23 @@ def limits_of(
     tool, work, speeds = campaign.tool, campaign.coefficients, request.spindle_speed
     arc = engagement(request.cut, request.width_of_cut, tool.diameter)
     if request.method == "operating_point":
-        together, told = over_conditions(campaign, {n: compliances[n] for n in names}, request.feed_direction)
-        return _saying(operating_point(together, tool, arc, work, speeds, request.feed_per_tooth), told)
-    compliance, modal, told = compliances[names[0]], _modal(campaign, names[0]), []
+        together, notes = over_conditions(campaign, {n: compliances[n] for n in names}, request.feed_direction)
+        return _saying(operating_point(together, tool, arc, work, speeds, request.feed_per_tooth), notes)
+    compliance, modal, notes = compliances[names[0]], _modal(campaign, names[0]), []
     if request.feed_direction:
         modal = modal and turned_modes(modal, request.feed_direction)
-        compliance, told = turned(compliance, request.feed_direction)
+        compliance, notes = turned(compliance, request.feed_direction)
     method = METHODS[request.method]
     machine = method.of(compliance, modal)
     if machine is None:
         found = _by_fitted_modes(compliance, request, lambda m: method.limits(m, tool, arc, work, speeds))
     else:
         found = method.limits(machine, tool, arc, work, speeds)
-    return _saying(found, told)
+    return _saying(found, notes)
 
 
-def _saying(limits: xr.Dataset, told: Sequence[str]) -> xr.Dataset:
-    return limits.assign_attrs(warnings=[*limits.attrs.get("warnings", ()), *told]) if told else limits
+def _saying(limits: xr.Dataset, notes: Sequence[str]) -> xr.Dataset:
+    return limits.assign_attrs(warnings=[*limits.attrs.get("warnings", ()), *notes]) if notes else limits
 
 
 def _by_fitted_modes(
@@ -187,8 +187,8 @@ def _by_fitted_modes(
         ) from error
     found = limits(modal)
     frequency = ", ".join(f"{f:.4g}" for f in fit.table()["frequency_Hz"])
-    told = f"the limits are those of modes fitted to the measured compliance ({frequency} Hz, {model_error(fit)})"
-    return found.assign_attrs(warnings=[*found.attrs.get("warnings", ()), told, *fit.warnings])
+    notes = f"the limits are those of modes fitted to the measured compliance ({frequency} Hz, {model_error(fit)})"
+    return found.assign_attrs(warnings=[*found.attrs.get("warnings", ()), notes, *fit.warnings])
 
 
 def _modal(campaign: Campaign, name: str) -> ModalModel | None:
@@ -215,8 +215,8 @@ def _banded(
     arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
     of = compliance if model is None else turned_modes(model.modal, request.feed_direction)
     band = sampled_band(of, campaign.tool, arc, campaign.coefficients, request.spindle_speed, spread)
-    told = [*limits.attrs.get("warnings", ()), *band.attrs.get("warnings", ())]
-    return with_band(limits, band).assign_attrs(warnings=list(dict.fromkeys(told)))
+    notes = [*limits.attrs.get("warnings", ()), *band.attrs.get("warnings", ())]
+    return with_band(limits, band).assign_attrs(warnings=list(dict.fromkeys(notes)))
 
 
 def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Dataset, limits: xr.Dataset) -> xr.Dataset:
@@ -234,11 +234,11 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
 def _result(campaign: Campaign, request: LobeRequest, name: str, source: str, limits: xr.Dataset) -> LobeResult:
     assert campaign.tool is not None
     table = lobe_table(limits, source, campaign.tool, request.width_of_cut, request.feed_per_tooth)
-    told = list(limits.attrs.pop("warnings", ()))
+    notes = list(limits.attrs.pop("warnings", ()))
     if campaign.missing_coefficients:
         names = " and ".join(campaign.missing_coefficients)
-        told.append(f"[material] gives no {names}: taken as zero, with which forces along the normal are missing")
-    limits = pack_warnings(limits, told)
+        notes.append(f"[material] gives no {names}: taken as zero, with which forces along the normal are missing")
+    limits = pack_warnings(limits, notes)
     limits = limits.assign_attrs(
         source=source,
         cut=request.cut,

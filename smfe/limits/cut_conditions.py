@@ -65,14 +65,14 @@ def sources_of(campaign: Campaign, request: LobeRequest) -> list[Source]:
     position together, so that a request over two controllers has two results, each labelled.
     """
     at = {m.name: m for m in campaign.measurements}
-    told = {name: tuple(stated(at[name], key) for key in FIXED) for name in request.measurements if name in at}
+    conditions = {name: tuple(stated(at[name], key) for key in FIXED) for name in request.measurements if name in at}
     if request.method != "operating_point":
-        return [Source((n,), n, *told.get(n, ())) for n in request.measurements]
-    kinds = list(dict.fromkeys(told.values())) or [(None, None)]
+        return [Source((n,), n, *conditions.get(n, ())) for n in request.measurements]
+    kinds = list(dict.fromkeys(conditions.values())) or [(None, None)]
     models = tuple(name for name in request.measurements if name not in at)
     out = []
     for kind in kinds:
-        names = tuple(n for n in request.measurements if told.get(n) == kind) + models
+        names = tuple(n for n in request.measurements if conditions.get(n) == kind) + models
         said = [f"{key} {value or 'not stated'}" for key, value in zip(FIXED, kind, strict=True) if _varies(key, kinds)]
         label = ", ".join([SEVERAL.join(n for n in request.measurements if n in names), *said])
         out.append(Source(names, label.replace("/", " per "), *kind))
@@ -178,10 +178,10 @@ def turned(compliance: xr.Dataset, angle: float) -> tuple[xr.Dataset, list[str]]
     rows, columns = (np.flatnonzero(reached.any(axis=k)).tolist() for k in (1, 0))
     response, excitation = ([AXES[i] for i in at] for at in (rows, columns))
     values = out[:, rows][:, :, columns]
-    told = make_compliance(here["frequency"].values, values, response, excitation, attrs=here.attrs)
+    turned_compliance = make_compliance(here["frequency"].values, values, response, excitation, attrs=here.attrs)
     if not (needed[reached] > 0).any():
-        return told, []
-    return told, partial_warning(here["response"].values, here["excitation"].values, missing)
+        return turned_compliance, []
+    return turned_compliance, partial_warning(here["response"].values, here["excitation"].values, missing)
 
 
 def turned_modes(modal: ModalModel, angle: float) -> ModalModel:

@@ -224,12 +224,12 @@ def condition_warnings(campaign: Campaign) -> tuple[str, ...]:
         With its ``[[lobes]]`` and ``[[cutting_test]]``.
     """
     sources = [(r, s) for r in campaign.lobes for s in sources_of(campaign, r)]
-    told: dict[str, list[str]] = {}
+    warnings: dict[str, list[str]] = {}
     for test in campaign.cutting_tests:
         why = [(s.label, not_compared(r, s, test)) for r, s in sources]
         if sources and all(reason for _, reason in why):
             each = "; ".join(dict.fromkeys(f"{label}: {reason}" for label, reason in why))
-            told.setdefault(f"no source of lobes belongs to it, so nothing is predicted ({each})", []).append(
+            warnings.setdefault(f"no source of lobes belongs to it, so nothing is predicted ({each})", []).append(
                 test.file.name
             )
         for key in FIXED:
@@ -237,16 +237,16 @@ def condition_warnings(campaign: Campaign) -> tuple[str, ...]:
             names = sorted(v for v in known if v is not None)
             if own is None and len(names) > 1:
                 text = f"states no {key}, and the lobes are of {' and '.join(names)}: one of them at most predicts it"
-                told.setdefault(f"{text}; add {key} to the [[cutting_test]]", []).append(test.file.name)
+                warnings.setdefault(f"{text}; add {key} to the [[cutting_test]]", []).append(test.file.name)
         if test.feed is not None and test.feed_per_tooth is not None and campaign.tool is not None:
             stated = 6e4 * _speed(test.feed)
             feed = 1e3 * test.feed_per_tooth * campaign.tool.teeth * test.spindle_speed
             if abs(stated - feed) > FEED_APART * feed:
                 text = f"states a feed of {stated:.4g} mm/min, and its speed, teeth and feed_per_tooth make {feed:.4g}"
-                told.setdefault(f"{text}; predictions take the latter", []).append(test.file.name)
+                warnings.setdefault(f"{text}; predictions take the latter", []).append(test.file.name)
     return tuple(
         f"{files[0] if len(files) == 1 else f'{len(files)} cutting tests ({files[0]}, ...)'}: {text}"
-        for text, files in told.items()
+        for text, files in warnings.items()
     )
 
 

@@ -71,8 +71,8 @@ def over_conditions(
         row[level] = m.name
     found = {}
     for m in members:
-        found[m.name], told = turned(compliances[m.name], direction) if direction else (compliances[m.name], [])
-        notes += told
+        found[m.name], why = turned(compliances[m.name], direction) if direction else (compliances[m.name], [])
+        notes += why
     grid = _common_grid([found[m.name] for m in members])
     order = sorted(place)
     rows = []
@@ -151,14 +151,14 @@ def _levels(
     levels: dict[str, float] = {}
     notes = []
     for m in members:
-        level, told = _level(m, compliances[m.name])
+        level, why = _level(m, compliances[m.name])
         if level is not None:
             levels[m.name] = level
-            notes += told
+            notes += why
         elif several:
-            raise InputError(f"measurement '{m.name}' {told[0]}; the levels of an operating point must be comparable")
+            raise InputError(f"measurement '{m.name}' {why[0]}; the levels of an operating point must be comparable")
         else:
-            notes.append(f"'{m.name}' {told[0]}: the compliance of each feed is taken at any force of the cut")
+            notes.append(f"'{m.name}' {why[0]}: the compliance of each feed is taken at any force of the cut")
     return (levels, "force_level", notes) if len(levels) == len(members) else ({}, None, notes)
 
 
@@ -171,7 +171,7 @@ def _level(m: Measurement, compliance: xr.Dataset) -> tuple[float | None, list[s
                 "holds no spectrum of its hits, without which their level is not that of a sine: identify again"
             ]
         if found is None:
-            return None, ["shows no clear mode, without which the level of its hits is not that of a sine"]
+            return None, ["has no clear mode, without which the level of its hits is not that of a sine"]
         stated = "" if m.force_level is None else f" of {m.force_level:g} N"
         text = (
             f"the hits{stated} of '{m.name}' count as a sine of {found.force:.3g} N: at {found.frequency:.4g} Hz and "

@@ -100,7 +100,7 @@ def sampled_band(
     ----------
     compliance : xarray.Dataset or ModalModel
         Measured, with ``compliance_std`` and, where known, ``compliance_covariance``, ``entry_covariance``,
-        ``half_width``, ``attrs["error_lines"]``; or a machine as modes, whose errors `spread` tells.
+        ``half_width``, ``attrs["error_lines"]``; or a machine as modes, whose errors `spread` gives.
     tool, arc, coefficients
         The cut; any pitch.
     spindle_speed : array_like, shape (speeds,)
@@ -122,7 +122,7 @@ def sampled_band(
         ``limit_depth`` [mm], ``limit_depth_quantile(quantile, spindle_speed)`` [mm] and ``safe_depth`` [mm] over
         ``spindle_speed``; ``attrs``: "method", "safe_probability", "samples", "seed". The safe depth is the quantile
         ``1 - safe_probability``, but never above the limit itself nor above its 5 % quantile. Quantiles are inf where
-        so many samples show no limit within the data.
+        so many samples have no limit within the data.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def sampled_band(
         As `stability.methods.zero_order`; when nothing is uncertain, or the compliance carries no errors.
     """
     if count < 20:
-        raise InputError(f"{count} samples tell no quantile; give at least 20, better 200")
+        raise InputError(f"{count} samples give no quantile; give at least 20, better 200")
     levels = _levels(quantiles, safe_probability)
     problem = _problem(compliance, Cut(tool, arc, coefficients), spindle_speed, spread or Spread())
     nominal = problem.depths(problem.samples.matrix, coefficients)

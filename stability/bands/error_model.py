@@ -34,7 +34,7 @@ from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Complex, Real
 
 LEVEL_WIDTH = 6.0
-"""The level of the errors is averaged over this many shared widths: a few repeats tell that of one line badly."""
+"""The level of the errors is averaged over this many shared widths: a few repeats know that of one line badly."""
 
 MOST_MISSING = 0.1
 """Share of the frequencies at which a standard deviation may be missing; there it is interpolated."""
@@ -42,7 +42,7 @@ MOST_MISSING = 0.1
 
 @dataclass(frozen=True)
 class Spread:
-    """Relative standard deviations of what the compliance does not tell; all errors are log-normal and independent.
+    """Relative standard deviations of what the compliance does not hold; all errors are log-normal and independent.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
     Raises
     ------
     InputError
-        When it has no standard deviation, or at too few frequencies (one hit, or no repeat, tells nothing).
+        When it has no standard deviation, or at too few frequencies (one hit, or no repeat, has none).
     """
     if "compliance_std" not in compliance:
         raise InputError(

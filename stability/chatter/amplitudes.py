@@ -1,4 +1,4 @@
-"""What the rules of the chatter criterion look at: spectrum, masks, and the amplitudes they compare."""
+"""Spectral amplitudes that the rules of the chatter criterion compare: harmonics, other lines, noise, air."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from process.machine.modes import displacement_over_acceleration
 from process.types import Complex, Real
 from stability.chatter.cut_interval import CutPart
 from stability.chatter.line_spectrum import (
-    STANDS_OUT,
     LineSpectrum,
     alternating,
     comb_speed,
@@ -25,56 +24,9 @@ from stability.chatter.line_spectrum import (
     stands_out,
     without_orders,
 )
+from stability.chatter.settings import SETTINGS
+from stability.chatter.sidebands import sideband_coherence, sideband_lines
 from stability.chatter.spindle_speed import windows
-
-MASK_BINS = 3.0
-"""Half width of the mask of an order [bins of 1/T]."""
-
-SPEED_VARIATION = 5e-4
-"""Relative variation of the speed within the record that the masks allow for [1]."""
-
-
-COMES_AND_GOES = 1.4
-"""Kurtosis of the envelope of a line, <|a|^4>/<|a|^2>^2, above which it may be a mode that noise excites: steady
-chatter has 1, filtered noise 2."""
-
-NOISE_LIKE = 1.75
-"""Kurtosis of the envelope from which no coherence makes a line of it."""
-
-STEADY = 1.2
-"""Kurtosis of the envelope below which a line is steady whatever else there is."""
-
-TOWERING = 8.0
-"""Height in thresholds from which a steady line needs not stand out of what is around it."""
-
-GROWS, GROWING = 5.0, 4.0
-"""Growth from the first to the last quarter from which a line grows, and the kurtosis that this explains at most:
-exponential growth has 2 to 4, a knock far more."""
-
-LASTS = 0.7, 1.5
-"""Growth from the first to the last quarter of a stretch in which a line is no transient that dies out, nor one that
-comes up [1]."""
-
-COHERENT = 30.0
-"""Power of a family over the median power between the orders that speaks for a line."""
-
-CERTAIN = 50.0
-"""The same, from which it is a line even where its envelope varies."""
-
-NOISE = 1.65, 3.5, 6.0
-"""Least and most kurtosis of the envelope of a mode that noise excites, and most coherence."""
-
-PLAINLY_NOISE = 1.9
-"""Kurtosis from which its height does not matter; below, it reaches `EXCITED` thresholds at most."""
-
-EXCITED = 4.0
-"""Most that a mode that noise excites reaches, in thresholds [1]."""
-
-ORDERS_SEEN = 60
-"""Spindle orders of which one at least stands out of the noise where a tool cuts."""
-
-SHORT_TURNS = (24.0, 12.0)
-"""Windows in which lines that drift are looked for [turns]."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +41,8 @@ class Short:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """Everything the rules look at, of one axis."""
+class SpectralAmplitudes:
+    """Amplitudes of one axis that the rules compare: harmonics, orders, the highest other line, its sidebands."""
 
     axis: str
     spectrum: LineSpectrum
@@ -155,9 +107,9 @@ class Evidence:
 
     @property
     def spindle_seen(self) -> bool:
-        """Whether any of the first `ORDERS_SEEN` spindle orders stands out of the noise."""
+        """Whether any of the first `SETTINGS.orders_seen` spindle orders stands out of the noise."""
         first, last = float(self.spectrum.frequency[0]) / self.base, float(self.spectrum.frequency[-1]) / self.base
-        orders = range(max(1, math.ceil(first)), min(ORDERS_SEEN, math.floor(last)) + 1)
+        orders = range(max(1, math.ceil(first)), min(SETTINGS.orders_seen, math.floor(last)) + 1)
         return any(stands_out(self.spectrum, order * self.base, 0.5) for order in orders)
 
     @property
@@ -174,11 +126,11 @@ class Evidence:
 
     def _stands_out(self, frequency: float, amplitude: float) -> bool:
         """Whether a harmonic stands out of the noise around it."""
-        return amplitude > STANDS_OUT * noise_rms(self.spectrum, self.amplitude, ~self.masked, frequency)
+        return amplitude > SETTINGS.stands_out * noise_rms(self.spectrum, self.amplitude, ~self.masked, frequency)
 
     @property
     def ratio(self) -> float:
-        """Candidate, where it is a line with its family (root of the sum of squares), over harmonic."""
+        """Amplitude of the candidate over that of the highest harmonic; of a line, together with its sidebands."""
         size = self.candidate[1]
         if (
             self.denominator > 0.0
@@ -190,8 +142,8 @@ class Evidence:
 
     @cached_property
     def pooled(self) -> float:
-        """Amplitude of the candidate and its family together."""
-        return math.sqrt(self.candidate[1] ** 2 + sum(size**2 for size, _ in self._family))
+        """Root of the sum of squares of the candidate and its sidebands."""
+        return math.sqrt(self.candidate[1] ** 2 + sum(size**2 for size, _ in self.sidebands))
 
     @cached_property
     def noise(self) -> float:
@@ -210,31 +162,22 @@ class Evidence:
         return self.noise / self.denominator * math.sqrt(2.0 * (1.0 + self.threshold**2))
 
     @property
-    def family(self) -> tuple[float, ...]:
-        """The highest six lines [Hz] of the candidate's family."""
-        return tuple(sorted(at for _, at in self._family[-6:]))
+    def highest_sidebands(self) -> tuple[float, ...]:
+        """Frequencies of the six highest sidebands of the candidate [Hz]."""
+        return tuple(sorted(at for _, at in self.sidebands[-6:]))
 
     @cached_property
-    def _family(self) -> tuple[tuple[float, float], ...]:
-        """Amplitude and frequency [Hz] of lines ``f_c + k n`` that reach a tenth of the candidate and stand out.
-
-        Regeneration in an interrupted cut puts them there, and their mirror images ``k n - f_c``.
-        """
+    def sidebands(self) -> tuple[tuple[float, float], ...]:
+        """Amplitude and frequency [Hz] of the sidebands of the candidate, rising (`chatter.sidebands`)."""
         frequency, amplitude = self.candidate
         if math.isnan(frequency):
             return ()
-        last, width = float(self.spectrum.frequency[-1]), 1.5 * self.spectrum.resolution
-        width += 0.5 * (self.short.high - self.short.low) if self.drifts else 0.0
-        found = set()
-        for sign in (1.0, -1.0):
-            begin = (sign * frequency) % self.base
-            for line in np.arange(begin, last, self.base):
-                near = self.peaks & (np.abs(self.spectrum.frequency - line) <= width)
-                if abs(line - frequency) > 0.5 * self.base and near.any():
-                    at, size = self.peak(near, self.amplitude)
-                    if size > max(0.1 * amplitude, STANDS_OUT * self.noise):
-                        found.add((size, at))
-        return tuple(sorted(found))
+        reach = 1.5 * self.spectrum.resolution
+        reach += 0.5 * (self.short.high - self.short.low) if self.drifts else 0.0
+        least = max(0.1 * amplitude, SETTINGS.stands_out * self.noise)
+        return sideband_lines(
+            self.spectrum.frequency, np.where(self.peaks, self.amplitude, 0.0), frequency, self.base, reach, least
+        )
 
     @cached_property
     def envelope(self) -> tuple[float, float]:
@@ -258,50 +201,29 @@ class Evidence:
 
     @cached_property
     def coherence(self) -> float:
-        """Power of the candidate's family over the median of all places between the orders, in windows of turns.
-
-        The spectrum is folded: all lines one spindle order apart, and their mirror images, are one sum.
-        """
-        frequency = self.candidate[0]
-        turns = self.samples.size * self.dt * self.base
-        if math.isnan(frequency):
+        """Power of all lines one spindle order apart over the median of all places between the orders."""
+        if math.isnan(self.candidate[0]):
             return 0.0
-        best = 0.0
-        for length in (*(t for t in SHORT_TURNS if 2.0 * t < turns), 0.99 * turns):
-            _, orders, phasor = windows(self.samples[None], self.dt * self.base, length, 0.25 * length)
-            power = np.abs(phasor[0]) ** 2
-            inside = (orders >= self.spectrum.frequency[0] / self.base) & (
-                orders <= self.spectrum.frequency[-1] / self.base
-            )
-            places = np.arange(2.25 / length, 0.5, 0.25 / length)
-            folded = np.zeros((power.shape[0], places.size))
-            for order in range(int(orders[inside][-1]) + 2):
-                for sign in (1.0, -1.0):
-                    bins = np.rint((order + sign * places) / orders[1]).astype(np.int64)
-                    known = (bins > 0) & (bins < orders.size)
-                    known[known] &= inside[bins[known]]
-                    folded[:, known] += power[:, bins[known]]
-            if places.size > 3:
-                best = max(best, float(np.median(folded.max(axis=1) / np.maximum(np.median(folded, axis=1), 1e-300))))
-        return best
+        band = float(self.spectrum.frequency[0]), float(self.spectrum.frequency[-1])
+        return sideband_coherence(self.samples, self.dt, self.base, band)
 
     @property
     def line_like(self) -> bool:
         """Whether the candidate is a line, not a mode that noise excites."""
         varies, amplitude = self.envelope[0], self.candidate[1]
-        if varies < NOISE_LIKE and self.coherence > CERTAIN:
+        if varies < SETTINGS.noise_like and self.coherence > SETTINGS.certain:
             return True
         height = amplitude / (self.threshold * self.denominator) if self.denominator > 0.0 else 0.0
-        if varies < STEADY and height > TOWERING:
+        if varies < SETTINGS.steady and height > SETTINGS.towering:
             # A line that drifts is its own noise.
             return True
-        if amplitude < STANDS_OUT * self.noise:
+        if amplitude < SETTINGS.stands_out * self.noise:
             return False
-        if self.envelope[1] > GROWS and varies < GROWING:
+        if self.envelope[1] > SETTINGS.grows and varies < SETTINGS.growing:
             return True
         # A lightly damped mode may look steady over a short record: then something else must speak for a line.
-        steady = varies < STEADY or height > 2.0 or bool(self._family) or self.coherence > COHERENT
-        return varies < COMES_AND_GOES and steady
+        steady = varies < SETTINGS.steady or height > 2.0 or bool(self.sidebands) or self.coherence > SETTINGS.coherent
+        return varies < SETTINGS.comes_and_goes and steady
 
     @property
     def noise_like(self) -> bool:
@@ -309,24 +231,32 @@ class Evidence:
         varies = self.envelope[0]
         if math.isnan(self.tooth_line) and not self._stands_out(self.order_frequency, self.order_amplitude):
             return False
-        if not NOISE[0] < varies < NOISE[1] or self.coherence > NOISE[2] or self._family:
+        if (
+            not SETTINGS.noise_kurtosis[0] < varies < SETTINGS.noise_kurtosis[1]
+            or self.coherence > SETTINGS.noise_coherence
+            or self.sidebands
+        ):
             return False
-        return varies > PLAINLY_NOISE or self.candidate[1] < EXCITED * self.threshold * self.denominator
+        return (
+            varies > SETTINGS.plainly_noise or self.candidate[1] < SETTINGS.excited * self.threshold * self.denominator
+        )
 
     @property
     def plain(self) -> bool:
-        """Whether the candidate is a steady high line, or one with a family, that neither dies out nor comes up."""
-        if not LASTS[0] < self.envelope[1] < LASTS[1]:
+        """Whether the candidate is a steady high line, or one with sidebands, that neither dies out nor comes up."""
+        if not SETTINGS.lasts[0] < self.envelope[1] < SETTINGS.lasts[1]:
             return False
-        return self.coherent_family or (self.envelope[0] < STEADY and self.ratio > 2.0 * self.threshold)
+        return self.coherent_sidebands or (self.envelope[0] < SETTINGS.steady and self.ratio > 2.0 * self.threshold)
 
     @property
-    def coherent_family(self) -> bool:
-        """Whether the candidate is a steady line with at least two others of its family."""
-        return self.envelope[0] < COMES_AND_GOES and len(self._family) > 1 and self.coherence > CERTAIN
+    def coherent_sidebands(self) -> bool:
+        """Whether the candidate is a steady line with at least two sidebands."""
+        return (
+            self.envelope[0] < SETTINGS.comes_and_goes and len(self.sidebands) > 1 and self.coherence > SETTINGS.certain
+        )
 
 
-def gather(
+def spectral_amplitudes(
     axis: str,
     part: CutPart,
     base: float,
@@ -339,13 +269,13 @@ def gather(
     unit: str,
     threshold: float,
     reference: float | None,
-) -> Evidence:
-    """Turn the samples of one axis into spectra, masks and the amplitudes that the rules compare."""
+) -> SpectralAmplitudes:
+    """Return the spectral amplitudes of one axis of a part."""
     raw = hann_spectrum(part.samples, part.dt, band)
     if not exact:
         base = comb_speed(raw, base, teeth, tolerance)
     count = max(teeth, int(band[1] / base))
-    error = SPEED_VARIATION + (0.0 if exact else _remaining_error(raw, base, count, tolerance))
+    error = SETTINGS.speed_variation + (0.0 if exact else _remaining_error(raw, base, count, tolerance))
     phasors = order_phasors(part.samples, part.dt, base, count)
     scale = np.abs(displacement_over_acceleration(raw.frequency)) if integrate else np.ones(raw.frequency.size)
     spectrum = LineSpectrum(raw.frequency, raw.phasor * scale, raw.resolution)
@@ -359,7 +289,7 @@ def gather(
         orders[teeth // 2 - 1 :: teeth] = 0.0
     top = int(np.argmax(orders))
     in_air = _in_air(part, spectrum, amplitude, band, scale)
-    return Evidence(
+    return SpectralAmplitudes(
         axis=axis,
         spectrum=spectrum,
         amplitude=amplitude,
@@ -427,13 +357,13 @@ def _short(
     """Return the highest line between the orders that short windows have, the median over the windows."""
     best = Short(math.nan, math.nan, math.nan, 0.0, 0.0)
     turns = part.duration * base
-    for length in (t for t in SHORT_TURNS if 2.0 * t <= turns):
+    for length in (t for t in SETTINGS.short_turns if 2.0 * t <= turns):
         _, frequency, phasor = windows(part.samples, part.dt, length / base, 0.25 * length / base)
         size = np.abs(phasor[0])
         if integrate:
             size = size * np.abs(displacement_over_acceleration(np.maximum(frequency, band[0])))
         order = np.maximum(1.0, np.round(frequency / base))
-        free = np.abs(frequency - order * base) > MASK_BINS * base / length + error * order * base
+        free = np.abs(frequency - order * base) > SETTINGS.mask_bins * base / length + error * order * base
         free &= (frequency >= band[0]) & (frequency <= band[1])
         free &= np.interp(frequency, spectrum.frequency, in_air.astype(float)) < 0.5
         if not free.any():
@@ -445,7 +375,7 @@ def _short(
         if found > best.amplitude:
             middle = float(np.median(frequency[tops]))
             at = float(frequency[tops][int(np.argmin(np.abs(frequency[tops] - middle)))])
-            # The highest line may be another of the family from window to window: what counts is where it is between.
+            # Another sideband may be the highest from window to window: what counts is the place between the orders.
             moved = (frequency[tops] - at + 0.5 * base) % base - 0.5 * base
             low, high = at + np.quantile(moved, [0.1, 0.9])
             near = free & (np.abs(frequency - at) < 2.0 * base)
@@ -479,7 +409,7 @@ def _order_mask(spectrum: LineSpectrum, base: float, error: float) -> NDArray[np
     """Mark ``|f - h base| <= 3/T + error h base`` for every order h >= 1."""
     order = np.maximum(1.0, np.round(spectrum.frequency / base))
     nearest = order * base
-    return np.abs(spectrum.frequency - nearest) <= MASK_BINS * spectrum.resolution + error * nearest
+    return np.abs(spectrum.frequency - nearest) <= SETTINGS.mask_bins * spectrum.resolution + error * nearest
 
 
 def _growth(part: CutPart, frequency: float, teeth: int) -> float:

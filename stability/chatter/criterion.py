@@ -6,15 +6,16 @@ The paper says no more than that. What is added here, and why (theory 5):
   that is higher than the tooth harmonics takes their place in the ratio.
 - The record is judged over turns of the spindle, not over time (`spindle_speed`): 0.3 % of speed error over 4 s, or a
   spindle that slows by it, makes a stable cut look like chatter.
-- Each axis is judged by itself: a quiet axis that chatters does not drown in a loud one. An axis counts as silent
+- Each axis is judged by itself: a small axis that chatters does not drown in a larger one. An axis counts as silent
   below a tenth of the highest harmonic of all.
-- Order Z/2 of an even number of teeth Z (and its odd multiples) is where period doubling shows, and also an
-  order. It is judged separately: against a reference cut, or by its growth against the tooth line; else it is
-  *undecided*.
+- Order Z/2 of an even number of teeth Z (and its odd multiples) is where period doubling
+  appears, and also an order. It is judged separately: against a reference cut, or by its growth against the tooth
+  line; else it is *undecided*.
 - An order is masked by +-3 bins (the Hann main lobe is +-2) plus what the speed may be wrong, growing with
   the order.
 - A line that drifts within the record is read in windows of 12 and 24 turns, in which it does not.
-- A line that comes and goes like filtered noise, without a family one spindle order apart, may be a mode that noise
+- A steady line with sidebands one spindle order apart is chatter below the threshold too (`chatter.sidebands`).
+- A line that comes and goes like filtered noise, without such sidebands, may be a mode that noise
   excites: *undecided*.
 - What is there in air with half of its height is no chatter: hum, pumps, fans.
 - The last part of the cut is used, without entry and exit: transients of the entry trigger the criterion 3 to 10 %
@@ -40,7 +41,7 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, check_record
-from stability.chatter.amplitudes import MASK_BINS, Evidence, gather
+from stability.chatter.amplitudes import SpectralAmplitudes, spectral_amplitudes
 from stability.chatter.comb import other_speed, other_teeth, spectrogram
 from stability.chatter.cut_interval import (
     CutPart,
@@ -54,7 +55,8 @@ from stability.chatter.cut_interval import (
     with_angle,
 )
 from stability.chatter.line_spectrum import LineSpectrum, comb_speed, hann_spectrum
-from stability.chatter.rules import FEWEST_TURNS, GROWTH, Finding, Verdict, judge, too_few_turns
+from stability.chatter.rules import Finding, Verdict, judge, too_few_turns
+from stability.chatter.settings import SETTINGS
 from stability.chatter.spindle_speed import followed_turns, spindle_from_lines
 
 QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force", "sound")
@@ -62,19 +64,11 @@ QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force", "sound")
 DEFAULT_FLOOR: dict[str, float] = {"acceleration": 0.1, "displacement": 1e-6, "force": 5.0, "sound": 1e-6}
 """Least amplitude that counts as the highest tooth harmonic [m/s2, m, N, Pa]."""
 
-SPEEDS_SEARCHED = (60.0, 60000.0)
-"""Spindle speeds among which an unknown one is looked for [rpm]."""
-
 FREQUENCY_RANGE: tuple[float, float | None] = (5.0, None)
 """Default band [Hz]; the lower end keeps servo and table motion out."""
 
 HIGHEST_SHARE_OF_SAMPLE_RATE = 0.4
 """Default upper end of the band, in sample rates: above it anti-alias filters act."""
-
-_TURN_UNKNOWN = 0.1  # s; what is looked at for cut or air while the speed is not known
-
-SILENT = 0.1
-"""An axis is measured against at least this share of the highest harmonic of all axes [1]."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +180,7 @@ def chatter_verdict(
     interval: tuple[float, float] | None = None,
     half_order_reference: float | None = None,
 ) -> ChatterVerdict:
-    """Return whether a record shows chatter: a non-harmonic peak above half of the highest tooth harmonic.
+    """Return whether a record holds chatter: a non-harmonic peak above half of the highest tooth harmonic.
 
     Parameters
     ----------
@@ -236,7 +230,7 @@ def chatter_verdict(
         rotation = _rotation(record, recorded, names, teeth, interval, frequency_range)
     least = DEFAULT_FLOOR[chosen] if floor is None else floor
 
-    def judged(stretch: tuple[float, float] | None) -> tuple[ChatterVerdict, Evidence]:
+    def judged(stretch: tuple[float, float] | None) -> tuple[ChatterVerdict, SpectralAmplitudes]:
         return _judged(
             record,
             rotation,
@@ -253,7 +247,7 @@ def chatter_verdict(
         )
 
     found, whole = judged(interval)
-    # What shows no spindle as a whole shows none in its parts.
+    # What has no spindle order as a whole has none in its parts.
     if interval is None and (found.verdict == "stable" or (found.verdict == "undecided" and whole.spindle_seen)):
         for stretch in stretches(found.cut_s, found.interval_s, 2.0 * math.pi / rotation):
             try:
@@ -286,13 +280,13 @@ def _judged(
     least: float,
     interval: tuple[float, float] | None,
     half_order_reference: float | None,
-) -> tuple[ChatterVerdict, Evidence]:
-    """Judge one interval of a record, or the last half of its cut, and return what the deciding axis shows."""
+) -> tuple[ChatterVerdict, SpectralAmplitudes]:
+    """Judge one interval of a record, or the last half of its cut, and return the amplitudes of the deciding axis."""
     part = judged_part(record, recorded, names, 2.0 * math.pi / rotation, interval)
     base, exact = spindle_frequency(record, part, rotation / (2.0 * math.pi), speed_tolerance)
     band = _band(frequency_range, part, teeth * base)
     integrate = chosen != recorded
-    enough = part.duration * base >= FEWEST_TURNS
+    enough = part.duration * base >= SETTINGS.fewest_turns
     if enough and speed_tolerance > 0.0:
         angle = measured_turns(record, part) if exact else None
         if angle is None:
@@ -308,46 +302,48 @@ def _judged(
     part = replace(part, base=base)
     fitting, said = other_teeth(part, teeth) if enough else (teeth, "")
     settings = (base, fitting, band, exact, speed_tolerance, integrate, least, UNITS[chosen], threshold)
-    found = [gather(name, axis_part(part, i), *settings, half_order_reference) for i, name in enumerate(names)]
+    found = [
+        spectral_amplitudes(name, axis_part(part, i), *settings, half_order_reference) for i, name in enumerate(names)
+    ]
     highest = max(max(e.tooth_amplitude, e.order_amplitude) for e in found)
-    found = [replace(e, least=SILENT * highest) for e in found]
+    found = [replace(e, least=SETTINGS.silent * highest) for e in found]
     findings = [too_few_turns(part, base) or judge(e) for e in found]
     worst = _deciding(found, findings)
-    evidence, finding = found[worst], findings[worst]
+    decisive, finding = found[worst], findings[worst]
     said_speed = other_speed(part, base, fitting, band, finding.frequency) if finding.verdict == "chatter" else ""
     chatters = finding.verdict == "chatter"
     verdict = ChatterVerdict(
         verdict=finding.verdict,
         ratio=finding.ratio,
         chatter_frequency_Hz=finding.frequency,
-        tooth_passing_harmonic_Hz=evidence.tooth_line,
-        spindle_speed_rpm=60.0 * evidence.base,
-        reason=_in_words(finding, findings, evidence, names, "; ".join(filter(None, (said, said_speed)))),
+        tooth_passing_harmonic_Hz=decisive.tooth_line,
+        spindle_speed_rpm=60.0 * decisive.base,
+        reason=_in_words(finding, findings, decisive, names, "; ".join(filter(None, (said, said_speed)))),
         spectrum=_labelled_spectrum(found, UNITS[chosen]),
         quantity="displacement from acceleration" if integrate else chosen,
         axes=tuple(names),
         threshold=threshold,
-        guard_band=evidence.guard,
-        resolution_Hz=evidence.spectrum.resolution,
+        guard_band=decisive.guard,
+        resolution_Hz=decisive.spectrum.resolution,
         interval_s=part.interval,
-        half_order_ratio=evidence.half[1] / evidence.denominator if evidence.denominator > 0.0 else math.nan,
+        half_order_ratio=decisive.half[1] / decisive.denominator if decisive.denominator > 0.0 else math.nan,
         frequency_range_Hz=band,
         floor=least,
         unit=UNITS[chosen],
         by_axis=tuple(
             AxisVerdict(e.axis, f.verdict, f.ratio, f.frequency, f.reason) for e, f in zip(found, findings, strict=True)
         ),
-        family_Hz=evidence.family if chatters else (),
-        drift_Hz=(evidence.short.low, evidence.short.high) if chatters and evidence.drifts else None,
-        growth=evidence.envelope[1] if chatters else math.nan,
+        family_Hz=decisive.highest_sidebands if chatters else (),
+        drift_Hz=(decisive.short.low, decisive.short.high) if chatters and decisive.drifts else None,
+        growth=decisive.envelope[1] if chatters else math.nan,
         cut_s=part.bounds,
-        try_rpm=_speeds_to_try(finding, evidence, teeth) if chatters else (),
+        try_rpm=_speeds_to_try(finding, decisive, teeth) if chatters else (),
         notes=tuple(note for note in (said, said_speed) if note),
     )
-    return verdict, evidence
+    return verdict, decisive
 
 
-def _deciding(found: Sequence[Evidence], findings: Sequence[Finding]) -> int:
+def _deciding(found: Sequence[SpectralAmplitudes], findings: Sequence[Finding]) -> int:
     """Return the axis that decides: the worst chatter, else what is undecided on an axis that is not silent."""
 
     def rank(i: int) -> tuple[int, float]:
@@ -359,8 +355,10 @@ def _deciding(found: Sequence[Evidence], findings: Sequence[Finding]) -> int:
     return max(range(len(found)), key=rank)
 
 
-def _in_words(finding: Finding, findings: Sequence[Finding], e: Evidence, names: Sequence[str], said: str) -> str:
-    """Return the reason with what its axis, family and growth add."""
+def _in_words(
+    finding: Finding, findings: Sequence[Finding], e: SpectralAmplitudes, names: Sequence[str], said: str
+) -> str:
+    """Return the reason with the axis, the drift, the sidebands and the growth of the line."""
     text = finding.reason
     if len(names) > 1:
         others = [f"{n} {f.verdict}" for n, f in zip(names, findings, strict=True) if n != e.axis]
@@ -368,22 +366,22 @@ def _in_words(finding: Finding, findings: Sequence[Finding], e: Evidence, names:
     if finding.verdict == "chatter":
         if e.drifts and e.short.high - e.short.low > 2.0 * e.spectrum.resolution:
             text += f"; it moves from {e.short.low:.4g} to {e.short.high:.4g} Hz"
-        if e.family:
-            lines = ", ".join(f"{line:.4g}" for line in e.family)
+        if e.highest_sidebands:
+            lines = ", ".join(f"{line:.4g}" for line in e.highest_sidebands)
             text += f"; a whole number of spindle orders away lie {lines} Hz"
-        if e.envelope[1] > GROWTH:
+        if e.envelope[1] > SETTINGS.growth:
             text += f"; it grows {e.envelope[1]:.2g} times within what is judged"
     return f"{said}; {text}" if said else text
 
 
-def _speeds_to_try(finding: Finding, e: Evidence, teeth: int) -> tuple[float, ...]:
+def _speeds_to_try(finding: Finding, e: SpectralAmplitudes, teeth: int) -> tuple[float, ...]:
     """Return ``60 f_c/(k Z)`` from half to twice the present speed [rpm], fastest first."""
     present = 60.0 * e.base
     speeds = (60.0 * finding.frequency / (k * teeth) for k in range(1, 200))
     return tuple(s for s in speeds if 0.5 * present <= s <= 2.0 * present)
 
 
-def _labelled_spectrum(found: Sequence[Evidence], unit: str) -> xr.Dataset:
+def _labelled_spectrum(found: Sequence[SpectralAmplitudes], unit: str) -> xr.Dataset:
     """Return the spectra of all axes for plotting."""
     first = found[0]
     phasor = np.concatenate([e.spectrum.phasor for e in found])
@@ -420,12 +418,12 @@ def _rotation(
     frequency_range: tuple[float, float | None],
 ) -> float:
     """Return the spindle rotation [rad/s] that a record states or that its lines give away."""
-    part = judged_part(record, channel, axes, _TURN_UNKNOWN, interval)
+    part = judged_part(record, channel, axes, SETTINGS.turn_unknown, interval)
     stated = stated_frequency(record, part)
     if stated is None:
-        low, high = (s / 60.0 for s in SPEEDS_SEARCHED)
+        low, high = (s / 60.0 for s in SETTINGS.speeds_searched)
         top = HIGHEST_SHARE_OF_SAMPLE_RATE / part.dt if frequency_range[1] is None else frequency_range[1]
-        band = max(frequency_range[0], MASK_BINS / part.duration), min(top, 0.5 / part.dt)
+        band = max(frequency_range[0], SETTINGS.mask_bins / part.duration), min(top, 0.5 / part.dt)
         if band[0] < band[1]:
             stated = spindle_from_lines(hann_spectrum(part.samples, part.dt, band), teeth, (low, high))
     if stated is None:
@@ -464,7 +462,7 @@ def _choose_axes(record: xr.Dataset, channel: str, axes: Sequence[str] | None) -
 
 
 def _band(frequency_range: tuple[float, float | None], part: CutPart, tooth: float) -> tuple[float, float]:
-    """Return the band [Hz]; below `MASK_BINS` bins the mean leaks."""
+    """Return the band [Hz]; below `SETTINGS.mask_bins` bins the mean leaks."""
     low, high = frequency_range
     sample_rate = 1.0 / part.dt
     top = HIGHEST_SHARE_OF_SAMPLE_RATE * sample_rate if high is None else high
@@ -478,4 +476,4 @@ def _band(frequency_range: tuple[float, float | None], part: CutPart, tooth: flo
             f"the tooth passing frequency of {tooth:g} Hz lies above the frequency range, which ends at {top:g} Hz: "
             "sample faster or raise the upper end"
         )
-    return max(low, MASK_BINS / part.duration), top
+    return max(low, SETTINGS.mask_bins / part.duration), top

@@ -1,6 +1,6 @@
 """Which part of a record is judged, and how fast the spindle turns in it: entry, cut and exit.
 
-- Air, entry, steady cut and exit are told apart by the level of each turn. Without an interval, the second half of the
+- Air, entry, steady cut and exit are separated by the level of each turn. Without an interval, the second half of the
   cut is judged, more of it where that is short, and neither entry nor exit.
 - A recorded spindle angle, tacho or speed must agree with the given speed and be constant within the part.
 """
@@ -19,25 +19,8 @@ from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
 from process.types import Real
+from stability.chatter.settings import SETTINGS
 from stability.chatter.spindle_speed import resampled
-
-SPEED_MISMATCH = 0.01
-"""Relative difference between a recorded and the given speed above which one of them must be wrong [1]."""
-
-MOST_CHANGE = 0.03
-"""Relative change of a recorded speed above which a record is a sweep [1]; up to it, the spindle is followed."""
-
-JUDGED_TURNS = (60, 600)
-"""Turns that are judged where the cut has them: fewer than the first reach back before its second half."""
-
-FEWEST_TURNS_OF_CUT = 12
-"""A loud stretch of fewer turns in a long record is no cut, but an event."""
-
-TURNS_OF_A_STRETCH, MOST_STRETCHES = 24, 5
-"""Least turns of a stretch that is judged for itself, and most stretches."""
-
-SPEED_PIECES = 32
-"""Most pieces on whose means a recorded speed is tested for being constant."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +53,13 @@ def judged_part(
     dt = sample_interval(record)
     time = record["time"].values
     samples = _rows(record[channel], axes)
-    # The force is nearly zero in air: it shows the cut best where it has been recorded.
-    shows = "force" if axis_present(record, "force") else channel
-    every = _rows(record[shows], axis_present(record, shows) if "axis" in record[shows].dims else axes)
-    first, last, *steady = _find_cut(every, max(2, round(turn / dt)), shows == "force")
+    # The force is nearly zero in air: it separates cut and air best where it has been recorded.
+    measure = "force" if axis_present(record, "force") else channel
+    every = _rows(
+        record[measure],
+        axis_present(record, measure) if "axis" in record[measure].dims else axes,
+    )
+    first, last, *steady = _find_cut(every, max(2, round(turn / dt)), measure == "force")
     if interval is not None:
         begin, end = np.searchsorted(time, interval)
         if end - begin < 16:
@@ -83,7 +69,7 @@ def judged_part(
             )
         cut = samples[:, begin:end]
     else:
-        fewest, most = (round(count * turn / dt) for count in JUDGED_TURNS)
+        fewest, most = (round(count * turn / dt) for count in SETTINGS.judged_turns)
         half = (first + last) // 2
         begin = max(steady[0], min(half, max(steady[1] - fewest, first + (last - first) // 4)), steady[1] - most)
         begin, end = min(begin, steady[1] - 2), steady[1]
@@ -115,8 +101,8 @@ def stretches(
         Duration of a turn [s].
     """
     first, last = cut[1], cut[2]
-    found = [(first, judged[0])] if judged[0] - first >= TURNS_OF_A_STRETCH * turn else []
-    pieces = min(MOST_STRETCHES, int((last - first) / (TURNS_OF_A_STRETCH * turn)))
+    found = [(first, judged[0])] if judged[0] - first >= SETTINGS.turns_of_a_stretch * turn else []
+    pieces = min(SETTINGS.most_stretches, int((last - first) / (SETTINGS.turns_of_a_stretch * turn)))
     if pieces > 1:
         edges = np.linspace(first, last, pieces + 1)
         found += list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
@@ -139,7 +125,7 @@ def _rows(channel: xr.DataArray, axes: list[str]) -> Real:
 def _find_cut(samples: Real, turn: int, static: bool) -> tuple[int, int, int, int]:
     """Return first and last sample of the cut (the longest stretch of turns that is not air), and of its steady part.
 
-    A turn counts as cut when its level is nearer to that of the loud turns than to that of the quiet ones
+    A turn counts as cut when its level is nearer to that of the highest turns than to that of the lowest
     (`_air_below`). The level is the standard deviation within the turn; with `static` (forces) the departure of its
     mean from the record's quieter end counts too, because a slot with many teeth cuts with a constant force. Entry and
     exit end where the level, a median over three turns,
@@ -160,7 +146,7 @@ def _find_cut(samples: Real, turn: int, static: bool) -> tuple[int, int, int, in
         return 0, n, 0, n
     start, stop = _longest_cut(level)
     # A few turns far above all others are an entry, an exit or a knock, and hide the cut beside them.
-    while stop - start < min(FEWEST_TURNS_OF_CUT, blocks // 4):
+    while stop - start < min(SETTINGS.fewest_turns_of_cut, blocks // 4):
         quieter = np.delete(level, np.arange(start, stop))
         level = np.minimum(level, np.quantile(quieter, 0.95))
         again = _longest_cut(level)
@@ -183,8 +169,10 @@ def _longest_cut(level: Real) -> tuple[int, int]:
     # A cut may swell and fade: a gap of a tenth of the record is none.
     gap = max(1, level.size // 10)
     above = np.pad(level > _air_below(level), gap)
-    loud = np.concatenate([[False], ndimage.binary_closing(above, np.ones(gap + 1, dtype=bool))[gap:-gap], [False]])
-    edges = np.flatnonzero(np.diff(loud.astype(int)))
+    above_air = np.concatenate(
+        [[False], ndimage.binary_closing(above, np.ones(gap + 1, dtype=bool))[gap:-gap], [False]]
+    )
+    edges = np.flatnonzero(np.diff(above_air.astype(int)))
     if edges.size == 0:
         return 0, level.size
     starts, stops = edges[::2], edges[1::2]
@@ -194,11 +182,11 @@ def _longest_cut(level: Real) -> tuple[int, int]:
 
 def _air_below(level: Real) -> float:
     """Return the level between air and cut."""
-    loud, quiet = float(np.quantile(level, 0.95)), float(np.quantile(level, 0.05))
-    # A record without air has nothing much quieter; an entry may be louder than all that follows.
-    if loud < 2.0 * quiet:
-        return 0.2 * loud
-    return max(3.0 * quiet, 0.05 * loud) if 3.0 * quiet < 0.35 * loud else math.sqrt(quiet * loud)
+    high, low = float(np.quantile(level, 0.95)), float(np.quantile(level, 0.05))
+    # A record without air has nothing much lower; an entry may be higher than all that follows.
+    if high < 2.0 * low:
+        return 0.2 * high
+    return max(3.0 * low, 0.05 * high) if 3.0 * low < 0.35 * high else math.sqrt(low * high)
 
 
 def axis_part(part: CutPart, row: int) -> CutPart:
@@ -273,7 +261,7 @@ def _recorded_speed(record: xr.Dataset, inside: NDArray[np.bool_], nominal: floa
         return nominal
     # Means, because every sample of a measured speed carries noise; a piece is a turn at least.
     turn = sample_interval(record) * nominal
-    pieces = int(np.clip(speed.size * turn, 2, SPEED_PIECES))
+    pieces = int(np.clip(speed.size * turn, 2, SETTINGS.speed_pieces))
     _check_constant(np.array([piece.mean() for piece in np.array_split(speed, pieces)]))
     measured = float(np.median(speed)) / 60.0
     _check_same(measured, nominal, tolerance, "the recorded spindle speed is")
@@ -282,14 +270,14 @@ def _recorded_speed(record: xr.Dataset, inside: NDArray[np.bool_], nominal: floa
 
 def _check_same(measured: float, nominal: float, tolerance: float, what: str) -> None:
     """Refuse a record whose speed [Hz] is not the one given."""
-    if abs(measured / nominal - 1.0) > max(tolerance, SPEED_MISMATCH):
+    if abs(measured / nominal - 1.0) > max(tolerance, SETTINGS.speed_mismatch):
         raise InputError(f"{what} {60.0 * measured:g} rpm, {60.0 * nominal:g} rpm were given: correct one of them")
 
 
 def _check_constant(speed: Real) -> None:
     """Refuse a sweep."""
     low, high = float(speed.min()), float(speed.max())
-    if high - low > MOST_CHANGE * abs(high):
+    if high - low > SETTINGS.most_change * abs(high):
         raise InputError(
             f"the spindle speed varies from {low:g} to {high:g} rpm within the part that is judged; the "
             "criterion needs a constant speed: give an interval in which it is constant"

@@ -16,19 +16,10 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from process.types import Complex, Real
+from stability.chatter.settings import SETTINGS
 
 PADDING = 4
 """Grid points a bin of 1/T."""
-
-COMB_HARMONICS = 20
-"""Tooth passing harmonics that take part in finding the speed."""
-
-STANDS_OUT = 4.0
-"""A line is a line from this many times the local rms noise: white noise exceeds it once in 10^7 bins."""
-
-
-ALTERNATING_ORDERS = 4
-"""Tooth harmonics up to which order Z/2 and its odd multiples are compared with the other orders."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +73,7 @@ def order_phasors(samples: Real, dt: float, base: float, count: int) -> Complex:
 
 @lru_cache(maxsize=64)
 def _zoom(n: int, count: int, base: float, dt: float) -> signal.CZT:
-    """Return the transform of n samples at the multiples 1..count of a frequency [Hz]; pieces of one length share it."""
+    """Return the transform of n samples at 1..count times a frequency [Hz]; pieces of one length share it."""
     step = np.exp(-2j * np.pi * base * dt)
     return signal.CZT(n, m=count, w=step, a=np.conj(step))
 
@@ -97,7 +88,7 @@ def alternating(phasors: Complex, teeth: int) -> tuple[float, float]:
     """
     if teeth % 2 or teeth < 4:
         return math.nan, math.nan
-    power = np.abs(phasors[0, : ALTERNATING_ORDERS * teeth]) ** 2
+    power = np.abs(phasors[0, : SETTINGS.alternating_orders * teeth]) ** 2
     remainder = np.arange(1, power.size + 1) % teeth
     power[remainder == 0] = 0.0
     found = []
@@ -148,13 +139,15 @@ def comb_speed(spectrum: LineSpectrum, base: float, teeth: int, tolerance: float
     """Return the spindle frequency [Hz] within ``base (1 +- tolerance)`` whose orders carry most lines.
 
     Maximises the sum over orders of ``log(1 + power/(16 median power))``, first over all orders up to
-    `COMB_HARMONICS` tooth harmonics, then nearby over those alone that stand out. The logarithm keeps one loud
+    `SETTINGS.comb_harmonics` tooth harmonics, then nearby over those alone that stand out. The logarithm keeps one high
     chatter line from pulling the comb to itself: it counts as one line of many. The floor keeps noise out of the sum.
     """
     power = spectrum.vector_amplitude**2
-    floor = max(STANDS_OUT**2 * float(np.median(power)), float(power.max()) * 1e-12, float(np.finfo(float).tiny))
+    floor = max(
+        SETTINGS.stands_out**2 * float(np.median(power)), float(power.max()) * 1e-12, float(np.finfo(float).tiny)
+    )
     gain = np.log1p(power / floor)
-    top = min(float(spectrum.frequency[-1]) / (1.0 + tolerance), COMB_HARMONICS * teeth * base)
+    top = min(float(spectrum.frequency[-1]) / (1.0 + tolerance), SETTINGS.comb_harmonics * teeth * base)
     orders = np.arange(max(1, math.ceil(spectrum.frequency[0] / base)), int(top / base) + 1)
     coarse = _best_comb(spectrum, gain, base, orders, tolerance)
     lines = orders[[stands_out(spectrum, order * coarse, 2.0) for order in orders]]
@@ -188,7 +181,7 @@ def stands_out(spectrum: LineSpectrum, frequency: float, bins: float) -> bool:
     amplitude = spectrum.vector_amplitude
     everywhere = np.ones(amplitude.size, dtype=bool)
     at = float(amplitude[spectrum.near(frequency, bins * spectrum.resolution)].max())
-    return at > STANDS_OUT * noise_rms(spectrum, amplitude, everywhere, frequency)
+    return at > SETTINGS.stands_out * noise_rms(spectrum, amplitude, everywhere, frequency)
 
 
 def highest_visible_order(spectrum: LineSpectrum, base: float, count: int) -> int:

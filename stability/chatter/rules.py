@@ -1,4 +1,15 @@
-"""The rules of the chatter criterion, asked in turn: what the evidence of one axis says."""
+"""The rules of the chatter criterion, applied in turn to the spectral amplitudes of one axis.
+
+1. `_silence_rule`: nothing reaches the floor: undecided.
+2. `_sideband_rule`: a steady line with two sidebands or more, from 0.4 of the threshold on: chatter.
+3. `_half_rule`: a line above the threshold of one half of the highest harmonic: chatter (the rule of the paper).
+4. `_period_doubling_rule`: order Z/2 that run-out does not explain: chatter, or undecided.
+5. `_mask_rule`: what does not repeat with the spindle inside the mask of an order: chatter, or undecided.
+6. `_foreign_order_rule`: a spindle order far above the teeth that is not one of theirs.
+7. `_crowded_rule`: masks that hide too much of the spectrum: undecided.
+
+Where none applies the cut is stable.
+"""
 
 from __future__ import annotations
 
@@ -6,40 +17,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from stability.chatter.amplitudes import CERTAIN, MASK_BINS, Evidence
+from stability.chatter.amplitudes import SpectralAmplitudes
 from stability.chatter.cut_interval import CutPart
-from stability.chatter.line_spectrum import STANDS_OUT
+from stability.chatter.settings import SETTINGS
 
 Verdict = Literal["stable", "chatter", "undecided"]
-
-FEWEST_TURNS = 6
-"""Below this number of turns the masks of neighbouring orders meet."""
-
-GROWTH = 3.0
-"""Growth of order Z/2 against the tooth line, first to last quarter of the cut, that run-out cannot explain."""
-
-NEARLY = 0.09
-"""A steady line less than this share below the threshold is left open: a sensor may read it low [1]."""
-
-ALTERNATING = 6.0, 0.9
-"""Order Z/2 and its odd multiples over all other run-out orders, from which teeth alternate [1]: with the highest order
-of all, and without it."""
-
-ALTERNATE = 4.0
-"""The same, without the highest order, from which half the threshold suffices [1]."""
-
-ECCENTRIC = 1.5
-"""The same, up to which order Z/2 is one of the lines that run-out puts on all orders [1]."""
-
-FAMILY = 0.4
-"""Share of the threshold that suffices where more than the height speaks for chatter [1]."""
-
-FOREIGN, NEVER_RUN_OUT = 5.0, 20.0
-"""A spindle order that is no tooth harmonic and this many times as high is not put down to run-out [1]: it is left open
-(run-out on a resonance reaches about 15), or is chatter."""
-
-CROWDED = 0.25
-"""Share of the spectrum that may be masked where a cut is called stable [1]."""
 
 
 @dataclass(frozen=True)
@@ -55,20 +37,28 @@ class Finding:
 def too_few_turns(part: CutPart, base: float) -> Finding | None:
     """Return what to say of a part too short for any line; None where it is long enough."""
     turns = part.duration * base
-    if turns >= FEWEST_TURNS:
+    if turns >= SETTINGS.fewest_turns:
         return None
     return Finding(
         "undecided",
         math.nan,
         math.nan,
-        f"{part.duration:.3g} s of cut are {turns:.2g} turns, in which no line can be told from a spindle order; at "
-        f"least {FEWEST_TURNS} turns ({FEWEST_TURNS / base:.3g} s) are needed, 12 are better",
+        f"{part.duration:.3g} s of cut are {turns:.2g} turns, in which no line is apart from a spindle order; at "
+        f"least {SETTINGS.fewest_turns} turns ({SETTINGS.fewest_turns / base:.3g} s) are needed, 12 are better",
     )
 
 
-def judge(e: Evidence) -> Finding:
-    """Ask the rules in turn: whether there is a signal, a clear line, period doubling, then what may be hidden."""
-    for rule in (_silent, _line, _period_doubling, _hidden, _foreign_order, _crowded):
+def judge(e: SpectralAmplitudes) -> Finding:
+    """Return the finding of the first rule that applies; stable where none does."""
+    for rule in (
+        _silence_rule,
+        _sideband_rule,
+        _half_rule,
+        _period_doubling_rule,
+        _mask_rule,
+        _foreign_order_rule,
+        _crowded_rule,
+    ):
         finding = rule(e)
         if finding is not None:
             return finding
@@ -83,7 +73,7 @@ def judge(e: Evidence) -> Finding:
     return Finding("stable", e.ratio, math.nan, reason)
 
 
-def _denominator(e: Evidence) -> str:
+def _denominator(e: SpectralAmplitudes) -> str:
     """Name what the ratio is taken of."""
     if e.denominator == e.tooth_amplitude:
         return f"the highest tooth harmonic at {e.tooth_frequency:.4g} Hz"
@@ -94,7 +84,7 @@ def _denominator(e: Evidence) -> str:
     return f"{e.least:.3g} {e.unit}, a tenth of the highest harmonic of all axes"
 
 
-def _silent(e: Evidence) -> Finding | None:
+def _silence_rule(e: SpectralAmplitudes) -> Finding | None:
     """A spectrum of which nothing, not even a spindle order, reaches the floor."""
     if e.highest >= e.floor:
         return None
@@ -107,26 +97,39 @@ def _silent(e: Evidence) -> Finding | None:
     )
 
 
-def _line(e: Evidence) -> Finding | None:
-    """A peak that is not a harmonic, nor a mode that noise excites."""
+def _what(e: SpectralAmplitudes) -> str:
+    """Name the candidate and its ratio."""
+    frequency, amplitude = e.candidate
+    family = " with its family" if e.ratio * e.denominator > 1.001 * amplitude else ""
+    return f"the non-harmonic peak at {frequency:.4g} Hz{family} is {e.ratio:.3g} of {_denominator(e)}"
+
+
+def _sideband_rule(e: SpectralAmplitudes) -> Finding | None:
+    """A steady line with two sidebands or more: chatter from `ChatterSettings.sideband_share` of the threshold on."""
+    if math.isnan(e.candidate[0]) or not e.coherent_sidebands or e.ratio < SETTINGS.sideband_share * e.threshold:
+        return None
+    reason = f"{_what(e)}, above {e.threshold:g}"
+    if e.ratio < e.threshold:
+        reason = (
+            f"{_what(e)}, below {e.threshold:g}, but steady, and {len(e.highest_sidebands)} lines or more lie a whole "
+            "number of spindle orders beside it: what regenerates does so, and nothing in air"
+        )
+    return Finding("chatter", e.ratio, e.candidate[0], reason)
+
+
+def _half_rule(e: SpectralAmplitudes) -> Finding | None:
+    """A peak above the threshold that is not a harmonic, nor a mode that noise excites."""
     frequency, amplitude = e.candidate
     if math.isnan(frequency):
         return None
-    family = " with its family" if e.ratio * e.denominator > 1.001 * amplitude else ""
-    what = f"the non-harmonic peak at {frequency:.4g} Hz{family} is {e.ratio:.3g} of {_denominator(e)}"
-    if e.coherent_family and e.ratio >= FAMILY * e.threshold:
-        reason = f"{what}, above {e.threshold:g}"
-        if e.ratio < e.threshold:
-            reason = (
-                f"{what}, below {e.threshold:g}, but steady, and {len(e.family)} lines or more lie a whole number of "
-                "spindle orders beside it: what regenerates does so, and nothing in air"
-            )
-        return Finding("chatter", e.ratio, frequency, reason)
-    if e.ratio < e.threshold - max(e.guard, NEARLY * e.threshold) or (e.ratio < e.threshold and not e.line_like):
+    what = _what(e)
+    if e.ratio < e.threshold - max(e.guard, SETTINGS.nearly * e.threshold) or (
+        e.ratio < e.threshold and not e.line_like
+    ):
         return None
     if e.noise_like:
         return None
-    if amplitude < STANDS_OUT * e.noise and not e.line_like:
+    if amplitude < SETTINGS.stands_out * e.noise and not e.line_like:
         return Finding("undecided", e.ratio, frequency, f"{what}, but does not stand out of the noise: cut longer")
     # What a drifting line spreads around itself is no noise.
     if abs(e.ratio - e.threshold) <= min(e.guard, (0.1 if e.line_like else 0.5) * e.threshold):
@@ -146,7 +149,7 @@ def _line(e: Evidence) -> Finding | None:
     return Finding("chatter", e.ratio, frequency, f"{what}, above {e.threshold:g}")
 
 
-def _period_doubling(e: Evidence) -> Finding | None:
+def _period_doubling_rule(e: SpectralAmplitudes) -> Finding | None:
     """Order Z/2 of an even number of teeth: run-out or period doubling."""
     frequency, amplitude = e.half
     ratio = amplitude / e.denominator
@@ -156,7 +159,7 @@ def _period_doubling(e: Evidence) -> Finding | None:
     what = (
         f"{frequency:.4g} Hz, an odd multiple of half the tooth passing frequency, is {ratio:.3g} of {_denominator(e)}"
     )
-    if e.half_growth > GROWTH:
+    if e.half_growth > SETTINGS.growth:
         reason = f"{what} and has grown {e.half_growth:.3g} times along the cut: period doubling, not run-out"
         return Finding("chatter", ratio, frequency, reason)
     if e.half_reference is not None:
@@ -165,13 +168,15 @@ def _period_doubling(e: Evidence) -> Finding | None:
         reason = f"{what}; the reference cut has {e.half_reference:.3g} there: period doubling"
         return Finding("chatter", ratio, frequency, reason)
     every, others = e.alternating
-    if others > ALTERNATE or (excess >= e.threshold and every > ALTERNATING[0] and others > ALTERNATING[1]):
+    if others > SETTINGS.alternate or (
+        excess >= e.threshold and every > SETTINGS.alternating and others > SETTINGS.alternating_rest
+    ):
         reason = (
             f"{what}; these orders hold {every:.2g} times what all others have that are no tooth harmonics: every "
             "other tooth cuts alike, which run-out does not do: period doubling"
         )
         return Finding("chatter", ratio, frequency, reason)
-    if excess < e.threshold or every < ECCENTRIC:
+    if excess < e.threshold or every < SETTINGS.eccentric:
         return None
     return Finding(
         "undecided",
@@ -181,7 +186,7 @@ def _period_doubling(e: Evidence) -> Finding | None:
     )
 
 
-def _hidden(e: Evidence) -> Finding | None:
+def _mask_rule(e: SpectralAmplitudes) -> Finding | None:
     """Something that does not repeat with the spindle, inside the mask of an order."""
     frequency, amplitude = e.peak(e.masked, e.left)
     ratio = amplitude / e.denominator
@@ -189,7 +194,7 @@ def _hidden(e: Evidence) -> Finding | None:
         return None
     order = max(1, round(frequency / e.base))
     apart = max(abs(frequency - order * e.base), 0.25 * e.spectrum.resolution)
-    # The mask is MASK_BINS/T wide on either side, and wider by the error of the speed.
+    # The mask is SETTINGS.mask_bins/T wide on either side, and wider by the error of the speed.
     clear = apart - e.speed_error * order * e.base
     near = e.spectrum.near(order * e.base, e.spectrum.resolution)
     if clear <= 0.25 * e.spectrum.resolution and 0.6 * float(e.amplitude[near].max()) > amplitude:
@@ -202,21 +207,21 @@ def _hidden(e: Evidence) -> Finding | None:
         f"{ratio:.3g} of {_denominator(e)} does not repeat with the spindle, but lies at {frequency:.5g} Hz, "
         f"within the mask of spindle order {order}"
     )
-    if clear > 0.0 and e.followed and e.coherence > CERTAIN:
+    if clear > 0.0 and e.followed and e.coherence > SETTINGS.certain:
         # The speed has been followed, and what lies between the orders is no order.
         reason = f"{what}; its family between the orders stands {e.coherence:.2g} times above the noise there"
         return Finding("chatter", ratio, frequency, reason)
     advice = "a record of the spindle angle or a better known speed would separate them"
     if clear > 0.0:
         judged = 1.0 / e.spectrum.resolution
-        advice = f"{MASK_BINS / clear:.2g} s of steady cut would separate them, {judged:.2g} s were judged"
+        advice = f"{SETTINGS.mask_bins / clear:.2g} s of steady cut would separate them, {judged:.2g} s were judged"
     reason = f"{what}: chatter close to a harmonic, or a speed that varies; {advice}"
     return Finding("undecided", ratio, frequency, reason)
 
 
-def _foreign_order(e: Evidence) -> Finding | None:
+def _foreign_order_rule(e: SpectralAmplitudes) -> Finding | None:
     """A spindle order, not of the teeth, far above them: chatter that falls on an order looks like it."""
-    if e.order_amplitude < FOREIGN * max(e.tooth_amplitude, e.floor, e.least) or e.teeth == 1:
+    if e.order_amplitude < SETTINGS.foreign * max(e.tooth_amplitude, e.floor, e.least) or e.teeth == 1:
         return None
     order = round(e.order_frequency / e.base)
     if order % e.teeth == 0 or order == 1:
@@ -225,32 +230,32 @@ def _foreign_order(e: Evidence) -> Finding | None:
         f"spindle order {order} at {e.order_frequency:.4g} Hz is {e.order_amplitude / e.tooth_amplitude:.2g} times "
         f"as high as the harmonics of {e.teeth} teeth"
     )
-    if e.coherent_family:
-        frequency, lines = e.candidate[0], len(e.family)
+    if e.coherent_sidebands:
+        frequency, lines = e.candidate[0], len(e.highest_sidebands)
         reason = (
             f"{what}, and a steady line at {frequency:.4g} Hz has {lines} lines or more beside it: chatter on an order"
         )
         return Finding("chatter", e.order_amplitude / e.tooth_amplitude, e.order_frequency, reason)
-    if e.order_amplitude > NEVER_RUN_OUT * e.tooth_amplitude:
+    if e.order_amplitude > SETTINGS.never_run_out * e.tooth_amplitude:
         reason = f"{what}, more than run-out explains: chatter on an order"
         return Finding("chatter", e.order_amplitude / e.tooth_amplitude, e.order_frequency, reason)
     reason = f"{what}: chatter on an order, or another number of teeth; change the speed by 2 %"
     return Finding("undecided", e.ratio, e.order_frequency, reason)
 
 
-def _crowded(e: Evidence) -> Finding | None:
+def _crowded_rule(e: SpectralAmplitudes) -> Finding | None:
     """Masks that hide too much of the spectrum at the tooth passing frequency to call a cut stable."""
     tooth = e.teeth * e.base
-    half_width = MASK_BINS * e.spectrum.resolution + e.speed_error * tooth
-    if 2.0 * half_width <= CROWDED * e.base:
+    half_width = SETTINGS.mask_bins * e.spectrum.resolution + e.speed_error * tooth
+    if 2.0 * half_width <= SETTINGS.crowded * e.base:
         return None
-    needed = 2.0 * MASK_BINS / max(CROWDED * e.base - 2.0 * e.speed_error * tooth, 0.05 * e.base)
+    needed = 2.0 * SETTINGS.mask_bins / max(SETTINGS.crowded * e.base - 2.0 * e.speed_error * tooth, 0.05 * e.base)
     return Finding(
         "undecided",
         e.ratio,
         e.candidate[0],
         f"no chatter line is seen, but the masks of the spindle orders ({e.base:.3g} Hz apart, "
-        f"+-{half_width:.2g} Hz each) hide more than {100.0 * CROWDED:.0f} % of the spectrum; "
+        f"+-{half_width:.2g} Hz each) hide more than {100.0 * SETTINGS.crowded:.0f} % of the spectrum; "
         f"{needed:.2g} s of cut are needed, "
         f"{1.0 / e.spectrum.resolution:.2g} s are there",
     )

@@ -5,9 +5,9 @@ frequency, and chatter comes with sidebands spaced alike. The fundamental f is t
 lines with the fewest orders: it maximises ``sum_k gain(k f) / sqrt(K)``, K orders up to the highest line. Half of it
 would need twice as many orders, twice of it explains half of the lines.
 
-Whether f is the spindle or the tooth passing frequency shows in the heights: with run-out, order Z stands out among its
-neighbours; without, the multiples of f are tooth harmonics and the first is one of the highest. Where neither is clear,
-nothing is returned.
+Whether f is the spindle or the tooth passing frequency follows from the heights: with run-out, order Z stands out among
+its neighbours; without, the multiples of f are tooth harmonics and the first is one of the highest. Where neither is
+clear, nothing is returned.
 """
 
 from __future__ import annotations
@@ -18,16 +18,8 @@ import numpy as np
 from scipy import fft, ndimage, signal
 
 from process.types import Complex, Real
-from stability.chatter.line_spectrum import STANDS_OUT, LineSpectrum
-
-CLEAR = 1.5
-"""How much higher a line must stand than another to be called the higher one [1]."""
-
-FEWEST_LINES = 3
-"""Lines that make a comb."""
-
-_STEPS_A_BIN = 4
-_MOST_ORDERS = 200
+from stability.chatter.line_spectrum import LineSpectrum
+from stability.chatter.settings import SETTINGS
 
 
 def spindle_from_lines(spectrum: LineSpectrum, teeth: int, bounds: tuple[float, float]) -> float | None:
@@ -49,7 +41,9 @@ def spindle_from_lines(spectrum: LineSpectrum, teeth: int, bounds: tuple[float, 
     """
     amplitude = spectrum.vector_amplitude
     power = amplitude**2
-    floor = max(STANDS_OUT**2 * float(np.median(power)), float(power.max()) * 1e-8, float(np.finfo(float).tiny))
+    floor = max(
+        SETTINGS.stands_out**2 * float(np.median(power)), float(power.max()) * 1e-8, float(np.finfo(float).tiny)
+    )
     gain = np.maximum(np.log(np.maximum(power, floor) / floor), 0.0)
     fundamental = _fundamental(spectrum, gain, bounds[0], bounds[1] * teeth)
     if fundamental is None:
@@ -65,11 +59,11 @@ def _fundamental(spectrum: LineSpectrum, gain: Real, low: float, high: float) ->
     low, high = max(low, 4.0 * spectrum.resolution), min(high, top)
     if not low < high:
         return None
-    ratio = 1.0 + spectrum.resolution / (_STEPS_A_BIN * top)
+    ratio = 1.0 + spectrum.resolution / (SETTINGS.steps_a_bin * top)
     candidates = low * ratio ** np.arange(int(math.log(high / low) / math.log(ratio)) + 1)
     # A line is taken within half a bin, so that the steps between candidates lose none.
     wide = ndimage.maximum_filter1d(gain, 2 * math.ceil(0.5 * spectrum.resolution / step) + 1)
-    orders = np.minimum(np.floor(top / candidates + 1e-9), _MOST_ORDERS)
+    orders = np.minimum(np.floor(top / candidates + 1e-9), SETTINGS.most_orders)
     score, lines = np.zeros(candidates.size), np.zeros(candidates.size)
     for k in range(1, int(orders[0]) + 1):
         reach = int(np.searchsorted(-orders, -k, side="right"))
@@ -77,7 +71,7 @@ def _fundamental(spectrum: LineSpectrum, gain: Real, low: float, high: float) ->
         found = np.where(place >= 0, wide[np.clip(place, 0, grid.size - 1)], 0.0)
         score[:reach] += found
         lines[:reach] += found > 0.0
-    score = np.where(lines >= FEWEST_LINES, score / np.sqrt(orders), 0.0)
+    score = np.where(lines >= SETTINGS.fewest_lines, score / np.sqrt(orders), 0.0)
     best = int(np.argmax(score))
     return float(candidates[best]) if score[best] > 0.0 else None
 
@@ -97,8 +91,8 @@ def _spindle(
     heights = np.where(heights > floor, heights, 0.0)
     at_tooth = heights[teeth - 1 :: teeth].max()
     others = np.delete(heights, [teeth - 1, 2 * teeth - 1]).max()
-    spindle = at_tooth > CLEAR * others and bounds[0] <= fundamental <= bounds[1]
-    teeth_only = others > CLEAR * at_tooth and bounds[0] <= fundamental / teeth <= bounds[1]
+    spindle = at_tooth > SETTINGS.clear * others and bounds[0] <= fundamental <= bounds[1]
+    teeth_only = others > SETTINGS.clear * at_tooth and bounds[0] <= fundamental / teeth <= bounds[1]
     if spindle == teeth_only:
         return None
     return fundamental if spindle else fundamental / teeth
@@ -112,20 +106,6 @@ def _height(spectrum: LineSpectrum, amplitude: Real, frequency: float) -> float:
 
 
 # --- A cut over turns of the spindle instead of time: the spindle followed by the comb of its own orders.
-
-
-DRIFT = 0.012
-"""Relative change of the speed from the begin to the end of what is judged that is looked for [1]."""
-
-SHORT_TURNS = 10.0
-"""Turns of the first, short windows."""
-
-_MOST_TURN_ORDERS = 60
-_OTHER_ORDERS = 0.1
-"""Weight of an order that is no tooth passing harmonic: a stretch of the comb by half a per cent lays a chatter line at
-the 20th order on an order, but no family on those of the teeth."""
-_MOST_GAIN = 3.0
-_LINE = 16.0  # a bin counts from this many times the median power
 
 
 def windows(samples: Real, dt: float, length: float, step: float) -> tuple[Real, Real, Complex]:
@@ -179,17 +159,17 @@ def followed_turns(
     """
     duration = samples.shape[1] * dt
     time = np.arange(samples.shape[1]) * dt
-    window = min(duration, max(SHORT_TURNS / base, min(0.1, duration)))
-    mean, drift = _best_comb(samples, dt, base, teeth, window, tolerance, DRIFT, band)
+    window = min(duration, max(SETTINGS.first_turns / base, min(0.1, duration)))
+    mean, drift = _best_comb(samples, dt, base, teeth, window, tolerance, SETTINGS.drift, band)
     turns = base * ((1.0 + mean) * time + drift * (time * time / (2.0 * duration) - 0.5 * time))
     for share in (0.34, 0.99):
         total = float(turns[-1])
-        if share * total < 1.2 * SHORT_TURNS:
+        if share * total < 1.2 * SETTINGS.first_turns:
             continue
         steps = math.ceil(2.2 * band[1] / base)
         even = resampled(samples, turns, steps)
         orders = band[0] / base, band[1] / base
-        reach = 1.5 / (min(orders[1], 12.0 * teeth) * (SHORT_TURNS if share < 0.5 else 0.34 * total))
+        reach = 1.5 / (min(orders[1], 12.0 * teeth) * (SETTINGS.first_turns if share < 0.5 else 0.34 * total))
         mean, drift = _best_comb(
             even, 1.0 / steps, 1.0, teeth, share * total, reach, reach if share < 0.5 else 0.0, orders
         )
@@ -215,11 +195,11 @@ def _best_comb(
     duration = samples.shape[1] * dt
     middle, frequency, phasor = windows(samples, dt, window, 0.5 * window)
     power = np.abs(phasor) ** 2
-    floor = _LINE * np.median(power, axis=2, keepdims=True) + 1e-12 * power.max() + np.finfo(float).tiny
+    floor = SETTINGS.line * np.median(power, axis=2, keepdims=True) + 1e-12 * power.max() + np.finfo(float).tiny
     gain = np.log1p(power / floor)
-    if drift == DRIFT:
-        # While the reach is wide, a loud line counts as one of many; a tenth of the rest keeps its top from being flat.
-        gain = 0.9 * np.minimum(gain, _MOST_GAIN) + 0.1 * gain
+    if drift == SETTINGS.drift:
+        # While the reach is wide, a high line counts as one of many; a tenth of the rest keeps its top from being flat.
+        gain = 0.9 * np.minimum(gain, SETTINGS.most_gain) + 0.1 * gain
     gain = gain.sum(axis=0)[:, frequency <= band[1]]
     place = middle / duration - 0.5
     lowest, highest = max(1, math.ceil(band[0] / base)), int(band[1] / base / (1.0 + tolerance))
@@ -227,7 +207,7 @@ def _best_comb(
     reach = limit = np.array([tolerance, drift])
     for top in (4 * teeth, 12 * teeth, 20 * teeth):
         orders = np.arange(lowest, max(lowest, min(highest, top)) + 1)
-        orders = orders[np.argsort(orders % teeth != 0, kind="stable")][:_MOST_TURN_ORDERS]
+        orders = orders[np.argsort(orders % teeth != 0, kind="stable")][: SETTINGS.most_turn_orders]
         step = 0.5 / (int(orders.max()) * window * base)
         grids = [
             centre + np.linspace(-r, r, 2 * max(1, math.ceil(2.0 * r / step)) + 1) if r > 0.0 else np.array([centre])
@@ -239,7 +219,7 @@ def _best_comb(
             speed = base / frequency[1] * (1.0 + means + drifts * at)
             for order in orders:
                 bins = np.rint(order * speed).astype(np.int64)
-                weight = 1.0 if order % teeth == 0 else _OTHER_ORDERS
+                weight = 1.0 if order % teeth == 0 else SETTINGS.other_orders
                 score += weight * np.where(bins < row.size, row[np.minimum(bins, row.size - 1)], 0.0)
         best = np.unravel_index(int(np.argmax(score)), score.shape)
         found = np.clip([grids[0][best[0]], grids[1][best[1]]], -limit, limit)

@@ -149,7 +149,7 @@ def _between(curve: Curve, low: tuple[float, Complex], high: tuple[float, Comple
 
 
 def _too_far(first: complex, last: complex) -> bool:
-    """Whether a curve may do something between two values that a straight line does not show."""
+    """Whether a curve may do something between two values that a straight line between them misses."""
     if max(first.real, last.real) <= 0.0:
         return False
     step, size = abs(last - first), max(abs(first), abs(last))

@@ -71,7 +71,7 @@ MOST_UNKNOWNS = 128
 """How many are few."""
 
 NODES_A_RADIAN = 0.6
-"""Gauss nodes on an arc for each radian that the last harmonic turns there; 0.5 is the least that shows it."""
+"""Gauss nodes on an arc for each radian that the last harmonic turns there; 0.5 is the least that resolves it."""
 
 SPARE_NODES = 8
 """Gauss nodes on an arc beyond those."""

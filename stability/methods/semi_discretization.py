@@ -251,7 +251,7 @@ def _first_loss(discrete: _Discrete) -> Crossing | None:
 
 
 def _lowest(discrete: _Discrete, harder: int = 0) -> Crossing | None:
-    """Return the first crossing that a search of some hardness sees; none only where small eigenvalues show none."""
+    """Return the first crossing that a search of some hardness finds; none only where small eigenvalues have none."""
     angles = angle_grid(discrete.system.turn, 26 * 4**harder)
     found = find_crossings(discrete.curve(LARGE / 10**harder), angles)
     if not found and discrete.dense is None:
@@ -429,7 +429,7 @@ def _all_crossings(discrete: _Discrete, deepest: float) -> list[Crossing]:
 
 
 def _bands(problem: _Problem, discrete: _Discrete, crossings: list[Crossing], deepest: float) -> pd.DataFrame:
-    """Tell the intervals between crossings apart by the map over one period; join those of one kind."""
+    """Classify the intervals between crossings by the map over one period; join those of one kind."""
     borders = [0.0, *(c.depth for c in crossings), deepest]
     rows: list[list[Any]] = []
     for i, (low, high) in enumerate(pairwise(borders)):
@@ -507,10 +507,10 @@ def labelled_limits(
         effort: over("steps"),
     }
     unlimited = sum(math.isinf(limit.limit_depth_mm) for limit in limits)
-    told = list(warnings)
+    notes = list(warnings)
     if unlimited:
-        told.append(f"{unlimited} of {speed.size} spindle speeds show no limit: stable at any depth of use")
-    attrs = {"method": method, "warnings": told}
+        notes.append(f"{unlimited} of {speed.size} spindle speeds have no limit: stable at any depth of use")
+    attrs = {"method": method, "warnings": notes}
     out = label(xr.Dataset(data, coords={"spindle_speed": speed}, attrs=attrs))
     out["lobe"].attrs["none"] = NO_LOBE
     out["limit_depth_error"].attrs["units"] = out["limit_depth"].attrs["units"]

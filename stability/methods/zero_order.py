@@ -182,7 +182,7 @@ def _limits(
     pitch: Real,
     speed: Real,
     modes: Modes | None = None,
-    told: Sequence[str] = (),
+    notes: Sequence[str] = (),
     damped: Sequence[Loop] = (),
 ) -> xr.Dataset:
     """Return the labelled limits for pitch angles [rad], shape (teeth,); `damped` holds a loop for each speed."""
@@ -192,10 +192,10 @@ def _limits(
         depth, chatter, lobe = first[:, 0], first[:, 1], _waves(first[:, 1], pitch, speed)
     else:
         depth, chatter, lobe = first_limits(branches, pitch, speed)
-    warnings = [*told, *samples.warnings, *_unlimited_warning(branches, depth)]
+    warnings = [*notes, *samples.warnings, *_unlimited_warning(branches, depth)]
     if np.ptp(pitch) >= EQUAL_PITCH:
         warnings.append(
-            "with unequal pitch the zero-order equation can show losses of stability that are none, at low speeds "
+            "with unequal pitch the zero-order equation can have losses of stability that are none, at low speeds "
             "above all; compare with the semi-discretisation"
         )
     if modes is None:
@@ -362,7 +362,7 @@ def _unlimited_warning(branches: Branches, depth: Real) -> list[str]:
         return []
     f = branches.samples.frequency
     return [
-        f"{count} of {depth.size} spindle speeds show no limit: stable at any depth as far as the data reach "
+        f"{count} of {depth.size} spindle speeds have no limit: stable at any depth as far as the data reach "
         f"({f[0]:.6g} to {f[-1]:.6g} Hz)"
     ]
 
@@ -372,7 +372,7 @@ def _cut_off_warning(branches: Branches, teeth: int, speed: Real, depth: Real) -
     s = branches.samples
     below = np.concatenate([[True], ~s.bridged])
     above = np.concatenate([~s.bridged, [True]])
-    told = []
+    cut_off = []
     for i in np.flatnonzero(below | above):
         f = float(s.frequency[i])
         ends = _lowest_ends(branches.eigenvalue[:, i], f, teeth, speed, depth)
@@ -380,13 +380,13 @@ def _cut_off_warning(branches: Branches, teeth: int, speed: Real, depth: Real) -
             # On a lobe the frequency rises with the speed.
             side = "above" if above[i] else "below"
             rpm = ", ".join(f"{n:.4g}" for n in ends[:3]) + (", ..." if ends.size > 3 else "")
-            told.append(f"lobes {side} {rpm} rpm need data {side} {f:.6g} Hz")
-    if not told:
+            cut_off.append(f"lobes {side} {rpm} rpm need data {side} {f:.6g} Hz")
+    if not cut_off:
         return []
     return [
         "the frequency range of the compliance cuts off lobes within the speed range, where they still limit the "
-        f"depth: {'; '.join(told[:5])}{' and more' if len(told) > 5 else ''}. Measure beyond, or do not use the limits "
-        "near these lobes"
+        f"depth: {'; '.join(cut_off[:5])}{' and more' if len(cut_off) > 5 else ''}. Measure beyond, or do not use the "
+        "limits near these lobes"
     ]
 
 

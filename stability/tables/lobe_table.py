@@ -41,7 +41,7 @@ def lobe_table(lobes: xr.Dataset, source: str, tool: Tool, width_of_cut: float, 
 
     ``feed = f_z N n``; ``removal rate = a_p a_e feed`` at the limit depth. The safe depth is that of the lobes
     (``safe_depth``, for the probability they name), else the 5 % quantile of the limit depth; without either it
-    stays NaN, because a margin that nobody has measured would be invented.
+    stays NaN, because an unmeasured margin would be invented.
 
     Parameters
     ----------

@@ -159,7 +159,7 @@ def _tool(context: PresetContext) -> dict[str, Any]:
 
 
 def _short(value: float) -> float:
-    """Return a number with six digits: more is not known, and nobody reads them."""
+    """Return a number with six digits: more is not known."""
     return float(f"{value:.6g}")
 
 

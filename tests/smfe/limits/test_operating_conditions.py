@@ -130,8 +130,8 @@ def test_every_method_sees_a_cut_along_y_as_one_along_x_of_the_turned_machine(tm
 
 def test_a_quarter_turn_leaves_missing_what_was_not_measured_and_an_oblique_one_says_what_it_lacks():
     two = make_compliance(GRID, machine().compliance(GRID, "x", "x")["compliance"].values, "x", "x")
-    quarter, told = turned(two, 0.5 * math.pi)
-    assert (list(quarter["response"].values), list(quarter["excitation"].values), told) == (["y"], ["y"], [])
+    quarter, notes = turned(two, 0.5 * math.pi)
+    assert (list(quarter["response"].values), list(quarter["excitation"].values), notes) == (["y"], ["y"], [])
     np.testing.assert_array_equal(quarter["compliance"].values, two["compliance"].values)
     oblique, (text,) = turned(two, 0.5)
     assert oblique["compliance"].shape[1:] == (2, 2)
@@ -142,26 +142,26 @@ def test_a_quarter_turn_leaves_missing_what_was_not_measured_and_an_oblique_one_
 
 
 def test_motions_that_are_not_that_of_the_cut_are_refused_and_the_other_sense_is_said(tmp_path):
-    def told(*feeds, direction=0.0):
+    def joined(*feeds, direction=0.0):
         taps = [measured(f"t{i}", feed=f, level=10.0) for i, f in enumerate(feeds)]
         found = {m.name: LINE for m in taps}
         return all_lobes(campaign(tmp_path, taps, [asked(found, direction=direction)]), found, silent)[0].lobes
 
     rest, along, against, across = {}, {"x": 0.01}, {"x": -0.02}, {"y": 0.01}
     with pytest.raises(InputError, match=r"'t1' moves along y, and the cut is fed along x; .* feed_direction"):
-        told(rest, across)
+        joined(rest, across)
     with pytest.raises(InputError, match="'t1' moves along x, and the cut is fed along 30 deg from x towards y"):
-        told(rest, along, direction=math.pi / 6)
+        joined(rest, along, direction=math.pi / 6)
     with pytest.raises(InputError, match="moves along the tool axis"):
-        told(rest, {"x": 0.01, "z": 0.01})
+        joined(rest, {"x": 0.01, "z": 0.01})
     with pytest.raises(InputError, match="'t1' does not say its feed, and others of this operating point do"):
-        told(along, None)
+        joined(along, None)
     with pytest.raises(InputError, match=r"'t0' and 't1' both have the feed 600 mm/min and level 10: leave one out"):
-        told(along, along)
-    assert "t2 moved against the feed of the cut and is left out" in told(rest, along, against).attrs["warnings"]
-    assert "all motions are against the feed" in told(rest, against).attrs["warnings"]
+        joined(along, along)
+    assert "t2 moved against the feed of the cut and is left out" in joined(rest, along, against).attrs["warnings"]
+    assert "all motions are against the feed" in joined(rest, against).attrs["warnings"]
     # One speed for all axes has no direction of its own.
-    assert told(rest, {"x": 0.01, "y": 0.01, "z": 0.01}, direction=1.0).attrs["warnings"].count("against") == 0
+    assert joined(rest, {"x": 0.01, "y": 0.01, "z": 0.01}, direction=1.0).attrs["warnings"].count("against") == 0
 
 
 def test_a_feed_is_a_vector_in_the_plane_of_the_table():

@@ -68,7 +68,7 @@ def test_the_linearised_band_agrees_with_sampling_over_all_lobes(authors):
     np.testing.assert_allclose(p / q, 1.0, atol=0.05)
 
 
-def test_drawn_errors_have_the_covariance_and_the_width_they_were_told():
+def test_drawn_errors_have_the_covariance_and_the_width_they_were_given():
     generator = np.random.default_rng(0)
     frequency = np.arange(10.0, 110.0, 0.5)
     mix = generator.standard_normal((3, 3, 3)) + 1j * generator.standard_normal((3, 3, 3))
@@ -105,7 +105,7 @@ def shared_by_rows(frequency, whole, **half):
 
 
 @pytest.mark.parametrize("widths", [(1.0, 1.0, 1.0), (0.8, 1.0, 1.2)])
-def test_drawn_errors_of_different_rows_share_what_they_were_told(widths):
+def test_drawn_errors_of_different_rows_share_what_they_were_given(widths):
     """Seed 2, 400 draws of 200 lines: all 81 covariances of the nine entries, from bands of one width and of three."""
     generator = np.random.default_rng(2)
     frequency = np.arange(10.0, 110.0, 0.5)
@@ -115,7 +115,7 @@ def test_drawn_errors_of_different_rows_share_what_they_were_told(widths):
     drawn = np.stack([error.draw(generator) for _ in range(400)])
     found = np.einsum("dfij,dfkl->ijkl", drawn, drawn.conj()) / (400 * frequency.size)
     np.testing.assert_allclose(found, whole[0], atol=0.03 * np.abs(whole[0]).max())
-    # Nothing is invented between rows that are told to be independent.
+    # Nothing is invented between rows that are independent.
     apart = np.einsum("frerh,rs->fresh", whole, np.eye(3))
     error = measured_error(shared_by_rows(frequency, apart, **half), frequency)
     drawn = np.stack([error.draw(generator) for _ in range(400)])
@@ -159,7 +159,7 @@ def test_the_band_of_a_compliance_whose_rows_share_errors_is_that_of_measuring_a
     s = 0.005 * np.abs(phi).max()
     rows = 0.95 * np.outer([1.0, sign, 1.0], [1.0, sign, 1.0]) + 0.05 * np.eye(3)
     whole = np.einsum("rs,eh->resh", s**2 * rows, np.eye(3)).astype(complex)
-    told = with_errors(
+    given = with_errors(
         frequency, phi, s, 7.0, entry_covariance=(FIVE, np.broadcast_to(whole, (frequency.size, *whole.shape)))
     )
     generator, root = np.random.default_rng(7), np.linalg.cholesky(rows)
@@ -172,12 +172,12 @@ def test_the_band_of_a_compliance_whose_rows_share_errors_is_that_of_measuring_a
         limits.append(zero_order(again, *authors.cut, speed)["limit_depth"].values)
     width = np.ptp(np.quantile(limits, [0.05, 0.95], axis=0), axis=0)
     for band in (linearised_band, partial(sampled_band, count=min(count, 400), seed=1)):
-        q = band(told, *authors.cut, speed)["limit_depth_quantile"].values
+        q = band(given, *authors.cut, speed)["limit_depth_quantile"].values
         assert np.median((q[2] - q[0]) / width) == pytest.approx(1.0, abs=bound)
 
 
 def test_the_level_of_the_errors_is_averaged_over_lines_and_gaps_are_bridged():
-    """Two repeats tell the variance of one line with a scatter of 100 %; noise is smooth over frequency."""
+    """Two repeats give the variance of one line with a scatter of 100 %; noise is smooth over frequency."""
     frequency = np.arange(10.0, 60.0, 0.1)
     generator = np.random.default_rng(1)
     std = np.sqrt(generator.chisquare(2, (frequency.size, 3, 3)) / 2.0)
@@ -265,15 +265,15 @@ def test_infinite_limits_are_values_like_any_other(lab_slot):
     assert across["safe_depth"].values[0] < 16.0
 
 
-def test_noise_that_lowers_the_limit_as_a_rule_is_told(authors):
+def test_noise_that_lowers_the_limit_as_a_rule_is_said(authors):
     """Coarse noise makes crossings of its own, all of which lower the limit."""
     frequency = np.arange(15.0, 100.0, 0.5)
     phi = authors.machine.matrix(frequency)
     speed = np.linspace(400.0, 1400.0, 21)
-    for share, told in ((0.002, False), (0.05, True)):
+    for share, given in ((0.002, False), (0.05, True)):
         compliance = with_errors(frequency, phi, share * np.abs(phi).max())
         warnings = sampled_band(compliance, *authors.cut, speed, count=40).attrs["warnings"]
-        assert any("lower the limit as a rule" in w for w in warnings) is told
+        assert any("lower the limit as a rule" in w for w in warnings) is given
 
 
 def test_what_tells_no_band_is_refused(lab_slot):
@@ -288,7 +288,7 @@ def test_what_tells_no_band_is_refused(lab_slot):
         sampled_band(lab_slot.machine, *cut, SPEEDS)
     with pytest.raises(InputError, match="carries the errors of its frequencies, damping"):
         sampled_band(with_errors(f, phi, 1e-9), *cut, SPEEDS, Spread(damping=0.1))
-    with pytest.raises(InputError, match="10 samples tell no quantile"):
+    with pytest.raises(InputError, match="10 samples give no quantile"):
         sampled_band(with_errors(f, phi, 1e-9), *cut, SPEEDS, count=10)
     with pytest.raises(InputError, match="probability of 1"):
         sampled_band(with_errors(f, phi, 1e-9), *cut, SPEEDS, safe_probability=1.0)

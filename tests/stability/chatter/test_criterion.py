@@ -101,10 +101,10 @@ def test_each_axis_is_judged_by_itself_and_a_turned_sensor_says_the_same():
     assert judge(record, axes=["y"]).axes == ("y",)
 
 
-def test_a_quiet_axis_that_chatters_does_not_drown_in_a_loud_one():
-    loud, quiet = cut_record(tooth=(40.0, 16.0)), cut_record([(63.07, 9.0)], seed=1)
+def test_a_small_axis_that_chatters_does_not_drown_in_a_larger_one():
+    high, low = cut_record(tooth=(40.0, 16.0)), cut_record([(63.07, 9.0)], seed=1)
     record = make_record(
-        loud.time.values, {"acceleration": {"x": loud.acceleration.values[0], "y": quiet.acceleration.values[0]}}
+        high.time.values, {"acceleration": {"x": high.acceleration.values[0], "y": low.acceleration.values[0]}}
     )
     found = judge(record)
     assert [(a.axis, a.verdict) for a in found.by_axis] == [("x", "stable"), ("y", "chatter")]
@@ -132,7 +132,7 @@ def test_air_before_and_after_is_found():
     assert 8.5 < high <= 9.05
 
 
-def test_a_constant_cutting_force_shows_the_cut():
+def test_the_cut_is_where_the_mean_cutting_force_is():
     record = cut_record(tooth=(), runout=(), duration=6.0, air=2.0, noise=1e-3)
     t = record.time.values
     force = np.where((t > 2) & (t < 8), 200.0, 0.0) + np.random.default_rng(1).standard_normal(t.size)
@@ -290,11 +290,11 @@ def test_a_mode_that_noise_excites_is_left_open():
 
 
 def test_what_is_there_in_air_is_no_chatter():
-    loud = {"tooth": (10.0, 9.0, 9.0, 8.0), "air": 2.0}
-    record = cut_record(**loud)
+    harmonics = {"tooth": (10.0, 9.0, 9.0, 8.0), "air": 2.0}
+    record = cut_record(**harmonics)
     record["acceleration"] += line(record.time.values, 63.07, 6.0)
     assert judge(record).verdict == "stable"
-    assert judge(cut_record(((63.07, 6.0),), **loud)).verdict == "chatter"
+    assert judge(cut_record(((63.07, 6.0),), **harmonics)).verdict == "chatter"
 
 
 def test_chatter_comes_with_the_speeds_to_try():
@@ -303,7 +303,7 @@ def test_chatter_comes_with_the_speeds_to_try():
     assert judge(cut_record()).try_rpm == ()
 
 
-# --- a speed that nobody wrote down ----------------------------------------------------------------------------------
+# --- a speed that is not given ----------------------------------------------------------------------------------
 
 
 def judge_without_speed(record, teeth=TEETH, **choices):
@@ -352,7 +352,7 @@ def test_lines_that_may_be_orders_or_tooth_harmonics_are_not_guessed_at():
 
 
 @pytest.mark.parametrize(("amplitude", "verdict"), [(0.03, "stable"), (0.08, "chatter")])
-def test_a_microphone_tells_chatter_as_well(amplitude, verdict):
+def test_the_sound_of_chatter_is_judged_alike(amplitude, verdict):
     record = cut_record([(63.07, 100.0 * amplitude)])
     sound = make_record(record.time.values, {}, {"sound": 1e-2 * record.acceleration.sel(axis="x").values})
     found = judge(sound)
@@ -391,7 +391,7 @@ def scaled(record, factor):
     ],
     ids=["all zero", "dead", "unit off by 1000", "air only"],
 )
-def test_a_record_that_shows_no_cut_is_not_called_stable(record):
+def test_a_record_without_a_cut_is_not_called_stable(record):
     found = judge(record)
     assert found.verdict == "undecided"
     assert "nothing reaches the floor of 0.1 m/s^2" in found.reason
@@ -630,7 +630,7 @@ def test_chatter_on_an_order_is_no_other_number_of_teeth():
     assert found.verdict != "stable"
 
 
-def test_a_loud_entry_does_not_hide_the_cut():
+def test_a_high_entry_does_not_hide_the_cut():
     record = cut_record(duration=6.0)
     t = record.time.values
     record["acceleration"] += 300.0 * np.exp(-np.abs(t - 0.6) / 0.04) * np.cos(2.0 * np.pi * 310.0 * t)
@@ -646,7 +646,7 @@ def test_a_speed_stated_wrong_by_more_than_the_tolerance_is_not_called_chatter_i
 
 
 def test_a_tooth_comb_at_another_speed_is_said_where_the_stated_one_has_no_line():
-    # stated 10 % fast, run-out as high as half the teeth: spindle or teeth cannot be told from the spacing
+    # stated 10 % fast, run-out as high as half the teeth: the spacing leaves open whether spindle or teeth
     found = judge(cut_record(tooth=(10.0, 9.0, 8.0, 6.0, 5.0), runout=(7.0, 7.0, 7.0)), rpm=1.1 * RPM)
     assert "check the speed" in found.reason
     assert "at 1500 rpm" in found.reason

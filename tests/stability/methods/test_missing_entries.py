@@ -25,7 +25,7 @@ MACHINE = ModalModel([410.0, 520.0], [0.03, 0.025], [1.2e7, 1.5e7], [[1, 0, 0], 
 CUT = (Tool(16e-3, 3), engagement("down", 6e-3, 16e-3), CuttingCoefficients(7e8, 2.5e8, 0.0))
 FREQUENCY = np.arange(20.0, 3000.0, 2.0)
 SPEEDS = [4200.0, 6100.0, 8300.0]
-TOLD = "partial matrix (no response z; no excitation z; no xy, yx)"
+PARTIAL = "partial matrix (no response z; no excitation z; no xy, yx)"
 
 
 def two_taps(axes: str = "xy", std: float = 0.0, cut_off: float = math.inf) -> xr.Dataset:
@@ -52,9 +52,9 @@ def complete(source: xr.Dataset) -> xr.Dataset:
     return source.map(lambda v: v.fillna(0.0).assign_attrs(v.attrs), keep_attrs=True)
 
 
-def one_warning(found: xr.Dataset, told: str = TOLD) -> bool:
+def one_warning(found: xr.Dataset, expected: str = PARTIAL) -> bool:
     return sum("partial matrix" in w for w in found.attrs["warnings"]) == 1 and any(
-        told in w for w in found.attrs["warnings"]
+        expected in w for w in found.attrs["warnings"]
     )
 
 
@@ -84,7 +84,7 @@ def test_curves_and_the_smallest_limit():
     taps = two_taps()
     smallest = critical_depth(taps, *CUT)
     assert smallest.limit_depth_mm == critical_depth(complete(taps), *CUT).limit_depth_mm
-    assert any(TOLD in w for w in smallest.warnings)
+    assert any(PARTIAL in w for w in smallest.warnings)
     assert len(lobe_curves(taps, *CUT, (4000.0, 9000.0))) > 0
 
 
@@ -113,20 +113,20 @@ def test_an_operating_point_of_two_taps():
 
 
 @pytest.mark.parametrize(
-    ("axes", "told"),
+    ("axes", "expected"),
     [
         ("x", "(no response y, z; no excitation y, z)"),
         ("xyz", "(no xy, xz, yx, yz, zx, zy)"),
     ],
 )
-def test_the_warning_names_what_is_missing(axes, told):
-    assert one_warning(zero_order(two_taps(axes), *CUT, SPEEDS), told)
+def test_the_warning_names_what_is_missing(axes, expected):
+    assert one_warning(zero_order(two_taps(axes), *CUT, SPEEDS), expected)
 
 
 def test_a_row_that_holds_nothing_is_as_good_as_absent():
     taps = two_taps("xyz")
     taps["compliance"].loc[{"response": "z"}] = np.nan
-    assert one_warning(zero_order(taps, *CUT, SPEEDS), TOLD)
+    assert one_warning(zero_order(taps, *CUT, SPEEDS), PARTIAL)
 
 
 def test_lines_that_some_entries_lack_are_left_out_not_filled():

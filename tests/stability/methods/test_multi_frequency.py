@@ -136,8 +136,8 @@ def test_a_compliance_that_ends_among_its_modes_is_named(make_case):
     top = float(case.machine.frequency.max())
     bottom = float(case.machine.frequency.min())
     cut_off = case.compliance(2, top, 0.25), case.compliance(bottom, 400, 0.25)
-    for samples, told in zip(cut_off, ("measure further up", "measure further down"), strict=True):
-        assert any(told in w for w in multi_frequency(samples, *case.cut, [950]).attrs["warnings"])
+    for samples, expected in zip(cut_off, ("measure further up", "measure further down"), strict=True):
+        assert any(expected in w for w in multi_frequency(samples, *case.cut, [950]).attrs["warnings"])
     whole = multi_frequency(case.compliance(2, 400, 0.25), *case.cut, [950])
     assert not any("measure further" in w for w in whole.attrs["warnings"])
 

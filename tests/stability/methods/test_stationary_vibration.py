@@ -1,4 +1,4 @@
-"""The periodic vibration of a cut: against its harmonics, a long simulation, and what the wall must show."""
+"""The periodic vibration of a cut: against its harmonics, a long simulation, and the error of the wall."""
 
 import math
 from dataclasses import replace

@@ -203,7 +203,7 @@ def test_labels_carry_units(authors):
     assert lobes.lobe.dtype == np.int64
 
 
-# --- what the data do not tell ---------------------------------------------------------------------------------------
+# --- what the data do not hold ---------------------------------------------------------------------------------------
 
 
 def masked(compliance, low, high):

@@ -172,13 +172,13 @@ def test_a_range_that_ends_below_the_mode_is_said(lab_slot):
 
 def test_lobes_that_need_data_below_and_above_are_told_with_their_speeds(lab_slot):
     speeds = np.linspace(700.0, 2500.0, 200)
-    for low, high, told in ((5.0, 66.0, "above"), (62.5, 400.0, "below")):
+    for low, high, expected in ((5.0, 66.0, "above"), (62.5, 400.0, "below")):
         found = zero_order(lab_slot.compliance(low, high, 0.25), *lab_slot.cut, speeds)
         (sentence,) = (w for w in found.attrs["warnings"] if "cuts off lobes" in w)
-        assert f"need data {told}" in sentence
+        assert f"need data {expected}" in sentence
         whole = zero_order(lab_slot.machine, *lab_slot.cut, speeds)
-        edge = 65.75 if told == "above" else 62.5
-        outside = whole.chatter_frequency > edge if told == "above" else whole.chatter_frequency < edge
+        edge = 65.75 if expected == "above" else 62.5
+        outside = whole.chatter_frequency > edge if expected == "above" else whole.chatter_frequency < edge
         assert np.all(found.limit_depth[outside & (found.lobe == whole.lobe)] >= whole.limit_depth[outside] * 0.999)
 
 
@@ -188,8 +188,8 @@ def test_a_machine_that_gives_energy_is_told(authors):
     late = np.exp(2j * np.pi * compliance.frequency.values * 3e-3)[:, None, None]
     delayed = make_compliance(compliance.frequency, compliance.compliance.values * late)
     for bad in (turned, delayed):
-        told = zero_order(bad, *authors.cut, [800.0]).attrs["warnings"]
-        assert any("not that of a passive machine" in w for w in told)
+        expected = zero_order(bad, *authors.cut, [800.0]).attrs["warnings"]
+        assert any("not that of a passive machine" in w for w in expected)
     assert zero_order(compliance, *authors.cut, [800.0]).attrs["warnings"] == []
     noise = np.random.default_rng(1).standard_normal(compliance.compliance.shape) * 0.02
     noisy = make_compliance(compliance.frequency, compliance.compliance.values * (1.0 + noise))
@@ -199,8 +199,8 @@ def test_a_machine_that_gives_energy_is_told(authors):
 def test_a_radial_force_of_the_wrong_sign_is_told_by_all_methods(authors):
     pulling = CuttingCoefficients(1889e6, -806e6, 291e6)
     for method in (zero_order, semi_discretization, multi_frequency):
-        told = method(authors.machine, authors.tool, authors.arc, pulling, [900.0]).attrs["warnings"]
-        assert any("K_rc is -806 N/mm^2" in w for w in told)
+        expected = method(authors.machine, authors.tool, authors.arc, pulling, [900.0]).attrs["warnings"]
+        assert any("K_rc is -806 N/mm^2" in w for w in expected)
     with pytest.raises(InputError, match="tangential coefficient must be positive"):
         CuttingCoefficients(-1e9, 1e8, 0.0)
     with pytest.raises(InputError, match="above zero and at most the diameter"):

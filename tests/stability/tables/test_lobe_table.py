@@ -38,7 +38,7 @@ def test_removal_rate_is_depth_times_width_times_feed(table):
     assert row["removal_rate_cm3_min"] == pytest.approx(row["limit_depth_mm"] * 50.8 * 960 / 1000)
 
 
-def test_quantiles_that_nobody_computed_stay_empty_and_no_margin_is_invented(table):
+def test_quantiles_that_are_not_known_stay_empty_and_no_margin_is_invented(table):
     assert table[["limit_depth_p05_mm", "limit_depth_p95_mm", "safe_depth_mm"]].isna().all(axis=None)
 
 
