@@ -129,9 +129,20 @@ def together(path: Path, channels: dict[str, Channel], block: int) -> xr.Dataset
     return xr.concat(list(read_blocks(path, channels, block)), "time", data_vars="minimal", coords="minimal")
 
 
+def assert_delays_undone(path: Path, block: int, first: float, second: float) -> None:
+    """Two channels of a record with delays [s] of their own: in pieces it is what it is as a whole."""
+    if not path.exists():
+        write_record_mat(a_record(700), path)
+    channels = record_columns(a_record(2))
+    channels["force_x"] = Channel("Fx", "N", delay=first)
+    channels["acceleration_z"] = Channel("az", "m/s^2", delay=second)
+    (whole,) = read_records(path, channels)
+    xr.testing.assert_allclose(together(path, channels, block), whole, rtol=1e-12, atol=1e-9)
+
+
 class TestBlocks:
     @pytest.mark.parametrize("make", FILES)
-    @pytest.mark.parametrize("block", [2, 1000, 5999, 10_000])
+    @pytest.mark.parametrize("block", [2, 1000, pytest.param(5999, marks=pytest.mark.slow), 10_000])
     def test_pieces_together_are_the_record(self, tmp_path: Path, make: Make, block: int) -> None:
         path, channels = make(tmp_path, 6000 if block > 2 else 21)
         (whole,) = read_records(path, channels)
@@ -140,18 +151,19 @@ class TestBlocks:
         assert pieces.attrs["source"] == path.name
 
     @given(st.integers(2, 700), st.floats(-9e-3, 9e-3), st.floats(-9e-3, 9e-3))
-    @settings(max_examples=12, deadline=None)
+    @settings(max_examples=4, deadline=None)
     def test_delays_are_undone_across_the_edges_of_pieces(
         self, tmp_path_factory: pytest.TempPathFactory, block: int, first: float, second: float
     ) -> None:
-        path = tmp_path_factory.getbasetemp() / "delays.mat"
-        if not path.exists():
-            write_record_mat(a_record(700), path)
-        channels = record_columns(a_record(2))
-        channels["force_x"] = Channel("Fx", "N", delay=first)
-        channels["acceleration_z"] = Channel("az", "m/s^2", delay=second)
-        (whole,) = read_records(path, channels)
-        xr.testing.assert_allclose(together(path, channels, block), whole, rtol=1e-12, atol=1e-9)
+        assert_delays_undone(tmp_path_factory.getbasetemp() / "delays.mat", block, first, second)
+
+    @pytest.mark.slow
+    @given(st.integers(2, 700), st.floats(-9e-3, 9e-3), st.floats(-9e-3, 9e-3))
+    @settings(max_examples=40, deadline=None)
+    def test_many_delays_are_undone(
+        self, tmp_path_factory: pytest.TempPathFactory, block: int, first: float, second: float
+    ) -> None:
+        assert_delays_undone(tmp_path_factory.getbasetemp() / "delays.mat", block, first, second)
 
     def test_a_gap_between_two_pieces_is_found(self, tmp_path: Path) -> None:
         columns = samples(3000)

@@ -97,7 +97,7 @@ def test_an_lvm_file_in_blocks_is_what_was_written(tmp_path: Path) -> None:
         read_blocks(path, channels)
 
 
-@pytest.mark.parametrize("make", [lvm, uff, mat, mat_packed])
+@pytest.mark.parametrize("make", [pytest.param(lvm, marks=pytest.mark.slow), uff, mat, mat_packed])
 def test_memory_of_blocks_does_not_grow_with_the_file(
     tmp_path: Path, make: Callable[[Path, int], tuple[Path, dict[str, Channel]]]
 ) -> None:

@@ -478,11 +478,12 @@ class TestDamage:
                 # Text that ends with a whole row cannot be told from a short record; a binary file knows its size.
                 assert self.reads_or_says(path) or path.suffix in (".csv", ".lvm")
 
-    def test_flipped_bits(self, files: list[Path]) -> None:
+    @pytest.mark.parametrize("times", [12, pytest.param(60, marks=pytest.mark.slow)])
+    def test_flipped_bits(self, files: list[Path], times: int) -> None:
         rng = np.random.default_rng(20)
         for path in files:
             whole = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-            for _ in range(60):
+            for _ in range(times):
                 broken = whole.copy()
                 at = rng.integers(0, whole.size, rng.integers(1, 6))
                 broken[at] ^= (1 << rng.integers(0, 8, at.size)).astype(np.uint8)
@@ -540,6 +541,7 @@ def public(name: str) -> Path:
 
 
 class TestPublicData:
+    @pytest.mark.slow
     def test_hammer_hits_in_labview_segments(self) -> None:
         channels = {"force_x": Channel(1, "N"), "acceleration_x": Channel(2, "m/s^2")}
         records = read_records(public("pyfrf_hammer/impact2_response0.lvm"), channels)

@@ -64,7 +64,7 @@ class TestSharedClock:
 
 
 class TestRoundedTimes:
-    @pytest.mark.parametrize("seed", range(8))
+    @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 8))])
     def test_an_even_clock_takes_their_place(self, tmp_path: Path, seed: int) -> None:
         """Rates of 2 to 51 kHz with times of three or four decimals, rounded or cut off, read whole and in blocks."""
         rng = np.random.default_rng(seed)
