@@ -55,9 +55,6 @@ def matters(found: Difference) -> bool:
     return found.p_value < LIMITS.p_value and found.size > LIMITS.notable
 
 
-# --- posture within a pass --------------------------------------------------------------------------------------------
-
-
 def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float, float]) -> Difference | None:
     """Compare compliances of the first and of the second half of the passes.
 
@@ -66,10 +63,14 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
     """
     half = LIMITS.half_width
     estimator = LocalPolynomial(resolution=2.0 * half, half_widths=(half,), order=LIMITS.order, rational=False)
+    halves: tuple[list[SweepPass], list[SweepPass]] = ([], [])
+    for p in passes:  # with the air on its side
+        cutting = np.flatnonzero(in_cut(p.record))
+        middle = int(cutting[0] + cutting[-1]) // 2 if cutting.size else p.record.sizes["time"] // 2
+        for which, piece in zip(halves, (slice(None, middle), slice(middle, None)), strict=True):
+            which.append(SweepPass(p.record.isel(time=piece), p.label, p.arc))
     try:
-        first, second = (
-            identify_sweep("half", [_half(p, k) for p in passes], frequency_range, estimator).compliance for k in (0, 1)
-        )
+        first, second = (identify_sweep("half", h, frequency_range, estimator).compliance for h in halves)
     except InputError:
         return None
     a, b = (v["compliance"].values for v in (first, second))
@@ -79,17 +80,6 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
     variance = np.trace(covariance, axis1=2, axis2=3).real.sum(axis=1)
     known = np.nan_to_num(variance, nan=np.inf) < LIMITS.halves_known**2 * np.nansum(size**2, axis=(1, 2))
     return _compare(first["frequency"].values[known], (a - b)[known], covariance[known], size[known])
-
-
-def _half(sweep: SweepPass, which: int) -> SweepPass:
-    """Return the first (0) or second (1) half of the cut, with the air on its side."""
-    cutting = np.flatnonzero(in_cut(sweep.record))
-    middle = int(cutting[0] + cutting[-1]) // 2 if cutting.size else sweep.record.sizes["time"] // 2
-    piece = slice(None, middle) if which == 0 else slice(middle, None)
-    return SweepPass(sweep.record.isel(time=piece), sweep.label, sweep.arc)
-
-
-# --- regeneration -----------------------------------------------------------------------------------------------------
 
 
 def regeneration_difference(
@@ -113,15 +103,13 @@ def regeneration_difference(
         lines = _references(p.record, teeth, reach)
         blocks.append((found.frequency, found.force[:, :, 0], found.displacement[:, :, 0], lines, power))
     frequency = np.arange(frequency_range[0] + half, frequency_range[1], 2.0 * half)
-    solved = [_both(blocks, float(f)) for f in frequency]
-    kept = [i for i, s in enumerate(solved) if s is not None]
-    if not kept:
+    solved = {float(f): found for f in frequency if (found := _both(blocks, float(f))) is not None}
+    if not solved:
         return None
-    parts = [s for s in solved if s is not None]
-    change, covariance = np.stack([p[0] for p in parts]), np.stack([p[1] for p in parts])
+    change, covariance, size = (np.stack(x) for x in zip(*solved.values(), strict=True))
     # Weighted with the transpose of the covariance: noise alone then makes some 15 times the mean of chi^2, so that
     # the size decides. Weighted with the covariance itself, whose floor is cautious, a bias is not significant.
-    return _compare(frequency[kept], change, covariance.conj(), np.stack([p[2] for p in parts]))
+    return _compare(np.array(list(solved)), change, covariance.conj(), size)
 
 
 def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> Complex:
@@ -136,10 +124,9 @@ def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> C
     return np.stack([dt * fft.fft(w, length)[low:high] for w in waves], axis=1)
 
 
-_Block = tuple[Real, Complex, Complex, Complex, Real]
-
-
-def _both(blocks: Sequence[_Block], centre: float) -> tuple[Complex, Complex, Real] | None:
+def _both(
+    blocks: Sequence[tuple[Real, Complex, Complex, Complex, Real]], centre: float
+) -> tuple[Complex, Complex, Real] | None:
     """Return instruments minus least squares, its covariance a row, and the size of the compliance, at a frequency."""
     half, powers = LIMITS.half_width, np.arange(LIMITS.order + 1)
     regressors, instruments, responses = [], [], []
@@ -155,7 +142,12 @@ def _both(blocks: Sequence[_Block], centre: float) -> tuple[Complex, Complex, Re
         responses.append(motion[at].T)
         loss += np.kron(terms @ terms.T, np.diag(noise))
     u, z, y = (np.concatenate(v, axis=1) for v in (regressors, instruments, responses))
-    rank, basis = _row_space(z)
+    # Orthonormal rows of what the instruments span; instruments without power here span nothing.
+    length = np.linalg.norm(z, axis=1, keepdims=True)
+    present = (length > 1e-3 * length.max(initial=1e-300))[:, 0]
+    _, singular, rows = np.linalg.svd(z[present] / length[present], full_matrices=False)
+    rank = int(np.sum(singular > 1e-6 * singular.max(initial=1e-300)))
+    basis = rows[:rank]
     if rank < u.shape[0] or y.shape[1] < 2 * rank:
         return None
     passed = (u @ basis.conj().T) @ basis
@@ -177,18 +169,6 @@ def _both(blocks: Sequence[_Block], centre: float) -> tuple[Complex, Complex, Re
 def _products(terms: Real, signals: Complex) -> Complex:
     """Every signal times every power of the shift, shape (powers * signals, lines)."""
     return np.asarray((terms[:, None, :] * signals[None, :, :]).reshape(-1, terms.shape[1]))
-
-
-def _row_space(z: Complex) -> tuple[int, Complex]:
-    """Return rank and orthonormal rows of what the instruments span; instruments without power here span nothing."""
-    length = np.linalg.norm(z, axis=1, keepdims=True)
-    present = (length > 1e-3 * length.max(initial=1e-300))[:, 0]
-    _, size, rows = np.linalg.svd(z[present] / length[present], full_matrices=False)
-    rank = int(np.sum(size > 1e-6 * size.max(initial=1e-300)))
-    return rank, rows[:rank]
-
-
-# --- significance -----------------------------------------------------------------------------------------------------
 
 
 def _compare(frequency: Real, change: Complex, covariance: Complex, size: Real) -> Difference | None:
