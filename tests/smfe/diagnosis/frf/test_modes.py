@@ -303,18 +303,18 @@ class TestHidden:
         )
         assert alarms <= 1
 
-    @pytest.mark.slow
-    def test_without_the_true_cause_the_answer_is_unknown(self) -> None:
-        for k, hidden in enumerate(RELIABLE[::12]):
-            verdict, _ = named(family(hidden, 400 + k, without=(NAMES[hidden],))[0], k)
-            assert verdict in ("unknown", "insufficient_data")
+    @pytest.mark.parametrize("k", [pytest.param(0, marks=pytest.mark.exam), pytest.param(1, marks=pytest.mark.slow)])
+    def test_without_the_true_cause_the_answer_is_unknown(self, k: int) -> None:
+        hidden = RELIABLE[12 * k]
+        verdict, _ = named(family(hidden, 400 + k, without=(NAMES[hidden],))[0], k)
+        assert verdict in ("unknown", "insufficient_data")
 
-    @pytest.mark.slow
+    @pytest.mark.exam
     @pytest.mark.parametrize("both", [("posture", "gain"), ("drift", "skew")])
     def test_two_effects_are_both_named(self, both: tuple[str, str]) -> None:
         assert named(draw(both, 600)[0], 0) == ("named", {NAMES[b] for b in both})
 
-    @pytest.mark.slow
+    @pytest.mark.exam
     def test_motion_along_x_alone_makes_the_answer_vaguer_and_not_wrong(self) -> None:
         hidden = "turned"
         found = diagnose(draw(hidden, 700, entries=(("x", "x"),))[0], 0)
@@ -326,9 +326,8 @@ RELIABLE = [n for n in NAMES if n not in ("scale", "mass")]
 
 
 class TestConfounded:
-    @pytest.mark.parametrize(
-        "which", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.exam)]
-    )
+    @pytest.mark.exam
+    @pytest.mark.parametrize("which", [0, 1])
     def test_posture_and_drift_are_a_set_until_the_first_position_is_measured_again(self, which: int) -> None:
         fam, truth = pair("posture or drift", which, 2, False)
         before = diagnose(fam, 0)
