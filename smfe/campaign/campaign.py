@@ -277,7 +277,7 @@ class RigidDrive:
     moving_mass : float, optional
         [kg]; None: found from the records alone.
     Kp, Kv : float, optional
-        Velocity gain [N s/m] and position gain [1/s]; None: the control law is not questioned.
+        Velocity gain [N s/m] and position gain [1/s]; None: the control law is not tested.
     delay : float
         Known delay from the logged to the acting force [s].
     """
@@ -452,7 +452,7 @@ class Campaign:
     measurements, models, lobes, cutting_tests : tuple
         In the order of the file.
     baseline : Baseline or None
-        The simulation to be questioned, where the campaign gives one.
+        The simulation to be tested, where the campaign gives one.
     plan : PlanTable or None
         What a sweep may use, for `smfe plan`.
     """

@@ -242,7 +242,7 @@ def _baseline(raw: Raw) -> Iterator[Complaint]:
         return
     kinds = [key for key in ("from", "drive", "forces", "limits") if key in table]
     if len(kinds) > 1:
-        yield ("baseline",), f"gives {' and '.join(kinds)}; one simulation is questioned at a time, give one of them"
+        yield ("baseline",), f"gives {' and '.join(kinds)}; one simulation is tested at a time, give one of them"
     elif "drive" in table:
         yield from _compared(raw, "measurement", "a measurement with method = 'drive'", ("drive",))
     elif "forces" in table:

@@ -11,15 +11,7 @@ import xarray as xr
 
 from process.cut.engagement import engagement
 from process.errors import InputError
-from smfe.campaign import (
-    Campaign,
-    CuttingTest,
-    LimitsOf,
-    Measurement,
-    ModesOf,
-    RecordEntry,
-    RigidDrive,
-)
+from smfe.campaign import Campaign, CuttingTest, LimitsOf, Measurement, ModesOf, RecordEntry, RigidDrive
 from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.diagnosis.cases.drive import unlogged_suspects
 from smfe.diagnosis.checks.channels import channel_suspects, silence_suspects, tone_suspects

@@ -83,7 +83,7 @@ class TestBaseline:
             ("[baseline]\nforces = 'mechanistic'\n", "nothing to be compared with; add a [[cutting_test]]"),
         ],
     )
-    def test_a_baseline_that_cannot_be_questioned(self, tmp_path: Path, text: str, said: str) -> None:
+    def test_a_baseline_that_cannot_be_tested(self, tmp_path: Path, text: str, said: str) -> None:
         with pytest.raises(InputError, match=re.escape(said)):
             self.load(tmp_path, text)
 

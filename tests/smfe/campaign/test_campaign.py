@@ -352,7 +352,7 @@ ONE_FAULT = [
     (
         "[campaign]",
         "[baseline]\nfrom = 'hammer_idle_K2'\nforces = 'mechanistic'\n[campaign]",
-        "baseline: gives from and forces; one simulation is questioned at a time, give one of them",
+        "baseline: gives from and forces; one simulation is tested at a time, give one of them",
     ),
     (
         "[campaign]",

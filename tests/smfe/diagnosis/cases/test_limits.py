@@ -94,7 +94,7 @@ def test_what_cannot_be_tested_is_refused(tmp_path: Path) -> None:
         case_of(load_campaign(chattering), {})
     with pytest.raises(InputError, match=r"baseline.limits: 'bnch' is neither a measurement nor a model"):
         load_campaign(written(tmp_path, one, 'limits = "bnch"'))
-    with pytest.raises(InputError, match="one simulation is questioned at a time"):
+    with pytest.raises(InputError, match="one simulation is tested at a time"):
         load_campaign(written(tmp_path, one, 'limits = "bench"\nforces = "mechanistic"'))
     with pytest.raises(InputError, match=r"add \[\[cutting_test\]\]s that bracket the limit"):
         load_campaign(written(tmp_path, []))
