@@ -624,7 +624,7 @@ FAULTS: dict[str, Fault] = {
     "wrong number of teeth": _of_part(_teeth, "cutting_test"),
     "frequency range beyond the rate": _of_part(_range, "measurement"),
     "hammer declared as actuator": _of_part(_method, "measurement", method="hammer"),
-    "no modes for the method": _of_part(_one_axis, "measurement", method="hammer"),
+    "no modes for the method asked": _of_part(_one_axis, "measurement", method="hammer"),
     "operating point with a model": _of_part(_operating, "measurement", method="hammer"),
     "no cross terms": _of_part(_cross, "measurement", method="hammer"),
     "empty file": _broken_file("empty"),

@@ -14,6 +14,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LimitsOf
 from smfe.diagnosis.cases.case import Case, modes_named
+from smfe.diagnosis.cases.experiments import PROPOSALS
 from smfe.diagnosis.checks.suspect import Suspect, note
 from smfe.diagnosis.cutting.forces import cutting_family
 from smfe.diagnosis.cutting.limits import Limit, Spread, Trial, bracketed, limit_family
@@ -23,9 +24,6 @@ from smfe.limits.cut_conditions import FIXED, Source, stated
 from smfe.limits.cutting_tests import judge
 from smfe.progress import Progress, silent
 from smfe.records import read_records
-
-MINUTES = 3.0
-"""What a further cut takes."""
 
 
 def cutting_case(campaign: Campaign) -> Case:
@@ -65,7 +63,7 @@ def cutting_case(campaign: Campaign) -> Case:
         {_words(cut): cut for cut in further},
         edge=(material.Kte, material.Kre, material.Kae),
     )
-    proposals = tuple(replace(p, settings={**p.settings, "minutes": MINUTES}) for p in family.proposals)
+    proposals = tuple(replace(p, settings={**p.settings, "minutes": PROPOSALS.cut}) for p in family.proposals)
     return Case(replace(family, proposals=proposals), groups, _held_out(campaign, groups), family.suspects)
 
 

@@ -17,9 +17,6 @@ from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law,
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.identification.measurement import records_of
 
-MASS_SPREAD = 0.1
-"""Prior standard deviation of a moved mass that a data sheet gives, relative."""
-
 
 @dataclass(frozen=True)
 class _Read:
@@ -38,7 +35,8 @@ def drive_case(campaign: Campaign, baseline: RigidDrive) -> Case:
     reads = _records(campaign)
     if not reads or reads[0].measurement.held_out:
         raise InputError("no measurement with method = 'drive' is left to be fitted; add one that is not held out")
-    mass = None if baseline.moving_mass is None else (baseline.moving_mass, MASS_SPREAD * baseline.moving_mass)
+    stated = baseline.moving_mass
+    mass = None if stated is None else (stated, 0.1 * stated)  # with the standard deviation of a data sheet
     families: list[DriveRecordFamily] = []
     groups: dict[str, tuple[str, ...]] = {}
     for read in reads:

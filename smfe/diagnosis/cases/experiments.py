@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -18,21 +18,32 @@ from smfe.diagnosis.frf.causes import AXES
 from smfe.diagnosis.frf.noise import RULES, Excited
 from smfe.diagnosis.inference.problem import Condition
 
-FEEDS = (25.0, 50.0, 100.0, 250.0, 500.0)
-"""Feeds of the transition from sticking to sliding, and above [mm/min]."""
 
-MINUTES: Mapping[str, float] = {"hammer": 5.0, "actuator": 8.0}
-"""What a measurement takes."""
+@dataclass(frozen=True)
+class ProposalRules:
+    """What is proposed, and its price."""
 
-MORE_MINUTES: Mapping[str, float] = {"controller": 5.0, "position": 5.0, "added_mass": 10.0}
-"""What a change takes on top."""
+    feeds: tuple[float, ...] = (25.0, 50.0, 100.0, 250.0, 500.0)
+    """Feeds of the transition from sticking to sliding, and above [mm/min]."""
+    minutes: Mapping[str, float] = field(
+        default_factory=lambda: {"hammer": 5.0, "actuator": 8.0, "controller": 5.0, "position": 5.0, "added_mass": 10.0}
+    )
+    """Time of a measurement, by its method, and further time of a change [min]."""
+    cut: float = 3.0
+    """Time of a further cut [min]."""
+    further: float = 0.3
+    """Distance to another position [m]."""
+    mass_share: float = 0.1
+    """Mass that is clamped to the tip, over the mass of the tip."""
+    free_mass: float = 20.0
+    """Mass on soft springs that a calibration takes [kg]."""
+    accurate: float = 0.005
+    """Relative error of the compliance of a free mass."""
+    speed: float = 300.0
+    """Speed of a spindle that has not been turned yet [rad/s]."""
 
-FURTHER = 0.3
-"""Distance to another position [m]."""
 
-MASS_SHARE = 0.1
-"""Mass that is clamped to the tip, over the mass of the tip."""
-
+PROPOSALS = ProposalRules()
 _MM_MIN = 6e4
 
 
@@ -69,7 +80,7 @@ def _changes(base: Condition, family: MachineFrfs) -> Iterator[tuple[str, str, f
     """Yield what is changed: in words, the setting, its value."""
     feed, level = _feed(base), float(base.settings["level"])
     unit = "N s" if base.settings["method"] == "hammer" else "N"
-    for speed in FEEDS:
+    for speed in PROPOSALS.feeds:
         yield f"at {math.copysign(speed, feed):g} mm/min", "feed", math.copysign(speed / _MM_MIN, feed)
     if feed:
         yield f"at {-feed * _MM_MIN:g} mm/min, the other direction", "feed", -feed
@@ -78,9 +89,9 @@ def _changes(base: Condition, family: MachineFrfs) -> Iterator[tuple[str, str, f
     for name in filter(None, family.baseline.servos):
         yield f"with controller {name}", "controller", name
     if "position" in base.settings or not any("position" in c.settings for c in family.conditions):
-        place = float(base.settings.get("position", 0.0)) + FURTHER
-        yield f"{FURTHER * 1e3:g} mm further along the stroke", "position", place
-    mass = float(f"{MASS_SHARE * family.baseline.drive.tip_mass:.1g}")
+        place = float(base.settings.get("position", 0.0)) + PROPOSALS.further
+        yield f"{PROPOSALS.further * 1e3:g} mm further along the stroke", "position", place
+    mass = float(f"{PROPOSALS.mass_share * family.baseline.drive.tip_mass:.1g}")
     yield f"with {mass:g} kg clamped to the tip", "added_mass", float(base.settings.get("added_mass", 0.0)) + mass
 
 
@@ -98,7 +109,7 @@ def _proposal(base: Condition, words: str, key: str, value: float | str, axis: s
         controller=str(settings["controller"]) or excited.controller,
         hits=None,
     )
-    settings["minutes"] = MINUTES.get(str(settings["method"]), 8.0) + MORE_MINUTES.get(key, 0.0)
+    settings["minutes"] = PROPOSALS.minutes.get(str(settings["method"]), 8.0) + PROPOSALS.minutes.get(key, 0.0)
     return Condition(f"as {base.name}, but {words}", settings, None, "", data)
 
 
@@ -111,15 +122,6 @@ def _same(one: Condition, other: Condition) -> bool:
 
 
 # --- A machine that is modelled by modes.
-
-FREE_MASS = 20.0
-"""Mass on soft springs that a calibration takes [kg]."""
-
-ACCURATE = 0.005
-"""Relative error of the compliance of a free mass."""
-
-SPEED = 300.0
-"""Speed of a spindle that has not been turned yet [rad/s]."""
 
 
 def proposed_modal_experiments(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
@@ -143,10 +145,16 @@ def proposed_modal_experiments(conditions: Sequence[Condition]) -> tuple[Conditi
         whole = replace(excited, entries=everything, std=std, shared=None)
         found.append(("motion along x, y, z under forces along x, y, z", later, whole))
     if known["free_mass"] == {None}:
-        size = 1.0 / (FREE_MASS * (2.0 * np.pi * excited.frequency) ** 2)
-        std = np.repeat(ACCURATE * size[:, None], len(excited.entries), axis=1)
+        size = 1.0 / (PROPOSALS.free_mass * (2.0 * np.pi * excited.frequency) ** 2)
+        std = np.repeat(PROPOSALS.accurate * size[:, None], len(excited.entries), axis=1)
         free = replace(excited, std=std, shared=None)
-        found.append((f"a free mass of {FREE_MASS:g} kg in the machine's place", {"free_mass": FREE_MASS}, free))
+        found.append(
+            (
+                f"a free mass of {PROPOSALS.free_mass:g} kg in the machine's place",
+                {"free_mass": PROPOSALS.free_mass},
+                free,
+            )
+        )
     for sensor, words in (
         ("laser", "a laser in the accelerometer's place"),
         ("two", "a second accelerometer beside it"),
@@ -160,5 +168,5 @@ def proposed_modal_experiments(conditions: Sequence[Condition]) -> tuple[Conditi
     far = max((abs(float(c.settings.get("position", place)) - place) for c in used), default=0.0) or 0.5
     found.append((f"position {place + 0.5 * far:.3g} m, at the end", later | {"position": place + 0.5 * far}, excited))
     if known["spindle_speed"] <= {None, 0.0}:
-        found.append(("a turning spindle", later | {"spindle_speed": SPEED}, excited))
+        found.append(("a turning spindle", later | {"spindle_speed": PROPOSALS.speed}, excited))
     return tuple(Condition(name, settings, None, "", data) for name, settings, data in found)

@@ -103,7 +103,7 @@ def regeneration_difference(
         lines = _references(p.record, teeth, reach)
         blocks.append((found.frequency, found.force[:, :, 0], found.displacement[:, :, 0], lines, power))
     frequency = np.arange(frequency_range[0] + half, frequency_range[1], 2.0 * half)
-    solved = {float(f): found for f in frequency if (found := _both(blocks, float(f))) is not None}
+    solved = {float(f): both for f in frequency if (both := _both(blocks, float(f))) is not None}
     if not solved:
         return None
     change, covariance, size = (np.stack(x) for x in zip(*solved.values(), strict=True))

@@ -21,13 +21,8 @@ from process.machine.joints import CubicSpring, Gap, Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
 from smfe.diagnosis.frf.causes import axis_causes
+from smfe.diagnosis.frf.noise import RULES
 from smfe.diagnosis.inference.problem import Cause, Parameter, Values
-
-BRISTLE = (5e8, 6e4)
-"""Stiffness [N/m] and damping [N s/m] of a guideway that sticks."""
-
-ELEMENTS = 20
-"""Jenkins elements of a joint with micro-slip."""
 
 SPREAD: dict[str, float] = {"moving_mass": 0.1, "tip_mass": 0.1, "stiffness": 0.1, "damping": 0.4, "viscous": 0.5}
 """Prior standard deviation of what a data sheet says, relative."""
@@ -156,7 +151,7 @@ class AxisBaseline:
         across, k, (share, travel), (part, gap) = np.array([1.0, -1.0]), found.stiffness, found.micro_slip, found.gap
         joints = []
         if share > 0.0:
-            joints.append(MountedJoint(Iwan(share * k, 0.5 * share * k * travel, ELEMENTS), across))
+            joints.append(MountedJoint(Iwan(share * k, 0.5 * share * k * travel, RULES.elements), across))
         if part > 0.0:
             joints.append(MountedJoint(Gap(part * k, gap), across))
         if found.cubic != 0.0:
@@ -164,7 +159,7 @@ class AxisBaseline:
         law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
             forth, back = (
-                LuGre(*BRISTLE, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
+                LuGre(*RULES.bristle, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
                 for s in found.friction
             )
             law = replace(forth, negative=back)

@@ -28,9 +28,6 @@ RAYLEIGH_LOSS = 4.0 / (3.0 * np.pi)
 DECAYING = (2.0 / 3.0, 0.5)
 """Mean amplitude and mean square amplitude of a decaying vibration over those at its start, weighted by energy."""
 
-_STEPS = 40
-_ACCURATE = 1e-9
-
 
 class Changed(NamedTuple):
     """A modal machine with all that has been changed; alike for values that change nothing."""
@@ -185,11 +182,11 @@ def _steady(law: Callable[[Real], Complex], direct: Complex, free: Real) -> Comp
     before = free
     error = before * np.abs(1.0 + law(before) * direct) - free
     now = free / np.abs(1.0 + law(free) * direct)
-    for _ in range(_STEPS):
+    for _ in range(40):
         stiffness = law(now)
         factor = np.abs(1.0 + stiffness * direct)
         fresh = now * factor - free
-        if np.all(np.abs(fresh) <= _ACCURATE * free + 1e-300):
+        if np.all(np.abs(fresh) <= 1e-9 * free + 1e-300):
             return stiffness
         apart = now - before
         slope = (fresh - error) / np.where(apart == 0.0, 1.0, apart)

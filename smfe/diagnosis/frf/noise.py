@@ -62,6 +62,10 @@ class FrfRules:
     """Of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N."""
     same_level: float = 0.2
     """Relative difference of levels of hits that are meant to be the same."""
+    bristle: tuple[float, float] = (5e8, 6e4)
+    """Stiffness [N/m] and damping [N s/m] of a guideway that sticks."""
+    elements: int = 20
+    """Jenkins elements of a joint with micro-slip."""
     predictions_kept: int = 20000
     """Compliances that a family keeps."""
     modal_kept: int = 4000

@@ -25,7 +25,7 @@ from truth.modal_machine import (
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.diagnosis.cases.experiments import FREE_MASS, proposed_modal_experiments
+from smfe.diagnosis.cases.experiments import PROPOSALS, proposed_modal_experiments
 from smfe.diagnosis.frf.causes import vector
 from smfe.diagnosis.frf.modal_dynamics import DECAYING, Changed, Shaken, full_compliance, unchanged
 from smfe.diagnosis.frf.modes import ModalFrfs
@@ -246,7 +246,7 @@ class TestFamily:
         bare = [replace(c, settings={}) for c in null.conditions[:1]]
         names = [c.name for c in proposed_modal_experiments(bare)]
         assert any("laser" in n for n in names)
-        assert f"a free mass of {FREE_MASS:g} kg in the machine's place" in names
+        assert f"a free mass of {PROPOSALS.free_mass:g} kg in the machine's place" in names
         assert proposed_modal_experiments(()) == ()
 
     @pytest.mark.parametrize(
