@@ -83,16 +83,35 @@ def full_compliance(machine: Changed, frequency: Real, shaken: Shaken) -> Comple
     InputError
         When a stiffness is negative, or a vibration has no single amplitude.
     """
-    count = len(machine.frequency)
+    count, f = len(machine.frequency), frequency[:, None, None]
     ratio = frequency[:, None] / np.array(machine.frequency)
     own = 1.0 - ratio**2 + 2j * np.array(machine.damping) * ratio
     shape = np.array(machine.direction).reshape(count, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
-    coupling = _coupling(machine, frequency, shape)
+    coupling: Complex | None = None  # all that is added to the modes, (f, M, M)
+    if machine.springs:
+        springs = np.array(machine.springs).reshape(count, count)
+        if np.linalg.eigvalsh(springs + np.eye(count))[0] <= 0.0:
+            raise InputError("a machine whose stiffness is negative in some direction does not stand; change less")
+        coupling = springs[None].astype(complex)
+    if machine.gyroscopic:
+        turning = 1j * f * np.array(machine.gyroscopic).reshape(count, count)
+        coupling = turning if coupling is None else coupling + turning
+    if machine.mass:
+        square = (2.0 * np.pi * f) ** 2 * machine.mass * (shape @ shape.T)
+        coupling = -square.astype(complex) if coupling is None else coupling - square
     phi = shape.T @ _answers(own, coupling, shape)
     for joint, law in ((machine.slip, _slipping), (machine.hardening, _hardening)):
         if joint:
             phi = phi - _through_joint(machine, own, coupling, shape, shaken, joint, law)
-    return np.asarray(phi + _beyond(machine, frequency))
+    beyond = np.zeros((1, 3, 3), dtype=complex)  # what the modes leave out
+    if machine.residual:
+        xx, yy, zz, xy, yz, zx = machine.residual
+        beyond = beyond + np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+    if machine.mode:
+        along, turns = np.array(machine.mode[:3]), frequency / machine.mode[3]
+        dynamic = 1.0 - turns**2 + 2j * machine.mode[4] * turns
+        beyond = beyond + np.outer(along, along) / dynamic[:, None, None]
+    return np.asarray(phi + beyond)
 
 
 def _answers(own: Complex, coupling: Complex | None, force: Real) -> Complex:
@@ -101,36 +120,6 @@ def _answers(own: Complex, coupling: Complex | None, force: Real) -> Complex:
         return np.asarray(force / own[:, :, None])
     whole = coupling + own[:, :, None] * np.eye(own.shape[1])
     return np.asarray(np.linalg.solve(whole, np.broadcast_to(force.astype(complex), (len(own), *force.shape))))
-
-
-def _coupling(machine: Changed, frequency: Real, shape: Real) -> Complex | None:
-    """All that is added to the modes, (f, M, M); None for nothing."""
-    count, found = shape.shape[0], None
-    if machine.springs:
-        springs = np.array(machine.springs).reshape(count, count)
-        if np.linalg.eigvalsh(springs + np.eye(count))[0] <= 0.0:
-            raise InputError("a machine whose stiffness is negative in some direction does not stand; change less")
-        found = springs[None].astype(complex)
-    if machine.gyroscopic:
-        turning = 1j * frequency[:, None, None] * np.array(machine.gyroscopic).reshape(count, count)
-        found = turning if found is None else found + turning
-    if machine.mass:
-        square = (2.0 * np.pi * frequency[:, None, None]) ** 2 * machine.mass * (shape @ shape.T)
-        found = -square.astype(complex) if found is None else found - square
-    return found
-
-
-def _beyond(machine: Changed, frequency: Real) -> Complex:
-    """Compliance of what the modes leave out, shape (f or 1, 3, 3)."""
-    found = np.zeros((1, 3, 3), dtype=complex)
-    if machine.residual:
-        xx, yy, zz, xy, yz, zx = machine.residual
-        found = found + np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
-    if machine.mode:
-        vector, (f, damping) = np.array(machine.mode[:3]), machine.mode[3:5]
-        ratio = frequency / f
-        found = found + np.outer(vector, vector) / (1.0 - ratio**2 + 2j * damping * ratio)[:, None, None]
-    return found
 
 
 def amplitude(machine: Changed, method: str, level: float) -> float:
