@@ -42,22 +42,14 @@ from smfe.identification.actuator.local_response import (
     sums_of,
     with_poles,
 )
-from smfe.identification.actuator.welch import LEAKED, averaged_blocks
+from smfe.identification.actuator.rules import RULES
+from smfe.identification.actuator.welch import averaged_blocks
 from smfe.identification.errors.result import Identification, in_words
 from smfe.identification.spectra.spectra import check_records
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 
 ESTIMATORS: tuple[str, ...] = ("local_polynomial", "H1", "H2", "Hv")
 """How records of a continuous force become a compliance."""
-
-KNOWN_TO = 0.2
-"""Relative standard deviation of a noise of the force that was seen in silence: it need not be white, nor the same."""
-
-RESTING = 0.25
-"""Motion at the ends of a record, of that in all of it, below which it may begin and end at rest."""
-
-_CAUTION = 2.0
-"""What the bound on the force noise is multiplied by: it is the least of many estimates."""
 
 
 def identify_continuous(
@@ -143,7 +135,7 @@ def _local(g: Records, frequency: Real) -> Column:
     value, loss = found.response[..., 0], found.loss[..., 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         lost = np.abs(loss) / np.abs(value)
-        charged = KNOWN_TO * loss / np.maximum(1.0 - lost, 0.1) if g.noise_known else loss / np.sqrt(12.0)
+        charged = RULES.known_to * loss / np.maximum(1.0 - lost, 0.1) if g.noise_known else loss / np.sqrt(12.0)
         value = value if g.noise_known else value - 0.5 * loss
     step = float(np.median(np.diff(frequency)))
     error_lines = [
@@ -172,7 +164,7 @@ def _against(blocks: Column, whole: Column, frequency: Real) -> Column:
     with np.errstate(invalid="ignore"):
         away = np.abs(blocks.compliance - whole.compliance) ** 2
         beyond = np.nan_to_num(np.maximum(away - 2.0 * (blocks.variance + whole.variance), 0.0))
-        lost = np.asarray((beyond > (LEAKED * np.abs(whole.compliance)) ** 2).any(axis=1))
+        lost = np.asarray((beyond > (RULES.leaked * np.abs(whole.compliance)) ** 2).any(axis=1))
     notes = blocks.notes
     if lost.any():
         notes += (
@@ -187,7 +179,7 @@ def at_rest(motion: Real) -> bool:
     """Whether most motions (axes, n) are small over the first and the last thousandth of a record."""
     piece = max(8, motion.shape[1] // 1000)
     ends = np.sqrt([np.mean(part**2, axis=1) for part in (motion[:, :piece], motion[:, -piece:])]).max(axis=0)
-    return bool(np.median(ends / np.maximum(np.std(motion, axis=1), 1e-300)) < RESTING)
+    return bool(np.median(ends / np.maximum(np.std(motion, axis=1), 1e-300)) < RULES.decayed)
 
 
 def _smooth(noise: Real, reach: int = 12) -> Real:
@@ -200,7 +192,7 @@ def _bound(alone: Local, seconds: float) -> float:
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = alone.noise / np.abs(alone.response[..., 0]) ** 2
     ratio = _smooth(np.where(np.isfinite(ratio), ratio, np.inf), 4)
-    return _CAUTION * float(np.min(ratio)) / seconds
+    return RULES.caution * float(np.min(ratio)) / seconds
 
 
 def _clearly(bent: NDArray[np.bool_], found: Local) -> NDArray[np.bool_]:

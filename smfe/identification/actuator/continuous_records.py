@@ -15,24 +15,11 @@ from scipy import fft, ndimage
 from process.errors import InputError
 from process.labels import axis_index, sample_interval
 from process.types import Complex, Real
+from smfe.identification.actuator.rules import RULES
 from smfe.identification.errors.result import in_words
 from smfe.identification.spectra.spectra import as_displacement, force_samples, motion_axes, record_source
 from smfe.identification.sweep.noise import density_of
 from smfe.identification.sweep.passes import SHORTEST, air_pieces
-
-POWERLESS = 1e-5
-"""Power of the force, of what it has nearly everywhere at most, below which a line is not claimed: -50 dB."""
-
-DROWNED = 0.5
-"""Share of the compliance that noise of the force may take; above, a line is not claimed."""
-
-MOST_FREQUENCIES = 3000
-"""Lines of the frequency axis that is taken where no resolution is given."""
-
-ANTI_ALIAS = 2.56
-
-CLIPPED = 0.05
-"""Share of samples at the end of the range above which a record is refused."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +81,7 @@ def samples_of(axis: str, records: Sequence[xr.Dataset]) -> Records:
             )
         force = force_samples(record, axis, source)
         clipped = clipped_share(force)
-        if clipped > CLIPPED:
+        if clipped > RULES.clipped:
             raise InputError(
                 f"{source}: force_{axis} is at the end of its range in {100.0 * clipped:.2g} % of its samples; what "
                 "was cut off is lost: widen the range, and measure again"
@@ -136,7 +123,7 @@ def _quiet(record: xr.Dataset, axis: str) -> float | None:
     if not pieces:
         return None
     longest = max(pieces, key=lambda p: p.stop - p.start)
-    top = 1.0 / dt / ANTI_ALIAS
+    top = 1.0 / dt / RULES.anti_alias
     density, lines = density_of(force[:, longest], dt, (0.02 * top, top), 0.5)
     return float(density[0]) if lines >= 8.0 else None
 
@@ -146,11 +133,11 @@ def band_of(name: str, groups: Sequence[Records], wanted: tuple[float, float] | 
     low, high = np.inf, 0.0
     for g in groups:
         frequency, power = smooth_power(g)
-        strong = np.flatnonzero(power > 10.0 * POWERLESS * np.quantile(power, 0.95))
+        strong = np.flatnonzero(power > 10.0 * RULES.powerless * np.quantile(power, 0.95))
         if not np.any(power > 0.0) or not strong.size:
             raise InputError(f"measurement '{name}': force_{g.axis} is constant; check its channel")
         low, high = min(low, frequency[strong[0]]), max(high, frequency[strong[-1]])
-    top = 1.0 / groups[0].dt / ANTI_ALIAS
+    top = 1.0 / groups[0].dt / RULES.anti_alias
     least = 4.0 / max(max(g.seconds) for g in groups)
     low, high = max(low, least), min(high, top)
     if wanted is not None:
@@ -172,7 +159,7 @@ def smooth_power(g: Records) -> tuple[Real, Real]:
     """Return the power of the force of all records over about a hundredth of the band (f,), [N2 s2]."""
     longest = max(g.force, key=lambda f: f.size)
     frequency = fft.rfftfreq(longest.size, g.dt)
-    inside = frequency <= 1.0 / g.dt / ANTI_ALIAS
+    inside = frequency <= 1.0 / g.dt / RULES.anti_alias
     power = np.abs(fft.rfft(longest)) ** 2
     width = max(3, inside.sum() // 300)
     return frequency[inside], ndimage.uniform_filter1d(power, width)[inside]
@@ -183,7 +170,7 @@ def frequency_axis(groups: Sequence[Records], band: tuple[float, float], resolut
     longest = max(max(g.seconds) for g in groups)
     step = resolution
     if step is None:
-        least = max((band[1] - band[0]) / MOST_FREQUENCIES, 0.5 / longest)
+        least = max((band[1] - band[0]) / RULES.most_frequencies, 0.5 / longest)
         decade = 10.0 ** np.floor(np.log10(least))
         step = float(next(m * decade for m in (1.0, 2.0, 5.0, 10.0) if m * decade >= least * (1.0 - 1e-9)))
     lines = np.arange(np.ceil(band[0] / step - 1e-9), np.floor(band[1] / step + 1e-9) + 1.0) * step
@@ -198,7 +185,7 @@ def frequency_axis(groups: Sequence[Records], band: tuple[float, float], resolut
 def powerless_lines(g: Records, frequency: Real) -> NDArray[np.bool_]:
     """Mark the lines (f,) at which the force has no power."""
     at, power = smooth_power(g)
-    return np.asarray(np.interp(frequency, at, power, right=np.inf) < POWERLESS * np.quantile(power, 0.95))
+    return np.asarray(np.interp(frequency, at, power, right=np.inf) < RULES.powerless * np.quantile(power, 0.95))
 
 
 @dataclass(frozen=True)
@@ -240,7 +227,7 @@ def column_of(g: Records, frequency: Real, found: Response) -> Column:
     """Return the compliance of an axis, NaN where nothing is claimed, and say where that is."""
     powerless = powerless_lines(g, frequency)
     with np.errstate(invalid="ignore"):
-        drowned = ~(found.lost <= DROWNED).all(axis=1) & ~powerless
+        drowned = ~(found.lost <= RULES.drowned).all(axis=1) & ~powerless
     clip = g.clipped * found.value
     cut = np.where(powerless | drowned | found.unclaimed, np.nan, 1.0)[:, None]
     scale = as_displacement(np.ones((frequency.size, 1), complex), frequency, g.channel) * cut

@@ -22,24 +22,11 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import label, sample_interval
 from process.types import Complex, Real
+from smfe.identification.actuator.rules import RULES
 from smfe.identification.spectra.periods import periods_of
 from smfe.identification.spectra.spectra import block_spectra, force_samples, motion_axes, record_source
 
 Index = NDArray[np.int64]
-
-ORDER = 2
-"""Order of the polynomial that stands for the transient."""
-
-BINS = 8
-"""Bins between the lines that it is fitted to."""
-
-LEAST_SHARE = 0.5
-"""Least share of the force's power, up to the highest line, that has to be at its lines."""
-
-_CLEAN_SHARE = 0.99
-_SETTLED = 1e-4
-_REPEATS = 1e-2
-_SHARP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -212,7 +199,7 @@ def _cut(record: xr.Dataset, axis: str, start: float, samples: int) -> xr.Datase
 def _lines_of(record: xr.Dataset, axis: str, count: int, top: int) -> _Lines:
     n = record.sizes["time"]
     f0 = 1.0 / (n * sample_interval(record))
-    spectra = block_spectra(record, [0], n, None, (f0, (top + BINS) * count * f0), detrend=True)
+    spectra = block_spectra(record, [0], n, None, (f0, (top + RULES.transient_bins) * count * f0), detrend=True)
     scale = 2.0 * f0
     force, response = scale * spectra.force[:, 0, 0], scale * spectra.displacement[:, 0, 0]
     at = np.arange(1, top + 1) * count - 1
@@ -234,7 +221,7 @@ def _lines_of(record: xr.Dataset, axis: str, count: int, top: int) -> _Lines:
         scatter[1, 0][None],
         leverage[None],
         left[None],
-        BINS - ORDER - 1,
+        RULES.transient_bins - RULES.transient_order - 1,
     )
 
 
@@ -245,8 +232,12 @@ def _polynomials(away: tuple[int, ...]) -> tuple[Real, Real, Real]:
     Nearly all lines have the same distances.
     """
     shift = np.array(away) / max(float(np.abs(away).max()), 1.0)
-    terms = shift[:, None] ** np.arange(ORDER + 3)
-    return terms, np.asarray(np.linalg.pinv(terms[:, : ORDER + 1])), np.asarray(np.linalg.pinv(terms)[0])
+    terms = shift[:, None] ** np.arange(RULES.transient_order + 3)
+    return (
+        terms,
+        np.asarray(np.linalg.pinv(terms[:, : RULES.transient_order + 1])),
+        np.asarray(np.linalg.pinv(terms)[0]),
+    )
 
 
 def _between(values: Complex, between: Index, at: int) -> tuple[Complex, Complex, Real, Real]:
@@ -256,12 +247,12 @@ def _between(values: Complex, between: Index, at: int) -> tuple[Complex, Complex
     less what noise makes of it.
     """
     middle = int(np.searchsorted(between, at))
-    low = min(max(middle - BINS // 2, 0), between.size - BINS)
-    used = between[low : low + BINS]
+    low = min(max(middle - RULES.transient_bins // 2, 0), between.size - RULES.transient_bins)
+    used = between[low : low + RULES.transient_bins]
     terms, plain, finer = _polynomials(tuple(int(k) for k in used - at))
     fitted = values[:, used] @ plain.T
-    rest = values[:, used] - fitted @ terms[:, : ORDER + 1].T
-    scatter = rest @ rest.conj().T / (BINS - ORDER - 1)
+    rest = values[:, used] - fitted @ terms[:, : RULES.transient_order + 1].T
+    scatter = rest @ rest.conj().T / (RULES.transient_bins - RULES.transient_order - 1)
     change = finer - plain[0]
     left = np.abs(values[1, used] @ change) ** 2 - scatter[1, 1].real * (change @ change)
     return fitted[:, 0], scatter, np.asarray(plain[0] @ plain[0]), np.asarray(left)
@@ -376,7 +367,7 @@ def _share_on_lines(records: Sequence[xr.Dataset], axis: str, count: int, excite
         power = np.abs(np.fft.rfft(force_samples(record, axis))[: int(excited[-1]) * count + 1]) ** 2
         whole = float(power[1:].sum())
         shares.append(float(power[excited * count].sum()) / whole if whole > 0.0 else 0.0)
-        if shares[-1] < LEAST_SHARE:
+        if shares[-1] < RULES.least_share:
             raise InputError(
                 f"{record_source(record, number)}: only {100.0 * shares[-1]:.3g} % of the power of the force is at the "
                 "lines of the multisine; check fundamental, harmonics, start, and that the force is periodic there"
@@ -424,22 +415,22 @@ def _warnings(
         (not np.any(role == "even"), "every even line is excited: even distortion cannot be seen; excite odd lines"),
         (not np.any(role == "odd"), "no odd line is left out: odd distortion cannot be seen; leave some out at random"),
         (
-            share < _CLEAN_SHARE,
+            share < RULES.clean_share,
             f"the force is not quite the multisine: {100.0 * (1.0 - share):.2g} % of its power up to {highest:g} Hz is "
             "beside its lines",
         ),
         (
-            count > 1 and transient > 10.0 * math.log10(_SETTLED),
+            count > 1 and transient > 10.0 * math.log10(RULES.settled),
             f"the periods have not settled: a transient of {transient:.0f} dB of the response was removed; leave out "
             "the first periods if there are enough",
         ),
         (
-            count > 1 and abs(late) > 5.0 * sd and abs(phase) > _SHARP,
+            count > 1 and abs(late) > 5.0 * sd and abs(phase) > RULES.sharp,
             f"the clocks of force and record differ by {late * 1e6:.3g} ppm: the lines smear by {abs(phase):.2g} rad "
             f"at {highest:g} Hz over the record; lock the clocks or resample",
         ),
         (
-            noise > _REPEATS,
+            noise > RULES.repeats,
             f"the response does not repeat: {100.0 * noise:.2g} % of its power changes from period to period; it may "
             "not be at rest without the force (stick-slip, chatter), and then these numbers mean little",
         ),

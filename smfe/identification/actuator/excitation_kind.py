@@ -21,24 +21,13 @@ from process.labels import AXES, sample_interval
 from process.types import Real
 from smfe.identification.actuator.continuous_force import identify_continuous
 from smfe.identification.actuator.periodic import identify_periodic
+from smfe.identification.actuator.rules import RULES
 from smfe.identification.actuator.sine_fit import StepRules, find_steps
 from smfe.identification.actuator.stepped_sine import identify_actuator
 from smfe.identification.errors.result import Identification
 from smfe.identification.spectra.spectra import check_records, force_samples, record_source
 from smfe.records.clocks import resample
 from smfe.records.kind import kind_of
-
-REPEATS = 0.97
-"""Correlation of a force with itself one period later from which it repeats itself."""
-
-STEPPED = 0.6
-"""Share of the energy of a force in steps of constant frequency from which it is a stepped sine."""
-
-LEAST_PERIOD = 64
-"""Samples of a period, at least."""
-
-_WHOLE = 0.02
-"""Samples by which all periods of a record together may be away from a whole number."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +44,6 @@ class Repetition:
 
     period: float
     stretches: tuple[tuple[int, int], ...]
-
-
-SIDEWAYS = 0.1
-"""Rms of a force along another axis over that of the excitation above which it is said [1]."""
 
 
 def identify_shaken(
@@ -111,7 +96,7 @@ def _other_forces(records: Mapping[str, Sequence[xr.Dataset]]) -> list[str]:
     for axis, group in records.items():
         for k, record in enumerate(group):
             rms = {str(a): float(record["force"].sel(axis=a).std()) for a in record["force"]["axis"].values}
-            for other in (a for a in rms if a != axis and rms[a] > SIDEWAYS * rms[axis]):
+            for other in (a for a in rms if a != axis and rms[a] > RULES.sideways * rms[axis]):
                 said.append(
                     f"{record_source(record, k)}: the force along {other} is {100.0 * rms[other] / rms[axis]:.3g} % of "
                     f"that along {axis}, and what it moves counts as moved by {axis}; align the exciter, or excite one "
@@ -183,7 +168,7 @@ def _kind(force: Real, dt: float) -> tuple[str, Repetition | None]:
         around = force - force.mean()
         steps = find_steps(around, dt)
         inside = sum(float(np.sum(around[a:b] ** 2)) for a, b, _ in steps)
-        if inside > STEPPED * float(np.sum(around**2)):
+        if inside > RULES.stepped * float(np.sum(around**2)):
             return "steps", None
     repeated = repetition(force)
     if repeated is not None:
@@ -207,9 +192,9 @@ def repetition(force: Real) -> Repetition | None:
     shared = fft.irfft(np.abs(lines) ** 2, size)[: around.size // 2 + 1]
     shared = shared / shared[0]
     negative = np.flatnonzero(shared < 0.0)
-    if not negative.size or shared.size <= max(LEAST_PERIOD, negative[0]):
+    if not negative.size or shared.size <= max(RULES.least_period, negative[0]):
         return None
-    first = max(LEAST_PERIOD, int(negative[0]))
+    first = max(RULES.least_period, int(negative[0]))
     peaks, _ = signal.find_peaks(shared, height=0.25)
     for lag in peaks[peaks >= first][np.argsort(-shared[peaks[peaks >= first]])][:5]:
         found = _stretches(around, _smallest(around, shared, int(lag), peaks))
@@ -222,7 +207,7 @@ def _smallest(around: Real, shared: Real, lag: int, peaks: NDArray[np.intp]) -> 
     """Return the shortest lag of which a lag is a multiple and that correlates as well."""
     for part in range(12, 1, -1):
         near = peaks[np.abs(peaks - lag / part) <= max(2.0, 1e-3 * lag / part)]
-        near = near[near >= LEAST_PERIOD]
+        near = near[near >= RULES.least_period]
         if near.size and _stretches(around, int(near[np.argmax(shared[near])])) is not None:
             return int(near[np.argmax(shared[near])])
     return lag
@@ -269,7 +254,7 @@ def _stretches(around: Real, lag: int) -> Repetition | None:
 def _alike(early: Real, late: Real, width: int) -> NDArray[np.bool_]:
     """Mark where two signals correlate over a width, and are not silent."""
     power = ndimage.uniform_filter1d(early**2, width)
-    same = (_correlation(early, late, width) > REPEATS) & (power > 1e-6 * float(power.max()))
+    same = (_correlation(early, late, width) > RULES.same_force) & (power > 1e-6 * float(power.max()))
     closed = ndimage.binary_closing(np.pad(same, 2 * width, mode="edge"), iterations=width)
     return np.asarray(closed[2 * width : -2 * width])
 
@@ -344,7 +329,7 @@ def _repeated(
 
 def _stretch(record: xr.Dataset, start: int, periods: int, period: float, whole: int) -> xr.Dataset:
     """Return a stretch of whole periods, interpolated where a period is no whole number of samples."""
-    if abs(period - whole) * periods < _WHOLE:
+    if abs(period - whole) * periods < RULES.whole_period:
         return record.isel(time=slice(start, min(start + periods * whole, record.sizes["time"])))
     count = periods * whole
     at: Real = np.asarray(start + np.arange(count) * (period / whole), dtype=np.float64)

@@ -24,21 +24,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from process.types import Complex, Real
-
-ORDER = 2
-"""Order of the polynomials."""
-
-AGREEMENT = 2.5
-"""Largest difference of a band from a narrower one, in standard deviations of the narrower."""
-
-STRONGER = 1e-3
-"""Probability with which noise alone makes the residual of a narrow band so much stronger than that of a wide one."""
-
-MOST_LINES = 1200
-"""Lines of the widest band."""
-
-_AT_ONCE = 400_000
-"""Lines that are gathered at a time."""
+from smfe.identification.actuator.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -130,12 +116,12 @@ def half_widths(records: Sequence[RecordLines], span: float, poles: int = 0) -> 
 
     The narrowest has twice as many lines, beyond those of the transients, as there are unknowns.
     """
-    unknowns = (ORDER + 1 + 2 * poles) * records[0].force.shape[1]
-    smooth = ORDER + 1 + 2 * poles
+    unknowns = (RULES.order + 1 + 2 * poles) * records[0].force.shape[1]
+    smooth = RULES.order + 1 + 2 * poles
     per_hertz = sum(1.0 / r.spacing for r in records)
     needed = 3.0 * unknowns + smooth * len(records)
     out = [max(0.5 * needed / per_hertz, max(0.5 * (smooth + 1) * r.spacing for r in records))]
-    while out[-1] < 0.125 * span and 4.0 * out[-1] / max(r.spacing for r in records) < MOST_LINES:
+    while out[-1] < 0.125 * span and 4.0 * out[-1] / max(r.spacing for r in records) < RULES.most_lines:
         out.append(2.0 * out[-1])
     return out
 
@@ -176,7 +162,7 @@ def _terms(lines: Real, frequency: Real, half_width: float, poles: Complex) -> C
     costs certainty and no bias.
     """
     away = (lines - frequency[:, None]) / half_width
-    out = [away**p for p in range(ORDER + 1)]
+    out = [away**p for p in range(RULES.order + 1)]
     for pole in poles:
         near = pole.imag / (lines - pole)
         out += [near, near**2]
@@ -190,7 +176,7 @@ def _gathered(
 
     What the terms can follow over the band may be transient.
     """
-    smooth = ORDER + 1 + 2 * poles.size
+    smooth = RULES.order + 1 + 2 * poles.size
     size = min(max(2 * round(half_width / record.spacing) + 1, smooth + 2), record.force.shape[0] - 1)
     first = np.clip(np.round(frequency / record.spacing).astype(int) - size // 2, 1, record.force.shape[0] - size)
     offsets = np.arange(size)
@@ -199,7 +185,9 @@ def _gathered(
     if poles.size:
         free = np.linalg.qr(t)[0]
     else:
-        free = np.linalg.qr(((offsets - 0.5 * size) / size)[:, None] ** np.arange(ORDER + 1))[0][None].astype(complex)
+        free = np.linalg.qr(((offsets - 0.5 * size) / size)[:, None] ** np.arange(RULES.order + 1))[0][None].astype(
+            complex
+        )
     return lines, t, free
 
 
@@ -207,11 +195,11 @@ def _of_record(
     record: RecordLines, frequency: Real, half_width: float, poles: Complex
 ) -> tuple[Complex, Complex, Real, Complex, NDArray[np.int64]]:
     n, e, r = frequency.size, record.force.shape[1], record.motion.shape[1]
-    terms, smooth = ORDER + 1 + 2 * poles.size, ORDER + 1 + 2 * poles.size
+    terms, smooth = RULES.order + 1 + 2 * poles.size, RULES.order + 1 + 2 * poles.size
     size, k = _gathered(record, frequency[:1], half_width, poles)[0].shape[1], terms * e
     gram, cross = np.empty((2, n, k, k), complex), np.empty((2, n, k, r), complex)
     power, moments = np.empty((2, n, r)), np.empty((2, n, terms, terms), complex)
-    step = max(1, _AT_ONCE // (size * (k + r)))
+    step = max(1, RULES.at_once // (size * (k + r)))
     for begin in range(0, n, step):
         here = slice(begin, begin + step)
         lines, t, free = _gathered(record, frequency[here], half_width, poles)
@@ -362,7 +350,7 @@ def find_pole(
         return float(np.sum(scale * found.noise[0]))
 
     before = left(solve_either(sums_of(records, centre, half, others), weight, None, rest))
-    pole, best, cost = start, None, WORTH * before
+    pole, best, cost = start, None, RULES.worth * before
     for _ in range(steps):
         poles = np.append(others, pole)
         found = solve_either(sums_of(records, centre, half, poles), weight, None, rest)
@@ -401,9 +389,9 @@ def choose(solved: Sequence[Local], charged: float = 0.0) -> tuple[Local, Real, 
         for narrower in solved[:k]:
             away = np.abs(solved[k].response - narrower.response)
             scale = np.maximum(narrower.std, 1e-300)
-            agrees &= np.nan_to_num(away / scale).max(axis=2) <= AGREEMENT
+            agrees &= np.nan_to_num(away / scale).max(axis=2) <= RULES.agreement
             # What bends within the narrow band makes it uncertain, so that all agrees with it; its residual shows that.
-            most = stats.f.isf(STRONGER, narrower.degrees_of_freedom.max(), solved[k].degrees_of_freedom.max())
+            most = stats.f.isf(RULES.stronger, narrower.degrees_of_freedom.max(), solved[k].degrees_of_freedom.max())
             agrees &= ~(narrower.noise > most * solved[k].noise)
         # A mode bends the response over several lines; a single line whose noise agrees does not count.
         agrees = ndimage.minimum_filter(agrees, size=(3, 1), mode="nearest")
@@ -455,15 +443,6 @@ def _uneven(
 Chosen = tuple[Local, Real, NDArray[np.bool_]]
 """What `choose` returns."""
 
-WORTH = 0.8
-"""Residual with a pole, of that without it, above which the pole is none."""
-
-RESOLVED = 2.0
-"""Lines that the half-power band of a resonance has to hold; of one that is narrower nothing is claimed."""
-
-MOST_POLES = 3
-"""Poles that are looked for in one stretch of frequencies."""
-
 
 def with_poles(
     records: Sequence[RecordLines], frequency: Real, weight: Real, force_noise: Real, chosen: Chosen, finest: float
@@ -500,7 +479,7 @@ def with_poles(
         band = max(frequency[lines[0]] - 6.0 * finest, records[0].spacing), frequency[lines[-1]] + 6.0 * finest
         centre_weight = weight[:, [lines[lines.size // 2]]]
         poles, left = np.zeros(0, complex), bent[lines]
-        for _ in range(MOST_POLES):
+        for _ in range(RULES.most_poles):
             excess = np.sum(weight[:, lines].mean(axis=0) * np.abs(response[lines, :, 0]) ** 2 * left, axis=1)
             start = complex(frequency[lines[int(np.argmax(excess))]], 0.3 * finest)
             pole = find_pole(records, centre_weight, band, start, poles)
@@ -544,7 +523,7 @@ def with_poles(
             covariance[lines] += away[..., :, None] * away[..., None, :].conj()
         for pole in poles:
             finest_line = min(r.spacing for r in records)
-            if 2.0 * pole.imag < RESOLVED * finest_line:
+            if 2.0 * pole.imag < RULES.resolved * finest_line:
                 near = np.abs(frequency - pole.real) < 3.0 * max(pole.imag, finest_line)
                 covariance[near] = np.inf
     return found, width, bent

@@ -19,21 +19,11 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import AXES, axis_index, make_compliance, sample_interval
 from process.types import Complex, Real
+from smfe.identification.actuator.rules import RULES
 from smfe.identification.errors.averaging import degrees_of_freedom
 from smfe.identification.errors.result import Identification
 from smfe.identification.spectra.periods import error, noise_power, response, settled
 from smfe.identification.spectra.spectra import block_spectra, check_records, force_samples, record_source
-
-_WEAK = 1e-4
-"""Power of a line, of the strongest, below which it is not excited: -40 dB."""
-
-_NOISY = 100.0
-"""Least power of a line over the noise of its mean."""
-
-_ANTI_ALIAS = 2.56
-
-_UNSETTLED = 3.0
-"""Power of what the first period has over what the others have among themselves that is no noise any more."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +169,7 @@ class _Periods:
             return []
         power = np.nansum(np.abs(self.error(phi)[excited]) ** 2, axis=(0, 1))
         ratio = float(power[0] / np.mean(power[1:])) if power[1:].any() else 1.0
-        if ratio <= _UNSETTLED:
+        if ratio <= RULES.unsettled:
             return []
         return [
             f"excitation {axis}: {self.source}: the first period used differs from the others by {ratio:.2g} times the "
@@ -246,8 +236,10 @@ def _excited(spectra: Sequence[_Periods], power: Real, frequency: Real) -> NDArr
     noise = np.zeros(power.size)
     for s in spectra:
         noise += noise_power(s.force - s.force.mean(axis=1, keepdims=True)) / s.count
-    highest = frequency[-1] * 2.0 / _ANTI_ALIAS
-    return np.asarray((power > _WEAK * power.max()) & (power > _NOISY * noise) & (frequency <= highest))
+    highest = frequency[-1] * 2.0 / RULES.anti_alias
+    return np.asarray(
+        (power > RULES.weak_line * power.max()) & (power > RULES.noisy_line * noise) & (frequency <= highest)
+    )
 
 
 # --- all of them ---------------------------------------------------------------------------------------------------

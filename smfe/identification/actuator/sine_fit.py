@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
 
 from process.types import Complex, Real
-
-_HARMONICS = 5  # the highest that is fitted
-_NEIGHBOURS = 8  # lines to either side that the noise is read from
+from smfe.identification.actuator.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -140,8 +138,8 @@ def fit_sine(samples: Real, dt: float, frequency: float, fitted_frequency: bool 
 
 def _harmonics(samples: Real, dt: float, frequency: float) -> tuple[float, ...]:
     """Return the amplitudes of the second to the fifth harmonic over that of the first."""
-    highest = min(_HARMONICS, int(0.5 / (frequency * dt) * (1.0 - 1e-6)))
-    found = np.full(_HARMONICS - 1, np.nan)
+    highest = min(RULES.harmonics, int(0.5 / (frequency * dt) * (1.0 - 1e-6)))
+    found = np.full(RULES.harmonics - 1, np.nan)
     if highest >= 2:
         parts = _least_squares(_basis(frequency, samples.size, dt, highest), samples)
         size = np.hypot(parts[0:-1:2], parts[1::2])
@@ -173,9 +171,9 @@ def neighbour_lines(residuals: Real, dt: float, frequency: float) -> Complex:
     """
     n = residuals.shape[1]
     cycles = frequency * n * dt
-    k = np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    k = np.arange(-RULES.neighbours, RULES.neighbours + 1)
     place = cycles + k
-    harmonic = np.arange(2, _HARMONICS + 5) * cycles
+    harmonic = np.arange(2, RULES.harmonics + 5) * cycles
     clear = np.all(np.abs(place[:, None] - harmonic) > 0.9, axis=1)
     used = place[(k != 0) & clear & (place > 0.6) & (place < 0.5 * n - 0.6)]
     angle = -2j * np.pi * np.outer(np.arange(n), used) / n

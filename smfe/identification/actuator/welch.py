@@ -26,18 +26,10 @@ from scipy import fft, ndimage
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.identification.actuator.continuous_records import Column, Records, Response, column_of
+from smfe.identification.actuator.rules import RULES
 from smfe.identification.errors.averaging import average, noise_ratio
 from smfe.identification.errors.result import in_words
 from smfe.identification.spectra.spectra import hann, overlap_correlation
-
-HOP = 1.0 / 3.0
-"""Distance of blocks, of their length."""
-
-LEAST_BLOCKS = 6
-"""Independent blocks below which an average says too little of its error."""
-
-LEAKED = 0.3
-"""Share of a response by which half the block length may change it; above, a line is not claimed."""
 
 HANN_ERROR_LINES = 1.5
 """How many lines of a Hann window share an error: its noise bandwidth."""
@@ -89,7 +81,7 @@ def averaged_blocks(
 def _length(groups: Sequence[Records], band: tuple[float, float], estimator: str) -> int:
     """Return the length of a block that errs least by noise and leakage together [samples]."""
     shortest = min(max(g.seconds) for g in groups) / groups[0].dt
-    tried, least, best = int(shortest / (1.0 + LEAST_BLOCKS * 0.6)) // 2 * 2, np.inf, 0
+    tried, least, best = int(shortest / (1.0 + RULES.least_blocks * 0.6)) // 2 * 2, np.inf, 0
     while tried >= 64 and tried * groups[0].dt * (band[1] - band[0]) > 16.0:
         total = 0.0
         for g in groups:
@@ -102,7 +94,7 @@ def _length(groups: Sequence[Records], band: tuple[float, float], estimator: str
         tried = tried // 4 * 2
     if not best:
         raise InputError(
-            f"the records last {shortest * groups[0].dt:.3g} s at most: too short for {LEAST_BLOCKS} blocks that "
+            f"the records last {shortest * groups[0].dt:.3g} s at most: too short for {RULES.least_blocks} blocks that "
             "resolve the band; record longer, or take estimator out"
         )
     return best
@@ -125,7 +117,7 @@ def _with_leakage(g: Records, length: int, band: tuple[float, float], estimator:
 
 def _averaged(g: Records, length: int, band: tuple[float, float], estimator: str) -> _Averaged:
     window = hann(length)
-    hop = max(1, round(HOP * length))
+    hop = max(1, round(RULES.hop * length))
     frequency = fft.rfftfreq(length, g.dt)
     inside = (frequency >= band[0] - 1e-9) & (frequency <= band[1] + 1e-9)
     starts = [range(0, f.size - length + 1, hop) for f in g.force]
@@ -188,7 +180,7 @@ def _transforms(samples: Real, starts: Sequence[int], window: Real, inside: NDAr
 def _column(g: Records, a: _Averaged, leaked: Complex, length: int) -> Column:
     bias = 0.5 * leaked
     with np.errstate(invalid="ignore", divide="ignore"):
-        unclaimed = np.asarray((np.abs(leaked) > LEAKED * np.abs(a.value)).any(axis=1))
+        unclaimed = np.asarray((np.abs(leaked) > RULES.leaked * np.abs(a.value)).any(axis=1))
     notes = [
         f"{np.median(a.blocks):.3g} independent averages of Hann blocks of {length * g.dt:.4g} s that overlap by two "
         "thirds"
@@ -196,7 +188,7 @@ def _column(g: Records, a: _Averaged, leaked: Complex, length: int) -> Column:
     if unclaimed.any():
         notes.append(
             f"the blocks are too short for the damping in {in_words(a.frequency, unclaimed)}: half their length "
-            f"changes the response by more than {100.0 * LEAKED:.0f} %; nothing is claimed there: choose a finer "
+            f"changes the response by more than {100.0 * RULES.leaked:.0f} %; nothing is claimed there: choose a finer "
             "resolution and record longer, or take estimator out"
         )
     response = Response(

@@ -21,13 +21,10 @@ from process.errors import InputError
 from process.friction.laws import Andersson
 from process.labels import axis_present, sample_interval
 from process.types import Real
+from smfe.identification.drive.rules import RULES
 
 PARAMETERS = ("coulomb", "static", "stribeck_speed", "sigma")
 """What steady runs identify, for each direction."""
-
-_RESOLVED = 10.0
-_ACCELERATION_SIGMAS = 4.0
-_LEAST_SAMPLES = 20
 
 
 @dataclass(frozen=True)
@@ -343,18 +340,18 @@ def friction_runs(
             raise InputError(f"the record has no {channel} on axis {axis!r}; friction is read from both channels")
     dt = sample_interval(record)
     width = 2 * round(0.5 * window / dt) + 1
-    if width < 5 or not shortest >= _LEAST_SAMPLES * dt or not 0.0 < tolerance < 1.0:
+    if width < 5 or not shortest >= RULES.least_samples * dt or not 0.0 < tolerance < 1.0:
         raise InputError(
             f"window {window:g} s, shortest run {shortest:g} s, tolerance {tolerance:g} at {dt:g} s a sample; the "
-            f"window needs 5 samples, a run {_LEAST_SAMPLES}, the tolerance a value between 0 and 1"
+            f"window needs 5 samples, a run {RULES.least_samples}, the tolerance a value between 0 and 1"
         )
     x, force = (record[name].sel(axis=axis).values for name in ("encoder_position", "drive_force"))
     if x.size < width:
         raise InputError(f"the record has {x.size} samples and the window {width}; give a longer record")
     m = _motion(x, dt, width)
     speed = np.abs(m.velocity)
-    limit = tolerance * speed / (width * dt) + _ACCELERATION_SIGMAS * m.acceleration_std
-    steady = (np.abs(m.acceleration) <= limit) & (speed > _RESOLVED * m.velocity_std) & (speed > 0.0)
+    limit = tolerance * speed / (width * dt) + RULES.acceleration_sigmas * m.acceleration_std
+    steady = (np.abs(m.acceleration) <= limit) & (speed > RULES.resolved_velocity * m.velocity_std) & (speed > 0.0)
     cut = width // 2
     spans = [(a + cut, b - cut) for a, b in _stretches(steady)]
     rows = [_settled(x, force, dt, span, shortest, tolerance) for span in spans]
@@ -362,7 +359,8 @@ def friction_runs(
     if not kept:
         raise InputError(
             f"no run of {shortest:g} s at steady velocity among {len(spans)} stretches (velocity is distinguished from "
-            f"zero above {_RESOLVED * m.velocity_std:.2g} m/s); run constant feeds for longer, or widen the window"
+            f"zero above {RULES.resolved_velocity * m.velocity_std:.2g} m/s); run constant feeds for longer, or "
+            "widen the window"
         )
     start = float(record["time"].values[0])
     return _table(kept, start, axis)

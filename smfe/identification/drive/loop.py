@@ -28,6 +28,7 @@ from scipy import ndimage
 from process.errors import InputError
 from process.labels import axis_present, label, sample_interval
 from process.types import Complex, Real
+from smfe.identification.drive.rules import RULES
 from smfe.identification.spectra.periods import (
     Period,
     error,
@@ -40,17 +41,6 @@ from smfe.identification.spectra.periods import (
 
 PAIRS = {"speed": ("reference_speed", "encoder_speed"), "position": ("reference_position", "encoder_position")}
 """Loop -> its setpoint and actual value. Positions are differenced, which removes the feed and cancels in T."""
-
-_WEAK = 1e-4
-"""Power of a line, of the strongest, below which it is not excited: -40 dB."""
-
-_NEIGHBOURS = 21
-_BAND = 2.0
-"""Directions are compared up to so many bandwidths."""
-
-_SURROUNDINGS = 101
-_STANDS_OUT = 10.0
-"""Gain over that of its surroundings from which a line beyond the bandwidth is named: 20 dB."""
 
 _SINGLE = (
     "one period a record: the standard deviation is read from how rough the response is from line to line, and "
@@ -150,7 +140,7 @@ class _Run:
 
     def excited(self) -> NDArray[np.bool_]:
         power = np.mean(np.abs(self.setpoint) ** 2, axis=1)
-        return np.asarray(power > _WEAK * power.max())
+        return np.asarray(power > RULES.weak_line * power.max())
 
 
 def _loop_of(record: xr.Dataset) -> tuple[str, str]:
@@ -217,7 +207,7 @@ def _response(runs: Sequence[_Run], lines: NDArray[np.intp]) -> tuple[Complex, R
     # Independent noise of variance s^2 has E |T_-1 - 2 T_0 + T_1|^2 = 6 s^2; the median of an exponential
     # distribution is ln 2 of its mean.
     bend = np.abs(np.diff(found, 2)) ** 2
-    level = ndimage.median_filter(bend, min(_NEIGHBOURS, bend.size), mode="nearest") / (6.0 * np.log(2.0))
+    level = ndimage.median_filter(bend, min(RULES.loop_neighbours, bend.size), mode="nearest") / (6.0 * np.log(2.0))
     return found, np.sqrt(np.pad(level, 1, mode="edge"))
 
 
@@ -231,7 +221,7 @@ def _row(one: xr.Dataset, feed: float, runs: Sequence[_Run]) -> dict[str, object
     bandwidth = _falls_below(f, 20.0 * np.log10(size), 20.0 * np.log10(np.sqrt(0.5)))
     slow = f <= 0.25 * bandwidth if np.isfinite(bandwidth) else f <= f[min(5, f.size - 1)]
     slow[:2] = True
-    shown = f <= _BAND * bandwidth if np.isfinite(bandwidth) else np.ones(f.size, bool)
+    shown = f <= RULES.compared_band * bandwidth if np.isfinite(bandwidth) else np.ones(f.size, bool)
     top = int(np.argmax(np.where(shown, size, 0.0)))
     first = runs[0]
     return {
@@ -258,14 +248,14 @@ def _row(one: xr.Dataset, feed: float, runs: Sequence[_Run]) -> dict[str, object
 def _resonance(f: Real, size: Real, beyond: NDArray[np.bool_]) -> dict[str, float]:
     """Return the line beyond the bandwidth that stands out most of its surroundings, where any does by 20 dB.
 
-    Surroundings are the median of the gain over `_SURROUNDINGS` lines. What a loop lets through so far up is a
+    Surroundings are the median of the gain over 101 lines. What a loop lets through so far up is a
     resonance, or the noise of one: its gain there says how much margin is left.
     """
     k = -1
-    if beyond.sum() > _SURROUNDINGS:
-        ratio = np.where(beyond, size / ndimage.median_filter(size, _SURROUNDINGS, mode="nearest"), 0.0)
+    if beyond.sum() > RULES.surroundings:
+        ratio = np.where(beyond, size / ndimage.median_filter(size, RULES.surroundings, mode="nearest"), 0.0)
         k = int(np.argmax(ratio))
-        k = k if ratio[k] >= _STANDS_OUT else -1
+        k = k if ratio[k] >= RULES.stands_out else -1
     return {
         "resonance_Hz": float(f[k]) if k >= 0 else float("nan"),
         "resonance_dB": 20.0 * float(np.log10(size[k])) if k >= 0 else float("nan"),
@@ -296,7 +286,7 @@ def _direction_notes(whole: xr.Dataset, table: pd.DataFrame, single: bool) -> li
     for a, b in combinations([float(v) for v in whole["feed"].values], 2):
         if not a < 0.0 < b or abs(a + b) > 0.05 * b:
             continue
-        end = _BAND * float(np.nanmean(table["bandwidth_Hz"]))
+        end = RULES.compared_band * float(np.nanmean(table["bandwidth_Hz"]))
         band = whole.sel(frequency=whole["frequency"] <= end) if np.isfinite(end) else whole
         one, other = (band["loop_response"].sel(feed=feed).values for feed in (a, b))
         power = float(np.sum(np.abs(0.5 * (one + other)) ** 2))

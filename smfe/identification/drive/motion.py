@@ -19,20 +19,8 @@ from scipy.interpolate import CubicSpline
 from process.errors import InputError
 from process.labels import AXES, axis_present, sample_interval
 from process.types import Real
+from smfe.identification.drive.rules import RULES
 from smfe.identification.spectra.low_pass import filtered, half_width, kernel
-
-WIDEST_BAND = 50.0
-"""Highest frequency [Hz] of the balance unless another is asked for: above, an axis is not rigid."""
-
-_NYQUIST_SHARE = 0.1
-_ACCELERATION_NOISE = 0.02  # largest share of encoder noise in the acceleration, root mean square
-_AT_REST = 0.002  # of the greatest speed
-_SPEED_SIGMAS = 6.0
-_CLEAR = 0.01  # weight of standstill in the low-pass
-_WIDER = 4.0  # band of the velocity that decides between motion and rest
-_EVERY = 0.3  # of a period of the band between two kept values
-_FINEST = 1e-9  # resolution of an encoder over its stroke
-_LEAST = 30
 
 
 class Trace(NamedTuple):
@@ -155,7 +143,7 @@ def encoder_noise(t: Trace, band: float, order: int) -> float:
     edge = min(math.ceil(half_width(wide) / t.step), rough.size // 3)
     inner = rough[edge : rough.size - edge]
     level = float(np.median(np.abs(inner))) / 0.6745 / math.sqrt(0.6)
-    level = max(level, float(np.std(inner)) * 1e-3, _FINEST * float(np.ptp(t.motion)))
+    level = max(level, float(np.std(inner)) * 1e-3, RULES.finest * float(np.ptp(t.motion)))
     reach = math.ceil(half_width(band) / t.step)
     times = t.step * np.arange(-reach, reach + 1.0)
     return level * float(np.linalg.norm(t.step * kernel(times, band, order - 1 if t.is_velocity else order)))
@@ -163,17 +151,17 @@ def encoder_noise(t: Trace, band: float, order: int) -> float:
 
 def band_of(traces: Sequence[Trace], highest: float | None) -> float:
     """Choose the highest frequency [Hz]: what the sampling allows, less where the encoder is too coarse."""
-    top = min(_NYQUIST_SHARE / t.step for t in traces)
+    top = min(RULES.band_share / t.step for t in traces)
     if highest is not None:
         if not 0.0 < highest <= 2.0 * top:
             raise InputError(f"a band up to {highest:g} Hz; records at this rate allow up to {2.0 * top:.4g} Hz")
         return highest
-    band = min(WIDEST_BAND, top)
+    band = min(RULES.widest_band, top)
     shortest = min(t.motion.size * t.step for t in traces)
     lowest = 4.0 * half_width(1.0) / shortest
     while band > 1.2 * lowest:
         signal = math.hypot(*(float(np.std(_derivative(t, band, 2))) for t in traces))
-        if math.hypot(*(encoder_noise(t, band, 2) for t in traces)) <= _ACCELERATION_NOISE * signal:
+        if math.hypot(*(encoder_noise(t, band, 2) for t in traces)) <= RULES.acceleration_noise * signal:
             break
         band /= 1.25
     if 2.2 * half_width(band) > shortest:
@@ -189,14 +177,14 @@ def balance_of(traces: Sequence[Trace], band: float) -> tuple[Balance, list[Kept
     parts, kept = [], []
     fastest = max(float(np.abs(_derivative(t, band, 1)).max()) for t in traces)
     for k, t in enumerate(traces):
-        wide = max(band, min(_WIDER * band, 0.2 / t.step))
+        wide = max(band, min(RULES.wider * band, 0.2 / t.step))
         rough = _derivative(t, wide, 1)
-        least = max(_AT_REST * fastest, _SPEED_SIGMAS * encoder_noise(t, wide, 1))
+        least = max(RULES.standstill * fastest, RULES.speed_sigmas * encoder_noise(t, wide, 1))
         ways = np.array([rough > least, rough < -least], dtype=float)
         resting = _within_reach(1.0 - ways[0] - ways[1], t.step, band)
         margin = math.ceil(half_width(band) / t.step)
-        at = np.arange(margin, t.motion.size - margin, max(1, int(_EVERY / (band * t.step))))
-        at = at[resting[at] < _CLEAR]
+        at = np.arange(margin, t.motion.size - margin, max(1, int(RULES.every / (band * t.step))))
+        at = at[resting[at] < RULES.standstill_weight]
         place = np.cumsum(t.motion) * t.step if t.is_velocity else t.motion - t.motion[0]
         acceleration = _derivative(t, band, 2)
         parts.append(
@@ -211,10 +199,10 @@ def balance_of(traces: Sequence[Trace], band: float) -> tuple[Balance, list[Kept
         )
         kept.append(Kept(t, rough, ways, at))
     joined = Balance(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
-    if joined.run.size < _LEAST:
+    if joined.run.size < RULES.least_values:
         raise InputError(
-            f"the axis moves for {joined.run.size} values in a band of {band:.3g} Hz; at least {_LEAST} are needed: "
-            "record a longer stroke, or raise the band with frequency_range"
+            f"the axis moves for {joined.run.size} values in a band of {band:.3g} Hz; at least {RULES.least_values} "
+            "are needed: record a longer stroke, or raise the band with frequency_range"
         )
     return joined, kept
 

@@ -19,16 +19,8 @@ from process.drive.axis import Drive
 from process.errors import InputError
 from process.labels import axis_present, label, sample_interval
 from process.types import Complex, Real
+from smfe.identification.drive.rules import RULES
 from smfe.identification.spectra.periods import error, noise_power, periods_of, response
-
-_EXCITED = 1e-3
-_NEIGHBOURS = 9
-_DIFFERENCE = 5
-_WIDE = 41
-_STOPPED, _SLOW = 0.01, 0.05  # share of the time, and of the feed, below which an axis counts as stopped
-
-LARGEST_MISFIT = 3.0
-"""Misfit above which `fit_open_loop` refuses: Eq. (2) is then not what was measured."""
 
 
 def open_loop_response(
@@ -99,7 +91,7 @@ def open_loop_response(
     f_p, x_p = (periods_of(samples, n)[: lines.size] for samples in (force, position))
     f_p = f_p * (np.sinc(frequency * hold) * np.exp(-1j * np.pi * frequency * hold))[:, None]
     f, x = f_p.mean(axis=1), x_p.mean(axis=1)
-    excited = np.abs(f) > _EXCITED * np.abs(f).max()
+    excited = np.abs(f) > RULES.excited * np.abs(f).max()
     used = excited & (frequency >= band[0]) & (frequency <= band[1])
     if not used.any():
         raise InputError(
@@ -109,7 +101,8 @@ def open_loop_response(
     frequency, f_p, x_p, f, x = frequency[used], f_p[used], x_p[used], f[used], x[used]
     h = response(x[:, None], f[:, None])
     scatter = noise_power(error(x_p, f_p, h)) / count
-    std = np.sqrt(ndimage.uniform_filter1d(scatter, min(_NEIGHBOURS, scatter.size), mode="nearest")) / np.abs(f)
+    width = min(RULES.open_loop_neighbours, scatter.size)
+    std = np.sqrt(ndimage.uniform_filter1d(scatter, width, mode="nearest")) / np.abs(f)
     distortion = _distortion(frequency, h, np.abs(f), std)
     cross = np.abs(np.sum(x_p * np.conj(f_p), axis=1)) ** 2
     coherence = cross / (np.sum(np.abs(x_p) ** 2, axis=1) * np.sum(np.abs(f_p) ** 2, axis=1))
@@ -124,28 +117,28 @@ def open_loop_response(
 
 def _distortion(frequency: Real, response: Complex, force: Real, noise: Real) -> Real:
     """Root mean square error of a response that repeats with the period [m/N]; zero where noise explains all."""
-    if frequency.size < 4 * _DIFFERENCE:
+    if frequency.size < 4 * RULES.difference:
         return np.zeros(frequency.size)
     square = (2.0 * np.pi * frequency) ** 2
-    places = np.lib.stride_tricks.sliding_window_view(frequency, _DIFFERENCE)
-    apart = places[:, :, None] - places[:, None, :] + np.eye(_DIFFERENCE)
+    places = np.lib.stride_tricks.sliding_window_view(frequency, RULES.difference)
+    apart = places[:, :, None] - places[:, None, :] + np.eye(RULES.difference)
     share = 1.0 / np.prod(apart / np.abs(apart).max(axis=(1, 2), keepdims=True), axis=2)
 
     def over(values: NDArray[Any]) -> NDArray[Any]:
-        return np.lib.stride_tricks.sliding_window_view(values, _DIFFERENCE)
+        return np.lib.stride_tricks.sliding_window_view(values, RULES.difference)
 
     left = np.abs(np.sum(share * over(square * response), axis=1)) ** 2
     unit = np.sum((share * over(square * np.abs(response) / force)) ** 2, axis=1)
     of_noise = np.sum((share * over(square * noise)) ** 2, axis=1) / unit
     # The median of an exponential distribution is ln 2 of its mean.
     of_all = left / unit / math.log(2.0)
-    independent = of_all.size / (0.5 * _DIFFERENCE)
+    independent = of_all.size / (0.5 * RULES.difference)
     excess = 1.0 + 3.0 / (math.log(2.0) * math.sqrt(independent))
     if not np.median(of_all / np.maximum(of_noise, 1e-300)) > excess:
         return np.zeros(frequency.size)
-    size = min(_WIDE, of_all.size)
+    size = min(RULES.distortion_lines, of_all.size)
     smooth = ndimage.median_filter(of_all, size, mode="nearest") - ndimage.median_filter(of_noise, size, mode="nearest")
-    at = np.clip(np.arange(frequency.size) - _DIFFERENCE // 2, 0, smooth.size - 1)
+    at = np.clip(np.arange(frequency.size) - RULES.difference // 2, 0, smooth.size - 1)
     return np.asarray(np.abs(response) / force * np.sqrt(np.maximum(smooth[at], 0.0)))
 
 
@@ -182,7 +175,7 @@ def _require_sliding(position: Real, feed: float, period: float, highest: float)
     spectrum = np.fft.rfft(position) * 2j * np.pi * frequency
     spectrum[(frequency > highest) | (frequency >= 0.4 * n / period)] = 0.0
     velocity = np.sign(feed) * (feed + np.fft.irfft(spectrum, n))
-    if np.quantile(velocity, _STOPPED) <= _SLOW * abs(feed):
+    if np.quantile(velocity, RULES.stopped) <= RULES.slow * abs(feed):
         raise InputError(
             f"the axis stops or turns round within each period: at a feed of {6e4 * abs(feed):.4g} mm/min the "
             f"excitation moves it by {6e4 * float(np.std(velocity)):.4g} mm/min (root mean square). Friction that "
@@ -229,8 +222,8 @@ def fit_open_loop(
     Least squares of ``(model - response)/std``, or of the complex ``ln(model/response)`` where no std is given: for
     noise in proportion to the response that is unbiased, which ``model/response - 1`` is not. Masses, stiffness and
     damping are fitted as logarithms, so they stay positive. The uncertainty is ``s^2 (J^T J)^-1`` with s^2 from the
-    residual, 2 n - 6 degrees of freedom. A misfit above `LARGEST_MISFIT` is refused, and so are masses or a stiffness
-    that the response does not determine.
+    residual, 2 n - 6 degrees of freedom. A misfit above `DriveRules.largest_misfit` is refused, and so are masses or a
+    stiffness that the response does not determine.
 
     Parameters
     ----------
@@ -289,12 +282,12 @@ def fit_open_loop(
 
 def _require_sound(fit: OpenLoopFit, frequency: Real, weighted: bool) -> None:
     """Refuse a fit that is not what was measured, or does not determine what it names."""
-    if weighted and not fit.misfit <= LARGEST_MISFIT:
+    if weighted and not fit.misfit <= RULES.largest_misfit:
         raise InputError(
             f"Eq. (2) misses the response by {fit.misfit:.3g} times its standard deviation (root mean square), more "
-            f"than {LARGEST_MISFIT:g}: the parameters would be wrong by more than they state. Either the axis has more "
-            "than two masses in the band (narrow it), or friction distorts the response (move the axis faster than it "
-            "vibrates, or excite it less), or the standard deviation is too small"
+            f"than {RULES.largest_misfit:g}: the parameters would be wrong by more than they state. Either the axis "
+            "has more than two masses in the band (narrow it), or friction distorts the response (move the axis faster "
+            "than it vibrates, or excite it less), or the standard deviation is too small"
         )
     anti_resonance = fit.drive.locked_frequency
     if not (frequency.min() <= anti_resonance <= frequency.max() and 1e-5 < fit.drive.locked_damping < 1.0):

@@ -48,24 +48,15 @@ from smfe.identification.drive.motion import (
     trace_of,
     which_drive,
 )
-from smfe.identification.drive.results import LEVEL, DriveFit, DriveParameter, Estimate, positive
+from smfe.identification.drive.results import DriveFit, DriveParameter, Estimate, positive
 from smfe.identification.drive.ripple import ripple_columns, waves_of
+from smfe.identification.drive.rules import RULES
 from smfe.identification.drive.stribeck import Allowed, Curve, Grid, allowed, drawn, grid_of, refined, speed_interval
 
 Name = tuple[str, str]
 Weights = dict[Name, float]
 
-_CLOCK = 0.05  # of a sample, to which the delay of a filter is known
-_HIDDEN = 0.3  # share of encoder noise in the acceleration that no friction explains
 _POSSIBLE = {"kg": (1e-2, 1e6), "kg m^2": (1e-8, 1e6)}
-_SEEN = 0.99  # probability of a Stribeck curve from which on it is stated
-_WIDEST = 4.0  # largest ratio of the ends of an interval of the Stribeck speed
-_RESOLVED = 1.5  # least Stribeck speed that is stated, over the slowest motion
-_LEAST_SPREAD = 0.01  # of static friction and Stribeck speed, as the law near rest is no better known
-_DRAWN = 48
-_STAGES = 3
-_SHOWN = 600
-_UNEXPLAINED = 0.3
 
 
 def identify_drive(
@@ -90,7 +81,7 @@ def identify_drive(
     known : tuple of (float, str), optional
         Moved "mass" [kg] or "inertia" [kg m^2], where it is known: it is then not fitted.
     highest : float, optional
-        Highest frequency of the balance [Hz]; default `motion.WIDEST_BAND`, or where the encoder's noise is
+        Highest frequency of the balance [Hz]; default `rules.DriveRules.widest_band`, or where the encoder's noise is
         2 % of the acceleration.
 
     Returns
@@ -193,7 +184,7 @@ def _fit(b: Balance, kept: Sequence[Kept], band: float, known: float | None) -> 
         pairs = _allowed(columns, target(delay), grids, size, extra, b)
         extra = _curves(grids, _best(pairs))[1]
     # What a coarse grid leaves looks like scatter: only finer ones say how well the curves are known.
-    for _ in range(_STAGES):
+    for _ in range(RULES.stages):
         grids = (
             refined(grids[0], _of_way(pairs.first, grids[0], pairs), kept, band, 0),
             refined(grids[1], _of_way(pairs.second, grids[1], pairs), kept, band, 1),
@@ -202,7 +193,7 @@ def _fit(b: Balance, kept: Sequence[Kept], band: float, known: float | None) -> 
             pairs = _allowed(columns, target(delay), grids, size, extra, b)
             extra = _curves(grids, _best(pairs))[1]
     force = target(delay)
-    at, shares = drawn(pairs.probability, _DRAWN)
+    at, shares = drawn(pairs.probability, RULES.drawn)
     power = float(np.sum(forces(delay) ** 2))
     components, timing, least, friction = list[_Component](), 0.0, math.inf, force
     for k, share in zip(at, shares, strict=True):
@@ -221,7 +212,7 @@ def _fit(b: Balance, kept: Sequence[Kept], band: float, known: float | None) -> 
             least = float(left @ left)
             sliding = [j for n, j in place.items() if n[0] != "inertia"]
             friction = left + whole[:, sliding] @ value[sliding]
-    spread = math.hypot(math.sqrt(timing), _CLOCK * kept[0].trace.step)
+    spread = math.hypot(math.sqrt(timing), RULES.time_base * kept[0].trace.step)
     return _Fit(
         tuple(components),
         Estimate.single(delay, spread, sum(c.share * c.degrees_of_freedom for c in components)),
@@ -320,7 +311,7 @@ def _edges(b: Balance, grid: Grid, way: int) -> tuple[float, float]:
     size = np.abs(b.velocity[way][b.share[way] > 0.5])
     if not size.size:
         return math.nan, math.nan
-    return max(_RESOLVED * float(np.quantile(size, 0.05)), 1.05 * grid.edges[0]), grid.edges[1]
+    return max(RULES.resolved_speed * float(np.quantile(size, 0.05)), 1.05 * grid.edges[0]), grid.edges[1]
 
 
 def _of_way(which: NDArray[np.int64], grid: Grid, pairs: Allowed) -> Real:
@@ -377,7 +368,7 @@ def _stribeck(f: _Fit, k: int, way: str, units: dict[str, str]) -> list[DrivePar
     """Return the rows of static friction and of the Stribeck speed, without values where no curve is seen."""
     speed, seen = f.speeds[k], f.seen[k]
     nothing = Estimate(math.nan, math.nan, 0.0, math.inf)
-    if speed is None or seen < _SEEN:
+    if speed is None or seen < RULES.curve_probability:
         why = "the record shows no Stribeck curve this way beyond its noise: move slower and from slow to fast"
         return [
             DriveParameter.of(name, way, nothing, unit, f"not determined; {why}")
@@ -385,12 +376,12 @@ def _stribeck(f: _Fit, k: int, way: str, units: dict[str, str]) -> list[DrivePar
         ]
     reason, note = "the record has too little slow motion", "limit at rest, beyond the slowest motion of the record"
     static = f.sum_of({("coulomb", way): 1.0, ("boost", way): 1.0}, curve_of=way)
-    static = static.widened(_LEAST_SPREAD * abs(static.value), f.degrees_of_freedom())
+    static = static.widened(RULES.least_spread * abs(static.value), f.degrees_of_freedom())
     rows = [positive("static", way, static, units["force"], reason, note)]
-    speed = speed.widened(_LEAST_SPREAD * speed.value, f.degrees_of_freedom())
+    speed = speed.widened(RULES.least_spread * speed.value, f.degrees_of_freedom())
     slowest, fastest = f.edges[k]
     unit = f"{units['motion']}/s"
-    if speed.low > slowest and speed.high < fastest / 1.05 and speed.high < _WIDEST * speed.low:
+    if speed.low > slowest and speed.high < fastest / 1.05 and speed.high < RULES.widest_interval * speed.low:
         rows.append(DriveParameter.of("stribeck_speed", way, speed, unit, "where the rise towards rest is 1/e"))
     else:
         text = "not determined; friction rises towards rest, but the record does not bound the speed at which it falls"
@@ -417,7 +408,7 @@ def _inertia(f: _Fit, unit: str) -> DriveParameter:
             "sign of drive force and encoder"
         )
     least, most = _POSSIBLE[unit]
-    if f.lost > _HIDDEN:
+    if f.lost > RULES.hidden:
         text = (
             "not determined; the steps of the encoder hide the acceleration: take a finer encoder, or record faster "
             "motion"
@@ -434,7 +425,7 @@ def _inertia(f: _Fit, unit: str) -> DriveParameter:
 
 def _friction(f: _Fit, b: Balance, traces: Sequence[Trace]) -> pd.DataFrame:
     """Return friction over velocity as the record has it, as its steady runs have it, and as it was identified."""
-    thin = np.s_[:: max(1, f.friction.size // _SHOWN)]
+    thin = np.s_[:: max(1, f.friction.size // RULES.shown)]
     velocity = b.velocity.sum(axis=0)
     motion = pd.DataFrame({"velocity": velocity[thin], "force": f.friction[thin]})
     inertia = f.fixed if f.fixed is not None else f.sum_of({("inertia", "both"): 1.0}).value
@@ -461,7 +452,7 @@ def _friction(f: _Fit, b: Balance, traces: Sequence[Trace]) -> pd.DataFrame:
 
 def _steady_points(traces: Sequence[Trace], inertia: float) -> pd.DataFrame:
     """Return a row for each stretch of constant velocity: velocity, mean force without inertia, its 95 % interval."""
-    reach = float(stats.norm.ppf(0.5 + 0.5 * LEVEL))
+    reach = float(stats.norm.ppf(0.5 + 0.5 * RULES.level))
     rows = []
     for t in traces:
         place = t.motion
@@ -486,7 +477,7 @@ def _notes(f: _Fit, b: Balance, units: dict[str, str]) -> list[str]:
     if f.waves:
         waves = ", ".join(f"{2.0 * math.pi / k:.3g} {units['motion']}" for k in f.waves)
         out.append(f"forces that repeat along the stroke were found and taken into account, period {waves}")
-    if f.remaining > _UNEXPLAINED:
+    if f.remaining > RULES.unexplained:
         out.append(
             f"inertia and friction explain the drive force but for {100.0 * f.remaining:.3g} % (root mean square, "
             f"over {length:.3g} {units['motion']}): something else acts, such as a flexible part or a cut"

@@ -9,9 +9,7 @@ import pandas as pd
 from scipy import optimize, special, stats
 
 from process.types import Real
-
-LEVEL = 0.95
-"""Probability of the intervals."""
+from smfe.identification.drive.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class Estimate:
     @classmethod
     def single(cls, value: float, std: float, degrees_of_freedom: float) -> Estimate:
         """Return the estimate of Student's distribution."""
-        reach = float(stats.t.ppf(0.5 + 0.5 * LEVEL, degrees_of_freedom)) * std
+        reach = float(stats.t.ppf(0.5 + 0.5 * RULES.level, degrees_of_freedom)) * std
         return cls(value, std, value - reach, value + reach)
 
     @classmethod
@@ -35,7 +33,7 @@ class Estimate:
         mean = float(share @ value)
         spread = math.sqrt(float(share @ (std**2 + (value - mean) ** 2)))
         ends = []
-        for tail in (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL):
+        for tail in (0.5 - 0.5 * RULES.level, 0.5 + 0.5 * RULES.level):
             each = value + stats.t.ppf(tail, degrees_of_freedom) * std
             least, most = float(each.min()), float(each.max())
             if most - least > 1e-9 * spread:
@@ -51,7 +49,7 @@ class Estimate:
         """Return the estimate with a further, independent error."""
         if std <= 0.0:
             return self
-        more = float(stats.t.ppf(0.5 + 0.5 * LEVEL, degrees_of_freedom)) * std
+        more = float(stats.t.ppf(0.5 + 0.5 * RULES.level, degrees_of_freedom)) * std
         down, up = math.hypot(self.value - self.low, more), math.hypot(self.high - self.value, more)
         return Estimate(self.value, math.hypot(self.std, std), self.value - down, self.value + up)
 

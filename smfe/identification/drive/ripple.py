@@ -15,18 +15,13 @@ from scipy import optimize, special, stats
 from process.types import Real
 from smfe.identification.drive.correlated_residual import independent_values
 from smfe.identification.drive.motion import Balance
-
-_MOST_WAVES = 3
-_FALSE = 1e-3
-_MOST_TRIED = 400
-_MOST_VALUES = 3000
-_ROLL = 8.0  # of the low-pass: its band over the width of its edge
+from smfe.identification.drive.rules import RULES
 
 
 def ripple_columns(b: Balance, wave: float, band: float) -> Real:
     """Return the columns of one wave number [1/m or 1/rad], low-passed as the force is, shape (n, 2 or 4)."""
     rate = np.abs(wave * b.velocity.sum(axis=0)) / (2.0 * math.pi)
-    width = band / _ROLL
+    width = band / RULES.roll
     passed = 0.5 * (special.erf((rate + band) / width) - special.erf((rate - band) / width))
     pair = passed[:, None] * np.column_stack([np.cos(wave * b.place), np.sin(wave * b.place)])
     way = b.share[0] - b.share[1]
@@ -36,17 +31,17 @@ def ripple_columns(b: Balance, wave: float, band: float) -> Real:
 
 def waves_of(b: Balance, columns: Real, force: Real, band: float) -> list[float]:
     """Find wave numbers that the balance of `columns` (n, p) and `force` (n,) misses beyond noise, largest first."""
-    stride = max(1, math.ceil(force.size / _MOST_VALUES))
+    stride = max(1, math.ceil(force.size / RULES.most_values))
     thin = b.thinned(stride)
     length = float(np.ptp(thin.place))
     slow = float(np.quantile(np.abs(thin.velocity.sum(axis=0)), 0.3))
-    highest = min(_MOST_TRIED, int(2.0 * length * band / max(slow, 1e-300)), force.size // stride // 4)
+    highest = min(RULES.most_tried, int(2.0 * length * band / max(slow, 1e-300)), force.size // stride // 4)
     if length <= 0.0 or highest < 2:
         return []
     tried = math.pi / length * np.arange(2.0, highest + 1.0)
     found: list[float] = []
     used, target = columns[::stride], force[::stride]
-    for _ in range(_MOST_WAVES):
+    for _ in range(RULES.most_waves):
         q = np.linalg.qr(used / np.maximum(np.sqrt(np.mean(used**2, axis=0)), 1e-300))[0]
         left = target - q @ (q.T @ target)
         power = float(left @ left)
@@ -60,7 +55,7 @@ def waves_of(b: Balance, columns: Real, force: Real, band: float) -> list[float]
         independent = independent_values(left, thin.run)
         gained = independent * math.log(power / max(float(near.fun), 1e-12 * power))
         added = ripple_columns(thin, float(near.x), band)
-        if stats.chi2.sf(gained, added.shape[1] + 1) > _FALSE / tried.size:
+        if stats.chi2.sf(gained, added.shape[1] + 1) > RULES.false_wave / tried.size:
             break
         found.append(float(near.x))
         used = np.hstack([used, added])

@@ -19,18 +19,8 @@ from scipy import special
 
 from process.types import Real
 from smfe.identification.drive.motion import Balance, Kept, fading
-from smfe.identification.drive.results import LEVEL, Estimate
-
-SHAPES = (1.0, 1.2, 1.4, 1.6, 1.8, 2.0)
-"""Exponents of the curve that are tried: 1 of Table 1 of Franco et al. 2024, 2 of Armstrong-Helouvry 1991."""
-
-_SPEEDS, _FINE = 18, 12
-_NARROW, _NEAR = 6.0, 1.5  # ratios of speeds: a range that a fine grid covers, and what is near the best one
-_CURVED = 0.5  # probability of a curve before the record
-_NEGLIGIBLE = 1e-4
-_RARE = 0.5  # probability of a curve below which it need not be known well
-_SLOWEST, _FASTEST = 0.004, 0.5  # of the fastest motion
-_FADED = 1e-3
+from smfe.identification.drive.results import Estimate
+from smfe.identification.drive.rules import RULES
 
 
 class Curve(NamedTuple):
@@ -57,8 +47,8 @@ def grid_of(b: Balance, kept: Sequence[Kept], band: float, way: int) -> Grid:
     size = np.abs(b.velocity[way][b.share[way] > 0.5])
     if not size.size:
         return Grid((), np.zeros((b.run.size, 0)), np.zeros(0), (math.nan, math.nan))
-    edges = _SLOWEST * float(size.max()), _FASTEST * float(size.max())
-    return _grid(kept, band, way, np.geomspace(*edges, _SPEEDS), edges, SHAPES[::5])
+    edges = RULES.slowest * float(size.max()), RULES.fastest * float(size.max())
+    return _grid(kept, band, way, np.geomspace(*edges, RULES.speeds), edges, RULES.shapes[::5])
 
 
 def _grid(
@@ -71,8 +61,8 @@ def _grid(
     curves = [Curve(float(v), d) for d in shapes for v in speeds]
     sign = 1.0 if way == 0 else -1.0
     columns = sign * np.column_stack([fading(kept, band, way, *curve) for curve in curves])
-    there = np.flatnonzero(np.abs(columns).max(axis=0) > _FADED)
-    prior = _CURVED * np.tile(_widths(speeds), len(shapes)) / math.log(edges[1] / edges[0]) / len(shapes)
+    there = np.flatnonzero(np.abs(columns).max(axis=0) > RULES.faded)
+    prior = RULES.curved * np.tile(_widths(speeds), len(shapes)) / math.log(edges[1] / edges[0]) / len(shapes)
     return Grid(tuple(curves[k] for k in there), columns[:, there], prior[there], edges)
 
 
@@ -89,17 +79,17 @@ def refined(grid: Grid, probability: Real, kept: Sequence[Kept], band: float, wa
     if speeds.size < 2:
         return grid
     weight = np.array([sum(p for p, c in zip(probability, grid.curves, strict=True) if c.speed == v) for v in speeds])
-    if not weight.sum() > _RARE:
+    if not weight.sum() > RULES.rare:
         return grid
-    there = np.flatnonzero(weight > _NEGLIGIBLE * weight.sum())
+    there = np.flatnonzero(weight > RULES.negligible * weight.sum())
     low, high = speeds[max(there[0] - 1, 0)], speeds[min(there[-1] + 1, speeds.size - 1)]
-    if high / low > _NARROW:
+    if high / low > RULES.narrow:
         best = speeds[int(np.argmax(weight))]
-        around = best * np.geomspace(1.0 / _NEAR, _NEAR, _FINE)
-        coarse = np.geomspace(low, high, _FINE)
+        around = best * np.geomspace(1.0 / RULES.near, RULES.near, RULES.fine_speeds)
+        coarse = np.geomspace(low, high, RULES.fine_speeds)
         fine = np.concatenate([coarse[(coarse < around[0]) | (coarse > around[-1])], around])
-        return _grid(kept, band, way, np.sort(fine), grid.edges, SHAPES)
-    return _grid(kept, band, way, np.geomspace(low, high, _FINE), grid.edges, SHAPES)
+        return _grid(kept, band, way, np.sort(fine), grid.edges, RULES.shapes)
+    return _grid(kept, band, way, np.geomspace(low, high, RULES.fine_speeds), grid.edges, RULES.shapes)
 
 
 class Allowed(NamedTuple):
@@ -134,7 +124,7 @@ def allowed(
     q = np.linalg.qr(columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300))[0]
     y, one, two = (x - q @ (q.T @ x) for x in (force, grids[0].columns, grids[1].columns))
     g, a, cross = [one.T @ y, two.T @ y], [np.sum(one**2, axis=0), np.sum(two**2, axis=0)], one.T @ two
-    prior = [np.log(np.concatenate([[1.0 - _CURVED], k.prior])) for k in grids]
+    prior = [np.log(np.concatenate([[1.0 - RULES.curved], k.prior])) for k in grids]
 
     def log_of(values: float) -> Real:
         power, degrees_of_freedom = float(y @ y), max(values - columns.shape[1] - 2, 2.0)
@@ -195,7 +185,7 @@ def speed_interval(curves: Sequence[Curve], probability: Real) -> Estimate:
     weight = np.array([probability[speed == v].sum() for v in values])
     edges = np.concatenate([[values[0]], np.sqrt(values[1:] * values[:-1]), [values[-1]]])
     below = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
-    tail = 0.5 * (1.0 - LEVEL)
+    tail = 0.5 * (1.0 - RULES.level)
     middle, low, high = np.exp(np.interp([0.5, tail, 1.0 - tail], below, np.log(edges)))
     spread = math.sqrt(float(weight @ (values - middle) ** 2 / weight.sum()))
     return Estimate(float(middle), spread, float(low), float(high))

@@ -26,18 +26,11 @@ from scipy import fft, ndimage
 from process.labels import AXES, axis_index, sample_interval
 from process.types import Complex, Real
 from smfe.identification.hammer.impacts import Hit
+from smfe.identification.hammer.rules import RULES
 from smfe.identification.spectra.spectra import block_spectra, motion_axes
 from smfe.identification.spectra.tones import NONE, Tones, alike, fit_tones, multiples
 
 Mask = NDArray[np.bool_]
-
-_CLEAR = 40.0  # power of a line over the noise round it: noise exceeds it in exp(-40) of the lines
-_NEIGHBOURS = 200  # lines over which that noise is a median
-_CONSTANT = 0.3  # largest relative change of a tone from the early to the late halves of the quiet spans
-ROUNDS = 3
-"""How often trend and tones are fitted again, each without the other."""
-
-_GUARD = 2e-3  # [s] before an onset that is not quiet any more
 
 
 @dataclass(frozen=True)
@@ -110,15 +103,15 @@ def remove_background(record: xr.Dataset, hits: Sequence[Hit], rules: Background
         if quiet.any():
             tones = _tones(samples - trend, quiet, late, dt, rules.most_tones)
         usual = quiet
-        for _ in range(ROUNDS):
+        for _ in range(RULES.background_rounds):
             # The trend again, without the tones that bent it; the tones without the bend; neither where more moves.
             trend = _trend(samples - tones.wave(count, dt), hits, usual, dt, order)
             usual = alike(samples - trend - tones.wave(count, dt), quiet, dt)
             more = multiples(tones, rules.most_tones - tones.frequency.size, 0.4 / dt)
             tones = fit_tones(samples - trend, usual, dt, [*tones.frequency, *more])
             # What was seen of a transient before it was left out is not there any more.
-            if not (tones.clear**2 > _CLEAR).all():
-                tones = fit_tones(samples - trend, usual, dt, list(tones.frequency[tones.clear**2 > _CLEAR]))
+            if not (tones.clear**2 > RULES.clear_tone).all():
+                tones = fit_tones(samples - trend, usual, dt, list(tones.frequency[tones.clear**2 > RULES.clear_tone]))
         wave = tones.wave(count, dt)
         trend = _trend(samples - wave, hits, usual, dt, order)
         cleaned = samples - wave - trend
@@ -151,7 +144,7 @@ def quiet_spans(hits: Sequence[Hit], count: int, dt: float, share: float = 0.5) 
     """
     quiet, late = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
     onsets = [hit.onset for hit in hits]
-    guard = int(_GUARD / dt) + 1
+    guard = int(RULES.guard / dt) + 1
     usual = float(np.median(np.diff(onsets))) if len(onsets) > 1 else float(count - onsets[0])
     ends = [*onsets[1:], min(count + guard, onsets[-1] + round(usual))]
     spans = [(0, onsets[0] - guard)]
@@ -167,7 +160,7 @@ def _trend(samples: Real, hits: Sequence[Hit], quiet: Mask, dt: float, order: in
     """Return the polynomial of each hit over its own stretch, fitted to the quiet samples on both sides of it."""
     onsets = [hit.onset for hit in hits]
     out = np.zeros(samples.size)
-    guard = int(_GUARD / dt) + 1
+    guard = int(RULES.guard / dt) + 1
     borders = [0, *(max(o - guard, 0) for o in onsets[1:]), samples.size]
     for number, (a, b) in enumerate(pairwise(borders)):
         # As much time before the hit as the quiet span before it is long: the later half of the last stretch.
@@ -192,13 +185,13 @@ def _tones(samples: Real, quiet: Mask, late: Mask, dt: float, most: int) -> Tone
         if found.frequency.size == most:
             break
         power = np.abs(fft.rfft(rest, length)) ** 2
-        floor = ndimage.median_filter(power, 2 * _NEIGHBOURS + 1, mode="nearest") / np.log(2.0)
+        floor = ndimage.median_filter(power, 2 * RULES.tone_neighbours + 1, mode="nearest") / np.log(2.0)
         ratio = power / np.where(floor > 0.0, floor, np.inf)
         ratio[frequency < 4.0 * line] = 0.0
         for f in refused:
             ratio[np.abs(frequency - f) < max(0.01 * f, 8.0 * line)] = 0.0
         top = int(np.argmax(ratio))
-        if ratio[top] < _CLEAR:
+        if ratio[top] < RULES.clear_tone:
             break
         # Alone first: its line may lie off by more than joint steps forgive.
         tone = _refined(np.where(quiet, rest, 0.0), usual, dt, float(frequency[top]))
@@ -260,7 +253,7 @@ def _goes_on(samples: Real, quiet: Mask, late: Mask, dt: float, frequencies: lis
     parts = [(quiet & ~late, quiet & late)]
     if spans.max() > 1:
         parts.append((quiet & (spans % 2 == 0), quiet & (spans % 2 == 1)))
-    limit = _CONSTANT if spans.max() > 1 else 0.3 * _CONSTANT
+    limit = RULES.constant_tone if spans.max() > 1 else 0.3 * RULES.constant_tone
     for first, second in parts:
         tones = [_amplitudes(samples, part, dt, frequencies)[-1] for part in (first, second)]
         one, two = (complex(cosine, -sine) for _, cosine, sine in tones)

@@ -16,17 +16,7 @@ from numpy.typing import NDArray
 
 from process.types import Complex, Real
 from smfe.identification.hammer.impacts import WRONG_DIRECTION, Hit
-
-_SAME_SHAPE = 0.6
-"""Least modal assurance criterion of two hits along one axis."""
-
-_SAME_SIZE = 2.0
-"""Largest ratio of their compliances."""
-
-_SAME_LEVEL = 2.5
-"""Largest ratio of their peak forces: with friction, a strong and a weak hit rightly differ."""
-
-_STRONG = 0.01  # power, of the strongest line: where the shape is compared
+from smfe.identification.hammer.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -90,7 +80,7 @@ def compared(one: Complex, other: Complex) -> tuple[float, complex]:
         return 0.0, complex("nan")
     a, b = one[both], other[both]
     power_a, power_b = np.abs(a) ** 2, np.abs(b) ** 2
-    strong = (power_a > _STRONG * power_a.max()) | (power_b > _STRONG * power_b.max())
+    strong = (power_a > RULES.strong_line * power_a.max()) | (power_b > RULES.strong_line * power_b.max())
     product = complex(np.vdot(b[strong], a[strong]))
     aa, bb = float(power_a[strong].sum()), float(power_b[strong].sum())
     if aa == 0.0 or bb == 0.0:
@@ -100,14 +90,14 @@ def compared(one: Complex, other: Complex) -> tuple[float, complex]:
 
 def _agree(one: Complex, other: Complex) -> bool:
     shape, gain = compared(one, other)
-    return shape >= _SAME_SHAPE and gain.real > 0.0 and 1.0 / _SAME_SIZE <= abs(gain) <= _SAME_SIZE
+    return shape >= RULES.same_shape and gain.real > 0.0 and 1.0 / RULES.same_size <= abs(gain) <= RULES.same_size
 
 
 def _outvoted(shapes: Complex, hits: Sequence[Hit]) -> tuple[list[int], str]:
     """Return the hits that disagree with most of those of their level, and what two hits leave open."""
     count = len(hits)
     level = np.abs([hit.peak_force for hit in hits])
-    near = np.maximum(level[:, None], level) <= _SAME_LEVEL * np.minimum(level[:, None], level)
+    near = np.maximum(level[:, None], level) <= RULES.same_level * np.minimum(level[:, None], level)
     near &= np.array([[bool(np.any(np.isfinite(a) & np.isfinite(b))) for b in shapes] for a in shapes])
     np.fill_diagonal(near, False)
     agree = np.array([[bool(near[i, j]) and _agree(shapes[i], shapes[j]) for j in range(count)] for i in range(count)])
@@ -119,7 +109,7 @@ def _outvoted(shapes: Complex, hits: Sequence[Hit]) -> tuple[list[int], str]:
         # Those it disagrees with must agree with each other: noise makes all hits disagree with all others.
         if peers[m] >= 2 and friends[m] < 0.5 * peers[m] and _united(agree, np.flatnonzero(near[m] & ~agree[m]))
     ]
-    if count == 2 and near[0, 1] and not agree[0, 1] and compared(shapes[0], shapes[1])[0] >= _SAME_SHAPE:
+    if count == 2 and near[0, 1] and not agree[0, 1] and compared(shapes[0], shapes[1])[0] >= RULES.same_shape:
         gain = compared(shapes[0], shapes[1])[1]
         return [], (
             f"its two hits have the same shape but a ratio of {gain.real:.2g}: one was made elsewhere or from the "
@@ -143,7 +133,7 @@ def _reason(axis: str, m: int, shapes: Mapping[str, Complex], faults: Mapping[tu
         if not good or shapes[other].shape[1] != own.size:
             continue
         shape, gain = compared(own, np.mean(shapes[other][good], axis=0))
-        if shape < _SAME_SHAPE:
+        if shape < RULES.same_shape:
             continue
         if gain.real < 0.0:
             return (
@@ -152,6 +142,6 @@ def _reason(axis: str, m: int, shapes: Mapping[str, Complex], faults: Mapping[tu
             )
         if other == axis:
             return f"{WRONG_DIRECTION}: it gives {abs(gain):.2g} times the compliance of the other hits along {axis}"
-        if 1.0 / _SAME_SIZE <= abs(gain) <= _SAME_SIZE:
+        if 1.0 / RULES.same_size <= abs(gain) <= RULES.same_size:
             return f"{WRONG_DIRECTION}: its response is that of a hit along {other} (gain {abs(gain):.2g})"
     return f"{WRONG_DIRECTION}: its response is not that of the other hits along {axis}"

@@ -47,8 +47,8 @@ from smfe.identification.hammer.impacts import (
     single_hits,
     usable_band,
 )
+from smfe.identification.hammer.rules import RULES
 from smfe.identification.hammer.windows import (
-    REACH,
     check_time_constant,
     exponential,
     laplace_factor,
@@ -302,7 +302,7 @@ def _gather_column(
     ordered = [h for i in order for h in hits if h.record == i]
     # The lines above the band, most of a record sampled fast, are not needed.
     top = max(high, plan.wanted[1] if plan.wanted else 0.0)
-    kept = slice(0, int(np.searchsorted(frequency, top)) + 2 * REACH + 2)
+    kept = slice(0, int(np.searchsorted(frequency, top)) + 2 * RULES.reach + 2)
     tone_error = join_records([b.tone_error[:shared][kept] for b in gathered])
     return _Gathered(ordered, gathered, frequency[kept], motion[kept], force[kept], noise, band, channel, tone_error)
 
@@ -333,7 +333,7 @@ def _average_column(column: _Gathered, plan: _Plan) -> _Column:
     averaged = average(column.motion, column.force, how.estimator, ratio)
     compliance, left_out = averaged.compliance, averaged.left_out
     if how.exponential_window is not None:
-        near = slice(0, int(np.searchsorted(f, column.band[1])) + REACH + 1)
+        near = slice(0, int(np.searchsorted(f, column.band[1])) + RULES.reach + 1)
         for values in (compliance, left_out):
             values[near] = without_window(values[near], f[near], how.exponential_window)
     deviation = deviations(averaged, compliance, left_out)

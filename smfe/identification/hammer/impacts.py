@@ -21,6 +21,7 @@ from scipy import fft, ndimage
 from process.errors import InputError
 from process.labels import AXES, sample_interval
 from process.types import Complex, Real
+from smfe.identification.hammer.rules import RULES
 from smfe.identification.spectra.spectra import force_samples, motion_axes, record_source
 
 FAULTS: tuple[str, ...] = ("overloaded", "double_hit", "direction")
@@ -30,8 +31,6 @@ WRONG_DIRECTION = "wrong direction"
 """How the reason of a hit begins that was made elsewhere than declared."""
 
 _MAD_TO_STD = 1.4826  # of Gaussian noise
-_BAND_DROP = 0.01  # -20 dB in power: where the force spectrum ends
-_OTHER_SIDE = 0.2  # share of the largest force from which a pulse of the other sign is a hit
 _ANTI_ALIAS = 2.56  # sampling rate over the highest frequency a usual converter passes
 
 
@@ -184,7 +183,7 @@ def find_hits(record: xr.Dataset, excitation: str, index: int = 0, rules: HitRul
 
 def _pulses(pulse: Real, threshold: float) -> tuple[NDArray[np.intp], NDArray[np.intp], Real]:
     """Return where pulses start and stop, and their sides: what rebounds is no hit from the other side."""
-    back = max(threshold, _OTHER_SIDE * float(pulse.max()))
+    back = max(threshold, RULES.other_side * float(pulse.max()))
     (starts, stops), (other_starts, other_stops) = runs(pulse > threshold), runs(-pulse > back)
     side = np.concatenate([np.ones(starts.size), -np.ones(other_starts.size)])
     starts, stops = np.concatenate([starts, other_starts]), np.concatenate([stops, other_stops])
@@ -394,7 +393,7 @@ def usable_band(frequency: Real, power: Real, noise: float = 0.0) -> tuple[float
     top = int(np.argmax(power))
     # Nine lines: signal and noise beat from line to line, and the first unlucky one must not end the band.
     smooth = ndimage.uniform_filter1d(power, 9, mode="nearest")
-    weak = (power < _BAND_DROP * power[top]) | (smooth < 10.0 * noise)
+    weak = (power < RULES.band_drop * power[top]) | (smooth < 10.0 * noise)
     above, below = np.flatnonzero(weak[top:]), np.flatnonzero(weak[:top])
     last = max(top + int(above[0]) - 1, 0) if above.size else frequency.size - 1
     first = int(below[-1]) + 1 if below.size else 0
@@ -440,12 +439,6 @@ def hit_table(hits: Sequence[Hit]) -> pd.DataFrame:
 
 # --- The hits behind a compliance, one by one: the force of each as it was recorded, and what each alone finds.
 
-LEAD = 2e-3
-"""Time before a hit is seen [s] from which its force is kept: it begins below the trigger."""
-
-CONTACT = 25e-3
-"""Time after that [s] over which it is kept; longer for hits that last longer."""
-
 
 def single_hits(
     records: Sequence[xr.Dataset],
@@ -479,8 +472,8 @@ def single_hits(
         [m/N]; attribute ``window_s``.
     """
     interval = min(sample_interval(records[h.record]) for h in hits)
-    lasting = max(CONTACT, 2.0 * max(h.duration for h in hits))
-    time = np.linspace(0.0, 1.0, round((LEAD + lasting) / interval) + 1)
+    lasting = max(RULES.contact, 2.0 * max(h.duration for h in hits))
+    time = np.linspace(0.0, 1.0, round((RULES.lead + lasting) / interval) + 1)
     time *= interval * (time.size - 1)
     recorded = np.isfinite(motion[0]).any(axis=1)
     rows = [axis for axis, there in zip(AXES, recorded, strict=True) if there]
@@ -497,8 +490,8 @@ def single_hits(
 
 
 def _contact(record: xr.Dataset, hit: Hit, time: Real) -> Real:
-    """Force of a hit [N] at times [s] from `LEAD` before it was seen; zero outside the record."""
+    """Force of a hit [N] at times [s] from 2 ms before it was detected; zero outside the record."""
     samples, interval = force_samples(record, hit.excitation), sample_interval(record)
     level, _, _ = quiet_state(samples)
-    first = hit.onset - LEAD / interval
+    first = hit.onset - RULES.lead / interval
     return np.interp(first + time / interval, np.arange(samples.size), samples - level, left=0.0, right=0.0)

@@ -28,9 +28,7 @@ import xarray as xr
 
 from process.labels import AXES, at_tool
 from smfe.comparison.peaks import find_peaks
-
-RELEVANT = 0.3
-"""Modes whose amplitude is above this share of the highest one are named where their levels differ."""
+from smfe.identification.hammer.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -84,5 +82,5 @@ def impact_level(compliance: xr.Dataset) -> ImpactLevel | None:
     if not found:
         return None
     amplitude, force, frequency, damping = max(found)
-    every = [level for size, level, *_ in found if size > RELEVANT * amplitude]
+    every = [level for size, level, *_ in found if size > RULES.relevant_mode * amplitude]
     return ImpactLevel(force, frequency, damping, min(every), max(every))

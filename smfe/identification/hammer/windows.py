@@ -14,17 +14,7 @@ from scipy import ndimage
 
 from process.errors import InputError
 from process.types import Complex, Real
-
-REACH = 5
-"""Lines to either side over which a compliance is a rational function."""
-
-POLES = 2
-"""Order of its denominator: two resonances may be near. Others bend the numerator."""
-
-BEND = 2
-"""Order of its numerator."""
-
-_ROUNDS = 3
+from smfe.identification.hammer.rules import RULES
 
 
 def exponential(length: int, onset: int, dt: float, tau: float) -> Real:
@@ -77,7 +67,7 @@ def laplace_factor(frequency: Real, tau: float, channel: str) -> Complex:
 def without_window(compliance: Complex, frequency: Real, tau: float) -> Complex:
     """Return compliances at ``j w`` from their values at ``1/tau + j w``.
 
-    Over ``2 REACH + 1`` lines round each line ``H(s0 + d) = (b0 + b1 d + b2 d^2)/(1 + a1 d + a2 d^2)`` is fitted
+    Over ``2 reach + 1`` lines round each line ``H(s0 + d) = (b0 + b1 d + b2 d^2)/(1 + a1 d + a2 d^2)`` is fitted
     (linearised, then weighted with the denominator found: Sanathanan and Koerner 1963; local rational models: McKelvey
     and Guerin 2012) and read at ``d = -1/tau``. One or two modes are exact, of more the rest bends little over 11
     lines. The damping removed is ``1/tau`` of every decay rate: ``zeta w_n`` falls by it.
@@ -96,15 +86,15 @@ def without_window(compliance: Complex, frequency: Real, tau: float) -> Complex:
     InputError
         When there are fewer lines than the fit needs.
     """
-    lines = 2 * REACH + 1
+    lines = 2 * RULES.reach + 1
     if frequency.size < lines:
         raise InputError(
             f"{frequency.size} lines; {lines} are needed to take the exponential window off: record longer blocks"
         )
     flat = compliance.reshape(frequency.size, -1)
-    start = np.clip(np.arange(frequency.size) - REACH, 0, frequency.size - lines)
+    start = np.clip(np.arange(frequency.size) - RULES.reach, 0, frequency.size - lines)
     used = start[:, None] + np.arange(lines)
-    scale = 2.0 * np.pi * REACH * float(frequency[1] - frequency[0])
+    scale = 2.0 * np.pi * RULES.reach * float(frequency[1] - frequency[0])
     shift = 2j * np.pi * (frequency[used] - frequency[:, None]) / scale
     at = -1.0 / (tau * scale)
     out = np.empty_like(flat)
@@ -120,20 +110,22 @@ def _continued(values: Complex, shift: Complex, at: float) -> Complex:
     size = np.abs(h).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, 1.0)
     h = h / size
-    powers = shift[..., None] ** np.arange(BEND + 1)
-    below = -h[..., None] * shift[..., None] ** np.arange(1, POLES + 1)
+    powers = shift[..., None] ** np.arange(RULES.bend + 1)
+    below = -h[..., None] * shift[..., None] ** np.arange(1, RULES.poles + 1)
     matrix = np.concatenate([powers, below], axis=2)
     weight = np.ones_like(size)
-    for _ in range(_ROUNDS):
+    for _ in range(RULES.window_rounds):
         a = matrix * weight[..., None]
         gram = a.conj().swapaxes(1, 2) @ a
         gram += 1e-13 * np.trace(gram, axis1=1, axis2=2).real[:, None, None] * np.eye(gram.shape[1])
         right = a.conj().swapaxes(1, 2) @ (h * weight)[..., None]
         found = np.linalg.solve(gram, right)[..., 0]
-        denominator = 1.0 + np.sum(found[:, None, BEND + 1 :] * shift[..., None] ** np.arange(1, POLES + 1), axis=2)
+        denominator = 1.0 + np.sum(
+            found[:, None, RULES.bend + 1 :] * shift[..., None] ** np.arange(1, RULES.poles + 1), axis=2
+        )
         weight = 1.0 / np.maximum(np.abs(denominator), 1e-6)
-    above = found[:, : BEND + 1] @ at ** np.arange(BEND + 1)
-    under = 1.0 + found[:, BEND + 1 :] @ at ** np.arange(1, POLES + 1)
+    above = found[:, : RULES.bend + 1] @ at ** np.arange(RULES.bend + 1)
+    under = 1.0 + found[:, RULES.bend + 1 :] @ at ** np.arange(1, RULES.poles + 1)
     return np.where(known, above / under * size[:, 0], np.nan)
 
 
