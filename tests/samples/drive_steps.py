@@ -10,8 +10,8 @@ from smfe.diagnosis.drive.balance import Channels, kind_of
 from smfe.diagnosis.drive.filters import motion
 from smfe.diagnosis.drive.noise import noise_draws
 from smfe.diagnosis.inference.fit import Target
+from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.search import Bench
 from smfe.progress import silent
 
 

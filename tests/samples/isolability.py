@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smfe.diagnosis.inference.detectable_effects import Detectable, cosines, detectable, groups
 from smfe.diagnosis.inference.fit import Fit, Target
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.signature import tangent
-from smfe.diagnosis.inference.thresholds import threshold
+from smfe.diagnosis.inference.signature import cosines, groups, tangent
+from smfe.diagnosis.inference.thresholds import Detectable, detectable, threshold
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,17 @@ from threadpoolctl import threadpool_limits
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.diagnosis.inference.cross_validation import Gain, compare, unseen
-from smfe.diagnosis.inference.detectable_effects import cosines, detectable, groups
 from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, Remainder, SearchStep, by_condition
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
+from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal, rank, revealing
 from smfe.diagnosis.inference.problem import Condition, Family
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.search import Bench, Step, search
-from smfe.diagnosis.inference.signature import inside
-from smfe.diagnosis.inference.thresholds import covariances_of_noise, parameters_of
+from smfe.diagnosis.inference.search import Step, search
+from smfe.diagnosis.inference.signature import cosines, groups, inside
+from smfe.diagnosis.inference.thresholds import charge, covariances_of_noise, detectable, parameters_of
 from smfe.diagnosis.inference.verdict import Judgement, judge
 from smfe.diagnosis.inference.workers import Helpers
 from smfe.progress import Progress, silent
@@ -193,9 +193,9 @@ def _held_out_gain(bench: Bench, at: Fit, data: Mapping[int, Real]) -> Gain | No
 
 def _unproven(bench: Bench, steps: Sequence[Step]) -> list[Fit]:
     """Return the best hypotheses that were refused for want of a condition that tests them; one alone with the null."""
-    refused = {s.causes: bench.fitted(s.causes) for s in steps if not s.accepted}
+    refused = {s.causes: bench.fits[s.causes] for s in steps if not s.accepted}
     kept: list[Fit] = []
-    for f in sorted(refused.values(), key=lambda f: f.chi2 + RULES.penalty * parameters_of(bench.model, f.causes)):
+    for f in sorted(refused.values(), key=lambda f: f.chi2 + charge(bench.model, f.causes)):
         # More of the same is not another hypothesis.
         if f.converged and not any(set(g.causes) & set(f.causes) for g in kept):
             kept.append(f)

@@ -11,11 +11,11 @@ import numpy as np
 
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain
-from smfe.diagnosis.inference.detectable_effects import Detectable
 from smfe.diagnosis.inference.fit import Fit, Target, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal
 from smfe.diagnosis.inference.rules import RULES
+from smfe.diagnosis.inference.thresholds import Detectable
 from smfe.diagnosis.inference.verdict import Verdict
 
 

@@ -16,11 +16,11 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy import stats
 
-from smfe.diagnosis.inference.detectable_effects import Detectable, detectable
 from smfe.diagnosis.inference.fit import Fit, Target, refit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import tangent
+from smfe.diagnosis.inference.thresholds import Detectable, detectable
 
 
 @dataclass(frozen=True)

@@ -143,3 +143,29 @@ def _secants(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> lis
             slope[r][:, j - mine[0]] = (np.asarray(after[r]) - np.asarray(before[r])) / step
         found.append(_signature(model, target, k, np.array([j]), at, slope, mine == j, basis))
     return found
+
+
+def cosines(model: Model, at: Tangent) -> Real:
+    """Return the cosine of the largest angle between the signatures of any two causes, the nearest of their shapes."""
+    found = np.zeros((len(model.causes), len(model.causes)))
+    bases = [(s.cause, orthonormal(s.columns)) for s in at.signatures]
+    for i, a in bases:
+        for j, b in bases:
+            if a.shape[1] == b.shape[1] > 0:
+                smallest = float(np.linalg.svd(a.T @ b, compute_uv=False).min())
+                found[i, j] = max(found[i, j], min(smallest, 1.0))
+    return found
+
+
+def groups(model: Model, cosine: Real) -> list[tuple[int, ...]]:
+    """Return causes that are linked by collinear signatures; variants of one cause alone are no group."""
+    linked = cosine > RULES.collinear
+    left, found = set(range(len(model.causes))), []
+    while left:
+        group = {left.pop()}
+        while more := {j for i in group for j in np.flatnonzero(linked[i]).tolist()} - group:
+            group |= more
+        left -= group
+        if len({model.causes[k].id for k in group}) > 1:
+            found.append(tuple(sorted(group)))
+    return sorted(found)

@@ -1,4 +1,4 @@
-"""Thresholds by parametric bootstrap on the linearised family: what noise alone makes of the largest statistic.
+"""Thresholds by parametric bootstrap on the linearised family, and the effects that they let be detected.
 
 Every draw is noise on the data and on the priors, projected off the nuisances; what it scores for a cause depends on it
 only through the products with the signatures, so that tens of thousands of draws of a few numbers each do. A cause that
@@ -16,6 +16,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special, stats
 
 from process.types import Real
 from smfe.diagnosis.inference.model import Model
@@ -65,12 +66,17 @@ def parameters_of(model: Model, causes: Sequence[int]) -> int:
     return sum(len(model.causes[k].parameters) for k in causes)
 
 
+def charge(model: Model, causes: Sequence[int]) -> float:
+    """Return what causes are charged for their parameters [chi-square]."""
+    return RULES.penalty * parameters_of(model, causes)
+
+
 def threshold(model: Model, at: Tangent, rng: np.random.Generator, p_value: float = RULES.false_alarm) -> float:
     """Return what the best ``gain - 2 parameters`` of any cause exceeds by noise alone with a probability."""
     best: dict[int, Real] = {}
     products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, RULES.draws)
     for s, product in zip(at.signatures, products, strict=True):
-        gain = score(model, [s]).gain(product) - RULES.penalty * parameters_of(model, [s.cause])
+        gain = score(model, [s]).gain(product) - charge(model, [s.cause])
         best[s.cause] = np.maximum(best[s.cause], gain) if s.cause in best else gain
     return upper(list(best.values()), p_value)
 
@@ -82,7 +88,7 @@ def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, p_value:
     for (i, a), (j, b) in combinations(enumerate(at.signatures), 2):
         if a.cause != b.cause:
             both = np.concatenate([products[i], products[j]], axis=1)
-            gain = score(model, [a, b]).gain(both) - RULES.penalty * parameters_of(model, [a.cause, b.cause])
+            gain = score(model, [a, b]).gain(both) - charge(model, [a.cause, b.cause])
             best[0] = np.maximum(best[0], gain) if best else gain
     return upper(list(best.values()), p_value)
 
@@ -130,3 +136,65 @@ def upper(best: Sequence[Real], p_value: float) -> float:
     if p_value >= RULES.tail or beyond.size == 0:
         return float(np.quantile(largest, 1.0 - p_value))
     return edge + float(np.mean(beyond)) * math.log(RULES.tail / p_value)
+
+
+# --- What size of each cause would have been seen: the other half of "nothing was found".
+# A cause of size s has the noncentrality s^2 g with g the square of its signature; seen with 95 % is the size at which
+# the noncentral distribution of the likelihood ratio lies above the threshold with that probability. Where the effect
+# has a shape (the speed of a Stribeck effect, the frequency of a mode), the least visible one counts.
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """Smallest size of one parameter of a cause that is seen with 95 %."""
+
+    cause: str
+    title: str
+    parameter: str
+    size: float  # change from the null, as shown; infinite where it has no effect in these conditions
+    proven_size: float
+    """The size that is named with 95 %: its gain on held-out conditions is three standard deviations as well."""
+    unit: str  # of the sizes
+    admissible: bool  # whether the parameter can get that large
+
+
+def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...]:
+    """Return the detectable size of each parameter of each cause that is not in the fit, at a limit of ``LR - 2 p``."""
+    found = []
+    for k, cause in enumerate(model.causes):
+        own = [s for s in at.signatures if s.cause == k]
+        if k in at.fit.causes:
+            continue
+        for j, parameter in zip(model.of_cause[k], cause.parameters, strict=True):
+            acting = [s for s in own if j in s.free]
+            if own and not acting:
+                continue
+            level = limit + charge(model, [k])
+            seen, proven = (
+                max((_size(model, s, int(j), x) for s in acting), default=math.inf)
+                for x in (level, max(level, RULES.proven))
+            )
+            unit = parameter.scale * parameter.shown
+            possible = bool(seen <= max(model.high[j], -model.low[j]))
+            found.append(
+                Detectable(cause.key, cause.title, parameter.name, seen * unit, proven * unit, parameter.unit, possible)
+            )
+    return tuple(found)
+
+
+def _size(model: Model, signature: Signature, j: int, level: float) -> float:
+    """Size of a scaled parameter whose likelihood ratio exceeds a level with 95 %."""
+    place = int(np.flatnonzero(signature.free == j)[0])
+    own = score(model, [signature])
+    square = float(signature.columns[:, place] @ signature.columns[:, place])
+    if square <= 0.0:
+        return math.inf
+    one_sided = bool(own.gram.shape[0] == 1 and not (own.up[0] and own.down[0]))
+    return math.sqrt(noncentrality(max(level, 1e-6), own.gram.shape[0], one_sided) / square)
+
+
+def noncentrality(level: float, degrees_of_freedom: int, one_sided: bool = False) -> float:
+    """Return the noncentrality with which a chi-square statistic exceeds a level with 95 %."""
+    if one_sided:
+        return (math.sqrt(level) + float(stats.norm.ppf(RULES.seen))) ** 2
+    return float(special.chndtrinc(level, degrees_of_freedom, 1.0 - RULES.seen))

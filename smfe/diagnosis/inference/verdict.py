@@ -9,7 +9,8 @@ describes must not decide between two.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -18,14 +19,15 @@ from scipy import stats
 
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain
-from smfe.diagnosis.inference.detectable_effects import Detectable
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
+from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.misfit import Misfit, carriers
+from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import discrimination
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.search import Bench, Step, fitted_misfit, on_bound, rivals
-from smfe.diagnosis.inference.signature import orthonormal
-from smfe.diagnosis.inference.thresholds import parameters_of, products_of_noise
+from smfe.diagnosis.inference.search import Step, on_bound, rivals
+from smfe.diagnosis.inference.signature import Tangent, inside, orthonormal
+from smfe.diagnosis.inference.thresholds import Detectable, parameters_of, products_of_noise, upper
 
 Verdict = Literal["consistent", "named", "ambiguous", "unknown", "insufficient_data"]
 
@@ -54,7 +56,7 @@ def judge(
         return _without_cause(bench, at, steps, sizes)
     gain = bench.gain(bench.null(), at)
     chosen = bench.usable(at, at.causes)
-    left = bench.held_out(at, chosen).misfit if chosen else fitted_misfit(bench, at)
+    left = bench.held_out(at, chosen).misfit if chosen else bench.misfit(at)
     how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
     best = bench.title(at.causes)
     sets = {k: found for k in at.causes if (found := _open(bench, at, k, left))}
@@ -73,7 +75,7 @@ def judge(
 def _without_cause(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable]) -> Judgement:
     if not at.converged:
         return Judgement("insufficient_data", f"the baseline could not be fitted: {at.reason}")
-    left = fitted_misfit(bench, at)
+    left = bench.misfit(at)
     # Noise finds more among all pairs, with their shapes, than the linearised threshold allows for, and so do smooth
     # errors of a simulation with a mode or a gain: what held-out conditions do not bear out convicts only where the
     # misfit itself is more than noise.
@@ -83,7 +85,7 @@ def _without_cause(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence
         reason = f"the baseline is wrong, but the best explanation, {refused.change[2:]}, is refused: {refused.reason}"
         # Enough is explained, but not proven on conditions that the fit did not see: more data, not another cause.
         weak = all(s.gain is None for s in telling) or (
-            fitted_misfit(bench, bench.fitted(refused.causes)).p_value >= RULES.band
+            bench.misfit(bench.fits[refused.causes]).p_value >= RULES.band
             and refused.gain is not None
             and refused.gain.db >= 1.0
         )
@@ -94,7 +96,7 @@ def _without_cause(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence
             bench, at
         )
         return Judgement("unknown", reason, {}, left, tuple(carriers(left)))
-    change = bench.changing(at)
+    change = changing(bench, at)
     if change is not None and change.certain:
         reason = f"{change.parameter} changes with {change.setting}, and no cause of the catalogue explains it"
         return Judgement("unknown", reason, {}, left)
@@ -110,7 +112,7 @@ def _borne_out(step: Step) -> bool:
 
 def _differing(bench: Bench, at: Fit) -> str:
     """Say which parameter of the baseline differs most between the conditions, a trace of what has no name."""
-    change = bench.changing(at)
+    change = changing(bench, at)
     if change is None or not change.certain:
         return ""
     return f"; what differs most between the conditions is {change.parameter}, with {change.setting}"
@@ -235,3 +237,75 @@ def _inverse(information: Real) -> Real:
 
 def _rank(information: Real) -> int:
     return int(np.linalg.matrix_rank(information, rtol=1e-8, hermitian=True))
+
+
+# --- Whether the parameters of a fit are the same in all conditions: what changes when a cause is not in the catalogue.
+
+
+@dataclass(frozen=True)
+class Change:
+    """The parameter that changes most."""
+
+    parameter: str  # what changes
+    setting: str  # with what
+    ratio: float  # likelihood ratio of letting it change
+    threshold: float  # what noise reaches
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is more than noise."""
+        return self.ratio > self.threshold
+
+
+def most_changing(
+    model: Model, at: Tangent, rng: np.random.Generator, p_value: float = RULES.changing
+) -> Change | None:
+    """Return the parameter that differs most between the conditions; None where no setting contrasts them."""
+    found = list(_patterns(model, at))
+    if not found:
+        return None
+    columns = [c for _, _, c in found]
+    inverses = [np.linalg.pinv(c.T @ c, rcond=1e-10, hermitian=True) for c in columns]
+    charges = [RULES.penalty * c.shape[1] for c in columns]
+    drawn = products_of_noise(model, at, columns, rng, RULES.draws)
+    scores = [np.einsum("di,ij,dj->d", p, inv, p) - q for p, inv, q in zip(drawn, inverses, charges, strict=True)]
+    limit = upper(scores, p_value)
+    gains = [float(at.residual @ c @ inv @ c.T @ at.residual) for c, inv in zip(columns, inverses, strict=True)]
+    k = int(np.argmax(np.array(gains) - charges))
+    return Change(found[k][0], found[k][1], gains[k], limit + charges[k])
+
+
+def changing(bench: Bench, at: Fit) -> Change | None:
+    """Return the parameter of a fit that differs most between its conditions."""
+    return most_changing(bench.model, bench.tangent(at), bench.rng(7, len(at.causes)))
+
+
+def _patterns(model: Model, at: Tangent) -> Iterator[tuple[str, str, Real]]:
+    """Yield parameter, setting and columns (N, m) of every change that a fit does not imitate."""
+    fit = at.fit
+    rows = list(fit.residual)
+    moving = inside(model, fit)
+    lost = at.basis.shape[0] - sum(fit.residual[r].size for r in rows)
+    for key in sorted({key for r in rows for key in model.conditions[r].settings}):
+        contrast = _contrast([model.conditions[r].settings.get(key) for r in rows])
+        for place, j in enumerate(fit.free):
+            if contrast is None or not moving[place]:
+                continue
+            data = np.concatenate([np.outer(fit.slope[r][:, place], s) for r, s in zip(rows, contrast, strict=True)])
+            columns = np.concatenate([data, np.zeros((lost, data.shape[1]))])
+            before = np.linalg.norm(columns, axis=0)
+            columns -= at.basis @ (at.basis.T @ columns)
+            seen = np.linalg.norm(columns, axis=0) > np.maximum(RULES.confounded * before, 1e-12)
+            if seen.any():
+                yield model.names[int(j)], key, columns[:, seen] / before[seen]
+
+
+def _contrast(settings: Sequence[float | str | None]) -> Real | None:
+    """Return numbers for the settings of the conditions, (conditions, m): a slope, or one column for each word."""
+    if any(s is None for s in settings) or len(set(settings)) < 2:
+        return None
+    if all(isinstance(s, (int, float)) for s in settings):
+        x = np.array(settings, dtype=float)
+        return ((x - x.mean()) / x.std())[:, None] if math.isfinite(float(x.std())) else None
+    words = sorted({str(s) for s in settings})[: RULES.most_words + 1]
+    return np.array([[float(str(s) == w) for w in words[1:]] for s in settings])

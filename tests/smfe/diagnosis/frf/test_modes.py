@@ -32,10 +32,10 @@ from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import Excited
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.fit import Target
+from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.search import Bench
 
 BARE = Hidden(cable=0.0)
 GAIN = "sensor_gain/force"

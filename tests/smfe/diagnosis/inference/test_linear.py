@@ -11,19 +11,18 @@ from scipy.optimize import lsq_linear, nnls
 
 from process.errors import InputError
 from smfe.diagnosis.inference.cross_validation import HeldOut, compare, schemes
-from smfe.diagnosis.inference.detectable_effects import noncentrality
 from smfe.diagnosis.inference.diagnose import deviations, diagnose, estimates
 from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, explain
 from smfe.diagnosis.inference.fit import Target, bounded_step, fit, nearest
+from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.misfit import Misfit, NoiseKnowledge, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import probability_to_settle
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.search import Bench, fitted_misfit, most_changing
 from smfe.diagnosis.inference.signature import tangent
-from smfe.diagnosis.inference.thresholds import Score, threshold
-from smfe.diagnosis.inference.verdict import Judgement
+from smfe.diagnosis.inference.thresholds import Score, noncentrality, threshold
+from smfe.diagnosis.inference.verdict import Judgement, changing, most_changing
 from smfe.progress import silent
 
 N = 24
@@ -593,8 +592,8 @@ def test_noise_alone_is_beyond_the_threshold_as_often_as_it_should(alarms, draws
 def test_an_offset_that_creeps_is_unknown_though_no_condition_shows_it():
     family = measured(CREEPING, {"creep": 0.04}, 3)
     b = bench(family)
-    assert fitted_misfit(b, b.null()).p_value > 0.002
-    found = b.changing(b.null())
+    assert b.misfit(b.null()).p_value > 0.002
+    found = changing(b, b.null())
     assert (found.parameter, found.setting) == ("offset", "order")
     # 0.04^2 times 24 values times the sum of (order - 11.5)^2, which nothing else imitates.
     size = 0.04 * sqrt(N * 1150.0)
@@ -627,8 +626,8 @@ def test_words_are_told_apart_and_one_value_contrasts_nothing():
         effects={"softer": lambda s: (s["controller"] == "soft") * BASIS[1]},
     )
     b = bench(measured(named, {"softer": 3.0}, 0))
-    found = b.changing(b.null())
+    found = changing(b, b.null())
     assert (found.parameter, found.setting, found.certain) == ("slope", "controller", True)
     alone = replace(named, conditions=tuple(replace(c, settings={"feed": 1.0}) for c in named.conditions))
     b = bench(measured(replace(alone, effects={}), {}, 0))
-    assert b.changing(b.null()) is None
+    assert changing(b, b.null()) is None

@@ -13,11 +13,10 @@ from process.errors import InputError
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.finding import Finding, explain
 from smfe.diagnosis.inference.fit import Target
+from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
-from smfe.diagnosis.inference.search import Bench
 from smfe.diagnosis.inference.thresholds import threshold
-from smfe.diagnosis.inference.verdict import fitted_misfit
 from smfe.progress import silent
 
 FREQUENCY = np.linspace(20.0, 80.0, 60)
@@ -140,7 +139,7 @@ def test_what_the_baseline_leaves_of_noise_looks_like_noise(draws):
         family = measured(Oscillator(design(seed, 12)), {}, seed)
         model = Model(family, family.conditions)
         bench = Bench(model, Target(dict(enumerate(c.observed for c in family.conditions)), model.null()), 0, silent)
-        p_values.append(fitted_misfit(bench, bench.null()).p_value)
+        p_values.append(bench.misfit(bench.null()).p_value)
     for share in (0.3, 0.1, 0.02):
         assert np.mean(np.array(p_values) < share) <= share + 2.6 * math.sqrt(share / draws)
 

@@ -1,0 +1,296 @@
+"""Fits, linearisations and held-out predictions of hypotheses (sets of causes), each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+
+from process.types import Real
+from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable, within
+from smfe.diagnosis.inference.fit import (
+    Fit,
+    Target,
+    approach,
+    fit,
+    misfit,
+    nearest,
+    residuals,
+    roughly,
+    tolerance,
+)
+from smfe.diagnosis.inference.misfit import Misfit, assess
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.rules import RULES
+from smfe.diagnosis.inference.signature import Signature, Tangent, tangent
+from smfe.diagnosis.inference.thresholds import combined_gain, threshold
+from smfe.progress import Progress
+
+
+@dataclass
+class Bench:
+    """All hypotheses about one set of data."""
+
+    model: Model  # what predicts
+    target: Target  # the data
+    seed: int  # of all draws
+    progress: Progress  # called with what is being fitted
+    unconverged: dict[str, str] = field(default_factory=dict)  # hypothesis -> why its fit is not used
+    known: Mapping[tuple[int, ...], Fit] = field(default_factory=dict)
+    """Hypothesis -> its fit to nearly the same data, to start from."""
+    fits: dict[tuple[int, ...], Fit] = field(default_factory=dict)  # hypothesis -> its best fit so far
+    _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
+    _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
+    _held_out: dict[tuple[tuple[int, ...], tuple[Scheme, ...]], HeldOut] = field(default_factory=dict)
+
+    def rng(self, *purpose: int) -> np.random.Generator:
+        """Return a generator that depends on the seed and the purpose only."""
+        return np.random.default_rng([self.seed, *purpose])
+
+    def title(self, causes: Sequence[int]) -> str:
+        """Return the keys of a hypothesis."""
+        return " + ".join(self.model.causes[k].key for k in causes) or "baseline"
+
+    # --- Fits of a hypothesis.
+
+    def null(self) -> Fit:
+        """Fit the baseline: from its most likely nuisances and, where that does not converge, from others."""
+        if () not in self.fits:
+            near = self.known.get(())
+            start, slope = (roughly(self.model, self.target), None) if near is None else (near.u, near.slope)
+            found = fit(self.model, self.target, (), start, slope)
+            rng, mine = self.rng(0), self.model.nuisance
+            width = np.minimum(1.0 / np.maximum(self.model.weight, 1.0), 1.0)
+            for _ in range(4):
+                if found.converged:
+                    break
+                start = self.model.null()
+                start[mine] += width[mine] * rng.standard_normal(mine.size)
+                again = fit(self.model, self.target, (), start)
+                found = again if again.converged or again.chi2 < found.chi2 else found
+            self._keep(found)
+        return self.fits[()]
+
+    def extend(self, at: Fit, added: Sequence[int], most: float = np.inf) -> Fit:
+        """Fit a hypothesis that has causes more, from all its starts; the best that converged.
+
+        One that will not come below `most`, the largest misfit that would matter, is not followed to its optimum.
+        """
+        causes = tuple(sorted({*at.causes, *added}))
+        if causes in self.fits:
+            return self.fits[causes]
+        self.progress(f"fitting {self.title(causes)}", len(self.fits), len(self.fits) + 1)
+        if causes in self.known:
+            again = self._follow(causes, self.known[causes].u, self.known[causes].slope, most)
+            if again.converged:
+                return self._keep(again)
+        return self._keep(nearest(self.model, self.target, self._extended(at, causes, added, most), added))
+
+    def reduce(self, at: Fit, dropped: int) -> Fit:
+        """Fit a hypothesis that has a cause less, from the nuisances of the larger one as well."""
+        causes = tuple(k for k in at.causes if k != dropped)
+        start = at.u.copy()
+        start[self.model.of_cause[dropped]] = 0.0
+        kept = np.isin(at.free, self.model.free(causes))
+        return self._keep(fit(self.model, self.target, causes, start, {r: x[:, kept] for r, x in at.slope.items()}))
+
+    def confirmed(self, found: Fit) -> Fit:
+        """Fit a hypothesis with its own slopes."""
+        return self._keep(fit(self.model, self.target, found.causes, found.u)) if found.provisional else found
+
+    def _keep(self, found: Fit) -> Fit:
+        """Keep the best fit of a hypothesis: what has converged goes first, then what is better than is known."""
+        old = self.fits.get(found.causes)
+        better = old is None or old.provisional or (found.converged and not old.converged)
+        if old is not None and not better and found.converged == old.converged:
+            better = found.chi2 < old.chi2 - (tolerance(self.target, old.chi2) if found.converged else 0.0)
+        if better:
+            self.fits[found.causes] = found
+            self._tangents.pop(found.causes, None)
+            self._thresholds.pop(found.causes, None)
+            self._held_out = {key: value for key, value in self._held_out.items() if key[0] != found.causes}
+            if found.converged:
+                self.unconverged.pop(self.title(found.causes), None)
+            else:
+                self.unconverged[self.title(found.causes)] = found.reason
+        return self.fits[found.causes]
+
+    def _extended(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit:
+        """Fit a hypothesis that has causes more, from all its starts."""
+        shapes = list(product(*([s for s in self.tangent(at).signatures if s.cause == k] for k in added)))
+        gains = [combined_gain(self.model, self.tangent(at), s) for s in shapes]
+        explained = self.explained(at)
+        thorough = self.far(added) and self.bad(at) and most > explained
+        found: list[Fit] = []
+        for n in sorted(range(len(gains)), key=lambda n: -gains[n])[: RULES.shapes]:
+            near = self._near(at, causes, shapes[n], most)
+            found.append(near)
+            linear = near.converged and abs(at.chi2 - near.chi2 - gains[n]) < RULES.nonlinear * gains[n] + 1.0
+            if linear and not thorough:
+                return min(found, key=_order)
+            if near.converged and near.chi2 <= explained < at.chi2:
+                break
+        first = min(found, key=_order, default=None)
+        if first is not None and first.converged:
+            if not self.far(added):
+                return first
+            if first.chi2 <= explained < at.chi2:
+                # It has explained what there was: others must do better still.
+                thorough, most = False, min(most, first.chi2)
+        # Slopes from elsewhere lead a far start astray: an exchange of axes is worse than none before all else is
+        # fitted anew. What a cause names is followed with its own slopes where something is wrong or it explains much
+        # as it stands, the most hopeful of the others where it may matter.
+        known = {} if first is None else first.slope
+        trials = []
+        for u in self._starts(at, causes, added, thorough):
+            own = thorough or self._misfit(u) < RULES.halfway * at.chi2
+            trials.append(self._tried(causes, u, {} if own else known))
+        trials += [self._tried(causes, u, known) for u in self._either_way(at, added, first)]
+        best = min(trials, key=lambda f: f.chi2, default=None)
+        if best is not None and best.provisional:
+            gained, needed = at.chi2 - best.chi2, at.chi2 - most
+            hopeful = not best.converged and gained + RULES.optimism * best.promised > needed
+            if gained > 0.0 and (hopeful or (most > explained and RULES.part * needed < gained < needed)):
+                trials.append(fit(self.model, self.target, causes, best.u))
+        return min([*found, *trials], key=_order)
+
+    def _near(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature], most: float) -> Fit:
+        """Fit from a linearisation: its first step is the one of the linearised score."""
+        start = at.u.copy()
+        for s in signatures:
+            start[self.model.of_cause[s.cause]] = s.u[self.model.of_cause[s.cause]]
+        slope: dict[int, Real] = {}
+        for r, y in self.target.observed.items():
+            columns = dict(zip(at.free.tolist(), at.slope[r].T, strict=True))
+            for s in signatures:
+                columns.update(zip(self.model.of_cause[s.cause].tolist(), s.slope[r].T, strict=True))
+            free = self.model.free(causes).tolist()
+            slope[r] = np.stack([columns[j] for j in free], axis=1) if free else np.zeros((y.size, 0))
+        return self._follow(causes, start, slope, most)
+
+    def _follow(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real], most: float) -> Fit:
+        """Fit with given slopes, and with its own where these do not lead to the end and it may come below `most`."""
+        near = approach(self.model, self.target, causes, start, slope, most)
+        if near is None:
+            return fit(self.model, self.target, causes, start)
+        return near if near.converged else fit(self.model, self.target, causes, near.u, near.slope)
+
+    def _tried(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real]) -> Fit:
+        """Fit from a start with slopes from elsewhere, where there are any."""
+        found = approach(self.model, self.target, causes, start, slope) if slope else None
+        return fit(self.model, self.target, causes, start) if found is None else found
+
+    def _starts(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], thorough: bool) -> list[Real]:
+        """Return the starts that causes name because they act far from their null, without those that lead astray.
+
+        Of a thorough search the best: of many conditions the best that fits to a part of them, or the starts, give.
+        """
+        found: list[Real] = []
+        for k in added:
+            mine = self.model.of_cause[k]
+            for given in self.model.causes[k].starts:
+                # Where the baseline is far off its nuisances have gone astray with it.
+                both = [at.u.copy(), np.where(np.isin(np.arange(at.u.size), self.model.nuisance), 0.0, at.u)]
+                for start in both:
+                    start[mine] = (np.array(given, dtype=float) - self.model.start[mine]) / self.model.scale[mine]
+                found.append(min(both, key=self._misfit))
+        if not thorough:
+            return [u for u in found if self._misfit(u) < RULES.astray * at.chi2]
+        found = sorted(found, key=self._misfit)[: RULES.named_starts]
+        if len(self.target.observed) < RULES.several:
+            return found
+        part = self.target.only(list(self.target.observed)[:: RULES.several // 2])
+        near = [fit(self.model, part, causes, u).u for u in found]
+        return sorted([*near, *found], key=self._misfit)[:1]
+
+    def _either_way(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
+        """Return starts one scale either way, or on the other side of the best."""
+        found: list[Real] = []
+        for k, sign in product(added, (1.0, -1.0)):
+            mine = self.model.of_cause[k]
+            start = (at.u if best is None else best.u).copy()
+            moved = sign if best is None else -sign * best.u[mine]
+            start[mine] = np.clip(moved, self.model.low[mine], self.model.high[mine])
+            found.append(start)
+        near = [u for u in found if self._misfit(u) < RULES.astray * at.chi2]
+        return near if best is None else [u for u in near if not np.array_equal(u, best.u)]
+
+    def _misfit(self, u: Real) -> float:
+        return misfit(self.model, self.target, self.model.nuisance, u, residuals(self.model, self.target, u))
+
+    # --- What a fit leaves, and what could be added to it.
+
+    def tangent(self, at: Fit) -> Tangent:
+        """Return the linearisation of a fit."""
+        if at.causes not in self._tangents:
+            self._tangents[at.causes] = tangent(self.model, self.target, at)
+            for k in self._tangents[at.causes].silent:
+                self.unconverged.setdefault(self.model.causes[k].key, f"no prediction ({self.model.trouble})")
+        return self._tangents[at.causes]
+
+    def threshold(self, at: Fit) -> float:
+        """Return what noise alone reaches with the best further cause."""
+        if at.causes not in self._thresholds:
+            self._thresholds[at.causes] = threshold(self.model, self.tangent(at), self.rng(1, len(at.causes)))
+        return self._thresholds[at.causes]
+
+    def misfit(self, at: Fit) -> Misfit:
+        """Test the residuals of a fit on the data it was fitted to."""
+        basis, ends = self.tangent(at).basis, np.cumsum([r.size for r in at.residual.values()])
+        parts = np.split(basis[: ends[-1]], ends[:-1])
+        groups = [(at.residual, dict(zip(at.residual, parts, strict=True)))]
+        return assess(groups, True, self.model.noise_knowledge)
+
+    def bad(self, at: Fit) -> bool:
+        """Whether a fit leaves more than noise: then a cause is looked for far from its null too."""
+        return self.misfit(at).p_value < RULES.band
+
+    def far(self, added: Sequence[int]) -> bool:
+        """Whether some causes may act far from their null only."""
+        return any(self.model.causes[k].starts for k in added)
+
+    def explained(self, at: Fit) -> float:
+        """Misfit from which on what a fit leaves counts as explained: what noise hardly exceeds, and a little of it."""
+        values = float(sum(y.size for y in self.target.observed.values()))
+        return values + 4.0 * float(np.sqrt(2.0 * values)) + RULES.little * max(at.chi2 - values, 0.0)
+
+    def first_order(self, at: Fit, causes: Sequence[int]) -> float:
+        """Likelihood ratio of more causes as the linearisation has it: the best over their shapes."""
+        here = self.tangent(at)
+        shapes = product(*([s for s in here.signatures if s.cause == k] for k in causes))
+        return max((combined_gain(self.model, here, s) for s in shapes), default=0.0)
+
+    # --- What a fit predicts of conditions that it was not fitted to.
+
+    def usable(self, at: Fit, causes: Sequence[int]) -> tuple[Scheme, ...]:
+        """Return the ways to hold conditions out that test some causes of a fit."""
+        return tuple(usable(self.model, self.target, at, causes))
+
+    def held_out(self, at: Fit, chosen: tuple[Scheme, ...]) -> HeldOut:
+        """Predict held-out conditions."""
+        key = (at.causes, chosen)
+        if key not in self._held_out:
+            self.progress(f"holding conditions out of {self.title(at.causes)}", len(self._held_out), 0)
+            self._held_out[key] = held_out(self.model, self.target, at, chosen)
+        return self._held_out[key]
+
+    def gain(self, smaller: Fit, larger: Fit) -> Gain | None:
+        """Gain of a larger hypothesis on conditions held out, or on blocks of values where none can be.
+
+        None where there are too few values, or the larger did not converge.
+        """
+        chosen = self.usable(larger, [k for k in larger.causes if k not in smaller.causes])
+        before, after = (
+            self.held_out(f, chosen) if chosen else within(self.model, self.target, f) for f in (smaller, larger)
+        )
+        if before is None or after is None or not after.trusted:
+            return None
+        found = compare(before, after, self.rng(2, len(larger.causes)))
+        return found if chosen else replace(found, held_out="blocks of values")
+
+
+def _order(found: Fit) -> tuple[bool, float]:
+    """What has converged first, then the least misfit."""
+    return not found.converged, found.chi2
