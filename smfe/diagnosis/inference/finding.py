@@ -174,81 +174,81 @@ def _plain(x: Any) -> Any:
     return x
 
 
-def explain(finding: Finding) -> str:
-    """Say a finding in plain sentences, one a line."""
-    opening = _PARTLY if finding.verdict == "unknown" and finding.causes else _OPENING[finding.verdict]
-    parts = [f"{opening}: {finding.reason}.", *_misfit(finding), *_own(finding.baseline)]
-    parts += [_cause(c) for c in finding.causes]
-    parts += [f"The data do not separate: {', '.join(c.title for c in s)}." for s in finding.alternatives]
-    parts += _gains(finding)
-    parts += [_force_error(e) for e in finding.force_error]
-    for where in dict.fromkeys(row.where for row in finding.stable_depth):
-        parts += _stable_depth([row for row in finding.stable_depth if row.where == where])
-    parts += _remainder(finding)
-    if finding.next_experiment is not None:
-        parts.append(_next(finding.next_experiment))
-    elif finding.verdict == "ambiguous":
-        parts.append("None of the proposed experiments would settle it.")
-    if finding.verdict == "consistent":
-        parts += _detectable(finding.detectable)
-    parts += [f"Not used as evidence: {name}: {why}." for name, why in finding.unconverged]
-    return "\n".join(parts)
-
-
 _OPENING = {
     "consistent": "The data are consistent with the baseline",
     "named": "The baseline leaves something out",
     "ambiguous": "The baseline leaves something out, and it remains open what",
     "unknown": "The baseline is wrong for a reason that the catalogue does not hold",
     "insufficient_data": "The data do not suffice for a verdict",
+    "part": "Part of what the baseline leaves out is found, part of it remains unknown",
 }
 
-_PARTLY = "Part of what the baseline leaves out is found, part of it remains unknown"
 
-
-def _misfit(finding: Finding) -> list[str]:
-    if finding.misfit_before_db is None:
-        return []
-    text = f"The baseline's misfit is {finding.misfit_before_db:.2f} dB over noise"
-    if finding.causes and finding.misfit_after_db is not None:
-        text += f", the extended model's {finding.misfit_after_db:.2f} dB"
-    return [text + "."]
-
-
-def _own(baseline: Sequence[BaselineParameter]) -> list[str]:
-    moved = [f"{p.name} {p.fitted:.4g}{unit_of(p.unit)} in place of {p.given:.4g}" for p in baseline if p.beyond_prior]
-    if not moved:
-        return []
-    return [f"These data give the baseline other values than the campaign does: {'; '.join(moved)}."]
+def explain(finding: Finding) -> str:
+    """Say a finding in plain sentences, one a line."""
+    opening = _OPENING["part" if finding.verdict == "unknown" and finding.causes else finding.verdict]
+    said = [f"{opening}: {finding.reason}."]
+    if finding.misfit_before_db is not None:
+        more = finding.causes and finding.misfit_after_db is not None
+        extended = f", the extended model's {finding.misfit_after_db:.2f} dB" if more else ""
+        said.append(f"The baseline's misfit is {finding.misfit_before_db:.2f} dB over noise{extended}.")
+    moved = [p for p in finding.baseline if p.beyond_prior]
+    if moved:
+        values = "; ".join(f"{p.name} {p.fitted:.4g}{unit_of(p.unit)} in place of {p.given:.4g}" for p in moved)
+        said.append(f"These data give the baseline other values than the campaign does: {values}.")
+    said += [_cause(c) for c in finding.causes]
+    said += [f"The data do not separate: {', '.join(c.title for c in s)}." for s in finding.alternatives]
+    for gain, where in ((finding.gain, "held out in turn"), (finding.held_out_gain, "held out beforehand")):
+        if gain is not None and finding.causes:
+            said.append(
+                f"On conditions {where} the extension explains {100.0 * gain.share:.3g} % of the repeatable error "
+                f"({gain.db:.1f} dB, sd {gain.sd:.1f} dB; the error with its noise falls by {gain.error_db:.2f} dB)."
+            )
+    for e in finding.force_error:
+        where = "moves held out beforehand" if e.held_out else "the moves that were fitted"
+        said.append(f"Force error over {where}: {100.0 * e.before:.1f} % before, {100.0 * e.after:.1f} % after.")
+    for where in dict.fromkeys(row.where for row in finding.stable_depth):
+        said += _stable_depth([row for row in finding.stable_depth if row.where == where])
+    left = finding.remainder
+    if left is not None and left.beyond_noise and left.carriers:
+        share = "" if left.share is None else f", {100.0 * left.share:.2g} % of the repeatable error of the baseline"
+        where = "; ".join(left.carriers)
+        said.append(f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {where}.")
+        if finding.causes:
+            said.append("The intervals include its scatter; a cause that is not in the catalogue may still shift them.")
+    if finding.next_experiment is not None:
+        n = finding.next_experiment
+        price = "" if n.minutes is None else f" (about {n.minutes:.0f} min)"
+        said.append(f"Measure next: {n.name}{price}; {n.expected}.")
+    elif finding.verdict == "ambiguous":
+        said.append("None of the proposed experiments would settle it.")
+    if finding.verdict == "consistent":
+        said += [
+            f"{p.title} above {p.size:.2g}{unit_of(p.unit)} ({p.parameter}) would have been seen with 95 %."
+            for p in finding.detectable
+            if p.admissible
+        ]
+        hidden = dict.fromkeys(f"{p.title} ({p.parameter})" for p in finding.detectable if not p.admissible)
+        said += [f"Would not have been seen in these conditions: {'; '.join(hidden)}."] if hidden else []
+    return "\n".join([*said, *(f"Not used as evidence: {name}: {why}." for name, why in finding.unconverged)])
 
 
 def _cause(cause: FoundCause) -> str:
-    values = "; ".join(f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({_interval(e)})" for e in cause.parameters)
-    proof = f"likelihood ratio {cause.ratio:.0f}"
+    said = []
+    for e in cause.parameters:
+        known = math.isfinite(e.high - e.low)
+        interval = f"{e.low:.4g} to {e.high:.4g}" if known else "not separable from others in these data"
+        said.append(f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({interval})")
+    values, proof = "; ".join(said), f"likelihood ratio {cause.ratio:.0f}"
     if cause.gain_db is None:
         return f"Not proven on conditions it was not fitted to: {cause.title}: {values} ({proof})."
     gain = f"worth {cause.gain_db:.1f} dB there"
     return f"Accepted on conditions it was not fitted to: {cause.title}: {values}; {gain} ({proof})."
 
 
-def _interval(e: Estimate) -> str:
-    known = math.isfinite(e.high - e.low)
-    return f"{e.low:.4g} to {e.high:.4g}" if known else "not separable from others in these data"
-
-
 def unit_of(unit: str) -> str:
     """Return a unit as it stands behind a number; a pure number has none."""
     return "" if unit == "1" else f" {unit}"
-
-
-def _next(n: Proposal) -> str:
-    price = "" if n.minutes is None else f" (about {n.minutes:.0f} min)"
-    return f"Measure next: {n.name}{price}; {n.expected}."
-
-
-def _force_error(error: ForceError) -> str:
-    where = "moves held out beforehand" if error.held_out else "the moves that were fitted"
-    return f"Force error over {where}: {100.0 * error.before:.1f} % before, {100.0 * error.after:.1f} % after."
 
 
 def _stable_depth(rows: Sequence[StableDepth]) -> list[str]:
@@ -266,38 +266,6 @@ def _stable_depth(rows: Sequence[StableDepth]) -> list[str]:
         speeds = f"{min(silent):g} rpm" if len(silent) == 1 else f"{min(silent):g} to {max(silent):g} rpm"
         out.append(f"{where}: at the feed of {speeds} the axis of the extended model vibrates without any cut.")
     return out
-
-
-def _remainder(finding: Finding) -> list[str]:
-    left = finding.remainder
-    if left is None or not (left.beyond_noise and left.carriers):
-        return []
-    share = "" if left.share is None else f", {100.0 * left.share:.2g} % of the repeatable error of the baseline"
-    found = [f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {'; '.join(left.carriers)}."]
-    if finding.causes:
-        found.append("The intervals include its scatter; a cause that is not in the catalogue may still shift them.")
-    return found
-
-
-def _gains(finding: Finding) -> list[str]:
-    found = []
-    for gain, where in ((finding.gain, "held out in turn"), (finding.held_out_gain, "held out beforehand")):
-        if gain is not None and finding.causes:
-            found.append(
-                f"On conditions {where} the extension explains {100.0 * gain.share:.3g} % of the repeatable error "
-                f"({gain.db:.1f} dB, sd {gain.sd:.1f} dB; the error with its noise falls by {gain.error_db:.2f} dB)."
-            )
-    return found
-
-
-def _detectable(sizes: Sequence[Detectable]) -> list[str]:
-    found = [
-        f"{p.title} above {p.size:.2g}{unit_of(p.unit)} ({p.parameter}) would have been seen with 95 %."
-        for p in sizes
-        if p.admissible
-    ]
-    hidden = dict.fromkeys(f"{p.title} ({p.parameter})" for p in sizes if not p.admissible)
-    return [*found, *([f"Would not have been seen in these conditions: {'; '.join(hidden)}."] if hidden else [])]
 
 
 # --- What the baseline and the best model leave of each condition, those that were held out included.

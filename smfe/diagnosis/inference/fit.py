@@ -131,6 +131,21 @@ class _State:
         residual = residuals(model, target, u)
         return cls(model, target, free, u, residual, misfit(model, target, free, u, residual))
 
+    @classmethod
+    def begin(cls, model: Model, target: Target, causes: Sequence[int], start: Real) -> _State:
+        free, u = model.free(causes), np.array(start)
+        u[free] = np.clip(u[free], model.low[free], model.high[free])
+        return cls.at(model, target, free, u)
+
+    def take(self, u: Real) -> float:
+        """Go to some values if the misfit falls; return by how much."""
+        trial = _State.at(self.model, self.target, self.free, u)
+        gained = self.chi2 - trial.chi2
+        if not gained > 0.0:
+            return 0.0
+        self.u, self.residual, self.chi2 = trial.u, trial.residual, trial.chi2
+        return gained
+
     @property
     def tolerance(self) -> float:
         return tolerance(self.target, self.chi2)
@@ -143,15 +158,11 @@ class _State:
 
     def advance(self, step: Real) -> float:
         """Go along a step as far as the misfit falls; return by how much it fell."""
+        low, high = self.model.low[self.free], self.model.high[self.free]
         for fraction in RULES.fractions:
             u = self.u.copy()
-            u[self.free] = np.clip(
-                u[self.free] + fraction * step, self.model.low[self.free], self.model.high[self.free]
-            )
-            trial = _State.at(self.model, self.target, self.free, u)
-            if trial.chi2 < self.chi2:
-                gained = self.chi2 - trial.chi2
-                self.u, self.residual, self.chi2 = trial.u, trial.residual, trial.chi2
+            u[self.free] = np.clip(u[self.free] + fraction * step, low, high)
+            if gained := self.take(u):
                 return gained
         return 0.0
 
@@ -193,16 +204,12 @@ def fit(
 
     All other causes stay where `start` has them. A fit that has not converged, and may not be used, says why.
     """
-    chosen = tuple(sorted(causes))
-    free = model.free(chosen)
-    u = np.array(start)
-    u[free] = np.clip(u[free], model.low[free], model.high[free])
-    state = _State.at(model, target, free, u)
+    chosen, state = tuple(sorted(causes)), _State.begin(model, target, causes, start)
     if state.residual is None:
         return state.done(chosen, {}, f"no prediction ({model.trouble})")
     if slope is not None:
         state.descend(slope)
-    rows, fresh = list(target.observed), dict[int, Real]()
+    rows, free, fresh = list(target.observed), state.free, dict[int, Real]()
     for cycle in range(RULES.cycles + 2):
         slopes = model.slopes(rows, state.u, free)
         if slopes is None:
@@ -235,11 +242,7 @@ def approach(
 
     A fit that will not come below `most`, the largest misfit that would matter, has lost and is followed no further.
     """
-    chosen = tuple(sorted(causes))
-    free = model.free(chosen)
-    u = np.array(start)
-    u[free] = np.clip(u[free], model.low[free], model.high[free])
-    state = _State.at(model, target, free, u)
+    chosen, state = tuple(sorted(causes)), _State.begin(model, target, causes, start)
     if state.residual is None:
         return None
     slope, promised = state.descend(slope, most)
@@ -314,9 +317,7 @@ def _trust_region(state: _State) -> None:
             gtol=None,
             max_nfev=8,
         )
-    trial = _State.at(model, target, free, place(np.asarray(found.x)))
-    if trial.chi2 < state.chi2:
-        state.u, state.residual, state.chi2 = trial.u, trial.residual, trial.chi2
+    state.take(place(np.asarray(found.x)))
 
 
 # --- Symmetries of a cause: of two sets of values that fit alike, the one that is nearer to the null.
