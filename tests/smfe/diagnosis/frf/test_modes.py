@@ -249,12 +249,9 @@ class TestFamily:
         assert f"a free mass of {PROPOSALS.free_mass:g} kg in the machine's place" in names
         assert proposed_modal_experiments(()) == ()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
-        ("name", "both"),
-        [
-            ("posture or drift", {"posture", "drift"}),
-            pytest.param("gain or scale", {"modal_scale", GAIN}, marks=pytest.mark.slow),
-        ],
+        ("name", "both"), [("posture or drift", {"posture", "drift"}), ("gain or scale", {"modal_scale", GAIN})]
     )
     def test_a_design_without_contrast_does_not_separate_two_causes(self, name: str, both: set[str]) -> None:
         """To first order, before any data."""
@@ -269,6 +266,7 @@ def named(fam: ModalFrfs, seed: int) -> tuple[str, set[str]]:
 
 
 class TestHidden:
+    @pytest.mark.slow
     def test_sizes_are_those_that_must_be_found(self) -> None:
         built, rng = machine(1)[1:]
         slip, hard = effect("micro_slip", built, rng), effect("hardening", built, rng)
@@ -303,7 +301,8 @@ class TestHidden:
         )
         assert alarms <= 1
 
-    @pytest.mark.parametrize("k", [pytest.param(0, marks=pytest.mark.exam), pytest.param(1, marks=pytest.mark.slow)])
+    @pytest.mark.exam
+    @pytest.mark.parametrize("k", [0, 1])
     def test_without_the_true_cause_the_answer_is_unknown(self, k: int) -> None:
         hidden = RELIABLE[12 * k]
         verdict, _ = named(family(hidden, 400 + k, without=(NAMES[hidden],))[0], k)
