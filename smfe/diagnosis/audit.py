@@ -53,12 +53,10 @@ _CORRECT = "correct the campaign file or the record; nothing can be computed fro
 class Audit:
     """What an audit found, and what it identified on the way."""
 
-    suspects: list[Suspect] = field(default_factory=list)
-    """Suspicions."""
+    suspects: list[Suspect] = field(default_factory=list)  # suspicions
     identified: dict[str, Identification] = field(default_factory=dict)
     """Measurement, or level of a sweep -> its identification."""
-    seen: list[Seen] = field(default_factory=list)
-    """Records, by their samples."""
+    seen: list[Seen] = field(default_factory=list)  # records, by their samples
 
     @property
     def excluded(self) -> Failures:

@@ -20,14 +20,10 @@ from smfe.records.formats.channels import did_you_mean, listed
 class Case:
     """A campaign in the form that the inference takes."""
 
-    family: Family
-    """Baseline, causes, conditions and proposals."""
-    groups: Mapping[str, tuple[str, ...]]
-    """Name of a measurement, or file of a cutting test -> names of its conditions."""
-    held_out: tuple[str, ...] = ()
-    """Those of the groups that the campaign holds out."""
-    suspects: tuple[Suspect, ...] = field(default=())
-    """What was noticed about the data on the way."""
+    family: Family  # baseline, causes, conditions and proposals
+    groups: Mapping[str, tuple[str, ...]]  # name of a measurement, or file of a cutting test -> names of its conditions
+    held_out: tuple[str, ...] = ()  # those of the groups that the campaign holds out
+    suspects: tuple[Suspect, ...] = field(default=())  # what was noticed about the data on the way
 
     def held_out_conditions(self, more: Iterable[str] = ()) -> tuple[str, ...]:
         """Return the conditions that no fit uses: those held out by the campaign, and those of `more` measurements."""
@@ -45,12 +41,9 @@ class Case:
 class NamedModes:
     """Modes of a baseline: those of a ``[[model]]``, or those fitted to a measured compliance."""
 
-    modal: ModalModel
-    """The modes."""
-    band: tuple[float, float]
-    """Lowest and highest natural frequency that count as modes of the machine [Hz]."""
-    suspects: tuple[Suspect, ...] = ()
-    """What the fit warns of."""
+    modal: ModalModel  # the modes
+    band: tuple[float, float]  # lowest and highest natural frequency that count as modes of the machine [Hz]
+    suspects: tuple[Suspect, ...] = ()  # what the fit warns of
     spread: Mapping[str, float] = field(default_factory=dict)
     """What a ``[[model]]`` states as its ``uncertainty``, relative; empty where it states none."""
 

@@ -29,18 +29,12 @@ class ProposalRules:
         default_factory=lambda: {"hammer": 5.0, "actuator": 8.0, "controller": 5.0, "position": 5.0, "added_mass": 10.0}
     )
     """Time of a measurement, by its method, and further time of a change [min]."""
-    cut: float = 3.0
-    """Time of a further cut [min]."""
-    further: float = 0.3
-    """Distance to another position [m]."""
-    mass_share: float = 0.1
-    """Mass that is clamped to the tip, over the mass of the tip."""
-    free_mass: float = 20.0
-    """Mass on soft springs that a calibration takes [kg]."""
-    accurate: float = 0.005
-    """Relative error of the compliance of a free mass."""
-    speed: float = 300.0
-    """Speed of a spindle that has not been turned yet [rad/s]."""
+    cut: float = 3.0  # time of a further cut [min]
+    further: float = 0.3  # distance to another position [m]
+    mass_share: float = 0.1  # mass that is clamped to the tip, over the mass of the tip
+    free_mass: float = 20.0  # mass on soft springs that a calibration takes [kg]
+    accurate: float = 0.005  # relative error of the compliance of a free mass
+    speed: float = 300.0  # speed of a spindle that has not been turned yet [rad/s]
 
 
 PROPOSALS = ProposalRules()

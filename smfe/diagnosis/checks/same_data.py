@@ -16,14 +16,10 @@ from smfe.diagnosis.checks.suspect import Part, Suspect, fault, warning
 class Seen:
     """One record, and what it is said to be."""
 
-    part: Part
-    """What it belongs to."""
-    file: str
-    """Where it was read."""
-    said: tuple[object, ...]
-    """What the campaign says of it: conditions, axis, cut."""
-    digest: str
-    """The same for the same samples."""
+    part: Part  # what it belongs to
+    file: str  # where it was read
+    said: tuple[object, ...]  # what the campaign says of it: conditions, axis, cut
+    digest: str  # the same for the same samples
 
 
 def seen(record: xr.Dataset, part: Part, said: Iterable[object], excitation: str | None = None) -> Seen:

@@ -34,18 +34,12 @@ from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parame
 class MachineFrfs(Abilities):
     """A family for `smfe.diagnosis.inference.diagnose`: compliances of one machine under many conditions."""
 
-    baseline: AxisBaseline
-    """The simulation that is tested."""
-    conditions: tuple[Condition, ...]
-    """Measured compliances (`smfe.diagnosis.frf.noise.condition_of`)."""
-    proposals: tuple[Condition, ...] = ()
-    """Experiments that could be done next."""
-    without: Sequence[str] = ()
-    """Keys of causes that are left out of the catalogue."""
-    measured: tuple[Condition, ...] = ()
-    """What `conditions` were before `as_hit`."""
-    discrepancy: float = 0.0
-    """See `as_hit`."""
+    baseline: AxisBaseline  # the simulation that is tested
+    conditions: tuple[Condition, ...]  # measured compliances (`smfe.diagnosis.frf.noise.condition_of`)
+    proposals: tuple[Condition, ...] = ()  # experiments that could be done next
+    without: Sequence[str] = ()  # keys of causes that are left out of the catalogue
+    measured: tuple[Condition, ...] = ()  # what `conditions` were before `as_hit`
+    discrepancy: float = 0.0  # see `as_hit`
     _kept: dict[tuple[object, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
     _machines: dict[Effective, SimulatedMachine] = field(default_factory=dict, repr=False, compare=False)
 

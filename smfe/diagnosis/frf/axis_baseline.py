@@ -60,12 +60,9 @@ class Effective(NamedTuple):
 class AxisBaseline:
     """One feed axis as its maker describes it."""
 
-    drive: Drive
-    """Masses, stiffness and damping; sigma is the viscous friction. Its servo is not used."""
-    servos: Mapping[str, Servo]
-    """Controller name -> servo."""
-    axis: str = "x"
-    """Name of the axis: "x" or "y" or "z"."""
+    drive: Drive  # masses, stiffness and damping; sigma is the viscous friction. Its servo is not used
+    servos: Mapping[str, Servo]  # controller name -> servo
+    axis: str = "x"  # name of the axis: "x" or "y" or "z"
     known: Mapping[str, float | Sides] = field(default_factory=dict)
     """Friction that the baseline has already: ``coulomb``, ``static`` [N], ``stribeck_speed`` [m/s], ``viscous`` [N
     s/m]: one value, or one forth and one back. Of ``viscous`` the ratio of the sides counts."""

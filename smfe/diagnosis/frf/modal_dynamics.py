@@ -32,37 +32,28 @@ DECAYING = (2.0 / 3.0, 0.5)
 class Changed(NamedTuple):
     """A modal machine with all that has been changed; alike for values that change nothing."""
 
-    frequency: tuple[float, ...]
-    damping: tuple[float, ...]
-    stiffness: tuple[float, ...]
-    """Of each mode [Hz], [1], [N/m], length M."""
-    direction: tuple[float, ...]
-    """Mode vectors, one after the other, length 3 M."""
-    springs: tuple[float, ...] = ()
-    """S, length M^2, or empty."""
-    gyroscopic: tuple[float, ...] = ()
-    """G [1/Hz], length M^2, or empty."""
-    mass: float = 0.0
-    """At the tool [kg]."""
+    frequency: tuple[float, ...]  # of each mode [Hz]
+    damping: tuple[float, ...]  # of each mode [1]
+    stiffness: tuple[float, ...]  # of each mode [N/m]
+    direction: tuple[float, ...]  # mode vectors, one after the other, length 3 M
+    springs: tuple[float, ...] = ()  # S, length M^2, or empty
+    gyroscopic: tuple[float, ...] = ()  # G [1/Hz], length M^2, or empty
+    mass: float = 0.0  # at the tool [kg]
     slip: tuple[float, ...] = ()
     hardening: tuple[float, ...] = ()
     """Joint: share of the stiffness of a mode that is lost, or gained, at the amplitude of reference if the mode moves
     nothing else; its unit vector v."""
     mode: tuple[float, ...] = ()
     """A further mode: its compliance along x, y, z as ``sqrt(m/N)``, its frequency and damping, 0."""
-    residual: tuple[float, ...] = ()
-    """Compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N]."""
+    residual: tuple[float, ...] = ()  # compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N]
 
 
 class Shaken(NamedTuple):
     """How hard a machine is shaken."""
 
-    method: str
-    """Impact or sine: "hammer" or "actuator"."""
-    level: float
-    """Impulse [N s] or amplitude [N]."""
-    reference: float
-    """Amplitude of reference in scaled coordinates [sqrt(J)]."""
+    method: str  # impact or sine: "hammer" or "actuator"
+    level: float  # impulse [N s] or amplitude [N]
+    reference: float  # amplitude of reference in scaled coordinates [sqrt(J)]
 
 
 def unchanged(model: ModalModel) -> Changed:

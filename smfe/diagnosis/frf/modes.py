@@ -39,14 +39,10 @@ class ModalFrfs(Abilities):
     beside it); ``free_mass`` [kg], a mass on soft springs in the machine's place. What is not given is zero.
     """
 
-    model: ModalModel
-    """The baseline."""
-    conditions: tuple[Condition, ...]
-    """Measured compliances (`smfe.diagnosis.frf.noise.condition_of`)."""
-    proposals: tuple[Condition, ...] = ()
-    """Experiments that could be done next."""
-    without: Sequence[str] = ()
-    """Keys or ids of causes that are left out of the catalogue."""
+    model: ModalModel  # the baseline
+    conditions: tuple[Condition, ...]  # measured compliances (`smfe.diagnosis.frf.noise.condition_of`)
+    proposals: tuple[Condition, ...] = ()  # experiments that could be done next
+    without: Sequence[str] = ()  # keys or ids of causes that are left out of the catalogue
     spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
     """Prior standard deviation of ``frequency``, ``damping``, ``stiffness`` of a mode, relative; default `SPREAD`."""
     _at_tool: dict[tuple[Excited, Changed], Complex] = field(

@@ -26,20 +26,14 @@ from smfe.diagnosis.inference.problem import Condition
 class FrfRules:
     """What the comparison of compliances with a simulation takes for granted."""
 
-    most_lines: int = 120
-    """Lines of a condition that are compared, at most."""
-    lowest: float = 5.0
-    """Frequency from which an axis is compared [Hz] ..."""
-    reach: float = 3.0
-    """... and to which, over the frequency of the locked axis: beyond, two masses do not describe it."""
+    most_lines: int = 120  # lines of a condition that are compared, at most
+    lowest: float = 5.0  # frequency from which an axis is compared [Hz]
+    reach: float = 3.0  # ... and to which, over the frequency of the locked axis: beyond, two masses do not describe it
     floor: float = 0.002
     """Least standard deviation relative to the compliance: a difference of a line that no model is expected to meet."""
-    fewest_hits: int = 3
-    """Hits from which their scatter is known."""
-    shared: float = 2.0
-    """Factor on the variance that hits share: it comes from three or four of them only."""
-    smooth_lines: int = 15
-    """Lines over which the variance of noise is averaged."""
+    fewest_hits: int = 3  # hits from which their scatter is known
+    shared: float = 2.0  # factor on the variance that hits share: it comes from three or four of them only
+    smooth_lines: int = 15  # lines over which the variance of noise is averaged
     correlated: float = 1.88
     """Variance of second differences over that of independent ones: 1 + 2 (4/9 14/15 + 1/36 13/15)."""
     smooth_shapes: int = 4
@@ -54,24 +48,16 @@ class FrfRules:
     breaks the guideway away at rest; it stays with ten times the accuracy."""
     unsure: float = 0.5
     """Share of what the mean of the hits has more than the mean hit that is uncertain because the baseline is."""
-    rate: float = 2000.0
-    """Samples and steps a second of a simulated hit [Hz]."""
+    rate: float = 2000.0  # samples and steps a second of a simulated hit [Hz]
     accuracy: float = 1e-4
     """Of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters."""
-    rest: float = 1e-7
-    """Of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N."""
-    same_level: float = 0.2
-    """Relative difference of levels of hits that are meant to be the same."""
-    bristle: tuple[float, float] = (5e8, 6e4)
-    """Stiffness [N/m] and damping [N s/m] of a guideway that sticks."""
-    elements: int = 20
-    """Jenkins elements of a joint with micro-slip."""
-    predictions_kept: int = 20000
-    """Compliances that a family keeps."""
-    modal_kept: int = 4000
-    """The same of a modal machine, whose compliances are closed form."""
-    machines_kept: int = 40
-    """Machines that are kept with what was prepared for their hits."""
+    rest: float = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
+    same_level: float = 0.2  # relative difference of levels of hits that are meant to be the same
+    bristle: tuple[float, float] = (5e8, 6e4)  # stiffness [N/m] and damping [N s/m] of a guideway that sticks
+    elements: int = 20  # Jenkins elements of a joint with micro-slip
+    predictions_kept: int = 20000  # compliances that a family keeps
+    modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form
+    machines_kept: int = 40  # machines that are kept with what was prepared for their hits
 
 
 RULES = FrfRules()
@@ -93,12 +79,9 @@ def kept(results: MutableMapping[Key, Result], key: Key, make: Callable[[], Resu
 class Hits:
     """The hits that a mean compliance was taken from."""
 
-    force: Real
-    """Force from the first contact on [N], shape (r, n)."""
-    rate: float
-    """Its samples a second [Hz]."""
-    compliance: Complex
-    """From each hit [m/N], shape (r, f, entries)."""
+    force: Real  # force from the first contact on [N], shape (r, n)
+    rate: float  # its samples a second [Hz]
+    compliance: Complex  # from each hit [m/N], shape (r, f, entries)
 
     @property
     def impulse(self) -> Real:
@@ -110,28 +93,18 @@ class Hits:
 class Excited:
     """How a compliance was measured, and where."""
 
-    frequency: Real
-    """Lines that are compared [Hz], shape (f,)."""
-    entries: tuple[tuple[str, str], ...]
-    """(response, excitation) of each entry."""
-    std: Real
-    """Root mean square of the complex error of each line by itself [m/N], shape (f, entries)."""
-    method: str
-    """How the force was applied: "hammer" or "actuator"."""
-    level: float
-    """Impulse [N s] of a hammer, amplitude [N] of an actuator."""
-    duration: float = 4e-3
-    """Contact time of the hammer [s]."""
-    feed: Mapping[str, float] = field(default_factory=dict)
-    """Axis -> feed [m/s]."""
-    controller: str | None = None
-    """Name of the controller."""
+    frequency: Real  # lines that are compared [Hz], shape (f,)
+    entries: tuple[tuple[str, str], ...]  # (response, excitation) of each entry
+    std: Real  # root mean square of the complex error of each line by itself [m/N], shape (f, entries)
+    method: str  # how the force was applied: "hammer" or "actuator"
+    level: float  # impulse [N s] of a hammer, amplitude [N] of an actuator
+    duration: float = 4e-3  # contact time of the hammer [s]
+    feed: Mapping[str, float] = field(default_factory=dict)  # axis -> feed [m/s]
+    controller: str | None = None  # name of the controller
     shared: Complex | None = None
     """Errors that all lines have in common, each with a random factor of unit variance [m/N], shape (m, f, entries)."""
-    window: float = 2.0
-    """Time after a hit that was transformed [s]."""
-    hits: Hits | None = field(default=None, repr=False)
-    """The hits one by one, where they are known."""
+    window: float = 2.0  # time after a hit that was transformed [s]
+    hits: Hits | None = field(default=None, repr=False)  # the hits one by one, where they are known
     degrees_of_freedom: float = math.inf
     """With which `std` is known over all lines (`degrees_of_freedom_of`); infinite: it is known."""
     _rows: Real = field(init=False, repr=False)
