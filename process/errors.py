@@ -2,7 +2,7 @@
 
 
 class InputError(ValueError):
-    """What was given cannot be worked with.
+    """Input that cannot be used.
 
     The message says what was given, what is needed and what to do about it. The command line prints it
     without a traceback and ends with exit code 1.

@@ -188,7 +188,7 @@ def _example(dimension: str) -> str:
 
 @dataclass(frozen=True)
 class Range:
-    """What a parameter of the field may be, wide: outside of it is a mistake and not a rare machine.
+    """Range of a parameter in the field, wide: a value outside is a mistake and not a rare machine.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ class Drive:
     sigma: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is not two masses and a spring."""
+        """Refuse masses, stiffness and damping that are not possible."""
         for name, unit in (("moving_mass", "kg"), ("tip_mass", "kg"), ("stiffness", "N/m")):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
@@ -78,7 +78,7 @@ class Drive:
         return self.damping / (2.0 * math.sqrt(self.stiffness * self.tip_mass))
 
     def tip_transfer(self, s: ArrayLike) -> Complex:
-        """Return the tip compliance [m/N] at complex s [rad/s], stable or not (the formula and nothing else).
+        """Return the tip compliance [m/N] at complex s [rad/s], stable or not (no check).
 
         ``Phi = (m_m s^2 + (c + sigma) s + k + G)/((m_t s^2 + c s + k)(m_m s^2 + (c + sigma) s + k + G) - (c s + k)^2)``
         with ``G = (s + Kv) Kp (1 + 1/(Ti s)) e^(-s tau)``: Eq. (4) of Franco et al. 2024 with the ``sigma s`` that its

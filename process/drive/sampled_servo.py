@@ -53,7 +53,7 @@ class SampledServo:
     lag: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse what does not sample."""
+        """Refuse a period, lag or servo that cannot be sampled."""
         if self.servo.delay != 0.0 or not 0.0 < self.period < math.inf or self.lag < 0 or self.lag != int(self.lag):
             raise InputError(
                 f"sampling with period {self.period:g} s and lag {self.lag:g} needs a positive period, a whole lag "
@@ -113,7 +113,7 @@ class SampledServo:
         return np.asarray(s[np.lexsort((s.imag, -s.real))])
 
     def _closed(self, drive: Drive, position_gain: float | None = None) -> tuple[Real, Real]:
-        """Transition of a period, and what an error e of the velocity controller's input adds to it.
+        """Transition of a period, and the effect on it of an error e at the input of the velocity controller.
 
         State: masses (4), the integral, and the forces that wait, newest first.
         """

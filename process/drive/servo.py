@@ -54,7 +54,7 @@ class Servo:
     feed_forward: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what is not a servo."""
+        """Refuse gains and delays that are not possible."""
         for name, unit in (("Kp", "N s/m"), ("Ti", "s"), ("Kv", "1/s")):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):

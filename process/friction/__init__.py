@@ -1,1 +1,1 @@
-"""Friction laws, and what they are worth as a damping."""
+"""Friction laws, and their linearisation and equivalent damping."""

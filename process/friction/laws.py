@@ -209,7 +209,7 @@ class MemoryLaw(ABC):
         """Stiffness of the contact while it sticks [N/m]."""
 
     def towards(self, velocity: float) -> MemoryLaw:
-        """Return the law that counts in the direction of a velocity [m/s], alike both ways."""
+        """Return the law for the direction of a velocity [m/s], with the same parameters both ways."""
         return self
 
     def steady_force(self, velocity: ArrayLike) -> Real:
@@ -288,7 +288,7 @@ class LuGre(MemoryLaw):
             )
 
     def towards(self, velocity: float) -> LuGre:
-        """Return the law that counts in the direction of a velocity [m/s], alike both ways."""
+        """Return the law for the direction of a velocity [m/s], with the same parameters both ways."""
         if velocity < 0.0 and self.negative is not None:
             return self.negative
         return replace(self, negative=None)

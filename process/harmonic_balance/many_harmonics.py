@@ -15,19 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from process.errors import InputError
 from process.friction.linearised import steepness
 from process.harmonic_balance import _kernels as kernels
-from process.harmonic_balance.network import Balance, FrictionElement, Network, checked
+from process.harmonic_balance.network import RULES, Balance, FrictionElement, Network, checked
 from process.types import Complex, Real
-
-HARMONICS = (9, 25, 70, 140)
-"""Highest harmonics that are tried one after the other."""
-
-_SOFTEST = 300.0  # kt [s/m] at which the continuation starts
-_CONTINUATION_STEPS = 7
-_NEWTON_STEPS = 40
-_DIRECT_STEPS = 15  # from a guess, before the continuation is tried
-_INTERPOLATION = 1e-3
-_NYQUIST = (1e-4, 1e5)  # [Hz]
-_PHASE_STEP = 0.5  # [rad]
 
 
 def multi_harmonic(
@@ -103,7 +92,7 @@ class _Sweep:
             _, here, there = np.intersect1d(self.grid.orders, start.orders, return_indices=True)
             first[:, :, here] = start.motion[:, :, there] * self.scale[:, :, None]
         packed = self.network.packed()
-        steps = _DIRECT_STEPS
+        steps = RULES.direct_steps
         kernels.sweep(packed, self.angular, self.admittance, self.drive, self.grid, first, chain, steps, motion, good)
         for i in np.flatnonzero(~good):
             good[i] = self._continue(int(i), motion[i])
@@ -114,14 +103,16 @@ class _Sweep:
         """Solve for u (P, K) at a soft passage through rest and steepen it; a step that fails is halved."""
         elements = self.network.elements
         laws = [p.law for p in elements if isinstance(p, FrictionElement)]
-        hardest = max([steepness(law) for law in laws] + [_SOFTEST])
-        factor, kt, done = (hardest / _SOFTEST) ** (1.0 / (_CONTINUATION_STEPS - 1)), _SOFTEST, 0.0
+        hardest = max([steepness(law) for law in laws] + [RULES.softest])
+        factor, kt, done = (hardest / RULES.softest) ** (1.0 / (RULES.continuation_steps - 1)), RULES.softest, 0.0
         gain = 1.0 / self.scale[i]
         u[:] = 0.0
         u[:, self.first] = self.drive[i] / (1.0 + np.abs(np.diag(self.admittance[i, self.first])) * 1e3)
         while done < hardest:
             new, packed = u.copy(), self.network.packed(kt)
-            if kernels.newton(packed, gain, self.admittance[i], self.drive[i], self.grid, new, _NEWTON_STEPS):
+            if kernels.newton(
+                packed, gain, self.admittance[i], self.drive[i], self.grid, new, RULES.continuation_newton_steps
+            ):
                 u[:], done = new, kt
                 kt = min(kt * factor, hardest)
             elif done == 0.0 or factor < 1.02:
@@ -192,13 +183,13 @@ def as_many_as_needed(
     harmonics, unstable, error = np.ones(n, dtype=np.int64), np.full(n, -1), start.error.copy()
     good = np.zeros(n, dtype=bool)
     left, coarse = np.arange(n), start
-    for highest in HARMONICS:
+    for highest in RULES.harmonics:
         fine = multi_harmonic(network, force, start.frequency[left], highest, coarse, excitation)
         compliance[left], motion[left], coefficient[left] = fine.compliance, fine.fundamental, fine.coefficient
         harmonics[left], error[left], good[left] = highest, fine.error, fine.converged
         # A start that did not converge gives no error estimate.
         more = fine.converged & ~(fine.error < tolerance)
-        done = fine.converged & ~more if highest != HARMONICS[-1] else fine.converged
+        done = fine.converged & ~more if highest != RULES.harmonics[-1] else fine.converged
         unstable[left[done]] = unstable_multipliers(network, fine.part(done))
         left, coarse = left[more], fine.part(more)
         if not left.size:
@@ -271,10 +262,10 @@ def _unstable_with(network: Network, mean: Real) -> int:
         a = network.admittance(f, network.matrix(f)[:, t:, t:])
         return np.asarray(np.linalg.det(np.eye(mean.size) + a * mean))
 
-    f = np.geomspace(_NYQUIST[0], _NYQUIST[1], 600)
+    f = np.geomspace(RULES.nyquist[0], RULES.nyquist[1], 600)
     d = determinant(f)
     for _ in range(20):
-        wide = np.flatnonzero(np.abs(np.angle(d[1:] / d[:-1])) > _PHASE_STEP)
+        wide = np.flatnonzero(np.abs(np.angle(d[1:] / d[:-1])) > RULES.phase_step)
         if not wide.size:
             break
         middle = 0.5 * (f[wide] + f[wide + 1])
@@ -303,7 +294,7 @@ def _tabulated(network: Network, mean: Real, lowest: float, highest: float) -> t
         middle = 0.5 * (f[1:] + f[:-1])[new]
         value = at(middle)
         straight = 0.5 * (a[1:] + a[:-1])[new]
-        off = np.abs(value - straight).max(axis=(1, 2)) > _INTERPOLATION * np.abs(value).max(axis=(1, 2))
+        off = np.abs(value - straight).max(axis=(1, 2)) > RULES.interpolation * np.abs(value).max(axis=(1, 2))
         place = np.flatnonzero(new) + 1
         f, a = np.insert(f, place, middle), np.insert(a, place, value, axis=0)
         if not off.any():

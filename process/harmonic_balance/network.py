@@ -30,8 +30,66 @@ from process.types import Complex, Real
 Compliance = Callable[[Real], Complex]
 """Frequency [Hz], shape (n,) -> compliance [m/N], shape (n, T + P, T + P); response before excitation."""
 
-_NODES = 8
-_PARAMETERS = 12
+_PARAMETERS = 12  # of a friction law in the kernels, both directions
+
+
+@dataclass(frozen=True)
+class BalanceRules:
+    """Numbers of the harmonic balance."""
+
+    tolerance: float = 1e-3
+    """Estimated relative error of a compliance above which more harmonics are used."""
+
+    harmonics: tuple[int, ...] = (9, 25, 70, 140)
+    """Highest harmonics that are tried one after the other."""
+
+    error_harmonics: int = 9
+    """Highest harmonic of the error estimate of a single-harmonic balance."""
+
+    nodes: int = 8
+    """Gauss nodes of a panel of the period."""
+
+    table_per_decade: float = 60.0
+    """Amplitudes a decade at which the coefficient of a joint is tabulated."""
+
+    sweeps: int = 3
+    """Rounds over all elements, each solved with the others held, before Newton's method."""
+
+    newton_steps: int = 25
+    """Newton steps of a single-harmonic balance."""
+
+    difference: float = 1e-4
+    """Step of the logarithm of an amplitude for its derivative."""
+
+    close: float = 1e-9
+    """Residual, a logarithm of an amplitude, at which Newton's method ends."""
+
+    softest: float = 300.0
+    """Steepness kt [s/m] at which the continuation of many harmonics starts."""
+
+    continuation_steps: int = 7
+    """Steps from the softest passage through rest to that of the law."""
+
+    continuation_newton_steps: int = 40
+    """Newton steps at each of them."""
+
+    direct_steps: int = 15
+    """Newton steps from a guess, before the continuation is tried."""
+
+    interpolation: float = 1e-3
+    """Relative error of straight lines between tabulated admittances."""
+
+    nyquist: tuple[float, float] = (1e-4, 1e5)
+    """Frequencies [Hz] between which Nyquist's curve is followed."""
+
+    phase_step: float = 0.5
+    """Step of its phase [rad], at most."""
+
+    free_speed: float = 0.01
+    """Speed [m/s] at which the friction of a slide without servo becomes part of the linear machine."""
+
+
+RULES = BalanceRules()
 
 
 class NonlinearElement(ABC):
@@ -168,7 +226,7 @@ class JointElement(NonlinearElement):
 
     def table(self, lowest: float, highest: float) -> tuple[Real, Complex]:
         """Return 60 amplitudes [m] a decade and the coefficient there."""
-        x = np.geomspace(lowest, highest, 1 + math.ceil(60.0 * math.log10(highest / lowest)))
+        x = np.geomspace(lowest, highest, 1 + math.ceil(RULES.table_per_decade * math.log10(highest / lowest)))
         return x, self.coefficient(x)
 
     def packed(self) -> tuple[int, Real, float, tuple[Real, Real], float]:
@@ -286,8 +344,8 @@ class Network:
         odd = self.symmetric
         orders = np.arange(1, highest + 1, 2) if odd else np.arange(0 if self.displaced.any() else 1, highest + 1)
         step, span = (2, 0.5) if odd else (1, 1.0)
-        panels = math.ceil(span * (6.0 * highest + 48.0) / _NODES)
-        nodes, share = np.polynomial.legendre.leggauss(_NODES)
+        panels = math.ceil(span * (6.0 * highest + 48.0) / RULES.nodes)
+        nodes, share = np.polynomial.legendre.leggauss(RULES.nodes)
         nodes, share = 0.5 * (1.0 + nodes), 0.5 * share
         t = 2.0 * np.pi * span / panels * (np.arange(panels)[:, None] + nodes).reshape(-1, 1)
         lags = np.arange(0, 2 * highest + 1, step)

@@ -10,14 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
 from process.harmonic_balance import _kernels as kernels
-from process.harmonic_balance.network import Balance, Network, checked
+from process.harmonic_balance.network import RULES, Balance, Network, checked
 from process.types import Complex, Real
-
-_SWEEPS = 3
-_NEWTON_STEPS = 25
-_DIFFERENCE = 1e-4
-_CLOSE = 1e-9
-_HARMONICS = 9
 
 
 def single_harmonic(network: Network, force: float, frequency: ArrayLike, excitation: int = 0) -> Balance:
@@ -101,7 +95,7 @@ class _Problem:
         log_u = np.log(np.maximum(np.abs(self.drive), self.least))
         for i in range(elements):
             log_u[:, i] = np.log(self.tables[i][0][-1])
-        for _ in range(_SWEEPS if elements > 1 else 1):
+        for _ in range(RULES.sweeps if elements > 1 else 1):
             count[:], found[:] = 1, True
             for i in range(elements):
                 place, number = self._alone(i, log_u)
@@ -128,15 +122,17 @@ class _Problem:
 
     def jacobian(self, log_u: Real, excess: Real) -> Real:
         """Return d excess / d log|u|, shape (n, P, P)."""
-        columns = [(self._excess(log_u + _DIFFERENCE * e) - excess) / _DIFFERENCE for e in np.eye(log_u.shape[1])]
+        columns = [
+            (self._excess(log_u + RULES.difference * e) - excess) / RULES.difference for e in np.eye(log_u.shape[1])
+        ]
         return np.stack(columns, axis=-1)
 
     def _newton(
         self, log_u: Real, count: NDArray[np.int64], found: NDArray[np.bool_]
     ) -> tuple[Real, NDArray[np.int64], NDArray[np.bool_]]:
         excess = self._excess(log_u)
-        for _ in range(_NEWTON_STEPS if log_u.shape[1] else 0):
-            if np.abs(excess[found]).max(initial=0.0) < _CLOSE:
+        for _ in range(RULES.newton_steps if log_u.shape[1] else 0):
+            if np.abs(excess[found]).max(initial=0.0) < RULES.close:
                 break
             slope = self.jacobian(log_u, excess)
             slope += 1e-12 * np.eye(slope.shape[1])
@@ -185,7 +181,7 @@ def _error(problem: _Problem, f: Real, g: Complex, u: Complex, c: Complex, x: Co
     if not network.elements:
         return np.zeros(f.size)
     u, x = np.nan_to_num(u), np.nan_to_num(x)
-    grid, packed = network.grid(_HARMONICS), network.packed()
+    grid, packed = network.grid(RULES.error_harmonics), network.packed()
     order = grid.orders
     first = int(np.argmax(order == 1))
     high = order > 1

@@ -21,7 +21,7 @@ from process.errors import InputError
 from process.friction.laws import FrictionLaw, Viscous
 from process.friction.linearised import FrictionImpedance
 from process.harmonic_balance.many_harmonics import as_many_as_needed
-from process.harmonic_balance.network import Balance, FrictionElement, JointElement, Network, checked
+from process.harmonic_balance.network import RULES, Balance, FrictionElement, JointElement, Network, checked
 from process.harmonic_balance.one_harmonic import single_harmonic
 from process.labels import AXES, axis_index, make_compliance
 from process.machine.machine import FEW_MICROSLIP, FeedAxis, Machine
@@ -30,13 +30,11 @@ from process.machine.structure import Structure
 from process.types import Complex, Real
 
 METHODS = ("single harmonic", "many harmonics", "not converged", "not periodic")
-TOLERANCE = 1e-3
-"""Estimated relative error of a compliance above which more harmonics are used."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What `balanced` finds at n frequencies.
+    """Solution by `balanced` at n frequencies.
 
     Attributes
     ----------
@@ -58,7 +56,7 @@ class Answer:
 
 
 def balanced(
-    network: Network, force: float, frequency: ArrayLike, excitation: int = 0, tolerance: float = TOLERANCE
+    network: Network, force: float, frequency: ArrayLike, excitation: int = 0, tolerance: float = RULES.tolerance
 ) -> Answer:
     """Solve with one harmonic, and with as many as needed where its error exceeds the tolerance.
 
@@ -93,7 +91,7 @@ def balanced(
 
 
 def status(steady: bool, method: NDArray[np.int64], solutions: NDArray[np.int64]) -> str:
-    """Say whether the uniform motion is stable, and where there is no stable periodic response or more than one."""
+    """Return a sentence: uniform motion unstable, responses missing or ambiguous; "ok" where neither."""
     if not steady:
         return (
             "self-excited: the uniform motion at this feed is unstable (stick-slip), so that no response to a force "
@@ -109,9 +107,6 @@ def status(steady: bool, method: NDArray[np.int64], solutions: NDArray[np.int64]
             "finds depends on where it comes from, and the smallest is given: simulate them in time"
         )
     return "ok"
-
-
-_FREE_SPEED = 0.01  # [m/s] at which the friction of a slide without servo becomes part of the linear machine
 
 
 def network(
@@ -183,7 +178,9 @@ def _guideway(name: str, axis: FeedAxis, servo: Servo | None, feed: float) -> Fr
         )
     if servo is None and feed != 0.0:
         raise InputError(f"axis {name} is fed but has no servo that would hold its speed; give it one, or feed 0")
-    return FrictionElement(law, feed, 0.0 if servo is not None else float(law.force(_FREE_SPEED)) / _FREE_SPEED)
+    return FrictionElement(
+        law, feed, 0.0 if servo is not None else float(law.force(RULES.free_speed)) / RULES.free_speed
+    )
 
 
 def _damping(axis: FeedAxis, point: FrictionElement | None) -> float:
@@ -210,7 +207,7 @@ def quasi_compliance(
     position: float | None = None,
     excitation: Sequence[str] = AXES,
     response: Sequence[str] = AXES,
-    tolerance: float = TOLERANCE,
+    tolerance: float = RULES.tolerance,
 ) -> xr.Dataset:
     """Return the compliance that stepped sines of constant force would measure, one direction after the other.
 
@@ -338,7 +335,7 @@ def compliance_map(
     frequency : array_like, shape (n,)
         Frequencies [Hz], rising.
     feeds : sequence of float, optional
-        Feeds of all axes [m/s]; the label shows mm/min.
+        Feeds of all axes [m/s]; the label is in mm/min.
     controllers : sequence of str, optional
         Names of controllers.
     positions : sequence of float, optional

@@ -1,1 +1,1 @@
-"""What a recorder makes of a signal: sensors, their stages, trials."""
+"""Sensors, their stages, and virtual trials on a simulated machine."""

@@ -90,7 +90,7 @@ class Sensors:
     def measure(
         self, record: xr.Dataset, rng: np.random.Generator, keep_axis: str | None = None, keep: int = 1
     ) -> xr.Dataset:
-        """Return what the instruments record of a true motion, without its displacement.
+        """Return the record of a true motion by the instruments, without its displacement.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ def _sampled(record: xr.Dataset, keep: int, filtered: bool) -> xr.Dataset:
 
 
 def with_added_mass(machine: Machine | ModalModel, mass: float, directions: Sequence[str] = AXES) -> Machine:
-    """Return the machine with a point mass at the tool: what an accelerometer, or a hammer's target, adds to it.
+    """Return the machine with a point mass at the tool, such as an accelerometer or the target of a hammer.
 
     ``M + m T_d^T T_d`` in the coordinates of the structure, so that for one direction
     ``Phi' = Phi + Phi e m w^2 e^T Phi/(1 - m w^2 e^T Phi e)`` (Sherman and Morrison); it is exact for any damping.

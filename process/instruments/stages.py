@@ -1,4 +1,4 @@
-"""What instruments make of a true record, each thing one small stage: sensors, filters, clocks and converters.
+"""Stages of instruments that turn a true record into a measured one: sensors, filters, clocks and converters.
 
 A stage takes a record and returns one: those before the sampling at the rate of the simulation, those after it at that
 of the record. `process.instruments.sensors.Sensors` puts them in order.
@@ -67,7 +67,7 @@ class Stage(ABC):
 
     @abstractmethod
     def apply(self, record: xr.Dataset, rng: np.random.Generator) -> xr.Dataset:
-        """Return what comes out for a record of force, acceleration [SI] and so on, on x, y and z."""
+        """Return the output for a record of force, acceleration [SI] and so on, on x, y and z."""
 
 
 # --- before the sampling ------------------------------------------------------------------------------------
@@ -92,7 +92,7 @@ class Resonance(Stage):
     damping: float = 0.02
 
     def __post_init__(self) -> None:
-        """Refuse what is no resonance."""
+        """Refuse a frequency or damping that is not possible."""
         _split(self.channel)
         _positive(natural_frequency=self.frequency, damping=self.damping)
 
@@ -329,7 +329,7 @@ class AntiAlias(Stage):
     corner: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no filter."""
+        """Refuse an order or corner that is not possible."""
         _positive(corner=self.corner)
         if not 1 <= self.order <= 20:
             raise InputError(f"an anti-alias filter of order {self.order}; give 1 to 20")

@@ -1,4 +1,4 @@
-"""Virtual trials: what the instruments of a measuring campaign would record on a simulated machine.
+"""Virtual trials: records of a simulated machine by the instruments of a measuring campaign.
 
 Hammer, inertial actuator, sweep milling, cutting tests, and axes that move under their drives, on a linear modal
 machine or on one with drives, guideways and joints, seen by a chain of sensors. Each returns a record; writing files is

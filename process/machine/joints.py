@@ -251,7 +251,7 @@ class DoublePinion(Joint):
     preload: float
 
     def __post_init__(self) -> None:
-        """Refuse what is not two pinions."""
+        """Refuse stiffness and preload that are not possible."""
         for name, k in (("master", self.stiffness_master), ("slave", self.stiffness_slave)):
             if not 0.0 < k < math.inf:
                 raise InputError(f"the stiffness of the {name} is {k:g} N/m; it must be positive and finite")

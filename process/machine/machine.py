@@ -46,7 +46,7 @@ class FeedAxis:
     friction: FrictionLaw | MemoryLaw = field(default_factory=lambda: Viscous(0.0))
 
     def __post_init__(self) -> None:
-        """Refuse what is not a law or a controller."""
+        """Refuse other types than friction laws and controllers."""
         if not isinstance(self.friction, FrictionLaw | MemoryLaw):
             raise InputError(
                 f"the friction is a {type(self.friction).__name__}; give a friction law, e.g. Viscous(0.0)"

@@ -25,7 +25,7 @@ _ORIGIN = 1e-6
 
 @dataclass(frozen=True)
 class SlideImpedance:
-    """What holds one slide: its servo and the linearised friction.
+    """Servo and linearised friction of one slide.
 
     Parameters
     ----------

@@ -408,7 +408,7 @@ class Multisine(Excitation):
 
     @property
     def detection_lines(self) -> Real:
-        """Frequencies up to the highest that are not excited [Hz]: what a linear axis leaves empty."""
+        """Frequencies up to the highest that are not excited [Hz]: a linear axis does not respond there."""
         silent = np.setdiff1d(np.arange(1, self.harmonics[-1] + 1), self.harmonics)
         return np.asarray(self.fundamental * silent)
 

@@ -24,37 +24,24 @@ from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.machine.operating_point import OperatingPoint
 from process.simulation.excitation import Excitation, HalfSine
-from process.simulation.milling import STEPS_PER_PERIOD, STEPS_PER_TOOTH, MillingCut, Spindle, simulate_milling
+from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from process.simulation.packing import pack_forces, pack_impact
 from process.simulation.problem import MachineRun, Problem, SampledControl, resolve
-from process.simulation.record import AT_REST, MARGIN, Run, as_record, displacement_of, integrate, prepare
+from process.simulation.record import Run, as_record, displacement_of, integrate, prepare
+from process.simulation.rules import RULES
 from process.simulation.step_maps import System, fastest_pole, system_of
 from process.types import Real
-
-STEPS_PER_EVENT = 8
-"""Steps in the shortest event of an excitation, at least."""
-
-STEPS_PER_POLE = 24
-"""Steps in the period of the fastest linear pole, at least."""
-
-ACCURACY = 2e-3
-"""Largest error of a friction or joint force, over the largest so far, in a step that only poles and events limit.
-
-It goes with the fourth power of the step: 1.25e-4 at half of it.
-"""
-
-_COARSEST = 20
 
 
 def _default_step(p: Problem, fastest: float) -> float:
     """Return the default step [s], which `simulate_machine` states."""
-    bounds = [*(e.shortest / STEPS_PER_EVENT for e in p.run.excitations), *p.delays]
+    bounds = [*(e.shortest / RULES.steps_per_event for e in p.run.excitations), *p.delays]
     period = 2.0 * math.pi / fastest
-    bounds.append(period / STEPS_PER_POLE)
+    bounds.append(period / RULES.steps_per_pole)
     if p.run.cut is not None and p.run.spindle is not None:
         _, turning = p.run.spindle.extremes(0.0, p.run.total)
-        bounds.append(1.0 / (STEPS_PER_TOOTH * p.run.cut.tool.tooth_passing_frequency(turning)))
-        bounds.append(period / STEPS_PER_PERIOD)
+        bounds.append(1.0 / (RULES.steps_per_tooth * p.run.cut.tool.tooth_passing_frequency(turning)))
+        bounds.append(period / RULES.steps_per_period)
     return min(bounds)
 
 
@@ -88,10 +75,10 @@ def integrate_problem(
     half = usual if usual * sample_rate >= 4.0 else 0.5 / sample_rate
     keep = _keep(p, sample_rate, min(usual, half) if step is None else step)
     if accuracy is None:
-        accuracy = min(1e-2, ACCURACY / (sample_rate * keep * usual) ** 4)
+        accuracy = min(RULES.largest_accuracy, RULES.accuracy / (sample_rate * keep * usual) ** 4)
     h = 1.0 / (sample_rate * keep)
     # The low-pass looks ahead: integrate beyond the end of the record.
-    steps = (round(p.run.total * sample_rate) + (2 * MARGIN if keep > 1 else 0)) * keep
+    steps = (round(p.run.total * sample_rate) + (2 * RULES.margin if keep > 1 else 0)) * keep
     given, forces = pack_forces(p, h, steps)
     # A mode rings after an impulse with a force of its frequency times that.
     given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.run.impulse)))
@@ -121,7 +108,7 @@ def simulate_machine(
     Everything linear moves exactly. The default step is the smallest of 1/8 of the shortest event of the excitations,
     1/24 of the period of the fastest pole, the shortest dead time and, below 4 samples in such a step, half a sample;
     with a cut also of 1/60 of that period and 1/120 of the shortest tooth period, as in `simulation.milling`. Where
-    friction or a joint does not follow a parabola to `ACCURACY`, a step is halved, up to 8 times.
+    friction or a joint does not follow a parabola to `SimulationRules.accuracy`, a step is halved, up to 8 times.
 
     The step is of order 4, with a cut 2. Laws with memory are less regular: hits on the bench of Franco et al. 2024
     converge with order 1.8 to 4.9 (LuGre, two halvings from 0.5 ms, also where the bristles settle within a step) and
@@ -255,7 +242,7 @@ def _smoothed(samples: Real, half_width: int) -> Real:
 
 def require_fine(p: Problem, fastest: float, step: float) -> None:
     """Refuse a step that does not follow the fastest pole [rad/s] and the dead times."""
-    largest = min([2.0 * math.pi / fastest / _COARSEST, *p.delays])
+    largest = min([2.0 * math.pi / fastest / RULES.coarsest_per_pole, *p.delays])
     if not 0.0 < step <= largest * (1.0 + 1e-12):
         raise InputError(
             f"the step is {step * 1e6:g} us; at most {largest * 1e6:.4g} us follow the fastest pole and the dead time "
@@ -298,7 +285,7 @@ class RepeatedImpact:
         self._prepared = prepare(p, system, step, round(run.total * sample_rate))
         self._accuracy = accuracy
 
-    def displacement(self, impact: Excitation, rest: float = AT_REST) -> Real:
+    def displacement(self, impact: Excitation, rest: float = RULES.at_rest) -> Real:
         """Return the displacement of the tool [m] from the ramp at each sample, shape (3, m), until it is at rest.
 
         Parameters
@@ -328,7 +315,7 @@ def operating_point(p: Problem) -> OperatingPoint:
 
 
 class _StabilityCase:
-    """What a verdict is about: two problems are alike where their keys are."""
+    """Key of a stability count: two problems are equal where structure, joints, servos and friction slopes are."""
 
     def __init__(self, p: Problem) -> None:
         # Neither forces nor the cut change the poles.

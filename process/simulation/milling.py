@@ -21,20 +21,11 @@ from process.errors import InputError
 from process.labels import AXES, make_record
 from process.machine.modes import ModalModel
 from process.simulation import _milling_kernels as _kernels
+from process.simulation.rules import RULES
 from process.types import Real
 from process.units import check_feed
 
 CHANNELS = ("force", "displacement", "acceleration")
-
-STEPS_PER_PERIOD = 60
-"""Steps in the shortest natural period."""
-
-STEPS_PER_TOOTH = 120
-"""Steps from one tooth to the next, at the highest speed."""
-
-COARSEST_PER_PERIOD = 4
-COARSEST_PER_TOOTH = 10
-"""Fewer steps are refused: halving them changed stable cuts by a tenth (periods) and a third to all (teeth)."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,7 @@ class Spindle:
     variation_frequency: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no number, and a variation without frequency."""
+        """Refuse values that are not finite, and a variation without frequency."""
         for quantity in fields(self):
             if not math.isfinite(getattr(self, quantity.name)):
                 raise InputError(f"the spindle's {quantity.name} is {getattr(self, quantity.name):g}; give a number")
@@ -189,9 +180,9 @@ def default_step(machine: ModalModel, cut: MillingCut | None, highest_rotation: 
 
     The smaller of 1/60 of the shortest natural period and, when cutting, 1/120 of the shortest tooth period.
     """
-    step = 1.0 / (STEPS_PER_PERIOD * float(machine.frequency.max()))
+    step = 1.0 / (RULES.steps_per_period * float(machine.frequency.max()))
     if cut is not None:
-        step = min(step, 1.0 / (STEPS_PER_TOOTH * cut.tool.tooth_passing_frequency(highest_rotation)))
+        step = min(step, 1.0 / (RULES.steps_per_tooth * cut.tool.tooth_passing_frequency(highest_rotation)))
     return step
 
 
@@ -344,11 +335,12 @@ def _require_times(duration: float, lead: float, tail: float, sample_rate: float
 def _require_resolved(machine: ModalModel, cut: MillingCut, fastest: float, step: float) -> None:
     """Refuse a step that is coarse against the shortest natural period or against the tooth period."""
     period, tooth = 1.0 / float(machine.frequency.max()), 1.0 / cut.tool.tooth_passing_frequency(fastest)
-    if not 0.0 < step <= min(period / COARSEST_PER_PERIOD, tooth / COARSEST_PER_TOOTH):
+    if not 0.0 < step <= min(period / RULES.coarsest_per_period, tooth / RULES.coarsest_per_tooth):
         raise InputError(
             f"the step is {step * 1e6:g} us, the shortest natural period {period * 1e6:g} us and the shortest tooth "
-            f"period {tooth * 1e6:g} us; at least {COARSEST_PER_PERIOD} steps in the one and {COARSEST_PER_TOOTH} in "
-            f"the other are needed. Leave step out for {default_step(machine, cut, fastest) * 1e6:.3g} us"
+            f"period {tooth * 1e6:g} us; at least {RULES.coarsest_per_period} steps in the one and "
+            f"{RULES.coarsest_per_tooth} in the other are needed. Leave step out for "
+            f"{default_step(machine, cut, fastest) * 1e6:.3g} us"
         )
 
 

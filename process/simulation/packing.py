@@ -20,16 +20,9 @@ from process.simulation import _machine_arrays as arrays
 from process.simulation.excitation import Excitation
 from process.simulation.milling import MillingCut, Spindle, flat_surfaces, pack_motion, pack_teeth
 from process.simulation.problem import Problem, SlideFriction
+from process.simulation.rules import RULES
 from process.simulation.step_maps import System, exact_maps, gains, reach
 from process.types import Real
-
-HALVINGS = 8
-"""How often a step may be halved."""
-
-SUB = 8
-"""Parts of a step at which forces over time are sampled."""
-
-_LONG = 1e3
 
 # Legendre polynomials of degree 0, 1, 2 at start, middle and end of a step, over their mean squares.
 _NODES = np.array([[1.0, 1.0, 1.0], [-3.0, 0.0, 3.0], [5.0, -2.5, 5.0]])
@@ -73,7 +66,7 @@ def _of_slide(friction: SlideFriction, target: int, row: Real, size: int) -> _El
     state = np.zeros(friction.law.states)
     if friction.feed != 0.0:
         for _ in range(2):  # until it slips, then until it is steady
-            friction_step(code, parameters, state, friction.feed, _LONG)
+            friction_step(code, parameters, state, friction.feed, RULES.settling)
     return _Element(arrays.MEMORY, target, code, parameters, offset, motion, state)
 
 
@@ -160,8 +153,8 @@ def _projection(parts: int) -> Real:
 class Sampled(NamedTuple):
     """A force over time.
 
-    smooth (SUB m + 1,): what is continuous of it [N], at eight parts of each step until it ends; at, height: its jumps,
-    in steps and [N]; those of a binary sequence fall anywhere in a step.
+    smooth (parts m + 1,): its continuous part [N], at eight parts of each step until it ends; at, height: its jumps, in
+    steps and [N]; those of a binary sequence fall anywhere in a step.
     """
 
     smooth: Real
@@ -171,7 +164,7 @@ class Sampled(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _gregory() -> Real:
-    """Polynomials (5, 4) for `stairs`: what to add to the two samples before and after a jump, from their distance.
+    """Polynomials (5, 4) for `stairs`: the additions to the two samples before and after a jump, over their distance.
 
     ``sum_(n >= 0) (n + a)^k`` exceeds the integral from 0 by ``-B_(k+1)(a)/(k + 1)``, with the Bernoulli polynomials B
     (Euler and Maclaurin); four samples correct that for k = 0 to 3.
@@ -213,7 +206,7 @@ def stairs(at: Real, height: Real, count: int) -> Real:
 def _sampled(excitation: Excitation, step: float, steps: int) -> Sampled:
     """Sample a force until it ends, for m <= steps."""
     m = int(min(steps, max(1.0, math.ceil(excitation.end / step + 1.0))))
-    time = np.arange(SUB * m + 1, dtype=np.float64) * (step / SUB)
+    time = np.arange(RULES.parts * m + 1, dtype=np.float64) * (step / RULES.parts)
     smooth, (times, heights) = excitation.force(time), excitation.jumps()
     if times.size:
         # A time that is a jump but for rounding belongs to what follows, as in `force`.
@@ -239,11 +232,11 @@ def pack_impact(impact: Excitation, step: float, steps: int) -> arrays.Given:
 
 def _given(forces: list[Sampled], target: list[int]) -> arrays.Given:
     """Forces as sampled, made parabolas of each step."""
-    longest = max([(f.smooth.size - 1) // SUB for f in forces], default=0)
+    longest = max([(f.smooth.size - 1) // RULES.parts for f in forces], default=0)
     values, peak = np.zeros((len(forces), longest, 3)), 0.0
     for row, f in zip(values, forces, strict=True):
-        windows = np.lib.stride_tricks.sliding_window_view(f.smooth, SUB + 1)[::SUB]
-        row[: windows.shape[0]] = windows @ _projection(SUB)
+        windows = np.lib.stride_tricks.sliding_window_view(f.smooth, RULES.parts + 1)[:: RULES.parts]
+        row[: windows.shape[0]] = windows @ _projection(RULES.parts)
         largest = float(np.abs(f.smooth).max())
         if f.at.size:
             row[: windows.shape[0]] += _held(f.at, f.height, windows.shape[0])
@@ -266,7 +259,7 @@ def _held(at: Real, height: Real, steps: int) -> Real:
 
 def pack_linear(p: Problem, system: System, elements: arrays.Elements, step: float, steps: int) -> arrays.Linear:
     """Discretise the linear part at every point of the path."""
-    halvings = HALVINGS if elements.kind.size else 0
+    halvings = RULES.halvings if elements.kind.size else 0
     maps = np.array([exact_maps(a, b, elements.rows, step, halvings) for a, b in system.matrices])
     first, n, a = p.structures[0], system.n, system.matrices[0][0]
     power = first.mass @ a[n : 2 * n]

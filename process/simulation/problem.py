@@ -1,4 +1,4 @@
-"""What a time simulation of a machine is case: all names resolved, and refused where it makes no sense."""
+"""The run of a machine in a time simulation: its arguments, resolved and checked against the machine."""
 
 from __future__ import annotations
 
@@ -17,11 +17,7 @@ from process.machine.machine import Machine
 from process.machine.structure import Posture, Structure
 from process.simulation.excitation import Excitation
 from process.simulation.milling import MillingCut, Spindle
-
-FAST = 10.0
-"""Speed [m/s] at which friction is past all that is special about slow motion."""
-
-_PATH_POINTS = 33
+from process.simulation.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,7 @@ class SampledControl:
     encoder_resolution: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what does not sample."""
+        """Refuse a period, lag or resolution that is not possible."""
         if not (0.0 < self.period < math.inf and self.lag >= 0 and 0.0 <= self.encoder_resolution < math.inf):
             raise InputError(
                 f"sampling with period {self.period:g} s, lag {self.lag} and encoder steps of "
@@ -72,9 +68,9 @@ class SlideFriction(NamedTuple):
 
 def _slide_friction(law: FrictionLaw | MemoryLaw, feed: float) -> SlideFriction:
     if isinstance(law, MemoryLaw):
-        sides = law.towards(FAST).sigma, law.towards(-FAST).sigma
+        sides = law.towards(RULES.fast).sigma, law.towards(-RULES.fast).sigma
         return SlideFriction(law, feed, float(law.steady_force(feed)), min(sides), sides)
-    local, rest, up, down = (float(v) for v in law.slope(np.array([feed, 0.0, FAST, -FAST])))
+    local, rest, up, down = (float(v) for v in law.slope(np.array([feed, 0.0, RULES.fast, -RULES.fast])))
     if not (math.isfinite(local) and math.isfinite(rest)):
         raise InputError(
             "the friction law jumps at rest (kt is infinite); a time simulation needs a finite kt, e.g. 15000 s/m"
@@ -86,7 +82,7 @@ def _slide_friction(law: FrictionLaw | MemoryLaw, feed: float) -> SlideFriction:
 
 @dataclass(frozen=True)
 class MachineRun:
-    """What a machine does and what acts on it while it is simulated; `process.simulation.machine.simulate_machine`.
+    """Motion of a machine and forces on it in a simulation; `process.simulation.machine.simulate_machine`.
 
     Parameters
     ----------
@@ -217,4 +213,4 @@ def _along_path(
         return (start,)
     assert position is not None
     stop = position + feeds[machine.structure.axis] * total
-    return tuple(machine.structure_at(float(at)) for at in np.linspace(position, stop, _PATH_POINTS))
+    return tuple(machine.structure_at(float(at)) for at in np.linspace(position, stop, RULES.path_points))

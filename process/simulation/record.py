@@ -16,24 +16,12 @@ from process.labels import AXES, UNITS, axis_index
 from process.machine.structure import Structure
 from process.simulation import _machine_arrays as arrays
 from process.simulation import _machine_kernels as kernels
-from process.simulation.packing import (
-    HALVINGS,
-    SUB,
-    Sampled,
-    pack_cut,
-    pack_elements,
-    pack_linear,
-    pack_servos,
-    scratch,
-    stairs,
-)
+from process.simulation.packing import Sampled, pack_cut, pack_elements, pack_linear, pack_servos, scratch, stairs
 from process.simulation.problem import Problem
+from process.simulation.rules import RULES
 from process.simulation.step_maps import System, gains, reach
 from process.types import Real
 from process.units import from_si
-
-AT_REST = 1e-12
-"""Share of the largest states and forces below which a machine that nothing excites any more is at rest."""
 
 
 class PreparedMachine(NamedTuple):
@@ -65,7 +53,7 @@ def integrate(
     *,
     keep: int,
     accuracy: float,
-    rest: float = AT_REST,
+    rest: float = RULES.at_rest,
 ) -> Run:
     """Integrate under forces over time, as packed and as sampled.
 
@@ -80,7 +68,7 @@ def integrate(
     accuracy : float
         See `process.simulation.machine.ACCURACY`.
     rest : float, optional
-        See `AT_REST`.
+        See `SimulationRules.at_rest`.
 
     Raises
     ------
@@ -97,7 +85,7 @@ def integrate(
     if end == arrays.NOT_SOLVED:
         raise InputError(
             f"friction and joints cannot be solved for at {done * r.step:.4g} s even with steps of "
-            f"{r.step / 2**HALVINGS * 1e6:.3g} us; give a shorter step, or a law that is less steep"
+            f"{r.step / 2**RULES.halvings * 1e6:.3g} us; give a shorter step, or a law that is less steep"
         )
     _require_near(r.problem, states[: min(done + 1, r.steps), : r.system.n], end, done, r.step)
     worst, largest = work.tally[arrays.WORST], work.tally[arrays.LARGEST]
@@ -127,11 +115,6 @@ def _require_near(p: Problem, coordinates: Real, end: int, done: int, step: floa
 # --- From states and inputs to a record: channels, low-pass, labels, and a verdict on how it ends.
 
 
-MARGIN = 10
-"""Samples to each side that the low-pass spans."""
-
-_WINDOW = 0.25
-_STANDSTILL = 0.1
 _DIRECTIONS = 3
 _NIL = 1e-12
 
@@ -160,7 +143,7 @@ def _taps(factor: int) -> tuple[NDArray[np.int64], Real]:
 
     Where and how much, from the middle to one side; a sinc is zero at every `factor`-th.
     """
-    half = MARGIN * factor
+    half = RULES.margin * factor
     taps = signal.firwin(2 * half + 1, 1.0 / factor, window="hamming")[half:]
     at = np.flatnonzero(np.abs(taps) > _NIL)
     return at, np.ascontiguousarray(taps[at])
@@ -226,10 +209,10 @@ def _shares(places: Real, points: int) -> list[Real]:
 
 def _pushes(run: Run, samples: int) -> Real:
     """Forces over time as the record has them, (forces, samples)."""
-    parts = 1 if run.keep == 1 else SUB
+    parts = 1 if run.keep == 1 else RULES.parts
     out = np.zeros((len(run.forces), samples))
     for row, (_, force) in zip(out, run.forces, strict=True):
-        plain = force.smooth[:: SUB // parts]
+        plain = force.smooth[:: RULES.parts // parts]
         if force.at.size:
             plain = plain + stairs(force.at * parts, force.height, plain.size)
         row[:] = _slow(plain[None], run.keep * parts if parts > 1 else 1, samples)[0]
@@ -356,7 +339,7 @@ def _verdict(
     steps = speeds.shape[1]
     quarter = max(2, (steps - round(p.run.end / dt)) // 4)
     last, before = (_scatter(speeds[:, part]) for part in (slice(-quarter, None), slice(-2 * quarter, -quarter)))
-    quiet = last <= 1e-3 * float(np.abs(speeds).max(initial=0.0))
+    quiet = last <= RULES.quiet * float(np.abs(speeds).max(initial=0.0))
     motion = "settled"
     if poles:
         motion = (
@@ -364,15 +347,15 @@ def _verdict(
         )
     elif (steps - 2 * quarter) * dt < p.run.end:
         motion = "excited to the end"
-    elif not quiet and last > 0.97 * before:
+    elif not quiet and last > RULES.decaying * before:
         motion = "self-excited: the motion is not at rest without excitation and does not decay"
     elif not quiet:
         motion = "still decaying"
     if motion.startswith("self-excited"):
         motion += "; a frequency response from this record is not a property of the axis alone"
-    window = slice(-min(round(_WINDOW / dt), steps), None)
+    window = slice(-min(round(RULES.window / dt), steps), None)
     slow = [
-        float(np.mean((feed + row[window]) * np.sign(feed) < _STANDSTILL * abs(feed)))
+        float(np.mean((feed + row[window]) * np.sign(feed) < RULES.standstill * abs(feed)))
         for feed, row in zip(p.feeds, slides, strict=True)
     ]
     return {

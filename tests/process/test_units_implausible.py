@@ -70,7 +70,7 @@ class TestFittedParameters:
             values = {"Ktc": 1e6 * ktc, "Krc": 1e6 * krc, "Kac": 1e6 * kac, "Kte": 27.7e3, "Kre": 30.8e3, "Kae": 1.4e3}
             assert implausible(values) == []
 
-    def test_what_no_work_material_has_is_said(self) -> None:
+    def test_values_that_no_work_material_has_are_named(self) -> None:
         (said,) = implausible({"Ktc": 5.25e6, "helix": 0.3})
         assert said.startswith("Ktc is 5.25 N/mm^2, outside of 30 to 2e+04 N/mm^2")
         (said,) = implausible({"Ktc": 100e6, "Krc": 700e6})

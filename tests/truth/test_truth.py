@@ -158,7 +158,7 @@ class TestSlowMotion:
             swing = 0.5 * (tip.max() - tip.min())
             assert swing == pytest.approx(4.0 * (1.0 / 1.68e6 + 1.0 / 3.4e7), rel=0.03)
 
-    def test_motion_that_excites_itself_is_said_not_to_rest(self) -> None:
+    def test_self_excited_motion_does_not_rest(self) -> None:
         assert not response_at_rest(Truth(), Setting(100.0 * MM_MIN, "K1"))[0]
         assert response_at_rest(Truth(), Setting(500.0 * MM_MIN, "K3"))[0]
 
@@ -288,7 +288,7 @@ class TestMeasuring:
         assert full(4) != full(5)
         assert len(actuator().conditions) == 6
 
-    def test_a_silent_record_shows_the_tone_that_was_planted(self) -> None:
+    def test_a_silent_record_holds_the_tone_that_was_planted(self) -> None:
         design = Design("silent", (Condition("silent", level=0.0, repeats=1), Condition(level=100.0)))
         record = measure(Truth(), design, 5, Chain(tone=20.0))[0]
         x = record["acceleration"][0]
@@ -360,7 +360,7 @@ def bare() -> list[dict]:
 
 
 class TestBlind:
-    def test_the_answer_opens_after_the_finding(self) -> None:
+    def test_the_answer_can_be_read_after_the_finding_only(self) -> None:
         exam = draw("0f3a", effects=["gain"], design="hammer only")
         assert "gain" not in repr(exam)
         with pytest.raises(TypeError, match="hand in the finding"):

@@ -27,7 +27,7 @@ def test_the_work_without_a_slot_is_the_work_on_both_sides_of_it():
         np.testing.assert_allclose(gram_matrix(sides, order), left, atol=1e-14)
 
 
-def test_what_lies_beside_the_tool_is_left_out():
+def test_stock_beside_the_tool_is_left_out():
     one = engagement_of_strips([(-100e-3, 100e-3), (200e-3, 300e-3)], 80e-3)
     assert (one.entry, one.exit) == pytest.approx((0.0, math.pi))
 

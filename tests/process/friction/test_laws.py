@@ -32,7 +32,7 @@ def test_the_bench_curve_has_the_reference_forces(feed: float, expected: float) 
     assert float(BENCH.force(feed * MM_MIN)) == pytest.approx(expected, abs=0.05)
 
 
-def test_the_bench_curve_has_its_extremes_where_the_reference_says() -> None:
+def test_the_bench_curve_has_its_extremes_at_those_of_the_reference() -> None:
     feed = np.linspace(0.0, 3000.0, 300001)
     force = BENCH.force(feed * MM_MIN)
     assert feed[force.argmax()] == pytest.approx(13.5, abs=0.1)
@@ -126,7 +126,7 @@ def test_half_the_step_changes_the_memory_laws_little() -> None:
         assert abs(ends[2] - ends[1]) < 0.5
 
 
-def test_refusals_say_what_is_needed() -> None:
+def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
     with pytest.raises(InputError, match="sigma is -1"):
         Viscous(-1.0)
     with pytest.raises(InputError, match="stribeck speed is 0"):

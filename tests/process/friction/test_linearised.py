@@ -163,7 +163,7 @@ def test_the_bench_is_invariant_above_the_larger_of_both_criteria() -> None:
     assert invariant_feed(BENCH, 1.0, 6268.0) == pytest.approx(expected, rel=1e-6)
 
 
-def test_refusals_say_what_is_needed() -> None:
+def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
     with pytest.raises(InputError, match="amplitudes >= 0"):
         equivalent_damping(BENCH, 0.0, -1.0)
     with pytest.raises(InputError, match="0 < lowest < highest"):

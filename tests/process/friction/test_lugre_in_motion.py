@@ -140,7 +140,7 @@ def test_a_full_cycle_of_sliding_costs_the_force_of_both_sides() -> None:
     assert cost == pytest.approx(float(BOTH.steady_force(velocity[20000:]) @ velocity[20000:]) * step, rel=0.01)
 
 
-def test_at_rest_a_small_vibration_feels_the_mean_of_both_sides() -> None:
+def test_at_rest_a_small_vibration_has_the_mean_of_both_sides() -> None:
     step, w, size = 1e-6, 2.0 * math.pi * 500.0, 1e-10
     velocity = size * w * np.cos(w * (np.arange(4000) + 0.5) * step)
     force = BOTH.history(velocity, step)[2000:]

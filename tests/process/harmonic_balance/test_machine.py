@@ -257,11 +257,11 @@ def test_the_tangent_of_every_point_is_the_derivative_of_its_force() -> None:
         ends.append(force.copy())
     change = 0.5 * (ends[0] - ends[1])
     real = np.einsum("pij,pj->pi", tangent, np.concatenate([du.real, du.imag], axis=1))
-    told = real[:, :n] + 1j * real[:, n:]
-    assert np.all(np.linalg.norm(told - change, axis=1) < 0.02 * np.linalg.norm(change, axis=1))
+    predicted = real[:, :n] + 1j * real[:, n:]
+    assert np.all(np.linalg.norm(predicted - change, axis=1) < 0.02 * np.linalg.norm(change, axis=1))
 
 
-def test_a_map_holds_every_condition_and_says_where_the_machine_does_not_rest() -> None:
+def test_a_map_holds_every_condition_and_states_where_the_machine_is_self_excited() -> None:
     found = compliance_map(
         ONE, GRID, [0.0, 30.0 * MM_MIN, 500.0 * MM_MIN], ["K2", "K3"], force_levels=[None, 40.0], excitation=["x"]
     )
@@ -302,7 +302,7 @@ def test_a_slide_without_servo_is_solved_with_its_friction() -> None:
     np.testing.assert_allclose(held.compliance[:, 0], expected, rtol=1e-4)
 
 
-def test_refusals_say_what_there_is() -> None:
+def test_unknown_names_are_refused_with_those_there_are() -> None:
     lugre = LuGre(1e7, 100.0, 44.2, 84.0, 6e-3, 168.0)
     memory = Machine(two_mass_axes({"x": DRIVE}), {"x": FeedAxis(K2, lugre)})
     with pytest.raises(InputError, match="has memory; harmonic balance takes Andersson"):
@@ -317,7 +317,7 @@ def test_refusals_say_what_there_is() -> None:
         compliance_map(ONE, GRID, [])
 
 
-def test_several_responses_to_one_force_are_said() -> None:
+def test_the_status_states_several_responses_to_one_force() -> None:
     """A Duffing oscillator beyond its bend: three responses at one frequency and force."""
     k, m, c = 1e6, 10.0, 30.0
     structure = free_modes([np.sqrt(k / m) / (2 * np.pi)], [c / (2 * np.sqrt(k * m))], [m], [[1.0, 0.0, 0.0]], {})

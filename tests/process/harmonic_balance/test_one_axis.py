@@ -104,7 +104,7 @@ def peak(feed: float, force: float) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("force", "expected"), [(1.0, 21.6), (10.0, 6.45), (50.0, 1.75), (100.0, 1.45), (150.0, 1.41), (300.0, 1.39)]
 )
-def test_idle_peaks_fall_with_the_force_as_the_reference_says(force: float, expected: float) -> None:
+def test_idle_peaks_fall_with_the_force_as_in_the_reference(force: float, expected: float) -> None:
     f, height = peak(0.0, force)
     assert height == pytest.approx(expected, rel=5e-3)
     if force == 50.0:
@@ -230,7 +230,9 @@ def test_the_error_estimate_finds_the_points_where_one_harmonic_fails() -> None:
 @pytest.mark.parametrize(
     ("name", "low", "high"), [("K1", 15.0, 297.0), ("K2", 19.0, 56.0), ("K3", None, None), ("K4", None, None)]
 )
-def test_slow_feeds_stick_and_slip_where_the_reference_says(name: str, low: float | None, high: float | None) -> None:
+def test_slow_feeds_stick_and_slip_between_the_reference_limits(
+    name: str, low: float | None, high: float | None
+) -> None:
     gains = CONTROLLER[name]
 
     def steady(feed: float) -> bool:
@@ -318,7 +320,7 @@ def test_coulomb_friction_leaves_the_response_alone_until_the_motion_reverses() 
     np.testing.assert_allclose(fed, linear, rtol=1e-6)
 
 
-def test_refusals_say_what_is_needed() -> None:
+def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
     axis = sliding(K2, BENCH, 0.0)
     with pytest.raises(InputError, match="finite kt"):
         sliding(K2, Coulomb(44.2), 0.0)

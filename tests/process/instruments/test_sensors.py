@@ -93,7 +93,7 @@ def test_gain_cross_axis_and_sign_are_one_matrix() -> None:
     np.testing.assert_allclose(flipped, np.array([[1], [-1], [1]]) * true)
 
 
-def test_a_turned_sensor_shows_a_vector_turned_back_and_keeps_its_length() -> None:
+def test_a_turned_sensor_reads_a_vector_turned_back_of_the_same_length() -> None:
     angle = math.radians(3.0)
     true = np.zeros((3, 100))
     true[0] = 1.0
@@ -103,7 +103,7 @@ def test_a_turned_sensor_shows_a_vector_turned_back_and_keeps_its_length() -> No
     np.testing.assert_allclose(back, true, atol=1e-15)
 
 
-def test_a_plate_takes_its_inertia_off_the_force_and_what_pushes_shows_its_own_as_well() -> None:
+def test_a_plate_takes_its_inertia_off_the_force_and_a_stinger_adds_its_own() -> None:
     """Newton for the mass between: a plate behind the cut passes on F - m a, a stinger needs F + m a for F."""
     force = np.zeros((3, 100))
     force[0, 40:50] = 5.0
@@ -212,7 +212,7 @@ def test_a_converter_clips_at_its_range() -> None:
     np.testing.assert_array_equal(out[1], sine(10.0)[1])
 
 
-def test_an_encoder_shows_whole_steps() -> None:
+def test_an_encoder_reads_whole_steps() -> None:
     t = np.arange(1000) / 1000.0
     record = make_record(t, {"force": {"x": 0 * t}, "encoder_position": {"x": 0.01 * t}})
     out = apply(Grid(1e-6), record)["encoder_position"].values[0]
@@ -238,7 +238,7 @@ def test_a_perfect_chain_changes_nothing_but_the_rate() -> None:
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_an_added_mass_acts_as_sherman_and_morrison_say(axis: str) -> None:
+def test_an_added_mass_is_the_formula_of_sherman_and_morrison(axis: str) -> None:
     f, mass, e = np.linspace(5.0, 150.0, 200), 12.0, np.eye(3)["xyz".index(axis)]
     phi = MACHINE.matrix(f)
     w2 = mass * (2 * np.pi * f) ** 2

@@ -25,7 +25,7 @@ SERVO = Servo(4e5, 0.03, 25.0)
 AXIS = Machine(two_mass_axes({"x": Drive(4000.0, 300.0, 4e7, 5e3)}), {"x": FeedAxis(SERVO, Viscous(4000.0))})
 
 
-def test_a_half_sine_pulse_has_the_impulse_it_is_asked_for() -> None:
+def test_a_half_sine_pulse_has_the_given_impulse() -> None:
     t = np.arange(0, 0.1, 1e-6)
     pulse = HalfSine(2.5, 4e-3, 0.02).force(t)
     assert np.trapezoid(pulse, t) == pytest.approx(2.5, rel=1e-6)

@@ -41,8 +41,8 @@ def test_the_describing_function_is_the_first_harmonic_of_the_force(joint: Joint
 def test_the_energy_of_a_cycle_is_the_area_of_the_loop(joint: Joint, amplitude: float) -> None:
     x, force = cycle(joint, amplitude)
     area = float(np.sum(0.5 * (force + np.roll(force, -1)) * (np.roll(x, -1) - x)))
-    told = math.pi * float(joint.loss_stiffness(amplitude)) * amplitude**2
-    assert told == pytest.approx(area, rel=2e-3, abs=1e-9)
+    lost = math.pi * float(joint.loss_stiffness(amplitude)) * amplitude**2
+    assert lost == pytest.approx(area, rel=2e-3, abs=1e-9)
 
 
 def test_an_iwan_joint_loads_along_a_parabola_and_then_slips() -> None:
@@ -93,7 +93,7 @@ def test_the_viscous_equivalent_falls_with_frequency() -> None:
     assert float(Gap(2e7, 1e-6).equivalent_damping(8e-6, 60.0)) == 0.0
 
 
-def test_refusals_say_what_is_needed() -> None:
+def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
     with pytest.raises(InputError, match="slip force is -1"):
         Jenkins(1.0, -1.0)
     with pytest.raises(InputError, match="amplitudes > 0"):

@@ -1,4 +1,4 @@
-"""Claims: a machine of several axes reduces to its closed forms, is reciprocal, and knows when it is unstable."""
+"""A machine of several axes reduces to its closed forms, is reciprocal, and is refused where it is unstable."""
 
 import numpy as np
 import pytest
@@ -226,7 +226,7 @@ class TestLinearisedFriction:
     GMS = GeneralisedMaxwellSlip((1e7, 1e7), (0.4, 0.6), 44.2, 84.0, 6.457e-3, 168.0, 5e3)
 
     @pytest.mark.parametrize("law", [LUGRE, GMS])
-    def test_slow_vibration_in_motion_feels_the_slope_of_the_steady_curve(self, law) -> None:  # type: ignore[no-untyped-def]
+    def test_slow_vibration_in_motion_has_the_slope_of_the_steady_curve(self, law) -> None:  # type: ignore[no-untyped-def]
         v, h = 4e-3, 1e-7
         slope = (law.steady_force(v + h) - law.steady_force(v - h)) / (2.0 * h)
         assert float((linearised(law, v)(1e-4j) / 1e-4j).real) == pytest.approx(float(slope), rel=1e-4)
@@ -261,7 +261,7 @@ class TestLinearisedFriction:
         assert linearised(CoulombViscous(44.0, 168.0), 0.01).direct == pytest.approx(168.0)
 
 
-class TestWhatIsNotSaid:
+class TestStability:
     def test_a_machine_with_free_slides_is_not_unstable(self) -> None:
         free = Machine(two_mass_axes({"x": BENCH})).at()
         assert free.unstable_poles() == 0
@@ -308,7 +308,7 @@ class TestWhatIsNotSaid:
             released_compliance(RAM.compliance(F), {"x": FeedAxis(K1)}, {"x": np.inf}, 600.0)
 
 
-def test_an_unstable_loop_is_not_blamed_on_falling_friction() -> None:
+def test_the_cause_of_an_unstable_loop_is_not_falling_friction() -> None:
     structure = two_mass_axes({"x": BENCH})
     machine = Machine(structure, {"x": FeedAxis(Servo(2e5, 1e-3, 200.0, 2e-3), TABLE_1)})
     with pytest.raises(InputError, match="Lower Kp or Kv"):

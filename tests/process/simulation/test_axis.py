@@ -155,7 +155,7 @@ def test_the_hammer_on_the_bench_gives_the_reference_peaks(feed: int) -> None:
         assert record.attrs["motion"].startswith("self-excited") == stick_slip
 
 
-def test_viscous_friction_alone_knows_no_difference_between_idle_and_motion() -> None:
+def test_viscous_friction_alone_is_the_same_idle_and_in_motion() -> None:
     for servo, expected in (("K3", 1.654), ("K2", 1.396)):
         peaks = [hammer(Viscous(168.0), servo, feed)[1] for feed in (0, 25, 500)]
         assert peaks == pytest.approx([expected] * 3, rel=1e-3)
@@ -195,7 +195,7 @@ def test_the_bandwidth_of_the_servo_shapes_the_response_in_motion(servo: str) ->
     assert peak == pytest.approx(FIGURE_16[servo][1], rel=0.01)
 
 
-def test_stick_slip_is_found_where_the_linear_stability_says_so() -> None:
+def test_stick_slip_is_found_where_the_linear_machine_is_unstable() -> None:
     # K1 is unstable from 15 to 297 mm/min.
     for feed, unstable in ((13.0, False), (18.0, True), (290.0, True), (310.0, False)):
         record = simulate_axis(bench("K1"), ANDERSSON, HIT, feed * MM_MIN, 4.0)
@@ -212,7 +212,7 @@ def test_a_limit_cycle_goes_on_and_sticks() -> None:
     assert swings[0] == pytest.approx(swings[1], rel=0.05)
 
 
-def test_a_quiet_axis_is_said_to_be_settled_and_a_ringing_one_is_not() -> None:
+def test_a_quiet_axis_is_settled_and_a_ringing_one_is_not() -> None:
     assert simulate_axis(bench(), ANDERSSON, HIT, 500 * MM_MIN, 2.0).attrs["motion"] == "settled"
     assert simulate_axis(bench(), ANDERSSON, HIT, 0.0, 1.0).attrs["motion"] == "still decaying"
     sine = SteppedSine((30.0,), 10.0, 1.0)

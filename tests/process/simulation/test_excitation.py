@@ -132,7 +132,7 @@ def test_a_multisine_of_one_line_is_a_cosine() -> None:
     assert m.crest_factor == pytest.approx(math.sqrt(2.0), rel=0.02)
 
 
-def test_an_odd_multisine_tells_even_from_odd_distortion() -> None:
+def test_an_odd_multisine_separates_even_from_odd_distortion() -> None:
     m = Multisine(1.0, odd_random_harmonics(1, 99, 4, seed=2), 1.0, start=0.0)
     k = np.array(m.harmonics)
     assert np.all(k % 2 == 1)

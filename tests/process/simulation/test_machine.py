@@ -130,7 +130,7 @@ def one_mass(joint: Joint | None) -> Machine:
 
 
 @pytest.mark.parametrize("name", JOINTS)
-def test_a_joint_obeys_newton(name: str) -> None:
+def test_a_joint_satisfies_the_equation_of_motion(name: str) -> None:
     # From the record alone: m a + c v + k x + joint(history of x) = F, at every sample.
     rate = 40e3
     hit = HalfSine.from_peak(300.0, 5e-3, 0.0)
@@ -173,7 +173,7 @@ def runge_kutta(joint: Joint, hit: HalfSine, step: float, steps: int) -> np.ndar
 
 
 @pytest.mark.parametrize("preload", [0.0, 20.0, 80.0])
-def test_a_double_pinion_moves_as_runge_kutta_says(preload: float) -> None:
+def test_a_double_pinion_moves_as_integrated_by_runge_kutta(preload: float) -> None:
     # Both pinions lift off, and the free tooth of the master meets its other flank.
     joint, hit = DoublePinion(2e6, 1e6, 15e-6, preload), HalfSine.from_peak(300.0, 5e-3, 0.0)
     x = simulate_machine(one_mass(joint), duration=0.05, forces={"x": hit}, sample_rate=40e3)["displacement"].values[0]
@@ -208,12 +208,12 @@ def test_friction_with_memory_is_that_of_its_history(law: LuGre | GeneralisedMax
     x, place, push = (record[v].values[0] for v in ("displacement", "encoder_position", "drive_force"))
     v = np.diff(place) * rate
     lead = np.full(20000, feed * MM_MIN)
-    rub = law.history(np.concatenate([lead, v]), 1 / rate)[lead.size :]
+    friction = law.history(np.concatenate([lead, v]), 1 / rate)[lead.size :]
     away = place - record["reference_position"].values[0]
     joint = 1.68e6 * (x - away) + 104.0 * (np.gradient(x, 1 / rate) - np.gradient(away, 1 / rate))
     carriage = np.gradient(np.gradient(away, 1 / rate), 1 / rate)
-    rest = 23.1 * carriage[1:] - (joint + push)[1:] + rub
-    assert np.sqrt(np.mean(rest[5:-5] ** 2)) < 0.02 * np.abs(rub).max()
+    rest = 23.1 * carriage[1:] - (joint + push)[1:] + friction
+    assert np.sqrt(np.mean(rest[5:-5] ** 2)) < 0.02 * np.abs(friction).max()
     assert step_error(machine, duration=0.1, feed=feed * MM_MIN, forces={"x": hit}) < 2e-3
 
 
@@ -376,7 +376,7 @@ def test_a_kick_makes_a_stable_cut_chatter_at_low_feed(feed: float, limit: float
         assert (regeneration(record, 1500)[1] > 1e-5) == chatters
 
 
-def test_a_sampled_servo_damps_as_its_poles_say() -> None:
+def test_a_sampled_servo_damps_at_the_rate_of_its_poles() -> None:
     # A light hit of the free-running axis: the slowest oscillation decays as the pole in the unit circle.
     for period, lag in ((1e-3, 1), (0.5e-3, 2), (2e-3, 0)):
         control = SampledControl(period, lag)
@@ -492,7 +492,7 @@ def test_a_posture_that_does_not_change_is_a_structure() -> None:
     assert math.isnan(runs[0].attrs["energy_error"])
 
 
-def test_a_free_slide_drifts_as_newton_says() -> None:
+def test_a_free_slide_drifts_with_its_momentum() -> None:
     record = simulate_machine(bench(None, Viscous(0.0)), duration=1.0, forces={"x": HalfSine(1.0, 4e-3, 0.0)})
     x = record["encoder_position"].values[0]
     speed = np.polyfit(record["time"].values[200:], x[200:], 1)[0]

@@ -130,7 +130,7 @@ def test_run_out_moves_chips_between_teeth_but_keeps_the_mean_force() -> None:
     np.testing.assert_allclose(means[1], means[0], rtol=2e-3)
 
 
-def test_a_swept_tooth_passing_frequency_is_where_the_angle_says() -> None:
+def test_a_swept_tooth_passing_frequency_is_that_of_the_angle() -> None:
     cut = MillingCut(FACE_MILL, engagement("down", 37.5e-3, 0.125), STEEL, 2e-3, feed_rate=2e-3)
     record = simulate_milling(RIGID, cut, Spindle(20.0, 1.5), 20.0, 1000.0)
     force, angle = record["force"].sel(axis="y").values, record["spindle_angle"].values
@@ -140,7 +140,7 @@ def test_a_swept_tooth_passing_frequency_is_where_the_angle_says() -> None:
     assert record["spindle_speed"].values[-1] == pytest.approx((20.0 + 1.5 * 20.0) * 30 / np.pi, rel=1e-3)
 
 
-def test_with_unequal_pitch_every_tooth_cuts_when_and_what_its_place_says() -> None:
+def test_with_unequal_pitch_every_tooth_cuts_at_its_angle_the_chip_of_its_pitch() -> None:
     # Tooth j+1 comes pitch[j] after tooth j, and takes off what the feed has advanced in that angle.
     pitch = np.radians([100.0, 150.0, 110.0])
     tool, arc, feed = Tool(0.05, 3, pitch_angles=tuple(pitch)), Engagement(0.3, 1.1), 1e-4
@@ -258,7 +258,7 @@ def solved(equation, start: tuple[float, float]) -> np.ndarray:  # type: ignore[
     return np.asarray(found.x)
 
 
-def test_regeneration_and_process_damping_together_decay_as_the_characteristic_root_says() -> None:
+def test_regeneration_with_process_damping_decays_at_the_rate_of_the_characteristic_root() -> None:
     depth, rpm, flank, rate = 1e-4, 1500.0, 4e5, 16000.0
     sigma, _ = solved(lambda a, b: characteristic(complex(a * 100, b * 100), depth, rpm, flank), (-0.05, 3.9)) * 100
     cut = MillingCut(
