@@ -122,7 +122,7 @@ def test_the_direction_of_motion_matters_only_for_an_asymmetric_law() -> None:
 
 def test_the_graded_quadrature_equals_the_midpoint_rule() -> None:
     v0 = np.array([0.0, 1.0, 25.0, 100.0, 500.0, -40.0]) * MM_MIN
-    t = (np.arange(300_000) + 0.5) * math.pi / 300_000
+    t = (np.arange(100_000) + 0.5) * math.pi / 100_000
     for amplitude in (0.1, 20.0, 99.9, 100.1, 250.0, 3000.0):
         v = amplitude * MM_MIN
         dense = [2.0 * np.mean(BOTH.force(b + v * np.cos(t)) * np.cos(t)) / v for b in v0]

@@ -178,7 +178,9 @@ POINTS = [
 ]
 
 
-@pytest.mark.parametrize(("feed", "force", "frequency"), POINTS)
+@pytest.mark.parametrize(
+    ("feed", "force", "frequency"), [*POINTS[::2], *(pytest.param(*p, marks=pytest.mark.slow) for p in POINTS[1::2])]
+)
 def test_many_harmonics_equal_the_time_simulation(feed: float, force: float, frequency: float) -> None:
     axis = sliding(K2, BENCH, feed * MM_MIN)
     expected = simulated(K2, BENCH, feed * MM_MIN, force, frequency)

@@ -172,7 +172,7 @@ def runge_kutta(joint: Joint, hit: HalfSine, step: float, steps: int) -> np.ndar
     return np.array(out)
 
 
-@pytest.mark.parametrize("preload", [0.0, 20.0, 80.0])
+@pytest.mark.parametrize("preload", [0.0, pytest.param(20.0, marks=pytest.mark.slow), 80.0])
 def test_a_double_pinion_moves_as_integrated_by_runge_kutta(preload: float) -> None:
     # Both pinions lift off, and the free tooth of the master meets its other flank.
     joint, hit = DoublePinion(2e6, 1e6, 15e-6, preload), HalfSine.from_peak(300.0, 5e-3, 0.0)
