@@ -11,6 +11,7 @@ Encoder position and velocity are read every T; ``e = a v_ref + Kv (x_ref - x) -
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,14 +93,14 @@ class SampledServo:
         ndarray of complex, shape (5 + lag,)
             Imaginary part up to pi/T; a pole at z = 0 is at minus infinity and left out.
         """
-        return self._logarithm(self._closed(drive)[0])
+        return self._logarithm(self._closed(drive, self.servo.Kv))
 
     def velocity_poles(self, drive: Drive) -> Complex:
         """Return the poles of the closed velocity loop (without Kv) as ``s = ln(z)/T`` [rad/s], rightmost first.
 
         The position of the axis integrates: its pole at s = 0 is left out.
         """
-        transition = self._closed(drive, position_gain=0.0)[0]
+        transition = self._closed(drive, 0.0)
         # Positions relative to the carriage: x_t - x_m replaces x_t, and x_m, which nothing depends on, goes.
         shift = np.eye(len(transition))
         shift[0, _CARRIAGE] = -1.0
@@ -112,34 +113,13 @@ class SampledServo:
         s = np.log(found[np.abs(found) > 1e-12]) / self.period
         return np.asarray(s[np.lexsort((s.imag, -s.real))])
 
-    def _closed(self, drive: Drive, position_gain: float | None = None) -> tuple[Real, Real]:
-        """Transition of a period, and the effect on it of an error e at the input of the velocity controller.
-
-        State: masses (4), the integral, and the forces that wait, newest first.
-        """
-        servo, period, lag = self.servo, self.period, self.lag
-        free, push = _held(drive, period)
-        n = _MASSES + 1 + lag
-        z = np.zeros((n, n))
-        entry, reading, force = np.zeros(n), np.zeros(n), np.zeros(n)
-        reading[_CARRIAGE] = -(servo.Kv if position_gain is None else position_gain)
-        reading[_CARRIAGE_SPEED] = -1.0
-        gain = servo.Kp * (1.0 + period / servo.Ti)
-        force[_MASSES] = servo.Kp / servo.Ti
-        force += gain * reading
-        z[:_MASSES, :_MASSES] = np.eye(_MASSES) + free
-        z[_MASSES] = period * reading
-        z[_MASSES, _MASSES] = 1.0
-        entry[_MASSES] = period
-        if lag == 0:
-            z[:_MASSES] += np.outer(push, force)
-            entry[:_MASSES] = push * gain
-        else:
-            z[:_MASSES, -1] += push
-            z[_MASSES + 1] = force
-            z[_MASSES + 2 :, _MASSES + 1 : -1] = np.eye(lag - 1)
-            entry[_MASSES + 1] = gain
-        return z, entry
+    def _closed(self, drive: Drive, position_gain: float) -> Real:
+        """Transition of a period. State: masses (4), the integral, and the forces that wait, newest first."""
+        a = replace(drive, servo=None).state_space()[0][:_MASSES, :_MASSES]
+        one = np.eye(_MASSES)
+        gains = (self.servo.Kp, self.servo.Ti, position_gain)
+        inlet = one[:, [_CARRIAGE_SPEED]] / drive.moving_mass
+        return sampled_transition(a, inlet, one[[_CARRIAGE]], one[[_CARRIAGE_SPEED]], [gains], self.period, self.lag)
 
     def _controller(self, frequency: Real) -> Complex:
         """C [N s/m] at frequencies [Hz]."""
@@ -237,3 +217,61 @@ def _held(drive: Drive, period: float) -> tuple[Real, Real]:
     # Integral of exp(A t) from 0 to T.
     integral = linalg.expm(block * period)[:_MASSES, _MASSES:]
     return np.asarray(a @ integral), np.asarray(integral[:, _CARRIAGE_SPEED] / drive.moving_mass)
+
+
+def sampled_transition(
+    a: Real,
+    inlets: Real,
+    places: Real,
+    speeds: Real,
+    gains: Sequence[tuple[float, float, float]],
+    period: float,
+    lag: int,
+    differenced: bool = False,
+) -> Real:
+    """Return the matrix that takes motion, integrals, waiting forces and last readings from one sample to the next.
+
+    Parameters
+    ----------
+    a : ndarray, shape (m, m)
+        Free motion ``q' = A q``.
+    inlets : ndarray, shape (m, s)
+        ``q'`` for a unit force [N] of each servo.
+    places, speeds : ndarray, shape (s, m)
+        Position and velocity that each servo reads.
+    gains : sequence of (float, float, float)
+        Kp [N s/m], Ti [s] and Kv [1/s] of each.
+    period : float
+        Sampling period [s].
+    lag : int
+        Whole periods from reading to force.
+    differenced : bool, optional
+        The velocity is the difference of two readings of the position.
+    """
+    m, count = inlets.shape
+    block = np.zeros((m + count, m + count))
+    block[:m, :m], block[:m, m:] = a, inlets
+    exact = linalg.expm(block * period)[:m]
+    readings = m + count * (1 + lag)
+    size = readings + count * differenced
+    z = np.zeros((size, size))
+    z[:m, :m] = exact[:, :m]
+    for k, (kp, ti, kv) in enumerate(gains):
+        error, integral, queue = np.zeros(size), m + k, m + count + k * lag
+        error[:m] = -kv * places[k]
+        if differenced:
+            error[:m] -= places[k] / period
+            error[readings + k] = 1.0 / period
+            z[readings + k, :m] = places[k]
+        else:
+            error[:m] -= speeds[k]
+        z[integral] = period * error
+        z[integral, integral] = 1.0
+        force = kp * (error + z[integral] / ti)
+        if lag == 0:
+            z[:m] += np.outer(exact[:, m + k], force)
+        else:
+            z[:m, queue + lag - 1] += exact[:, m + k]
+            z[queue] = force
+            z[queue + 1 : queue + lag, queue : queue + lag - 1] = np.eye(lag - 1)
+    return z

@@ -325,9 +325,7 @@ def _base_stiffness(
 ) -> Complex:
     """``G + j w f' - w^2 M`` of each slide, shape (f, axes, axes), diagonal."""
     out = np.zeros((w.size, len(axes), len(axes)), dtype=np.complex128)
-    s = 1j * w
     for i, (name, axis) in enumerate(axes.items()):
-        servo = axis.controller(controller)
-        held = linearised(axis.friction, feeds[name])(s) - w**2 * moving_mass[name]
-        out[:, i, i] = held if servo is None else held + servo.feedback(s)
+        slide = SlideImpedance(name, axis.controller(controller), linearised(axis.friction, feeds[name]))
+        out[:, i, i] = slide.stiffness(np.asarray(1j * w)) - w**2 * moving_mass[name]
     return out

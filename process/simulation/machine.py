@@ -1,9 +1,10 @@
-"""Time simulation of a whole machine: hammer hits, shakers and cuts, idle or in motion.
+"""Time simulation of a whole machine: hammer hits, shakers and cuts, idle or in motion; error of the step.
 
 Deviations from the ramp of each axis are integrated: the steady friction is held by the integrator, so there is no
 start-up transient and no cancellation. The linear part moves exactly (matrix exponential); friction and joints are
 inputs that are solved for, quadratic in time, and the step is halved where that does not follow them. Labelled in and
-out; the loop is in `process.simulation._machine_kernels`.
+out; the loop is in `process.simulation._machine_kernels`. `RepeatedImpact` prepares a machine once for many impacts;
+`require_bounded` and `count_unstable` refuse servos that are unstable and count the unstable poles of a record.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy import linalg, signal
+from scipy import signal
 
+from process.drive.sampled_servo import sampled_transition
 from process.errors import InputError
 from process.friction.linearised import FrictionImpedance
 from process.machine.machine import Machine
@@ -250,9 +252,6 @@ def require_fine(p: Problem, fastest: float, step: float) -> None:
         )
 
 
-# --- Repeated impacts on a machine in uniform motion: all but the force is prepared once.
-
-
 class RepeatedImpact:
     """A machine that is hit along one axis many times; its samples are its steps, and nothing is low-passed.
 
@@ -306,7 +305,7 @@ class RepeatedImpact:
         return displacement_of(r.problem, run)
 
 
-# --- Stability of a machine that is to be moved in time: at its feed, and so fast that friction is past its curve.
+# --- Stability: at the feed, and so fast that friction is past its curve.
 
 
 def operating_point(p: Problem) -> OperatingPoint:
@@ -377,40 +376,15 @@ def count_unstable(point: OperatingPoint, control: SampledControl | None) -> int
 
 
 def _sampled_transition(point: OperatingPoint, control: SampledControl) -> Real:
-    """Return the matrix that takes motion, integrals, waiting forces and last readings from one sample to the next.
-
-    An encoder with a resolution gives the velocity as the difference of two readings.
-    """
+    """Return the matrix of `sampled_transition`; an encoder with a resolution gives the velocity as a difference."""
     free = replace(point, slides=tuple(replace(s, servo=None) for s in point.slides))
-    a, n, period, lag = free.delay_equation.a, point.structure.size, control.period, control.lag
-    rows, held = point.structure.slide_rows(), [(i, s.servo) for i, s in enumerate(point.slides) if s.servo is not None]
-    m, count = a.shape[0], len(held)
-    block = np.zeros((m + count, m + count))
-    block[:m, :m] = a
-    block[n : 2 * n, m:] = np.linalg.solve(point.structure.mass, rows[[i for i, _ in held]].T)
-    exact = linalg.expm(block * period)[:m]
+    a, n, rows = free.delay_equation.a, point.structure.size, point.structure.slide_rows()
+    held = [(i, s.servo) for i, s in enumerate(point.slides) if s.servo is not None]
+    rows = rows[[i for i, _ in held]]
+    inlets = np.zeros((a.shape[0], len(held)))
+    inlets[n : 2 * n] = np.linalg.solve(point.structure.mass, rows.T)
+    places, speeds = np.zeros((2, len(held), a.shape[0]))
+    places[:, :n], speeds[:, n : 2 * n] = rows, rows
+    gains = [(servo.Kp, servo.Ti, servo.Kv) for _, servo in held]
     differenced = control.encoder_resolution > 0.0
-    readings = m + count * (1 + lag)
-    size = readings + count * differenced
-    z = np.zeros((size, size))
-    z[:m, :m] = exact[:, :m]
-    for k, (i, servo) in enumerate(held):
-        error, integral = np.zeros(size), m + k
-        error[:n] = -servo.Kv * rows[i]
-        if differenced:
-            error[:n] -= rows[i] / period
-            error[readings + k] = 1.0 / period
-            z[readings + k, :n] = rows[i]
-        else:
-            error[n : 2 * n] = -rows[i]
-        z[integral] = period * error
-        z[integral, integral] = 1.0
-        force = servo.Kp * (error + z[integral] / servo.Ti)
-        queue = m + count + k * lag
-        if lag == 0:
-            z[:m] += np.outer(exact[:, m + k], force)
-        else:
-            z[:m, queue + lag - 1] += exact[:, m + k]
-            z[queue] = force
-            z[queue + 1 : queue + lag, queue : queue + lag - 1] = np.eye(lag - 1)
-    return z
+    return sampled_transition(a, inlets, places, speeds, gains, control.period, control.lag, differenced)
