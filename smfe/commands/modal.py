@@ -78,8 +78,8 @@ def modal(
         with attempt(refused, "modes of", name):
             fits[name] = fit_modes(compliance, band=limits)
     if not fits:
-        told = "; ".join(f"{f.name}: {f.reason}" for f in refused)
-        raise InputError(f"no modes could be fitted: {told}")
+        reasons = "; ".join(f"{f.name}: {f.reason}" for f in refused)
+        raise InputError(f"no modes could be fitted: {reasons}")
     _write(path, fits, {f.name: f.reason for f in refused})
     if failures is not None:
         failures += refused

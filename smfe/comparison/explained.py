@@ -8,8 +8,8 @@ amplitude are described by an additive model of the conditions that vary, each a
 by least squares weighted with 1/s_m^2, s_m being the relative standard deviation of the peak in measurement m. A
 factor is judged by what the fit loses without it (``D`` more in chi^2 for ``r`` unknowns fewer): ``F =
 (D/r)/(chi^2/dof)`` where measurements are left over and scatter by more than their errors say, chi^2 with r degrees
-of freedom otherwise. What one design cannot separate is said instead of guessed: factors that always change together
-are aliased and are judged together, as one term.
+of freedom otherwise. Factors that a design does not separate are named instead of guessed: those that always
+change together are aliased and are judged together, as one term.
 
 Where a design has them, products of two terms are judged as well: an **interaction** is a feed that acts with one
 controller and not with the other. Each is added to the additive model alone and judged by what the fit gains. The
@@ -49,7 +49,7 @@ JOINT = "all three"
 """Quantity of a row that judges frequency, damping and amplitude together."""
 
 WITH = " + "
-"""Between factors that cannot be told apart."""
+"""Between factors that the design does not separate."""
 
 TIMES = " x "
 """Between the two terms of an interaction."""
@@ -97,7 +97,7 @@ class Design:
         return int(np.linalg.matrix_rank(self.columns(names)))
 
     def terms(self) -> list[tuple[str, ...]]:
-        """Return the factors, those that no measurement tells apart as one term.
+        """Return the factors, those that no measurement separates as one term.
 
         A factor whose columns the others hold already has no test of its own. It is joined with those others that hold
         them; what is joined is judged together.
@@ -147,7 +147,7 @@ class Design:
         return out
 
     def _combined(self, term: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the category of each measurement, of factors that cannot be told apart the categories together."""
+        """Return the category of each measurement, of factors that are not separated the categories together."""
         return tuple(" and ".join(c) for c in zip(*(self.factors[n] for n in term), strict=True))
 
 
@@ -181,16 +181,16 @@ def conditions_of(compliance: xr.Dataset) -> dict[str, str]:
     """
     text = compliance.attrs.get("conditions", "{}")
     try:
-        told = {str(k): str(v) for k, v in json.loads(text).items()}
+        conditions = {str(k): str(v) for k, v in json.loads(text).items()}
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"the conditions of a compliance are {text!r}, which is no JSON object; write it again with `smfe identify`"
         ) from error
-    told["method"] = str(compliance.attrs.get("method", "not stated"))
-    level = told.get("force_level", told.get("depth_of_cut"))
+    conditions["method"] = str(compliance.attrs.get("method", "not stated"))
+    level = conditions.get("force_level", conditions.get("depth_of_cut"))
     if level is not None:
-        told["level"] = level
-    return {name: told[name] for name in CONDITIONS if name in told}
+        conditions["level"] = level
+    return {name: conditions[name] for name in CONDITIONS if name in conditions}
 
 
 def explain(identifications: Mapping[str, xr.Dataset], peak_rules: PeakRules | None = None) -> pd.DataFrame:
@@ -207,18 +207,18 @@ def explain(identifications: Mapping[str, xr.Dataset], peak_rules: PeakRules | N
     -------
     pandas.DataFrame
         One row a peak, quantity and term of the model (`COLUMNS`): the ``effect`` is the difference of the category
-        ``highest`` from ``lowest`` in percent with a 95 % interval (empty where the design does not tell it),
+        ``highest`` from ``lowest`` in percent with a 95 % interval (empty where the design does not determine it),
         ``explained_percent`` the share of the weighted differences that is lost without the factor (of an unbalanced
         design the shares do not add up), ``misfit`` the root of chi^2 over the degrees of freedom that are left over.
         No rows where fewer than two measurements or no condition vary.
     """
-    told = {name: conditions_of(dataset) for name, dataset in identifications.items()}
+    conditions = {name: conditions_of(dataset) for name, dataset in identifications.items()}
     rows: list[dict[str, object]] = []
     pairs = dict.fromkeys(pair for dataset in identifications.values() for pair in entries(dataset))
     for pair in pairs:
         peaks = {n: entry_peaks(d, *pair, peak_rules) for n, d in identifications.items() if pair in entries(d)}
         for track in tracks(peaks):
-            rows += _track_rows(pair, track, told)
+            rows += _track_rows(pair, track, conditions)
     frame = pd.DataFrame(rows, columns=list(COLUMNS))
     if len(frame):
         frame["p_family"] = holm(frame["p"].to_numpy(dtype=float))
@@ -259,11 +259,11 @@ def tracks(peaks: Mapping[str, Sequence[Peak]], tolerance: float = TOLERANCE) ->
 
 
 def _track_rows(
-    pair: tuple[str, str], track: Mapping[str, Peak], told: Mapping[str, Mapping[str, str]]
+    pair: tuple[str, str], track: Mapping[str, Peak], conditions: Mapping[str, Mapping[str, str]]
 ) -> list[dict[str, object]]:
     """Return the rows of one peak."""
-    names = [n for n in told if n in track]
-    factors = {f: tuple(told[n].get(f, "not stated") for n in names) for f in CONDITIONS}
+    names = [n for n in conditions if n in track]
+    factors = {f: tuple(conditions[n].get(f, "not stated") for n in names) for f in CONDITIONS}
     varying = {f: c for f, c in factors.items() if len(set(c)) > 1}
     if len(names) < 2 or not varying:
         return []
@@ -322,15 +322,15 @@ def judge(design: Design, logarithm: Real, errors: Real) -> list[dict[str, objec
     rows = []
     for term in design.terms():
         others = [n for n in names if n not in term]
-        freedom = rank - design.rank(others)
+        unknowns = rank - design.rank(others)
         loss = max(data.fit(design.columns(others))[0] - chi, 0.0)
-        row, scale = _judged(data, loss, total, freedom, chi, left)
+        row, scale = _judged(data, loss, total, unknowns, chi, left)
         row |= {
             "factor": WITH.join(term),
             "categories": "; ".join(", ".join(sorted(set(design.factors[n]))) for n in term),
             "aliased_with": WITH.join(term) if len(term) > 1 else "",
         }
-        if data.quantities == 1 and len(term) == 1 and freedom == len(set(design.factors[term[0]])) - 1:
+        if data.quantities == 1 and len(term) == 1 and unknowns == len(set(design.factors[term[0]])) - 1:
             row |= _effect(design, term[0], names, beta, covariance * scale)
         rows.append(row)
     return rows + [_interaction(data, product, full, chi, total) for product in design.interactions()]
@@ -341,21 +341,21 @@ def _interaction(data: _Data, product: Product, full: Real, additive: float, tot
     columns = np.concatenate([full, product.columns], axis=1)
     chi, beta, covariance = data.fit(columns)
     rank = int(np.linalg.matrix_rank(columns))
-    freedom, left = rank - int(np.linalg.matrix_rank(full)), columns.shape[0] - rank
-    row, scale = _judged(data, max(additive - chi, 0.0), total, freedom, chi, left)
+    unknowns, left = rank - int(np.linalg.matrix_rank(full)), columns.shape[0] - rank
+    row, scale = _judged(data, max(additive - chi, 0.0), total, unknowns, chi, left)
     row |= {"factor": product.name, "categories": product.categories, "aliased_with": ""}
-    if data.quantities == 1 and freedom == 1 and product.columns.shape[1] == 1:
+    if data.quantities == 1 and unknowns == 1 and product.columns.shape[1] == 1:
         low, high = product.ends
         row |= _change(low, high, float(beta[-1]), float(np.sqrt(covariance[-1, -1] * scale)))
     return row
 
 
 def _judged(
-    data: _Data, loss: float, total: float, freedom: int, chi: float, left: int
+    data: _Data, loss: float, total: float, unknowns: int, chi: float, left: int
 ) -> tuple[dict[str, object], float]:
     """Return the test of a term, and by what the variance of its errors is raised."""
-    r, dof = freedom * data.quantities, left * data.quantities
-    # Scatter beyond the stated errors counts as error; less scatter than stated is chance.
+    r, dof = unknowns * data.quantities, left * data.quantities
+    # Scatter beyond the stated errors counts as error; less scatter than stated is no better knowledge.
     scale = max(chi / dof, 1.0) if dof else 1.0
     row: dict[str, object] = {
         "explained_percent": 100.0 * loss / total if total > 0.0 else float("nan"),
@@ -366,11 +366,11 @@ def _judged(
     return row | _test(loss, r, dof, scale), scale
 
 
-def _test(loss: float, freedom: int, left: int, scale: float) -> dict[str, object]:
+def _test(loss: float, unknowns: int, left: int, scale: float) -> dict[str, object]:
     if scale > 1.0:
-        value = loss / freedom / scale
-        return {"test": "F", "statistic": value, "p": float(stats.f.sf(value, freedom, left))}
-    return {"test": "chi2", "statistic": loss, "p": float(stats.chi2.sf(loss, freedom))}
+        value = loss / unknowns / scale
+        return {"test": "F", "statistic": value, "p": float(stats.f.sf(value, unknowns, left))}
+    return {"test": "chi2", "statistic": loss, "p": float(stats.chi2.sf(loss, unknowns))}
 
 
 def _effect(design: Design, name: str, names: list[str], beta: Real, covariance: Real) -> dict[str, object]:

@@ -195,7 +195,7 @@ class Pair:
 
 
 def grown(fit: PoleFit, most: int) -> PoleFit:
-    """Return the fit with the modes that its residual shows, each accepted by the lines around it."""
+    """Return the fit with the modes at peaks of its residual, each accepted by the lines around it."""
     refused: list[tuple[float, float]] = []
     for _ in range(RULES.rounds):
         taken: list[Window] = []

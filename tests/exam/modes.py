@@ -65,10 +65,10 @@ def outcome(seed: int) -> dict[str, object]:
         else:
             near = np.abs(found - natural)
             blurred = near.size and near.min() < float(table["resolution_Hz"][int(near.argmin())])
-            doubt = any(abs(p - natural) < max(2.0 * zeta * natural, 2.0 * spacing) for p in perhaps)
+            uncertain = any(abs(p - natural) < max(2.0 * zeta * natural, 2.0 * spacing) for p in perhaps)
             seen = any(abs(p - natural) < max(zeta * natural, 1.5 * spacing) for p in named)
             unseen = not own.sigma.any() or evidence(own, int(k)) > asked
-            what = NAMED if blurred or doubt or seen else SILENT if unseen else BURIED
+            what = NAMED if blurred or uncertain or seen else SILENT if unseen else BURIED
             details.append((round(float(natural), 3), float(zeta), kind, what, f"{evidence(own, int(k)):.3g}"))
         counts[f"{kind} {what}"] += 1
     row |= counts | {"false": len(free), "held": held, "missed": details, "extra": [float(found[j]) for j in free]}

@@ -180,8 +180,8 @@ def outcome(seed):
         if error is None:
             row["lost"] = True
             continue
-        freedom = plan.prediction["error_freedom"].values
-        row |= {"ratio": (error / predicted).ravel().tolist(), "freedom": freedom.ravel().tolist()}
+        degrees = plan.prediction["error_freedom"].values
+        row |= {"ratio": (error / predicted).ravel().tolist(), "freedom": degrees.ravel().tolist()}
         row["error"] = float(error.max())
     return rows
 
@@ -195,10 +195,10 @@ def _column(rows):
     judged = [r for r in rows if r["ratio"] is not None]
     if not judged:
         return {"machines": f"{len(rows)}", "sweeps cut (of these refused for their error)": "0 (0)"}
-    ratio, freedom = (np.array([r[k] for r in judged]) for k in ("ratio", "freedom"))
-    low, high = error_interval(freedom, 0.95)
+    ratio, degrees = (np.array([r[k] for r in judged]) for k in ("ratio", "freedom"))
+    low, high = error_interval(degrees, 0.95)
     each = (ratio >= low) & (ratio <= high)
-    lowest, highest = error_interval(freedom, KEPT)
+    lowest, highest = error_interval(degrees, KEPT)
     held = ((ratio >= lowest) & (ratio <= highest)).all(axis=1)
     medians = np.median(ratio, axis=1)
     halved = ((2.0 * ratio >= lowest) & (2.0 * ratio <= highest)).all(axis=1)

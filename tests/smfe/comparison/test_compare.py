@@ -45,26 +45,32 @@ def measurement(frequencies: list[float], seed: int, grid: np.ndarray, level: fl
 GRID = np.arange(10.0, 60.0, 0.5)
 
 
-def test_equal_machines_differ_insignificantly() -> None:
+@pytest.fixture(scope="module", params=[8, pytest.param(25, marks=pytest.mark.slow)], ids="{} seeds".format)
+def repeated(request: pytest.FixtureRequest) -> list[pd.DataFrame]:
+    """Return comparisons of one machine with itself: two modes in four entries, other noise in each measurement."""
+    pairs = [(measurement([24.0, 34.0], seed, GRID), measurement([24.0, 34.0], 100 + seed, GRID)) for seed in range(25)]
+    return [compare({"a": a, "b": b}) for a, b in pairs[: request.param]]
+
+
+def test_equal_machines_differ_insignificantly(repeated: list[pd.DataFrame]) -> None:
     """Two measurements of one machine with different noise: matched throughout, next to nothing significant.
 
-    At three standard deviations, 20 comparisons of 8 peaks in 3 quantities leave about one false alarm.
+    Each table calls something significant with a probability of 5 %: in 20 tables about one false alarm.
     """
     alarms = 0
-    for seed in range(20):
-        table = compare({"a": measurement([24.0, 34.0], seed, GRID), "b": measurement([24.0, 34.0], 100 + seed, GRID)})
+    for table in repeated[:20]:
         assert (table["match"] == "both").all()
         alarms += int(table[["frequency_significant", "damping_significant", "amplitude_significant"]].sum().sum())
-    assert alarms <= 6
+    assert alarms <= (6 if len(repeated) > 8 else 3)
 
 
-def test_differences_scatter_as_claimed() -> None:
+def test_differences_scatter_as_claimed(repeated: list[pd.DataFrame]) -> None:
+    """Differences over their standard deviations: 24 a table, so that their rms scatters by 0.05 over 8 tables."""
     scores = []
-    for seed in range(25):
-        table = compare({"a": measurement([24.0, 34.0], seed, GRID), "b": measurement([24.0, 34.0], 100 + seed, GRID)})
+    for table in repeated:
         for name in ("frequency", "damping", "amplitude"):
             scores += (table[f"{name}_difference_percent"] / table[f"{name}_difference_std_percent"]).tolist()
-    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.1 if len(repeated) > 8 else 0.17)
 
 
 def test_the_same_data_twice_differ_by_nothing() -> None:

@@ -59,21 +59,26 @@ def test_each_factor_is_given_what_it_does():
     )
 
 
-def test_what_does_nothing_is_not_significant():
+CAMPAIGNS = pytest.mark.parametrize("campaigns", [6, pytest.param(20, marks=pytest.mark.slow)])
+
+
+@CAMPAIGNS
+def test_what_does_nothing_is_not_significant(campaigns):
     """Damping and amplitude do not depend on the controller: over 20 campaigns no more than a few false alarms."""
     alarms, p = 0, []
-    for seed in range(20):
+    for seed in range(campaigns):
         table = explain(balanced(seed, by_feed=1.0, by_controller=1.0))
         alarms += int(table["significant"].sum())
         p += table["p"].tolist()
-    assert alarms <= 3  # 5 % of 20 families, and their scatter
+    assert alarms <= (3 if campaigns == 20 else 2)  # 5 % of the families, and their scatter
     assert stats.kstest(p, "uniform").pvalue > 0.001  # p values are what they claim
 
 
-def test_joint_tests_and_interactions_claim_no_more_than_they_should():
-    """20 additive machines with effects of both factors: p of the interaction, and of what is tested jointly."""
+@CAMPAIGNS
+def test_joint_tests_and_interactions_claim_no_more_than_they_should(campaigns):
+    """Additive machines with effects of both factors: p of the interaction, and of what is tested jointly."""
     alone, jointly = [], []
-    for seed in range(20):
+    for seed in range(campaigns):
         table = explain(balanced(300 + seed))
         product = table[table["factor"] == "controller x feed"]
         assert len(product) == 4  # frequency, damping, amplitude, and all three
@@ -129,20 +134,24 @@ def test_the_joint_test_against_its_closed_form():
     assert row["degrees_of_freedom"] == 3
 
 
-def test_errors_of_a_peak_are_related_as_they_scatter():
-    """200 seeds of 2 % noise: damping and amplitude err against each other, as strongly as the fit says."""
+@pytest.mark.parametrize(("seeds", "within"), [(60, 0.4), pytest.param(200, 0.15, marks=pytest.mark.slow)])
+def test_errors_of_a_peak_are_related_as_they_scatter(seeds, within):
+    """2 % noise: damping and amplitude err against each other, as strongly as the fit says.
+
+    60 seeds know a correlation to 0.13, and three of these are allowed.
+    """
     found = [
         find_peaks(GRID, d["compliance"].values.ravel(), d["compliance_std"].values.ravel())[0]
-        for d in (measurement(30.0, 0.03, 0.02, 1000 + seed) for seed in range(200))
+        for d in (measurement(30.0, 0.03, 0.02, 1000 + seed) for seed in range(seeds))
     ]
     columns = np.array([[p.frequency, p.damping, p.amplitude] for p in found])
     seen = np.corrcoef(columns.T)
     said = np.mean([p.correlation for p in found], axis=0)
-    assert said == pytest.approx([seen[0, 1], seen[0, 2], seen[1, 2]], abs=0.15)
+    assert said == pytest.approx([seen[0, 1], seen[0, 2], seen[1, 2]], abs=within)
     assert said[2] < -0.5
 
 
-def test_factors_that_change_together_are_not_told_apart():
+def test_factors_that_change_together_are_one_term():
     """Method and level always change together: one row for both, with no effect ascribed to either."""
     runs = {
         "a": measurement(30.0, 0.03, 0.01, 1, "hammer", force_level="25 N", feed="0 mm/min"),
@@ -160,13 +169,13 @@ def test_factors_that_change_together_are_not_told_apart():
     assert not found.loc["feed", "significant"]
 
 
-def test_a_design_that_is_full_says_so_and_one_repeat_opens_it():
+def test_a_full_design_is_one_term_and_one_repeat_separates_it():
     """Two measurements, two factors: one term. Aliased sets are the smallest that hold each other."""
     both = Design({"feed": ("0", "5"), "controller": ("a", "b")})
     assert both.terms() == [("feed", "controller")]
-    open_ = Design({"feed": ("0", "5", "0"), "controller": ("a", "b", "b"), "method": ("h", "h", "s")})
+    more = Design({"feed": ("0", "5", "0"), "controller": ("a", "b", "b"), "method": ("h", "h", "s")})
     # feed = 1 - ... the three columns and the mean have rank three: each is held by the other two.
-    assert open_.terms() == [("feed", "controller", "method")]
+    assert more.terms() == [("feed", "controller", "method")]
     third = Design({"feed": ("0", "5", "0", "5"), "controller": ("a", "a", "b", "b"), "method": ("h", "h", "s", "s")})
     assert third.terms() == [("feed",), ("controller", "method")]
 
@@ -196,9 +205,9 @@ def test_renaming_categories_and_reordering_measurements_change_nothing():
         back[columns].sort_values(["quantity", "factor"], ignore_index=True),
     )
     for dataset in runs.values():
-        told = json.loads(dataset.attrs["conditions"])
-        told["controller"] = {"K1": "zeta", "K2": "alpha"}[told["controller"]]
-        dataset.attrs["conditions"] = json.dumps(told)
+        conditions = json.loads(dataset.attrs["conditions"])
+        conditions["controller"] = {"K1": "zeta", "K2": "alpha"}[conditions["controller"]]
+        dataset.attrs["conditions"] = json.dumps(conditions)
     renamed = explain(runs)
     np.testing.assert_allclose(renamed["statistic"], first["statistic"], rtol=1e-7)
 

@@ -47,7 +47,7 @@ def test_a_single_mode_is_recovered_exactly_on_any_grid(spacing: float) -> None:
 
 
 @pytest.mark.parametrize("spacing", [0.25, 1.0])
-def test_close_modes_are_told_apart(spacing: float) -> None:
+def test_close_modes_are_separated(spacing: float) -> None:
     """24, 29, 34 Hz overlap: frequencies within 0.1 %, damping within 1 %; 58 and 95 Hz stand alone."""
     f = np.arange(10.0, 120.0, spacing)
     peaks = find_peaks(f, ram(f))
@@ -57,31 +57,41 @@ def test_close_modes_are_told_apart(spacing: float) -> None:
     assert peaks[0].amplitude == pytest.approx(np.abs(ram(np.linspace(23.0, 25.0, 2001))).max(), rel=3e-4)
 
 
+COUNTS = [40, pytest.param(200, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("seeds", COUNTS)
 @pytest.mark.parametrize(("spacing", "level"), [(0.25, 0.01), (0.5, 0.02), (1.0, 0.01)])
-def test_peak_uncertainty_is_calibrated(spacing: float, level: float) -> None:
-    """Over 200 seeds the scatter of frequency, damping and amplitude is what is claimed, within 15 %."""
+def test_peak_uncertainty_is_calibrated(spacing: float, level: float, seeds: int) -> None:
+    """The scatter of frequency, damping and amplitude is what is claimed: within 15 % over 200 seeds.
+
+    40 seeds know a scatter to 11 % and a mean to 0.16 standard deviations: three of these are allowed.
+    """
     f = np.arange(30.0, 120.0, spacing)
     values, claims = [], []
-    for seed in range(200):
+    for seed in range(seeds):
         (peak,) = find_peaks(f, *noisy(bench(f), level, seed))
         values.append((peak.frequency, peak.damping, peak.amplitude))
         claims.append((peak.frequency_std, peak.damping_std, peak.amplitude_std))
     ratio = np.std(values, axis=0) / np.sqrt(np.mean(np.square(claims), axis=0))
-    assert ratio == pytest.approx(np.ones(3), abs=0.15)
-    # No bias beyond what 200 seeds can show.
+    assert ratio == pytest.approx(np.ones(3), abs=0.15 if seeds == 200 else 0.34)
+    # No bias beyond what so many seeds resolve.
     bias = (np.mean(values, axis=0) - [BENCH_FREQUENCY, BENCH_DAMPING, BENCH_PEAK]) / np.std(values, axis=0)
-    assert np.abs(bias).max() < 0.3
+    assert np.abs(bias).max() < (0.3 if seeds == 200 else 0.47)
 
 
-def test_without_standard_deviation_the_residual_speaks() -> None:
+@pytest.mark.parametrize("seeds", [25, pytest.param(100, marks=pytest.mark.slow)])
+def test_without_standard_deviation_the_residual_gives_the_error(seeds: int) -> None:
     f = np.arange(30.0, 120.0, 0.25)
     values, claims = [], []
-    for seed in range(100):
+    for seed in range(seeds):
         (peak,) = find_peaks(f, noisy(bench(f), 0.01, seed)[0])
         values.append(peak.damping)
         claims.append(peak.damping_std)
         assert np.isnan(peak.misfit)
-    assert np.std(values) / np.sqrt(np.mean(np.square(claims))) == pytest.approx(1.0, abs=0.25)
+    # 25 seeds know a scatter to 14 %.
+    bound = 0.25 if seeds == 100 else 0.42
+    assert np.std(values) / np.sqrt(np.mean(np.square(claims))) == pytest.approx(1.0, abs=bound)
 
 
 def test_errors_shared_by_neighbouring_lines_widen_the_claim() -> None:

@@ -58,7 +58,8 @@ PAIR = np.array([[640.0, 0.004], [922.0, 0.002], [923.0, 0.002], [1300.0, 0.004]
 FINE = np.arange(500.0, 1500.0, 1.0)
 
 
-def test_two_modes_a_thousandth_apart_are_told_by_their_shapes() -> None:
+@pytest.mark.slow
+def test_two_modes_a_thousandth_apart_are_separated_by_their_shapes() -> None:
     """922 and 923 Hz, half-power width 3.7 Hz, lines 1 Hz apart, four responses to one force, .1 % noise."""
     shapes = np.array([[1.0, 0.8, -0.4, 0.2], [1.0, 0.5, 0.7, -0.6], [0.8, -0.6, 0.3, 0.9], [1.0, -1.0, 0.5, 0.1]])
     table = fit_modes(responses(FINE, PAIR, shapes, level=1e-3, seed=1)).table()
@@ -68,15 +69,22 @@ def test_two_modes_a_thousandth_apart_are_told_by_their_shapes() -> None:
     assert table["frequency_std_Hz"].max() < 0.1
 
 
+INSEPARABLE = np.where(np.arange(4)[:, None] == 2, [922.05, 0.002], PAIR)
+
+
 def test_two_modes_that_one_response_cannot_separate_are_nearer_than_the_stated_resolution() -> None:
     """.05 Hz apart and of one shape at 3 % noise: one mode, whose resolution says that it may hold two so near."""
-    modes = PAIR.copy()
-    modes[2, 0] = 922.05
-    table = fit_modes(responses(FINE, modes, np.ones((4, 1)), level=0.03, seed=2)).table()
+    table = fit_modes(responses(FINE, INSEPARABLE, np.ones((4, 1)), level=0.03, seed=2)).table()
     assert len(table) == 3
     assert table["resolution_Hz"][1] > 0.05
-    # The resolution follows the noise: ten times less of it, and it is finer by the fourth root of a hundred.
-    finer = fit_modes(responses(FINE, modes, np.ones((4, 1)), level=0.003, seed=2)).table()
+
+
+@pytest.mark.slow
+def test_the_resolution_is_finer_with_the_root_of_the_noise() -> None:
+    """Ten times less noise, and two modes are separated at a distance smaller by the fourth root of a hundred."""
+    table, finer = (
+        fit_modes(responses(FINE, INSEPARABLE, np.ones((4, 1)), level=level, seed=2)).table() for level in (0.03, 0.003)
+    )
     assert finer["resolution_Hz"][1] == pytest.approx(table["resolution_Hz"][1] / np.sqrt(10.0), rel=0.25)
 
 
@@ -97,6 +105,7 @@ def test_entries_that_are_zero_do_no_harm() -> None:
     assert table["frequency_Hz"].to_numpy() == pytest.approx(PAIR[[0, 1, 3], 0], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_clean_fit_leaves_nothing_unexplained() -> None:
     fit = fit_modes(responses(FINE, PAIR[[0, 1, 3]], np.ones((3, 1)), level=1e-2, seed=3))
     assert len(fit.table()) == 3

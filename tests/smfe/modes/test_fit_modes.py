@@ -3,6 +3,8 @@
 Data come from sums of poles written out here, not from the models of the fit.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,21 @@ def measured(level, seed, modes=MACHINE, grid=GRID, response=AXES, excitation=AX
     return make_compliance(grid, clean + s / np.sqrt(2.0) * (noise[0] + 1j * noise[1]), response, excitation, extra)
 
 
+@cache
+def fitted(level, seed):
+    """Fit of the published machine, shared by the tests that only read it."""
+    return fit_modes(measured(level, seed))
+
+
+def near(modes):
+    """Starting values beside the poles of some modes."""
+    return [[natural * 1.002, damping * 1.1] for natural, damping, *_ in modes]
+
+
+LOOKED_FOR = pytest.mark.parametrize("looked_for", [False, pytest.param(True, marks=pytest.mark.slow)])
+"""Poles are looked for, or refined from starting values beside them."""
+
+
 def unit(direction):
     u = np.array(direction) / np.linalg.norm(direction)
     return u * np.sign(u[np.argmax(np.abs(u))])
@@ -61,7 +78,7 @@ def unit(direction):
 # --- closed forms ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("modes", [MACHINE, CLOSE], ids=["published", "close"])
+@pytest.mark.parametrize("modes", [pytest.param(MACHINE, marks=pytest.mark.slow), CLOSE], ids=["published", "close"])
 def test_exact_modes_are_recovered_to_a_millionth(modes):
     """No noise, no starting values: frequency, damping, stiffness and direction of every mode."""
     fit = fit_modes(measured(0.0, 0, modes, known=False))
@@ -75,7 +92,7 @@ def test_exact_modes_are_recovered_to_a_millionth(modes):
 
 
 def test_the_state_space_is_real_stable_and_equal_to_the_fit():
-    fit = fit_modes(measured(0.01, 3))
+    fit = fitted(0.01, 1)
     system = fit.state_space()
     assert all(m.dtype == float for m in system)
     assert np.linalg.eigvals(system[0]).real.max() < 0.0
@@ -102,47 +119,55 @@ def test_remainders_describe_the_modes_outside_the_band():
 # --- how many --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_two_modes_three_percent_apart_are_found_at_one_percent_noise(seed):
     table = fit_modes(measured(0.01, seed, CLOSE)).table()
     assert table["frequency_Hz"].tolist() == pytest.approx([40.0, 41.2, 70.0], rel=3e-3)
     assert table["damping"].tolist() == pytest.approx([0.03, 0.03, 0.02], rel=0.1)
 
 
-@pytest.mark.parametrize("level", [0.001, 0.01, 0.05])
-def test_one_mode_is_not_split_in_two(level):
+@pytest.mark.parametrize(
+    ("level", "seed"),
+    [(0.01, 0), *(pytest.param(v, s, marks=pytest.mark.slow) for v in (0.001, 0.01, 0.05) for s in (0, 1))],
+)
+def test_one_mode_is_not_split_in_two(level, seed):
     one = ((61.4, 0.012, 1.68e6, (1.0, 0.0, 0.0)),)
-    for seed in range(2):
-        assert len(fit_modes(measured(level, seed, one)).table()) == 1
-        assert len(fit_modes(measured(level, seed, one, response="x", excitation="x")).table()) == 1
+    assert len(fit_modes(measured(level, seed, one)).table()) == 1
+    assert len(fit_modes(measured(level, seed, one, response="x", excitation="x")).table()) == 1
 
 
 def test_the_diagram_proposes_the_modes():
     """What is stable over many orders lies at the modes, before anything is refined."""
-    fit = fit_modes(measured(0.01, 1))
+    fit = fitted(0.01, 1)
     for natural, *_ in MACHINE:
         assert np.abs(fit.stable.candidates[:, 0] / natural - 1.0).min() < 0.02
 
 
-def test_two_close_modes_of_one_entry_are_found_too():
-    """No directions to tell them apart by: 40.0 and 41.2 Hz in xx alone, both of 3 % damping, at 1 % noise."""
+@pytest.mark.parametrize("seed", SEEDS)
+def test_two_close_modes_of_one_entry_are_found_too(seed):
+    """No directions separate them: 40.0 and 41.2 Hz in xx alone, both of 3 % damping, at 1 % noise."""
     pair = ((40.0, 0.03, 20e6, (1.0, 0.3, 0.1)), (41.2, 0.03, 30e6, (1.0, 0.3, 0.1)))
-    for seed in range(3):
-        table = fit_modes(measured(0.01, seed, pair, response="x", excitation="x")).table()
-        assert table["frequency_Hz"].tolist() == pytest.approx([40.0, 41.2], rel=0.02)
+    table = fit_modes(measured(0.01, seed, pair, response="x", excitation="x")).table()
+    assert table["frequency_Hz"].tolist() == pytest.approx([40.0, 41.2], rel=0.02)
 
 
-def test_a_grid_from_zero_and_errors_of_zero_do_no_harm():
-    assert len(fit_modes(measured(0.01, 0, grid=np.arange(0.0, 110.0, 0.5))).table()) == 3
-    assert len(fit_modes(measured(0.0, 0)).table()) == 3
+@LOOKED_FOR
+def test_a_grid_from_zero_and_errors_of_zero_do_no_harm(looked_for):
+    start = None if looked_for else near(MACHINE)
+    assert len(fit_modes(measured(0.01, 0, grid=np.arange(0.0, 110.0, 0.5)), poles=start).table()) == 3
+    assert len(fit_modes(measured(0.0, 0), poles=start).table()) == 3
 
 
-def test_modes_of_one_frequency_need_a_shape_each():
+@LOOKED_FOR
+def test_modes_of_one_frequency_need_a_shape_each(looked_for):
     """A symmetric machine: x and y have the same pole; one pole with two vectors, not one mode."""
-    twins = ((50.0, 0.03, 20e6, (1.0, 0.0, 0.0)), (50.0, 0.03, 20e6, (0.0, 1.0, 0.0)))
-    fit = fit_modes(measured(0.01, 2, twins))
+    both = ((50.0, 0.03, 20e6, (1.0, 0.0, 0.0)), (50.0, 0.03, 20e6, (0.0, 1.0, 0.0)))
+    fit = fit_modes(measured(0.01, 2, both), poles=None if looked_for else near(both[:1]))
     model = fit.modal_model()
-    truth = machine(GRID, twins)
+    truth = machine(GRID, both)
     assert np.linalg.norm(model.matrix(GRID) - truth) < 0.02 * np.linalg.norm(truth)
 
 
@@ -251,22 +276,28 @@ def with_rows_that_share(seed, whole, level=0.01):
     value, vector = np.linalg.eigh(whole)
     errors = s * (white * np.sqrt(np.maximum(value, 0.0))) @ vector.T
     std = np.broadcast_to(s * np.sqrt(np.diag(whole)).reshape(3, 3), clean.shape)
-    told = np.broadcast_to((s**2 * whole).reshape(3, 3, 3, 3), (grid.size, 3, 3, 3, 3)).astype(complex)
+    joint = np.broadcast_to((s**2 * whole).reshape(3, 3, 3, 3), (grid.size, 3, 3, 3, 3)).astype(complex)
     extra = {
         "compliance_std": (FIVE[:3], std),
-        "compliance_covariance": ((*FIVE[:3], FIVE[4]), np.einsum("frirj->frij", told)),
-        "entry_covariance": (FIVE, told),
+        "compliance_covariance": ((*FIVE[:3], FIVE[4]), np.einsum("frirj->frij", joint)),
+        "entry_covariance": (FIVE, joint),
     }
     return make_compliance(grid, clean + errors.reshape(clean.shape), AXES, AXES, extra)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_poles_scatter_as_errors_say_that_rows_share(sign):
-    """Rows with the same noise to 95 %, y with this sign: free poles and shapes of 60 seeds scatter as they say."""
+@pytest.mark.parametrize(
+    ("sign", "seeds", "within"),
+    [(-1.0, 12, 0.65), *(pytest.param(sign, 60, 0.3, marks=pytest.mark.slow) for sign in (1.0, -1.0))],
+)
+def test_poles_scatter_as_errors_say_that_rows_share(sign, seeds, within):
+    """Rows with the same noise to 95 %, y with this sign: free poles and shapes scatter as they say.
+
+    12 seeds know a scatter to 0.21 of it; three of these are allowed.
+    """
     whole = np.kron(0.05 * np.eye(3) + 0.95 * np.outer([1.0, sign, 1.0], [1.0, sign, 1.0]), np.eye(3))
     start = [[f, z] for f, z, *_ in MACHINE]
     found, claimed, apart, shaped, shaped_std = [], [], [], [], []
-    for seed in range(60):
+    for seed in range(seeds):
         data = with_rows_that_share(seed, whole)
         fit, alone = (fit_poles(curves_of(matrix_of(d)), start) for d in (data, data.drop_vars("entry_covariance")))
         found.append(fit.poles.ravel())
@@ -276,11 +307,10 @@ def test_poles_scatter_as_errors_say_that_rows_share(sign):
         shaped.append(np.stack([*shapes.poles.T, shapes.stiffness]).ravel())
         shaped_std.append(np.stack([shapes.std[n] for n in ("frequency", "damping", "stiffness")]).ravel())
     ratio = np.std(found, axis=0) / np.sqrt(np.mean(claimed, axis=0))
-    without = np.std(found, axis=0) / np.sqrt(np.mean(apart, axis=0))
+    assert not np.allclose(claimed, apart, rtol=0.1)
     of_shapes = np.std(shaped, axis=0) / np.sqrt(np.mean(np.square(shaped_std), axis=0))
-    print(f"\nscatter over stated: {ratio.round(2)}, rows apart {without.round(2)}, shapes {of_shapes.round(2)}")
-    assert ratio == pytest.approx(np.ones(6), abs=0.3)
-    assert of_shapes == pytest.approx(np.ones(9), abs=0.3)
+    assert ratio == pytest.approx(np.ones(6), abs=within)
+    assert of_shapes == pytest.approx(np.ones(9), abs=within)
 
 
 def test_what_was_made_symmetric_is_known_no_better_for_being_averaged():
@@ -338,50 +368,64 @@ def test_the_order_of_entries_and_the_unit_do_not_matter():
     c = fit_modes(soft, poles=start)
     np.testing.assert_allclose(c.modal_model().stiffness, 1e-3 * a.modal_model().stiffness, rtol=1e-9)
     np.testing.assert_allclose(c.free.poles, a.free.poles, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_the_unit_does_not_matter_to_the_number_of_modes():
+    first = measured(0.01, 4)
+    soft = first.copy()
+    soft["compliance"], soft["compliance_std"] = 1e3 * first["compliance"], 1e3 * first["compliance_std"]
+    soft["compliance"].attrs, soft["compliance_std"].attrs = first["compliance"].attrs, first["compliance_std"].attrs
     assert len(fit_modes(soft).table()) == len(fit_modes(first).table()) == 3
 
 
-def test_reciprocity_is_in_the_model_and_its_violation_is_said():
-    first = measured(0.005, 1)
-    fit = fit_modes(first)
+@LOOKED_FOR
+def test_reciprocity_is_in_the_model_and_its_violation_is_said(looked_for):
+    first, start = measured(0.005, 1), None if looked_for else near(MACHINE)
+    fit = fit_modes(first, poles=start)
     values = fit.values(GRID)
     np.testing.assert_allclose(values, values.transpose(0, 2, 1), rtol=0, atol=1e-20)
     assert 0.8 < fit.curves.reciprocity < 1.2
     twisted = first.copy(deep=True)
     twisted["compliance"].loc[{"response": "y", "excitation": "z"}] *= 2.0
-    assert any("not reciprocal" in w for w in fit_modes(twisted).warnings)
+    assert any("not reciprocal" in w for w in fit_modes(twisted, poles=start).warnings)
 
 
 # --- parts of a matrix -----------------------------------------------------------------------------------------------
 
 
-def test_one_column_tells_the_whole_mode():
+@LOOKED_FOR
+def test_one_column_determines_the_whole_mode(looked_for):
     """Force along y, motion along x, y, z: stiffness and direction follow from the driving point."""
-    model = fit_modes(measured(0.002, 1, CLOSE, excitation="y")).modal_model()
+    start = None if looked_for else near(CLOSE)
+    model = fit_modes(measured(0.002, 1, CLOSE, excitation="y"), poles=start).modal_model()
     assert model.frequency.tolist() == pytest.approx([40.0, 41.2, 70.0], rel=3e-3)
     for k, (_, _, stiffness, direction) in enumerate(CLOSE[:2]):
         assert model.stiffness[k] == pytest.approx(stiffness, rel=0.1)
         np.testing.assert_allclose(model.direction[k], unit(direction), atol=0.05)
 
 
-def test_missing_entries_and_lines_have_no_say():
+@LOOKED_FOR
+def test_missing_entries_and_lines_have_no_say(looked_for):
+    start = None if looked_for else near(MACHINE)
     full = measured(0.005, 2)
     holes = full.copy(deep=True)
     holes["compliance"].loc[{"response": "x", "excitation": "z"}] = np.nan
     holes["compliance"].loc[{"response": "z", "excitation": "x"}] = np.nan
     holes["compliance"][100:110] = np.nan
-    a, b = fit_modes(full).table(), fit_modes(holes).table()
+    a, b = (fit_modes(data, poles=start).table() for data in (full, holes))
     assert len(a) == len(b) == 3
     np.testing.assert_allclose(a["frequency_Hz"], b["frequency_Hz"], rtol=2e-3)
     np.testing.assert_allclose(a["stiffness_N_um"], b["stiffness_N_um"], rtol=0.05)
 
 
-def test_directions_that_nothing_connects_are_modes_apart():
+@LOOKED_FOR
+def test_directions_that_nothing_connects_are_modes_apart(looked_for):
     """xx and yy without xy: the sign between them was not measured, so the model couples nothing."""
     full = measured(0.002, 2, CLOSE, response="xy", excitation="xy")
     full["compliance"].loc[{"response": "x", "excitation": "y"}] = np.nan
     full["compliance"].loc[{"response": "y", "excitation": "x"}] = np.nan
-    model = fit_modes(full).modal_model()
+    model = fit_modes(full, poles=None if looked_for else near(CLOSE)).modal_model()
     phi = model.matrix(GRID)
     assert np.abs(phi[:, 0, 1]).max() == 0.0
     truth = machine(GRID, CLOSE)
@@ -389,21 +433,25 @@ def test_directions_that_nothing_connects_are_modes_apart():
         assert np.linalg.norm(phi[:, i, i] - truth[:, i, i]) < 0.05 * np.linalg.norm(truth[:, i, i])
 
 
-def test_a_cross_entry_alone_has_poles_but_no_shape():
-    fit = fit_modes(measured(0.002, 1, CLOSE, response="x", excitation="y"))
+@LOOKED_FOR
+def test_a_cross_entry_alone_has_poles_but_no_shape(looked_for):
+    start = None if looked_for else near(CLOSE)
+    fit = fit_modes(measured(0.002, 1, CLOSE, response="x", excitation="y"), poles=start)
     assert fit.table()["frequency_Hz"].tolist() == pytest.approx([40.0, 41.2, 70.0], rel=5e-3)
     with pytest.raises(InputError, match="no driving point"):
         fit.modal_model()
 
 
-def test_arrays_of_any_size_with_names_of_their_own():
+@LOOKED_FOR
+def test_arrays_of_any_size_with_names_of_their_own(looked_for):
     """Four sensors, two places that are hit, one of them with a sensor."""
     rng = np.random.default_rng(1)
     poles, shapes = ((40.0, 0.02), (63.0, 0.03)), rng.standard_normal((2, 5))
     f = np.arange(20.0, 100.0, 0.25)
     gain = np.stack([1.0 / (1.0 - (f / n) ** 2 + 2j * z * f / n) for n, z in poles], axis=1)
     values = 1e-8 * np.einsum("fp,pi,pj->fij", gain, shapes[:, :4], shapes[:, 3:])
-    fit = fit_modes(ResponseMatrix(f, values, ("a", "b", "c", "d"), ("d", "e")))
+    matrix = ResponseMatrix(f, values, ("a", "b", "c", "d"), ("d", "e"))
+    fit = fit_modes(matrix, poles=None if looked_for else near(poles))
     np.testing.assert_allclose(fit.free.poles, poles, rtol=1e-6)
     np.testing.assert_allclose(np.abs(fit.shapes.shape), 1e-4 * np.abs(shapes), rtol=1e-5)
     _, b, c, _ = fit.state_space()
@@ -416,26 +464,29 @@ def test_arrays_of_any_size_with_names_of_their_own():
 # --- passivity and bad input -----------------------------------------------------------------------------------------
 
 
-def test_a_machine_takes_energy_and_a_wrong_sign_gives_it():
-    assert fit_modes(measured(0.002, 1)).energy_given() < 0.01
+@LOOKED_FOR
+def test_a_machine_takes_energy_and_a_wrong_sign_gives_it(looked_for):
+    start = None if looked_for else near(MACHINE)
+    assert fit_modes(measured(0.002, 1), poles=start).energy_given() < 0.01
     assert energy_given(machine(GRID)).max() < 1e-12
     assert energy_given(-machine(GRID)).max() > 0.5
     wrong = measured(0.002, 1)
     wrong["compliance"] = -wrong["compliance"]
     wrong["compliance"].attrs["units"] = "m/N"
-    fit = fit_modes(wrong)
+    fit = fit_modes(wrong, poles=start)
     assert fit.energy_given() > 0.3
     assert any("gives out energy, up to" in w for w in fit.warnings)
     with pytest.raises(InputError, match="gives out energy at its driving point"):
         fit.modal_model()
 
 
-def test_residues_of_no_real_shape_leave_poles_alone():
+@LOOKED_FOR
+def test_residues_of_no_real_shape_leave_poles_alone(looked_for):
     """A quarter of a turn between force and motion is no machine: no stiffness is made up for it."""
     turned = measured(0.002, 1)
     turned["compliance"] = 1j * turned["compliance"]
     turned["compliance"].attrs["units"] = "m/N"
-    fit = fit_modes(turned)
+    fit = fit_modes(turned, poles=None if looked_for else near(MACHINE))
     assert fit.shapes is None
     with pytest.raises(InputError, match="check delays and signs"):
         fit.modal_model()
@@ -475,7 +526,7 @@ def test_solving_is_linear():
 
 def test_a_fitted_model_is_a_machine_for_the_limits():
     """The modal model of a measured compliance has the state space that stability methods ask for."""
-    model = fit_modes(measured(0.01, 1)).modal_model()
+    model = fitted(0.01, 1).modal_model()
     assert isinstance(model, ModalModel)
     assert np.linalg.eigvals(model.state_space()[0]).real.max() < 0.0
     truth = machine(GRID)
