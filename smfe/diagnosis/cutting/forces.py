@@ -17,21 +17,9 @@ from process.errors import InputError
 from process.labels import AXES
 from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
-from smfe.diagnosis.cutting.orders import (
-    CROSSTALK,
-    MODEL_FLOOR,
-    CuttingOrders,
-    SteadyCut,
-    cutting_orders,
-    hidden_orders,
-    rigid_orders,
-)
+from smfe.diagnosis.cutting.orders import CuttingOrders, SteadyCut, cutting_orders, hidden_orders, rigid_orders
+from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
-
-LOT_SCATTER = 0.3
-"""Standard deviation of the coefficients about the handbook's, over the largest of them."""
-
-_ANGLES = 360  # of one revolution, where the start of a record is looked for
 
 
 @dataclass(frozen=True)
@@ -50,7 +38,7 @@ class CuttingForces(Abilities):
     coefficients: tuple[float, float, float]  # handbook Ktc, Krc, Kac [N/m2]; fitted anew under every hypothesis
     conditions: tuple[Condition, ...]  # what was measured
     proposals: tuple[Condition, ...] = ()  # what could be measured next
-    spread: float = LOT_SCATTER  # prior standard deviation of the coefficients over the largest of them
+    spread: float = RULES.lot_scatter  # prior standard deviation of the coefficients over the largest of them
     suspects: tuple[Suspect, ...] = ()  # measurement faults that were found and left out beforehand
     edge: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Kte, Kre, Kae [N/m] that the baseline has
 
@@ -98,33 +86,16 @@ def cutting_family(
     coefficients: tuple[float, float, float],
     proposals: Mapping[str, SteadyCut | KnownForce] | None = None,
     known_forces: Mapping[str, tuple[Sequence[float], KnownForce]] | None = None,
-    floor: float = MODEL_FLOOR,
-    crosstalk: float = CROSSTALK,
+    floor: float = RULES.force_floor,
+    crosstalk: float = RULES.crosstalk,
     edge: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> CuttingForces:
-    """Build the family of a campaign of steady cuts.
+    """Build the family of a campaign of steady cuts; `InputError` without a cut, or for a record that holds none.
 
-    Parameters
-    ----------
-    records : mapping
-        Name -> record with the forces along x, y, z and the setting of the cut.
-    tool : Tool
-        As the campaign has it.
-    coefficients : tuple of float
-        Handbook Ktc, Krc, Kac [N/m2].
-    proposals : mapping, optional
-        Name -> cut or known force that could be measured next.
-    known_forces : mapping, optional
-        Name -> reading along x, y, z [N] and the force that caused it.
-    floor, crosstalk : float, optional
-        What a model is not expected to reach; see `smfe.diagnosis.cutting.orders`.
-    edge : tuple of float, optional
-        Kte, Kre, Kae [N/m] that the baseline has.
-
-    Raises
-    ------
-    InputError
-        Without any cut, or for a record that holds none.
+    `records` are forces along x, y, z and the setting of the cut by name, `coefficients` and `edge` the handbook's Ktc,
+    Krc, Kac [N/m2] and the Kte, Kre, Kae [N/m] of the baseline, `proposals` cuts or known forces that could be measured
+    next, `known_forces` readings [N] and the forces that caused them. `floor` and `crosstalk` are what a model is not
+    expected to reach (`smfe.diagnosis.cutting.orders`).
     """
     found = {name: cutting_orders(record, tool, cut, floor, crosstalk) for name, (record, cut) in records.items()}
     if not any(c.cut.depth > 0.0 for c in found.values()):
@@ -263,8 +234,8 @@ def turned(orders: Complex, found: CuttingOrders) -> Complex:
     product = np.sum(orders.conj() * found.value / found.std**2, axis=1)
     product[0] = 0.0
     n = np.arange(orders.shape[0])
-    grid = 2.0 * math.pi / _ANGLES
-    angle = grid * int(np.argmax(np.fft.irfft(product, _ANGLES)))
+    grid = 2.0 * math.pi / RULES.angles
+    angle = grid * int(np.argmax(np.fft.irfft(product, RULES.angles)))
     for _ in range(2):
         each = product * np.exp(1j * n * angle)
         bend = float(np.sum(n**2 * each.real))

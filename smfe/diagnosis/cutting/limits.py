@@ -20,32 +20,10 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Real
+from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 from stability.methods.semi_discretization import limit_depth
 from stability.methods.zero_order_scan import loop_of, modal_crossings
-
-MODEL_FLOOR = 0.015
-"""What a limit is trusted to, relative."""
-
-FLOOR_OF_CORRECTION = 0.25
-"""Share of the (logarithm of the) correction of the zero-order limit that is added to it."""
-
-ALIKE = 0.02
-"""Relative difference of zero-order and converged chatter frequency up to which they are the same crossing."""
-
-FREQUENCY_FLOOR = 0.003
-"""The same for its chatter frequency: a cut that chatters is deeper than the limit."""
-
-NEAR = 0.1
-"""Crossings deeper than the first by this share may be the ones that were observed."""
-
-FLANK_FRICTION = 0.3
-"""Friction coefficient between flank and work."""
-
-MINUTES = 20.0
-"""What it takes to bracket a limit."""
-
-_NEAR_OBSERVED = 0.02
 
 
 @dataclass(frozen=True)
@@ -64,9 +42,9 @@ class Limit:
 
     spindle_speed: float  # [rpm]
     depth: float | None = None  # axial depth [m]; None: not tested yet
-    depth_std: float = 0.03  # standard deviation of its logarithm; the `MODEL_FLOOR` is added
+    depth_std: float = 0.03  # standard deviation of its logarithm; the `CuttingRules.limit_floor` is added
     frequency: float | None = None  # chatter frequency [Hz]
-    frequency_std: float = 0.5  # its standard deviation [Hz]; the `FREQUENCY_FLOOR` is added
+    frequency_std: float = 0.5  # its standard deviation [Hz]; the `CuttingRules.frequency_floor` is added
     feed_per_tooth: float = 1e-4  # [m]; with the depth it sets how hard the machine is shaken
     arc: Engagement | None = None  # where it differs from the family's
     name: str = ""  # for people; default made of speed and feed per tooth
@@ -89,16 +67,16 @@ class _Known:
     def comparable_frequency(self) -> float | None:
         """Chatter frequency as the zero-order limit has it [Hz]; None where there is none to compare."""
         f = self.limit.frequency
-        return None if f is None or abs(self.frequency_ratio - 1.0) > ALIKE else f / self.frequency_ratio
+        return None if f is None or abs(self.frequency_ratio - 1.0) > RULES.alike else f / self.frequency_ratio
 
     def std(self) -> Real:
         """Standard deviations of log depth and, where it can be compared, frequency [Hz]."""
-        correction = FLOOR_OF_CORRECTION * abs(math.log(self.depth_ratio))
-        depth = math.hypot(self.limit.depth_std, MODEL_FLOOR, correction)
+        correction = RULES.floor_of_correction * abs(math.log(self.depth_ratio))
+        depth = math.hypot(self.limit.depth_std, RULES.limit_floor, correction)
         observed = self.comparable_frequency
         if self.limit.depth is not None and observed is None:
             return np.array([depth])
-        return np.array([depth, math.hypot(self.limit.frequency_std, FREQUENCY_FLOOR * (observed or 0.0))])
+        return np.array([depth, math.hypot(self.limit.frequency_std, RULES.frequency_floor * (observed or 0.0))])
 
     def whitened(self, depth: float, frequency: float) -> Real:
         """Return depth [m] and frequency [Hz] as a family compares them."""
@@ -236,7 +214,7 @@ class CuttingLimits(Abilities):
         grown, ratio = 1.0 + values.get("coefficients", 0.0), 1.0 + values.get("radial", 0.0)
         k = self.coefficients
         material = replace(k, Ktc=k.Ktc * grown, Krc=k.Krc * grown * ratio, Kac=k.Kac * grown)
-        flank = ProcessDamping(values.get("process_damping", 0.0), FLANK_FRICTION)
+        flank = ProcessDamping(values.get("process_damping", 0.0), RULES.flank_friction)
         loop = loop_of(self.tool, limit.arc or self.arc, material, limit.spindle_speed, flank)
         return modal_crossings(self.changed(values, limit), loop)
 
@@ -267,8 +245,8 @@ def _observed_crossing(depth: Real, frequency: Real, observed: float) -> int:
 
     A cut some per cent too deep may chatter at the lobe beside the deepest valley.
     """
-    excess = np.log(depth / depth[0]) / NEAR
-    away = np.minimum(np.abs(frequency / observed - 1.0) / _NEAR_OBSERVED, 3.0)
+    excess = np.log(depth / depth[0]) / RULES.near
+    away = np.minimum(np.abs(frequency / observed - 1.0) / RULES.near_observed, 3.0)
     return int(np.argmin(excess**2 + away**2))
 
 
@@ -361,7 +339,7 @@ def limit_family(
     spread : Spread, optional
         How well the machine is known.
     costs : mapping, optional
-        Words of a proposal -> what it takes [min]; default `MINUTES` each.
+        Words of a proposal -> what it takes [min]; default `CuttingRules.minutes` each.
 
     Returns
     -------
@@ -384,7 +362,7 @@ def limit_family(
     tested = tuple(_condition(k, {}) for k in known[: len(limits)])
     minutes = costs or {}
     proposed = tuple(
-        _condition(k, {"minutes": minutes.get(k.limit.words, MINUTES)})
+        _condition(k, {"minutes": minutes.get(k.limit.words, RULES.minutes)})
         for k in known[len(limits) :]
         if k.limit.words not in {c.name for c in tested}
     )

@@ -3,6 +3,10 @@
 A record at constant speed becomes the Fourier coefficients of its three forces at the orders 0, 1, 2, ... of the
 spindle (the number of teeth is tooth passing), with their scatter from revolution to revolution, and the strength of
 the lines of the mains where no order covers them.
+
+Five slots at 0.025 to 0.125 mm per tooth departed from the best straight line over the feed, of whatever slope and
+intercept at each order and axis, by 5 % (x), 4 % (y) of the alternating force: no mechanistic model linear in the chip
+does better, which is `RULES.force_floor`.
 """
 
 from __future__ import annotations
@@ -22,31 +26,8 @@ from process.errors import InputError
 from process.labels import AXES, sample_interval
 from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.cutting.rules import RULES
 
-REFERENCE_CHIP = 5e-5
-"""Chip thickness at which a size effect leaves the coefficients as they are [m]."""
-
-EDGE_CHIP = 5e-7
-"""Chip thickness over which an edge force builds up [m]: a tooth that only just touches has none."""
-
-MODEL_FLOOR = 0.05
-"""Share of the alternating force along an axis that a mechanistic model may miss at each order.
-
-Five slots at 0.025 to 0.125 mm per tooth were seen to depart from the best straight line over the feed, of whatever
-slope and intercept at each order and axis, by 5 % (x), 4 % (y): no mechanistic model linear in the chip does better.
-"""
-
-CROSSTALK = 0.01
-"""Share of the alternating force in all that leaks into each axis, likewise."""
-
-MAINS = (50.0, 60.0)
-"""Lines that are looked for [Hz]."""
-
-_TOOTH_ORDERS = 6
-_BLOCK = 4  # revolutions
-_LEAST_REVOLUTIONS = 40
-_SEEN = 6.0  # standard deviations
-_BESIDE = 8.0  # independent powers of noise beside a line
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -94,7 +75,7 @@ class CuttingOrders:
 
 
 def cutting_orders(
-    record: xr.Dataset, tool: Tool, cut: SteadyCut, floor: float = MODEL_FLOOR, crosstalk: float = CROSSTALK
+    record: xr.Dataset, tool: Tool, cut: SteadyCut, floor: float = RULES.force_floor, crosstalk: float = RULES.crosstalk
 ) -> CuttingOrders:
     """Return the spindle orders of a record of a steady cut.
 
@@ -109,14 +90,14 @@ def cutting_orders(
     if cut.depth > 0.0:
         cut = replace(cut, rotation=find_rotation(force, dt, cut.rotation, tool.teeth))
     turns = force.shape[1] * dt * cut.rotation / (2.0 * math.pi)
-    per_block = round(_BLOCK * 2.0 * math.pi / (cut.rotation * dt))
+    per_block = round(RULES.block * 2.0 * math.pi / (cut.rotation * dt))
     blocks = force.shape[1] // per_block
-    if turns < _LEAST_REVOLUTIONS or per_block < 4 * _BLOCK * _TOOTH_ORDERS * tool.teeth:
+    if turns < RULES.least_revolutions or per_block < 4 * RULES.block * RULES.tooth_orders * tool.teeth:
         raise InputError(
-            f"{turns:.3g} revolutions of {per_block / _BLOCK:.3g} samples; at least {_LEAST_REVOLUTIONS} of "
-            f"{4 * _TOOTH_ORDERS * tool.teeth} are needed: record longer or faster"
+            f"{turns:.3g} revolutions of {per_block / RULES.block:.3g} samples; at least {RULES.least_revolutions} of "
+            f"{4 * RULES.tooth_orders * tool.teeth} are needed: record longer or faster"
         )
-    each = _by_block(force[:, : blocks * per_block], dt * cut.rotation, blocks, _TOOTH_ORDERS * tool.teeth + 1)
+    each = _by_block(force[:, : blocks * per_block], dt * cut.rotation, blocks, RULES.tooth_orders * tool.teeth + 1)
     value = each.mean(axis=0)
     away = each - value
     alike = np.sum((away[1:] * away[:-1].conj()).real) / np.sum(np.abs(away) ** 2)
@@ -174,10 +155,10 @@ def _lines(force: Real, dt: float, cut: SteadyCut) -> dict[float, Real]:
         cutting = (order <= 1.0) | (cut.depth > 0.0)
         return np.asarray((np.abs(f - order * turn) > 4.0 * span) | ~cutting)
 
-    for f in MAINS:
+    for f in RULES.mains:
         beside = f + span * np.concatenate([np.arange(-14.0, -3.0), np.arange(4.0, 15.0)])
         beside = beside[clear(beside)]
-        if not clear(np.array([f]))[0] or beside.size < 2 * _BESIDE:
+        if not clear(np.array([f]))[0] or beside.size < 2 * RULES.beside:
             continue
         spectrum = tapered @ np.exp(-2j * np.pi * dt * np.outer(np.arange(n), np.append(beside, f)))
         power = np.abs(spectrum) ** 2
@@ -191,7 +172,7 @@ def line_score(ratio: Real) -> Real:
     A power over the mean of m powers of noise beside it has the survival function ``(1 + ratio/m)^-m`` (F distribution
     with 2 and 2 m degrees of freedom).
     """
-    return np.asarray(-special.ndtri_exp(-_BESIDE * np.log1p(ratio / _BESIDE)))
+    return np.asarray(-special.ndtri_exp(-RULES.beside * np.log1p(ratio / RULES.beside)))
 
 
 def hidden_orders(found: Mapping[str, CuttingOrders]) -> tuple[dict[str, CuttingOrders], tuple[Suspect, ...]]:
@@ -201,7 +182,7 @@ def hidden_orders(found: Mapping[str, CuttingOrders]) -> tuple[dict[str, Cutting
     for name, orders in found.items():
         for f, line in orders.lines.items():
             score = line_score(line[1])
-            if score.max() > _SEEN:
+            if score.max() > RULES.line_found:
                 seen.add(f)
                 size = ", ".join(f"{a:.2g}" for a in line[0])
                 suspects.append(
@@ -271,8 +252,8 @@ def _local(chip: Real, values: Mapping[str, float]) -> Real:
     exponent = np.array([values.get(f"size_effect_{n}", 0.0) for n in "tra"])
     edge = np.array([values.get(f"K{n}e", 0.0) for n in "tra"])
     h = np.maximum(chip, 1e-12)[:, None]
-    grown = (h / REFERENCE_CHIP) ** -exponent if exponent.any() else 1.0
-    return np.asarray(cutting * grown * h + edge * h / (h + EDGE_CHIP))
+    grown = (h / RULES.reference_chip) ** -exponent if exponent.any() else 1.0
+    return np.asarray(cutting * grown * h + edge * h / (h + RULES.edge_chip))
 
 
 def _offsets(tool: Tool, values: Mapping[str, float]) -> Real:

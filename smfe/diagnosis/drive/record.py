@@ -40,15 +40,7 @@ from smfe.diagnosis.drive.control_law import ControlLaw, Gains, Pulse, fit_contr
 from smfe.diagnosis.drive.filters import Motion, Resampler, motion
 from smfe.diagnosis.drive.noise import NoiseDraw, Whitener, noise_draws
 from smfe.diagnosis.drive.rules import RULES
-from smfe.diagnosis.drive.terms import (
-    DELAY,
-    HIDDEN_COMMAND,
-    SENSOR_GAIN,
-    SERVO_GAINS,
-    Term,
-    excess,
-    saturation,
-)
+from smfe.diagnosis.drive.terms import DELAY, HIDDEN_COMMAND, SENSOR_GAIN, SERVO_GAINS, Term, excess, saturation
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 

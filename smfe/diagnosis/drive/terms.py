@@ -59,24 +59,22 @@ def coulomb() -> Term:
     slide = Parameter("coulomb.slide", "um", 2e-6, 1e-6, 1e-7, 1e-4, shown=1e6)
     # Little friction says little of it: the prior keeps it where bristles of steel on steel or plastic have it.
     damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3)
-
-    def at(m: Motion, p: Values) -> Real:
-        return np.asarray(p["coulomb.force"] * m.sliding(p["coulomb.slide"], p["coulomb.damping"]))
-
     start = (0.0, 2e-6, 0.0)
-    return Term(Cause("guideway_friction", "Coulomb friction", (force, slide, damping), "coulomb", starts=(start,)), at)
+    return Term(
+        Cause("guideway_friction", "Coulomb friction", (force, slide, damping), "coulomb", starts=(start,)),
+        lambda m, p: p["coulomb.force"] * m.sliding(p["coulomb.slide"], p["coulomb.damping"]),
+    )
 
 
 def stribeck() -> Term:
     """Return the boost of the friction near rest, ``B exp(-|v|/vs) s(v)`` with B >= 0 (Stribeck)."""
     boost = Parameter("stribeck.boost", "N", 0.0, 1.0, low=0.0)
     speed = Parameter("stribeck.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3)
-
-    def force(m: Motion, p: Values) -> Real:
-        return np.asarray(p["stribeck.boost"] * (direction(m, p) - built(m, p, p["stribeck.speed"])))
-
     title = "Stribeck friction: higher near rest"
-    return Term(Cause("low_speed_friction", title, (boost, speed), "stribeck", starts=_SPEEDS), force)
+    return Term(
+        Cause("low_speed_friction", title, (boost, speed), "stribeck", starts=_SPEEDS),
+        lambda m, p: p["stribeck.boost"] * (direction(m, p) - built(m, p, p["stribeck.speed"])),
+    )
 
 
 def shear() -> Term:
@@ -87,12 +85,11 @@ def shear() -> Term:
     amount = Parameter("shear.force", "N", 0.0, 1.0, low=0.0)
     # What builds up within less is Coulomb friction.
     speed = Parameter("shear.speed", "mm/s", 0.02, 0.01, 5e-3, 0.1, shown=1e3)
-
-    def force(m: Motion, p: Values) -> Real:
-        return np.asarray(p["shear.force"] * built(m, p, p["shear.speed"]))
-
     title = "lubricant friction: lower near rest"
-    return Term(Cause("low_speed_friction", title, (amount, speed), "shear", starts=_SPEEDS), force)
+    return Term(
+        Cause("low_speed_friction", title, (amount, speed), "shear", starts=_SPEEDS),
+        lambda m, p: p["shear.force"] * built(m, p, p["shear.speed"]),
+    )
 
 
 def asymmetry() -> Term:

@@ -29,11 +29,7 @@ from smfe.progress import Progress, silent
 
 
 def diagnose(
-    family: Family,
-    seed: int = 0,
-    progress: Progress = silent,
-    held_out: Sequence[str] = (),
-    workers: int | None = None,
+    family: Family, seed: int = 0, progress: Progress = silent, held_out: Sequence[str] = (), workers: int | None = None
 ) -> Finding:
     """Diagnose a baseline.
 

@@ -231,12 +231,7 @@ def fit(
 
 
 def approach(
-    model: Model,
-    target: Target,
-    causes: Sequence[int],
-    start: Real,
-    slope: Mapping[int, Real],
-    most: float = np.inf,
+    model: Model, target: Target, causes: Sequence[int], start: Real, slope: Mapping[int, Real], most: float = np.inf
 ) -> Fit | None:
     """Fit with given slopes only, corrected on the way; None where nothing is predicted.
 

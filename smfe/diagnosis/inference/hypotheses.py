@@ -10,17 +10,7 @@ import numpy as np
 
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable, within
-from smfe.diagnosis.inference.fit import (
-    Fit,
-    Target,
-    approach,
-    fit,
-    misfit,
-    nearest,
-    residuals,
-    roughly,
-    tolerance,
-)
+from smfe.diagnosis.inference.fit import Fit, Target, approach, fit, misfit, nearest, residuals, roughly, tolerance
 from smfe.diagnosis.inference.misfit import Misfit, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES

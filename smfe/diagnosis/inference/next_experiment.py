@@ -139,10 +139,7 @@ def _with(
 
 
 def _proposal(
-    model: Model,
-    row: int,
-    before: Mapping[tuple[str, str], float],
-    after: Mapping[tuple[str, str], float],
+    model: Model, row: int, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
 ) -> Proposal:
     gains = {key: size / max(after.get(key, size), 1.0) for key, size in before.items()}
     listed = [key for key in sorted(gains, key=lambda key: -gains[key]) if gains[key] > RULES.worth_saying][

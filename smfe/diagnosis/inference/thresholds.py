@@ -5,6 +5,10 @@ only through the products with the signatures, so that tens of thousands of draw
 starts on a bound can only go one way: its score is that of a least squares problem in a cone (chi-bar-square; Shapiro,
 Biometrika 72, 1985), solved for all draws at once over its few active sets. The statistic of a cause is its likelihood
 ratio less two a parameter; the largest over the whole catalogue is calibrated, so that looking everywhere is paid for.
+
+With the tests of pairs and of the remaining misfit three p-values of `RULES.false_alarm` add up to 0.12 %: of 300
+healthy machines not more than one then raises an alarm in 95 of 100 campaigns, which is what proves a rate below 2 %
+(Clopper-Pearson).
 """
 
 from __future__ import annotations

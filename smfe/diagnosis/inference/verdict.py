@@ -45,12 +45,7 @@ class Judgement:
     gain: Gain | None = None  # of all causes together on held-out conditions
 
 
-def judge(
-    bench: Bench,
-    at: Fit,
-    steps: Sequence[Step],
-    sizes: Sequence[Detectable],
-) -> Judgement:
+def judge(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable]) -> Judgement:
     """Judge the fit and the steps that a search ended with, given what would have been seen."""
     if not at.causes:
         return _without_cause(bench, at, steps, sizes)

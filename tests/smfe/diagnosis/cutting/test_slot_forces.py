@@ -14,7 +14,8 @@ from places import DATA
 from process.cut.engagement import engagement
 from process.cut.tool import Tool
 from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family, turned
-from smfe.diagnosis.cutting.orders import MODEL_FLOOR, SteadyCut
+from smfe.diagnosis.cutting.orders import SteadyCut
+from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.finding import Finding, explain
 from smfe.records import Channel, read_records
@@ -60,9 +61,9 @@ def test_no_model_linear_in_the_chip_does_better_than_the_floor(family: CuttingF
     left = np.mean(np.abs(aligned - line) ** 2, axis=(0, 1)) * 5.0 / (5.0 - 2.3)
     alternating = np.mean(0.5 * np.sum(np.abs(aligned[:, 1:]) ** 2, axis=1), axis=0)
     x, y, z = np.sqrt(left / alternating)
-    assert x == pytest.approx(MODEL_FLOOR, abs=0.01)
-    assert y == pytest.approx(MODEL_FLOOR, abs=0.02)
-    assert z > MODEL_FLOOR
+    assert x == pytest.approx(RULES.force_floor, abs=0.01)
+    assert y == pytest.approx(RULES.force_floor, abs=0.02)
+    assert z > RULES.force_floor
 
 
 def _aligned(cut, line):

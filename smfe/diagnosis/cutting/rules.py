@@ -1,0 +1,39 @@
+"""The numbers of the diagnosis of cuts that somebody chose, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class CuttingRules:
+    """Floors, lines and limits of cutting forces and stability limits."""
+
+    # forces
+    lot_scatter: float = 0.3  # standard deviation of the coefficients about the handbook's, over the largest of them
+    angles: int = 360  # of one revolution, where the start of a record is looked for
+    reference_chip: float = 5e-5  # chip thickness [m] at which a size effect leaves the coefficients as they are
+    edge_chip: float = 5e-7
+    """Chip thickness [m] over which an edge force builds up: a tooth that only just touches has none."""
+    force_floor: float = 0.05
+    """Share of the alternating force along an axis that a mechanistic model may miss, see `orders`."""
+    crosstalk: float = 0.01  # share of the alternating force in all that leaks into each axis, likewise
+    mains: tuple[float, ...] = (50.0, 60.0)  # lines that are looked for [Hz]
+    tooth_orders: int = 6  # orders of tooth passing that count
+    block: int = 4  # revolutions of a block
+    least_revolutions: int = 40  # of a record
+    line_found: float = 6.0  # standard deviations of a line of the mains
+    beside: float = 8.0  # independent powers of noise beside a line
+    # limits
+    limit_floor: float = 0.015  # what a limit is trusted to, relative
+    floor_of_correction: float = 0.25
+    """Share of the (log of the) correction of the zero-order limit that is added to it."""
+    alike: float = 0.02  # relative difference of zero-order and converged chatter frequency of one crossing
+    frequency_floor: float = 0.003  # of a chatter frequency, relative: a cut that chatters is deeper than the limit
+    near: float = 0.1  # share by which a crossing deeper than the first may be the one that was observed
+    near_observed: float = 0.02  # relative distance of its frequency from the one observed
+    flank_friction: float = 0.3  # friction coefficient between flank and work
+    minutes: float = 20.0  # to bracket a limit
+
+
+RULES = CuttingRules()
