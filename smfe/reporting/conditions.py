@@ -1,6 +1,6 @@
 """Compliances over force level and feed: each combination as a line of the figures that measurements have.
 
-The first condition is told by colour, from dark to light as it grows, the second by dashes.
+Colour stands for the first condition, from dark to light as it grows, dashes for the second.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Interactive figures of lobes and spectra as plain dictionaries in plotly's JSON schema.
+"""The figures of the page, interactive: plain dictionaries in plotly's JSON schema.
 
 Arrays travel as base64 of 32-bit floats, which plotly.js reads by itself: seven digits in half the space of
 five written out, and NaN for a gap.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,22 +17,18 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from process.types import Complex, Real
+from smfe.reporting import figures
 from smfe.reporting.headline import outcomes
-from smfe.reporting.results import BAD_CONDITION, Lobes, Measurement, bands
+from smfe.reporting.results import BAD_CONDITION, Lobes, Measurement
 from smfe.reporting.style import (
     AXIS_COLOURS,
     CHATTER,
+    CURVE_COLOURS,
     EXCITATION_DASHES,
+    RECORD,
     Line,
-    axes_of,
     band_text,
-    depth_range,
-    entry_name,
-    frequency_range,
-    magnitude_band,
-    magnitude_range,
     number,
-    part_ranges,
     translucent,
 )
 
@@ -58,8 +53,13 @@ def packed(values: ArrayLike) -> dict[str, str]:
     return out
 
 
+def scatter(mode: str, x: ArrayLike, y: ArrayLike) -> Figure:
+    """Return lines or markers at points."""
+    return {"type": "scatter", "mode": mode, "x": packed(x), "y": packed(y)}
+
+
 def plain(text: str) -> str:
-    """Return text so that plotly, which knows a few HTML tags, shows it letter by letter."""
+    """Return text so that plotly, which knows a few HTML tags, writes it letter by letter."""
     return html.escape(text, quote=False)
 
 
@@ -106,10 +106,7 @@ def polygons(x: Real, low: Real, high: Real) -> tuple[Real, Real]:
 def filled(outline: tuple[ArrayLike, ArrayLike], colour: str, opacity: float, more: Mapping[str, Any]) -> Figure:
     """Return an outline filled with a translucent colour."""
     return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(outline[0]),
-        "y": packed(outline[1]),
+        **scatter("lines", outline[0], outline[1]),
         "fill": "toself",
         "fillcolor": translucent(colour, opacity),
         "line": {"width": 0},
@@ -124,37 +121,26 @@ def filled(outline: tuple[ArrayLike, ArrayLike], colour: str, opacity: float, mo
 
 def lobes_figure(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mapping[str, Line]) -> Figure:
     """Return limit depth over speed with the cutting tests, and the chatter frequency below."""
-    depths = [item.values("limit_depth") for item in lobes]
-    cut = tests["depth_of_cut_mm"].to_numpy(dtype=float) if tests is not None else np.empty(0)
-    top = depth_range(depths, cut)
+    top, frequencies = figures.highest_depth(lobes, tests), figures.chatter_range(lobes)
     data: list[Figure] = []
     for item in lobes:
         data += _lobe_traces(item, looks[item.source], top)
     if tests is not None:
         data += _test_traces(tests)
-    speeds = np.concatenate([item.data["spindle_speed"].values for item in lobes])
-    shared = {"range": [float(speeds.min()), float(speeds.max())], "anchor": "y2", "mirror": "all"}
+    shared = {"range": list(figures.speed_range(lobes)), "anchor": "y2", "mirror": "all"}
+    below = {"range": list(frequencies)} if frequencies else {}
     layout = base_layout(
         640,
         xaxis=axis_look("spindle speed [rpm]", **shared),
         yaxis=axis_look("limit depth a<sub>p</sub> [mm]", domain=[0.36, 1.0], range=[0.0, top]),
-        yaxis2=axis_look("chatter frequency [Hz]", domain=[0.0, 0.3], **_frequency_span(lobes)),
+        yaxis2=axis_look("chatter frequency [Hz]", domain=[0.0, 0.3], **below),
     )
     return {"data": data, "layout": layout}
 
 
-def _frequency_span(lobes: Sequence[Lobes]) -> dict[str, Any]:
-    values = np.concatenate([item.values("chatter_frequency") for item in lobes])
-    values = values[np.isfinite(values)]
-    if not values.size:
-        return {}
-    margin = 0.1 * float(np.ptp(values)) + 1.0
-    return {"range": [max(0.0, float(values.min()) - margin), float(values.max()) + margin]}
-
-
 def _lobe_traces(item: Lobes, look: Line, top: float) -> list[Figure]:
     name, group = plain(item.source), item.source
-    speed, depth = item.data["spindle_speed"].values.astype(float), item.values("limit_depth")
+    speed, finite = item.data["spindle_speed"].values.astype(float), figures.finite_depth(item)
     frequency, lobe = item.values("chatter_frequency"), item.values("lobe")
     out = []
     band = item.band()
@@ -172,7 +158,6 @@ def _lobe_traces(item: Lobes, look: Line, top: float) -> list[Figure]:
         x = packed(curves[0])
         out.append({**thin, **hidden, "x": x, "y": packed(curves[1])})
         out.append({**thin, **hidden, "x": x, "y": packed(curves[2]), "yaxis": "y2"})
-    finite = np.where(np.isfinite(depth), depth, np.nan)
     shared = {
         "type": "scatter",
         "x": packed(speed),
@@ -237,51 +222,11 @@ def _test_text(row: Mapping[Any, Any]) -> str:
 # --- spectra of cutting tests -------------------------------------------------------------------------------
 
 
-def spectrum_span(dataset: xr.Dataset) -> tuple[float, float, float]:
-    """Return the highest frequency with anything to see, and the lowest and highest amplitude to show."""
-    frequency = dataset["frequency"].values.astype(float)
-    largest = np.nanmax(dataset["amplitude"].transpose("axis", "frequency").values, axis=0)
-    top = float(np.nanmax(largest)) if np.isfinite(largest).any() else 1.0
-    threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
-    last = float(frequency[largest > 0.05 * top].max(initial=0.0))
-    floor = max(0.5 * float(np.nanquantile(largest, 0.02)), 1e-5 * top)
-    return 1.1 * last, floor, 2.0 * max(top, threshold if np.isfinite(threshold) else 0.0)
-
-
-def common_end(spectra: Sequence[xr.Dataset]) -> float:
-    """Return where the frequency axes of all tests end, so that they can be compared at a glance."""
-    if not spectra:
-        return 1.0
-    lines = [float(s.attrs.get("chatter_frequency_Hz", np.nan)) for s in spectra]
-    end = max(
-        float(np.median([spectrum_span(s)[0] for s in spectra])),
-        1.5 * max((v for v in lines if v > 0.0), default=0.0),
-    )
-    return min(end, max(float(s["frequency"].values[-1]) for s in spectra))
-
-
-def harmonic_bands(dataset: xr.Dataset) -> list[tuple[float, float]]:
-    """Return the bands [Hz] that the criterion leaves out as harmonics of the spindle."""
-    if "harmonic" not in dataset:
-        return []
-    frequency = dataset["frequency"].values.astype(float)
-    half = 0.5 * float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
-    found = bands(frequency, dataset["harmonic"].values.astype(bool))
-    return [(a - half, b + half) for a, b in found]
-
-
-def amplitude_label(dataset: xr.Dataset) -> str:
-    """Return e.g. "acceleration [m/s²]"."""
-    units = str(dataset.attrs.get("units") or dataset["amplitude"].attrs.get("units") or "")
-    quantity = str(dataset.attrs.get("quantity") or "amplitude")
-    return f"{quantity} [{units.replace('^2', '²')}]" if units else quantity
-
-
 def spectrum_figure(dataset: xr.Dataset, end: float) -> Figure:
     """Return the amplitudes of one cutting test with removed harmonics, threshold and chatter line."""
-    _, floor, top = spectrum_span(dataset)
+    _, floor, top = figures.spectrum_span(dataset)
     frequency = dataset["frequency"].values.astype(float)
-    removed = [b for b in harmonic_bands(dataset) if b[0] <= frequency[-1]]
+    removed = [b for b in figures.harmonic_bands(dataset) if b[0] <= frequency[-1]]
     data = [_removed(removed, floor * 1e-3, top * 1e3)] if removed else []
     x = packed(frequency)
     for axis in dataset["axis"].values:
@@ -296,7 +241,7 @@ def spectrum_figure(dataset: xr.Dataset, end: float) -> Figure:
                 "hovertemplate": "%{x:.5~g} Hz: %{y:.3~g}",
             }
         )
-    predicted = predicted_lines(dataset, end)
+    predicted = figures.predicted_lines(dataset, end)
     if predicted:
         data.append(
             {
@@ -314,17 +259,11 @@ def spectrum_figure(dataset: xr.Dataset, end: float) -> Figure:
         330,
         margin={"l": 70, "r": 15, "t": 34, "b": 46},
         xaxis=axis_look("frequency [Hz]", range=[0.0, end]),
-        yaxis=axis_look(plain(amplitude_label(dataset)), **log_axis(floor, top)),
+        yaxis=axis_look(plain(figures.amplitude_label(dataset)), **log_axis(floor, top)),
         shapes=_spectrum_lines(dataset),
         annotations=_spectrum_notes(dataset, end),
     )
     return {"data": data, "layout": layout}
-
-
-def predicted_lines(dataset: xr.Dataset, end: float) -> dict[str, float]:
-    """Return the chatter frequency that each source of lobes predicts [Hz], as far as the figure reaches."""
-    found = json.loads(str(dataset.attrs.get("predicted_Hz", "{}")))
-    return {str(name): float(f) for name, f in found.items() if float(f) <= end}
 
 
 def _removed(pairs: Sequence[tuple[float, float]], low: float, high: float) -> Figure:
@@ -334,7 +273,7 @@ def _removed(pairs: Sequence[tuple[float, float]], low: float, high: float) -> F
 
 
 def log_axis(low: float, high: float) -> dict[str, Any]:
-    """Return the settings of a logarithmic axis; one of few decades shows 2 and 5 as well."""
+    """Return the settings of a logarithmic axis; one of few decades has ticks at 2 and 5 as well."""
     ends = [float(np.log10(low)), float(np.log10(high))]
     step = 1 if ends[1] - ends[0] > 2.2 else "D2"
     return {"type": "log", "range": ends, "dtick": step, "exponentformat": "power"}
@@ -342,8 +281,7 @@ def log_axis(low: float, high: float) -> dict[str, Any]:
 
 def _spectrum_lines(dataset: xr.Dataset) -> list[Figure]:
     shapes = []
-    threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
-    line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
+    threshold, line = figures.chatter_marks(dataset)
     if np.isfinite(threshold):
         look = {"color": CHATTER, "width": 1.5, "dash": "dash"}
         ends = {"x0": 0, "x1": 1, "xref": "paper", "y0": threshold, "y1": threshold}
@@ -356,8 +294,7 @@ def _spectrum_lines(dataset: xr.Dataset) -> list[Figure]:
 
 def _spectrum_notes(dataset: xr.Dataset, end: float) -> list[Figure]:
     notes = []
-    threshold = float(dataset.attrs.get("threshold_amplitude", np.nan))
-    line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
+    threshold, line = figures.chatter_marks(dataset)
     shared = {"showarrow": False, "font": {"size": 12, "color": CHATTER}, "bgcolor": "rgba(255,255,255,0.8)"}
     if np.isfinite(threshold):
         where = {
@@ -375,9 +312,6 @@ def _spectrum_notes(dataset: xr.Dataset, end: float) -> list[Figure]:
     return notes
 
 
-# --- Interactive figures of the compliances, and of how well they were measured: coherence and condition of the forces.
-
-
 def _on(number_: int) -> dict[str, str]:
     """Return the axes of panel 1, 2, ... as a trace names them."""
     tail = "" if number_ == 1 else str(number_)
@@ -389,9 +323,9 @@ def _on(number_: int) -> dict[str, str]:
 
 def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure:
     """Return the grid of compliances with a choice of magnitude, phase, real and imaginary part."""
-    responses, excitations = axes_of(measurements)
-    span = frequency_range(measurements)
-    low, high = magnitude_range(measurements, span)
+    responses, excitations = figures.axes_of(measurements)
+    span = figures.frequency_range(measurements)
+    low, high = figures.magnitude_range(measurements, span)
     panels = {(r, e): 1 + i * len(excitations) + j for i, r in enumerate(responses) for j, e in enumerate(excitations)}
     data: list[Figure] = []
     views: list[list[Any]] = []
@@ -400,22 +334,20 @@ def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, L
             shared = {**_on(panels[r, e]), "legendgroup": m.name}
             std = m.std(r, e)
             if std is not None:
-                edges = magnitude_band(m.entry(r, e), std, 1e-2 * low)
+                edges = figures.magnitude_band(m.entry(r, e), std, 1e-2 * low)
                 data.append(filled(polygons(m.frequency, *edges), looks[m.name].colour, 0.2, shared))
                 views.append([])
             views.append(_views(m.entry(r, e)))
-            data.append(_compliance_line(m, looks[m.name], views[-1][0], entry_name(r, e), first == 0, shared))
+            data.append(_compliance_line(m, looks[m.name], views[-1][0], figures.entry_name(r, e), first == 0, shared))
     layout = _grid_layout(responses, excitations, span, (low, high))
-    axes = _view_axes((low, high), part_ranges(measurements, span))
+    axes = _view_axes((low, high), figures.part_ranges(measurements, span))
     layout["updatemenus"] = [_view_menu(views, list(panels.values()), axes)]
     return {"data": data, "layout": layout}
 
 
 def _views(values: Complex) -> list[dict[str, str]]:
     scaled = 1e6 * values
-    # A displacement lags its force: from -270 to 90 degrees, noise about -180 does not jump.
-    phase = (np.angle(np.where(np.isfinite(values), values, np.nan), deg=True) + 270.0) % 360.0 - 270.0
-    return [packed(np.abs(scaled)), packed(phase), packed(scaled.real), packed(scaled.imag)]
+    return [packed(np.abs(scaled)), packed(figures.lagging_phase(values)), packed(scaled.real), packed(scaled.imag)]
 
 
 def _compliance_line(
@@ -544,12 +476,10 @@ def _view_menu(
 
 def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure | None:
     """Return coherence by response and, for sweeps, the condition of the forces; None without either."""
-    measured = [m for m in measurements if not m.is_model]
-    responses = [r for r in "xyz" if any(m.coherences(r) for m in measured)]
-    conditioned = [m for m in measured if m.condition() is not None]
+    measured, responses, conditioned = figures.quality_panels(measurements)
     if not responses and not conditioned:
         return None
-    span = frequency_range(measured)
+    span = figures.frequency_range(measured)
     data: list[Figure] = []
     named: set[str] = set()
     for panel, r in enumerate(responses, 1):
@@ -571,10 +501,7 @@ def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line
 
 def _quality_line(m: Measurement, look: Line, values: Real, what: str) -> Figure:
     return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(m.frequency),
-        "y": packed(values),
+        **scatter("lines", m.frequency, values),
         "name": plain(m.name),
         "legendgroup": m.name,
         "line": {"width": 1.3, "color": look.colour},
@@ -634,9 +561,8 @@ def _add_condition(
         "line": {"width": 0},
     }
     for m in conditioned:
-        half = 0.5 * float(np.median(np.diff(m.frequency))) if m.frequency.size > 1 else 0.0
-        for a, b in m.bad_bands():
-            shade = {"type": "rect", "x0": a - half, "x1": b + half, "fillcolor": translucent(CHATTER, 0.18)}
+        for low, high in figures.badly_conditioned(m):
+            shade = {"type": "rect", "x0": low, "x1": high, "fillcolor": translucent(CHATTER, 0.18)}
             layout["shapes"].append({**shade, **on})
     limit = {"type": "line", "x0": 0, "x1": 1, "xref": f"x{tail} domain", "yref": f"y{tail}"}
     look = {"line": {"color": CHATTER, "width": 1.2, "dash": "dash"}}
@@ -650,3 +576,165 @@ def bad_bands_text(m: Measurement) -> str:
         return f"the condition number of the forces stays below {BAD_CONDITION:g} at every frequency."
     what = f"the condition number of the forces exceeds {BAD_CONDITION:g} (badly conditioned)"
     return f"{what} at {band_text(found)}."
+
+
+# --- drives ----------------------------------------------------------------------------------------------------------
+
+
+def drive_figure(frame: pd.DataFrame) -> Figure:
+    """Return the interactive figure of one axis."""
+    parts = figures.friction_parts(frame)
+    data: list[dict[str, Any]] = [
+        {
+            **scatter("markers", parts["motion"]["velocity"].to_numpy(), parts["motion"]["force"].to_numpy()),
+            "name": "record",
+            "marker": {"size": 3, "color": RECORD},
+        }
+    ]
+    for way in ("forward", "backward"):
+        curve = parts[way]
+        if curve.empty:
+            continue
+        around = np.concatenate([curve["velocity"], curve["velocity"][::-1]])
+        band = np.concatenate([curve["high"], curve["low"][::-1]])
+        shared = {"type": "scatter", "mode": "lines", "legendgroup": "curve", "hovertemplate": "%{x:.4~g}: %{y:.4~g}"}
+        data += [
+            shared
+            | {
+                "x": packed(around),
+                "y": packed(band),
+                "fill": "toself",
+                "line": {"width": 0},
+                "fillcolor": translucent(CURVE_COLOURS[0], 0.2),
+                "showlegend": False,
+                "hoverinfo": "skip",
+            },
+            shared
+            | {
+                "x": packed(curve["velocity"].to_numpy()),
+                "y": packed(curve["force"].to_numpy()),
+                "name": "identified, with 95 % interval",
+                "line": {"width": 2, "color": CURVE_COLOURS[0]},
+                "showlegend": way == "forward" or parts["forward"].empty,
+            },
+        ]
+    runs = parts["runs"]
+    if len(runs):
+        data.append(
+            {
+                **scatter("markers", runs["velocity"].to_numpy(), runs["force"].to_numpy()),
+                "error_y": {"type": "data", "array": packed((runs["high"] - runs["force"]).to_numpy())},
+                "name": "runs at constant velocity",
+                "marker": {"size": 7, "color": CURVE_COLOURS[1]},
+            }
+        )
+    velocity, force = figures.friction_titles(frame)
+    layout = base_layout(420, legend={**LEGEND, "y": 1.02, "yanchor": "bottom"})
+    return {"data": data, "layout": layout | {"xaxis": axis_look(velocity), "yaxis": axis_look(force)}}
+
+
+def loop_figure(dataset: xr.Dataset) -> Figure:
+    """Return the interactive figure of one measurement."""
+    x = packed(dataset["frequency"].values)
+    data = []
+    for name, colour, gain, phase in figures.loop_curves(dataset):
+        for y, panel, shown in ((gain, "", True), (phase, "2", False)):
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "x": x,
+                    "y": packed(y),
+                    "name": name,
+                    "legendgroup": name,
+                    "showlegend": shown,
+                    "line": {"width": 1.5, "color": colour},
+                    "xaxis": f"x{panel}",
+                    "yaxis": f"y{panel}",
+                    "hovertemplate": "%{x:.5~g} Hz, %{y:.3~g}",
+                }
+            )
+    layout = base_layout(480, legend={**LEGEND, "y": 1.02, "yanchor": "bottom"})
+    layout |= {
+        "xaxis": axis_look(type="log", matches="x2", showticklabels=False, anchor="y"),
+        "xaxis2": axis_look(figures.FREQUENCY, type="log", anchor="y2"),
+        "yaxis": axis_look(figures.GAIN, domain=[0.45, 1.0], anchor="x"),
+        "yaxis2": axis_look(figures.PHASE, domain=[0.0, 0.4], range=[-180, 180], dtick=90, anchor="x2"),
+    }
+    return {"data": data, "layout": layout}
+
+
+# --- diagnosis -------------------------------------------------------------------------------------------------------
+
+
+def search_figure(finding: Mapping[str, Any]) -> Figure | None:
+    """Return the misfit of the baseline and of each step that was kept; None without a step."""
+    names, heights = figures.search_steps(finding)
+    if len(names) < 2:
+        return None
+    bars = {
+        "type": "bar",
+        "orientation": "h",
+        "x": heights,
+        "y": [plain(n) for n in names],
+        "marker": {"color": [figures.BASELINE, *[figures.EXTENDED] * (len(names) - 1)]},
+        "text": [f"{h:.2f} dB" for h in heights],
+        "textposition": "outside",
+        "cliponaxis": False,
+        "hoverinfo": "skip",
+        "showlegend": False,
+    }
+    layout = base_layout(
+        110 + 34 * len(names),
+        xaxis=axis_look("misfit over noise [dB]", range=[min(0.0, *heights), 1.15 * max(heights)], zeroline=True),
+        yaxis=axis_look(autorange="reversed", automargin=True, type="category"),
+    )
+    return {"data": [bars], "layout": layout}
+
+
+def condition_figure(finding: Mapping[str, Any]) -> Figure | None:
+    """Return the misfit of each condition before and after; None without conditions."""
+    rows, title = figures.shown_conditions(finding)
+    if not rows:
+        return None
+    names = [plain(str(c["name"])) for c in rows]
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": name,
+            "x": misfit,
+            "y": [names[i] for i in places],
+            "marker": {"color": colour, "size": 9, "symbol": "circle-open" if held_out else "circle"},
+        }
+        for name, colour, held_out, places, misfit in figures.condition_marks(finding)
+    ]
+    layout = base_layout(
+        130 + 22 * len(names),
+        xaxis=axis_look(title, zeroline=True, zerolinecolor="#888"),
+        yaxis=axis_look(
+            autorange="reversed", automargin=True, type="category", categoryorder="array", categoryarray=names
+        ),
+    )
+    return {"data": data, "layout": layout}
+
+
+def stable_depth_figure(finding: Mapping[str, Any]) -> Figure | None:
+    """Return the stable depth over spindle speed before and after; None without lobes."""
+    data = [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": f"{word}, {plain(where)}",
+            "x": packed(speeds),
+            "y": packed(depths),
+            "line": {"color": colour, "width": 4 if word == "baseline" else 2},
+        }
+        for where, word, colour, speeds, depths in figures.stable_depths(finding)
+    ]
+    layout = base_layout(
+        360,
+        xaxis=axis_look("spindle speed [rpm]"),
+        yaxis=axis_look("limit depth a<sub>p</sub> [mm]", rangemode="tozero"),
+    )
+    return {"data": data, "layout": layout} if data else None

@@ -78,7 +78,7 @@ def _response(result: Look, figure: Figure) -> None:
 
 
 def _envelope(time: Real, values: Real) -> tuple[Real, Real]:
-    """Return least and greatest value of each of some thousand stretches: what a thousand pixels can show."""
+    """Return least and greatest value of each of some thousand stretches: what a thousand pixels can hold."""
     if values.size <= 2 * _POINTS:
         return time, values
     size = values.size // _POINTS

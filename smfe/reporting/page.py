@@ -13,10 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from smfe.reporting import conditions, diagnosis, drives, explained, loops, spectrograms, tables
-from smfe.reporting import draw_matplotlib as figures
-from smfe.reporting import draw_plotly as interactive
-from smfe.reporting import draw_plotly as interactive_compliance
+from smfe.reporting import conditions, diagnosis, draw_matplotlib, draw_plotly, drives, figures, spectrograms, tables
 from smfe.reporting.headline import KEEP, Answer, answers, outcomes
 from smfe.reporting.results import Lobes, Measurement, Results, bands, read_results
 from smfe.reporting.style import METHODS, OUTCOMES, Line, band_text, number, palette
@@ -50,11 +47,11 @@ def write_report(folder: Path, progress: Progress | None = None) -> Path:
     folder = Path(folder)
     results = read_results(folder)
     looks = palette(results)
-    pictures = figures.pictures(results, looks)
+    pictures = draw_matplotlib.pictures(results, looks)
     steps = len(pictures) + 1
-    figures.remove_stale(folder / "figures", pictures)
+    draw_matplotlib.remove_stale(folder / "figures", pictures)
     for done, (name, draw) in enumerate(pictures.items(), 1):
-        figures.save(draw(), folder / "figures" / name)
+        draw_matplotlib.save(draw(), folder / "figures" / name)
         if progress is not None:
             progress(done, steps)
     text = render(results, looks)
@@ -81,11 +78,11 @@ def render(results: Results, looks: dict[str, Line]) -> str:
         "lobes": _lobes(results, looks, plots),
         "spectra": _spectra(results, plots),
         "compliance": _compliance(results, looks, plots),
-        "loops": loops.section(results.loops, plots),
-        "drives": drives.section(results.drives, results.tables, plots),
+        "loops": drives.loop_section(results.loops, plots),
+        "drives": drives.friction_section(results.drives, results.tables, plots),
         "comparison": _comparison(results),
         "diagnosis": diagnosis.section(results.finding, plots),
-        "details": [tables.hits(f, f"{m}: {t}") for (m, t), f in results.tables.items() if not drives.is_friction(t)],
+        "details": [tables.hits(f, f"{m}: {t}") for (m, t), f in results.tables.items() if not figures.is_friction(t)],
         "provenance": _provenance(results),
     }
     return environment.get_template("report.html.j2").render(
@@ -178,7 +175,7 @@ def _lobes(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> l
     for position, (request, lobes) in enumerate(results.requests.items(), 1):
         tests = figures.tests_of(results.chatter, request)
         name = f"plot-lobes-{position}"
-        plots[name] = interactive.lobes_figure(lobes, tests, looks)
+        plots[name] = draw_plotly.lobes_figure(lobes, tests, looks)
         out.append(
             {
                 "request": request,
@@ -201,10 +198,10 @@ def _unlimited(item: Lobes) -> str:
 
 def _spectra(results: Results, plots: dict[str, Any]) -> dict[str, Any]:
     tests = []
-    end = interactive.common_end(list(results.spectra.values()))
+    end = figures.common_end(list(results.spectra.values()))
     for position, (key, dataset) in enumerate(results.spectra.items(), 1):
         name = f"plot-spectrum-{position}"
-        plots[name] = interactive.spectrum_figure(dataset, end)
+        plots[name] = draw_plotly.spectrum_figure(dataset, end)
         # A test that failed has a row in chatter.csv and no spectrum; the number says which row is meant.
         number_of = key.rpartition("_")[2]
         observed = _observed(results.chatter, int(number_of) - 1 if number_of.isdigit() else position - 1)
@@ -261,8 +258,8 @@ def _disagreeing(chatter: pd.DataFrame | None) -> list[str]:
 def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any]) -> dict[str, Any]:
     shown = [m for m in results.measurements if m.entries]
     if shown:
-        plots["plot-compliance"] = interactive_compliance.compliance_figure(shown, looks)
-        quality = interactive_compliance.quality_figure(shown, looks)
+        plots["plot-compliance"] = draw_plotly.compliance_figure(shown, looks)
+        quality = draw_plotly.quality_figure(shown, looks)
         if quality is not None:
             plots["plot-quality"] = quality
     return {
@@ -272,7 +269,7 @@ def _compliance(results: Results, looks: dict[str, Line], plots: dict[str, Any])
         "by_force": any(e for m in shown for r in "xyz" for e, _ in m.coherences(r)),
         "cubes": _cubes(results, plots),
         "uncertain": any(m.std(*pair) is not None for m in shown for pair in m.entries),
-        "conditions": [(m.name, interactive_compliance.bad_bands_text(m)) for m in shown if m.condition() is not None],
+        "conditions": [(m.name, draw_plotly.bad_bands_text(m)) for m in shown if m.condition() is not None],
     }
 
 
@@ -281,7 +278,7 @@ def _cubes(results: Results, plots: dict[str, Any]) -> list[dict[str, Any]]:
     out = []
     for position, cube in enumerate(conditions.cubes(results.conditions), 1):
         name = f"plot-cube-{position}"
-        plots[name] = interactive_compliance.compliance_figure(cube.cells, cube.looks)
+        plots[name] = draw_plotly.compliance_figure(cube.cells, cube.looks)
         out.append({"name": cube.name, "plot": name, "said": conditions.largest_changes(cube)})
     return out
 
@@ -308,7 +305,7 @@ def _comparison(results: Results) -> dict[str, Any]:
         "sentences": sentences,
         "table": table,
         "compared": frame is not None,
-        "explained": explained.explained(results.explained),
+        "explained": tables.explained(results.explained),
         "errors": [] if errors is None or errors.empty else tables.model_errors(errors),
     }
 
@@ -323,7 +320,7 @@ def _moment(text: str) -> str:
 
 
 def _provenance(results: Results) -> dict[str, Any]:
-    """Return provenance with every part in the shape that the template shows."""
+    """Return provenance with every part in the shape that the template takes."""
     content = results.provenance
 
     def pairs(name: str) -> dict[str, Any]:

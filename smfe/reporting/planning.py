@@ -41,7 +41,7 @@ CAPTIONS = {
     "plan_level.png": "Force level over the depth of cut at the start of the sweep: largest resultant and mean.",
     "plan_chatter.png": "Limit depth of each pass at the speeds of the sweep, and the planned depth.",
 }
-"""Picture -> what it shows, in the order of the page."""
+"""Picture -> its caption, in the order of the page."""
 
 
 def write_page(found: Plan, passes: pd.DataFrame, folder: Path) -> Path:

@@ -153,7 +153,7 @@ class Lobes:
         speed, depth, frequency = (self.values(name) for name in names)
         step = np.abs(np.diff(frequency))
         moved = step[step > 0.0]
-        # A gap in the data shows as a jump of the chatter frequency within one lobe.
+        # A gap in the data is a jump of the chatter frequency within one lobe.
         new = step > 4.0 * (np.median(moved) if moved.size else np.inf)
         for name in ("curve_lobe", "curve_branch"):
             if name in self.data:
@@ -164,7 +164,7 @@ class Lobes:
 
 @dataclass(frozen=True)
 class Results:
-    """Everything that the report shows.
+    """Everything that the report holds.
 
     Parameters
     ----------

@@ -13,14 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from smfe.reporting.draw_plotly import common_end
+from smfe.reporting.figures import chatter_marks, common_end
 from smfe.reporting.style import CHATTER, literal, number
 
 RANGE_DB = 60.0
 """Range of the colours below the highest level [dB]."""
 
 MOST_PICTURES = 24
-"""The picture of all tests holds no more; the HTML file shows all."""
+"""The picture of all tests holds no more; the HTML file has all."""
 
 MOST_ORDERS = 80
 """Orders that are marked at the edge; more would touch each other."""
@@ -144,7 +144,7 @@ def _mark_orders(axes: Axes, dataset: xr.Dataset, end: float) -> None:
 
 def _mark_chatter(axes: Axes, dataset: xr.Dataset, end: float) -> None:
     """Mark the chatter line across, and the lines of its family at the left edge."""
-    line = float(dataset.attrs.get("chatter_frequency_Hz", np.nan))
+    line = chatter_marks(dataset)[1]
     if np.isfinite(line) and line < end:
         axes.axhline(line, color=CHATTER, linestyle=":", linewidth=1.4)
     family = _numbers(dataset, "family_Hz")

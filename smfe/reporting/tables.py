@@ -226,3 +226,24 @@ def model_errors(frame: pd.DataFrame) -> list[Table]:
         shown.columns = [str(c) for c in shown.columns]
         out.append(table(shown, f"Relative error against {model} [%]", digits=3))
     return out
+
+
+EXPLAINED = (
+    *("response", "excitation", "frequency_Hz", "quantity", "factor", "lowest", "highest", "effect_percent"),
+    *("effect_low_percent", "effect_high_percent", "explained_percent", "p", "p_family", "significant"),
+)
+"""Columns of what conditions explain that the report holds; the file has all."""
+
+
+def explained(frame: pd.DataFrame | None) -> Table | None:
+    """Return what conditions explain, significant rows marked; None without a row."""
+    if frame is None or frame.empty:
+        return None
+    count = int(sum(true(v) for v in frame["significant"]))
+    shown = frame[[c for c in EXPLAINED if c in frame]]
+    return table(
+        shown,
+        f"{count} of {len(frame)} rows are significant (5 % for all together)",
+        lambda row: "significant" if true(row["significant"]) else "",
+        digits=3,
+    )

@@ -1,4 +1,4 @@
-"""The report shows compliances over force level and feed (conditions.nc), and says what they do."""
+"""The report has compliances over force level and feed (conditions.nc), and says what they do."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def test_each_set_has_a_figure_in_the_page_and_as_a_picture(folder: Path) -> Non
     assert {p.name for p in (folder / "figures").iterdir()} == {"compliance.png"}
 
 
-def test_colour_tells_the_level_and_dashes_the_feed(folder: Path) -> None:
+def test_colour_stands_for_the_level_and_dashes_for_the_feed(folder: Path) -> None:
     first, second = cubes(read_groups(folder / "conditions.nc"))
     assert [cell.name for cell in first.cells] == [
         "40 N, 0 mm/min",

@@ -1,4 +1,4 @@
-"""Claims: the report shows what a finding says, marks what was set aside, and survives what is not there."""
+"""Claims: the report holds what a finding says, marks what was held out, and survives what is not there."""
 
 import base64
 import json
@@ -11,7 +11,9 @@ import pytest
 
 from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, Remainder, StableDepth, explain
 from smfe.reporting import write_report
-from smfe.reporting.diagnosis import MOST, draw, pictured, section
+from smfe.reporting.diagnosis import section
+from smfe.reporting.draw_matplotlib import draw_diagnosis
+from smfe.reporting.figures import MOST_CONDITIONS, has_diagnosis
 
 
 def finding(count: int = 4, **more: Any) -> dict[str, Any]:
@@ -34,8 +36,8 @@ def shown(content: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     return section(content, plots), plots
 
 
-def test_the_ladder_goes_from_the_baseline_to_the_best_model() -> None:
-    (bars,) = shown(finding())[1]["plot-ladder"]["data"]
+def test_the_search_goes_from_the_baseline_to_the_best_model() -> None:
+    (bars,) = shown(finding())[1]["plot-search"]["data"]
     assert bars["y"] == ["baseline", "+ runout"]
     assert bars["x"] == [12.5, 0.5]
 
@@ -44,26 +46,26 @@ def test_what_no_fit_has_seen_is_marked_and_every_condition_is_there_twice() -> 
     traces = shown(finding())[1]["plot-conditions"]["data"]
     assert sum(len(t["x"]) for t in traces) == 8
     for trace in traces:
-        assert ("cut 1" in trace["y"]) == ("set aside" in trace["name"]) == (trace["marker"]["symbol"] == "circle-open")
+        assert ("cut 1" in trace["y"]) == ("held out" in trace["name"]) == (trace["marker"]["symbol"] == "circle-open")
 
 
 def test_of_many_conditions_those_with_most_left_are_shown_in_their_order() -> None:
     """What carries the remainder is in the picture, however well the baseline did there."""
-    content = finding(MOST + 10)
+    content = finding(MOST_CONDITIONS + 10)
     for k, condition in enumerate(content["conditions"]):
         condition["before_db"] = float(-k)
     layout = shown(content)[1]["plot-conditions"]["layout"]
-    assert layout["yaxis"]["categoryarray"] == [f"cut {k}" for k in range(10, MOST + 10)]
-    assert f"the {MOST} of {MOST + 10} with most left" in layout["xaxis"]["title"]["text"]
+    assert layout["yaxis"]["categoryarray"] == [f"cut {k}" for k in range(10, MOST_CONDITIONS + 10)]
+    assert f"the {MOST_CONDITIONS} of {MOST_CONDITIONS + 10} with most left" in layout["xaxis"]["title"]["text"]
 
 
 def test_where_something_is_wrong_but_has_no_name_the_conditions_are_shown_with_the_baseline_alone() -> None:
     content = finding(verdict="unknown", causes=[], ladder=[])
     plots = shown(content)[1]
     assert set(plots) == {"plot-conditions"}
-    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {"baseline", "baseline, set aside"}
-    assert pictured(content)
-    assert len(draw(content).axes) == 1
+    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {"baseline", "baseline, held out"}
+    assert has_diagnosis(content)
+    assert len(draw_diagnosis(content).axes) == 1
 
 
 def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_moved() -> None:
@@ -78,7 +80,7 @@ def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_move
 
 
 def test_a_finding_alone_says_nothing_of_what_the_campaign_may_hold_besides(tmp_path: Path) -> None:
-    """Without `smfe run` nobody knows of lobes and cutting tests; with it the verdict stands at the top too."""
+    """Without `smfe run` lobes and cutting tests are not known; with it the verdict stands at the top too."""
     (tmp_path / "finding.json").write_text(json.dumps(finding(campaign="Slots & feeds")), encoding="utf-8")
     page = write_report(tmp_path).read_text(encoding="utf-8")
     assert "<h1>Slots &amp; feeds</h1>" in page
@@ -115,7 +117,7 @@ def test_part_of_the_truth_is_not_called_unknown() -> None:
 
 @pytest.mark.parametrize("content", [{}, {"verdict": "consistent", "misfit_db": {"before": 0.1, "after": 0.1}}])
 def test_where_nothing_was_found_nothing_is_drawn(content: dict[str, Any]) -> None:
-    assert not pictured(content)
+    assert not has_diagnosis(content)
     assert shown(content)[1] == {}
 
 
@@ -129,10 +131,10 @@ def test_a_folder_with_a_finding_alone_has_a_report_and_its_picture(tmp_path: Pa
     (tmp_path / "finding.json").write_text(json.dumps(content), encoding="utf-8")
     page = write_report(tmp_path).read_text(encoding="utf-8")
     assert "<script>alert(1)" not in page
-    for name in ("plot-ladder", "plot-conditions", "plot-stable-depth"):
+    for name in ("plot-search", "plot-conditions", "plot-stable-depth"):
         assert f'id="{name}"' in page
     assert (tmp_path / "figures" / "diagnosis.png").stat().st_size > 10_000
-    assert len(draw(content).axes) == 3
+    assert len(draw_diagnosis(content).axes) == 3
 
 
 def test_the_words_say_what_it_means_in_the_workshop() -> None:
@@ -144,7 +146,7 @@ def test_the_words_say_what_it_means_in_the_workshop() -> None:
     assert (
         "Stable depth (a.csv): at the feed of 500 rpm the axis of the extended model vibrates without any cut." in text
     )
-    assert "Force error over moves set aside beforehand: 18.8 % before, 2.7 % after." in text
+    assert "Force error over moves held out beforehand: 18.8 % before, 2.7 % after." in text
 
 
 def test_a_depth_without_limit_is_none_in_the_file() -> None:

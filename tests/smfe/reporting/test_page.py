@@ -31,10 +31,12 @@ from smfe.limits.cutting_tests import with_picture
 from smfe.reporting import write_report
 from smfe.reporting.draw_matplotlib import NOTHING, draw_compliance
 from smfe.reporting.draw_plotly import packed
+from smfe.reporting.figures import depth_range, frequency_range, magnitude_range
 from smfe.reporting.headline import answers, pockets, score
-from smfe.reporting.results import read_results
+from smfe.reporting.page import render
+from smfe.reporting.results import Results, read_results
 from smfe.reporting.spectrograms import draw as draw_spectrograms
-from smfe.reporting.style import depth_range, frequency_range, magnitude_range, number, palette
+from smfe.reporting.style import number, palette
 from smfe.results import pack_warnings, write_csv, write_groups
 from stability import write_table
 
@@ -44,6 +46,16 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_sample(tmp_path_factory.mktemp("sample"))
     write_report(folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def results(sample: Path) -> Results:
+    return read_results(sample)
+
+
+@pytest.fixture(scope="module")
+def drawn(sample: Path) -> dict:
+    return plots(sample)
 
 
 def page(folder: Path) -> str:
@@ -100,13 +112,12 @@ class TestOneFile:
         assert (sample / "report.html").stat().st_size < 6e6
 
     def test_same_folder_same_report(self, sample: Path) -> None:
-        first = page(sample)
-        write_report(sample)
-        assert page(sample) == first
+        results = read_results(sample)
+        assert render(results, palette(results)) == page(sample)
 
-    def test_every_plot_has_a_place(self, sample: Path) -> None:
+    def test_every_plot_has_a_place(self, sample: Path, drawn: dict) -> None:
         text = page(sample)
-        for name in plots(sample):
+        for name in drawn:
             assert text.count(f'id="{name}"') == 1
 
     def test_progress_ends_complete(self, tmp_path: Path) -> None:
@@ -161,10 +172,10 @@ def page_scripts(folder: Path) -> int:
 
 
 class TestAnswer:
-    def test_pockets_are_rows_of_the_lobe_table(self, sample: Path) -> None:
+    def test_pockets_are_rows_of_the_lobe_table(self, sample: Path, results: Results) -> None:
         table = pd.read_csv(sample / "lobe_table.csv")
         text = written(sample)
-        for found in answers(read_results(sample)):
+        for found in answers(results):
             rows = table[table["source"] == found.source]
             assert found.pockets
             for p in found.pockets:
@@ -176,11 +187,11 @@ class TestAnswer:
                 assert re.search(f" {number(shown[0])}{at_edge}+{number(shown[1])} ", text)
                 assert f" {number(shown[2])} " in text
 
-    def test_smallest_depths_are_minima_of_the_table(self, sample: Path) -> None:
+    def test_smallest_depths_are_minima_of_the_table(self, sample: Path, results: Results) -> None:
         text = written(sample)
         table = pd.read_csv(sample / "lobe_table.csv")
         blocks = [table.iloc[k * SPEEDS.size : (k + 1) * SPEEDS.size] for k in range(3)]
-        for found, block in zip(answers(read_results(sample)), blocks, strict=True):
+        for found, block in zip(answers(results), blocks, strict=True):
             assert found.smallest == pytest.approx(block["limit_depth_mm"].min())
             assert found.smallest_safe == pytest.approx(block["safe_depth_mm"].min())
             assert f"below {number(found.smallest)} mm every speed from 250 to 750 rpm" in text
@@ -214,8 +225,8 @@ class TestAnswer:
         write_report(tmp_path)
         assert "no limit was found at any speed from 100 to 120 rpm" in written(tmp_path)
 
-    def test_warnings_are_counted_once(self, sample: Path) -> None:
-        found = read_results(sample).warnings
+    def test_warnings_are_counted_once(self, sample: Path, results: Results) -> None:
+        found = results.warnings
         assert len(found) == len(set(found))
         assert sum("1 of 21 hits is overloaded" in sentence for _, sentence in found) == 1
         assert f"{len(found)} warnings belong" in written(sample)
@@ -231,9 +242,9 @@ class TestFigures:
             assert content.startswith(b"\x89PNG")
             assert len(content) > 20_000
 
-    def test_a_spectrogram_a_test_in_the_page_small_and_marked(self, sample: Path) -> None:
+    def test_a_spectrogram_a_test_in_the_page_small_and_marked(self, sample: Path, results: Results) -> None:
         found = re.findall(r'<img class="spectrogram" src="data:image/png;base64,([^"]+)"', page(sample))
-        assert len(found) == len(read_results(sample).spectra)
+        assert len(found) == len(results.spectra)
         for picture in found:
             assert base64.b64decode(picture).startswith(b"\x89PNG")
             assert len(picture) < 100_000
@@ -274,26 +285,26 @@ class TestFigures:
             "mine.png",
         }
 
-    def test_lines_hold_the_data(self, sample: Path) -> None:
-        data = plots(sample)["plot-lobes-1"]["data"]
+    def test_lines_hold_the_data(self, sample: Path, drawn: dict, results: Results) -> None:
+        data = drawn["plot-lobes-1"]["data"]
         limit = next(t for t in data if t.get("name") == "sweep" and t["mode"] == "lines")
-        expected = read_results(sample).lobes[1]
+        expected = results.lobes[1]
         assert expected.source == "sweep"
         np.testing.assert_allclose(unpacked(limit["y"]), expected.values("limit_depth"), rtol=1e-6)
 
-    def test_tests_stand_on_their_diagram_only(self, sample: Path) -> None:
-        def drawn(name: str) -> int:
-            traces = plots(sample)[name]["data"]
+    def test_tests_stand_on_their_diagram_only(self, drawn: dict) -> None:
+        def tests_in(name: str) -> int:
+            traces = drawn[name]["data"]
             return sum(
                 unpacked(t["x"]).size for t in traces if "cutting test" in t.get("name", "") and "yaxis" not in t
             )
 
-        assert drawn("plot-lobes-1") == 5
-        assert drawn("plot-lobes-2") == 0
+        assert tests_in("plot-lobes-1") == 5
+        assert tests_in("plot-lobes-2") == 0
 
-    def test_the_same_colour_everywhere(self, sample: Path) -> None:
+    def test_the_same_colour_everywhere(self, sample: Path, drawn: dict) -> None:
         colours: dict[str, set[str]] = {}
-        for figure in plots(sample).values():
+        for figure in drawn.values():
             for trace in figure["data"]:
                 if trace.get("name") in (
                     "hammer_idle",
@@ -343,13 +354,18 @@ class TestWhatIsMissing:
         "name",
         [
             "frf.nc",
-            "lobes.nc",
-            "lobe_table.csv",
-            "chatter.csv",
-            "spectra.nc",
-            "comparison.csv",
-            "model_error.csv",
-            "provenance.json",
+            *(
+                pytest.param(name, marks=pytest.mark.slow)
+                for name in (
+                    "lobes.nc",
+                    "lobe_table.csv",
+                    "chatter.csv",
+                    "spectra.nc",
+                    "comparison.csv",
+                    "model_error.csv",
+                    "provenance.json",
+                )
+            ),
         ],
     )
     def test_each_file_may_be_absent(self, sample: Path, tmp_path: Path, name: str) -> None:
@@ -371,9 +387,9 @@ class TestWhatIsMissing:
         assert read_results(tmp_path).measurements[0].entries == [("x", "x")]
         write_report(tmp_path)
 
-    @pytest.mark.parametrize("unknown", [False, True])
+    @pytest.mark.parametrize("unknown", [pytest.param(False, marks=pytest.mark.slow), True])
     def test_panel_without_a_positive_value_says_so(self, tmp_path: Path, unknown: bool) -> None:
-        # Flexible in x alone: eight of nine entries are zero, which a logarithmic axis cannot show.
+        # Flexible in x alone: eight of nine entries are zero, which have no place on a logarithmic axis.
         model = ModalModel([60.0], [0.03], [5e7], [[1.0, 0.0, 0.0]]).compliance(np.arange(1.0, 90.0))
         if unknown:
             model["compliance"].loc[{"response": "y", "excitation": "y"}] = np.nan
