@@ -13,7 +13,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from process.errors import InputError
+from process.types import Real
 
 _REVOLUTION = 2.0 * math.pi
 _POUND_FORCE = 4.4482216152605
@@ -301,3 +305,13 @@ def check_diameter(diameter: float) -> None:
             f"the tool diameter is {diameter:g} m, larger than any milling tool ({LARGEST_TOOL:g} m); lengths are in "
             f"m, so that {diameter:g} mm are {diameter / 1e3:g}"
         )
+
+
+def displacement_over_acceleration(frequency: ArrayLike) -> Real:
+    """Return ``-1/w^2`` [s2], the factor from acceleration to displacement for ``exp(+j w t)``.
+
+    At 0 Hz, where an acceleration says nothing about a displacement, the factor is NaN.
+    """
+    w = 2.0 * np.pi * np.asarray(frequency, dtype=float)
+    with np.errstate(divide="ignore"):
+        return np.where(w > 0.0, -1.0 / np.where(w > 0.0, w, 1.0) ** 2, np.nan)

@@ -102,13 +102,3 @@ class ModalModel:
         c = np.zeros((3, 2 * n))
         c[:, :n] = self.direction.T
         return a, b, c
-
-
-def displacement_over_acceleration(frequency: ArrayLike) -> Real:
-    """Return ``-1/w^2`` [s2], the factor from acceleration to displacement for ``exp(+j w t)``.
-
-    At 0 Hz, where an acceleration says nothing about a displacement, the factor is NaN.
-    """
-    w = 2.0 * np.pi * np.asarray(frequency, dtype=float)
-    with np.errstate(divide="ignore"):
-        return np.where(w > 0.0, -1.0 / np.where(w > 0.0, w, 1.0) ** 2, np.nan)

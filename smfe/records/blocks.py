@@ -25,7 +25,9 @@ from smfe.records.formats.channels import Channel, record_channels, split_vector
 from smfe.records.formats.table import Table, join, slices
 from smfe.records.read import (
     columns_of,
+    evened,
     format_of,
+    is_rounded,
     named,
     notes_of,
     own_table,
@@ -33,7 +35,6 @@ from smfe.records.read import (
     time_of,
     values_of,
 )
-from smfe.records.rounded_time import evened, is_rounded
 
 BLOCK = 1 << 16
 """Samples a block."""

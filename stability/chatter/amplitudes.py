@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from process.machine.modes import displacement_over_acceleration
 from process.types import Complex, Real
+from process.units import displacement_over_acceleration
 from stability.chatter.cut_interval import CutPart
 from stability.chatter.line_spectrum import (
     LineSpectrum,

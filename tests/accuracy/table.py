@@ -82,7 +82,7 @@ CORRECTIONS = {
 
 
 def campaign(seed: int, changes: dict[str, Any]) -> Campaign:
-    """Return one machine of three to five modes; a background given in dB is made so loud."""
+    """Return one machine of three to five modes; a background given in dB is scaled to it."""
     modes = 3 + seed % 3
     plain = required(modes, seed, rate=RATE)
     order, level = changes.get("turning", (0, 0.0))

@@ -98,7 +98,7 @@ def _off(r: Row) -> float:
 GROUPS: dict[str, Callable[[Row], bool]] = {
     "all": lambda r: True,
     "nothing wrong with clock and channels, no pass chatters": _healthy,
-    "of these: rubs or fades": lambda r: _healthy(r) and r["touch"],
+    "of these: touches in the air or fades": lambda r: _healthy(r) and r["touch"],
     "of these: no air": lambda r: _healthy(r) and r["air"] == 0,
     "of these: force noise above 5 N": lambda r: _healthy(r) and r["force_noise"] > 5.0,
     "of these: quiet sensors (below 0.1 N and 1e-3 m/s²)": lambda r: _healthy(r) and r["quiet"],
@@ -175,10 +175,10 @@ def page(rows: Sequence[Row]) -> str:
         "| --- | --- | --- |",
     ]
     stable = [r for r in rows if r["between"] <= STABLE]
-    loud = [r for r in rows if r["between"] > CHATTERS]
+    unstable = [r for r in rows if r["between"] > CHATTERS]
     right = [r for r in rows if not (r["clock"] or r["column"] or r["unstated"])]
     for text, cause, so, not_so in (
-        ("a pass chatters", "chatter", loud, stable),
+        ("a pass chatters", "chatter", unstable, stable),
         ("speed and tooth passing disagree, by 1 to 5 %", "clock", [r for r in rows if _off(r) > 0.01], right),
         ("the same, by 0.3 to 1 %", "clock", [r for r in rows if 0.0 < _off(r) <= 0.01], right),
         ("the motion is late or early, by 50 to 200 µs", "late", [r for r in rows if r["late"] > 5e-5], []),

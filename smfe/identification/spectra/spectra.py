@@ -15,8 +15,8 @@ from scipy import fft, signal
 
 from process.errors import InputError
 from process.labels import axis_index, axis_present, sample_interval
-from process.machine.modes import displacement_over_acceleration
 from process.types import Complex, Real
+from process.units import displacement_over_acceleration
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ STANDS_OUT = 25.0
 """Power of the highest line between whole orders over the median between them, from which it is no noise."""
 
 SUCCESSIVE = 2
-"""Windows in a row that must show it."""
+"""Successive windows that must chatter."""
 
 ENOUGH = 4.0
 """Time in the cut that a rest of a pass is worth using from [s]."""
@@ -73,7 +73,7 @@ def chatter_of(sweep: PreparedPass, teeth: int | None) -> list[Chatter]:
     Returns
     -------
     list of Chatter
-        Nothing where the record tells no angle, or is shorter than a window.
+        Empty where the record has no angle, or is shorter than a window.
     """
     piece, angle = sweep.cut_piece, angle_in_step(sweep, teeth)
     if angle is None or piece is None:

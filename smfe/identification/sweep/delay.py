@@ -2,7 +2,7 @@
 
 Filters, charge amplifiers and recorders delay channels by tens of microseconds, each by its own. Motion that is late by
 d turns a compliance by ``exp(-j w d)``: a degree is nearly 2 % of a compliance, in quadrature, and neither a coherence
-nor a residual shows it. The modes do: with damping in proportion to mass and stiffness the residue of every entry in
+nor a residual reveals it. The modes do: with damping in proportion to mass and stiffness the residue of every entry in
 ``A/(f - lambda)`` is real; a delay turns all residues of a mode by ``-2 pi f_m d``, in proportion to its frequency.
 Damping that is not in proportion turns modes both ways: a force moves nothing at once, so that the imaginary parts of
 ``A`` sum up to nothing over all modes (Ewins, Modal Testing, 2000, ch. 2).
@@ -21,7 +21,7 @@ TURNED = 3e-3
 """What the model, and damping that is a little out of proportion, turn a mode by [rad]."""
 
 ALONE = 0.03
-"""The same where one mode alone is seen, and nothing shows how modes differ [rad]."""
+"""The same where one mode alone is seen, and how modes differ is not known [rad]."""
 
 KNOWN = 0.05
 """Standard deviation of the phase of a mode from which it says nothing [rad]."""
@@ -72,7 +72,7 @@ class Delay:
 
 
 def delay_of(poles: Complex, residue: Complex, variance: Real, band: tuple[float, float]) -> Delay | None:
-    """Return the delay that the residues of the modes within a band show, or None without a mode.
+    """Return the delay found from the residues of the modes within a band, or None without a mode.
 
     Parameters
     ----------

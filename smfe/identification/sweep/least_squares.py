@@ -50,7 +50,7 @@ class Estimate:
         Lines that share an error.
     half_width : ndarray, shape (f, r), optional
         Half of the band each row comes from [Hz].
-    freedom : ndarray, shape (f, r), optional
+    degrees_of_freedom : ndarray, shape (f, r), optional
         Degrees of freedom of Student's t for each part: real ones of the variance, whose errors are circular.
     warnings : tuple of str
         What the user should know.
@@ -66,7 +66,7 @@ class Estimate:
     condition: Real
     error_lines: float
     half_width: Real | None = None
-    freedom: Real | None = None
+    degrees_of_freedom: Real | None = None
     warnings: tuple[str, ...] = ()
     between: Complex | None = None
     delay: Delay | None = None
@@ -125,7 +125,7 @@ class Solution:
         Largest over smallest singular value of the force columns.
     residual : ndarray, shape (r, tests)
         Mean square residual of each response in each test.
-    freedom : ndarray, shape (r,)
+    degrees_of_freedom : ndarray, shape (r,)
         Degrees of freedom of Student's t that the error of each part (real, imaginary) over its standard deviation
         follows: ``2 (M - p)`` for uncorrelated columns, fewer where they share noise.
     """
@@ -135,7 +135,7 @@ class Solution:
     coherence: Real
     condition: float
     residual: Real
-    freedom: Real
+    degrees_of_freedom: Real
 
     @property
     def std(self) -> Real:
@@ -170,16 +170,16 @@ def solve(columns: Columns, excitations: int, noise: Real | None = None) -> Solu
     estimate = np.full(shape, np.nan, dtype=complex)
     covariance = np.full((*shape, excitations), np.nan, dtype=complex)
     coherence = np.full(rows, np.nan)
-    residual, freedom = np.full((rows, tests), np.nan), np.zeros(rows)
+    residual, degrees_of_freedom = np.full((rows, tests), np.nan), np.zeros(rows)
     condition = condition_number(columns.regressors[:excitations])
     if m <= p or not np.isfinite(condition):
-        return Solution(estimate, covariance, coherence, condition, residual, freedom)
+        return Solution(estimate, covariance, coherence, condition, residual, degrees_of_freedom)
     for i in range(rows):
         weight = np.ones(m) if noise is None else 1.0 / np.sqrt(noise[i, columns.test])
         x = columns.response[i]
         gain, spread = _row(unit, x, weight, columns.correlation)
         left = x - gain @ unit
-        expected, freedom[i] = _freedom(unit, weight, columns.correlation)
+        expected, degrees_of_freedom[i] = _degrees_of_freedom(unit, weight, columns.correlation)
         power = float(np.sum(np.abs(weight * left) ** 2)) / expected
         estimate[i] = gain[:excitations] / scale[:excitations]
         forces = scale[:excitations]
@@ -189,7 +189,7 @@ def solve(columns: Columns, excitations: int, noise: Real | None = None) -> Solu
         for test in range(tests):
             mine = columns.test == test
             residual[i, test] = np.mean(np.abs(left[mine]) ** 2) * m / (m - p) if mine.any() else np.nan
-    return Solution(estimate, covariance, np.clip(coherence, 0.0, 1.0), condition, residual, freedom)
+    return Solution(estimate, covariance, np.clip(coherence, 0.0, 1.0), condition, residual, degrees_of_freedom)
 
 
 def _row(unit: Complex, x: Complex, weight: Real, correlation: Complex | None) -> tuple[Complex, Complex]:
@@ -205,7 +205,7 @@ def _row(unit: Complex, x: Complex, weight: Real, correlation: Complex | None) -
     return gain, (inverse @ middle @ inverse.conj().T).conj()
 
 
-def _freedom(unit: Complex, weight: Real, correlation: Complex | None) -> tuple[float, float]:
+def _degrees_of_freedom(unit: Complex, weight: Real, correlation: Complex | None) -> tuple[float, float]:
     """Return the expected sum of squares of the residual for unit noise, and its real degrees of freedom.
 
     With ``P = I - Q Q^H`` and noise of correlation R the sum has the mean ``tr(P R)`` and the variance ``tr(P R P R)``

@@ -128,9 +128,9 @@ class LocalPolynomial:
         widest = max(self.half_widths)
         return max(float(frequency[0]) - widest, 0.1), float(frequency[-1]) + widest
 
-    def unknowns(self, restless: Sequence[bool]) -> int:
+    def unknowns(self, transient: Sequence[bool]) -> int:
         """Return the number of unknowns a row, with three forces and no air cut."""
-        return (self.order + 1) * (3 + sum(restless))
+        return (self.order + 1) * (3 + sum(transient))
 
     def error_lines(self, half_width: float) -> float:
         """Return how many lines of the axis share an error.
@@ -255,14 +255,14 @@ def _tests(
     tests = [force_lines(p, reach, axes, response, moving and k < len(passes)) for k, p in enumerate(everything)]
     e = len(axes) * (2 if moving else 1)
     tests = [t if t.inputs.shape[1] == e else with_inputs(t, np.zeros_like(t.inputs)) for t in tests]
-    restless = [not p.at_rest for p in passes] + [True] * len(background)
+    transient = [not p.at_rest for p in passes] + [True] * len(background)
     if background:
         orders = orders_in_band(everything, (float(frequency[0]), float(frequency[-1])))
         teeth = estimator.instrument_teeth
         tests = [with_inputs(t, spindle_waves(p, orders, reach, teeth)) for t, p in zip(tests, everything, strict=True)]
-        restless = [True] * len(everything)
+        transient = [True] * len(everything)
     noise = _known_noise(tests, passes, background, axes, frequency, e)
-    return transients(tests, restless), e, noise
+    return transients(tests, transient), e, noise
 
 
 def force_lines(
@@ -288,13 +288,13 @@ def with_inputs(lines: Lines, more: Complex) -> Lines:
     return Lines(lines.frequency, np.concatenate([lines.inputs, more], axis=1), lines.response)
 
 
-def transients(tests: Sequence[Lines], restless: Sequence[bool]) -> list[Lines]:
-    """Give each restless test one input of its own, 1 at all lines: the transient of its ends."""
+def transients(tests: Sequence[Lines], transient: Sequence[bool]) -> list[Lines]:
+    """Give each test with transient ends one input of its own: 1 at all lines."""
     out = []
     for k, lines in enumerate(tests):
-        own = np.zeros((lines.frequency.size, sum(restless)), dtype=complex)
-        if restless[k]:
-            own[:, sum(restless[:k])] = 1.0
+        own = np.zeros((lines.frequency.size, sum(transient)), dtype=complex)
+        if transient[k]:
+            own[:, sum(transient[:k])] = 1.0
         out.append(with_inputs(lines, own))
     return out
 
@@ -359,7 +359,7 @@ def _known_noise(
                 np.einsum("x,bir->bxir", m, seen).reshape(at.size, e, -1) * s for m, s in zip(rows, length, strict=True)
             ]
 
-        return _Noise(force, shared, 1.0 / float(np.sqrt(background_noise(air, n, frequency[:1]).freedom)))
+        return _Noise(force, shared, 1.0 / float(np.sqrt(background_noise(air, n, frequency[:1]).degrees_of_freedom)))
     found = force_noise(passes, list(axes), (float(frequency[0]), float(frequency[-1])))
     if found is None:
         return None
@@ -573,8 +573,8 @@ def _solution(data: _Data, bands: _Both, error_lines: float) -> tuple[Estimate, 
     value, inverse = solve_bands(bands.clean if data.trusted else bands.raw)
     lines = bands.raw.lines[:, None]
     left = residual_power(bands.raw, value)
-    freedom = np.maximum(lines - k, 0.0)
-    mean = left / np.where(freedom > 0.0, freedom, np.nan)
+    degrees_of_freedom = np.maximum(lines - k, 0.0)
+    mean = left / np.where(degrees_of_freedom > 0.0, degrees_of_freedom, np.nan)
     # (G - L)^-1 G (G - L)^-1: the noise of the forces is part of the residual, not of the curvature.
     spread = inverse @ bands.spread.gram @ inverse.conj().swapaxes(-1, -2)
     covariance = (mean[..., None, None] * spread)[..., :e, :e]
@@ -590,7 +590,7 @@ def _solution(data: _Data, bands: _Both, error_lines: float) -> tuple[Estimate, 
         value[..., :e], axis=(1, 2)
     )
     condition = np.where(open_to, np.inf, condition)
-    shape = np.broadcast_to(freedom, left.shape)
+    shape = np.broadcast_to(degrees_of_freedom, left.shape)
     return Estimate(value[..., :e], covariance, coherence, condition, error_lines, None, 2.0 * shape), loss
 
 
@@ -617,22 +617,22 @@ def _choose(
     for k in range(1, len(widths)):
         for narrower in solved[:k]:
             agrees &= difference(solved[k], narrower) <= estimator.agreement
-        # A mode bends the compliance over several lines; a single line that agrees by chance does not count.
+        # A mode bends the compliance over several lines; a single line that agrees by accident does not count.
         agrees = ndimage.median_filter(agrees, size=(5, 1), mode="mirror")
         index[agrees] = k
     if cautious:
         # The widest that agrees may be bent by as much as its own noise: one less is not.
         index = np.maximum(index - 1, 0)
     f, r = np.ogrid[: rows[0], : rows[1]]
-    compliance, covariance, coherence, freedom = (
+    compliance, covariance, coherence, degrees_of_freedom = (
         np.array([getattr(s, name) for s in solved])[index, f, r]
-        for name in ("compliance", "covariance", "coherence", "freedom")
+        for name in ("compliance", "covariance", "coherence", "degrees_of_freedom")
     )
     condition = np.array([s.condition for s in solved])[index, f].max(axis=1)
     warnings: tuple[str, ...] = ()
     if len(widths) > 1:
         bent = (index == 0) & ~agrees
-        # The bias of a polynomial of order p grows with width^(p+1), so doubling the width shows it 2^(p+1) - 1 fold.
+        # The bias of a polynomial of order p grows with width^(p+1), so a wider band differs by growth times the bias.
         growth = (widths[1] / widths[0]) ** (estimator.order + 1) - 1.0
         bias = np.where(bent[..., None], (solved[1].compliance - solved[0].compliance) / growth, 0.0)
         clear = np.abs(bias) > np.sqrt(np.diagonal(covariance, axis1=2, axis2=3).real)
@@ -646,7 +646,7 @@ def _choose(
             )
     width = np.asarray(widths)[index]
     lines = float(np.mean([estimator.error_lines(w) for w in width.ravel()]))
-    return Estimate(compliance, covariance, coherence, condition, lines, width, freedom, warnings)
+    return Estimate(compliance, covariance, coherence, condition, lines, width, degrees_of_freedom, warnings)
 
 
 def difference(a: Estimate, b: Estimate) -> Real:
@@ -670,7 +670,7 @@ def _with_rational(
     Rows that share noise share errors, and rows of the model share its poles as well.
     """
     assert found.half_width is not None
-    assert found.freedom is not None
+    assert found.degrees_of_freedom is not None
     e, f = data.excitations, data.frequency
     band = (float(f[0]) - 1.0, float(f[-1]) + 1.0)
     fit = fit_rational(data.solved, data.raw, weight, band, f, e, known=data.noise_spread)
@@ -706,7 +706,9 @@ def _with_rational(
         covariance=np.where(take[..., None, None], covariance, found.covariance),
         half_width=half_width,
         between=between,
-        freedom=np.where(take, 2.0 * fit.degrees_of_freedom / found.compliance.shape[1], found.freedom),
+        degrees_of_freedom=np.where(
+            take, 2.0 * fit.degrees_of_freedom / found.compliance.shape[1], found.degrees_of_freedom
+        ),
         delay=delay_of(fit.poles, fit.residue, fit.residue_variance * scale, (float(f[0]), float(f[-1]))),
     )
 
@@ -727,9 +729,9 @@ def lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial) ->
     """Return the variance that a model lacks, and whether noise alone leaves no such difference.
 
     It lacks what it differs from the bands by, beyond their noise. A wrong model differs everywhere a little; pooled
-    over neighbouring frequencies this shows before a single line does. Of noise alone the pooled square is a mean of
-    independent exponential variables, a gamma variable, often half as large again as its mean where bands are wide:
-    that is charged, but no reason to leave a model for a band of several times its variance.
+    over neighbouring frequencies this is significant before a single line is. Of noise alone the pooled square is a
+    mean of independent exponential variables, a gamma variable, often half as large again as its mean where bands are
+    wide: that is charged, but no reason to leave a model for a band of several times its variance.
 
     Parameters
     ----------

@@ -4,10 +4,10 @@ Noise on the inputs makes every least squares estimate too small, ``E[Phi_hat] =
 it is subtracted from the normal equations (bias-compensated least squares: Stoica and Soderstrom 1982); how well N is
 known is charged to the estimate.
 
-What is quiet need not be air: a tool that rubs and a cut that fades have lines at the orders of the spindle, and noise
-lies between them, too. So N is a median over lines, of the quietest pieces, and at most what the cut itself shows
-between its lines: the noise of a sensor does not fall while it cuts. Where no air was recorded that bound is all there
-is, and N is anything up to it.
+What is quiet need not be air: a tool that still touches and a cut that fades have lines at the orders of the spindle,
+and noise lies between them, too. So N is a median over lines, of the quietest pieces, and at most what the cut itself
+has between its lines: the noise of a sensor does not fall while it cuts. Where no air was recorded that bound is all
+there is, and N is anything up to it.
 
 Noise of the motion channels weights the passes: its power in a pass is known from few lines, so the passes are pooled
 (`pooled_noise`); and where the noise of two rows is not independent, their errors are not either (`shared_noise`).
@@ -39,11 +39,11 @@ BOUNDED = 0.8
 
 
 SAME = 2.5
-"""Pieces of air belong to the quietest while they are louder by fewer standard deviations of their logarithm."""
+"""Pieces of air belong to the quietest while the logarithm of their power is within so many standard deviations."""
 
 
-BY_CHANCE = 1e-3
-"""Probability with which independent noise shows a coherence that is taken for one."""
+COHERENT_P_VALUE = 1e-3
+"""p-value of independent noise below which a coherence of two rows counts."""
 
 
 # --- of the forces ----------------------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def _floor_of_cut(force: Real, cutting: NDArray[np.int64], dt: float, reach: tup
 
 
 def pooled_noise(power: Real, lines: Real) -> Real:
-    """Return noise powers of passes, drawn together by as much as they differ by chance.
+    """Return noise powers of passes, drawn together by as much as they scatter.
 
     Parameters
     ----------
@@ -161,10 +161,10 @@ def pooled_noise(power: Real, lines: Real) -> Real:
     if tests < 2:
         return power
     log = np.log(power)
-    chance = special.polygamma(1, np.maximum(lines, 0.5))[..., None]
+    scatter_of_log = special.polygamma(1, np.maximum(lines, 0.5))[..., None]
     away = log - log.mean(axis=1, keepdims=True)
     scatter = np.sum(away**2, axis=1, keepdims=True) / (tests - 1)
-    own = np.maximum(1.0 - chance.mean(axis=1, keepdims=True) / np.maximum(scatter, 1e-300), 0.0)
+    own = np.maximum(1.0 - scatter_of_log.mean(axis=1, keepdims=True) / np.maximum(scatter, 1e-300), 0.0)
     return np.asarray(np.exp(log.mean(axis=1, keepdims=True) + own * away))
 
 
@@ -179,8 +179,8 @@ def shared_noise(products: Complex, lines: Real, reach: int) -> Complex:
     """Return the coherence of the noise of two rows, pooled over passes and neighbours, shape (f, r, r).
 
     Of n lines of independent noise ``2 n |rho|^2`` follows chi^2 with two degrees of freedom; a smaller coherence than
-    noise shows with the probability `BY_CHANCE` counts as none. No sum of rows is claimed to be quieter than n lines
-    can tell: all coherences shrink until the smallest eigenvalue of their matrix is r/n.
+    noise reaches with the probability `COHERENT_P_VALUE` counts as none. No sum of rows is claimed to be quieter than n
+    lines can resolve: all coherences shrink until the smallest eigenvalue of their matrix is r/n.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def shared_noise(products: Complex, lines: Real, reach: int) -> Complex:
         for part in (count.sum(axis=1), total.real, total.imag)
     )
     rho = (real + 1j * imaginary) / np.maximum(n, 1.0)
-    clear = 2.0 * n * np.abs(rho) ** 2 > stats.chi2.isf(BY_CHANCE, 2)
+    clear = 2.0 * n * np.abs(rho) ** 2 > stats.chi2.isf(COHERENT_P_VALUE, 2)
     rows = rho.shape[1]
     own = np.eye(rows, dtype=bool)
     rho = np.where(clear & ~own, rho, 0.0)

@@ -22,8 +22,8 @@ from scipy import fft, sparse
 from scipy.interpolate import BSpline
 
 from process.errors import InputError
-from process.machine.modes import displacement_over_acceleration
 from process.types import Complex, Real
+from process.units import displacement_over_acceleration
 from smfe.identification.spectra.spectra import hann
 from smfe.identification.sweep.least_squares import Estimate, condition_number
 from smfe.identification.sweep.passes import PreparedPass
@@ -65,7 +65,7 @@ class Orders:
     resolution : float, optional
         Step of the resulting frequency axis [Hz].
     duration : float, optional
-        Length of a window [s]. It must hold a few periods of the tooth passing to tell harmonics apart; a long one
+        Length of a window [s]. It must hold a few periods of the tooth passing to separate harmonics; a long one
         averages the sweep.
     knots : float, optional
         Distance of the knots of the splines [Hz]; about the half-power half width of the narrowest mode. Moved apart
@@ -164,14 +164,14 @@ def _together(
 ) -> Estimate:
     centre = np.array([w.centre for w in places])
     condition = np.array([condition_number(columns.force[np.abs(centre - f) <= NEAR].T) for f in frequency])
-    freedom = np.repeat([[row.freedom for row in rows]], frequency.size, axis=0)
+    degrees_of_freedom = np.repeat([[row.degrees_of_freedom for row in rows]], frequency.size, axis=0)
     return Estimate(
         np.stack([row.value for row in rows], axis=1),
         np.stack([row.covariance for row in rows], axis=1),
         np.stack([row.coherence for row in rows], axis=1),
         condition,
         max(1.0, shared),
-        freedom=freedom,
+        degrees_of_freedom=degrees_of_freedom,
     )
 
 
@@ -243,7 +243,7 @@ def _columns(
         spectrum = spectrum / displacement_over_acceleration(lines)
     motion = record[channel].sel(axis=list(response)).values
     splines = _splines(lines, knots)
-    # What a window sees changes slowly: few samples of it tell its transform near its order.
+    # What a window sees changes slowly: few samples of it give its transform near its order.
     few = slice(None, None, max(1, int(1.0 / (dt * RATE))))
     turn = np.exp(2j * np.pi * np.outer(np.arange(size)[few] * dt, lines)) * (few.step or 1)
     wide = SEEN / estimator.duration
@@ -296,7 +296,7 @@ class _Row:
     value: Complex
     covariance: Complex
     coherence: Real
-    freedom: float
+    degrees_of_freedom: float
 
 
 def _row(columns: _Columns, places: Sequence[_Window], row: int, basis: Real, frequency: Real) -> _Row:

@@ -110,7 +110,7 @@ class PreparedPass(SweepPass):
         return np.asarray(np.clip(np.interp(sample, [first, max(last, first + 1)], [-1.0, 1.0]), -1, 1))
 
     def angle(self, teeth: int | None = None) -> Real:
-        """Return the angle of the spindle [rad]; `teeth` is needed where only the force shows it."""
+        """Return the angle of the spindle [rad]; `teeth` is needed where it is found from the force alone."""
         return spindle_angle(self.record, teeth)[0]
 
 
@@ -143,10 +143,10 @@ def air_pieces(record: xr.Dataset) -> list[slice]:
     force hardly changes has none.
     """
     level = force_level(record)
-    loud, quiet = float(np.quantile(level, 0.75)), float(level.min())
-    if not quiet < 0.5 * loud:
+    in_work, quiet = float(np.quantile(level, 0.75)), float(level.min())
+    if not quiet < 0.5 * in_work:
         return []
-    cutting = np.flatnonzero(level > quiet + 0.2 * (loud - quiet))
+    cutting = np.flatnonzero(level > quiet + 0.2 * (in_work - quiet))
     dt, n = sample_interval(record), level.size
     margin, shortest = round(MARGIN / dt), max(8, round(SHORTEST / dt))
     pieces = slice(0, max(int(cutting[0]) - margin, 0)), slice(min(int(cutting[-1]) + margin, n), n)
@@ -173,14 +173,14 @@ def at_rest(record: xr.Dataset) -> bool:
     """Whether the record begins and ends in the air, with the motion decayed.
 
     The tool enters and leaves the work for all axes at once, so the axis whose force stands out most from its own
-    quietest 0.1 s tells the air; an axis with little force and much noise has no say. The motion of every axis has
-    decayed where its first and last 0.1 s are below 0.05 of its largest, or no more than three times what is usual in
-    the air at the quieter end. Nothing depends on the unit or gain of a channel.
+    quietest 0.1 s decides where the air is; an axis with little force and much noise does not. The motion of every
+    axis has decayed where its first and last 0.1 s are below 0.05 of its largest, or no more than three times what is
+    usual in the air at the quieter end. Nothing depends on the unit or gain of a channel.
     """
     force, motion = end_pieces(record, "force"), end_pieces(record, motion_axes(record)[0])
-    loud = np.quantile(force, 0.75, axis=1)
-    told = force[int(np.argmax(loud / np.maximum(force.min(axis=1), max(1e-9 * loud.max(), 1e-300))))]
-    air = told <= 0.3 * told.max()
+    in_work = np.quantile(force, 0.75, axis=1)
+    clearest = force[int(np.argmax(in_work / np.maximum(force.min(axis=1), max(1e-9 * in_work.max(), 1e-300))))]
+    air = clearest <= 0.3 * clearest.max()
     if not (air[0] and air[-1]) or air.all():
         return False
     cutting = np.flatnonzero(~air)

@@ -92,7 +92,7 @@ class Segments:
             np.array([s.coherence for s in solutions]),
             np.array([s.condition for s in solutions]),
             HANN_ERROR_LINES,
-            freedom=np.array([s.freedom for s in solutions]),
+            degrees_of_freedom=np.array([s.degrees_of_freedom for s in solutions]),
         )
         if not short:
             return found
@@ -243,14 +243,14 @@ class SingleReference:
         phi = np.array(gains, dtype=complex)
         inverse = np.linalg.pinv(sff)
         # Errors of the cross-spectra of a pass, (f, r, passes): scatter of its segments, and leakage of the window.
-        variance, leaked, freedom = [], [], []
+        variance, leaked, degrees_of_freedom = [], [], []
         slopes = [np.gradient(phi, frequency, axis=0)]
         slopes.append(np.gradient(slopes[0], frequency, axis=0))
         for p in passes:
             x, f, blocks = self.products(p, reach, response)
             scatter, independent = _scatter_of_mean(x - np.einsum("fre,fes->frs", phi, f), blocks)
             variance.append(scatter)
-            freedom.append(independent)
+            degrees_of_freedom.append(independent)
             bias = np.zeros_like(x[..., 0])
             for order, slope in enumerate(slopes, start=1):
                 through = self.products(p, reach, response, order)[1].mean(axis=2)
@@ -265,7 +265,7 @@ class SingleReference:
             np.full(phi.shape[:2], np.nan),
             np.array(conditions),
             HANN_ERROR_LINES,
-            freedom=np.full(phi.shape[:2], 2.0 * min(freedom)),
+            degrees_of_freedom=np.full(phi.shape[:2], 2.0 * min(degrees_of_freedom)),
         )
 
     def cross_spectra(

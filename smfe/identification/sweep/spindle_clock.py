@@ -8,7 +8,7 @@ channel that comes late by d reads ``r = 1 + d W'/W`` while the speed W changes,
 are fitted together.
 
 Speeds that are stated of a ramp are those at which the cut begins and ends, by a control with a clock of its own. The
-record shows the speed of the spindle at any time, by its own clock, and the force shows when the cut began: not before
+record shows the speed of the spindle at any time, by its own clock, and the force bounds when the cut began: not before
 the force rises from its level in the air, and not after it has reached half of its level in the cut. A record without
 air begins after the cut. So each end bounds r; both must hold, but where they contradict each other the statement does
 not belong to the ends of the cut, and r may be anything between.
@@ -85,7 +85,7 @@ OTHER_HARMONICS = (0.25, 1.0 / 3.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 
 
 BY_FORCE = 0.2
-"""Relative difference from the stated speeds that is believed where only the forces tell the speed."""
+"""Relative difference from the stated speeds that is accepted where the speed is found from the forces alone."""
 
 
 ON_PATH = 1.0
@@ -118,7 +118,7 @@ class SpeedComparison:
 
     @property
     def real(self) -> bool:
-        """Whether it is more than what the forces tell by chance."""
+        """Whether the difference exceeds `NOTABLE` and four standard deviations."""
         return abs(self.difference) > max(NOTABLE, 4.0 * self.std)
 
     def in_words(self) -> str:
@@ -217,7 +217,7 @@ def compare_speeds(sweep: PreparedPass, teeth: int | None) -> list[SpeedComparis
     Returns
     -------
     list of SpeedComparison
-        Nothing of what the forces do not tell: cuts of too few turns, or without lines that stand out.
+        Empty for cuts of too few turns, or without lines that stand out.
     """
     if "force" not in sweep.record or not sweep.force_axes or sweep.cut_piece is None:
         return []
@@ -226,14 +226,14 @@ def compare_speeds(sweep: PreparedPass, teeth: int | None) -> list[SpeedComparis
 
 
 def angle_in_step(sweep: PreparedPass, teeth: int | None) -> Real | None:
-    """Return the angle of the spindle [rad] in step with the teeth, shape (n,), or None where nothing tells it.
+    """Return the angle of the spindle [rad] in step with the teeth, shape (n,), or None where it cannot be found.
 
     Parameters
     ----------
     sweep : PreparedPass
         With force and the angle of the spindle.
     teeth : int or None
-        Of the tool; needed where only the forces tell the angle.
+        Of the tool; needed where the angle is found from the forces.
     """
     with suppress(InputError):
         angle, source = spindle_angle(sweep.record, teeth)
@@ -248,13 +248,13 @@ def angle_in_step(sweep: PreparedPass, teeth: int | None) -> Real | None:
 def changed_by_clock(compliance: Complex, frequency: Real, difference: float, acceleration: bool) -> Complex:
     """Return by how much a compliance changes where the time base is what is wrong, same shape.
 
-    A record whose clock runs slow by ``1 + d`` shows frequencies ``f (1 + d)``, and accelerations that were integrated
-    twice at the wrong frequency: ``Phi(f) = Phi_shown(f (1 + d)) (1 + d)^2``.
+    A record whose clock runs slow by ``1 + d`` has frequencies ``f (1 + d)``, and accelerations that were integrated
+    twice at the wrong frequency: ``Phi(f) = Phi_recorded(f (1 + d)) (1 + d)^2``.
 
     Parameters
     ----------
     compliance : ndarray of complex, shape (f, ...)
-        As shown.
+        As recorded.
     frequency : ndarray, shape (f,)
         [Hz].
     difference : float
@@ -287,7 +287,7 @@ def _angles(record: xr.Dataset) -> list[tuple[str, Real]]:
 
 
 def _earlier(time: Real, angle: Real, late: float) -> Real:
-    """Return the angle at ``time + late``, which a late channel shows at `time`; a parabola where the record ends."""
+    """Return the angle at ``time + late``, which a late channel states at `time`; a parabola where the record ends."""
     moved = np.asarray(np.interp(time + late, time, angle))
     for outside, near in (
         (time + late > time[-1], time > time[-1] - 1.0 - abs(late)),
@@ -301,7 +301,7 @@ def _earlier(time: Real, angle: Real, late: float) -> Real:
 
 
 def _compared(sweep: PreparedPass, angle: Real, teeth: int | None, source: str) -> SpeedComparison | None:
-    """Return the comparison of one source, kept with the pass; None where the cut is too short or shows no lines."""
+    """Return the comparison of one source, kept with the pass; None where the cut is too short or has no lines."""
     if sweep.cut_piece is None:
         return None
     if (source, teeth) not in sweep.compared:
@@ -359,9 +359,9 @@ def _constant_and_delay(difference: Real, weight: Real, slope: Real | None) -> t
     both = (w * trust)[:, None] * a
     inverse = np.linalg.pinv(both.T @ both)
     # Windows overlap: four share one.
-    freedom = max(difference.size / 4.0 - a.shape[1], 1.0)
+    degrees_of_freedom = max(difference.size / 4.0 - a.shape[1], 1.0)
     middle = both.T @ ((w * trust * left)[:, None] ** 2 * both)
-    spread = inverse @ middle @ inverse * 4.0 * (difference.size / 4.0) / freedom
+    spread = inverse @ middle @ inverse * 4.0 * (difference.size / 4.0) / degrees_of_freedom
     late = float(found[1]) if a.shape[1] > 1 else 0.0
     return float(found[0]), float(np.sqrt(max(spread[0, 0], 0.0))), late
 
@@ -425,10 +425,10 @@ def find_comb(force: Real, cells: int, turns: int, highest: int) -> tuple[float,
         return None
     heights = np.array([e[best] for e in each])
     floor = np.array([np.median(e) for e in each])
-    loud = (heights > 2.0 * floor) & (heights > 0.1 * heights.max())
-    if not loud.any():
+    above_noise = (heights > 2.0 * floor) & (heights > 0.1 * heights.max())
+    if not above_noise.any():
         return None
-    return float(ratios[best]), np.flatnonzero(loud) + 1
+    return float(ratios[best]), np.flatnonzero(above_noise) + 1
 
 
 def local_ratios(
@@ -503,7 +503,7 @@ class Bounds:
 
 
 def stated_bounds(sweep: PreparedPass, angle: Real, stated: tuple[float, float]) -> Bounds | None:
-    """Return the bounds that the ends of the cut set, or None where the forces do not tell a cut.
+    """Return the bounds that the ends of the cut set, or None where the forces have no cut.
 
     Parameters
     ----------
@@ -515,18 +515,18 @@ def stated_bounds(sweep: PreparedPass, angle: Real, stated: tuple[float, float])
         Spindle rotation where the cut begins and ends [rad/s].
     """
     level, dt = force_level(sweep.record), sweep.interval
-    loud, quiet = float(np.median(level[sweep.cutting])), float(level.min())
-    if not loud > 0.0 or not np.isfinite(angle).all():
+    in_work, quiet = float(np.median(level[sweep.cutting])), float(level.min())
+    if not in_work > 0.0 or not np.isfinite(angle).all():
         return None
-    begin = _rise(level, quiet, loud)
-    back = _rise(level[::-1], quiet, loud)
+    begin = _rise(level, quiet, in_work)
+    back = _rise(level[::-1], quiet, in_work)
     last = level.size - 1
     ends = []
     for (earliest, latest), speed, sign in ((begin, stated[0], 1), (back, stated[1], -1)):
         at = np.linspace(latest if earliest is None else earliest, latest, 7)
         seen = [_speed(angle, round(v) if sign > 0 else last - round(v), dt) / speed - 1.0 for v in at]
         low, high = min(seen), max(seen)
-        # What lies outside the record is on the far side of what it shows of the ramp.
+        # What lies outside the record is on the far side of what it holds of the ramp.
         if earliest is None and sign * (stated[1] - stated[0]) > 0.0:
             low = -math.inf
         elif earliest is None:
@@ -539,7 +539,7 @@ def stated_bounds(sweep: PreparedPass, angle: Real, stated: tuple[float, float])
 
 
 def angle_of_ramp(sweep: PreparedPass, teeth: int, stated: tuple[float, float]) -> Real | None:
-    """Return the angle of the spindle [rad] of a ramp that only the forces tell, or None where they do not.
+    """Return the angle of the spindle [rad] of a ramp from the forces alone, or None where they do not allow it.
 
     Which harmonic the path through the forces follows is taken from the stated speeds.
 
@@ -571,11 +571,11 @@ def angle_of_ramp(sweep: PreparedPass, teeth: int, stated: tuple[float, float]) 
     return None
 
 
-def _rise(level: Real, quiet: float, loud: float) -> tuple[int | None, int]:
+def _rise(level: Real, quiet: float, in_work: float) -> tuple[int | None, int]:
     """Return the earliest and the latest sample at which the cut may begin; no earliest where the record has no air."""
-    latest = int(np.argmax(level > IN_CUT * loud))
-    below = np.flatnonzero(level[:latest] <= max(1.3 * quiet, quiet + ABOVE_AIR * (loud - quiet)))
-    if not below.size or not quiet < IN_CUT * loud:
+    latest = int(np.argmax(level > IN_CUT * in_work))
+    below = np.flatnonzero(level[:latest] <= max(1.3 * quiet, quiet + ABOVE_AIR * (in_work - quiet)))
+    if not below.size or not quiet < IN_CUT * in_work:
         return None, latest
     # A rise begins in the noise: as long again before it is seen.
     first = int(below[-1]) + 1

@@ -2,7 +2,7 @@
 
 What repeats with the spindle (an unbalance, a gear) is one more input: the transform of ``exp(j k angle)`` for each
 order k of the spindle, the same in the cut and in the air, with a response that is smooth in frequency. An air cut
-tells it apart from the response to the teeth; its uncertainty is then part of the least squares. The passing of the
+separates it from the response to the teeth; its uncertainty is then part of the least squares. The passing of the
 teeth is also an instrument: forces replaced by their projection on its harmonics hold neither noise of their sensor nor
 the answer of the cut to what else shakes the machine (two-stage least squares; joint input-output identification, Van
 den Hof and Schrama 1993).
@@ -34,7 +34,7 @@ BLOCK_ORDER = 3
 
 
 QUIET = 1e-3
-"""An instrument or spindle order below this share of the loudest is not there."""
+"""An instrument or spindle order below this share of the largest counts as absent."""
 
 
 def spindle_waves(
@@ -55,7 +55,7 @@ def spindle_waves(
     reach : (float, float)
         Band [Hz].
     teeth : int, optional
-        Of the tool, where only the force tells the angle.
+        Of the tool, where the angle is found from the force.
     cut_only : bool, optional
         Silent in the air.
     """
@@ -117,17 +117,17 @@ def project(frequency: Real, signals: Complex, waves: Complex, block: float = BL
         Width of a block [Hz].
     """
     explained, rank = np.zeros_like(signals), np.zeros(frequency.size)
-    loudest = float(np.abs(waves).max(initial=1e-300))
+    largest = float(np.abs(waves).max(initial=1e-300))
     number = np.floor((frequency - frequency[0]) / block).astype(int)
     number = np.minimum(number, max(0, round((frequency[-1] - frequency[0]) / block) - 1))
     for i in range(int(number[-1]) + 1):
         at = np.flatnonzero(number == i)
-        loud = np.abs(waves[at]).max(axis=0) > QUIET * loudest
-        if at.size == 0 or not loud.any():
+        above_noise = np.abs(waves[at]).max(axis=0) > QUIET * largest
+        if at.size == 0 or not above_noise.any():
             continue
         shift = 2.0 * (frequency[at] - frequency[at].mean()) / block
         terms = shift[:, None] ** np.arange(BLOCK_ORDER + 1)
-        z = (terms[:, :, None] * waves[at][:, None, loud]).reshape(at.size, -1)
+        z = (terms[:, :, None] * waves[at][:, None, above_noise]).reshape(at.size, -1)
         size = np.linalg.norm(z, axis=0)
         left, strength, _ = np.linalg.svd(z / np.where(size > 0.0, size, 1.0), full_matrices=False)
         basis = left[:, strength > 1e-6 * strength[0]]
@@ -142,7 +142,7 @@ def instrumented(lines: Lines, waves: Complex, forces: int, label: str) -> tuple
     Raises
     ------
     InputError
-        For a record with too few lines to tell waves from noise.
+        For a record with too few lines to separate waves from noise.
     """
     found = project(lines.frequency, lines.inputs[:, :forces], waves)
     share = float(found.rank.mean())
@@ -155,7 +155,7 @@ def instrumented(lines: Lines, waves: Complex, forces: int, label: str) -> tuple
     return Lines(lines.frequency, inputs, lines.response), share
 
 
-# --- noise that an air cut shows --------------------------------------------------------------------------------------
+# --- noise from an air cut --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -168,13 +168,13 @@ class Background:
         ``E[conj(n_j) n_k]`` a second of record [N2 s2/s].
     shared : ndarray of complex, shape (f, e, r)
         ``E[conj(n_j) n_X]`` a second of record [N m s2/s].
-    freedom : float
+    degrees_of_freedom : float
         Complex lines each is the mean of.
     """
 
     force: Complex
     shared: Complex
-    freedom: float
+    degrees_of_freedom: float
 
 
 def background_noise(records: Sequence[tuple[Lines, float]], forces: int, at: Real, reach: float = 4.0) -> Background:

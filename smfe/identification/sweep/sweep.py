@@ -126,7 +126,7 @@ def identify_sweep(
         raise InputError(
             f"sweep '{name}': the measured forces of the passes ({', '.join(p.label for p in prepared)}) are not "
             f"independent: their condition number exceeds {REFUSE_CONDITION:g} at {refused.sum()} of {refused.size} "
-            "frequencies, so nine compliances cannot be told apart; add a pass with another width or kind of cut"
+            "frequencies, so nine compliances cannot be separated; add a pass with another width or kind of cut"
             + (
                 ", or cut deeper and record from air to air: noise of the force sensor leaves the compliance open"
                 if np.isinf(found.condition).mean() > 0.25
@@ -189,9 +189,9 @@ def _labelled(
         extra["compliance_gradient_std"] = (three, std[..., e:])
     if found.half_width is not None:
         extra["half_width"] = (three[:2], found.half_width)
-    if found.freedom is not None:
+    if found.degrees_of_freedom is not None:
         # All entries of a row have the same residual; the label is that of every method.
-        extra["degrees_of_freedom"] = (three, np.repeat(found.freedom[..., None], e, axis=2))
+        extra["degrees_of_freedom"] = (three, np.repeat(found.degrees_of_freedom[..., None], e, axis=2))
     return make_compliance(frequency, found.compliance[..., :e], response, list(axes), extra=extra, attrs=attrs)
 
 
@@ -201,7 +201,7 @@ def _fewer_axes(axes: Sequence[str]) -> tuple[str, ...]:
         return ()
     return (
         f"forces along {' and '.join(missing)} are no references: what they cause is noise where it is unlike the "
-        f"others, and counted to {' and '.join(axes)} where it is alike, which no standard deviation shows",
+        f"others, and counted to {' and '.join(axes)} where it is alike, which is in no standard deviation",
     )
 
 

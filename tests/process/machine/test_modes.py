@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from process.errors import InputError
-from process.machine.modes import ModalModel, displacement_over_acceleration
+from process.machine.modes import ModalModel
+from process.units import displacement_over_acceleration
 
 MACHINE = ModalModel(
     [33.37, 57.44, 58.61],

@@ -26,12 +26,12 @@ def coverage(force: np.ndarray, correlation: np.ndarray | None, seeds: int) -> t
         found = solve(Columns(force, noise[None], np.zeros(m, dtype=np.int64), correlation), force.shape[0])
         parts = found.compliance[0, 0].real, found.compliance[0, 0].imag
         std = found.std[0, 0] / np.sqrt(2.0)
-        reach = float(student_quantile(found.freedom, 0.95)[0])
+        reach = float(student_quantile(found.degrees_of_freedom, 0.95)[0])
         inside += [abs(v) <= reach * std for v in parts]
         normal += [abs(v) <= 1.96 * std for v in parts]
         power.append(found.std[0, 0] ** 2)
     scatter = 2.0 * np.mean(power) ** 2 / np.var(power)
-    return float(np.mean(inside)), float(np.mean(normal)), scatter / float(found.freedom[0])
+    return float(np.mean(inside)), float(np.mean(normal)), scatter / float(found.degrees_of_freedom[0])
 
 
 def columns(m: int) -> np.ndarray:
@@ -49,7 +49,7 @@ def test_m_columns_and_p_unknowns_have_twice_m_minus_p_and_the_t_of_it_is_exact(
     assert by_normal < 0.92
     assert relative == pytest.approx(1.0, abs=0.12 * wider)
     found = solve(Columns(columns(6), columns(6)[:1], np.zeros(6, dtype=np.int64)), 3)
-    assert found.freedom[0] == pytest.approx(6.0)
+    assert found.degrees_of_freedom[0] == pytest.approx(6.0)
 
 
 @SEEDS
@@ -61,7 +61,7 @@ def test_columns_that_share_noise_count_less(seeds: int, wider: float) -> None:
     assert held == pytest.approx(0.95, abs=0.015 * wider)
     assert relative == pytest.approx(1.0, abs=0.15 * wider)
     found = solve(Columns(columns(16), columns(16)[:1], np.zeros(16, dtype=np.int64), correlation), 3)
-    assert found.freedom[0] < 0.7 * 2.0 * 13.0
+    assert found.degrees_of_freedom[0] < 0.7 * 2.0 * 13.0
 
 
 def sweeps(rng: np.random.Generator, count: int = 1, n: int = 800) -> list[SweepPass]:

@@ -113,12 +113,14 @@ def test_wide_bands_and_the_model_beat_the_narrow_band_and_stay_calibrated() -> 
 
 
 def test_noise_of_the_forces_is_taken_out_not_only_charged() -> None:
-    quiet, loud = (_gain(identify_sweep("s", passes(1, force=n), (25.0, 60.0), QUICK).compliance) for n in (0.0, 5.0))
+    quiet, noisier = (
+        _gain(identify_sweep("s", passes(1, force=n), (25.0, 60.0), QUICK).compliance) for n in (0.0, 5.0)
+    )
     # Least squares would lose N (F F^H)^-1 of it, several per cent.
     lost = _gain(identify_sweep("s", passes(1, force=5.0), (25.0, 60.0), Segments(1.0)).compliance)
     assert quiet == pytest.approx(1.0, abs=2e-3)
     assert lost < 0.98
-    assert abs(loud - 1.0) < 0.35 * abs(lost - 1.0)
+    assert abs(noisier - 1.0) < 0.35 * abs(lost - 1.0)
 
 
 def _gain(compliance: xr.Dataset) -> float:
@@ -191,7 +193,7 @@ def test_the_instrument_changes_nothing_where_there_is_no_bias() -> None:
 # --- the angle of the spindle and order tracking ----------------------------------------------------------------------
 
 
-def test_tacho_pulses_and_the_force_tell_the_angle() -> None:
+def test_tacho_pulses_and_the_force_give_the_angle() -> None:
     record = noisy(cut_record("down"), np.random.default_rng(1))
     true = record["spindle_angle"].values
     pulses = 5.0 * (np.mod(2.0 * true, 2.0 * math.pi) < math.pi) + 0.05 * np.random.default_rng(2).normal(
@@ -224,7 +226,7 @@ def turning_force(run_out: float) -> xr.Dataset:
     return make_record(t, {"force": {"x": force + noise[0], "y": 0.7 * force + noise[1]}})
 
 
-def test_a_little_run_out_tells_a_tooth_from_a_turn() -> None:
+def test_a_little_run_out_distinguishes_a_tooth_from_a_turn() -> None:
     inside = slice(1000, -1000)
     t = np.arange(20_000)[inside] * 1e-3
     angle = force_angle(turning_force(0.05), 2)[inside]
@@ -247,7 +249,7 @@ def test_a_tacho_that_loses_a_pulse_or_stands_still_is_refused() -> None:
     with pytest.raises(InputError, match="rising edges"):
         tacho_angle(t, np.zeros(t.size))
     bare = make_record(t, {"displacement": {"x": t}})
-    with pytest.raises(InputError, match="tells no spindle angle"):
+    with pytest.raises(InputError, match="holds no spindle angle"):
         spindle_angle(bare)
     with pytest.raises(InputError, match="too short to find the tooth passing"):
         force_angle(make_record(t[:2000], {"force": {"x": np.sin(t[:2000])}}), 2)

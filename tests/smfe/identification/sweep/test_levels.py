@@ -181,14 +181,16 @@ def test_noise_alone_seldom_makes_levels_of_a_linear_machine_differ() -> None:
     assert np.sum(np.array(p) < 0.01) <= 1
 
 
-def known(value: np.ndarray, std: float, rng: np.random.Generator, freedom: float = np.inf) -> xr.Dataset:
+def known(value: np.ndarray, std: float, rng: np.random.Generator, degrees_of_freedom: float = np.inf) -> xr.Dataset:
     """A compliance with circular errors of known size, independent from line to line."""
     noise = rng.standard_normal((2, *value.shape))
-    scatter = math.sqrt(rng.chisquare(freedom) / freedom) if np.isfinite(freedom) else 1.0
+    scatter = (
+        math.sqrt(rng.chisquare(degrees_of_freedom) / degrees_of_freedom) if np.isfinite(degrees_of_freedom) else 1.0
+    )
     dims = ("frequency", "response", "excitation")
     extra = {
         "compliance_std": (dims, np.full(value.shape, std * scatter)),
-        "degrees_of_freedom": (dims, np.full(value.shape, freedom)),
+        "degrees_of_freedom": (dims, np.full(value.shape, degrees_of_freedom)),
     }
     return make_compliance(
         np.arange(float(len(value))) + 1.0, value + std * (noise[0] + 1j * noise[1]) / math.sqrt(2.0), "xy", "xy", extra
@@ -301,7 +303,7 @@ def test_comparison_and_lobes_name_the_levels(folder: Path, tmp_path: Path) -> N
     assert result.source == "sweep, 2 mm"
 
 
-def test_one_depth_stays_one_estimate_and_its_level_is_told(folder: Path, tmp_path: Path) -> None:
+def test_one_depth_stays_one_estimate_with_its_level(folder: Path, tmp_path: Path) -> None:
     identify(campaign(folder, {"2 mm": list(CUTS)}), tmp_path / "frf.nc")
     groups = read_groups(tmp_path / "frf.nc")
     assert set(groups) == {"sweep"}

@@ -53,8 +53,8 @@ def test_the_mean_square_error_scatters_with_its_degrees_of_freedom() -> None:
     inside = []
     for f in fits:
         square = np.mean(np.abs(f.value[:, 0, 0] - compliance(AT)) ** 2)
-        freedom = f.entry_degrees_of_freedom[0, 0]
-        low, high = stats.chi2.ppf([0.25, 0.75], freedom) / freedom
+        degrees_of_freedom = f.entry_degrees_of_freedom[0, 0]
+        low, high = stats.chi2.ppf([0.25, 0.75], degrees_of_freedom) / degrees_of_freedom
         inside.append(low < square / np.mean(f.covariance[:, 0, 0, 0].real) < high)
     assert 0.3 < np.mean(inside) < 0.7
 

@@ -60,10 +60,12 @@ def compliance_x(passes: list[SweepPass], teeth: int | None) -> np.ndarray:
 
 
 def test_the_spindle_as_instrument_takes_out_the_bias_that_least_squares_has() -> None:
-    quiet, loud = swept(0.0), swept(80.0)
+    quiet, disturbed = swept(0.0), swept(80.0)
     true = compliance_x(quiet, None)
     # The projection on the truth averages the noise of the band; it would be 1.
-    plain, teeth = (abs(np.vdot(true, compliance_x(loud, n)) / np.vdot(true, true) - 1.0) for n in (None, TOOL.teeth))
+    plain, teeth = (
+        abs(np.vdot(true, compliance_x(disturbed, n)) / np.vdot(true, true) - 1.0) for n in (None, TOOL.teeth)
+    )
     assert plain > 0.15
     assert teeth < 0.4 * plain
     # Nothing to take out, nothing changed.

@@ -44,7 +44,7 @@ def test_slow_noise_of_a_weak_axis_is_no_motion_that_goes_on() -> None:
 
 
 @pytest.mark.parametrize("change", [{"lead": 0.0}, {"tail": 0.0}, {"lead": 0.0, "tail": 0.0}, {"ringing": 0.4}])
-def test_a_cut_that_goes_on_and_a_machine_that_rings_are_restless(change: dict[str, float]) -> None:
+def test_a_cut_that_goes_on_and_a_machine_that_rings_are_not_at_rest(change: dict[str, float]) -> None:
     assert not at_rest(sweep(**change))
 
 

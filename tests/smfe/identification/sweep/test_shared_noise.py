@@ -65,11 +65,11 @@ def test_common_noise_is_seen_as_a_covariance_of_the_rows(estimator: LocalPolyno
     size = np.sqrt(np.diagonal(each, axis1=2, axis2=3).real)
     stated = np.mean(each / size[..., :, None] / size[..., None, :], axis=0)
     for i, k in ((0, 1), (0, 2), (1, 2)):
-        told = np.mean([stated[:, 3 * i + j, 3 * k + j].real.mean() for j in range(3)])
+        stated_share = np.mean([stated[:, 3 * i + j, 3 * k + j].real.mean() for j in range(3)])
         seen = np.mean((d[:, :, i] * d[:, :, k].conj()).real)
-        assert np.sign(told) == np.sign(expected(3e-2)[i, k])
-        assert abs(told) > 0.3
-        assert seen == pytest.approx(told, abs=0.2)
+        assert np.sign(stated_share) == np.sign(expected(3e-2)[i, k])
+        assert abs(stated_share) > 0.3
+        assert seen == pytest.approx(stated_share, abs=0.2)
 
 
 def test_independent_noise_stays_independent() -> None:
@@ -108,7 +108,7 @@ def test_a_symmetric_compliance_from_common_noise_is_better_and_its_intervals_ho
     assert np.mean(with_it) < np.mean(without)
 
 
-def test_reciprocity_is_not_doubted_because_of_common_noise_nor_believed_because_of_it() -> None:
+def test_common_noise_neither_hides_nor_feigns_a_lack_of_reciprocity() -> None:
     """A difference of two rows is quieter than their errors where these are alike: 3 % of asymmetry stands out."""
     data = sweeps(3, 3e-2)
     for p in data:
@@ -138,7 +138,7 @@ def test_a_constraint_says_what_entries_share_also_where_rows_shared_nothing() -
 
 
 def test_the_coherence_of_rows_by_hand() -> None:
-    """Products of known coherence come back; what fewer lines might show by chance does not."""
+    """Products of known coherence come back; what fewer lines might have by accident does not."""
     products = np.zeros((9, 2, 2, 2), dtype=complex)
     products[..., 0, 0], products[..., 1, 1], products[..., 0, 1] = 4.0, 1.0, 0.6j
     products[..., 1, 0] = -0.6j

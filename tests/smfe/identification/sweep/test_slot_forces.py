@@ -58,7 +58,7 @@ def orders(record: xr.Dataset) -> np.ndarray:
 
 
 @pytest.mark.parametrize("feed", [900, 1200, 1500])
-def test_the_forces_alone_tell_the_angle_of_the_spindle(feed: int) -> None:
+def test_the_forces_alone_give_the_angle_of_the_spindle(feed: int) -> None:
     record = slow(feed)
     inside = slice(1000, -1000)
     angle, time = force_angle(record, 2)[inside], record["time"].values[inside]
@@ -69,7 +69,7 @@ def test_the_forces_alone_tell_the_angle_of_the_spindle(feed: int) -> None:
 
 
 @pytest.mark.parametrize("feed", [300, 600])
-def test_where_run_out_is_half_as_strong_as_the_teeth_the_forces_alone_do_not_tell_the_speed(feed: int) -> None:
+def test_where_run_out_is_half_as_strong_as_the_teeth_the_forces_alone_do_not_give_the_speed(feed: int) -> None:
     # Two teeth of which one cuts little are one tooth to the force; a campaign has to give the speed then.
     record = slow(feed)
     strength = orders(record)

@@ -57,10 +57,10 @@ def test_a_time_base_or_a_speed_column_that_is_wrong_is_found_to_a_few_parts_in_
         assert found.real
 
 
-@pytest.mark.parametrize("tells", ["speed", *(pytest.param(t, marks=pytest.mark.slow) for t in ("angle", "tacho"))])
-def test_nothing_is_said_of_a_column_that_is_right_late_or_without_the_wander_of_the_spindle(tells: str) -> None:
+@pytest.mark.parametrize("source", ["speed", *(pytest.param(t, marks=pytest.mark.slow) for t in ("angle", "tacho"))])
+def test_nothing_is_said_of_a_column_that_is_right_late_or_without_the_wander_of_the_spindle(source: str) -> None:
     for changes in ({}, {"column_late": 0.15}, {"nominal": True, "wander": 2e-3}):
-        for p in passes(speed_signal=tells, **changes):
+        for p in passes(speed_signal=source, **changes):
             (found,) = compare_speeds(p, 3)
             assert not found.real
             assert abs(found.difference) < max(5e-4, 2.0 * found.std)

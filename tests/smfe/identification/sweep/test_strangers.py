@@ -1,4 +1,4 @@
-"""Intervals of sweeps on records that nobody prepared: noise of the forces, air that is none, sensors without noise."""
+"""Intervals of sweeps on records as strangers bring them: noise of forces, contact in the air, quiet sensors."""
 
 from __future__ import annotations
 
@@ -41,15 +41,19 @@ def over_stated(this: DrawnSweep, seed: int, estimator: object = None) -> float:
 @pytest.mark.parametrize(
     "changes",
     [{"touch_share": (0.03, 0.03)}, {"touch_share": (0.0, 0.05)}, {"fade": 0.5, "ramps": (0.3, 0.8)}],
-    ids=["rub", "end", "fade"],
+    ids=["touch", "end", "fade"],
 )
-def test_a_tool_that_rubs_and_a_cut_that_fades_are_no_noise_of_the_force_sensor(changes: dict[str, object]) -> None:
+def test_contact_in_the_air_and_a_cut_that_fades_are_no_noise_of_the_force_sensor(
+    changes: dict[str, object],
+) -> None:
     assert over_stated(stranger(21, **changes), 21) < 1.5
 
 
-@pytest.mark.parametrize("rub", [(0.0, 0.04), *(pytest.param(r, marks=pytest.mark.slow) for r in ((0, 0), (0.04, 0)))])
-def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_ends(rub: tuple[float, float]) -> None:
-    this = stranger(22, force_noise=5.0, touch_share=rub)
+@pytest.mark.parametrize(
+    "touch", [(0.0, 0.04), *(pytest.param(r, marks=pytest.mark.slow) for r in ((0, 0), (0.04, 0)))]
+)
+def test_the_noise_of_the_forces_is_that_of_the_sensor_whatever_touches_at_the_ends(touch: tuple[float, float]) -> None:
+    this = stranger(22, force_noise=5.0, touch_share=touch)
     found = force_noise([prepare(p) for p in stranger_passes(this, measure(this, 22))], ["x", "y", "z"], BAND)
     assert found is not None
     assert found.air
