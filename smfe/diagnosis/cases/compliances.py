@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from scipy.ndimage import convolve1d
 
@@ -47,10 +48,7 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: P
 
     `found` holds the identification of each measurement, by name, where the baseline predicts compliances.
 
-    Raises
-    ------
-    InputError
-        Without a baseline, or when nothing can be compared with it.
+    Raises InputError without a baseline, or when nothing can be compared with it.
     """
     baseline = campaign.baseline
     if baseline is None:
@@ -151,8 +149,12 @@ def _fewest_hits(measurement: Measurement, found: Identification, axes: Sequence
     """Hits that the scatter of the worst column comes from; 0 where it does not come from hits."""
     if measurement.method != "hammer":
         return 0
+    return min(len(_used(found, a)) for a in axes)
+
+
+def _used(found: Identification, axis: str) -> pd.DataFrame:
     hits = found.tables["hits"]
-    return min(int(hits["used"][hits["excitation"] == a].sum()) for a in axes)
+    return hits[(hits["excitation"] == axis) & hits["used"].astype(bool)]
 
 
 def _condition(
@@ -214,7 +216,6 @@ def _level(measurement: Measurement, found: Identification, axis: str) -> tuple[
         steps = found.tables["steps"]
         applied = steps[steps["excitation"] == axis]["force_N"].abs().median()
         return float(measurement.force_level or applied), 0.0
-    hits = found.tables["hits"]
-    used = hits[(hits["excitation"] == axis) & hits["used"].astype(bool)]
+    used = _used(found, axis)
     # A half sine stays above a tenth of its peak for 93.6 % of its duration.
     return float(used["impulse_Ns"].abs().mean()), float(used["duration_ms"].mean()) * 1e-3 / 0.936

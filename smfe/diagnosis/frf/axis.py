@@ -130,10 +130,7 @@ def excited_of(condition: Condition) -> Excited:
 class SimulatedMachine:
     """A machine that is measured by simulation; what is prepared for its hits is kept.
 
-    Raises
-    ------
-    InputError
-        When the servos are unstable.
+    Raises InputError when the servos are unstable.
     """
 
     def __init__(self, machine: Machine) -> None:

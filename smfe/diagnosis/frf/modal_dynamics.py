@@ -69,10 +69,7 @@ def full_compliance(machine: Changed, frequency: Real, shaken: Shaken) -> Comple
 
     How hard it is shaken counts where a joint is not linear.
 
-    Raises
-    ------
-    InputError
-        When a stiffness is negative, or a vibration has no single amplitude.
+    Raises InputError when a stiffness is negative, or a vibration has no single amplitude.
     """
     count, f = len(machine.frequency), frequency[:, None, None]
     ratio = frequency[:, None] / np.array(machine.frequency)

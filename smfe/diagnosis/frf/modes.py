@@ -122,10 +122,7 @@ class ModalFrfs(Abilities):
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the compliance that a set of values predicts, whitened like the data.
 
-        Raises
-        ------
-        InputError
-            When no machine has these values.
+        Raises InputError when no machine has these values.
         """
         excited = condition.data
         assert isinstance(excited, Excited)
@@ -217,33 +214,30 @@ class ModalFrfs(Abilities):
 
     def _springs(self, condition: Condition, values: Values) -> tuple[float, ...]:
         """Change of the modal stiffnesses with position, order and speed, and by itself, (M^2,); empty for none."""
-        speed = float(condition.settings.get("spindle_speed", 0.0)) / self._fastest
-        trends = {"posture": self._place(condition), "drift": float(condition.settings.get("order", 0.0))}
-        trends |= {f"{b}bearings": speed**2 for b in TWICE}
-        trends["coupling"] = 1.0
-        trends["curved"] = trends["posture"] * (1.0 + values.get("posture_bend", 0.0) * trends["posture"])
-        count = self.model.frequency.size
-        found = {w: [values.get(n, 0.0) for n in self._names[w]] for w, by in trends.items() if by != 0.0}
-        acting = [trends[w] * np.array(x) for w, x in found.items() if any(x)]
-        if not acting:
-            return ()
-        out = np.zeros((count, count))
-        out[np.triu_indices(count)] = np.sum(acting, axis=0)
-        return tuple((out + np.triu(out, 1).T).ravel().tolist())
+        place, speed = self._place(condition), self._speed(condition)
+        trends = {"posture": place, "drift": float(condition.settings.get("order", 0.0))}
+        trends |= {f"{b}bearings": speed**2 for b in TWICE} | {"coupling": 1.0}
+        trends["curved"] = place * (1.0 + values.get("posture_bend", 0.0) * place)
+        upper = self._upper(values, trends, 0)
+        return () if upper is None else tuple((upper + np.triu(upper, 1).T).ravel().tolist())
 
     def _gyroscopic(self, condition: Condition, values: Values) -> tuple[float, ...]:
         """Skew coupling of the modes by the turning spindle [1/Hz], (M^2,); empty for none."""
-        speed = float(condition.settings.get("spindle_speed", 0.0)) / self._fastest
-        if speed == 0.0:
-            return ()
-        found = [[values.get(n, 0.0) for n in self._names[f"{b}gyroscopic"]] for b in TWICE]
-        if not any(map(any, found)):
-            return ()
-        total = np.sum(found, axis=0)
+        upper = self._upper(values, {f"{b}gyroscopic": self._speed(condition) for b in TWICE}, 1)
         root = np.sqrt(self.model.frequency)
-        out = np.zeros((root.size, root.size))
-        out[np.triu_indices(root.size, 1)] = speed * total
-        return tuple(((out - out.T) / np.outer(root, root)).ravel().tolist())
+        return () if upper is None else tuple(((upper - upper.T) / np.outer(root, root)).ravel().tolist())
+
+    def _speed(self, condition: Condition) -> float:
+        """Speed of the spindle over the largest."""
+        return float(condition.settings.get("spindle_speed", 0.0)) / self._fastest
+
+    def _upper(self, values: Values, trends: Mapping[str, float], diagonal: int) -> Real | None:
+        """Sum of groups of parameters times their trends, in the upper half of a matrix; None for nothing."""
+        found = {w: [values.get(n, 0.0) for n in self._names[w]] for w, by in trends.items() if by != 0.0}
+        acting = [trends[w] * np.array(x) for w, x in found.items() if any(x)]
+        out = np.zeros((self.model.frequency.size,) * 2)
+        out[np.triu_indices(len(out), diagonal)] = np.sum(acting, axis=0)
+        return out if acting else None
 
     @cached_property
     def _names(self) -> dict[str, tuple[str, ...]]:

@@ -157,10 +157,7 @@ def excitation_of(
     Neighbouring lines share their error over ``error_lines``; they are thinned to independent ones. `more` are other
     fields of `Excited`.
 
-    Raises
-    ------
-    InputError
-        Without an entry that is known with its standard deviation.
+    Raises InputError without an entry that is known with its standard deviation.
     """
     f = compliance["frequency"].values
     lines = chosen_lines(f, band, float(compliance.attrs.get("error_lines", 1.0)))
