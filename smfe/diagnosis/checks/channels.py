@@ -189,12 +189,11 @@ def silence_suspects(campaign: Campaign) -> Iterator[Suspect]:
             "no record without excitation: a tone or a self-excited vibration looks like part of the response",
             "record ten seconds at rest and ten at each feed without any hit (method = 'silent'); about 2 min",
         )
-    moving = [m for m in silent if any((m.feed or {}).values())]
     rest: dict[str, float] = {}
-    for m in silent:
-        for name, (level, _) in _levels(m).items() if m not in moving else ():
+    for m in (m for m in silent if not any((m.feed or {}).values())):
+        for name, (level, _) in _levels(m).items():
             rest[name] = min(level, rest.get(name, level))
-    for m in moving:
+    for m in (m for m in silent if any((m.feed or {}).values())):
         for name, (level, tonal) in _levels(m).items():
             if level > LIMITS.self_excited * rest.get(name, np.inf) and tonal > LIMITS.tonal:
                 yield warning(
