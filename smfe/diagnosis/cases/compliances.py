@@ -23,7 +23,8 @@ from smfe.diagnosis.checks.suspect import Suspect, warning
 from smfe.diagnosis.frf.axis import MachineFrfs, as_hit
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
 from smfe.diagnosis.frf.modes import SPREAD, ModalFrfs
-from smfe.diagnosis.frf.noise import RULES, compared, condition_of, degrees_of_freedom_of, excitation_of
+from smfe.diagnosis.frf.noise import compared, condition_of, degrees_of_freedom_of, excitation_of
+from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.problem import Condition
 from smfe.identification.errors.result import Identification
 from smfe.progress import Progress, silent

@@ -15,7 +15,8 @@ import numpy as np
 
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.causes import AXES
-from smfe.diagnosis.frf.noise import RULES, Excited
+from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.problem import Condition
 
 

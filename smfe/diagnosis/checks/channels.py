@@ -11,7 +11,8 @@ from scipy import ndimage
 from process.labels import axis_present, sample_interval
 from process.types import Real
 from smfe.campaign import Campaign, Measurement
-from smfe.diagnosis.checks.suspect import LIMITS, Suspect, fault, note, warning
+from smfe.diagnosis.checks.rules import RULES
+from smfe.diagnosis.checks.suspect import Suspect, fault, note, warning
 from smfe.identification.hammer.impacts import flat_top, runs
 from smfe.identification.measurement import records_of
 
@@ -56,7 +57,7 @@ def _clipped(samples: Real, where: str) -> Iterator[Suspect]:
         starts, stops = runs(values >= top - near_top)
         count = int(np.sum(stops - starts))
         # Quick signals have no flat tops: without converter steps they stop at one value again and again.
-        stops_often = starts.size >= LIMITS.often and count >= 2 * LIMITS.often and top != 0.0
+        stops_often = starts.size >= RULES.often and count >= 2 * RULES.often and top != 0.0
         near = max(0, int(np.argmax(values)) - 200)
         if count >= 3 and (flat_top(values[near : near + 400]) or (stops_often and converter_step(values) == 0.0)):
             yield fault(
@@ -78,15 +79,15 @@ def _frozen(samples: Real, where: str, may_rest: bool) -> Iterator[Suspect]:
     lengths = stops - starts
     if may_rest:
         ends = (starts <= 1) | (stops >= samples.size - 2)
-        rests = ends & (samples[starts] == 0.0) & (lengths < LIMITS.rest_share * samples.size)
+        rests = ends & (samples[starts] == 0.0) & (lengths < RULES.rest_share * samples.size)
         lengths = np.where(rests, 0, lengths)
     worst = int(np.argmax(lengths))
     share, value = float(lengths[worst]) / samples.size, float(samples[starts[worst]])
     said = f"one value, {value:.4g}, over {min(100.0 * share, 99.9):.3g} % of the record: "
-    if share > LIMITS.frozen_share and value == 0.0:
+    if share > RULES.frozen_share and value == 0.0:
         advice = "its noise cannot be read there; noise estimates use the other channels"
         yield note("windowed_channel", where, f"{said}a force window has set it to exact zeros", advice)
-    elif share > LIMITS.frozen_share:
+    elif share > RULES.frozen_share:
         yield warning("saturation", where, f"{said}the channel stands still", "check the range and the connection")
 
 
@@ -104,7 +105,7 @@ def converter_step(samples: Real) -> float:
 
 def _coarse(samples: Real, where: str) -> Iterator[Suspect]:
     step, spread = converter_step(samples), float(np.std(samples))
-    if step > 0.0 and 6.0 * spread < LIMITS.few_steps * step:
+    if step > 0.0 and 6.0 * spread < RULES.few_steps * step:
         yield warning(
             "quantisation",
             where,
@@ -129,7 +130,7 @@ def _duplicated(named: Sequence[tuple[str, Real]], where: str) -> Iterator[Suspe
             if name.split("_")[0] != other.split("_")[0] or not (samples.std() and more.std()):
                 continue
             correlation = float(np.corrcoef(samples, more)[0, 1])
-            if abs(correlation) > LIMITS.same_signal:
+            if abs(correlation) > RULES.same_signal:
                 yield fault(
                     "sensor_axis",
                     f"{where}, {name} and {other}",
@@ -147,14 +148,14 @@ def tones(samples: Real, dt: float) -> list[tuple[float, float, float]]:
     The amplitude spectrum (Hann, whole record) is compared with its median over neighbouring lines; a line counts
     when it stands 20 dB above it and is a local maximum.
     """
-    n, width = samples.size, LIMITS.floor_width
+    n, width = samples.size, RULES.floor_width
     if n < 8 * width:
         return []
     window = np.hanning(n)
     spectrum = 2.0 / window.sum() * np.abs(np.fft.rfft(window * (samples - samples.mean())))
     height = spectrum / (ndimage.median_filter(spectrum, 2 * width + 1, mode="reflect") + 1e-300)
     k = np.arange(3, spectrum.size - 1)
-    peak = (height[k] > LIMITS.tone) & (spectrum[k] >= spectrum[k - 1]) & (spectrum[k] > spectrum[k + 1])
+    peak = (height[k] > RULES.tone) & (spectrum[k] >= spectrum[k - 1]) & (spectrum[k] > spectrum[k + 1])
     found = [(float(i / (n * dt)), float(spectrum[i]), float(height[i])) for i in k[peak]]
     return sorted(found, key=lambda t: -t[1])
 
@@ -195,7 +196,7 @@ def silence_suspects(campaign: Campaign) -> Iterator[Suspect]:
             rest[name] = min(level, rest.get(name, level))
     for m in (m for m in silent if any((m.feed or {}).values())):
         for name, (level, tonal) in _levels(m).items():
-            if level > LIMITS.self_excited * rest.get(name, np.inf) and tonal > LIMITS.tonal:
+            if level > RULES.self_excited * rest.get(name, np.inf) and tonal > RULES.tonal:
                 yield warning(
                     "limit_cycle",
                     f"{m.name}, {name}",

@@ -11,7 +11,8 @@ import xarray as xr
 
 from process.types import Complex, Real
 from smfe.campaign import Model
-from smfe.diagnosis.checks.suspect import LIMITS, Suspect, fault, warning
+from smfe.diagnosis.checks.rules import RULES
+from smfe.diagnosis.checks.suspect import Suspect, fault, warning
 from smfe.results import MEASUREMENT
 
 FACTORS: dict[str, float] = {
@@ -40,7 +41,7 @@ def _clear(compliance: xr.Dataset, axis: str) -> tuple[Real, Complex, Real]:
     """Frequency, compliance and standard deviation of the lines of a driving point that stand out of their noise."""
     phi, std = entry(compliance, axis, axis)
     f = compliance["frequency"].values
-    keep = np.isfinite(phi) & (f > 0.0) & (np.abs(phi) > LIMITS.clear * std)
+    keep = np.isfinite(phi) & (f > 0.0) & (np.abs(phi) > RULES.clear * std)
     return f[keep], phi[keep], std[keep]
 
 
@@ -63,12 +64,12 @@ def skew_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
             continue
         # Beyond an eighth of the shortest period a shift would turn resonances over as well.
         shifts = np.linspace(-0.125, 0.125, 161) / float(f[-1])
-        passive = np.maximum(LIMITS.clear * std, LIMITS.slack * np.abs(phi))
+        passive = np.maximum(RULES.clear * std, RULES.slack * np.abs(phi))
         turned = [(phi * np.exp(2j * np.pi * f * tau)).imag for tau in (0.0, *shifts)]
         before, *shares = (float(np.mean(imaginary > passive)) for imaginary in turned)
         good = np.flatnonzero(np.array(shares) <= min(shares) + 0.01)  # of these the smallest shift
         best = int(good[np.argmin(np.abs(shifts[good]))])
-        if before > LIMITS.active and shares[best] < 0.2 * before:
+        if before > RULES.active and shares[best] < 0.2 * before:
             yield warning(
                 "time_skew",
                 f"{name}, {axis}{axis}",
@@ -91,8 +92,8 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]
         variance = std_one**2 + std_two**2
         weight = np.divide(std_two**2, variance, out=np.full(variance.shape, 0.5), where=variance > 0.0)
         mean, square = weight * one + (1.0 - weight) * two, np.abs(one - two) ** 2
-        clear = np.isfinite(mean) & (np.sqrt(variance) < LIMITS.known * np.abs(mean))
-        if np.count_nonzero(clear) < 5 or np.median((square - LIMITS.clear * variance)[clear]) < 0.0:
+        clear = np.isfinite(mean) & (np.sqrt(variance) < RULES.known * np.abs(mean))
+        if np.count_nonzero(clear) < 5 or np.median((square - RULES.clear * variance)[clear]) < 0.0:
             continue
         one, two, beyond = one[clear], two[clear], float(np.sum(square[clear] - variance[clear]))
         share = math.sqrt(max(beyond, 0.0) / float(np.sum(np.abs(one) * np.abs(two))))
@@ -120,7 +121,7 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]
 
 def stiffness_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
     """Name driving points whose dynamic stiffness at the largest resonance no tool tip has."""
-    low, high = LIMITS.dynamic_stiffness
+    low, high = RULES.dynamic_stiffness
     for axis in driving_points(compliance):
         phi = np.abs(_clear(compliance, axis)[1])
         stiffness = 1.0 / float(np.quantile(phi, 0.98)) if phi.size >= 5 else low
@@ -144,9 +145,9 @@ def model_suspects(compliances: Mapping[str, xr.Dataset], models: Sequence[Model
     for model in models:
         for name, compliance in compliances.items():
             ratio = {a: _of_model(compliance, model, a) for a in driving_points(compliance)}
-            for text, factor in ((t, f) for t, f in FACTORS.items() if f > LIMITS.least_factor):
+            for text, factor in ((t, f) for t, f in FACTORS.items() if f > RULES.least_factor):
                 off = {a: min(abs(math.log(r / factor)), abs(math.log(r * factor))) for a, r in ratio.items() if r}
-                axes = [a for a in off if off[a] < math.log(LIMITS.of_model)]
+                axes = [a for a in off if off[a] < math.log(RULES.of_model)]
                 if axes:
                     yield fault(
                         "unit_error",
@@ -163,7 +164,7 @@ def _of_model(compliance: xr.Dataset, model: Model, axis: str) -> float:
     phi, std = entry(compliance, axis, axis)
     k, phi = "xyz".index(axis), np.abs(phi)
     declared = np.abs(model.modal.matrix(compliance["frequency"].values)[:, k, k])
-    clear = np.isfinite(phi) & (phi > LIMITS.clear * std) & (declared > 0.1 * declared.max(initial=0.0))
+    clear = np.isfinite(phi) & (phi > RULES.clear * std) & (declared > 0.1 * declared.max(initial=0.0))
     if np.count_nonzero(clear) < 10:
         return 0.0
     # Where both have their peaks: a mode that the model does not know says nothing about a unit.
@@ -218,5 +219,5 @@ def _constant_ratio(one: xr.Dataset, two: xr.Dataset, axis: str) -> complex | No
     other = np.interp(f[inside], f2, phi2.real) + 1j * np.interp(f[inside], f2, phi2.imag)
     ratio = complex(np.vdot(other, mine) / np.vdot(other, other))
     misfit = float(np.linalg.norm(mine - ratio * other)) / size
-    allowed = max(LIMITS.flat, 3.0 * float(np.linalg.norm(std[inside])) / size)
+    allowed = max(RULES.flat, 3.0 * float(np.linalg.norm(std[inside])) / size)
     return None if misfit > allowed or 0.1 <= abs(ratio - 1.0) < 5.0 * misfit else ratio

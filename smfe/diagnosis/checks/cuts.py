@@ -16,7 +16,8 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
 from process.types import Real
-from smfe.diagnosis.checks.suspect import LIMITS, Part, Suspect, fault, warning
+from smfe.diagnosis.checks.rules import RULES
+from smfe.diagnosis.checks.suspect import Part, Suspect, fault, warning
 from smfe.identification.spectra.spindle_angle import spindle_angle
 from smfe.identification.sweep.passes import SweepPass, in_cut, prepare
 from smfe.identification.sweep.spindle_clock import ADVICE, REFUSED, compare_speeds
@@ -50,11 +51,11 @@ def speed_suspects(record: xr.Dataset, where: str, stated: float | None, part: P
             return
         speeds[f"the {counted.replace('_', ' ')}"] = step * 30.0 / math.pi / sample_interval(record)
     for (one, a), (two, b) in combinations(speeds.items(), 2):
-        if abs(a - b) > LIMITS.speeds_agree * max(abs(a), abs(b)):
+        if abs(a - b) > RULES.speeds_agree * max(abs(a), abs(b)):
             fits = ""
             if two == "the tacho" and a * b > 0.0:
                 right = float(record["tacho"].attrs.get("pulses_per_revolution", 1.0)) * b / a
-                if round(right) >= 1 and abs(right / round(right) - 1.0) < LIMITS.speeds_agree:
+                if round(right) >= 1 and abs(right / round(right) - 1.0) < RULES.speeds_agree:
                     fits = f" (pulses_per_revolution = {round(right)} fits)"
             yield fault(
                 "spindle_speed",
@@ -76,12 +77,12 @@ def tooth_suspects(
     run-out the force at order n is ``P(n) R(n)``: the spectrum P of one tooth in its engagement, and R of the chips of
     the teeth, 1 at multiples of their number and the relative run-out elsewhere. Where P hardly has the multiples (the
     force of four teeth in a slot is constant), run-out is larger than they are; an order counts beyond
-    `CheckLimits.runout` times what P makes of it. An acceleration is amplified by modes, one order at a time: a further
+    `CheckRules.runout` times what P makes of it. An acceleration is amplified by modes, one order at a time: a further
     multiple must stand out as well.
     """
     name = "force" if "force" in record and axis_present(record, "force") else "acceleration"
     axes = axis_present(record, name) if name in record else []
-    steady = "spindle_speed" not in record or np.ptp(record["spindle_speed"].values) <= LIMITS.steady * speed
+    steady = "spindle_speed" not in record or np.ptp(record["spindle_speed"].values) <= RULES.steady * speed
     if not axes or not steady:
         return
     dt, turn = sample_interval(record), 60.0 / speed
@@ -89,9 +90,9 @@ def tooth_suspects(
     if name == "force" and (inside := np.flatnonzero(in_cut(record))).size:
         # From the first tooth to the last: where teeth cut one by one there is air between them, and it takes time.
         samples = samples[:, inside[0] : inside[-1] + 1]
-    every = np.arange(1, 3 * LIMITS.orders + 1)
+    every = np.arange(1, 3 * RULES.orders + 1)
     every = every[every / turn < 0.4 / dt]
-    orders = every[(every > 1) & (every <= LIMITS.orders)]
+    orders = every[(every > 1) & (every <= RULES.orders)]
     teeth = orders % tool.teeth == 0
     if samples.shape[1] * dt < 12.0 * turn or not teeth.any() or teeth.all():
         return
@@ -102,7 +103,7 @@ def tooth_suspects(
     pulse = np.linalg.norm(force_harmonics(single, engagement, _EQUAL_TEETH, 1e-3, 1e-4, orders), axis=1)
     amplitude = size[orders - 1]
     own = float(amplitude[teeth].max())
-    usual = np.maximum(LIMITS.strongest_order * own, LIMITS.runout * own * pulse / pulse[teeth].max())
+    usual = np.maximum(RULES.strongest_order * own, RULES.runout * own * pulse / pulse[teeth].max())
     large = [int(n) for n in orders[~teeth & (amplitude > usual)] if name == "force" or _repeats(size, int(n))]
     if large:
         other = max(large, key=lambda n: float(size[n - 1]))
@@ -118,7 +119,7 @@ def tooth_suspects(
 def _repeats(size: Real, order: int) -> bool:
     """Whether the second or third multiple of an order stands above its neighbours: teeth do that, a mode does not."""
     near = [size[n - 1] / max(size[n - 2], size[n]) for n in (2 * order, 3 * order) if n < size.size]
-    return max(near, default=0.0) > LIMITS.stands_out
+    return max(near, default=0.0) > RULES.stands_out
 
 
 def force_suspects(
@@ -143,7 +144,7 @@ def force_suspects(
     samples = record["force"].sel(axis=axes).values[:, in_cut(record)] if axes else np.zeros((0, 0))
     measured = math.sqrt(float(np.sum(np.var(samples, axis=1)))) if samples.shape[1] >= 16 else 0.0
     ratio = measured / predicted if predicted > 0.0 else 0.0
-    if ratio > 0.0 and not 1.0 / LIMITS.of_force < ratio < LIMITS.of_force:
+    if ratio > 0.0 and not 1.0 / RULES.of_force < ratio < RULES.of_force:
         yield fault(
             "unit_error",
             f"{where}, force",

@@ -10,7 +10,8 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.diagnosis.checks.compliances import driving_points, entry
-from smfe.diagnosis.checks.suspect import LIMITS, Suspect, note, warning
+from smfe.diagnosis.checks.rules import RULES
+from smfe.diagnosis.checks.suspect import Suspect, note, warning
 from smfe.identification.errors.result import Identification
 from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.spectra.spectra import record_source
@@ -37,7 +38,7 @@ def hit_suspects(
         )
     for axis, group in hits[~refused].groupby("excitation"):
         peaks = np.abs(group["peak_force_N"].to_numpy(dtype=float))
-        if peaks.size >= 2 and peaks.max() > LIMITS.hit_levels * peaks.min():
+        if peaks.size >= 2 and peaks.max() > RULES.hit_levels * peaks.min():
             yield note(
                 "joint_micro_slip",
                 f"{name}, hits along {axis}",
@@ -50,10 +51,10 @@ def hit_suspects(
         std = found.compliance["compliance_std"].sel(response=axis, excitation=axis).values
         # The lowest lines of a doubly integrated acceleration are the largest compliances, and noise: peaks of the
         # accelerance are peaks of the machine.
-        clear, moved = phi > LIMITS.clear_hits * std, phi * found.compliance["frequency"].values ** 2
+        clear, moved = phi > RULES.clear_hits * std, phi * found.compliance["frequency"].values ** 2
         relative = (std / phi)[clear & (moved > 0.5 * np.max(moved[clear], initial=0.0))]
         spread = float(np.median(relative)) if relative.size else 0.0
-        if spread > LIMITS.hit_scatter:
+        if spread > RULES.hit_scatter:
             yield warning(
                 "drift",
                 f"{name}, {axis}{axis}",

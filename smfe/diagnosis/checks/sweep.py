@@ -17,7 +17,8 @@ from scipy import fft
 from process.errors import InputError
 from process.labels import sample_interval
 from process.types import Complex, Real
-from smfe.diagnosis.checks.suspect import LIMITS, Suspect, warning
+from smfe.diagnosis.checks.rules import RULES
+from smfe.diagnosis.checks.suspect import Suspect, warning
 from smfe.identification.errors.difference import Difference, compare
 from smfe.identification.spectra.spectra import motion_axes
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
@@ -52,7 +53,7 @@ def sweep_suspects(
 
 def matters(found: Difference) -> bool:
     """Return whether a difference is more than noise, and large enough to matter."""
-    return found.p_value < LIMITS.p_value and found.size > LIMITS.notable
+    return found.p_value < RULES.p_value and found.size > RULES.notable
 
 
 def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float, float]) -> Difference | None:
@@ -61,8 +62,8 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
     A frequency that the fundamental of the tooth passing visits in one half is visited by a harmonic in the other.
     None where the halves have no frequency in common that both can solve.
     """
-    half = LIMITS.half_width
-    estimator = LocalPolynomial(resolution=2.0 * half, half_widths=(half,), order=LIMITS.order, rational=False)
+    half = RULES.half_width
+    estimator = LocalPolynomial(resolution=2.0 * half, half_widths=(half,), order=RULES.order, rational=False)
     halves: tuple[list[SweepPass], list[SweepPass]] = ([], [])
     for p in passes:  # with the air on its side
         cutting = np.flatnonzero(in_cut(p.record))
@@ -78,7 +79,7 @@ def posture_difference(passes: Sequence[SweepPass], frequency_range: tuple[float
     size = 0.5 * np.abs(a + b)
     # Where the variance of one half is large, transients are what is left of it, not noise.
     variance = np.trace(covariance, axis1=2, axis2=3).real.sum(axis=1)
-    known = np.nan_to_num(variance, nan=np.inf) < LIMITS.halves_known**2 * np.nansum(size**2, axis=(1, 2))
+    known = np.nan_to_num(variance, nan=np.inf) < RULES.halves_known**2 * np.nansum(size**2, axis=(1, 2))
     return _compare(first["frequency"].values[known], (a - b)[known], covariance[known], size[known])
 
 
@@ -92,7 +93,7 @@ def regeneration_difference(
     if not passes or any("spindle_angle" not in p.record for p in passes):
         return None
     response = [a for a in "xyz" if all(a in motion_axes(p.record)[1] for p in passes)]
-    half = LIMITS.half_width
+    half = RULES.half_width
     reach = (max(frequency_range[0] - half, 0.1), frequency_range[1] + half)
     blocks = []
     for p in passes:
@@ -120,7 +121,7 @@ def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> C
     # As `whole_record` takes its lines.
     low, high = np.searchsorted(frequency[: length // 2], [reach[0] - 1e-9, reach[1] + 1e-9])
     angle, cut = record["spindle_angle"].values, in_cut(record)
-    waves = [np.exp(1j * h * teeth * angle) * cut for h in range(1, LIMITS.harmonics + 1)]
+    waves = [np.exp(1j * h * teeth * angle) * cut for h in range(1, RULES.harmonics + 1)]
     return np.stack([dt * fft.fft(w, length)[low:high] for w in waves], axis=1)
 
 
@@ -128,7 +129,7 @@ def _both(
     blocks: Sequence[tuple[Real, Complex, Complex, Complex, Real]], centre: float
 ) -> tuple[Complex, Complex, Real] | None:
     """Return instruments minus least squares, its covariance a row, and the size of the compliance, at a frequency."""
-    half, powers = LIMITS.half_width, np.arange(LIMITS.order + 1)
+    half, powers = RULES.half_width, np.arange(RULES.order + 1)
     regressors, instruments, responses = [], [], []
     loss = np.zeros((3 * powers.size, 3 * powers.size))
     for k, (frequency, force, motion, lines, noise) in enumerate(blocks):
@@ -136,7 +137,7 @@ def _both(
         shift = (frequency[at] - centre) / half
         terms = shift[None, :] ** powers[:, None]
         regressors.append(_products(terms, force[at].T))
-        own = np.zeros((len(blocks), LIMITS.harmonics * powers.size, shift.size), dtype=complex)
+        own = np.zeros((len(blocks), RULES.harmonics * powers.size, shift.size), dtype=complex)
         own[k] = _products(terms, lines[at].T)
         instruments.append(own.reshape(-1, shift.size))
         responses.append(motion[at].T)
@@ -162,7 +163,7 @@ def _both(
     noise_power = np.sum(np.abs(rest) ** 2, axis=1) / (y.shape[1] - u.shape[0])
     # Hausman 1978: what least squares shares with the instruments cancels. The floor keeps directions apart in which
     # the two agree by construction.
-    spread = ((1.0 + LIMITS.instrument_floor) * through - inverse)[:3, :3]
+    spread = ((1.0 + RULES.instrument_floor) * through - inverse)[:3, :3]
     return change, noise_power[:, None, None] * spread.T, np.abs(instrumental[:, :3])
 
 

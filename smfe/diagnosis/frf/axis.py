@@ -24,7 +24,8 @@ from process.simulation.problem import MachineRun
 from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
-from smfe.diagnosis.frf.noise import RULES, Excited, kept, scatter_of, smooth_errors
+from smfe.diagnosis.frf.noise import Excited, kept, scatter_of, smooth_errors
+from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.fit import Target, roughly
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values

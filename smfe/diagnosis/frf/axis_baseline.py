@@ -21,7 +21,7 @@ from process.machine.joints import CubicSpring, Gap, Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
 from smfe.diagnosis.frf.causes import axis_causes
-from smfe.diagnosis.frf.noise import RULES
+from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.problem import Cause, Parameter, Values
 
 SPREAD: dict[str, float] = {"moving_mass": 0.1, "tip_mass": 0.1, "stiffness": 0.1, "damping": 0.4, "viscous": 0.5}

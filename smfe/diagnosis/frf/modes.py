@@ -18,7 +18,8 @@ from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from smfe.diagnosis.frf.causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
-from smfe.diagnosis.frf.noise import RULES, Excited, kept
+from smfe.diagnosis.frf.noise import Excited, kept
+from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}

@@ -1,0 +1,46 @@
+"""The numbers of the diagnosis of compliances that somebody chose, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FrfRules:
+    """What the comparison of compliances with a simulation takes for granted."""
+
+    most_lines: int = 120  # lines of a condition that are compared, at most
+    lowest: float = 5.0  # frequency from which an axis is compared [Hz]
+    reach: float = 3.0  # ... and to which, over the frequency of the locked axis: beyond, two masses do not describe it
+    floor: float = 0.002
+    """Least standard deviation relative to the compliance: a difference of a line that no model is expected to meet."""
+    fewest_hits: int = 3  # hits from which their scatter is known
+    shared: float = 2.0  # factor on the variance that hits share: it comes from three or four of them only
+    smooth_lines: int = 15  # lines over which the variance of noise is averaged
+    correlated: float = 1.88
+    """Variance of second differences over that of independent ones: 1 + 2 (4/9 14/15 + 1/36 13/15)."""
+    smooth_shapes: int = 4
+    """Cosines over the logarithm of frequency that the difference between model and machine is made of."""
+    discrepancy: float = 0.004
+    """Root mean square of the smooth relative error by which two simulations of one machine may differ."""
+    model_error: float = 0.002
+    """Rms relative error of predictions that looks like a change of the parameters: between single hits in motion in
+    two simulations of one machine 0.1 to 0.2 %, half of it from a sampled servo taken for a continuous one."""
+    roughness: float = 1.0
+    """Distance of predictions from a smooth function of the parameters, in noise: measured on a hit of 400 N that
+    breaks the guideway away at rest; it stays with ten times the accuracy."""
+    unsure: float = 0.5
+    """Share of what the mean of the hits has more than the mean hit that is uncertain because the baseline is."""
+    rate: float = 2000.0  # samples and steps a second of a simulated hit [Hz]
+    accuracy: float = 1e-4
+    """Of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters."""
+    rest: float = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
+    same_level: float = 0.2  # relative difference of levels of hits that are meant to be the same
+    bristle: tuple[float, float] = (5e8, 6e4)  # stiffness [N/m] and damping [N s/m] of a guideway that sticks
+    elements: int = 20  # Jenkins elements of a joint with micro-slip
+    predictions_kept: int = 20000  # compliances that a family keeps
+    modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form
+    machines_kept: int = 40  # machines that are kept with what was prepared for their hits
+
+
+RULES = FrfRules()
