@@ -1,28 +1,19 @@
 """Claims: a check says what a run would refuse, names planted faults, and is silent on healthy campaigns."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
 from samples.campaigns import DRIVE
 from truth import workshop
 
-from process.cut.engagement import CUTS, Engagement, engagement
-from process.cut.tool import Tool
-from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.commands import run as run_command
 from smfe.commands.check import check, refusals
 from smfe.diagnosis.audit import audit
-from smfe.diagnosis.checks.cuts import tooth_suspects
-from smfe.diagnosis.checks.same_data import Seen, same_suspects
 from smfe.diagnosis.checks.suspect import Suspect
-from smfe.identification.sweep.passes import in_cut
 from smfe.results import read_groups
 
 
@@ -101,19 +92,6 @@ def test_a_run_leaves_out_what_the_check_finds_and_computes_the_rest(
     assert "tip 1" in read_groups(tmp_path / "results" / "frf.nc")
 
 
-def test_one_record_for_two_conditions_is_a_fault_and_for_two_methods_is_none() -> None:
-    one = Seen(("measurement", "a"), "x.csv", ("'K2'",), "1")
-    assert not list(same_suspects([one, Seen(("measurement", "b"), "x.csv", ("'K2'",), "1")]))
-    assert not list(same_suspects([one, Seen(("measurement", "b"), "x.csv", ("None",), "1")]))
-    (copied,) = same_suspects([one, Seen(("measurement", "b"), "y.csv", ("'K2'",), "1")])
-    assert (copied.level, copied.excludes) == ("warning", ())
-    (wrong,) = same_suspects([one, Seen(("measurement", "b"), "x.csv", ("'K3'",), "1")])
-    assert wrong.level == "fault"
-    assert dict(wrong.excludes) == {"measurement": "b"}
-    assert len(wrong.excludes) == 2
-    assert not list(same_suspects([one, Seen(("measurement", "b"), "y.csv", ("'K3'",), "2")]))
-
-
 def test_the_generator_moves_as_its_machine_does() -> None:
     """A force at rest for long, then held: the motion ends at the compliance at rest times the force."""
     shop = workshop.healthy(3)
@@ -127,64 +105,6 @@ def test_the_generator_moves_as_its_machine_does() -> None:
 
 
 # --- number of teeth -------------------------------------------------------------------------------------------------
-
-RATE, RPM = 3000.0, 1200.0
-
-
-def turning(seed: int, arc: Engagement | None = None, **tool: float) -> tuple[xr.Dataset, Tool, Engagement]:
-    """Forces of a steady cut with run-out, its tool and its arc."""
-    rng = np.random.default_rng(seed)
-    drawn = {"teeth": int(rng.integers(2, 8)), "runout": rng.uniform(0.0, 0.6)} | tool
-    material = {"Ktc": 1900.0, "Krc": rng.uniform(200.0, 900.0), "Kac": rng.uniform(0.0, 400.0)}
-    shop = SimpleNamespace(tool=drawn, material=material)
-    drawn_arc = engagement(str(rng.choice(CUTS)), 0.1 * rng.uniform(0.05, 1.0), 0.1)
-    arc = arc or drawn_arc
-    t = np.arange(round(40.0 * 60.0 / RPM * RATE)) / RATE
-    force = workshop.chip_force(shop, 2.0 * np.pi * RPM / 60.0 * t, (arc.entry, arc.exit), 2e-3, 1e-4)
-    force += 0.01 * np.abs(force).max() * rng.standard_normal(force.shape)
-    return make_record(t, {"force": dict(zip("xyz", force, strict=True))}), Tool(0.1, drawn["teeth"]), arc
-
-
-def test_run_out_is_no_wrong_number_of_teeth_where_the_arc_hardly_has_the_teeth() -> None:
-    # The force of four teeth in a slot is constant: at the orders of the spindle only run-out is left.
-    record, tool, arc = turning(1, engagement("down", 0.1, 0.1), teeth=4, runout=0.6)
-    assert not list(tooth_suspects(record, "cut", RPM, tool, arc))
-
-
-def test_air_between_teeth_that_cut_one_by_one_belongs_to_the_cut() -> None:
-    # In an arc of 55 deg four teeth cut 60 % of the time; with the air between them left out, order 4 becomes order 5.
-    shop = SimpleNamespace(tool={"teeth": 4, "runout": 0.05}, material={"Ktc": 1600.0, "Krc": 780.0, "Kac": 230.0})
-    arc, t = engagement("down", 0.0172, 0.08), np.arange(round(40.0 * 60.0 / 139.0 * 256.0)) / 256.0
-    force = workshop.chip_force(shop, 2.0 * np.pi * 139.0 / 60.0 * t, (arc.entry, arc.exit), 0.57e-3, 8e-5)
-    force[:, [*range(200), *range(t.size - 200, t.size)]] = 0.0
-    force += 0.01 * np.abs(force).max() * np.random.default_rng(1).standard_normal(force.shape)
-    record = make_record(t, {"force": dict(zip("xy", force, strict=False))})
-    assert np.mean(in_cut(record)) < 0.9
-    assert not list(tooth_suspects(record, "cut", 139.0, Tool(0.08, 4), arc))
-
-
-def test_a_wrong_number_of_teeth_is_said_and_run_out_is_not() -> None:
-    said = []
-    for seed in range(25):
-        record, tool, arc = turning(seed)
-        assert not list(tooth_suspects(record, f"cut {seed}", RPM, tool, arc))
-        said += [any(tooth_suspects(record, "cut", RPM, replace(tool, teeth=tool.teeth + 1), arc))]
-    assert np.mean(said) > 0.6
-
-
-def test_an_order_that_a_mode_amplifies_is_no_number_of_teeth() -> None:
-    # Run-out of 30 % at order 5, where a mode amplifies it fiftyfold; the teeth are at 4, 8 and 12.
-    t = np.arange(round(40.0 * 60.0 / RPM * RATE)) / RATE
-    sizes = {4: 1.0, 8: 0.7, 12: 0.5, 5: 15.0, 10: 0.05, 9: 0.2, 11: 0.15, 3: 0.3, 7: 0.2}
-    motion = sum(a * np.cos(2.0 * np.pi * RPM / 60.0 * n * t + n) for n, a in sizes.items())
-    record = make_record(t, {"acceleration": {"x": motion}})
-    assert not list(tooth_suspects(record, "cut", RPM, Tool(0.1, 4), engagement("down", 0.03, 0.1)))
-    sizes |= {10: 5.0, 4: 0.1, 8: 0.1, 12: 0.1}
-    motion = sum(a * np.cos(2.0 * np.pi * RPM / 60.0 * n * t + n) for n, a in sizes.items())
-    (found,) = tooth_suspects(
-        make_record(t, {"acceleration": {"x": motion}}), "cut", RPM, Tool(0.1, 4), engagement("down", 0.03, 0.1)
-    )
-    assert "order 5 of the spindle" in found.evidence
 
 
 # --- what is asked of few records ------------------------------------------------------------------------------------

@@ -15,12 +15,11 @@ from process.drive.axis import Drive
 from process.drive.servo import Servo
 from process.errors import InputError
 from process.labels import make_compliance, make_record
-from smfe.campaign import Campaign, LobeRequest, Measurement, RecordEntry, load_campaign
+from smfe.campaign import Campaign, LobeRequest, load_campaign
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.compliances import case_of, steadied
 from smfe.diagnosis.cases.experiments import proposed_experiments
-from smfe.diagnosis.checks.channels import silence_suspects
 from smfe.diagnosis.consequences import stable_depths
 from smfe.diagnosis.cutting.forces import cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut
@@ -32,7 +31,7 @@ from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import rank
 from smfe.diagnosis.inference.problem import Condition
-from smfe.records import Channel, read_records, write_record_netcdf
+from smfe.records import read_records, write_record_netcdf
 
 
 def public(name: str, monkeypatch: pytest.MonkeyPatch) -> Campaign:
@@ -268,27 +267,6 @@ def test_an_axis_that_vibrates_without_a_cut_has_no_stable_depth() -> None:
 
 
 # --- records without excitation -----------------------------------------------------------------------------
-
-
-def silent_campaign(folder: Path, moving: np.ndarray) -> Campaign:
-    time = np.arange(moving.size) * 1e-3
-    rest = 0.01 * np.random.default_rng(1).standard_normal(moving.size)
-    out = []
-    for name, samples, feed in (("rest", rest, 0.0), ("moving", moving, 0.01)):
-        write_record_netcdf(make_record(time, {"acceleration": {"x": samples}}), folder / f"{name}.nc")
-        entry = RecordEntry(files=(folder / f"{name}.nc",), channels={"time": Channel()}, feed={"x": feed})
-        out.append(Measurement(name=name, method="silent", records=(entry,), channels={}, feed={"x": feed}))
-    return Campaign(folder / "campaign.toml", "silence", measurements=tuple(out))
-
-
-def test_an_axis_that_vibrates_by_itself_is_named_and_a_noisy_one_is_not(tmp_path: Path) -> None:
-    time, rng = np.arange(8000) * 1e-3, np.random.default_rng(2)
-    noise = 0.5 * rng.standard_normal(time.size)
-    assert list(silence_suspects(silent_campaign(tmp_path, noise))) == []
-    sine = np.sin(2.0 * np.pi * 61.3 * time) + 0.05 * rng.standard_normal(time.size)
-    (found,) = silence_suspects(silent_campaign(tmp_path, sine))
-    assert found.cause == "limit_cycle"
-    assert found.where == "moving, acceleration_x"
 
 
 # --- how well a compliance is known -------------------------------------------------------------------------

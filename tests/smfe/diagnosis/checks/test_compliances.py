@@ -1,0 +1,66 @@
+"""Claims: skew, broken reciprocity and factors of units are named, and a good machine gives nothing."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from process.labels import make_compliance
+from process.machine.modes import ModalModel
+from smfe.diagnosis.checks.compliances import factor_suspects, reciprocity_suspects, skew_suspects
+
+MACHINE = ModalModel(
+    [24.0, 34.0, 58.0, 95.0],
+    [0.022, 0.03, 0.03, 0.04],
+    [4e7, 5e7, 6e7, 5e7],
+    [[0.3, 0.9, 0.1], [0.9, 0.2, 0.1], [0.4, 0.6, 0.7], [0.8, -0.5, 0.3]],
+)
+
+
+F = np.arange(10.0, 200.0, 0.25)
+
+
+def causes(suspects) -> set[str]:  # type: ignore[no-untyped-def]
+    return {s.cause for s in suspects}
+
+
+def compliance(matrix: np.ndarray, noise: float = 0.0, seed: int = 0) -> xr.Dataset:
+    rng = np.random.default_rng(seed)
+    std = noise * np.abs(matrix)
+    error = std / np.sqrt(2.0) * (rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape))
+    dims = ("frequency", "response", "excitation")
+    return make_compliance(F, matrix + error, extra={"compliance_std": (dims, std)})
+
+
+class TestCompliances:
+    def test_a_good_machine_is_not_suspicious(self) -> None:
+        good = compliance(MACHINE.matrix(F), 0.01)
+        assert not list(skew_suspects("m", good))
+        assert not list(reciprocity_suspects("m", good))
+        assert not list(factor_suspects({"a": good, "b": compliance(MACHINE.matrix(F), 0.01, 1)}))
+
+    @pytest.mark.parametrize("skew", [500e-6, 200e-6, 100e-6, -500e-6])
+    def test_a_time_skew_is_found_with_its_sign_and_a_lower_bound(self, skew: float) -> None:
+        late = MACHINE.matrix(F) * np.exp(-2j * np.pi * F * skew)[:, None, None]
+        found = list(skew_suspects("m", compliance(late, 0.005)))
+        assert len(found) >= 1
+        assert ("late" if skew > 0 else "early") in found[0].evidence
+        size = float(found[0].evidence.split(" us or more")[0].split()[-1])
+        # What damping hides cannot be seen: the shift is the least that makes the machine passive.
+        assert 0.15 * abs(skew) * 1e6 < size < 1.05 * abs(skew) * 1e6
+
+    def test_an_accelerometer_on_the_wrong_axis_breaks_reciprocity(self) -> None:
+        mixed = MACHINE.matrix(F).copy()
+        mixed[:, 0, :] = mixed[:, 0, :] * 0.7
+        assert causes(reciprocity_suspects("m", compliance(mixed, 0.01))) == {"sensor_axis"}
+
+    @pytest.mark.parametrize(("factor", "cause"), [(1e3, "unit_error"), (9.80665, "unit_error"), (1.5, "sensor_gain")])
+    def test_a_constant_factor_is_no_physics(self, factor: float, cause: str) -> None:
+        one, two = compliance(MACHINE.matrix(F), 0.01), compliance(factor * MACHINE.matrix(F), 0.01, 1)
+        found = list(factor_suspects({"a": one, "b": two}))
+        assert causes(found) == {cause}
+        assert all(s.level == "fault" for s in found)
+
+    def test_a_softer_machine_is_not_a_factor(self) -> None:
+        softer = ModalModel(MACHINE.frequency * 0.94, MACHINE.damping * 1.2, MACHINE.stiffness * 0.8, MACHINE.direction)
+        pair = {"idle": compliance(MACHINE.matrix(F), 0.01), "moving": compliance(softer.matrix(F), 0.01, 1)}
+        assert not list(factor_suspects(pair))
