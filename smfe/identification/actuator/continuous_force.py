@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from process.errors import InputError
-from process.labels import AXES, make_compliance
-from process.types import Complex, Real
+from process.labels import AXES
+from process.types import Real
+from smfe.identification.actuator.columns import Column, joined
 from smfe.identification.actuator.continuous_records import (
-    Column,
     Records,
     Response,
     band_of,
@@ -103,7 +103,12 @@ def identify_continuous(
             f"measurement '{name}': no line between {band[0]:.4g} and {band[1]:.4g} Hz can be claimed: the force is "
             "mostly noise, or does not explain the motion; check the channels, and excite harder or for longer"
         )
-    compliance = _assembled(frequency, columns, chosen)
+    attrs = {
+        "excitation_kind": "continuous",
+        "estimator": chosen,
+        "error_lines": float(np.mean([c.error_lines for c in columns])),
+    }
+    compliance = joined(frequency, columns, np.flatnonzero(np.any(known, axis=0)), attrs)
     notes = [note for c in columns for note in c.notes]
     return Identification(name, "actuator", compliance, {"steps": pd.concat([c.table for c in columns])}, tuple(notes))
 
@@ -231,26 +236,3 @@ def _about(
             f"the records resolve more than the lines {step:.3g} Hz apart show; give resolution, or a frequency_range"
         )
     return notes
-
-
-def _assembled(frequency: Real, columns: Sequence[Column], estimator: str) -> xr.Dataset:
-    rows = [r for r in range(len(AXES)) if any(np.isfinite(c.compliance[:, r]).any() for c in columns)]
-    lines = np.any([np.isfinite(c.compliance).any(axis=1) for c in columns], axis=0)
-
-    def stack(name: str) -> Complex:
-        return np.stack([getattr(c, name)[lines][:, rows] for c in columns], axis=2)
-
-    dims = ("frequency", "response", "excitation")
-    extra = {
-        "compliance_std": (dims, np.sqrt(stack("variance"))),
-        "compliance_relation": (dims, stack("relation")),
-        "degrees_of_freedom": (dims, stack("degrees_of_freedom")),
-        "coherence": (dims, stack("coherence")),
-    }
-    attrs = {
-        "excitation_kind": "continuous",
-        "estimator": estimator,
-        "error_lines": float(np.mean([c.error_lines for c in columns])),
-    }
-    names = [AXES[r] for r in rows], [c.axis for c in columns]
-    return make_compliance(frequency[lines], stack("compliance"), *names, extra, attrs)

@@ -15,26 +15,12 @@ from scipy import fft, ndimage
 from process.errors import InputError
 from process.labels import axis_index, sample_interval
 from process.types import Complex, Real
+from smfe.identification.actuator.columns import Column
 from smfe.identification.actuator.rules import RULES
 from smfe.identification.errors.result import in_words
 from smfe.identification.spectra.spectra import as_displacement, force_samples, motion_axes, record_source
 from smfe.identification.sweep.noise import density_of
 from smfe.identification.sweep.passes import SHORTEST, air_pieces
-
-
-@dataclass(frozen=True)
-class Column:
-    """What one excitation axis gave, on the axis of frequencies; shapes (f,), (f, 3)."""
-
-    axis: str
-    compliance: Complex
-    variance: Real
-    relation: Complex
-    degrees_of_freedom: Real
-    coherence: Real
-    error_lines: float
-    table: pd.DataFrame
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -274,7 +260,7 @@ def column_of(g: Records, frequency: Real, found: Response) -> Column:
         on_axes((found.relation + clip**2) * scale**2),
         on_axes(found.degrees_of_freedom * cut),
         on_axes(found.coherence * cut),
-        found.error_lines,
         table,
         tuple(notes),
+        found.error_lines,
     )

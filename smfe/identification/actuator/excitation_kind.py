@@ -86,7 +86,17 @@ def identify_shaken(
     InputError
         When the kinds of force differ, or the method refuses the records.
     """
-    found = _identified(name, records, period, settling, frequency_range, resolution, estimator)
+    if estimator is not None:
+        found = identify_continuous(
+            name, records, frequency_range=frequency_range, resolution=resolution, estimator=estimator
+        )
+    elif period is not None:
+        found = identify_periodic(name, records, period, settling=settling, frequency_range=frequency_range)
+    else:
+        found = _by_kind(name, records, settling, frequency_range, resolution)
+    if found.compliance.attrs.get("excitation_kind") in ("periodic", "continuous"):
+        # Excited at all frequencies at once: the force has no amplitude of a sine.
+        found = replace(found, compliance=found.compliance.assign_attrs(broadband="yes"))
     return replace(found, warnings=(*found.warnings, *_other_forces(records)))
 
 
@@ -105,23 +115,14 @@ def _other_forces(records: Mapping[str, Sequence[xr.Dataset]]) -> list[str]:
     return said
 
 
-def _identified(
+def _by_kind(
     name: str,
     records: Mapping[str, Sequence[xr.Dataset]],
-    period: float | None,
     settling: float | None,
     frequency_range: tuple[float, float] | None,
     resolution: float | None,
-    estimator: str | None,
 ) -> Identification:
-    if estimator is not None:
-        return _broadband(
-            identify_continuous(
-                name, records, frequency_range=frequency_range, resolution=resolution, estimator=estimator
-            )
-        )
-    if period is not None:
-        return _broadband(identify_periodic(name, records, period, settling=settling, frequency_range=frequency_range))
+    """Identify compliances by the kind of force that is found in the records."""
     check_records(name, records)
     found = {
         (axis, k): _kind(force_samples(record, axis), sample_interval(record))
@@ -142,14 +143,9 @@ def _identified(
         out = identify_continuous(name, records, frequency_range=frequency_range, resolution=resolution)
         said = " and ".join(sorted(set(kinds.values())))
         taken = f"the force was taken for {_ARTICLE.get(said, said)}"
-        return _broadband(replace(out, warnings=(taken, *out.warnings)))
+        return replace(out, warnings=(taken, *out.warnings))
     periods = {at: r for at, (_, r) in found.items() if r}
-    return _broadband(_repeated(name, records, periods, settling, frequency_range))
-
-
-def _broadband(found: Identification) -> Identification:
-    """Mark a compliance that was excited at all frequencies at once: its force has no amplitude of a sine."""
-    return replace(found, compliance=found.compliance.assign_attrs(broadband="yes"))
+    return _repeated(name, records, periods, settling, frequency_range)
 
 
 _METHOD = {"steps": "steps", "repeats": "repeats", "a chirp": "continuous", "random excitation": "continuous"}

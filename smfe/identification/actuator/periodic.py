@@ -17,28 +17,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from process.errors import InputError
-from process.labels import AXES, axis_index, make_compliance, sample_interval
+from process.labels import AXES, axis_index, sample_interval
 from process.types import Complex, Real
+from smfe.identification.actuator.columns import Column, joined
 from smfe.identification.actuator.rules import RULES
 from smfe.identification.errors.averaging import degrees_of_freedom
 from smfe.identification.errors.result import Identification
 from smfe.identification.spectra.periods import error, noise_power, response, settled
 from smfe.identification.spectra.spectra import block_spectra, check_records, force_samples, record_source
-
-
-@dataclass(frozen=True)
-class _Column:
-    """One excitation; arrays of shape (f,) and (f, 3). The relation is that of circular noise (zero), or NaN."""
-
-    axis: str
-    frequency: Real
-    compliance: Complex
-    variance: Real
-    relation: Complex
-    degrees_of_freedom: Real
-    coherence: Real
-    table: pd.DataFrame
-    notes: tuple[str, ...]
 
 
 def identify_periodic(
@@ -80,8 +66,22 @@ def identify_periodic(
     check_records(name, records)
     if not 0.0 < period < np.inf:
         raise InputError(f"a period of {period:g} s; it must be positive")
-    columns = [_column(axis, records[axis], period, settling) for axis in AXES if len(records.get(axis, ()))]
-    compliance = _assemble(name, columns, frequency_range)
+    found = [_column(axis, records[axis], period, settling) for axis in AXES if len(records.get(axis, ()))]
+    columns = [c for _, c in found]
+    size = min(f.size for f, _ in found)
+    frequency = found[0][0][:size]
+    if any(not np.allclose(f[:size], frequency, rtol=1e-6) for f, _ in found):
+        raise InputError(f"measurement '{name}': its records have different lines; resample them to one rate")
+    low, high = frequency_range or (0.0, np.inf)
+    known = np.any([np.isfinite(c.compliance[:size]).any(axis=1) for c in columns], axis=0)
+    lines = np.flatnonzero(known & (frequency >= low * (1.0 - 1e-9)) & (frequency <= high * (1.0 + 1e-9)))
+    if not lines.size:
+        where = f" between {low:.4g} and {high:.4g} Hz" if frequency_range else ""
+        raise InputError(
+            f"measurement '{name}': the force excites no line of the period{where}; check the period, the frequency "
+            "range and that the force repeats itself"
+        )
+    compliance = joined(frequency, columns, lines, {"excitation_kind": "periodic"})
     notes = tuple(note for c in columns for note in c.notes)
     return Identification(name, "actuator", compliance, {"steps": pd.concat([c.table for c in columns])}, notes)
 
@@ -89,7 +89,8 @@ def identify_periodic(
 # --- one excitation ------------------------------------------------------------------------------------------------
 
 
-def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: float | None) -> _Column:
+def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: float | None) -> tuple[Real, Column]:
+    """Return the lines of a period [Hz], and what one excitation gives there."""
     spectra = [_periods(record, axis, record_source(record, i), period, settling) for i, record in enumerate(records)]
     frequency = spectra[0].frequency
     for other in spectra[1:]:
@@ -114,9 +115,8 @@ def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: f
     cut = np.where(excited[:, None], 1.0, np.nan)
     relation = np.where(excited[:, None], relation, np.nan)
     notes = [note for s in spectra for note in s.notes(axis, phi, excited)]
-    return _Column(
+    found = Column(
         axis,
-        frequency,
         phi * cut,
         variance * cut,
         relation,
@@ -125,6 +125,7 @@ def _column(axis: str, records: Sequence[xr.Dataset], period: float, settling: f
         pd.DataFrame([s.row(axis) for s in spectra]),
         tuple(notes),
     )
+    return frequency, found
 
 
 @dataclass(frozen=True)
@@ -240,36 +241,3 @@ def _excited(spectra: Sequence[_Periods], power: Real, frequency: Real) -> NDArr
     return np.asarray(
         (power > RULES.weak_line * power.max()) & (power > RULES.noisy_line * noise) & (frequency <= highest)
     )
-
-
-# --- all of them ---------------------------------------------------------------------------------------------------
-
-
-def _assemble(name: str, columns: Sequence[_Column], wanted: tuple[float, float] | None) -> xr.Dataset:
-    size = min(c.frequency.size for c in columns)
-    frequency = columns[0].frequency[:size]
-    if any(not np.allclose(c.frequency[:size], frequency, rtol=1e-6) for c in columns):
-        raise InputError(f"measurement '{name}': its records have different lines; resample them to one rate")
-    low, high = wanted or (0.0, np.inf)
-    known = np.any([np.isfinite(c.compliance[:size]).any(axis=1) for c in columns], axis=0)
-    lines = np.flatnonzero(known & (frequency >= low * (1.0 - 1e-9)) & (frequency <= high * (1.0 + 1e-9)))
-    if not lines.size:
-        where = f" between {low:.4g} and {high:.4g} Hz" if wanted else ""
-        raise InputError(
-            f"measurement '{name}': the force excites no line of the period{where}; check the period, the frequency "
-            "range and that the force repeats itself"
-        )
-    rows = [r for r in range(len(AXES)) if any(np.isfinite(c.compliance[lines, r]).any() for c in columns)]
-
-    def stack(attribute: str) -> Complex:
-        return np.stack([getattr(c, attribute)[lines][:, rows] for c in columns], axis=2)
-
-    dims = ("frequency", "response", "excitation")
-    extra = {
-        "compliance_std": (dims, np.sqrt(stack("variance"))),
-        "compliance_relation": (dims, stack("relation")),
-        "degrees_of_freedom": (dims, stack("degrees_of_freedom")),
-        "coherence": (dims, stack("coherence")),
-    }
-    names = [AXES[r] for r in rows], [c.axis for c in columns]
-    return make_compliance(frequency[lines], stack("compliance"), *names, extra, {"excitation_kind": "periodic"})

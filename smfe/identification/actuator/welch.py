@@ -25,7 +25,8 @@ from scipy import fft, ndimage
 
 from process.errors import InputError
 from process.types import Complex, Real
-from smfe.identification.actuator.continuous_records import Column, Records, Response, column_of
+from smfe.identification.actuator.columns import Column
+from smfe.identification.actuator.continuous_records import Records, Response, column_of
 from smfe.identification.actuator.rules import RULES
 from smfe.identification.errors.averaging import average, noise_ratio
 from smfe.identification.errors.result import in_words
