@@ -18,9 +18,6 @@ from process.errors import InputError
 from process.types import Complex, Real
 from smfe.identification.errors.covariance import ENTRY, deviation_of, error_variables
 
-_AMPLIFIED = 3.0
-"""Growth of errors by the correction above which it is worth a warning."""
-
 
 def without_mass(compliance: xr.Dataset, mass: float) -> tuple[xr.Dataset, tuple[str, ...]]:
     """Return a compliance without a mass that was attached at the driving point, with what is to be said about it.
@@ -122,7 +119,7 @@ def _notes(
             f"{100.0 * change[at]:.2g} % ({direct[at[1]][2]} at {frequency[at[0]]:.4g} Hz)"
         )
     growth = np.linalg.norm(left, ord=2, axis=(1, 2))
-    if np.nanmax(growth) > _AMPLIFIED:
+    if np.nanmax(growth) > 3.0:  # a smaller growth of the errors is in their interval
         notes.append(
             f"taking the mass of {mass:.3g} kg off multiplies errors by up to {np.nanmax(growth):.2g} (at "
             f"{frequency[int(np.nanargmax(growth))]:.4g} Hz); use a lighter sensor"

@@ -17,8 +17,6 @@ from process.types import Complex, Real
 ESTIMATORS: tuple[str, ...] = ("H1", "H2", "Hv")
 """Ways to average; see `average`."""
 
-_NOISE_REACH = 9  # lines to either side over which the noise of the response is learnt
-
 
 @dataclass(frozen=True)
 class Average:
@@ -128,7 +126,7 @@ def noise_ratio(motion: Complex, force: Complex, force_noise: float) -> Real:
         residual = np.sum(np.abs(own) ** 2, axis=1) / (count[:, row] - 1)
         explained = np.abs(h) ** 2 * force_noise
         # In parts of what the force noise makes, which varies less from line to line than either.
-        excess = ndimage.uniform_filter1d(residual / explained, 2 * _NOISE_REACH + 1, mode="nearest") - 1.0
+        excess = ndimage.uniform_filter1d(residual / explained, 19, mode="nearest") - 1.0
         k[:, row] = np.maximum(excess, 1e-3) * np.abs(h) ** 2
     return k
 

@@ -18,12 +18,7 @@ from scipy import fft
 
 from process.errors import InputError
 from process.types import Complex, Real
-
-_SAME = 1e-6
-"""Mean square change from one period to the next, of the variance, up to which a setpoint repeats itself."""
-
-_FLAT = 1e-6
-"""Relative difference of the lines of a binary sequence of maximum length, but for rounding."""
+from smfe.identification.spectra.rules import RULES
 
 
 def settled(available: int, length: int, dt: float, settling: float | None) -> tuple[int, int]:
@@ -155,7 +150,7 @@ def _repeats(u: Real, power: float) -> int | None:
     change = (energy[n - lags] + energy[n] - energy[lags] - 2.0 * correlation) / (n - lags) / power
     # A slow setpoint has hardly changed a sample later: it must have changed before it can come back.
     away = np.flatnonzero(change > 0.5)
-    back = np.flatnonzero(change[away[0] :] < _SAME) if away.size else away
+    back = np.flatnonzero(change[away[0] :] < RULES.same) if away.size else away
     return int(away[0] + back[0]) if back.size else None
 
 
@@ -163,8 +158,8 @@ def _prbs_order(u: Real) -> int:
     """Return n for one period of a binary sequence of maximum length 2^n - 1, else 0."""
     order = int(np.log2(u.size + 1))
     low, high = float(u.min()), float(u.max())
-    two_levels = np.all(np.minimum(u - low, high - u) < _FLAT * (high - low))
+    two_levels = np.all(np.minimum(u - low, high - u) < RULES.flat * (high - low))
     if order < 3 or u.size != 2**order - 1 or not two_levels:
         return 0
     lines = np.abs(fft.rfft(u - u.mean()))[1:]
-    return order if float(np.ptp(lines)) < _FLAT * float(lines.max()) else 0
+    return order if float(np.ptp(lines)) < RULES.flat * float(lines.max()) else 0

@@ -14,21 +14,10 @@ from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
 from process.types import Real
+from smfe.identification.spectra.rules import RULES
 
 SOURCES = ("spindle_angle", "tacho", "spindle_speed", "force")
 """Where an angle comes from, best first."""
-
-WINDOW = 1.0
-"""Length of the pieces in which the tooth passing frequency is looked for [s]."""
-
-HARMONICS = 4
-"""Harmonics of the tooth passing frequency that are looked at together."""
-
-_TURNS = 6.0
-"""Turns over which an order is separated from the noise halfway to the next."""
-
-_SEEN, _RUN_OUT, _LIKE_TEETH = 3.0, 0.003, 0.25
-"""Run-out over noise, run-out over the first harmonic of what was found, and the harmonic that may be the teeth's."""
 
 
 def spindle_angle(record: xr.Dataset, teeth: int | None = None) -> tuple[Real, str]:
@@ -88,18 +77,18 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
         For forces that are too short, or that may repeat once a tooth or once a turn.
     """
     dt = sample_interval(record)
-    keep = max(1, int(1.0 / (dt * 5.0 * HARMONICS * highest)))
+    keep = max(1, int(1.0 / (dt * 5.0 * RULES.tooth_harmonics * highest)))
     force = record["force"].sel(axis=axis_present(record, "force")).values
     force = force - force.mean(axis=1, keepdims=True)
     if keep > 1:
         force = signal.decimate(force, keep, ftype="fir", axis=1, zero_phase=True)
     step = dt * keep
-    if force.shape[1] * step < 3.0 * WINDOW:
+    if force.shape[1] * step < 3.0 * RULES.angle_window:
         raise InputError(f"{force.shape[1] * step:.3g} s of force are too short to find the tooth passing in; 3 s are")
-    times, path = _comb_path(force, step, lowest, min(highest, 0.49 / (HARMONICS * step)))
+    times, path = _comb_path(force, step, lowest, min(highest, 0.49 / (RULES.tooth_harmonics * step)))
     clock = np.arange(force.shape[1]) * step
     angle = _integral(np.interp(clock, times, path), step)
-    for length in (0.5 * WINDOW, WINDOW):
+    for length in (0.5 * RULES.angle_window, RULES.angle_window):
         angle = _corrected(force, angle, step, length)
     if teeth > 1:
         _refuse_ambiguous(force, angle, step, teeth)
@@ -110,7 +99,7 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
 def _refuse_ambiguous(force: Real, angle: Real, step: float, teeth: int) -> None:
     """Refuse forces whose period may be that of the tool: no run-out between strong harmonics of the found period."""
     rate = float(np.median(np.diff(angle))) / (2.0 * np.pi * step)
-    size = min(round(_TURNS * teeth / (rate * step)), force.shape[1] // 2) | 1
+    size = min(round(RULES.turns * teeth / (rate * step)), force.shape[1] // 2) | 1
     window = signal.windows.hann(size) / (0.5 * size)
 
     def strength(order: float) -> float:
@@ -122,7 +111,7 @@ def _refuse_ambiguous(force: Real, angle: Real, step: float, teeth: int) -> None
     found = max(strength(k / teeth) for k in between)
     floor = float(np.median([strength((k + 0.5) / teeth) for k in between]))
     first, of_turn = strength(1.0), strength(float(teeth))
-    if found < max(_SEEN * floor, _RUN_OUT * first) and of_turn > _LIKE_TEETH * first:
+    if found < max(RULES.run_out_over_noise * floor, RULES.run_out * first) and of_turn > RULES.like_teeth * first:
         raise InputError(
             f"the forces repeat at about {rate:.3g} Hz and show no run-out: they do not decide whether one of {teeth} "
             "teeth passes then or the whole tool turns; declare spindle_angle, tacho or spindle_speed in [channels]"
@@ -135,14 +124,14 @@ def _integral(frequency: Real, step: float) -> Real:
 
 def _comb_path(force: Real, step: float, lowest: float, highest: float) -> tuple[Real, Real]:
     """Return times [s] and the tooth passing frequency [Hz] there; in the air it goes on straight."""
-    length, hop = round(WINDOW / step), round(0.25 * WINDOW / step)
+    length, hop = round(RULES.angle_window / step), round(0.25 * RULES.angle_window / step)
     padded = 4 * length
     frequency, times, spectrum = signal.spectrogram(
         force, 1.0 / step, "hann", length, length - hop, padded, detrend="constant", mode="magnitude"
     )
     level = np.sqrt(np.sum(spectrum**2, axis=0))
     grid = np.arange(lowest, highest, 0.5 * frequency[1])
-    comb = sum(level[np.round(h * grid / frequency[1]).astype(int)] for h in range(1, HARMONICS + 1))
+    comb = sum(level[np.round(h * grid / frequency[1]).astype(int)] for h in range(1, RULES.tooth_harmonics + 1))
     score = np.asarray(comb)
     cells = round(2.0 * hop * step / (grid[1] - grid[0])) + 1
     path = grid[_best_path(score / score.max(), cells)]
@@ -174,7 +163,7 @@ def _corrected(force: Real, angle: Real, step: float, length: float) -> Real:
     hop = max(1, size // 8)
     window = signal.windows.hann(size)
     drift, weight = 0.0, 1e-300
-    for h in range(1, HARMONICS):
+    for h in range(1, RULES.tooth_harmonics):
         turned = force * np.exp(-1j * h * angle)
         slow = signal.oaconvolve(turned, window[None, :], mode="same", axes=1)[:, ::hop]
         between = np.sum(slow[:, 1:] * slow[:, :-1].conj(), axis=0)

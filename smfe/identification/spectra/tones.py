@@ -16,26 +16,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from process.types import Complex, Real
+from smfe.identification.spectra.rules import RULES
 
 Mask = NDArray[np.bool_]
-
-STEPS = 8
-"""Steps of Gauss and Newton at most."""
-
-HIGHEST = 30
-"""Multiples of a frequency up to which tones are tied."""
-
-TIED = 0.1
-"""Distance to a multiple, in lines of the record, up to which a tone is tied; or four standard deviations of it."""
-
-STRETCH = 0.05
-"""Length of the stretches [s] that are judged together."""
-
-UNLIKE = 3.0
-"""A stretch whose rest is so many times the usual one is left out."""
-
-_CHUNK = 1 << 15
-_PIECE = 1 << 8
 
 
 @dataclass(frozen=True)
@@ -65,9 +48,9 @@ class Tones:
         """Return the tones over a record of `count` samples."""
         out = np.zeros(count)
         size = self.cosine - 1j * self.sine
-        for first in range(0, count, _CHUNK):
-            turning = _turning(self.frequency, 0.0, first, min(_CHUNK, count - first), dt)
-            out[first : first + _CHUNK] = (turning @ size).real
+        for first in range(0, count, RULES.chunk):
+            turning = _turning(self.frequency, 0.0, first, min(RULES.chunk, count - first), dt)
+            out[first : first + RULES.chunk] = (turning @ size).real
         return out
 
     @property
@@ -85,8 +68,8 @@ class Tones:
         away = 2.0 * np.pi * (self.multiple @ part[2 * n :])
         still, drifting = part[:n] - 1j * part[n : 2 * n], away * (b + 1j * a)
         out = np.zeros(count)
-        for first in range(0, count, _CHUNK):
-            here = slice(first, min(first + _CHUNK, count))
+        for first in range(0, count, RULES.chunk):
+            here = slice(first, min(first + RULES.chunk, count))
             turning = _turning(self.frequency, self.origin, first, here.stop - first, dt)
             t = dt * (np.arange(first, here.stop) - self.origin)
             out[here] = (turning @ still).real + t * (turning @ drifting).real
@@ -144,21 +127,21 @@ def multiples(tones: Tones, most: int, highest: float) -> list[float]:
     tied = np.flatnonzero(tones.multiple[:, 0] > 0.0) if tones.multiple.shape[1] < tones.frequency.size else [strongest]
     order = tones.multiple[tied[0], 0] if len(tied) > 1 else 1.0
     base = float(tones.frequency[tied[0]] / order)
-    every = base * np.arange(1, HIGHEST + 1)
+    every = base * np.arange(1, RULES.highest_multiple + 1)
     missing = [f for f in every if f < highest and np.abs(tones.frequency - f).min() > 0.01 * base]
     return [float(f) for f in missing[: max(most, 0)]]
 
 
 def alike(rest: Real, mask: Mask, dt: float) -> Mask:
     """Return the mask without the stretches whose rest is unlike that of most."""
-    length = max(1, round(STRETCH / dt))
+    length = max(1, round(RULES.stretch / dt))
     number = np.arange(rest.size) // length
     count = np.bincount(number, mask)
     power = np.bincount(number, np.where(mask, rest, 0.0) ** 2) / np.maximum(count, 1.0)
     judged = count > 0
     if not judged.any():
         return mask
-    keep = ~judged | (power <= UNLIKE**2 * np.median(power[judged]))
+    keep = ~judged | (power <= RULES.unlike**2 * np.median(power[judged]))
     # What most do not share is no exception.
     return mask & keep[number] if np.sum(count[keep]) > 0.5 * np.sum(count) else mask
 
@@ -180,7 +163,7 @@ def _fitted(samples: Real, index: NDArray[np.int64], dt: float, base: Real, mult
     half = max((index[-1] - index[0]) * dt / 2.0, dt)
     n, p = multiple.shape
     amplitude = np.zeros(2 * n)
-    for step in range(STEPS):
+    for step in range(RULES.tone_steps):
         f = multiple @ base
         # The first step has no amplitudes yet, so that nothing moves the frequencies.
         normal, right = _normal(samples, index, dt, f, amplitude if step else None, multiple, origin, half)
@@ -213,8 +196,8 @@ def _normal(
     n = f.size
     size = 2 * n + 1 + (0 if amplitude is None else multiple.shape[1])
     normal, right = np.zeros((size, size)), np.zeros(size)
-    for first in range(int(index[0]), int(index[-1]) + 1, _CHUNK):
-        inside = slice(*np.searchsorted(index, [first, first + _CHUNK]))
+    for first in range(int(index[0]), int(index[-1]) + 1, RULES.chunk):
+        inside = slice(*np.searchsorted(index, [first, first + RULES.chunk]))
         here = index[inside]
         if not here.size:
             continue
@@ -234,14 +217,16 @@ def _ties(found: _Fit, samples: int, length: float) -> tuple[Real, Real]:
     """Return which tones are multiples of one frequency, as a matrix, and the free frequencies."""
     f, n = found.frequency, found.frequency.size
     size = np.hypot(found.cosine, found.sine)
-    near = TIED / max(length, 1e-300)
+    near = RULES.tied / max(length, 1e-300)
     best: tuple[list[int], float] = ([], 0.0)
     for part in (1, 2, 3):
         base = float(f[int(np.argmax(size))]) / part
         order = np.maximum(np.round(f / base), 1.0)
         # Distances of a multiple grow with its order as far as the base itself is wrong.
         members = [
-            i for i in range(n) if order[i] <= HIGHEST and abs(f[i] - order[i] * base) < near * (1.0 + order[i] / part)
+            i
+            for i in range(n)
+            if order[i] <= RULES.highest_multiple and abs(f[i] - order[i] * base) < near * (1.0 + order[i] / part)
         ]
         if len(members) > len(best[0]):
             best = (members, base)
@@ -265,10 +250,10 @@ def _turning(f: Real, origin: float, first: int, count: int, dt: float) -> Compl
 
     A product of two short series: several times faster than as many sines.
     """
-    starts = first + _PIECE * np.arange(-(-count // _PIECE))
+    starts = first + RULES.piece * np.arange(-(-count // RULES.piece))
     coarse = np.exp(2j * np.pi * dt * np.outer(starts - origin, f))
-    fine = np.exp(2j * np.pi * dt * np.outer(np.arange(_PIECE), f))
-    return np.asarray((coarse[:, None] * fine).reshape(starts.size * _PIECE, f.size)[:count])
+    fine = np.exp(2j * np.pi * dt * np.outer(np.arange(RULES.piece), f))
+    return np.asarray((coarse[:, None] * fine).reshape(starts.size * RULES.piece, f.size)[:count])
 
 
 def _turned(f: Real, a: Real, b: Real, by: float) -> tuple[Real, Real]:
