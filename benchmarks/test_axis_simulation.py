@@ -69,15 +69,15 @@ def _equations(t, q, law, parameters, feed, steady, frequency, end):  # type: ig
     force = 100.0 * np.sin(2.0 * np.pi * frequency * t) if t < end else 0.0
     joint = 1.68e6 * (xt - xm) + 104.0 * (vt - vm)
     drive = -6268.0 * (vm + 45.5 * xm + (xm + 45.5 * j) / 10.9e-3)
-    rub = friction_force(law, parameters, feed + vm) - steady
-    return np.array([vt, (force - joint) / 11.3, vm, (joint + drive - rub) / 23.1, xm])
+    friction = friction_force(law, parameters, feed + vm) - steady
+    return np.array([vt, (force - joint) / 11.3, vm, (joint + drive - friction) / 23.1, xm])
 
 
 COMPILED = njit(_equations)
 
 
 def lsoda(equations: Callable[..., np.ndarray], case: str, tolerance: float) -> np.ndarray:
-    """The same with SciPy, which is told where the pulse ends, what sizes to expect, and where samples are wanted."""
+    """The same with SciPy, with the end of the pulse, the sizes to expect and the sample times given."""
     _, frequency, end, feed_mm_min = CASES[case]
     feed = feed_mm_min * MM_MIN
     args = (*FRICTION.packed(), feed, float(FRICTION.force(feed)), frequency, end)

@@ -340,12 +340,6 @@ class AntiAlias(Stage):
         s = 1j * np.asarray(frequency, dtype=float) / self.corner
         return np.asarray(1.0 / np.prod(s[..., None] - poles, axis=-1))
 
-    def group_delay(self, frequency: ArrayLike) -> Real:
-        """Return the group delay [s] at frequencies [Hz], ``-d arg H/dw``; every pole adds its own."""
-        _, poles, _ = signal.butter(self.order, 1.0, analog=True, output="zpk")
-        s = 1j * np.asarray(frequency, dtype=float) / self.corner
-        return np.asarray(np.sum((1.0 / (s[..., None] - poles)).real, axis=-1) / (2.0 * math.pi * self.corner))
-
     def apply(self, record: xr.Dataset, rng: np.random.Generator) -> xr.Dataset:
         """Return the record with both channels low-passed."""
         slowest = math.sin(math.pi / (2 * self.order))

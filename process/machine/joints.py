@@ -3,6 +3,8 @@
 For a displacement ``X cos(w t)`` the fundamental of the force is ``X Re[(K + j H) exp(j w t)]``: K is the equivalent
 stiffness, H the loss stiffness, both [N/m]; the equivalent viscous damping is ``H/w`` and the energy lost in a cycle
 ``pi H X^2``. None of these elements depends on the rate.
+
+`DoublePinion` is a preloaded pair of pinions: two motors on one rack push against each other, so that no play is left.
 """
 
 from __future__ import annotations
@@ -47,10 +49,6 @@ class Joint(ABC):
     def loss_stiffness(self, amplitude: ArrayLike) -> Real:
         """Return the loss stiffness H [N/m] at amplitude X [m]; zero without hysteresis."""
         return np.zeros_like(_amplitude(amplitude))
-
-    def equivalent_damping(self, amplitude: ArrayLike, frequency: ArrayLike) -> Real:
-        """Return the equivalent viscous damping ``H/(2 pi f)`` [N s/m] at amplitude [m] and frequency [Hz]."""
-        return np.asarray(self.loss_stiffness(amplitude) / (2.0 * np.pi * np.asarray(frequency, dtype=float)))
 
 
 def _slip_angle(limit: float, x: Real) -> Real:
@@ -217,9 +215,6 @@ class Gap(Joint):
         """Return the stiffness K [N/m] at amplitude X [m]."""
         share = np.minimum(self.gap / _amplitude(amplitude), 1.0)
         return np.asarray(self.stiffness * (1.0 - 2.0 / np.pi * (np.arcsin(share) + share * np.sqrt(1.0 - share**2))))
-
-
-# --- Master-slave preload of a double pinion: two motors on one rack push against each other, so that no play is left.
 
 
 @dataclass(frozen=True)

@@ -157,14 +157,12 @@ def test_the_anti_alias_filter_is_a_butterworth_filter(order: int, frequency: fl
     assert force == pytest.approx(motion, rel=1e-12), "one filter for all channels: no phase between them"
 
 
-def test_the_group_delay_is_the_slope_of_the_phase() -> None:
-    filter_ = AntiAlias(6, 400.0)
-    f = np.linspace(1.0, 600.0, 4001)
-    phase = np.unwrap(np.angle(filter_.response(f)))
-    np.testing.assert_allclose(-np.gradient(phase, 2 * np.pi * f)[1:-1], filter_.group_delay(f)[1:-1], rtol=1e-5)
-    # At 0 Hz it is the sum of 1/sin of the pole angles over w_c.
+def test_the_slope_of_the_phase_at_0_hz_is_that_of_the_poles() -> None:
+    filter_, f = AntiAlias(6, 400.0), np.linspace(0.0, 1.0, 11)
+    slope = -np.gradient(np.angle(filter_.response(f)), 2 * np.pi * f)[0]
+    # The sum of 1/sin of the pole angles over w_c.
     poles = np.pi * (2 * np.arange(1, 7) - 1) / 12
-    assert filter_.group_delay(0.0) == pytest.approx(np.sin(poles).sum() / (2 * np.pi * 400.0))
+    assert slope == pytest.approx(np.sin(poles).sum() / (2 * np.pi * 400.0), rel=1e-4)
 
 
 def test_a_skew_is_a_phase_that_grows_with_the_frequency() -> None:
@@ -226,7 +224,8 @@ def test_the_chain_delays_by_the_group_delay_and_then_takes_every_eighth_sample(
     out = sensors.measure(record_of(sine(10.0), sine(10.0)), rng(), keep=sensors.oversampling)
     assert out["time"].values[1] == pytest.approx(8 / RATE)
     measured = phasor(out["force"].values[0], 10.0, RATE / 8)
-    assert -np.angle(measured) / (2 * np.pi * 10.0) == pytest.approx(float(filter_.group_delay(5.0)), rel=1e-2)
+    delay = np.sin(np.pi * (2 * np.arange(1, 5) - 1) / 8).sum() / (2 * np.pi * 300.0)
+    assert -np.angle(measured) / (2 * np.pi * 10.0) == pytest.approx(delay, rel=1e-2)
 
 
 def test_a_perfect_chain_changes_nothing_but_the_rate() -> None:

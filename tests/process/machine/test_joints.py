@@ -86,13 +86,6 @@ def test_the_branches_of_iwan_meet_where_the_whole_joint_slips() -> None:
         assert float(verb(10e-6)) == pytest.approx(float(verb(10e-6 * (1 + 1e-9))), rel=1e-6)
 
 
-def test_the_viscous_equivalent_falls_with_frequency() -> None:
-    assert float(JENKINS.equivalent_damping(8e-6, 60.0)) * 2 * math.pi * 60.0 == pytest.approx(
-        float(JENKINS.loss_stiffness(8e-6))
-    )
-    assert float(Gap(2e7, 1e-6).equivalent_damping(8e-6, 60.0)) == 0.0
-
-
 def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
     with pytest.raises(InputError, match="slip force is -1"):
         Jenkins(1.0, -1.0)
