@@ -28,6 +28,7 @@ from process.errors import InputError
 from process.types import Real
 from stability.methods.semi_discretization import LimitDepth, limit_depth
 from stability.problem import Machine, check_spindle_speed
+from stability.settings import SETTINGS
 
 CHECK_COLUMNS: tuple[str, ...] = (
     "spindle_speed_rpm",
@@ -37,18 +38,6 @@ CHECK_COLUMNS: tuple[str, ...] = (
     "kind",
 )
 """Columns of `PitchDesign.check`."""
-
-FACTORS = (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5)
-"""Multiples of a formula's difference that are searched."""
-
-REFINED = (0.08, 0.04)
-"""Steps about the best multiple, one after the other."""
-
-GROUND = math.radians(0.1)
-"""Pitch angles are rounded to this: no finer can be ground."""
-
-LOOSE = 1e-2
-"""Tolerance of the limits during the search; those of the result are converged to 1e-3."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +129,7 @@ def design_pitch(
     Returns
     -------
     PitchDesign
-        The best of equal, alternating and linearly rising pitch, ground to `GROUND`, verified at five speeds.
+        The best of equal, alternating and linearly rising pitch, ground to 0.1 degrees, verified at five speeds.
 
     Raises
     ------
@@ -200,7 +189,7 @@ class _Search:
     speed: float
     around: float
 
-    def limit(self, tool: Tool, speed: float, tolerance: float = LOOSE) -> LimitDepth:
+    def limit(self, tool: Tool, speed: float, tolerance: float = SETTINGS.loose_tolerance) -> LimitDepth:
         """Return the converged limit of a tool."""
         return limit_depth(self.machine, tool, self.arc, self.coefficients, speed, tolerance)
 
@@ -216,7 +205,7 @@ class _Search:
     def improved(self, pattern: str, difference: float, best: Best, largest_deviation: float) -> Best:
         """Return the better of what there is and the best difference of a pattern."""
         factor, tried = 1.0, set[Tool]()
-        for offsets in ([f - 1.0 for f in FACTORS], *((-step, step) for step in REFINED)):
+        for offsets in ([f - 1.0 for f in SETTINGS.factors_tried], *((-step, step) for step in SETTINGS.refined_steps)):
             centre = factor
             for offset in offsets:
                 tool = self._pitched(pattern, (centre + offset) * difference, largest_deviation)
@@ -235,6 +224,6 @@ class _Search:
         pitch = (alternating if pattern == "alternating" else linear)(teeth, difference)
         if np.abs(pitch * teeth / (2.0 * math.pi) - 1.0).max() > largest_deviation + 1e-9:
             return None
-        steps = np.round(pitch[:-1] / GROUND)
-        last = round(2.0 * math.pi / GROUND) - steps.sum()
-        return replace(self.tool, pitch_angles=tuple(float(k) for k in np.append(steps, last) * GROUND))
+        steps = np.round(pitch[:-1] / SETTINGS.ground_angle)
+        last = round(2.0 * math.pi / SETTINGS.ground_angle) - steps.sum()
+        return replace(self.tool, pitch_angles=tuple(float(k) for k in np.append(steps, last) * SETTINGS.ground_angle))

@@ -17,21 +17,10 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, at_tool, check_compliance, full_matrix, not_measured
 from process.types import Complex, Real
+from stability.settings import SETTINGS
 
-EDGE_SIZE = 0.15
-"""Share of its peak below which a compliance should be at its last sample."""
-
-EDGE_PHASE = 0.3
-"""Share of the imaginary part below which a compliance should be at its first sample."""
-
-ACTIVE = 0.05
-"""A compliance that gives energy by more than this share of its size is not that of a passive machine."""
-
-BEYOND_NOISE = 4.0
-"""Standard deviations that noise alone may make of a passive machine."""
-
-GAP_FACTOR = 1.5
-"""A step longer than this many neighbouring steps is a gap: a logarithmic grid is not, a dropped row is."""
+NO_LOBE = -1
+"""Value of ``lobe`` where there is no limit."""
 
 
 @dataclass(frozen=True)
@@ -160,12 +149,12 @@ def edge_warnings(samples: Samples) -> tuple[str, ...]:
     f, matrix = samples.frequency, samples.matrix
     size = np.linalg.norm(matrix, axis=(1, 2))
     out = []
-    if size[-1] > EDGE_SIZE * size.max():
+    if size[-1] > SETTINGS.edge_size * size.max():
         out.append(
             f"at {f[-1]:.6g} Hz, its last sample, the compliance still is {100.0 * size[-1] / size.max():.0f} % of its "
             "peak: modes there and above are missing, and limits may be too high; measure further up"
         )
-    if np.linalg.norm(matrix[0].imag) > EDGE_PHASE * size[0]:
+    if np.linalg.norm(matrix[0].imag) > SETTINGS.edge_phase * size[0]:
         out.append(
             f"at {f[0]:.6g} Hz, its first sample, the compliance is out of phase with the force: modes there and below "
             "are missing, and limits may be too high; measure further down"
@@ -185,7 +174,7 @@ def _active_warning(frequency: Real, matrix: Complex, noise: Real) -> list[str]:
     """Say when a compliance gives energy: ``j (Phi - Phi^H)/2`` of a passive machine has no negative eigenvalue."""
     size = np.linalg.norm(matrix, axis=(1, 2))
     n = matrix.shape[1]
-    allowed = ACTIVE * size + BEYOND_NOISE * noise
+    allowed = SETTINGS.active_share * size + SETTINGS.beyond_noise * noise
     taken = 0.5j * (matrix - matrix.conj().transpose(0, 2, 1)) + allowed[:, None, None] * np.eye(n)
     passive = np.ones(size.size, dtype=bool)
     for axes in [c for k in range(1, n + 1) for c in combinations(range(n), k)]:
@@ -211,13 +200,13 @@ def _determinant(m: Complex) -> Complex:
 
 
 def _long_steps(frequency: Real) -> NDArray[np.bool_]:
-    """Mark the steps that are longer than `GAP_FACTOR` times the longer of their neighbours."""
+    """Mark the steps that are longer than `gap_factor` times the longer of their neighbours."""
     step = np.diff(frequency)
     if step.size < 2:
         return np.zeros(step.size, dtype=bool)
     before = np.concatenate([[0.0], step[:-1]])
     after = np.concatenate([step[1:], [0.0]])
-    return np.asarray(step > GAP_FACTOR * np.maximum(before, after), dtype=bool)
+    return np.asarray(step > SETTINGS.gap_factor * np.maximum(before, after), dtype=bool)
 
 
 def partial_warning(response: ArrayLike, excitation: ArrayLike, missing: xr.DataArray) -> list[str]:
@@ -255,11 +244,7 @@ def _gap_warnings(frequency: Real, bridged: NDArray[np.bool_]) -> list[str]:
     ]
 
 
-# --- What both converged methods start from: the pattern in which the teeth pass, and the machine in its modes.
-
-
-NO_LOBE = -1
-"""Value of ``lobe`` where there is no limit."""
+# --- the pattern in which the teeth pass, and the machine in its modes ------------------------------------------------
 
 
 class Machine(Protocol):

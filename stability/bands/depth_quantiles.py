@@ -33,6 +33,7 @@ from process.labels import label
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from stability.bands.error_model import ErrorModel, ModalError, Spread, changed_coefficients, measured_error
+from stability.bands.settings import SETTINGS
 from stability.methods.vibration_mode import modal_samples
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
 from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, modes_of, pattern_of_pitch
@@ -42,15 +43,6 @@ QUANTILES: tuple[float, ...] = (0.05, 0.5, 0.95)
 
 SAFE_PROBABILITY = 0.95
 """Probability with which the safe depth is stable."""
-
-CROSSINGS = 8
-"""Crossings a speed that may become the lowest, in the linearised way."""
-
-MOST_BIAS = 0.5
-"""Largest correction for the median, in standard deviations; an estimate of infinity is not corrected at all."""
-
-LINEAR_DRAWS = 2000
-"""Draws of the linearised errors; they cost next to nothing."""
 
 
 @dataclass(frozen=True)
@@ -185,9 +177,9 @@ def linearised_band(
     size, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(size, 0.0))[..., None, :]
     found = np.empty((len(levels), problem.speed.size))
-    common = generator.standard_normal((LINEAR_DRAWS, shared.shape[-1]))
+    common = generator.standard_normal((SETTINGS.linear_draws, shared.shape[-1]))
     for s in range(problem.speed.size):
-        own = generator.standard_normal((LINEAR_DRAWS, value.shape[1]))
+        own = generator.standard_normal((SETTINGS.linear_draws, value.shape[1]))
         half_inverse = (value[s] + own @ factor[s].T + common @ shared[s].T).max(axis=1)
         found[:, s] = _depth_quantiles(half_inverse, levels)
     return _labelled("linearised", problem, nominal, levels, found, safe_probability, {"seed": seed})
@@ -242,12 +234,12 @@ def corrected_quantiles(drawn: Real, nominal: Real, levels: Sequence[float]) -> 
     drawn : ndarray, shape (samples, speeds)
         Samples; inf is a value like any other.
     nominal : ndarray, shape (speeds,)
-        The estimate about which they were drawn. The median z0 of the samples below it is cut to `MOST_BIAS`.
+        The estimate about which they were drawn. The median z0 of the samples below it is cut to `SETTINGS.most_bias`.
     levels : sequence of float
         Levels between 0 and 1.
     """
     count = drawn.shape[0]
-    z0 = np.where(np.isinf(nominal), 0.0, np.clip(_bias(drawn, nominal), -MOST_BIAS, MOST_BIAS))
+    z0 = np.where(np.isinf(nominal), 0.0, np.clip(_bias(drawn, nominal), -SETTINGS.most_bias, SETTINGS.most_bias))
     rank = ndtr(2.0 * z0 + ndtri(np.asarray(levels))[:, None]) * count
     ordered = np.sort(drawn, axis=0)
     index = np.clip(np.ceil(rank - 0.5).astype(np.int64), 1, count) - 1
@@ -262,7 +254,7 @@ def _bias(drawn: Real, nominal: Real) -> Real:
 
 def _bias_warning(drawn: Real, nominal: Real) -> list[str]:
     """Say where errors of the compliance make limits too low as a rule: every wrong crossing counts, none raises it."""
-    low = int((_bias(drawn, nominal) > MOST_BIAS).sum())
+    low = int((_bias(drawn, nominal) > SETTINGS.most_bias).sum())
     if low == 0:
         return []
     return [
@@ -340,7 +332,7 @@ def _labelled(
 
 @dataclass(frozen=True)
 class _Crossings:
-    """The crossings of each speed that limit the depth most; shapes (speeds, CROSSINGS), unused ones at mu = 0."""
+    """The crossings of each speed that limit the depth most; shapes (speeds, crossings), unused ones at mu = 0."""
 
     frequency: Real
     mu: Complex
@@ -352,15 +344,15 @@ def _lowest_crossings(branches: Branches, period: Real) -> _Crossings:
     """Return the crossings of largest Re(mu), i.e. lowest depth, at each tooth period [s]."""
     pieces = 1 + 4 * (branches.samples.frequency.size < 4000)
     f, every = branches.refined(pieces)
-    shape = (period.size, CROSSINGS)
+    shape = (period.size, SETTINGS.crossings)
     out = np.zeros((3, *shape), dtype=complex)
     out[0] = branches.samples.frequency[0]
     found = [_crossings(f, mu, period) for mu in every]
     speed, frequency, mu, slope = (np.concatenate(columns) for columns in zip(*found, strict=True))
     order = np.lexsort((-mu.real, speed))
     rank = np.arange(order.size) - np.searchsorted(speed[order], speed[order])
-    kept = order[rank < CROSSINGS]
-    at = speed[kept], rank[rank < CROSSINGS]
+    kept = order[rank < SETTINGS.crossings]
+    at = speed[kept], rank[rank < SETTINGS.crossings]
     for field, values in zip(out, (frequency, mu, slope), strict=True):
         field[at] = values[kept]
     return _Crossings(out[0].real, out[1], out[2], np.broadcast_to(period[:, None], shape))
@@ -388,7 +380,7 @@ def _crossings(f: Real, mu: Complex, period: Real) -> tuple[NDArray[np.int64], R
 def _linear_errors(problem: _Problem, branches: Branches, at: _Crossings) -> tuple[Real, Real, Real]:
     """Return Re(mu) = 1/(2 a), its change with shared factors, and the covariance of the rest, for each crossing.
 
-    Shapes (speeds, CROSSINGS), (speeds, CROSSINGS, factors), (speeds, CROSSINGS, CROSSINGS).
+    Shapes (speeds, crossings), (speeds, crossings, factors), (speeds, crossings, crossings).
     """
     shape, f = at.mu.shape, at.frequency.ravel()
     used = at.mu.ravel() != 0.0

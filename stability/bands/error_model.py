@@ -32,12 +32,7 @@ from process.errors import InputError
 from process.labels import AXES, at_tool, axis_index, not_measured
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Complex, Real
-
-LEVEL_WIDTH = 6.0
-"""The level of the errors is averaged over this many shared widths: a few repeats know that of one line badly."""
-
-MOST_MISSING = 0.1
-"""Share of the frequencies at which a standard deviation may be missing; there it is interpolated."""
+from stability.bands.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -192,7 +187,7 @@ class ModalError:
 
 def carries_errors(compliance: xr.Dataset) -> bool:
     """Whether a compliance says how far it can be trusted: a standard deviation at nearly all of its frequencies."""
-    return "compliance_std" in compliance and _missing(compliance) <= MOST_MISSING
+    return "compliance_std" in compliance and _missing(compliance) <= SETTINGS.most_missing
 
 
 def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
@@ -256,7 +251,7 @@ def _covariance(compliance: xr.Dataset) -> Complex:
         column.real[~known] = np.interp(f[~known], f[known], column.real[known])
         column.imag[~known] = np.interp(f[~known], f[known], column.imag[known])
     lines = max(1.0, float(compliance.attrs.get("error_lines", 1.0)))
-    return _level(flat, round(0.5 * LEVEL_WIDTH * lines)).reshape(values.shape)
+    return _level(flat, round(0.5 * SETTINGS.level_width * lines)).reshape(values.shape)
 
 
 def _level(values: Complex, reach: int) -> Complex:

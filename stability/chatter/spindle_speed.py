@@ -1,4 +1,7 @@
-"""The spindle speed from the lines of a record alone: the spacing of its harmonics.
+"""The spindle speed from the lines of a record: found from their spacing, or followed along a cut.
+
+`spindle_from_lines` finds an unknown speed; `followed_turns` follows a known one by the comb of its orders, so that the
+cut can be judged over turns of the spindle instead of time.
 
 A cut has lines at the multiples of the tooth passing frequency, run-out adds lines at the multiples of the spindle
 frequency, and chatter comes with sidebands spaced alike. The fundamental f is the one whose multiples explain the most
@@ -105,7 +108,7 @@ def _height(spectrum: LineSpectrum, amplitude: Real, frequency: float) -> float:
     return float(amplitude[spectrum.near(frequency, spectrum.resolution)].max())
 
 
-# --- A cut over turns of the spindle instead of time: the spindle followed by the comb of its own orders.
+# --- a cut over turns of the spindle instead of time ------------------------------------------------------------------
 
 
 def windows(samples: Real, dt: float, length: float, step: float) -> tuple[Real, Real, Complex]:

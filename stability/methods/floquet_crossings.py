@@ -15,27 +15,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from process.types import Complex, Real
+from stability.methods.settings import SETTINGS
 
 Curve = Callable[[Real], Sequence[Complex] | Complex]
 """Angles, shape (n,) -> for each the eigenvalues [1/m], shape (any,), in any order."""
-
-NEGLIGIBLE = 3e-3
-"""Eigenvalues below this share of the largest over all angles stand for depths beyond any limit of use."""
-
-LARGEST_STEP = 0.25
-"""An eigenvalue near the real axis may change by this share of itself before the interval is halved."""
-
-TANGENT_STEP = 0.02
-"""As `LARGEST_STEP` where a curve comes near the axis without crossing it: a narrow island hides there."""
-
-CLOSE_TO_END = 2e-4
-"""How near to theta = 0 and pi the curves are sampled [rad]; what is followed nearer has become a fold or a flip."""
-
-LARGEST_TURN = 1.6
-"""By how much the phase of a determinant may change in a step [rad]."""
-
-SMALLEST_INTERVAL = 1e-7
-"""Intervals of theta are not halved below this [rad]."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +59,7 @@ def angle_grid(poles: Complex, count: int) -> Real:
     width = np.minimum(-np.log(np.maximum(np.abs(poles), 1e-300)), 1.0)
     near = (np.abs(np.angle(poles))[:, None] + width[:, None] * offset).ravel()
     # At 0 and pi every real eigenvalue lies on the axis: a curve that crosses just before is seen just before only.
-    close = [CLOSE_TO_END, math.pi - CLOSE_TO_END]
+    close = [SETTINGS.close_to_end, math.pi - SETTINGS.close_to_end]
     grid = np.unique(np.concatenate([even, close, near[(near > close[0]) & (near < close[1])]]))
     apart = np.concatenate([[True], np.diff(grid) > 1e-4])
     apart[-2:] = True
@@ -108,7 +91,7 @@ def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> 
     largest = float(size.max())
     if largest == 0.0:
         return []
-    beyond = deepest or 1.0 / (NEGLIGIBLE * largest)
+    beyond = deepest or 1.0 / (SETTINGS.negligible_eigenvalue * largest)
     found = [c for c in found if c.depth <= beyond]
     reach = np.maximum(real[:-1], real[1:])
     bound = deepest or min([beyond, *(c.depth for c in found)])
@@ -138,7 +121,7 @@ def _between(curve: Curve, low: tuple[float, Complex], high: tuple[float, Comple
     while work:
         (a, at_a), (b, at_b) = work.pop()
         steps = _matched(at_a, at_b, least)
-        if b - a > SMALLEST_INTERVAL and any(_too_far(first, last) for first, last in steps):
+        if b - a > SETTINGS.smallest_interval and any(_too_far(first, last) for first, last in steps):
             middle = 0.5 * (a + b)
             at_middle = _at(curve, middle)
             work += [((a, at_a), (middle, at_middle)), ((middle, at_middle), (b, at_b))]
@@ -154,8 +137,8 @@ def _too_far(first: complex, last: complex) -> bool:
         return False
     step, size = abs(last - first), max(abs(first), abs(last))
     if first.imag * last.imag <= 0.0:
-        return step > LARGEST_STEP * size
-    return min(abs(first.imag), abs(last.imag)) < 0.5 * step and step > TANGENT_STEP * size
+        return step > SETTINGS.largest_step * size
+    return min(abs(first.imag), abs(last.imag)) < 0.5 * step and step > SETTINGS.tangent_step * size
 
 
 def _matched(at_a: Complex, at_b: Complex, least: float) -> list[tuple[complex, complex]]:
@@ -200,7 +183,10 @@ def follow(curve: Curve, crossing: Crossing) -> Crossing | None:
     for _ in range(25):
         at_new = _nearest(_at(curve, new), value)
         if abs(at_new.imag) <= 1e-7 * abs(at_new):
-            near = abs(at_new.real * crossing.depth - 1.0) < 0.2 and CLOSE_TO_END < new < math.pi - CLOSE_TO_END
+            near = (
+                abs(at_new.real * crossing.depth - 1.0) < 0.2
+                and SETTINGS.close_to_end < new < math.pi - SETTINGS.close_to_end
+            )
             return Crossing(new, 1.0 / at_new.real) if near else None
         if at_new.imag == value.imag:
             return None
@@ -215,7 +201,7 @@ def is_unstable(matrix: Callable[[float], Complex], angles: Real, depth: float) 
 
     The machine alone is stable, so that ``det(1 - depth M(theta))`` turns about zero as often as multipliers lie
     outside the unit circle. Over half the circle it turns by half of that, from one real value to another; steps of
-    more than `LARGEST_TURN` are halved.
+    more than `SETTINGS.largest_turn` are halved.
 
     Parameters
     ----------
@@ -240,7 +226,7 @@ def is_unstable(matrix: Callable[[float], Complex], angles: Real, depth: float) 
             known[high] = sign(high)
         at_high = known[high]
         turned = float(np.angle(at_high / at_low)) if at_low else 0.0
-        if abs(turned) > LARGEST_TURN and high - low > SMALLEST_INTERVAL:
+        if abs(turned) > SETTINGS.largest_turn and high - low > SETTINGS.smallest_interval:
             ahead.append(0.5 * (low + high))
             continue
         total, low, at_low = total + turned, high, at_high

@@ -34,7 +34,6 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.types import Complex, Real
 from stability.methods.floquet_crossings import (
-    NEGLIGIBLE,
     Crossing,
     angle_grid,
     find_crossings,
@@ -43,6 +42,7 @@ from stability.methods.floquet_crossings import (
     relative_change,
 )
 from stability.methods.semi_discretization import LimitDepth, labelled_limits
+from stability.methods.settings import SETTINGS
 from stability.problem import (
     NO_LOBE,
     Cut,
@@ -57,24 +57,6 @@ from stability.problem import (
 )
 
 METHOD = "multi-frequency method"
-
-MOST_HARMONICS = 64
-"""Harmonics are not added beyond this; up to four times as many where short arcs keep the unknowns few."""
-
-EVEN_STEPS = 48
-"""Even steps in which the whole range of w is scanned; about resonances the scan is finer."""
-
-CONFIRMED = 0.9
-"""Share of a limit at which the cut must be stable."""
-
-MOST_UNKNOWNS = 128
-"""How many are few."""
-
-NODES_A_RADIAN = 0.6
-"""Gauss nodes on an arc for each radian that the last harmonic turns there; 0.5 is the least that resolves it."""
-
-SPARE_NODES = 8
-"""Gauss nodes on an arc beyond those."""
 
 
 @dataclass(frozen=True)
@@ -247,15 +229,15 @@ class _Lines:
     @cached_property
     def most(self) -> int:
         """Number of harmonics beyond which none is added: more where short arcs keep the unknowns few."""
-        each = NODES_A_RADIAN * self.pattern.repeats * sum(part.arc for part in self._arc.arcs)
-        few = (MOST_UNKNOWNS / self.teeth - len(self._arc.arcs) * SPARE_NODES) / each
-        return max(MOST_HARMONICS, min(4 * MOST_HARMONICS, int(few)))
+        each = SETTINGS.nodes_a_radian * self.pattern.repeats * sum(part.arc for part in self._arc.arcs)
+        few = (SETTINGS.most_unknowns / self.teeth - len(self._arc.arcs) * SETTINGS.spare_nodes) / each
+        return max(SETTINGS.most_harmonics, min(4 * SETTINGS.most_harmonics, int(few)))
 
     def upto(self, count: int) -> _Blocks | _Contacts:
         """Return the smaller of the two forms in which the lines -R .. R of the cut can be had."""
         if count not in self._known:
-            share = NODES_A_RADIAN * self.pattern.repeats * count
-            nodes = [math.ceil(share * part.arc) + SPARE_NODES for part in self._arc.arcs]
+            share = SETTINGS.nodes_a_radian * self.pattern.repeats * count
+            nodes = [math.ceil(share * part.arc) + SETTINGS.spare_nodes for part in self._arc.arcs]
             fewer = self.teeth * sum(nodes) < self._directions * (2 * count + 1)
             self._known[count] = self._contacts(count, nodes) if fewer else self._blocks(count)
         return self._known[count]
@@ -391,7 +373,7 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
     """Add harmonics until the first loss stands still; where it does not, the next set is scanned as a whole."""
     duration = lines.pattern.duration(spindle_speed)
     poles = np.exp(response.resonance * duration)
-    angles = angle_grid(poles, EVEN_STEPS)
+    angles = angle_grid(poles, SETTINGS.even_steps)
 
     def truncated(count: int) -> _Truncated:
         return _Truncated(response, lines.pattern, duration, count, lines.upto(count))
@@ -415,9 +397,9 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
             new = first(loop)
             change = relative_change(old, new)
         old = new
-    if not _confirmed(loop, angle_grid(poles, EVEN_STEPS // 4), old):
+    if not _confirmed(loop, angle_grid(poles, SETTINGS.even_steps // 4), old):
         # A coarser set has missed a root, or the angles have.
-        closer = angle_grid(poles, 4 * EVEN_STEPS)
+        closer = angle_grid(poles, 4 * SETTINGS.even_steps)
         new = next(iter(find_crossings(loop.values, closer)), None)
         change = relative_change(old, new) if _confirmed(loop, closer, new) and change <= tolerance else math.inf
         old = new
@@ -429,9 +411,9 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
 def _confirmed(loop: _Truncated, angles: Real, found: Crossing | None) -> bool:
     """Whether the cut is stable just below a limit, or deep down where there is none."""
     if found is None:
-        depth = 1.0 / (NEGLIGIBLE * max(float(np.abs(part).max()) for part in loop.values(angles)))
+        depth = 1.0 / (SETTINGS.negligible_eigenvalue * max(float(np.abs(part).max()) for part in loop.values(angles)))
     else:
-        depth = CONFIRMED * found.depth
+        depth = SETTINGS.confirmed_share * found.depth
     return not is_unstable(lambda angle: loop.matrix(angle)[0], angles, depth)
 
 

@@ -27,6 +27,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import at_tool, check_compliance, label
 from process.types import Complex, Real
+from stability.methods.settings import SETTINGS
 from stability.methods.vibration_mode import vibration
 from stability.methods.zero_order import first_limits, labelled
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
@@ -44,11 +45,6 @@ from stability.problem import (
 CONDITIONS: tuple[str, ...] = ("feed", "force_level", "depth_of_cut", "level")
 """Dimensions of a compliance that a cut fixes: mm/min, N, mm; ``level`` only counts the levels of each feed."""
 
-PIECES = 4
-"""Into how many pieces each interval between measured levels is cut in the search for roots."""
-
-KEPT = 64
-"""How many conditions are kept for the next speed."""
 
 Level = Callable[[float], float]
 """Depth of cut [m] -> what the level dimension of the compliance counts [N or mm]."""
@@ -172,7 +168,7 @@ class _Search:
         if key in self.kept:
             return self.kept[key]
         branches = eigenvalue_branches(self.conditions.at(*key), self.directional)
-        if self.conditions.feed.size == 1 and len(self.kept) < KEPT:
+        if self.conditions.feed.size == 1 and len(self.kept) < SETTINGS.kept_conditions:
             self.kept[key] = branches
         return branches
 
@@ -202,7 +198,7 @@ class _Search:
     def _nodes(self) -> list[float]:
         """Return the depths [m] of the measured levels and between them; below and above the compliance is constant."""
         ends = [_inverse(self.level, float(level)) for level in self.conditions.every_level]
-        between = [np.linspace(a, b, PIECES, endpoint=False) for a, b in pairwise(ends)]
+        between = [np.linspace(a, b, SETTINGS.pieces_of_a_level, endpoint=False) for a, b in pairwise(ends)]
         return [float(a) for a in np.concatenate([*between, ends[-1:]])]
 
 

@@ -12,19 +12,11 @@ from numpy.typing import NDArray
 from process.cut.force import chip_projection, force_projection
 from process.types import Complex, Real
 from stability.methods import _semi_discretization_kernels as kernels
+from stability.methods.settings import SETTINGS
 from stability.problem import Cut, Modes, Pattern
 
 Element = tuple[float, float, list[int]]
 """From which angle [rad], how far, and with which teeth engaged."""
-
-FEWEST_NODES = 4
-"""Smallest number of nodes in an element."""
-
-ORDER = 24
-"""Largest number of nodes in an element."""
-
-WASTE = 1.3
-"""By how much the nodes over a period may exceed the fewest for the sake of more nodes in an element."""
 
 
 @dataclass(frozen=True)
@@ -98,13 +90,13 @@ def _elements(cut: Cut, pattern: Pattern, steps: int) -> tuple[list[Element], in
     # An element must not hold the surface that it cuts itself: none is longer than the shortest delay.
     fewest = [math.ceil(length / pattern.delay.min() - 1e-9) for _, length, _ in pieces]
     choices = []
-    for order in range(FEWEST_NODES, ORDER + 1):
+    for order in range(SETTINGS.fewest_nodes, SETTINGS.highest_order + 1):
         counts = [max(n, math.ceil(s / order - 1e-9)) for s, n in zip(share, fewest, strict=True)]
-        nodes = max(FEWEST_NODES, *(math.ceil(s / n - 1e-9) for s, n in zip(share, counts, strict=True)))
+        nodes = max(SETTINGS.fewest_nodes, *(math.ceil(s / n - 1e-9) for s, n in zip(share, counts, strict=True)))
         choices.append((nodes * sum(counts), nodes, counts))
     # Many nodes in few elements are the most accurate; but all elements have as many, and short ones need few.
     least = min(total for total, _, _ in choices)
-    _, nodes, counts = max((c for c in choices if c[0] <= WASTE * least), key=lambda c: c[1])
+    _, nodes, counts = max((c for c in choices if c[0] <= SETTINGS.wasted_nodes * least), key=lambda c: c[1])
     elements = [
         (low + length * i / n, length / n, teeth)
         for (low, length, teeth), n in zip(pieces, counts, strict=True)

@@ -8,17 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.types import Complex, Real
+from stability.methods.settings import SETTINGS
 from stability.methods.zero_order_branches import Branches
 from stability.problem import Modes, Samples
 
 NO_MODE = 0
 """Number of the mode where nothing crosses."""
-
-REACH = 30.0
-"""A machine is sampled from this share below its lowest pole to this multiple of its highest."""
-
-DENSITY = 16.0
-"""Samples a doubling of the distance from a pole, in half-power widths."""
 
 
 def modal_samples(modes: Modes) -> Samples:
@@ -27,13 +22,15 @@ def modal_samples(modes: Modes) -> Samples:
     if pole.size == 0:
         pole = modes.rate / (2.0 * math.pi)
     centre, width = np.abs(pole), np.maximum(-pole.real, 1e-6 * np.abs(pole))
-    low, high = float(centre.min()) / REACH, float(centre.max()) * REACH
+    low, high = float(centre.min()) / SETTINGS.reach_of_samples, float(centre.max()) * SETTINGS.reach_of_samples
     spread = np.sinh(np.linspace(-20.0, 20.0, 2001))
     every = (centre[:, None] + width[:, None] * spread).ravel()
     every = np.unique(np.concatenate([[low, high], np.geomspace(low, high, 500), every]))
     every = every[(every >= low) & (every <= high)]
     count = np.arcsinh((every[:, None] - centre) / width).sum(axis=1) + np.log(every)
-    even = np.linspace(count[0], count[-1], math.ceil(DENSITY * (count[-1] - count[0]) / math.log(2.0)) + 1)
+    even = np.linspace(
+        count[0], count[-1], math.ceil(SETTINGS.density_of_samples * (count[-1] - count[0]) / math.log(2.0)) + 1
+    )
     frequency = np.unique(np.interp(even, count, every))
     return Samples(frequency, modes.matrix(frequency), np.ones(frequency.size - 1, dtype=bool), ())
 

@@ -353,14 +353,14 @@ class TestWhatIsMissing:
     @pytest.mark.parametrize(
         "name",
         [
-            "frf.nc",
+            "spectra.nc",
             *(
                 pytest.param(name, marks=pytest.mark.slow)
                 for name in (
                     "lobes.nc",
                     "lobe_table.csv",
                     "chatter.csv",
-                    "spectra.nc",
+                    "frf.nc",
                     "comparison.csv",
                     "model_error.csv",
                     "provenance.json",
