@@ -4,6 +4,6 @@
 class InputError(ValueError):
     """Input that cannot be used.
 
-    The message says what was given, what is needed and what to do about it. The command line prints it
+    The message states the input, the requirement and the remedy. The command line prints it
     without a traceback and ends with exit code 1.
     """

@@ -336,7 +336,7 @@ def full_matrix(dataset: xr.Dataset) -> Complex:
 
     Notes
     -----
-    Zero means rigid. A caller that computes a limit from a partial matrix must say so. An entry that is known at some
+    Zero means rigid. A caller that computes a limit from a partial matrix must state it. An entry that is known at some
     frequencies only is NaN at the others.
     """
     dataset = at_tool(check_compliance(dataset))

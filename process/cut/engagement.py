@@ -150,7 +150,7 @@ def engagement_of_strips(strips: Sequence[tuple[float, float]], diameter: float)
     Parameters
     ----------
     strips : sequence of (float, float)
-        Lower and upper edge of each strip of work, from the tool axis along +y [m]; what lies beyond the tool is left
+        Lower and upper edge of each strip of work, from the tool axis along +y [m]; parts beyond the tool are left
         out.
     diameter : float
         Tool diameter D [m].

@@ -74,7 +74,7 @@ class SampledServo:
     def continuous(self) -> Servo:
         """Return the continuous servo that this one equals up to the second order of T.
 
-        ``z/(z - 1) = 1/(s T) + 1/2 + O(T)``: the rectangular integral is worth ``Kp (1 + T/(2 Ti))`` and ``Ti + T/2``;
+        ``z/(z - 1) = 1/(s T) + 1/2 + O(T)``: the rectangular integral equals ``Kp (1 + T/(2 Ti))`` and ``Ti + T/2``;
         hold and lag are a dead time of ``(lag + 1/2) T``. With the gains as they stand the order is one.
         """
         more = 0.5 * self.period / self.servo.Ti
@@ -139,8 +139,8 @@ class SampledServo:
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
         if not np.all((f > 0.0) & (f <= self.nyquist)):
             raise InputError(
-                f"frequencies from {f.min():g} to {f.max():g} Hz; a loop sampled every {self.period:g} s answers above "
-                f"0 and up to {self.nyquist:g} Hz"
+                f"frequencies from {f.min():g} to {f.max():g} Hz; a loop sampled every {self.period:g} s is defined "
+                f"above 0 and up to {self.nyquist:g} Hz"
             )
         return f
 
@@ -176,7 +176,7 @@ class SampledServo:
         """Return the tip's response [m/N] at the frequency [Hz] of a force on it, between samples too.
 
         ``Phi = G_tt - G_tm H0/T C/(1 + L) (s + Kv) G_mt`` with ``H0 = (1 - exp(-s T))/s``, G the compliances of the
-        free axis. The hold also answers at ``n/T +- f``; those parts are left out.
+        free axis. The response of the hold at ``n/T +- f`` is left out.
 
         Raises
         ------

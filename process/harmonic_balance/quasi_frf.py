@@ -1,7 +1,7 @@
 """Compliance of a machine at a level of force by harmonic balance: one harmonic where it is right, else many.
 
 It is what stepped sines would measure, without time simulation. `network` makes a `Network` of a machine, `balanced`
-solves it for one direction, `quasi_compliance` labels the answer, `compliance_map` does so for many conditions.
+solves it for one direction, `quasi_compliance` labels the solution, `compliance_map` does so for many conditions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ METHODS = ("single harmonic", "many harmonics", "not converged", "not periodic")
 
 
 @dataclass(frozen=True)
-class Answer:
+class Solution:
     """Solution by `balanced` at n frequencies.
 
     Attributes
@@ -57,7 +57,7 @@ class Answer:
 
 def balanced(
     network: Network, force: float, frequency: ArrayLike, excitation: int = 0, tolerance: float = RULES.tolerance
-) -> Answer:
+) -> Solution:
     """Solve with one harmonic, and with as many as needed where its error exceeds the tolerance.
 
     The uniform motion must be stable: that is for the caller to see to.
@@ -87,7 +87,7 @@ def balanced(
         method[left] = np.select([~many.converged, unstable > 0], [2, 3], 1)
         one = one.replaced(left, many)
     one.compliance[method > 1] = np.nan
-    return Answer(one.spread(whole, moved), method, harmonics, distortion)
+    return Solution(one.spread(whole, moved), method, harmonics, distortion)
 
 
 def status(steady: bool, method: NDArray[np.int64], solutions: NDArray[np.int64]) -> str:
@@ -246,7 +246,7 @@ def quasi_compliance(
     steady = machine.at(feed, controller, position).unstable_poles() == 0
     columns, rows = axis_index(list(excitation)), axis_index(list(response))
     extra: dict[str, Any] = {}
-    said = status(steady, *np.zeros((2, 0), dtype=np.int64))
+    sentence = status(steady, *np.zeros((2, 0), dtype=np.int64))
     shape = (f.size, len(rows), len(columns))
     if not steady:
         values = np.full(shape, np.nan + 0j)
@@ -255,28 +255,28 @@ def quasi_compliance(
     else:
         f = checked(level, f)
         linear = network(machine, feed, controller, position)
-        answers = [balanced(linear, level, f, e, tolerance) for e in columns]
-        values = np.stack([a.balance.compliance[:, rows] for a in answers], axis=-1)
-        extra = _points(machine, linear, answers)
-        counts = np.stack([a.balance.solutions for a in answers])
-        said = status(steady, np.stack([a.method for a in answers]), counts)
-    out = make_compliance(f, values, response, excitation, extra, {"status": said})
+        solutions = [balanced(linear, level, f, e, tolerance) for e in columns]
+        values = np.stack([a.balance.compliance[:, rows] for a in solutions], axis=-1)
+        extra = _element_variables(machine, linear, solutions)
+        counts = np.stack([a.balance.solutions for a in solutions])
+        sentence = status(steady, np.stack([a.method for a in solutions]), counts)
+    out = make_compliance(f, values, response, excitation, extra, {"status": sentence})
     return _conditions(out, machine, feed, level, controller, position)
 
 
-def _points(machine: Machine, linear: Network, answers: list[Answer]) -> dict[str, Any]:
+def _element_variables(machine: Machine, linear: Network, solutions: list[Solution]) -> dict[str, Any]:
     """Variables of the elements, of dimensions (frequency, slide or joint, excitation)."""
-    coefficient = np.stack([a.balance.coefficient for a in answers], axis=-1)
-    amplitude = np.abs(np.stack([a.balance.fundamental for a in answers], axis=-1))
+    coefficient = np.stack([a.balance.coefficient for a in solutions], axis=-1)
+    amplitude = np.abs(np.stack([a.balance.fundamental for a in solutions], axis=-1))
     axes = ("frequency", "excitation")
 
     def each(values: list[Any]) -> NDArray[Any]:
         return np.stack(values, axis=-1)
 
     extra: dict[str, Any] = {
-        "method": (axes, each([a.method for a in answers]), {"units": "1"}),
-        "harmonics": (axes, each([a.harmonics for a in answers]), {"units": "1"}),
-        "error_estimate": (axes, each([a.balance.error for a in answers]), {"units": "1"}),
+        "method": (axes, each([a.method for a in solutions]), {"units": "1"}),
+        "harmonics": (axes, each([a.harmonics for a in solutions]), {"units": "1"}),
+        "error_estimate": (axes, each([a.balance.error for a in solutions]), {"units": "1"}),
     }
     joint = linear.displaced
     names = [a for a, axis in machine.axes.items() if not isinstance(axis.friction, Viscous)]
@@ -350,7 +350,7 @@ def compliance_map(
     xarray.Dataset
         ``compliance`` [m/N] and ``status`` over those of ``feed`` [mm/min], ``controller``, ``position`` [m] and
         ``force_level`` [N] that were given more than one value; the others are scalar coordinates. Not a number where
-        the machine is not at rest without excitation; ``status`` says so.
+        the machine is not at rest without excitation; ``status`` states it.
     """
     lists: dict[str, Sequence[Any]] = {
         "feed": feeds, "controller": controllers, "position": positions, "force_level": force_levels,

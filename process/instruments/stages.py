@@ -368,7 +368,7 @@ class Clock(Stage):
     rate_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a clock that stands still."""
+        """Refuse a rate error of a half or more."""
         _split(self.channel)
         if not (math.isfinite(self.skew) and abs(self.rate_error) < 0.5):
             raise InputError(
