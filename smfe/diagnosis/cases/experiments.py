@@ -15,7 +15,7 @@ import numpy as np
 
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.causes import AXES
-from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.frf.noise import Excited, excited_of
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.problem import Condition
 
@@ -91,8 +91,7 @@ def _changes(base: Condition, family: MachineFrfs) -> Iterator[tuple[str, str, f
 
 
 def _proposal(base: Condition, words: str, key: str, value: float | str, axis: str) -> Condition:
-    excited = base.data
-    assert isinstance(excited, Excited)
+    excited = excited_of(base)
     settings: dict[str, float | str] = {**base.settings, key: value}
     level = float(settings["level"])
     # The error of a line is that of the sensors mostly: a compliance is known better at a higher level.
@@ -129,8 +128,7 @@ def proposed_modal_experiments(conditions: Sequence[Condition]) -> tuple[Conditi
     if not used:
         return ()
     first, last = used[0], max(float(c.settings.get("order", 0.0)) for c in used)
-    excited = first.data
-    assert isinstance(excited, Excited)
+    excited = excited_of(first)
     later = dict(first.settings) | {"order": last + 0.05}
     known = {key: {c.settings.get(key) for c in conditions} for key in ("sensor", "spindle_speed", "free_mass")}
     found = [("the first condition once more, at the end", later, excited)]

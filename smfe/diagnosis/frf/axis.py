@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -24,7 +25,7 @@ from process.simulation.problem import MachineRun
 from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
-from smfe.diagnosis.frf.noise import Excited, kept, scatter_of, smooth_errors
+from smfe.diagnosis.frf.noise import Excited, excited_of, kept, scatter_of, smooth_errors
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.fit import Target, roughly
 from smfe.diagnosis.inference.model import Model
@@ -34,6 +35,10 @@ from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parame
 @dataclass(frozen=True)
 class MachineFrfs(Abilities):
     """A family for `smfe.diagnosis.inference.diagnose`: compliances of one machine under many conditions."""
+
+    roughness: ClassVar[float] = RULES.roughness
+    model_error: ClassVar[float] = RULES.model_error
+    prepares_data: ClassVar[bool] = True  # single hits are made to mean hits by a simulation
 
     baseline: AxisBaseline  # the simulation that is tested
     conditions: tuple[Condition, ...]  # measured compliances (`smfe.diagnosis.frf.noise.condition_of`)
@@ -52,24 +57,14 @@ class MachineFrfs(Abilities):
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Every candidate but those left out."""
-        data = [c.data for c in self.conditions if isinstance(c.data, Excited)]
+        data = [excited_of(c) for c in self.conditions]
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
         every = (*self.baseline.causes(), *sensor_causes(band))
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
-    @property
-    def roughness(self) -> float:
-        """Distance of predictions from a smooth function of the parameters, in noise."""
-        return RULES.roughness
-
-    @property
-    def model_error(self) -> float:
-        """Relative error of predictions that looks like a change of the parameters."""
-        return RULES.model_error
-
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
-        return condition.data.degrees_of_freedom if isinstance(condition.data, Excited) else math.inf
+        return excited_of(condition).degrees_of_freedom
 
     def relative(self, condition: Condition, predicted: Real, slopes: Real) -> Complex:
         """Return slopes of a prediction, (n, p), over the prediction itself, each line by itself, (n/2, p)."""
@@ -90,11 +85,6 @@ class MachineFrfs(Abilities):
                 keys.append((how, level))
             numbers.append(found[0] if found else len(keys) - 1)
         return numbers
-
-    @property
-    def prepares_data(self) -> bool:
-        """Single hits are made to mean hits by a simulation."""
-        return True
 
     def as_found(self, values: Values) -> tuple[Condition, ...]:
         """Return the conditions as the mean hits on a machine of these values would have found them."""
@@ -120,12 +110,6 @@ class MachineFrfs(Abilities):
 
     def _machine(self, found: Effective) -> SimulatedMachine:
         return kept(self._machines, found, lambda: SimulatedMachine(self.baseline.machine(found)), RULES.machines_kept)
-
-
-def excited_of(condition: Condition) -> Excited:
-    """Return how a condition was excited."""
-    assert isinstance(condition.data, Excited)
-    return condition.data
 
 
 class SimulatedMachine:

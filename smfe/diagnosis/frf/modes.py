@@ -18,7 +18,7 @@ from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from smfe.diagnosis.frf.causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
-from smfe.diagnosis.frf.noise import Excited, kept
+from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
@@ -118,16 +118,14 @@ class ModalFrfs(Abilities):
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
-        return condition.data.degrees_of_freedom if isinstance(condition.data, Excited) else math.inf
+        return excited_of(condition).degrees_of_freedom
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the compliance that a set of values predicts, whitened like the data.
 
         Raises InputError when no machine has these values.
         """
-        excited = condition.data
-        assert isinstance(excited, Excited)
-        settings = condition.settings
+        excited, settings = excited_of(condition), condition.settings
         free, laser = float(settings.get("free_mass", 0.0)), settings.get("sensor") == "laser"
         carried = self._carried(condition, values)
         machine = None if free else self.changed(condition, values)

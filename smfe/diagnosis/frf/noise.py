@@ -101,6 +101,12 @@ class Excited:
         return np.asarray((flat[0::2] + 1j * flat[1::2]) * self.std.T.reshape(-1, 1) / np.sqrt(2.0))
 
 
+def excited_of(condition: Condition) -> Excited:
+    """Return how a condition was excited."""
+    assert isinstance(condition.data, Excited)
+    return condition.data
+
+
 def _scaled(values: Complex, std: Real) -> Real:
     scaled = (np.sqrt(2.0) * values / std).T
     return np.stack([scaled.real, scaled.imag], axis=-1).ravel()
