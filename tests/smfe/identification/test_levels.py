@@ -48,6 +48,7 @@ def study() -> xr.Dataset:
     return duffing([50.0, 800.0, 52.0, 780.0, 48.0, 820.0])
 
 
+@pytest.mark.slow
 def test_levels_in_one_record_become_a_dimension(study: xr.Dataset) -> None:
     found = hammer_levels("levels", {"x": [study]}, frequency_range=(30.0, 120.0))
     compliance = found.compliance["compliance"]

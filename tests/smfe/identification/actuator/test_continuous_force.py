@@ -117,6 +117,7 @@ def test_averages_of_blocks_hold_the_truth(estimator: str) -> None:
     assert relative(blocks, 60.0) < 0.05
 
 
+@pytest.mark.slow
 def test_noise_of_the_force_lowers_h1_and_not_hv() -> None:
     """N/S_FF = 0.27^2 370/512 = 0.053: H1 is 5 % low; N is known from silence before the start."""
     record = shaken(noise_between(10.0, 380.0, 60.0), force_noise=0.27, quiet=1024)
@@ -216,6 +217,7 @@ def test_what_cannot_be_done_is_said() -> None:
         identify_shaken("coarse", {"x": [record]}, estimator="H1", resolution=0.02)
 
 
+@pytest.mark.slow
 def test_a_force_along_another_axis_is_said_and_a_small_one_is_not() -> None:
     record, rng = shaken(noise_between(20.0, 300.0, 6.0)), np.random.default_rng(3)
     x = record["force"].sel(axis="x").values

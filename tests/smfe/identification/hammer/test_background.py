@@ -145,6 +145,7 @@ MACHINE = Machine(
 )
 
 
+@pytest.mark.slow
 def test_an_axis_under_its_drive_is_measured_while_it_moves() -> None:
     """Hits at 600 mm/min with a tone and a drift on the sensor: the compliance in motion in closed form, within 1 %."""
     stages = (Tone("acceleration", 0.05, 37.3, phase=0.4), Drift("acceleration", 0.01))
@@ -187,6 +188,7 @@ def test_a_tone_that_keeps_step_with_the_hits_is_in_the_error() -> None:
     assert np.mean(np.abs(common_tone_error(turned, force, leverage)) ** 2) < 0.07
 
 
+@pytest.mark.slow
 def test_what_begins_with_the_record_and_ends_is_no_tone_and_spoils_none() -> None:
     """An axis that settles in the first tenth of a second: the tone is found as without it."""
     t = np.arange(round(13.0 * RATE)) / RATE

@@ -197,6 +197,7 @@ def test_levels_in_the_records_of_one_measurement_are_split(tmp_path: Path) -> N
     assert np.isfinite(found[name]["compliance_std"]).all()
 
 
+@pytest.mark.slow
 def test_levels_are_identified_once_and_read_back_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for level in (100, 400):
         hits(tmp_path, f"h{level}.nc", level=float(level))
@@ -222,6 +223,7 @@ def test_levels_are_identified_once_and_read_back_the_same(tmp_path: Path, monke
         split_levels(load_campaign(tmp_path / "campaign.toml"), tmp_path / "kept")
 
 
+@pytest.mark.slow
 def test_measurements_that_differ_in_level_and_feed_are_stacked(tmp_path: Path) -> None:
     for level in (100, 400):
         hits(tmp_path, f"h{level}.nc", level=float(level))

@@ -141,6 +141,7 @@ def test_good_hits_agree(five: Identification) -> None:
     assert float(np.median(coherence)) > 0.995
 
 
+@pytest.mark.slow
 def test_what_the_overloaded_hit_would_have_done(five_hits: list[xr.Dataset]) -> None:
     """Over 20 to 3000 Hz low by 4.2 to 9.9 times (5 to 95 % of the lines), averaged with the others by 2.7 to 6.4."""
     band = (20.0, 3000.0)
@@ -181,6 +182,7 @@ def test_three_hits_leave_two_degrees_of_freedom_and_wide_intervals(five_hits: l
     assert inside.mean() > 0.95
 
 
+@pytest.mark.slow
 def test_a_window_that_is_not_needed_changes_little(five_hits: list[xr.Dataset]) -> None:
     """The plate has decayed in 1 s; a window of 0.2 s, taken off, changes 0.5 % from 200 Hz on and 3 % from 60 Hz on.
 
