@@ -1,4 +1,4 @@
-"""What the comb of a cut says of its tool and its speed, and the picture of the whole record.
+"""Number of teeth and spindle speed that the orders of a cut support, and the spectrogram of the whole record.
 
 Both judge by energy: which share of the power in the band stands at the orders that a number of teeth, or a speed,
 explains.

@@ -1,6 +1,6 @@
 """Spectral chatter criterion: a peak that is no harmonic and exceeds half of the highest tooth harmonic.
 
-The paper says no more than that. What is added here, and why (theory 5):
+This is the rule of the paper. Added here, with the reason (theory 5):
 
 - *Harmonic* means every spindle order: run-out alone puts lines of 0.3 of the tooth line on orders 1, 2, ... An order
   that is higher than the tooth harmonics takes their place in the ratio.
@@ -73,7 +73,7 @@ HIGHEST_SHARE_OF_SAMPLE_RATE = 0.4
 
 @dataclass(frozen=True)
 class AxisVerdict:
-    """What the criterion says of one axis: verdict, ratio [1], frequency of the line [Hz] and the reason."""
+    """Result of the criterion for one axis: verdict, ratio [1], frequency of the line [Hz] and the reason."""
 
     axis: str
     verdict: Verdict
@@ -84,7 +84,7 @@ class AxisVerdict:
 
 @dataclass(frozen=True)
 class ChatterVerdict:
-    """What the criterion says of one record.
+    """Result of the criterion for one record.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class ChatterVerdict:
     floor, unit : float, str
         Least amplitude that counts as tooth harmonic, and the unit of the amplitudes.
     by_axis : tuple of AxisVerdict
-        What each axis says; the verdict is that of the axis with chatter, else the one that is undecided.
+        Result of each axis; the verdict is that of the axis with chatter, else the one that is undecided.
     family_Hz : tuple of float
         Lines a whole number of spindle orders beside the chatter line or its mirror image.
     drift_Hz : (float, float) or None

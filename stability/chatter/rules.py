@@ -68,7 +68,7 @@ def judge(e: SpectralAmplitudes) -> Finding:
     else:
         reason += (
             f"but its envelope is that of filtered noise (kurtosis {e.envelope[0]:.2g}; noise has 2, a line 1), "
-            "without a family: a mode that the noise of the cut excites"
+            "without sidebands: a mode that the noise of the cut excites"
         )
     return Finding("stable", e.ratio, math.nan, reason)
 
@@ -100,8 +100,8 @@ def _silence_rule(e: SpectralAmplitudes) -> Finding | None:
 def _what(e: SpectralAmplitudes) -> str:
     """Name the candidate and its ratio."""
     frequency, amplitude = e.candidate
-    family = " with its family" if e.ratio * e.denominator > 1.001 * amplitude else ""
-    return f"the non-harmonic peak at {frequency:.4g} Hz{family} is {e.ratio:.3g} of {_denominator(e)}"
+    group = " with its sidebands" if e.ratio * e.denominator > 1.001 * amplitude else ""
+    return f"the non-harmonic peak at {frequency:.4g} Hz{group} is {e.ratio:.3g} of {_denominator(e)}"
 
 
 def _sideband_rule(e: SpectralAmplitudes) -> Finding | None:
@@ -209,7 +209,7 @@ def _mask_rule(e: SpectralAmplitudes) -> Finding | None:
     )
     if clear > 0.0 and e.followed and e.coherence > SETTINGS.certain:
         # The speed has been followed, and what lies between the orders is no order.
-        reason = f"{what}; its family between the orders stands {e.coherence:.2g} times above the noise there"
+        reason = f"{what}; its sidebands between the orders stand {e.coherence:.2g} times above the noise there"
         return Finding("chatter", ratio, frequency, reason)
     advice = "a record of the spindle angle or a better known speed would separate them"
     if clear > 0.0:

@@ -45,7 +45,7 @@ def sideband_lines(
 
 
 def sideband_coherence(samples: Real, dt: float, base: float, band: tuple[float, float]) -> float:
-    """Return the power of the highest family of lines one order apart over the median of all families [1].
+    """Return the power of the highest group of lines one order apart over the median of all groups [1].
 
     The spectrum is folded: all lines one spindle order apart, and their mirror images, are one sum, for each place
     between two orders. Windows of `ChatterSettings.short_turns` and of the whole; the highest of their medians.
