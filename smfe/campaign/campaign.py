@@ -594,14 +594,14 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
 
 
 def _baseline(table: Any) -> Baseline:
-    if isinstance(table, schema.AxisTable):
+    if isinstance(table, schema.AxisBaseline):
         drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
         return AxisModel(table.axis, drive, table.servos(), table.friction.build())
-    if isinstance(table, schema.DriveTable):
+    if isinstance(table, schema.DriveBaseline):
         return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay)
-    if isinstance(table, schema.LimitsTable):
+    if isinstance(table, schema.LimitsBaseline):
         return LimitsOf(table.limits)
-    return ModesOf(table.source) if isinstance(table, schema.ModesTable) else MechanisticForces()
+    return ModesOf(table.source) if isinstance(table, schema.ModesBaseline) else MechanisticForces()
 
 
 Declared = dict[str, Mapping[str, Any]]

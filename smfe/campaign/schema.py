@@ -41,17 +41,9 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-# --- Tables that say what a feed axis is: shared by the campaign's baseline and by scenarios.
+# --- Kinds of values that several tables hold.
 
-LAWS: dict[str, type[FrictionLaw | MemoryLaw]] = {
-    "viscous": Viscous,
-    "coulomb": Coulomb,
-    "coulomb_viscous": CoulombViscous,
-    "andersson": Andersson,
-    "lugre": LuGre,
-    "gms": GeneralisedMaxwellSlip,
-}
-"""Friction laws by the name that a file uses."""
+Triple = tuple[float, float, float]
 
 
 def many(value: Any) -> Any:
@@ -74,77 +66,28 @@ def values(dimension: str, above: float = -math.inf) -> BeforeValidator:
     return BeforeValidator(parse)
 
 
-PositiveMass = Annotated[float, q.quantity("mass", above=0.0)]
-PositiveTime = Annotated[float, q.quantity("time", above=0.0)]
-Delay = Annotated[float, q.quantity("time", low=0.0)]
-Viscosity = Annotated[float, q.quantity("viscosity", low=0.0)]
-Speed = Annotated[float, q.quantity("speed", above=0.0)]
+def number(value: Any) -> float:
+    """A number without unit, written as such or as a text with "%" -> float."""
+    if isinstance(value, str):
+        return units.parse(value, "dimensionless")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{value!r} is not a number; write 0.02 or '2 %'")
+    return float(value)
 
 
-class ServoTable(Table):
-    """One controller of an axis."""
+def triple(dimension: str, low: float = -math.inf) -> BeforeValidator:
+    """One quantity for all axes, or a list of three -> triple in SI, each at least `low`."""
 
-    Kp: Annotated[float, q.quantity("viscosity", above=0.0)]
-    Ti: PositiveTime
-    Kv: q.PositiveFrequency
-    delay: Delay = 0.0
-    feed_forward: q.Ratio = 1.0
+    def parse(value: Any) -> Triple:
+        items = value if isinstance(value, list) else [value] * 3
+        if len(items) != 3:
+            raise InputError(f"{value!r} has {len(items)} values; give one for all axes, or one each for x, y and z")
+        x, y, z = (number(item) if dimension == "dimensionless" else units.parse(item, dimension) for item in items)
+        if min(x, y, z) < low:
+            raise InputError(f"{value!r} is not possible; noise is zero or more")
+        return x, y, z
 
-    def build(self) -> Servo:
-        """Return the servo."""
-        return Servo(**dict(self))
-
-
-class FrictionTable(Table):
-    """``friction`` of an axis: the law by name and its parameters."""
-
-    law: Annotated[str, q.one_of(tuple(LAWS), "law")]
-    coulomb: q.Force | None = None
-    static: q.Force | None = None
-    stribeck_speed: Speed | None = None
-    sigma: Viscosity | None = None
-    kt: Annotated[float, q.quantity("steepness", above=0.0)] | None = None
-    delta: q.Ratio | None = None
-    bristle_stiffness: q.Stiffness | None = None
-    bristle_damping: Viscosity | None = None
-    element_stiffness: Annotated[tuple[float, ...], values("stiffness", above=0.0)] | None = None
-    share: tuple[q.Ratio, ...] | None = None
-    attraction: Annotated[float, q.quantity("force_rate", above=0.0)] | None = None
-
-    def build(self) -> FrictionLaw | MemoryLaw:
-        """Return the law."""
-        law: FrictionLaw | MemoryLaw = made(
-            "friction law", self.law, LAWS[self.law], self.model_dump(exclude_unset=True, exclude={"law"})
-        )
-        return law
-
-
-class MachineAxisTable(Table):
-    """``[machine.axis.x]``."""
-
-    moving_mass: PositiveMass
-    tip_mass: PositiveMass | None = None
-    stiffness: q.Stiffness | None = None
-    damping: Viscosity | None = None
-    controllers: Annotated[dict[StrictStr, ServoTable], Field(default_factory=dict)]
-    friction: FrictionTable | None = None
-
-
-def made(what: str, name: str, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
-    """Build a law from exactly the parameters it has."""
-    fields = getattr(make, "__dataclass_fields__", {})
-    wanted = {f.name for f in fields.values() if f.init}
-    needed = {f.name for f in fields.values() if f.init and f.default is MISSING}
-    missing, extra = sorted(needed - set(given)), sorted(set(given) - wanted)
-    if missing or extra:
-        told = [f"{listed(missing)} missing"] * bool(missing) + [f"{listed(extra)} not read"] * bool(extra)
-        raise InputError(f"{what} '{name}': {' and '.join(told)}; it has {listed(sorted(wanted))}")
-    return make(**given)
-
-
-# --- ``[plan]``: what a sweep may use, and what is asked of it; every field comes out in SI.
-
-Triple = tuple[float, float, float]
+    return BeforeValidator(parse)
 
 
 def _span(dimension: str, example: str) -> BeforeValidator:
@@ -162,89 +105,18 @@ def _span(dimension: str, example: str) -> BeforeValidator:
     return BeforeValidator(parse)
 
 
-def _triple(dimension: str) -> BeforeValidator:
-    """One quantity for all axes, or a list of three -> triple in SI, zero or more."""
-
-    def parse(value: Any) -> Triple:
-        items = value if isinstance(value, list) else [value] * 3
-        if len(items) != 3:
-            raise InputError(f"{value!r} has {len(items)} values; give one for all axes, or one each for x, y and z")
-        x, y, z = (units.parse(item, dimension) for item in items)
-        if min(x, y, z) < 0.0:
-            raise InputError(f"{value!r} is not possible; noise is zero or more")
-        return x, y, z
-
-    return BeforeValidator(parse)
+PositiveMass = Annotated[float, q.quantity("mass", above=0.0)]
+PositiveTime = Annotated[float, q.quantity("time", above=0.0)]
+Delay = Annotated[float, q.quantity("time", low=0.0)]
+Viscosity = Annotated[float, q.quantity("viscosity", low=0.0)]
+Speed = Annotated[float, q.quantity("speed", above=0.0)]
 
 
 Lengths = Annotated[tuple[float, float], _span("length", '["0.05 mm", "0.2 mm"]')]
 Speeds = Annotated[tuple[float, float], _span("speed", '["500 mm/min", "2000 mm/min"]')]
 
 
-class PassTable(Table):
-    """One entry of ``passes``."""
-
-    cut: q.CutName
-    width_of_cut: q.PositiveLength
-
-
-class PlanTable(Table):
-    """``[plan]``; what is left out does not limit, or has the default that `docs/plan.md` lists."""
-
-    machine: StrictStr | None = None
-    scenario: StrictStr | None = None
-    controller: StrictStr | None = None
-    frequency_range: q.FrequencyRange = (20.0, 80.0)
-    passes: tuple[PassTable, ...] = ()
-    width_of_cut: Lengths | None = None
-    inserts: tuple[Annotated[StrictInt, Field(ge=1)], ...] = ()
-    feed_per_tooth: Lengths = (0.05e-3, 0.2e-3)
-    depth_of_cut: Lengths = (0.5e-3, 4e-3)
-    spindle_acceleration: Annotated[float, q.quantity("rotation_rate", above=0.0)] | None = None
-    power: Annotated[float, q.quantity("power", above=0.0)] | None = None
-    torque: Annotated[float, q.quantity("torque", above=0.0)] | None = None
-    largest_force: Annotated[float, q.quantity("force", above=0.0)] | None = None
-    feed: Speeds | None = None
-    stroke: q.PositiveLength | None = None
-    stock_length: q.PositiveLength | None = None
-    longest_pass: PositiveTime = 90.0
-    time: PositiveTime | None = None
-    repeats: Annotated[StrictInt, Field(ge=1, le=100)] = 1
-    largest_error: q.Share = 0.1
-    chatter_margin: q.Share = 0.5
-    acceleration_noise: Annotated[Triple, _triple("acceleration")] = (0.012, 0.012, 0.012)
-    force_noise: Annotated[Triple, _triple("force")] = (1.5, 1.5, 1.5)
-    sample_rate: q.PositiveFrequency = 5000.0
-    lead: Delay = 0.5
-    tail: Delay = 2.0
-
-    @model_validator(mode="after")
-    def _possible(self) -> PlanTable:
-        if self.machine is not None and self.scenario is not None:
-            raise InputError("names a machine of this file and a scenario; one estimate of the machine is needed")
-        if 0 < len(self.passes) < 3:
-            raise InputError(
-                f"has {len(self.passes)} passes; nine compliances need three that push in different directions: add "
-                "one, or leave passes out and have them found"
-            )
-        if min(self.largest_error, self.chatter_margin) <= 0.0:
-            raise InputError("largest_error and chatter_margin must be above zero, e.g. '10 %' and '50 %'")
-        if self.longest_pass < 1.0:
-            raise InputError(f"longest_pass is {self.longest_pass:g} s; a sweep takes at least 1 s, better 10 s")
-        if self.frequency_range[0] < 5.0:
-            raise InputError(
-                f"frequency_range begins at {self.frequency_range[0]:g} Hz; below 5 Hz an acceleration tells nothing "
-                "of a displacement: begin higher"
-            )
-        if self.frequency_range[1] > 0.2 * self.sample_rate:
-            raise InputError(
-                f"frequency_range ends at {self.frequency_range[1]:g} Hz, sampled at {self.sample_rate:g} Hz; sample "
-                f"at {self.frequency_range[1] / 0.2:g} Hz or more"
-            )
-        return self
-
-
-# --- The tables of the campaign file.
+# --- What was used: tool, material, spindle, channels.
 
 
 class CampaignTable(Table):
@@ -295,6 +167,27 @@ class MaterialTable(Table):
         return CuttingCoefficients(self.Ktc, self.Krc or 0.0, self.Kac or 0.0, self.Kte, self.Kre, self.Kae)
 
 
+class SpindleTable(Table):
+    """``[spindle]``: what it can be set to."""
+
+    minimum: q.Rotation | None = None
+    maximum: q.Rotation | None = None
+    step: q.Rotation | None = None
+    accuracy: q.Share = 0.01
+
+    @model_validator(mode="after")
+    def _possible(self) -> SpindleTable:
+        self.build()
+        return self
+
+    def build(self) -> SpindleRange:
+        """Return the spindle."""
+        low, high, step = (
+            None if w is None else round(w * 30.0 / math.pi, 6) for w in (self.minimum, self.maximum, self.step)
+        )
+        return SpindleRange(low or 0.0, math.inf if high is None else high, step, self.accuracy)
+
+
 class ChannelTable(Table):
     """One entry of ``[channels]``; what is missing is inherited."""
 
@@ -312,6 +205,9 @@ class ChannelTable(Table):
 Channels = dict[Annotated[str, BeforeValidator(check_channel_name)], ChannelTable]
 
 
+# --- What was measured, and how it was cut.
+
+
 class ConditionsTable(Table):
     """What a measurement or a record was made under."""
 
@@ -325,21 +221,6 @@ class ConditionsTable(Table):
     temperature: q.Temperature | None = None
     started: datetime | date | None = None
     repeat: StrictInt | None = None
-
-
-class OtherRecorderTable(Table):
-    """One entry of ``with``: a file that a second recorder wrote meanwhile, with channels of its own."""
-
-    file: q.OneFile
-    channels: Channels
-    shared: Annotated[str, BeforeValidator(check_channel_name)] | None = None
-    offset: q.Time | None = None
-
-    @model_validator(mode="after")
-    def _one_clock(self) -> OtherRecorderTable:
-        if self.shared is not None and self.offset is not None:
-            raise InputError("gives shared and offset; the shared channel finds the offset; take one out")
-        return self
 
 
 class ProcessingTable(ConditionsTable):
@@ -358,6 +239,21 @@ class ProcessingTable(ConditionsTable):
     averages: Annotated[StrictInt, Field(ge=1)] | None = None
     conjugate: StrictBool | None = None
     moving_mass: q.Inertia | None = None
+
+
+class OtherRecorderTable(Table):
+    """One entry of ``with``: a file that a second recorder wrote meanwhile, with channels of its own."""
+
+    file: q.OneFile
+    channels: Channels
+    shared: Annotated[str, BeforeValidator(check_channel_name)] | None = None
+    offset: q.Time | None = None
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> OtherRecorderTable:
+        if self.shared is not None and self.offset is not None:
+            raise InputError("gives shared and offset; the shared channel finds the offset; take one out")
+        return self
 
 
 class RecordTable(ConditionsTable):
@@ -409,6 +305,32 @@ class MeasurementTable(ProcessingTable):
     channels: Annotated[Channels, Field(default_factory=dict)]
 
 
+class CuttingTestTable(Table):
+    """``[[cutting_test]]``."""
+
+    file: q.OneFile
+    spindle_speed: q.Rotation
+    depth_of_cut: q.PositiveLength
+    cut: q.CutName
+    width_of_cut: q.PositiveLength
+    feed_per_tooth: q.PositiveLength | None = None
+    observed: Annotated[str, q.one_of(("stable", "chatter"), "verdict")] | None = None
+    controller: StrictStr | None = None
+    position: StrictStr | None = None
+    feed: q.Feed | None = None
+    quantity: Annotated[str, q.one_of(QUANTITIES, "quantity")] | None = None
+    interval: q.Interval | None = None
+    axes: Annotated[tuple[q.Axis, ...], q.NotEmpty] | None = None
+    frequency_range: q.FrequencyRange | None = None
+    floor: q.Floor | None = None
+    half_order_reference: Annotated[float, q.at_least_zero] | None = None
+    held_out: StrictBool = False
+    channels: Annotated[Channels, Field(default_factory=dict)]
+
+
+# --- What is known of the machine: models and the baseline of a diagnosis.
+
+
 class ModeTable(Table):
     """One entry of ``modes``."""
 
@@ -448,7 +370,68 @@ class ModelTable(Table):
         )
 
 
-class AxisTable(Table):
+LAWS: dict[str, type[FrictionLaw | MemoryLaw]] = {
+    "viscous": Viscous,
+    "coulomb": Coulomb,
+    "coulomb_viscous": CoulombViscous,
+    "andersson": Andersson,
+    "lugre": LuGre,
+    "gms": GeneralisedMaxwellSlip,
+}
+"""Friction laws by the name that a file uses."""
+
+
+class ServoTable(Table):
+    """One controller of an axis."""
+
+    Kp: Annotated[float, q.quantity("viscosity", above=0.0)]
+    Ti: PositiveTime
+    Kv: q.PositiveFrequency
+    delay: Delay = 0.0
+    feed_forward: q.Ratio = 1.0
+
+    def build(self) -> Servo:
+        """Return the servo."""
+        return Servo(**dict(self))
+
+
+class FrictionTable(Table):
+    """``friction`` of an axis: the law by name and its parameters."""
+
+    law: Annotated[str, q.one_of(tuple(LAWS), "law")]
+    coulomb: q.Force | None = None
+    static: q.Force | None = None
+    stribeck_speed: Speed | None = None
+    sigma: Viscosity | None = None
+    kt: Annotated[float, q.quantity("steepness", above=0.0)] | None = None
+    delta: q.Ratio | None = None
+    bristle_stiffness: q.Stiffness | None = None
+    bristle_damping: Viscosity | None = None
+    element_stiffness: Annotated[tuple[float, ...], values("stiffness", above=0.0)] | None = None
+    share: tuple[q.Ratio, ...] | None = None
+    attraction: Annotated[float, q.quantity("force_rate", above=0.0)] | None = None
+
+    def build(self) -> FrictionLaw | MemoryLaw:
+        """Return the law."""
+        law: FrictionLaw | MemoryLaw = made(
+            "friction law", self.law, LAWS[self.law], self.model_dump(exclude_unset=True, exclude={"law"})
+        )
+        return law
+
+
+def made(what: str, name: str, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
+    """Build a law from exactly the parameters it has."""
+    fields = getattr(make, "__dataclass_fields__", {})
+    wanted = {f.name for f in fields.values() if f.init}
+    needed = {f.name for f in fields.values() if f.init and f.default is MISSING}
+    missing, extra = sorted(needed - set(given)), sorted(set(given) - wanted)
+    if missing or extra:
+        told = [f"{listed(missing)} missing"] * bool(missing) + [f"{listed(extra)} not read"] * bool(extra)
+        raise InputError(f"{what} '{name}': {' and '.join(told)}; it has {listed(sorted(wanted))}")
+    return make(**given)
+
+
+class AxisBaseline(Table):
     """``[baseline]`` that predicts compliances: one feed axis of two masses."""
 
     axis: q.Axis
@@ -464,7 +447,7 @@ class AxisTable(Table):
     friction: FrictionTable
 
     @model_validator(mode="after")
-    def _one_servo(self) -> AxisTable:
+    def _one_servo(self) -> AxisBaseline:
         single = [self.Kp, self.Ti, self.Kv]
         if (None in single) == (self.controllers is None):
             raise InputError(
@@ -484,7 +467,7 @@ class AxisTable(Table):
         return {"": Servo(self.Kp, self.Ti, self.Kv, self.delay)}
 
 
-class DriveTable(Table):
+class DriveBaseline(Table):
     """``[baseline]`` that predicts the drive force of a moving axis: rigid, with viscous friction."""
 
     drive: Annotated[str, q.one_of(("rigid",), "drive")]
@@ -495,28 +478,31 @@ class DriveTable(Table):
     delay: Delay = 0.0
 
     @model_validator(mode="after")
-    def _both_gains(self) -> DriveTable:
+    def _both_gains(self) -> DriveBaseline:
         if (self.Kp is None) != (self.Kv is None):
             raise InputError("needs Kp and Kv for the control law, or neither; give both")
         return self
 
 
-class ForcesTable(Table):
+class ForcesBaseline(Table):
     """``[baseline]`` that predicts the forces of the cutting tests: ``[tool]`` and ``[material]``, nothing else."""
 
     forces: Annotated[str, q.one_of(("mechanistic",), "forces")]
 
 
-class ModesTable(Table):
+class ModesBaseline(Table):
     """``[baseline]`` that predicts compliances from those of one measurement or model."""
 
     source: StrictStr = Field(alias="from")
 
 
-class LimitsTable(Table):
+class LimitsBaseline(Table):
     """``[baseline]`` that predicts the limits that cutting tests found: a model, ``[tool]`` and ``[material]``."""
 
     limits: StrictStr
+
+
+# --- What is asked for.
 
 
 class LobesTable(Table):
@@ -532,49 +518,70 @@ class LobesTable(Table):
     maximum_depth: q.PositiveLength | None = None
 
 
-class SpindleTable(Table):
-    """``[spindle]``: what it can be set to."""
+class PassTable(Table):
+    """One entry of ``passes``."""
 
-    minimum: q.Rotation | None = None
-    maximum: q.Rotation | None = None
-    step: q.Rotation | None = None
-    accuracy: q.Share = 0.01
-
-    @model_validator(mode="after")
-    def _possible(self) -> SpindleTable:
-        self.build()
-        return self
-
-    def build(self) -> SpindleRange:
-        """Return the spindle."""
-        low, high, step = (
-            None if w is None else round(w * 30.0 / math.pi, 6) for w in (self.minimum, self.maximum, self.step)
-        )
-        return SpindleRange(low or 0.0, math.inf if high is None else high, step, self.accuracy)
-
-
-class CuttingTestTable(Table):
-    """``[[cutting_test]]``."""
-
-    file: q.OneFile
-    spindle_speed: q.Rotation
-    depth_of_cut: q.PositiveLength
     cut: q.CutName
     width_of_cut: q.PositiveLength
-    feed_per_tooth: q.PositiveLength | None = None
-    observed: Annotated[str, q.one_of(("stable", "chatter"), "verdict")] | None = None
-    controller: StrictStr | None = None
-    position: StrictStr | None = None
-    feed: q.Feed | None = None
-    quantity: Annotated[str, q.one_of(QUANTITIES, "quantity")] | None = None
-    interval: q.Interval | None = None
-    axes: Annotated[tuple[q.Axis, ...], q.NotEmpty] | None = None
-    frequency_range: q.FrequencyRange | None = None
-    floor: q.Floor | None = None
-    half_order_reference: Annotated[float, q.at_least_zero] | None = None
-    held_out: StrictBool = False
-    channels: Annotated[Channels, Field(default_factory=dict)]
 
+
+class PlanTable(Table):
+    """``[plan]``; what is left out does not limit, or has the default that `docs/plan.md` lists."""
+
+    machine: StrictStr | None = None
+    scenario: StrictStr | None = None
+    controller: StrictStr | None = None
+    frequency_range: q.FrequencyRange = (20.0, 80.0)
+    passes: tuple[PassTable, ...] = ()
+    width_of_cut: Lengths | None = None
+    inserts: tuple[Annotated[StrictInt, Field(ge=1)], ...] = ()
+    feed_per_tooth: Lengths = (0.05e-3, 0.2e-3)
+    depth_of_cut: Lengths = (0.5e-3, 4e-3)
+    spindle_acceleration: Annotated[float, q.quantity("rotation_rate", above=0.0)] | None = None
+    power: Annotated[float, q.quantity("power", above=0.0)] | None = None
+    torque: Annotated[float, q.quantity("torque", above=0.0)] | None = None
+    largest_force: Annotated[float, q.quantity("force", above=0.0)] | None = None
+    feed: Speeds | None = None
+    stroke: q.PositiveLength | None = None
+    stock_length: q.PositiveLength | None = None
+    longest_pass: PositiveTime = 90.0
+    time: PositiveTime | None = None
+    repeats: Annotated[StrictInt, Field(ge=1, le=100)] = 1
+    largest_error: q.Share = 0.1
+    chatter_margin: q.Share = 0.5
+    acceleration_noise: Annotated[Triple, triple("acceleration", low=0.0)] = (0.012, 0.012, 0.012)
+    force_noise: Annotated[Triple, triple("force", low=0.0)] = (1.5, 1.5, 1.5)
+    sample_rate: q.PositiveFrequency = 5000.0
+    lead: Delay = 0.5
+    tail: Delay = 2.0
+
+    @model_validator(mode="after")
+    def _possible(self) -> PlanTable:
+        if self.machine is not None and self.scenario is not None:
+            raise InputError("names a machine of this file and a scenario; one estimate of the machine is needed")
+        if 0 < len(self.passes) < 3:
+            raise InputError(
+                f"has {len(self.passes)} passes; nine compliances need three that push in different directions: add "
+                "one, or leave passes out and have them found"
+            )
+        if min(self.largest_error, self.chatter_margin) <= 0.0:
+            raise InputError("largest_error and chatter_margin must be above zero, e.g. '10 %' and '50 %'")
+        if self.longest_pass < 1.0:
+            raise InputError(f"longest_pass is {self.longest_pass:g} s; a sweep takes at least 1 s, better 10 s")
+        if self.frequency_range[0] < 5.0:
+            raise InputError(
+                f"frequency_range begins at {self.frequency_range[0]:g} Hz; below 5 Hz an acceleration tells nothing "
+                "of a displacement: begin higher"
+            )
+        if self.frequency_range[1] > 0.2 * self.sample_rate:
+            raise InputError(
+                f"frequency_range ends at {self.frequency_range[1]:g} Hz, sampled at {self.sample_rate:g} Hz; sample "
+                f"at {self.frequency_range[1] / 0.2:g} Hz or more"
+            )
+        return self
+
+
+# --- The whole file.
 
 B = TypeVar("B", bound=Table)
 
@@ -599,9 +606,9 @@ def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:
     """Return the table of a whole file: the keys of its baseline tell of which kind that is."""
     keys = raw["baseline"] if isinstance(raw.get("baseline"), dict) else {}
     if "drive" in keys:
-        return CampaignFile[DriveTable]
+        return CampaignFile[DriveBaseline]
     if "forces" in keys:
-        return CampaignFile[ForcesTable]
+        return CampaignFile[ForcesBaseline]
     if "limits" in keys:
-        return CampaignFile[LimitsTable]
-    return CampaignFile[ModesTable] if "from" in keys else CampaignFile[AxisTable]
+        return CampaignFile[LimitsBaseline]
+    return CampaignFile[ModesBaseline] if "from" in keys else CampaignFile[AxisBaseline]

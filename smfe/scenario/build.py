@@ -31,7 +31,7 @@ from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.modes import ModalModel
 from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
-from smfe.campaign.schema import MachineAxisTable, ModeTable, made
+from smfe.campaign.schema import ModeTable, made
 from smfe.records.formats.channels import CHANNELS, check_channel_name
 from smfe.scenario import schema
 
@@ -90,7 +90,7 @@ def _structure(table: schema.MachineTable, modes: Sequence[ModeTable], where: st
     return two_mass_axes({name: _two_masses(name, axis) for name, axis in table.axis.items()})
 
 
-def _two_masses(name: str, axis: MachineAxisTable) -> Drive:
+def _two_masses(name: str, axis: schema.AxisTable) -> Drive:
     missing = [key for key in ("tip_mass", "stiffness", "damping") if getattr(axis, key) is None]
     if missing:
         raise InputError(
@@ -99,7 +99,7 @@ def _two_masses(name: str, axis: MachineAxisTable) -> Drive:
     return Drive(axis.moving_mass, axis.tip_mass or 0.0, axis.stiffness or 0.0, axis.damping or 0.0)
 
 
-def _feed_axis(axis: MachineAxisTable) -> dict[str, Any]:
+def _feed_axis(axis: schema.AxisTable) -> dict[str, Any]:
     out: dict[str, Any] = {"servo": {name: servo.build() for name, servo in axis.controllers.items()} or None}
     if axis.friction is not None:
         out["friction"] = axis.friction.build()

@@ -155,7 +155,7 @@ def _check_machine(machine: Machine | ModalModel, trial: schema.Trial) -> None:
         raise InputError("gives a position, and the machine is the same everywhere; add [machine.posture]")
     if not machine.axes and any(any(feed.values()) for feed in trial.feed or ()):
         raise InputError("gives a feed, and the machine has no axes; add [machine.axis.x]")
-    if isinstance(trial, schema.DriveTable) and trial.axis not in machine.axes:
+    if isinstance(trial, schema.DriveTrial) and trial.axis not in machine.axes:
         raise InputError(f"axis {trial.axis} does not move; the machine moves {listed(machine.axes)}")
 
 
@@ -212,14 +212,14 @@ def _control(table: schema.ControlTable) -> SampledControl:
 
 def _levels(trial: schema.Trial) -> tuple[float, ...]:
     """Return what a trial varies in strength: impulse [N s], force [N] or depth of cut [m]."""
-    if isinstance(trial, schema.HammerTable):
+    if isinstance(trial, schema.HammerTrial):
         peaks = tuple(2.0 / math.pi * peak * trial.duration for peak in trial.peak_force or ())
         return trial.impulse or peaks
-    if isinstance(trial, schema.SweepTable | schema.CutTable):
+    if isinstance(trial, schema.SweepTrial | schema.CutTrial):
         return trial.depth_of_cut
-    if isinstance(trial, schema.ActuatorTable):
+    if isinstance(trial, schema.ActuatorTrial):
         return trial.force
-    return (trial.force or (0.0,)) if isinstance(trial, schema.DriveTable) else (0.0,)
+    return (trial.force or (0.0,)) if isinstance(trial, schema.DriveTrial) else (0.0,)
 
 
 def _label(method: str, key: str, value: Any) -> str:
@@ -268,7 +268,7 @@ def _band(trial: Any) -> dict[str, Any]:
     return {} if band is None else {"frequency_range": [show(f, "Hz", "frequency") for f in band]}
 
 
-def _hammer(stand: Stand, trial: schema.HammerTable, chosen: Combination) -> Iterator[Entry]:
+def _hammer(stand: Stand, trial: schema.HammerTrial, chosen: Combination) -> Iterator[Entry]:
     samples = trial.duration * stand.file.scenario.sample_rate
     if samples < SAMPLES_A_PULSE:
         raise InputError(
@@ -299,7 +299,7 @@ def _scattered(
     return hammer_trial(machine, axis, list(impulses), rng=rng, **options)
 
 
-def _actuator(stand: Stand, trial: schema.ActuatorTable, chosen: Combination) -> Iterator[Entry]:
+def _actuator(stand: Stand, trial: schema.ActuatorTrial, chosen: Combination) -> Iterator[Entry]:
     low, high, step = trial.frequencies
     rate = stand.file.scenario.sample_rate
     _check_rate(high, rate, "the highest frequency")
@@ -325,7 +325,7 @@ def _check_rate(frequency: float, rate: float, what: str) -> None:
 
 
 def _milled(
-    stand: Stand, trial: schema.SweepTable | schema.CutTable, chosen: Combination, rotation: float, highest: float
+    stand: Stand, trial: schema.SweepTrial | schema.CutTrial, chosen: Combination, rotation: float, highest: float
 ) -> Any:
     """Return tool, material, feed rate, and the running with the axis x that feeds, where nothing else is said."""
     file = stand.file
@@ -341,7 +341,7 @@ def _milled(
     return tool, file.material.build(), feed_rate, running
 
 
-def _sweep(stand: Stand, trial: schema.SweepTable, chosen: Combination) -> Iterator[Entry]:
+def _sweep(stand: Stand, trial: schema.SweepTrial, chosen: Combination) -> Iterator[Entry]:
     start, end = trial.spindle_speed
     tool, material, feed_rate, running = _milled(stand, trial, chosen, start, end)
     if running != chosen.running:
@@ -374,7 +374,7 @@ def _sweep(stand: Stand, trial: schema.SweepTable, chosen: Combination) -> Itera
     yield _entry(stand, chosen, says, jobs)
 
 
-def _cuts(stand: Stand, trial: schema.CutTable, chosen: Combination) -> Iterator[Entry]:
+def _cuts(stand: Stand, trial: schema.CutTrial, chosen: Combination) -> Iterator[Entry]:
     for rotation in trial.spindle_speed:
         rpm = rotation * 30.0 / math.pi
         tool, material, _, running = _milled(stand, trial, chosen, rotation, rotation)
@@ -402,7 +402,7 @@ def _cuts(stand: Stand, trial: schema.CutTable, chosen: Combination) -> Iterator
         yield Entry(name, "cut", stand.trial, says, running, (Job(name, make, {}),))
 
 
-def _drive(stand: Stand, trial: schema.DriveTable, chosen: Combination) -> Iterator[Entry]:
+def _drive(stand: Stand, trial: schema.DriveTrial, chosen: Combination) -> Iterator[Entry]:
     forces = None
     if trial.frequency_range is not None:
         low, high = trial.frequency_range
@@ -414,7 +414,7 @@ def _drive(stand: Stand, trial: schema.DriveTable, chosen: Combination) -> Itera
     yield _entry(stand, chosen, says, [job])
 
 
-def _silent(stand: Stand, trial: schema.SilentTable, chosen: Combination) -> Iterator[Entry]:
+def _silent(stand: Stand, trial: schema.SilentTrial, chosen: Combination) -> Iterator[Entry]:
     make = partial(_without_force, silent_trial, stand.loaded, trial.duration, **_common(stand, chosen))
     yield _entry(stand, chosen, {}, [Job(chosen.name, make, {})])
 

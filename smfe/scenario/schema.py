@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, StrictInt, StrictStr, model_validator
@@ -14,40 +13,23 @@ from process.labels import AXES
 from smfe.campaign import quantities as q
 from smfe.campaign.schema import (
     Delay,
+    FrictionTable,
     LobesTable,
-    MachineAxisTable,
     MaterialTable,
     ModeTable,
+    PassTable,
     PositiveMass,
     PositiveTime,
+    ServoTable,
     Table,
     ToolTable,
+    Triple,
+    Viscosity,
     many,
+    number,
+    triple,
     values,
 )
-
-Triple = tuple[float, float, float]
-
-
-def _triple(dimension: str) -> BeforeValidator:
-    """One quantity for all axes, or a list of three -> triple."""
-
-    def parse(value: Any) -> Triple:
-        items = value if isinstance(value, list) else [value] * 3
-        if len(items) != 3:
-            raise InputError(f"{value!r} has {len(items)} values; give one for all axes, or one each for x, y and z")
-        x, y, z = (_number(item) if dimension == "dimensionless" else units.parse(item, dimension) for item in items)
-        return x, y, z
-
-    return BeforeValidator(parse)
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, str):
-        return units.parse(value, "dimensionless")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{value!r} is not a number; write 0.02 or '2 %'")
-    return float(value)
 
 
 def _kilograms(value: Any) -> Any:
@@ -77,7 +59,7 @@ Axis = q.Axis
 MachineMass = Annotated[PositiveMass, BeforeValidator(_kilograms)]
 Directions = Annotated[tuple[Axis, ...], q.NotEmpty]
 PositiveForce = Annotated[float, q.quantity("force", above=0.0)]
-Ratios = Annotated[Triple, _triple("dimensionless")]
+Ratios = Annotated[Triple, triple("dimensionless")]
 Matrix = Annotated[tuple[Ratios, Ratios, Ratios], q.NotEmpty]
 
 
@@ -92,11 +74,15 @@ class ScenarioTable(Table):
 # --- machine ------------------------------------------------------------------------------------------------
 
 
-class AxisTable(MachineAxisTable):
+class AxisTable(Table):
     """``[machine.axis.x]``."""
 
     moving_mass: MachineMass
     tip_mass: MachineMass | None = None
+    stiffness: q.Stiffness | None = None
+    damping: Viscosity | None = None
+    controllers: Annotated[dict[StrictStr, ServoTable], Field(default_factory=dict)]
+    friction: FrictionTable | None = None
 
 
 class JointTable(Table):
@@ -162,7 +148,7 @@ class AccelerometerTable(SensorTable):
 
     mass: q.Mass = 0.0
     moves: Directions = AXES
-    noise: Annotated[Triple, _triple("acceleration")] = (0.0, 0.0, 0.0)
+    noise: Annotated[Triple, triple("acceleration")] = (0.0, 0.0, 0.0)
     range: Annotated[float, q.quantity("acceleration", above=0.0)] | None = None
 
 
@@ -170,8 +156,8 @@ class ForceSensorTable(SensorTable):
     """``[sensors.hammer]``, ``[sensors.actuator]``, ``[sensors.dynamometer]``."""
 
     mass: q.Mass = 0.0
-    drift: Annotated[Triple, _triple("force_rate")] = (0.0, 0.0, 0.0)
-    noise: Annotated[Triple, _triple("force")] = (0.0, 0.0, 0.0)
+    drift: Annotated[Triple, triple("force_rate")] = (0.0, 0.0, 0.0)
+    noise: Annotated[Triple, triple("force")] = (0.0, 0.0, 0.0)
     range: PositiveForce | None = None
 
 
@@ -230,7 +216,7 @@ class ControlTable(Table):
     encoder_resolution: Annotated[float, q.quantity("length", low=0.0)] = 0.0
 
 
-class TrialTable(Table):
+class TrialBase(Table):
     """What all trials have in common; a list makes one record of each combination."""
 
     name: q.Name | None = None
@@ -241,7 +227,7 @@ class TrialTable(Table):
     control: ControlTable | None = None
 
 
-class HammerTable(TrialTable):
+class HammerTrial(TrialBase):
     """``method = "hammer"``: `scatter` is the largest departure of a hit from the level."""
 
     method: Literal["hammer"]
@@ -249,13 +235,13 @@ class HammerTable(TrialTable):
     hits: Annotated[StrictInt, Field(ge=1, le=1000)] = 5
     impulse: Annotated[tuple[float, ...], values("impulse", above=0.0)] | None = None
     peak_force: Annotated[tuple[float, ...], values("force", above=0.0)] | None = None
-    scatter: Annotated[float, BeforeValidator(_number), Field(ge=0.0, lt=1.0)] = 0.0
+    scatter: Annotated[float, BeforeValidator(number), Field(ge=0.0, lt=1.0)] = 0.0
     duration: PositiveTime = 4e-3
     interval: PositiveTime = 4.0
     frequency_range: q.FrequencyRange | None = None
 
     @model_validator(mode="after")
-    def _one_level(self) -> HammerTable:
+    def _one_level(self) -> HammerTrial:
         if (self.impulse is None) == (self.peak_force is None):
             raise InputError("a hammer trial needs an impulse or a peak_force, one of them")
         if self.duration >= 0.5 * self.interval:
@@ -263,7 +249,7 @@ class HammerTable(TrialTable):
         return self
 
 
-class ActuatorTable(TrialTable):
+class ActuatorTrial(TrialBase):
     """``method = "actuator"``."""
 
     method: Literal["actuator"]
@@ -273,14 +259,7 @@ class ActuatorTable(TrialTable):
     dwell: PositiveTime = 1.5
 
 
-class PassTable(Table):
-    """One entry of ``passes`` of a sweep."""
-
-    cut: q.CutName
-    width_of_cut: q.PositiveLength
-
-
-class CuttingTable(TrialTable):
+class CuttingTrial(TrialBase):
     """What sweeps and cutting tests have in common."""
 
     depth_of_cut: Annotated[tuple[float, ...], values("length", above=0.0)]
@@ -289,7 +268,7 @@ class CuttingTable(TrialTable):
     tail: Delay = 2.0
 
 
-class SweepTable(CuttingTable):
+class SweepTrial(CuttingTrial):
     """``method = "sweep"``: the feed rate is held while the speed rises.
 
     `spindle_speed` and `feed_per_tooth` are those in the cut, the latter at its start.
@@ -302,7 +281,7 @@ class SweepTable(CuttingTable):
     frequency_range: q.FrequencyRange | None = None
 
 
-class CutTable(CuttingTable):
+class CutTrial(CuttingTrial):
     """``method = "cut"``: cutting tests at constant speed."""
 
     method: Literal["cut"]
@@ -314,7 +293,7 @@ class CutTable(CuttingTable):
     tail: Delay = 0.25
 
 
-class DriveTable(TrialTable):
+class DriveTrial(TrialBase):
     """``method = "drive"``: a sweep of force added to the drive of one axis, or nothing."""
 
     method: Literal["drive"]
@@ -324,30 +303,30 @@ class DriveTable(TrialTable):
     frequency_range: q.FrequencyRange | None = None
 
     @model_validator(mode="after")
-    def _both(self) -> DriveTable:
+    def _both(self) -> DriveTrial:
         if (self.force is None) != (self.frequency_range is None):
             raise InputError("give force and frequency_range, or neither")
         return self
 
 
-class SilentTable(TrialTable):
+class SilentTrial(TrialBase):
     """``method = "silent"``."""
 
     method: Literal["silent"]
     duration: PositiveTime
 
 
-TRIALS: dict[str, type[TrialTable]] = {
-    "hammer": HammerTable,
-    "actuator": ActuatorTable,
-    "sweep": SweepTable,
-    "cut": CutTable,
-    "drive": DriveTable,
-    "silent": SilentTable,
+TRIALS: dict[str, type[TrialBase]] = {
+    "hammer": HammerTrial,
+    "actuator": ActuatorTrial,
+    "sweep": SweepTrial,
+    "cut": CutTrial,
+    "drive": DriveTrial,
+    "silent": SilentTrial,
 }
 """Method -> its table."""
 
-Trial = HammerTable | ActuatorTable | SweepTable | CutTable | DriveTable | SilentTable
+Trial = HammerTrial | ActuatorTrial | SweepTrial | CutTrial | DriveTrial | SilentTrial
 
 
 class ScenarioFile(Table):
