@@ -17,12 +17,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import stats
 
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.comparison.explained import LEVEL, error_covariance, holm
-from smfe.comparison.peaks import Peak, PeakRules, entries, entry_peaks
+from smfe.comparison.peaks import TOLERANCE, Peak, PeakRules, entries, entry_peaks, matched
 
 _QUANTITIES: tuple[tuple[str, str, float], ...] = (
     ("frequency", "_Hz", 1.0),
@@ -48,7 +48,7 @@ class CompareRules:
         this: the probability that anything is called significant in a table of equal machines.
     """
 
-    tolerance: float = 0.1
+    tolerance: float = TOLERANCE
     level: float = LEVEL
 
 
@@ -234,23 +234,13 @@ def _entry_figures(a: _Curve, b: _Curve) -> dict[str, object]:
 
 
 def _match(a: list[Peak], b: list[Peak], tolerance: float) -> list[tuple[Peak | None, Peak | None]]:
-    """Return pairs of peaks with rising frequency; an unmatched peak is paired with None.
-
-    The assignment has the least sum of relative frequency differences; a pair beyond the tolerance costs more than any
-    number of good ones and is dissolved afterwards.
-    """
+    """Return pairs of peaks with rising frequency; an unmatched peak is paired with None."""
     pairs: list[tuple[Peak | None, Peak | None]] = []
     free_a, free_b = set(range(len(a))), set(range(len(b)))
-    if a and b:
-        log_a, log_b = np.log([p.frequency for p in a]), np.log([p.frequency for p in b])
-        distance = np.abs(log_a[:, None] - log_b[None, :])
-        limit = np.log1p(tolerance)
-        cost = np.where(distance <= limit, distance, 10.0 * limit * (len(a) + len(b)))
-        for i, j in zip(*optimize.linear_sum_assignment(cost), strict=True):
-            if distance[i, j] <= limit:
-                pairs.append((a[i], b[j]))
-                free_a.discard(int(i))
-                free_b.discard(int(j))
+    for i, j in matched([p.frequency for p in a], [p.frequency for p in b], tolerance):
+        pairs.append((a[i], b[j]))
+        free_a.discard(i)
+        free_b.discard(j)
     pairs += [(a[i], None) for i in free_a] + [(None, b[j]) for j in free_b]
     return sorted(pairs, key=lambda pair: min(p.frequency for p in pair if p is not None))
 

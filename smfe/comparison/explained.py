@@ -29,18 +29,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import xarray as xr
-from scipy import optimize, stats
+from scipy import stats
 
 from process.errors import InputError
 from process.types import Real
-from smfe.comparison.peaks import Peak, PeakRules, entries, entry_peaks
+from smfe.comparison.peaks import TOLERANCE, Peak, PeakRules, entries, entry_peaks, matched
 
 QUANTITIES = ("frequency", "damping", "amplitude")
 CONDITIONS = ("method", "controller", "feed", "level", "position", "added_mass", "temperature")
 """Factors, in the order in which they are listed. ``level`` is the force level, for a sweep the depth of cut."""
-
-TOLERANCE = 0.1
-"""Largest relative difference of frequency at which two peaks can be the same mode."""
 
 LEVEL = 0.05
 """Probability that any row of a table is called significant where no condition does anything."""
@@ -236,7 +233,7 @@ def holm(p: Real) -> Real:
     return out
 
 
-def tracks(peaks: Mapping[str, Sequence[Peak]], tolerance: float = TOLERANCE) -> list[dict[str, Peak]]:
+def tracks(peaks: Mapping[str, Sequence[Peak]]) -> list[dict[str, Peak]]:
     """Follow peaks through measurements: each joins the track of nearest frequency, one a measurement.
 
     The measurement with most peaks begins; the frequency of a track is the mean of the logarithms of its peaks.
@@ -245,15 +242,10 @@ def tracks(peaks: Mapping[str, Sequence[Peak]], tolerance: float = TOLERANCE) ->
     for name in sorted(peaks, key=lambda n: -len(peaks[n])):
         own = list(peaks[name])
         taken: set[int] = set()
-        if out and own:
-            centre = np.array([np.mean([np.log(p.frequency) for p in track.values()]) for track in out])
-            distance = np.abs(centre[:, None] - np.log([p.frequency for p in own])[None, :])
-            limit = np.log1p(tolerance)
-            cost = np.where(distance <= limit, distance, 10.0 * limit * (len(out) + len(own)))
-            for i, j in zip(*optimize.linear_sum_assignment(cost), strict=True):
-                if distance[i, j] <= limit:
-                    out[i][name] = own[j]
-                    taken.add(int(j))
+        centre = [np.exp(np.mean([np.log(p.frequency) for p in track.values()])) for track in out]
+        for i, j in matched(centre, [p.frequency for p in own], TOLERANCE):
+            out[i][name] = own[j]
+            taken.add(j)
         out += [{name: peak} for j, peak in enumerate(own) if j not in taken]
     return sorted(out, key=lambda track: min(p.frequency for p in track.values()))
 

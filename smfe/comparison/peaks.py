@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from scipy import ndimage, signal
+from scipy import ndimage, optimize, signal
 
 from process.errors import InputError
 from process.labels import check_compliance
@@ -36,11 +36,8 @@ from smfe.modes.pole_fit import (
 )
 from smfe.modes.response_matrix import Curves
 
-CLEAR_SIGNIFICANCE = 4.0
-"""How many times more significant than another a peak must be that is low beside the highest one."""
-
-_LARGEST_DAMPING = 0.5
-_MOST_POLES = 4  # fitted together; more overlapping peaks than that are no longer peaks
+TOLERANCE = 0.1
+"""Largest relative difference of frequency at which two peaks can be the same mode."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +54,20 @@ class PeakRules:
         Peaks below this share of the highest one are ignored [1], unless they are clear.
     clear : float, optional
         A peak is clear when it rises above its surroundings by this share of its own height [1] and by
-        `CLEAR_SIGNIFICANCE` times `significance`: a mode of the same mass and damping at five times the frequency has
+        `clear_significance` times `significance`: a mode of the same mass and damping at five times the frequency has
         1/25 of the compliance, and is a mode all the same.
     floor : float, optional
         Below this share of the highest peak nothing counts, however clear [1]: 60 dB down begins what the recording
         itself adds.
+    clear_significance : float, optional
+        How many times more significant than another a peak must be that is low beside the highest one.
     width : float, optional
         Half-power widths fitted to each side of a peak; 3 to 6 together is the compromise between noise and the
         neighbours that the remainders can no longer describe.
+    most_poles : int, optional
+        Overlapping peaks that are fitted together; more are no longer peaks.
+    largest_damping : float, optional
+        Damping ratio beyond which a maximum is no peak.
     """
 
     significance: float = 5.0
@@ -72,7 +75,10 @@ class PeakRules:
     height: float = 0.02
     clear: float = 0.5
     floor: float = 0.001
+    clear_significance: float = 4.0
     width: float = 2.5
+    most_poles: int = 4
+    largest_damping: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -183,6 +189,27 @@ def entry_peaks(dataset: xr.Dataset, response: str, excitation: str, rules: Peak
     )
 
 
+def matched(one: Sequence[float], other: Sequence[float], tolerance: float) -> list[tuple[int, int]]:
+    """Return the numbers of frequencies that are the same mode, one to one.
+
+    The assignment has the least sum of relative differences; a pair beyond the tolerance costs more than any number of
+    good ones and is dissolved afterwards.
+
+    Parameters
+    ----------
+    one, other : sequence of float
+        Frequencies [Hz].
+    tolerance : float
+        Largest relative difference [1].
+    """
+    distance = np.abs(np.log(one)[:, None] - np.log(other)[None, :])
+    limit = np.log1p(tolerance)
+    cost = np.where(distance <= limit, distance, 10.0 * limit * (len(one) + len(other)))
+    return [
+        (int(i), int(j)) for i, j in zip(*optimize.linear_sum_assignment(cost), strict=True) if distance[i, j] <= limit
+    ]
+
+
 # --- which maxima are peaks ----------------------------------------------------------------------------------------
 
 
@@ -216,7 +243,7 @@ def _tops(h: Complex, noise: Real, rules: PeakRules) -> list[int]:
     tops, found = signal.find_peaks(size, prominence=0.0)
     needed = np.maximum(rules.prominence * size[tops], rules.significance * noise[tops])
     rises = found["prominences"]
-    clear = (rises >= rules.clear * size[tops]) & (rises >= CLEAR_SIGNIFICANCE * rules.significance * noise[tops])
+    clear = (rises >= rules.clear * size[tops]) & (rises >= rules.clear_significance * rules.significance * noise[tops])
     share = size[tops] / size.max()
     keep = (rises >= needed) & ((clear & (share >= rules.floor)) | (share >= rules.height))
     return [int(top) for top in tops[keep]]
@@ -255,7 +282,7 @@ def _groups(f: Real, h: Complex, tops: Sequence[int], rules: PeakRules) -> Itera
         guess = _Guess(float(f[top]), 2.0 * _half_width(f, h, top), float(fences[k]), float(fences[k + 1]))
         if group:
             reach = rules.width * (group[-1].width + guess.width)
-            if guess.frequency - group[-1].frequency > reach or len(group) == _MOST_POLES:
+            if guess.frequency - group[-1].frequency > reach or len(group) == rules.most_poles:
                 yield group
                 group = []
         group.append(guess)
@@ -305,12 +332,12 @@ def _fit_group(
         band = _band(f, group, rules)
         if 2 * (band.stop - band.start) <= 4 * len(group) + 4:
             return []
-        fit = _fit(f[band], h[band], noise.level[band], noise.given, group)
+        fit = _fit(f[band], h[band], noise.level[band], noise.given, group, rules)
         group = [
             replace(g, frequency=p, width=2.0 * z * p) for g, (p, z) in zip(group, fit.poles.tolist(), strict=True)
         ]
     covariance = fit.unit_covariance() * error_lines * inflation(fit.chi, fit.degrees_of_freedom, noise.given)
-    peaks = [_peak(fit, k, covariance, noise.given) for k in range(len(group))]
+    peaks = [_peak(fit, k, covariance, noise.given, rules) for k in range(len(group))]
     return [p for p in peaks if p is not None and p.amplitude >= rules.significance * p.amplitude_std]
 
 
@@ -320,6 +347,7 @@ def _fit(
     noise: Real,
     given: bool,
     group: Sequence[_Guess],
+    rules: PeakRules,
 ) -> PoleFit:
     """Fit poles and a complex straight line to a band; without a given noise every line counts the same."""
     size = float(np.abs(h).max())
@@ -330,16 +358,16 @@ def _fit(
     natural, width = (np.array([getattr(g, of) for g in group]) for of in ("frequency", "width"))
     poles = np.stack([np.clip(natural, low, high), np.clip(width / (2.0 * natural), 1e-4, 0.4)], axis=1)
     fit = solve(curves, poles, Remainders(False, False, line))
-    return refine(fit, _DESCENT, Bounds(low, high, most_damping=_LARGEST_DAMPING))
+    return refine(fit, _DESCENT, Bounds(low, high, most_damping=rules.largest_damping))
 
 
-def _peak(fit: PoleFit, k: int, covariance: Real, given: bool) -> Peak | None:
+def _peak(fit: PoleFit, k: int, covariance: Real, given: bool, rules: PeakRules) -> Peak | None:
     """Return peak number k of a fit, or None when it ran away."""
     frequency, damping = (float(v) for v in fit.poles[k])
     width, f = 2.0 * damping * frequency, fit.curves.frequency
     std = np.sqrt(np.diag(covariance)[2 * k : 2 * k + 2])
     outside = not f[0] < frequency < f[-1]
-    if outside or damping > 0.99 * _LARGEST_DAMPING or not std[0] < width or not std[1] < damping:
+    if outside or damping > 0.99 * rules.largest_damping or not std[0] < width or not std[1] < damping:
         return None
     fine = np.linspace(max(f[0], frequency - width), min(f[-1], frequency + width), 801)
     size = np.abs(fit.curve_values(fine)[0])

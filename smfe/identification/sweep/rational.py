@@ -22,22 +22,25 @@ from process.types import Complex, Real
 from smfe.identification.sweep.least_squares import Equations, ring
 from smfe.modes.pole_fit import Descent, descend
 
-COARSE = 0.25
-"""Width of the bins that are joined to find the poles [Hz]."""
 
-NARROW = 8.0
-"""A pole narrower than so many of them is polished with the finest bins: its third derivative counts within a bin."""
+@dataclass(frozen=True)
+class RationalRules:
+    """How poles are found, and how many."""
 
-MOST_ORDER = 6
-"""Order of the smooth remainder at most."""
+    coarse: float = 0.25
+    """Width of the bins that are joined to find the poles [Hz]."""
+    narrow: float = 8.0
+    """A pole narrower than so many of them is polished with the finest bins: its third derivative counts within one."""
+    most_order: int = 6
+    """Order of the smooth remainder at most."""
+    most_poles: int = 12
+    """Poles at most."""
+    worth: float = 3.0
+    """Fall of the weighted sum of squares, for each unknown of a pole, from which the pole is worth adding: noise gives
+    1 to a pole at a given place and nearly 2, which is Akaike's limit, to the best of all places."""
 
-MOST_POLES = 12
-"""Poles at most."""
 
-WORTH = 3.0
-"""Fall of the weighted sum of squares, for each unknown of a pole, from which the pole is worth adding.
-
-Noise gives 1 to a pole at a given place and nearly 2, which is Akaike's limit, to the best of all places."""
+RULES = RationalRules()
 
 
 def _step(curvature: Complex, pull: Complex, damping: float) -> Complex:
@@ -159,22 +162,22 @@ def fit_rational(
     Returns
     -------
     RationalFit
-        With as many poles as are worth their unknowns, `MOST_POLES` at most, and one order more than is.
+        With as many poles as are worth their unknowns, `RationalRules.most_poles` at most, and one order more than is.
     """
-    together = max(1, round(COARSE / equations.step))
+    together = max(1, round(RULES.coarse / equations.step))
     problem = _problem(equations, weight, band, order, together)
     best = _solve(problem, np.zeros(0, dtype=complex))
     each = problem.gram.shape[0] * problem.inputs
     while True:
-        if best.poles.size < MOST_POLES:
+        if best.poles.size < RULES.most_poles:
             found = _polished(problem, np.append(best.poles, _next_pole(problem, best)))
-            if best.chi - found.chi > WORTH * (each + 1):
+            if best.chi - found.chi > RULES.worth * (each + 1):
                 best = found
                 continue
         worth, (problem, best) = best.chi, _one_order_more(problem, best)
-        if problem.order > MOST_ORDER or not worth - best.chi > WORTH * each:
+        if problem.order > RULES.most_order or not worth - best.chi > RULES.worth * each:
             break
-    if together > 1 and best.poles.size and float(best.poles.imag.min()) < NARROW * COARSE:
+    if together > 1 and best.poles.size and float(best.poles.imag.min()) < RULES.narrow * RULES.coarse:
         together = 1
         problem = _problem(equations, weight, band, problem.order, 1)
         best = _polished(problem, best.poles)
@@ -202,7 +205,7 @@ def _problem(equations: Equations, weight: Real, band: tuple[float, float], orde
         order,
         float(joined.lines.sum()) * weight.shape[2],
         equations.gram.shape[3],
-        0.5 * COARSE,
+        0.5 * RULES.coarse,
     )
 
 
