@@ -11,7 +11,7 @@ records. With the energy ``G(f) = sum over records of F F^H`` the normal matrix 
 - forces: their noise is in the regressors, too, and is taken out of M; the residual keeps it, so that ``M^-1`` becomes
   ``M^-1 (M + N) M^-1``, N over all lines, the air included. Records in whose air N is not measured keep it in M, and
   the compliance comes out too small by ``Phi (1 - M (M + N)^-1)``; where that may be more than
-  `local_polynomial.MOST_OPEN` of it, or where N is most of the weakest direction of the forces, the estimator
+  `SweepRules.most_open` of it, or where N is most of the weakest direction of the forces, the estimator
   solves nothing.
 
 The estimator takes, row by row, the widest band that agrees with all narrower ones, in units of the standard deviation
@@ -30,7 +30,7 @@ will err by scatters about its root mean square as the root of a chi-square over
 the mean squared over the variance (Satterthwaite 1946). With nu those of the model, to the variance contribute
 
 - the model: ``2 n^2 (n^2 + 2 b^2)/nu`` of a noise n beside a systematic error b, which does not scatter;
-- `local_polynomial.MODEL_ERROR`, below which no estimate is stated: the square of its mean square, since it is an
+- `SweepRules.model_error`, below which no estimate is stated: the square of its mean square, since it is an
   order of magnitude;
 - what is not worked out: the square of the whole times `PlanRules.unknown` twice.
 """
@@ -52,15 +52,11 @@ from process.types import Complex, Real
 from smfe.identification.sweep.least_squares import Equations
 from smfe.identification.sweep.local_polynomial import (
     BANDS,
-    LARGEST_SHARE,
-    MODEL_ERROR,
-    MOST_OPEN,
-    SAME,
     LocalPolynomial,
     model_agreement,
 )
 from smfe.identification.sweep.rational import fit_rational
-from smfe.identification.sweep.sweep import REFUSE_CONDITION
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.planning.forces import Forces, ForceSensor, SweepPlan, force_sensor
 from smfe.planning.rules import RULES
 from smfe.planning.task import Estimate
@@ -193,10 +189,13 @@ def expected(
         model = expected_model(forces, estimate, noise, sensor, frequency, chosen.order)
         noisy = model.variance
         agreement = model_agreement(chosen, widths, 3, band[1] - band[0])
-        least = MODEL_ERROR**2 * np.mean(np.abs(truth) ** 2, axis=2, keepdims=True)
+        least = SWEEP_RULES.model_error**2 * np.mean(np.abs(truth) ** 2, axis=2, keepdims=True)
         alone = _with_model(noisy, model.bias, bands, taken, agreement) + least
         attrs["poles"] = model.poles
-        extra["error_freedom"] = (three[1:], _degrees_of_freedom(model, alone, least, condition <= REFUSE_CONDITION))
+        extra["error_freedom"] = (
+            three[1:],
+            _degrees_of_freedom(model, alone, least, condition <= SWEEP_RULES.refuse_condition),
+        )
     extra |= {"compliance_std": (three, np.sqrt(alone)), "noise_std": (three, np.sqrt(noisy))}
     found = make_compliance(frequency, truth, AXES, extra=extra, attrs=attrs)
     for name in {"noise_std", "bands_std"} & set(extra):
@@ -211,7 +210,7 @@ def relative_error(found: xr.Dataset, scale: Real, name: str = "compliance_std")
     Frequencies that the estimator will not solve do not count, where it solves any.
     """
     std = found[name].transpose("frequency", "response", "excitation").values
-    solved = found["force_condition"].values <= REFUSE_CONDITION
+    solved = found["force_condition"].values <= SWEEP_RULES.refuse_condition
     std = std[solved] if solved.any() else std
     return np.asarray(np.sqrt(np.mean(std**2, axis=0)) / scale)
 
@@ -267,7 +266,7 @@ def _with_model(noise: Real, systematic: Complex, bands: list[_Band], taken: Rea
         # E[x; x < a] = 1 - (1 + a) exp(-a) of an exponential x of mean 1.
         left = 1.0 - (1.0 - (1.0 + allowed) * np.exp(-allowed)) * others
         # Where the band cannot be solved, nothing is.
-        solved = (band.condition <= REFUSE_CONDITION)[:, None, None]
+        solved = (band.condition <= SWEEP_RULES.refuse_condition)[:, None, None]
         fallen = np.where(solved, apart * left + np.abs(band.bias) ** 2 * (1.0 - row), 0.0)
         total += share[..., None] * (kept * row + fallen)
     return np.asarray(total)
@@ -305,7 +304,7 @@ def _band(shared: _Shared, width: float) -> _Band:
     normal = exact if shared.sensor.subtracted else exact + noisy
     taken_out = noisy[:3, :3] if shared.sensor.subtracted else np.zeros((3, 3))
     condition, noise_ratio = _condition(normal[:, :3, :3], taken_out, lines)
-    solved = condition <= 10.0 * REFUSE_CONDITION
+    solved = condition <= 10.0 * SWEEP_RULES.refuse_condition
     # What cannot be solved is wrong by ten times the largest compliance.
     noise = np.full((f, 3, 3), 100.0 * float(np.abs(shared.truth).max()) ** 2)
     stated, bias = noise.copy(), np.zeros((f, 3, 3), dtype=complex)
@@ -314,7 +313,7 @@ def _band(shared: _Shared, width: float) -> _Band:
     noise[solved] = shared.noise[solved][:, :, None] * spread
     bias[solved] = (right[solved] @ inverse)[:, :, :3] - shared.truth[solved]
     if not shared.sensor.subtracted:
-        left = shared.sensor.known / MOST_OPEN * np.linalg.norm(bias, axis=(1, 2))
+        left = shared.sensor.known / SWEEP_RULES.most_open * np.linalg.norm(bias, axis=(1, 2))
         noise_ratio = left / np.maximum(np.linalg.norm(shared.truth + bias, axis=(1, 2)), 1e-300)
         condition = np.where(noise_ratio <= 1.0, condition, np.inf)
     # What the polynomial misses is in the residual, and the estimator takes that for noise.
@@ -322,7 +321,7 @@ def _band(shared: _Shared, width: float) -> _Band:
     missed = _missed(whole, right[solved], exact[solved]) / max(lines - size, 1.0)
     stated[solved] = (shared.noise[solved] + missed)[:, :, None] * spread
     varies = noise + shared.beats[:, None, None] * (stated - noise)
-    stated = stated + (SAME * np.abs(shared.truth)) ** 2
+    stated = stated + (SWEEP_RULES.same_entry * np.abs(shared.truth)) ** 2
     return _Band(noise, varies, stated, bias, condition, noise_ratio)
 
 
@@ -337,7 +336,7 @@ def _condition(energy: Complex, noise: Real, lines: float) -> tuple[Real, Real]:
     floor = 1e-30 * clean[:, -1]
     smallest, power = np.maximum(clean[:, 0], floor), whole[:, 0] - clean[:, 0]
     seen = np.maximum(smallest - 2.0 * np.sqrt(power * (power + 2.0 * smallest) / lines), np.maximum(floor, 1e-300))
-    noise_ratio = np.sqrt(power / seen * (1.0 - LARGEST_SHARE) / LARGEST_SHARE)
+    noise_ratio = np.sqrt(power / seen * (1.0 - SWEEP_RULES.largest_noise_share) / SWEEP_RULES.largest_noise_share)
     return np.where(noise_ratio <= 1.0, np.sqrt(whole[:, -1] / smallest), np.inf), noise_ratio
 
 

@@ -25,8 +25,8 @@ from process.cut.engagement import Engagement, engagement
 from process.cut.force import CuttingCoefficients, force_harmonics, force_projection
 from process.cut.tool import Tool
 from process.types import Complex, Real
-from smfe.identification.sweep.noise import ALIKE, BOUNDED, median_spread
-from smfe.identification.sweep.passes import MARGIN, SHORTEST
+from smfe.identification.sweep.noise import median_spread
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.planning.rules import RULES
 
 
@@ -335,7 +335,7 @@ def force_sensor(
     """Return what the records of a plan will hold of the noise of their forces (`smfe.identification.sweep.noise`).
 
     The air is seen where the force is less than half of that in the cut; the median of its lines within the band is
-    known to `smfe.identification.sweep.noise.median_spread` and no better than `smfe.identification.sweep.noise.ALIKE`.
+    known to `smfe.identification.sweep.noise.median_spread` and no better than `SweepRules.noise_scatter`.
 
     Parameters
     ----------
@@ -357,9 +357,13 @@ def force_sensor(
     ]
     # A noise n is in the cut too: n < sqrt(F^2 + n^2)/2.
     above_noise = [float(level.rms @ level.rms) > 3.0 * float(square.sum()) for level in levels]
-    pieces = [t - MARGIN for t in (plan.lead, plan.tail) if t - MARGIN >= SHORTEST]
+    pieces = [
+        t - SWEEP_RULES.air_margin
+        for t in (plan.lead, plan.tail)
+        if t - SWEEP_RULES.air_margin >= SWEEP_RULES.shortest_air
+    ]
     lines = plan.repeats * sum(above_noise) * sum(pieces) * (band[1] - band[0])
-    known = float(np.hypot(median_spread(lines), ALIKE)) if lines else BOUNDED
+    known = float(np.hypot(median_spread(lines), SWEEP_RULES.noise_scatter)) if lines else SWEEP_RULES.bounded_scatter
     return ForceSensor(square / sample_rate, bool(lines), known)
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from process.units import show
 from smfe.campaign.schema import PlanTable
-from smfe.identification.sweep.sweep import REFUSE_CONDITION
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.planning.task import Task
 
 
@@ -67,7 +67,7 @@ def allowed(task: Task, key: str) -> float | None:
         "stroke": limits.stroke,
         "stock": limits.stock_length,
         "time": limits.time,
-        "condition": REFUSE_CONDITION,
+        "condition": SWEEP_RULES.refuse_condition,
         "noise": max(limits.force_noise),
         "chatter": limits.depth_of_cut[0],
         "force": limits.largest_force,

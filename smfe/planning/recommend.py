@@ -14,7 +14,8 @@ import xarray as xr
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from process.types import Real
-from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION, check_independent
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
+from smfe.identification.sweep.sweep import check_independent
 from smfe.planning.errors import error_interval, expected, relative_error
 from smfe.planning.forces import Forces, Pass, SweepPlan, force_level
 from smfe.planning.limits import KEYS, no_plan, rejections
@@ -364,12 +365,14 @@ def thin_chips(sweep: SweepPlan) -> list[str]:
 
 def _condition_warning(one: _Refined) -> list[str]:
     condition = one.prediction["force_condition"].values
-    if condition.max() <= WARN_CONDITION:
+    if condition.max() <= SWEEP_RULES.warn_condition:
         return []
-    share = f"{100.0 * float(np.mean(condition > WARN_CONDITION)):.0f}"
-    lost = int(np.sum(condition > REFUSE_CONDITION))
-    more = f", and exceeds {REFUSE_CONDITION:g} at {lost} frequencies, which will stay empty" if lost else ""
-    return [f"the condition number of the forces exceeds {WARN_CONDITION:g} in {share} % of the band{more}"]
+    share = f"{100.0 * float(np.mean(condition > SWEEP_RULES.warn_condition)):.0f}"
+    lost = int(np.sum(condition > SWEEP_RULES.refuse_condition))
+    more = (
+        f", and exceeds {SWEEP_RULES.refuse_condition:g} at {lost} frequencies, which will stay empty" if lost else ""
+    )
+    return [f"the condition number of the forces exceeds {SWEEP_RULES.warn_condition:g} in {share} % of the band{more}"]
 
 
 def _completed(task: Task, one: _Refined) -> xr.Dataset:

@@ -24,7 +24,7 @@ from process.cut.engagement import CUTS
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.types import Complex, Real
-from smfe.identification.sweep.sweep import REFUSE_CONDITION
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.planning.errors import Instruments
 from smfe.planning.forces import (
     Pass,
@@ -232,7 +232,7 @@ class Search:
         }
         needed = dict.fromkeys(KEYS, 0.0) | needs
         columns |= {key: np.full(rows.shape[0], needed[key]) for key in KEYS}
-        columns["condition"] = condition / REFUSE_CONDITION
+        columns["condition"] = condition / SWEEP_RULES.refuse_condition
         for k, v in peaks.items():
             given = allowed(self.task, k)
             columns[k] = np.zeros(rows.shape[0]) if given is None else least * v / given

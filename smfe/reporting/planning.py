@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from smfe.identification.sweep.sweep import REFUSE_CONDITION, WARN_CONDITION
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.planning.forces import orders_within
 from smfe.planning.recommend import Plan
 from smfe.reporting.draw_matplotlib import DPI, save
@@ -241,12 +241,15 @@ def draw_condition(found: Plan) -> Figure:
     figure = _new(6.5, 3.0)
     axes = figure.subplots()
     axes.semilogy(p["frequency"].values, p["force_condition"].values, color="black", linewidth=1.3)
-    for level, text in ((WARN_CONDITION, "badly conditioned"), (REFUSE_CONDITION, "not solved")):
+    for level, text in (
+        (SWEEP_RULES.warn_condition, "badly conditioned"),
+        (SWEEP_RULES.refuse_condition, "not solved"),
+    ):
         axes.axhline(level, color=CHATTER, linewidth=0.9, linestyle="--")
         axes.annotate(
             f"above: {text}", (1.0, level), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8
         )
-    axes.set_ylim(1.0, max(1.6 * REFUSE_CONDITION, 1.2 * float(p["force_condition"].max())))
+    axes.set_ylim(1.0, max(1.6 * SWEEP_RULES.refuse_condition, 1.2 * float(p["force_condition"].max())))
     axes.set_xlabel("frequency [Hz]", fontsize=9)
     axes.set_ylabel("condition number", fontsize=9)
     _plain(axes)

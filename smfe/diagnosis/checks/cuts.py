@@ -20,7 +20,8 @@ from smfe.diagnosis.checks.rules import RULES
 from smfe.diagnosis.checks.suspect import Part, Suspect, fault, warning
 from smfe.identification.spectra.spindle_angle import spindle_angle
 from smfe.identification.sweep.passes import SweepPass, in_cut, prepare
-from smfe.identification.sweep.spindle_clock import ADVICE, REFUSED, compare_speeds
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
+from smfe.identification.sweep.spindle_clock import ADVICE, compare_speeds
 
 _EQUAL_TEETH = CuttingCoefficients(1.0, 0.3, 0.0)  # the spectrum of a tooth changes little with Krc/Ktc
 
@@ -29,7 +30,7 @@ def clock_suspects(record: xr.Dataset, where: str, teeth: int | None) -> Iterato
     """Compare the passing of the teeth with all channels of the speed, steady or not: clocks, teeth, pulses."""
     for found in compare_speeds(prepare(SweepPass(record, where)), teeth):
         if found.real:
-            refused = found.source == "spindle_speed" and abs(found.difference) > REFUSED
+            refused = found.source == "spindle_speed" and abs(found.difference) > SWEEP_RULES.refused_speed
             said = f"{where}, {found.source}", found.in_words(), ADVICE[found.source]
             yield (fault if refused else warning)("time_skew", *said)
 

@@ -20,7 +20,8 @@ from smfe.identification.actuator.rules import RULES
 from smfe.identification.errors.result import in_words
 from smfe.identification.spectra.spectra import as_displacement, force_samples, motion_axes, record_source
 from smfe.identification.sweep.noise import density_of
-from smfe.identification.sweep.passes import SHORTEST, air_pieces
+from smfe.identification.sweep.passes import air_pieces
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def clipped_share(samples: Real) -> float:
 def _quiet(record: xr.Dataset, axis: str) -> float | None:
     """Return the power density of the force where nothing excites [N2/Hz], two-sided; None without such a piece."""
     dt, force = sample_interval(record), record["force"].sel(axis=[axis]).values
-    pieces = [p for p in air_pieces(record) if (p.stop - p.start) * dt >= SHORTEST]
+    pieces = [p for p in air_pieces(record) if (p.stop - p.start) * dt >= SWEEP_RULES.shortest_air]
     if not pieces:
         return None
     longest = max(pieces, key=lambda p: p.stop - p.start)

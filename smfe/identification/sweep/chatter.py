@@ -15,19 +15,8 @@ import numpy as np
 from process.errors import InputError
 from smfe.identification.spectra.spectra import hann
 from smfe.identification.sweep.passes import PreparedPass, SweepPass, prepare
+from smfe.identification.sweep.rules import RULES
 from smfe.identification.sweep.spindle_clock import angle_in_step, force_over_angle, turns_of, windows
-
-SHARE = 0.25
-"""Rms of the forces between whole orders over that at them, above which a window chatters."""
-
-STANDS_OUT = 25.0
-"""Power of the highest line between whole orders over the median between them, from which it is no noise."""
-
-SUCCESSIVE = 2
-"""Successive windows that must chatter."""
-
-ENOUGH = 4.0
-"""Time in the cut that a rest of a pass is worth using from [s]."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +70,7 @@ def chatter_of(sweep: PreparedPass, teeth: int | None) -> list[Chatter]:
     angle, dt = angle[piece], sweep.interval
     cells, turns = 8 * (teeth or 6), turns_of(teeth)
     force, hop = force_over_angle(sweep, piece, angle, cells), max(1, turns // 4)
-    if force.shape[1] < (turns + SUCCESSIVE * hop) * cells:
+    if force.shape[1] < (turns + RULES.chatter_windows * hop) * cells:
         return []
     lines = windows(force, cells, turns, hop)
     spectra = np.fft.rfft((lines - lines.mean(axis=2, keepdims=True)) * hann(turns * cells), axis=2)
@@ -100,12 +89,12 @@ def chatter_of(sweep: PreparedPass, teeth: int | None) -> list[Chatter]:
     beyond = np.maximum(between.sum(axis=1) - floor * between.shape[1], 0.0)
     share = np.sqrt(beyond / np.maximum(whole, 1e-300))
     at = line[used & (away > 2)][between.argmax(axis=1)] / turns * rate
-    found = (share > SHARE) & (between.max(axis=1) > STANDS_OUT * np.median(between, axis=1))
+    found = (share > RULES.chatter_share) & (between.max(axis=1) > RULES.chatter_line * np.median(between, axis=1))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], found.astype(int), [0]])))
     out = []
     time = sweep.record["time"].values[piece]
     for a, b in zip(edges[::2], edges[1::2], strict=True):
-        if b - a < SUCCESSIVE:
+        if b - a < RULES.chatter_windows:
             continue
         most = a + int(share[a:b].argmax())
         ends = float(time[int(start[a])]), float(time[min(int(stop[b - 1]), time.size - 1)])
@@ -119,7 +108,8 @@ def without_chatter(
 ) -> tuple[list[PreparedPass], tuple[str, ...]]:
     """Return the passes, or what is left of them, without chatter, and what was left out.
 
-    Of a pass that chatters the longest part in the cut that does not is kept, where it lasts `ENOUGH`.
+    Of a pass that chatters the longest part in the cut that does not is kept, where it lasts
+    `SweepRules.shortest_rest`.
 
     Parameters
     ----------
@@ -166,7 +156,7 @@ def _longest_rest(sweep: PreparedPass, chatter: Sequence[Chatter]) -> slice | No
     edges.append(float(time[cutting[-1]]))
     free = list(zip(edges[::2], edges[1::2], strict=True))
     longest = max(range(len(free)), key=lambda i: free[i][1] - free[i][0])
-    if free[longest][1] - free[longest][0] < ENOUGH:
+    if free[longest][1] - free[longest][0] < RULES.shortest_rest:
         return None
     first = 0 if longest == 0 else int(np.searchsorted(time, free[longest][0]))
     last = time.size if longest == len(free) - 1 else int(np.searchsorted(time, free[longest][1]))

@@ -16,24 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from process.types import Complex, Real
-
-TURNED = 3e-3
-"""What the model, and damping that is a little out of proportion, turn a mode by [rad]."""
-
-ALONE = 0.03
-"""The same where one mode alone is seen, and how modes differ is not known [rad]."""
-
-KNOWN = 0.05
-"""Standard deviation of the phase of a mode from which it says nothing [rad]."""
-
-DAMPING = (0.002, 0.2)
-"""Damping ratios of what is taken for a mode."""
-
-HEIGHT = 0.1
-"""Peak of a mode over that of the highest below which it may be one of the noise."""
-
-CLEAR = 4.0
-"""Standard deviations from which a delay is said."""
+from smfe.identification.sweep.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -57,7 +40,7 @@ class Delay:
     @property
     def real(self) -> bool:
         """Whether it is more than the modes differ by."""
-        return abs(self.late) > CLEAR * self.std
+        return abs(self.late) > RULES.clear_delay * self.std
 
     def in_words(self) -> str:
         """Return what was found, with its figures, and what to do."""
@@ -91,14 +74,14 @@ def delay_of(poles: Complex, residue: Complex, variance: Real, band: tuple[float
     noise = 1.0 / np.sqrt(2.0 * np.maximum(size, 1e-300))
     damping = poles.imag / np.maximum(np.abs(poles), 1e-300)
     height = np.linalg.norm(residue, axis=(1, 2)) / np.maximum(np.abs(poles.imag), 1e-300)
-    used = (poles.real > band[0]) & (poles.real < band[1]) & (noise < KNOWN)
-    used &= (damping > DAMPING[0]) & (damping < DAMPING[1])
-    used &= height > HEIGHT * np.max(height, where=used, initial=0.0)
+    used = (poles.real > band[0]) & (poles.real < band[1]) & (noise < RULES.known_phase)
+    used &= (damping > RULES.mode_damping[0]) & (damping < RULES.mode_damping[1])
+    used &= height > RULES.mode_height * np.max(height, where=used, initial=0.0)
     count = int(used.sum())
     if not count:
         return None
     slope = -2.0 * math.pi * poles.real[used]
-    w = 1.0 / (noise[used] ** 2 + (TURNED if count > 1 else ALONE) ** 2)
+    w = 1.0 / (noise[used] ** 2 + (RULES.mode_turn if count > 1 else RULES.lone_mode_turn) ** 2)
     curvature = float(np.sum(w * slope**2))
     late = float(np.sum(w * slope * phase[used])) / curvature
     scatter = float(np.sum(w * (phase[used] - slope * late) ** 2)) / max(count - 1, 1)

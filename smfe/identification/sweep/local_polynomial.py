@@ -39,8 +39,8 @@ from smfe.identification.sweep.least_squares import (
 from smfe.identification.sweep.noise import floored, force_noise, noise_between, pooled_noise, possible, shared_noise
 from smfe.identification.sweep.passes import PreparedPass, SweepPass, whole_record
 from smfe.identification.sweep.rational import fit_rational
+from smfe.identification.sweep.rules import RULES
 from smfe.identification.sweep.spindle_orders import (
-    HARMONICS,
     background_noise,
     instrumented,
     orders_in_band,
@@ -48,39 +48,6 @@ from smfe.identification.sweep.spindle_orders import (
 )
 
 Step = Callable[[int, int], None]
-
-
-NOISE_REACH = 2.0
-"""Noise powers of the motion are the median over this distance to either side [Hz]."""
-
-
-SAME = 5e-4
-"""Relative difference below which two estimates of an entry are the same, however quiet the sensors.
-
-An entry known to a thousandth must not keep the rest of its row, which is not, from a wide band."""
-
-
-MODEL_ERROR = 2e-4
-"""What the estimate errs by with sensors without noise, as a share of the rms of a row [1].
-
-Force linear between samples, a compliance that is a polynomial within a band, ends of records: median 0.5 to 2 parts in
-ten thousand in sweeps of 10 to 30 s of twelve machines. No interval is narrower."""
-
-
-MOST_OPEN = 0.3
-"""Share of the compliance that the noise of the forces may leave open; above, a frequency is not solved."""
-
-
-LARGEST_SHARE = 0.7
-"""Share of noise in the weakest direction of the forces above which a frequency is not solved."""
-
-
-LACK_REACH = 4.0
-"""Distance to either side over which what a model lacks is pooled [Hz]."""
-
-
-FALSE_ALARM = 0.01
-"""Probability with which noise makes a row of a rational model that is right disagree with a band anywhere."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +184,7 @@ def solve_local(
         by_width = dict(zip(widths, solved, strict=True))
         lost = losses[min(2, len(losses) - 1)]
         found = _with_rational(estimator, data, weight, by_width, found, (shared, level), lost)
-    floor = MODEL_ERROR**2 * np.mean(np.abs(found.compliance) ** 2, axis=2)
+    floor = RULES.model_error**2 * np.mean(np.abs(found.compliance) ** 2, axis=2)
     found = replace(found, covariance=found.covariance + floor[..., None, None] * np.eye(found.compliance.shape[2]))
     assert found.between is not None
     found = replace(found, between=possible(found.covariance, found.between))
@@ -312,7 +279,7 @@ def _instruments(
     """
     if estimator.instrument_teeth is None:
         return None, np.ones(len(tests))
-    orders = [h * estimator.instrument_teeth for h in range(1, HARMONICS + 1)]
+    orders = [h * estimator.instrument_teeth for h in range(1, RULES.instrument_harmonics + 1)]
     out, shares = [], np.zeros(len(tests))
     for k, lines in enumerate(tests):
         if k >= len(passes):
@@ -483,7 +450,7 @@ def _weights(data: _Data, estimator: LocalPolynomial, width: float, rounds: int 
     power of frequency.
     """
     weight = np.ones(data.raw.joint.shape[:3])
-    reach = max(1, round(NOISE_REACH / estimator.resolution))
+    reach = max(1, round(RULES.noise_reach / estimator.resolution))
     whitened = (data.frequency / data.frequency[0])[:, None, None] ** 4
     below = np.minimum((np.maximum(data.raw.centre, 0.0) / data.frequency[0]) ** 4, 1.0)[:, None, None]
     lines, _ = _pooled_lines(data, estimator, width)
@@ -522,8 +489,8 @@ def _residual_noise(data: _Data, estimator: LocalPolynomial, width: float, weigh
 
 
 def _pooled_lines(data: _Data, estimator: LocalPolynomial, width: float) -> tuple[Real, int]:
-    """Return the independent lines within `NOISE_REACH`, (f, tests), and how many neighbours that is."""
-    side, reach = _bins(data, width), max(1, round(NOISE_REACH / estimator.resolution))
+    """Return the independent lines within `SweepRules.noise_reach`, (f, tests), and how many neighbours that is."""
+    side, reach = _bins(data, width), max(1, round(RULES.noise_reach / estimator.resolution))
     count = np.sum([data.raw.moment[data.first + o, :, 0, 0] for o in range(-side, side)], axis=0)
     free = 1.0 - np.minimum(data.raw.unknowns / np.maximum(count.sum(axis=1, keepdims=True), 1.0), 0.9)
     # Bands of neighbours overlap, or leave lines between them out.
@@ -586,7 +553,7 @@ def _solution(data: _Data, bands: _Both, error_lines: float) -> tuple[Estimate, 
     covariance = covariance + data.noise_spread**2 * loss[..., :, None] * loss[..., None, :].conj()
     condition = _condition(bands)
     # Where the noise leaves the compliance open, its linearised uncertainty says nothing.
-    open_to = data.noise_spread * np.linalg.norm(loss, axis=(1, 2)) > MOST_OPEN * np.linalg.norm(
+    open_to = data.noise_spread * np.linalg.norm(loss, axis=(1, 2)) > RULES.most_open * np.linalg.norm(
         value[..., :e], axis=(1, 2)
     )
     condition = np.where(open_to, np.inf, condition)
@@ -599,7 +566,7 @@ def _condition(bands: _Both) -> Real:
     clean = np.linalg.eigvalsh(bands.force - bands.loss)
     whole = np.linalg.eigvalsh(bands.force)
     largest, smallest = whole[:, -1], clean[:, 0]
-    drowned = smallest <= (1.0 - LARGEST_SHARE) * np.maximum(whole[:, 0], 0.0)
+    drowned = smallest <= (1.0 - RULES.largest_noise_share) * np.maximum(whole[:, 0], 0.0)
     usable = (smallest > 1e-14 * largest) & ~drowned & (largest > 0.0)
     return np.where(usable, np.sqrt(largest / np.where(usable, smallest, 1.0)), np.inf)
 
@@ -650,8 +617,8 @@ def _choose(
 
 
 def difference(a: Estimate, b: Estimate) -> Real:
-    """Largest difference within a row, in standard deviations of b but at least `SAME`, shape (f, r)."""
-    scale = np.hypot(b.std, SAME * np.abs(b.compliance))
+    """Return the largest difference within a row in standard deviations of b (at least `same_entry`), shape (f, r)."""
+    scale = np.hypot(b.std, RULES.same_entry * np.abs(b.compliance))
     ratio = np.abs(a.compliance - b.compliance) / np.where(scale > 0.0, scale, np.inf)
     return np.asarray(np.nan_to_num(ratio).max(axis=2))
 
@@ -722,7 +689,7 @@ def model_agreement(estimator: LocalPolynomial, widths: Sequence[float], excitat
     hertz, so that false alarms would rule the error.
     """
     looks = excitations * sum(max(1.0, span / (2.0 * w)) for w in widths)
-    return max(estimator.agreement, math.sqrt(math.log(looks / FALSE_ALARM)))
+    return max(estimator.agreement, math.sqrt(math.log(looks / RULES.false_alarm)))
 
 
 def lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial) -> tuple[Complex, NDArray[np.bool_]]:
@@ -747,23 +714,23 @@ def lack_of_fit(model: Estimate, found: Estimate, estimator: LocalPolynomial) ->
     ndarray, shape (f, r, e, e)
         Variance to add [m2/N2].
     ndarray of bool, shape (f, r)
-        Where the bands contradict the model, with `FALSE_ALARM` in a whole sweep.
+        Where the bands contradict the model, with `SweepRules.false_alarm` in a whole sweep.
     """
     assert found.half_width is not None
     variance = np.maximum(found.std**2, 1e-300)
-    scale = variance + (SAME * np.abs(found.compliance)) ** 2
+    scale = variance + (RULES.same_entry * np.abs(found.compliance)) ** 2
     ratio = np.nan_to_num(np.abs(model.compliance - found.compliance) ** 2 / scale, nan=1.0).mean(axis=2)
-    size = 2 * round(LACK_REACH / estimator.resolution) + 1
+    size = 2 * round(RULES.lack_reach / estimator.resolution) + 1
     inside = ndimage.uniform_filter1d(np.ones_like(ratio), size, axis=0, mode="constant")
     pooled = ndimage.uniform_filter1d(ratio, size, axis=0, mode="constant") / inside
-    independent = found.compliance.shape[2] * np.maximum(LACK_REACH / found.half_width, 1.0)
+    independent = found.compliance.shape[2] * np.maximum(RULES.lack_reach / found.half_width, 1.0)
     beyond = np.where(pooled > 1.0 + 1.0 / np.sqrt(independent), pooled - 1.0, 0.0)
     # The entries of a row err alike, in the weakest direction of the forces: they count as one.
     widths, which = np.unique(found.half_width, return_inverse=True)
     lines = np.array([estimator.error_lines(float(w)) for w in widths])[which.reshape(ratio.shape)]
     number = size * inside / lines
     looks = ratio.size / size + ratio.shape[1]
-    contradicted = stats.gamma.sf(pooled * number, number) < FALSE_ALARM / looks
+    contradicted = stats.gamma.sf(pooled * number, number) < RULES.false_alarm / looks
     return np.asarray(beyond[..., None, None] * np.eye(variance.shape[2]) * variance[..., None, :]), contradicted
 
 

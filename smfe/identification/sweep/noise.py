@@ -25,26 +25,7 @@ from scipy import fft, ndimage, special, stats
 from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann
 from smfe.identification.sweep.passes import PreparedPass
-
-WINDOW = 1.0
-"""Pieces of the cut in which its floor is looked for [s]."""
-
-
-ALIKE = 0.1
-"""Relative standard deviation of a noise power that no number of lines takes away: it need not be white."""
-
-
-BOUNDED = 0.8
-"""Relative standard deviation of a noise power of which only a bound is known."""
-
-
-SAME = 2.5
-"""Pieces of air belong to the quietest while the logarithm of their power is within so many standard deviations."""
-
-
-COHERENT_P_VALUE = 1e-3
-"""p-value of independent noise below which a coherence of two rows counts."""
-
+from smfe.identification.sweep.rules import RULES
 
 # --- of the forces ----------------------------------------------------------------------------------------------------
 
@@ -88,12 +69,12 @@ def force_noise(passes: Sequence[PreparedPass], axes: list[str], reach: tuple[fl
         floors += _floor_of_cut(force, np.flatnonzero(p.cutting), p.interval, reach)
     bound = np.median(floors, axis=0) if floors else np.full(len(axes), np.inf)
     if not pieces:
-        return ForceNoise(bound, BOUNDED, False) if floors else None
+        return ForceNoise(bound, RULES.bounded_scatter, False) if floors else None
     together = [
         _quietest(np.array([p[0][i] for p in pieces]), np.array([p[1] for p in pieces])) for i in range(len(axes))
     ]
     density = np.minimum([value for value, _ in together], bound)
-    return ForceNoise(density, float(np.hypot(max(spread for _, spread in together), ALIKE)), True)
+    return ForceNoise(density, float(np.hypot(max(spread for _, spread in together), RULES.noise_scatter)), True)
 
 
 def _quietest(power: Real, lines: Real) -> tuple[float, float]:
@@ -101,7 +82,7 @@ def _quietest(power: Real, lines: Real) -> tuple[float, float]:
     independent = 1.0 / median_spread(lines) ** 2
     total, weight = 0.0, 0.0
     for i in np.argsort(power):
-        apart = SAME * np.sqrt(1.0 / independent[i] + (1.0 / weight if weight else 0.0))
+        apart = RULES.same_air * np.sqrt(1.0 / independent[i] + (1.0 / weight if weight else 0.0))
         if weight and power[i] * weight > total * np.exp(apart):
             break
         total, weight = total + independent[i] * power[i], weight + independent[i]
@@ -137,7 +118,7 @@ def density_of(samples: Real, dt: float, reach: tuple[float, float], quantile: f
 
 def _floor_of_cut(force: Real, cutting: NDArray[np.int64], dt: float, reach: tuple[float, float]) -> list[Real]:
     """Return what each piece of the cut has between its lines [N2/Hz]: a lower quartile."""
-    size = round(WINDOW / dt)
+    size = round(RULES.floor_window / dt)
     if cutting.size < 2 or cutting[-1] - cutting[0] < size:
         return []
     starts = range(int(cutting[0]), int(cutting[-1]) - size + 1, max(1, size // 2))
@@ -179,8 +160,8 @@ def shared_noise(products: Complex, lines: Real, reach: int) -> Complex:
     """Return the coherence of the noise of two rows, pooled over passes and neighbours, shape (f, r, r).
 
     Of n lines of independent noise ``2 n |rho|^2`` follows chi^2 with two degrees of freedom; a smaller coherence than
-    noise reaches with the probability `COHERENT_P_VALUE` counts as none. No sum of rows is claimed to be quieter than n
-    lines can resolve: all coherences shrink until the smallest eigenvalue of their matrix is r/n.
+    noise reaches with the probability `SweepRules.coherent_p_value` counts as none. No sum of rows is claimed to be
+    quieter than n lines can resolve: all coherences shrink until the smallest eigenvalue of their matrix is r/n.
 
     Parameters
     ----------
@@ -202,7 +183,7 @@ def shared_noise(products: Complex, lines: Real, reach: int) -> Complex:
         for part in (count.sum(axis=1), total.real, total.imag)
     )
     rho = (real + 1j * imaginary) / np.maximum(n, 1.0)
-    clear = 2.0 * n * np.abs(rho) ** 2 > stats.chi2.isf(COHERENT_P_VALUE, 2)
+    clear = 2.0 * n * np.abs(rho) ** 2 > stats.chi2.isf(RULES.coherent_p_value, 2)
     rows = rho.shape[1]
     own = np.eye(rows, dtype=bool)
     rho = np.where(clear & ~own, rho, 0.0)

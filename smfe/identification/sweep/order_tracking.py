@@ -27,29 +27,9 @@ from process.units import displacement_over_acceleration
 from smfe.identification.spectra.spectra import hann
 from smfe.identification.sweep.least_squares import Estimate, condition_number
 from smfe.identification.sweep.passes import PreparedPass
+from smfe.identification.sweep.rules import RULES
 
 Step = Callable[[int, int], None]
-
-MARGIN = 2.0
-"""The splines reach so far beyond the band [Hz]."""
-
-SEEN = 3.0
-"""Lines that a window sees to either side, in units of 1 over its duration: the main lobe of Hann has two."""
-
-RATE = 500.0
-"""Samples of a window from which its transform is taken, a second: forty times what it sees to a side."""
-
-DECAY = 4.0
-"""Rest that is added to a record, so that the answer of a spline of the band does not come round [s]."""
-
-COLUMNS_EACH = 2.5
-"""Windows for each unknown; with fewer the knots are moved apart."""
-
-NEAR = 1.0
-"""Windows within this distance judge condition and coherence at a frequency [Hz]."""
-
-ROUNDS = 3
-"""Times that the noise of the passes is learnt from the residual."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +49,7 @@ class Orders:
         averages the sweep.
     knots : float, optional
         Distance of the knots of the splines [Hz]; about the half-power half width of the narrowest mode. Moved apart
-        where there are fewer than `COLUMNS_EACH` windows for each unknown.
+        where there are fewer than `SweepRules.columns_each` windows for each unknown.
     """
 
     teeth: int
@@ -112,7 +92,10 @@ class Orders:
         channels = {p.motion[0] for p in passes}
         if len(channels) > 1:
             raise InputError("some passes hold acceleration and others displacement; give the same channel in each")
-        reach = max(float(frequency[0]) - MARGIN, 0.5 * float(frequency[0])), float(frequency[-1]) + MARGIN
+        reach = (
+            max(float(frequency[0]) - RULES.spline_margin, 0.5 * float(frequency[0])),
+            float(frequency[-1]) + RULES.spline_margin,
+        )
         angles = [p.angle(self.teeth) for p in passes]
         places = [w for k, p in enumerate(passes) for w in _places(self, p, angles[k], k, reach)]
         knots, spacing = _knots(self, len(places), len(axes), reach)
@@ -163,7 +146,9 @@ def _together(
     rows: Sequence[_Row], columns: _Columns, places: Sequence[_Window], frequency: Real, shared: float
 ) -> Estimate:
     centre = np.array([w.centre for w in places])
-    condition = np.array([condition_number(columns.force[np.abs(centre - f) <= NEAR].T) for f in frequency])
+    condition = np.array(
+        [condition_number(columns.force[np.abs(centre - f) <= RULES.judged_reach].T) for f in frequency]
+    )
     degrees_of_freedom = np.repeat([[row.degrees_of_freedom for row in rows]], frequency.size, axis=0)
     return Estimate(
         np.stack([row.value for row in rows], axis=1),
@@ -197,14 +182,14 @@ def _places(
         rate = (angle[start + size - 1] - angle[start]) / (2.0 * np.pi * (size - 1) * dt)
         for h in range(1, estimator.harmonics + 1):
             centre = float(h * estimator.teeth * rate)
-            if reach[0] + 0.25 * MARGIN < centre < reach[1] - 0.25 * MARGIN:
+            if reach[0] + 0.25 * RULES.spline_margin < centre < reach[1] - 0.25 * RULES.spline_margin:
                 out.append(_Window(test, start, h, centre))
     return out
 
 
 def _knots(estimator: Orders, windows: int, forces: int, reach: tuple[float, float]) -> tuple[Real, float]:
     """Return the knots of cubic splines over the band, the outer ones fourfold, and their distance [Hz]."""
-    most = int(windows / (COLUMNS_EACH * forces)) - 3
+    most = int(windows / (RULES.columns_each * forces)) - 3
     if most < 2:
         raise InputError(
             f"the orders of the passes give {windows} windows of {estimator.duration:g} s between {reach[0]:g} and "
@@ -233,7 +218,7 @@ def _columns(
     record, dt = sweep.record, sweep.interval
     channel, _ = sweep.motion
     size = round(estimator.duration / dt)
-    length = int(fft.next_fast_len(record.sizes["time"] + round(DECAY / dt), real=True))
+    length = int(fft.next_fast_len(record.sizes["time"] + round(RULES.added_decay / dt), real=True))
     lines = fft.rfftfreq(length, dt)
     low, high = np.searchsorted(lines, [knots[0], knots[-1]])
     lines = lines[low:high]
@@ -244,9 +229,9 @@ def _columns(
     motion = record[channel].sel(axis=list(response)).values
     splines = _splines(lines, knots)
     # What a window sees changes slowly: few samples of it give its transform near its order.
-    few = slice(None, None, max(1, int(1.0 / (dt * RATE))))
+    few = slice(None, None, max(1, int(1.0 / (dt * RULES.window_rate))))
     turn = np.exp(2j * np.pi * np.outer(np.arange(size)[few] * dt, lines)) * (few.step or 1)
-    wide = SEEN / estimator.duration
+    wide = RULES.window_lines / estimator.duration
     shape, windows = hann(size), []
     out = np.empty((len(places), len(axes), splines.shape[1]), dtype=complex)
     for n, w in enumerate(places):
@@ -303,7 +288,7 @@ def _row(columns: _Columns, places: Sequence[_Window], row: int, basis: Real, fr
     """Solve one row, weighting the windows with the inverse noise of their pass near their frequency."""
     centre, test = np.array([w.centre for w in places]), np.array([w.test for w in places])
     x, noise = columns.motion[:, row], np.ones(centre.size)
-    for _ in range(ROUNDS):
+    for _ in range(RULES.noise_rounds):
         weighted, right = columns.splines / noise[:, None], x / noise
         inverse = _inverse(weighted.conj().T @ weighted)
         c = inverse @ (weighted.conj().T @ right)
@@ -321,7 +306,7 @@ def _row(columns: _Columns, places: Sequence[_Window], row: int, basis: Real, fr
     value = basis @ c.reshape(-1, k).T
     covariance = np.einsum("fk,jklm,fm->fjl", basis, spread.reshape(-1, k, value.shape[1], k), basis, optimize=True)
     loss = centre.size / mean
-    near = [np.abs(centre - f) <= NEAR for f in frequency]
+    near = [np.abs(centre - f) <= RULES.judged_reach for f in frequency]
     share = np.array([np.sum(np.abs(left[n]) ** 2) / max(float(np.sum(np.abs(x[n]) ** 2)), 1e-300) for n in near])
     return _Row(value, covariance, np.clip(1.0 - loss * share, 0.0, 1.0), 2.0 * mean**2 / max(square, 1e-300))
 

@@ -17,13 +17,7 @@ from process.labels import axis_present, sample_interval
 from process.types import Real
 from smfe.identification.spectra.spectra import BlockSpectra, block_spectra, motion_axes
 from smfe.identification.spectra.spindle_angle import spindle_angle
-
-MARGIN = 0.1
-"""Time that is left out on either side of the cut [s]."""
-
-
-SHORTEST = 0.2
-"""Air in one piece from which a spectrum is taken [s]."""
+from smfe.identification.sweep.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,7 @@ def force_level(record: xr.Dataset) -> Real:
 
 
 def air_pieces(record: xr.Dataset) -> list[slice]:
-    """Return the samples before and after the cut, at least `SHORTEST` long; none where the record has no air.
+    """Return the samples before and after the cut, at least `shortest_air` long; none where the record has no air.
 
     Air is where the force stays below its quietest level and a fifth of the way to that of the cut; a record whose
     force hardly changes has none.
@@ -148,7 +142,7 @@ def air_pieces(record: xr.Dataset) -> list[slice]:
         return []
     cutting = np.flatnonzero(level > quiet + 0.2 * (in_work - quiet))
     dt, n = sample_interval(record), level.size
-    margin, shortest = round(MARGIN / dt), max(8, round(SHORTEST / dt))
+    margin, shortest = round(RULES.air_margin / dt), max(8, round(RULES.shortest_air / dt))
     pieces = slice(0, max(int(cutting[0]) - margin, 0)), slice(min(int(cutting[-1]) + margin, n), n)
     return [p for p in pieces if p.stop - p.start >= shortest]
 

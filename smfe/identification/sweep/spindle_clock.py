@@ -31,65 +31,7 @@ from process.types import Complex, Real
 from smfe.identification.spectra.spectra import hann
 from smfe.identification.spectra.spindle_angle import force_angle, spindle_angle
 from smfe.identification.sweep.passes import PreparedPass, force_level
-
-FEWEST_WINDOWS = 3
-"""Windows that must fit into a cut."""
-
-
-HARMONICS = 3
-"""Harmonics of the tooth passing up to which orders are looked at."""
-
-
-PHASE = 0.5
-"""What the response of the machine may turn the phase of a tooth harmonic by along a sweep [rad]."""
-
-
-NOTABLE = 5e-4
-"""Relative difference that is said."""
-
-
-REFUSED = 0.01
-"""Relative difference from which nothing is identified: at a damping of 2 % it moves a peak by half of its width."""
-
-
-REACH = 0.08
-"""Ratios that are looked for lie within 1 and this [1]."""
-
-
-PASSAGES = 80
-"""Tooth passages of a window over the angle."""
-
-
-STANDS_OUT = 6.0
-"""The comb stands above the median of all ratios by so many times what their lower half scatters by."""
-
-
-LIFTED = 1.3
-"""And it is so many times the median [1]."""
-
-
-HOLDS = 3e-3
-"""Relative difference to which a spindle holds the speed that it is set to."""
-
-
-TURNS, SECONDS = 3.0, 0.5
-"""The speed is the slope of a parabola through the angle over so many turns, and so long at least."""
-
-
-ABOVE_AIR, IN_CUT = 0.05, 0.5
-"""Shares of the level of the cut between which a force rises: above the air, and surely in the cut."""
-
-
-OTHER_HARMONICS = (0.25, 1.0 / 3.0, 0.5, 1.0, 2.0, 3.0, 4.0)
-"""By what a path through the forces alone may be off: it may follow every second tooth, or the second harmonic."""
-
-
-BY_FORCE = 0.2
-"""Relative difference from the stated speeds that is accepted where the speed is found from the forces alone."""
-
-
-ON_PATH = 1.0
-"""Rms from a smooth ramp from which a path through the forces is none [rad of the tooth passing]."""
+from smfe.identification.sweep.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -118,8 +60,8 @@ class SpeedComparison:
 
     @property
     def real(self) -> bool:
-        """Whether the difference exceeds `NOTABLE` and four standard deviations."""
-        return abs(self.difference) > max(NOTABLE, 4.0 * self.std)
+        """Whether the difference exceeds `SweepRules.notable_speed` and four standard deviations."""
+        return abs(self.difference) > max(RULES.notable_speed, 4.0 * self.std)
 
     def in_words(self) -> str:
         """Return what was found, with its numbers."""
@@ -177,7 +119,7 @@ def judge_clock(name: str, passes: Sequence[PreparedPass], teeth: int | None) ->
     Raises
     ------
     InputError
-        Where speed and tooth passing are more than `REFUSED` apart.
+        Where speed and tooth passing are more than `SweepRules.refused_speed` apart.
     """
     seen: dict[str, list[tuple[str, SpeedComparison]]] = {}
     for p in passes:
@@ -193,7 +135,7 @@ def judge_clock(name: str, passes: Sequence[PreparedPass], teeth: int | None) ->
             continue
         text = f"pass '{label}': {worst.in_words()}; {ADVICE[source]}"
         if source in ("spindle_speed", "stated"):
-            if abs(worst.difference) > REFUSED:
+            if abs(worst.difference) > RULES.refused_speed:
                 raise InputError(
                     f"sweep '{name}', {text}. A time base that is wrong by as much moves all resonances: nothing is "
                     "identified before the two agree"
@@ -314,7 +256,7 @@ def _compare(sweep: PreparedPass, piece: slice, angle: Real, teeth: int | None, 
     dt = sweep.interval
     turned = (angle[-1] - angle[0]) / (2.0 * np.pi)
     turns = turns_of(teeth)
-    if not turned >= turns * (1.0 + 0.25 * (FEWEST_WINDOWS - 1)) or not np.isfinite(turned):
+    if not turned >= turns * (1.0 + 0.25 * (RULES.fewest_windows - 1)) or not np.isfinite(turned):
         return None
     cells = 16 * (teeth or 6)
     force = force_over_angle(sweep, piece, angle, cells)
@@ -322,7 +264,13 @@ def _compare(sweep: PreparedPass, piece: slice, angle: Real, teeth: int | None, 
     # Orders that the sampling rate holds at the highest speed.
     every = max(1, angle.size // 64)
     rate = np.diff(angle[::every]) / (2.0 * np.pi * dt * every)
-    highest = int(min(HARMONICS * (teeth or 6), 0.4 / (dt * max(float(rate.max()), 1e-9) * (1.0 + REACH)), 0.4 * cells))
+    highest = int(
+        min(
+            RULES.clock_harmonics * (teeth or 6),
+            0.4 / (dt * max(float(rate.max()), 1e-9) * (1.0 + RULES.ratio_reach)),
+            0.4 * cells,
+        )
+    )
     if highest < (teeth or 1):
         return None
     coarse = find_comb(force, cells, turns, highest)
@@ -336,7 +284,7 @@ def _compare(sweep: PreparedPass, piece: slice, angle: Real, teeth: int | None, 
     slope = slope / (dt * (angle.size - 1) / 63.0)
     difference, std, late = _constant_and_delay(local - 1.0, weight, slope)
     lines = float(teeth or orders.min())
-    floor = PHASE / (2.0 * np.pi * lines * turned)
+    floor = RULES.response_phase / (2.0 * np.pi * lines * turned)
     number = teeth or 1
     ends = number * float(rate[0]), number * float(rate[-1])
     return SpeedComparison(source, difference, float(np.hypot(std, floor)), late, ends)
@@ -370,8 +318,8 @@ def _constant_and_delay(difference: Real, weight: Real, slope: Real | None) -> t
 
 
 def turns_of(teeth: int | None) -> int:
-    """Return the turns of a window: some `PASSAGES` of teeth, a multiple of four."""
-    return 4 * max(2, round(0.25 * PASSAGES / (teeth or 6)))
+    """Return the turns of a window: some `SweepRules.window_passages` of teeth, a multiple of four."""
+    return 4 * max(2, round(0.25 * RULES.window_passages / (teeth or 6)))
 
 
 def force_over_angle(sweep: PreparedPass, piece: slice, angle: Real, cells: int) -> Real:
@@ -412,7 +360,7 @@ def find_comb(force: Real, cells: int, turns: int, highest: int) -> tuple[float,
         power += np.sum(np.abs(np.fft.rfft(row * hann(size), pad * size, axis=1)) ** 2, axis=0)
     amplitude = np.sqrt(power)
     step = cells / (pad * size)
-    reach = REACH
+    reach = RULES.ratio_reach
     ratios = 1.0 + np.arange(-reach, reach, 0.5 * step / highest)
     each = [np.interp(k * ratios, step * np.arange(amplitude.size), amplitude) for k in range(1, highest + 1)]
     score = np.sum(each, axis=0)
@@ -420,7 +368,9 @@ def find_comb(force: Real, cells: int, turns: int, highest: int) -> tuple[float,
     typical = float(np.median(score))
     # Beside strong lines the upper half holds their leakage.
     scatter = (typical - float(np.quantile(score, 0.1))) / 1.28
-    clear = score[best] > LIFTED * typical and score[best] - typical > STANDS_OUT * min(scatter, 0.2 * typical)
+    clear = score[best] > RULES.comb_lifted * typical and score[best] - typical > RULES.comb_stands_out * min(
+        scatter, 0.2 * typical
+    )
     if not clear or best in (0, ratios.size - 1):
         return None
     heights = np.array([e[best] for e in each])
@@ -487,7 +437,7 @@ class Bounds:
     @property
     def beyond(self) -> float:
         """What no spindle that holds its speed explains; 0 where nothing is beyond."""
-        return max(self.low - HOLDS, 0.0) + min(self.high + HOLDS, 0.0)
+        return max(self.low - RULES.spindle_holds, 0.0) + min(self.high + RULES.spindle_holds, 0.0)
 
     @property
     def middle(self) -> float:
@@ -499,7 +449,7 @@ class Bounds:
     def std(self) -> float:
         """Standard deviation of anything between the bounds."""
         wide = self.high - self.low
-        return float(np.hypot(wide / math.sqrt(12.0) if math.isfinite(wide) else 0.0, 0.25 * HOLDS))
+        return float(np.hypot(wide / math.sqrt(12.0) if math.isfinite(wide) else 0.0, 0.25 * RULES.spindle_holds))
 
 
 def stated_bounds(sweep: PreparedPass, angle: Real, stated: tuple[float, float]) -> Bounds | None:
@@ -563,19 +513,21 @@ def angle_of_ramp(sweep: PreparedPass, teeth: int, stated: tuple[float, float]) 
         reach = 0.5 * (inner.stop - inner.start)
         place = (np.arange(path.size) - middle) / reach
         smooth = np.polyfit(place[inner], path[inner], 3)
-        if teeth * np.std(path[inner] - np.polyval(smooth, place[inner])) > ON_PATH:
+        if teeth * np.std(path[inner] - np.polyval(smooth, place[inner])) > RULES.path_scatter:
             return None
         ratio = float(smooth[2]) / (reach * dt) / (0.5 * (stated[0] + stated[1]))
-        factor = min(OTHER_HARMONICS, key=lambda q: abs(math.log(max(q * ratio, 1e-9))))
-        return np.asarray(factor * np.polyval(smooth, place)) if abs(factor * ratio - 1.0) < BY_FORCE else None
+        factor = min(RULES.other_harmonics, key=lambda q: abs(math.log(max(q * ratio, 1e-9))))
+        return (
+            np.asarray(factor * np.polyval(smooth, place)) if abs(factor * ratio - 1.0) < RULES.speed_by_force else None
+        )
     return None
 
 
 def _rise(level: Real, quiet: float, in_work: float) -> tuple[int | None, int]:
     """Return the earliest and the latest sample at which the cut may begin; no earliest where the record has no air."""
-    latest = int(np.argmax(level > IN_CUT * in_work))
-    below = np.flatnonzero(level[:latest] <= max(1.3 * quiet, quiet + ABOVE_AIR * (in_work - quiet)))
-    if not below.size or not quiet < IN_CUT * in_work:
+    latest = int(np.argmax(level > RULES.surely_in_cut * in_work))
+    below = np.flatnonzero(level[:latest] <= max(1.3 * quiet, quiet + RULES.above_air * (in_work - quiet)))
+    if not below.size or not quiet < RULES.surely_in_cut * in_work:
         return None, latest
     # A rise begins in the noise: as long again before it is seen.
     first = int(below[-1]) + 1
@@ -585,7 +537,7 @@ def _rise(level: Real, quiet: float, in_work: float) -> tuple[int | None, int]:
 def _speed(angle: Real, at: int, dt: float) -> float:
     """Return the rotation [rad/s] at a sample."""
     mean = (angle[-1] - angle[0]) / (dt * (angle.size - 1))
-    half = round(0.5 * max(SECONDS, 2.0 * math.pi * TURNS / max(mean, 1e-9)) / dt)
+    half = round(0.5 * max(RULES.slope_seconds, 2.0 * math.pi * RULES.slope_turns / max(mean, 1e-9)) / dt)
     piece = slice(max(at - half, 0), min(at + half + 1, angle.size))
     time = dt * (np.arange(piece.start, piece.stop) - at)
     return float(np.polyfit(time, angle[piece], 2)[1])

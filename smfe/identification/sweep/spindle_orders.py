@@ -20,21 +20,7 @@ from process.errors import InputError
 from process.types import Complex, Real
 from smfe.identification.sweep.least_squares import Lines
 from smfe.identification.sweep.passes import PreparedPass
-
-HARMONICS = 3
-"""Harmonics of the tooth passing that are instruments."""
-
-
-BLOCK = 4.0
-"""Band over which forces are projected on the instruments [Hz]."""
-
-
-BLOCK_ORDER = 3
-"""Order of the polynomials that let the amplitude of the instruments change within it."""
-
-
-QUIET = 1e-3
-"""An instrument or spindle order below this share of the largest counts as absent."""
+from smfe.identification.sweep.rules import RULES
 
 
 def spindle_waves(
@@ -102,7 +88,7 @@ class Projection:
     rank: Real
 
 
-def project(frequency: Real, signals: Complex, waves: Complex, block: float = BLOCK) -> Projection:
+def project(frequency: Real, signals: Complex, waves: Complex, block: float = RULES.instrument_block) -> Projection:
     """Project signals, block by block, on waves whose amplitude is a polynomial in frequency.
 
     Parameters
@@ -122,11 +108,11 @@ def project(frequency: Real, signals: Complex, waves: Complex, block: float = BL
     number = np.minimum(number, max(0, round((frequency[-1] - frequency[0]) / block) - 1))
     for i in range(int(number[-1]) + 1):
         at = np.flatnonzero(number == i)
-        above_noise = np.abs(waves[at]).max(axis=0) > QUIET * largest
+        above_noise = np.abs(waves[at]).max(axis=0) > RULES.absent_order * largest
         if at.size == 0 or not above_noise.any():
             continue
         shift = 2.0 * (frequency[at] - frequency[at].mean()) / block
-        terms = shift[:, None] ** np.arange(BLOCK_ORDER + 1)
+        terms = shift[:, None] ** np.arange(RULES.instrument_order + 1)
         z = (terms[:, :, None] * waves[at][:, None, above_noise]).reshape(at.size, -1)
         size = np.linalg.norm(z, axis=0)
         left, strength, _ = np.linalg.svd(z / np.where(size > 0.0, size, 1.0), full_matrices=False)

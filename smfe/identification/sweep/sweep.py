@@ -30,14 +30,9 @@ from smfe.identification.sweep.least_squares import Estimate, condition_number
 from smfe.identification.sweep.local_polynomial import LocalPolynomial, solve_local
 from smfe.identification.sweep.order_tracking import Orders
 from smfe.identification.sweep.passes import PreparedPass, SweepPass, prepare
+from smfe.identification.sweep.rules import RULES
 from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.spindle_clock import changed_by_clock, judge_clock
-
-WARN_CONDITION = 30.0
-"""Above this condition number of the forces a frequency is reported as badly conditioned."""
-
-REFUSE_CONDITION = 200.0
-"""Above this condition number a frequency is not solved."""
 
 Estimator = LocalPolynomial | Segments | SingleReference | Orders
 
@@ -90,8 +85,8 @@ def identify_sweep(
         coherence; NaN for `SingleReference`, where three columns for three unknowns leave nothing to judge by),
         ``force_condition`` and, for `LocalPolynomial`, the ``half_width`` chosen [Hz]; ``degrees_of_freedom`` of
         Student's t for each part; ``compliance_gradient`` and its standard deviation where the fit depends on position:
-        change from the middle to the end of a pass. Frequencies whose condition number exceeds `REFUSE_CONDITION` are
-        NaN.
+        change from the middle to the end of a pass. Frequencies whose condition number exceeds
+        `SweepRules.refuse_condition` are NaN.
 
     Raises
     ------
@@ -121,12 +116,13 @@ def identify_sweep(
         )
     else:
         found = chosen.solve(prepared, frequency, axes, response, progress)
-    refused = ~(found.condition <= REFUSE_CONDITION)
+    refused = ~(found.condition <= RULES.refuse_condition)
     if refused.mean() > 0.5:
         raise InputError(
             f"sweep '{name}': the measured forces of the passes ({', '.join(p.label for p in prepared)}) are not "
-            f"independent: their condition number exceeds {REFUSE_CONDITION:g} at {refused.sum()} of {refused.size} "
-            "frequencies, so nine compliances cannot be separated; add a pass with another width or kind of cut"
+            f"independent: their condition number exceeds {RULES.refuse_condition:g} at {refused.sum()} of "
+            f"{refused.size} frequencies, so nine compliances cannot be separated; add a pass with another width or "
+            "kind of cut"
             + (
                 ", or cut deeper and record from air to air: noise of the force sensor leaves the compliance open"
                 if np.isinf(found.condition).mean() > 0.25
@@ -310,10 +306,10 @@ def _pass_table(passes: Sequence[PreparedPass], axes: Sequence[str]) -> pd.DataF
 
 def _condition_warnings(frequency: Real, condition: Real) -> tuple[str, ...]:
     out = []
-    refused = ~(condition <= REFUSE_CONDITION)
+    refused = ~(condition <= RULES.refuse_condition)
     for mask, text in (
-        (refused, f"not solved: condition number of the forces above {REFUSE_CONDITION:g}"),
-        (~refused & (condition > WARN_CONDITION), f"badly conditioned (above {WARN_CONDITION:g})"),
+        (refused, f"not solved: condition number of the forces above {RULES.refuse_condition:g}"),
+        (~refused & (condition > RULES.warn_condition), f"badly conditioned (above {RULES.warn_condition:g})"),
     ):
         if mask.any():
             out.append(f"{text} in {in_words(frequency, mask)}")

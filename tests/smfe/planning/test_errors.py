@@ -18,9 +18,10 @@ from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.commands.demo import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.identification.spectra.spectra import BlockSpectra
 from smfe.identification.sweep.least_squares import condition_number
-from smfe.identification.sweep.local_polynomial import BANDS, MODEL_ERROR, LocalPolynomial
-from smfe.identification.sweep.noise import ALIKE, BOUNDED, force_noise
+from smfe.identification.sweep.local_polynomial import BANDS, LocalPolynomial
+from smfe.identification.sweep.noise import force_noise
 from smfe.identification.sweep.passes import SweepPass, prepare, whole_record
+from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.identification.sweep.sweep import identify_sweep
 from smfe.planning.errors import Instruments, error_interval, expected, relative_error
 from smfe.planning.forces import (
@@ -293,7 +294,7 @@ def test_the_noise_of_the_forces_that_the_air_holds_is_predicted() -> None:
     assert foreseen.subtracted
     stated = np.median([s.spread for s in seen if s is not None])
     assert foreseen.known == pytest.approx(stated, rel=0.1)
-    assert foreseen.known > ALIKE
+    assert foreseen.known > SWEEP_RULES.noise_scatter
     scatter = np.array([s.density for s in seen if s is not None]) / foreseen.density
     assert np.mean(scatter) == pytest.approx(1.0, abs=3.0 * foreseen.known / 6.0)
     assert np.std(scatter) < 1.3 * foreseen.known
@@ -304,7 +305,7 @@ def test_without_air_nothing_is_taken_out_and_frequencies_that_noise_leaves_open
     plan = published(duration=10.0, lead=0.0, tail=0.0)
     sensor = force_sensor(plan, MATERIAL, (100.0, 100.0, 100.0), 2000.0, (20.0, 80.0))
     assert not sensor.subtracted
-    assert sensor.known == BOUNDED
+    assert sensor.known == SWEEP_RULES.bounded_scatter
     few, much = (
         expected(plan, MATERIAL, ESTIMATE, Instruments(SENSORS.acceleration_noise, (n, n, n), 2000.0), FREQUENCY, BANDS)
         for n in (5.0, 150.0)
@@ -319,7 +320,7 @@ def test_without_air_nothing_is_taken_out_and_frequencies_that_noise_leaves_open
 def test_no_sweep_is_expected_to_err_less_than_the_estimator_with_perfect_sensors() -> None:
     perfect = expected(published(), MATERIAL, ESTIMATE, Instruments((0.0,) * 3, (0.0,) * 3, 2000.0), FREQUENCY)
     row = np.sqrt(np.mean(np.abs(MACHINE.matrix(FREQUENCY)) ** 2, axis=2, keepdims=True))
-    assert (perfect["compliance_std"].values >= 0.999 * MODEL_ERROR * row).all()
+    assert (perfect["compliance_std"].values >= 0.999 * SWEEP_RULES.model_error * row).all()
     # Which is an order of magnitude: a sweep may err by half of it.
     low, high = error_interval(perfect["error_freedom"].values, 0.95)
     assert low.max() < 0.5
