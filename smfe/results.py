@@ -104,7 +104,7 @@ KEPT = ".kept"
 """Folder, inside the results, of what a second run reads back."""
 
 MEASUREMENT, LOBES, TEST, PREDICTION = "measurement", "lobes", "cutting test", "prediction"
-"""Kinds of parts that the report shows in a place of their own."""
+"""Kinds of parts that have a place of their own in the report."""
 
 
 @dataclass(frozen=True)

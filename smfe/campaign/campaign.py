@@ -84,7 +84,7 @@ class OtherRecorder:
     shared : str or None
         The channel that both recorders have, by which the clocks are aligned. None: they share a clock.
     offset : float
-        What its clock shows more than that of the first file [s], where they share one.
+        Time of its clock less that of the first file [s], where they share one.
     """
 
     file: Path
@@ -209,7 +209,7 @@ class Measurement(Conditions, Processing):
     dynamometer : Dynamometer, optional
         Force sensor whose inertia and resonance are compensated (sweep).
     held_out : bool
-        Set aside by a diagnosis, and opened once at its very end.
+        Held out by a diagnosis, and compared once at its very end.
     """
 
     name: str
@@ -395,7 +395,7 @@ class CuttingTest:
     half_order_reference : float, optional
         ``half_order_ratio`` of a stable cut with the same tool.
     held_out : bool
-        Set aside by a diagnosis, and opened once at its very end.
+        Held out by a diagnosis, and compared once at its very end.
     """
 
     file: Path

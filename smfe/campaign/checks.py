@@ -432,7 +432,7 @@ def depth_complaints(table: Raw, records: Sequence[Raw], needed: int, too_few: T
         return
     if len(known) < 2:
         if wish is True:
-            yield "split_levels = true tells depths of cut apart, and its records do not state several; take it out"
+            yield "split_levels = true separates depths of cut, and its records do not state several; take it out"
         return
     said = ", ".join(units.show(d, "mm", "length") for d in known)
     if None in depths:

@@ -426,8 +426,8 @@ def made(what: str, name: str, make: Callable[..., Any], given: Mapping[str, Any
     needed = {f.name for f in fields.values() if f.init and f.default is MISSING}
     missing, extra = sorted(needed - set(given)), sorted(set(given) - wanted)
     if missing or extra:
-        told = [f"{listed(missing)} missing"] * bool(missing) + [f"{listed(extra)} not read"] * bool(extra)
-        raise InputError(f"{what} '{name}': {' and '.join(told)}; it has {listed(sorted(wanted))}")
+        wrong = [f"{listed(missing)} missing"] * bool(missing) + [f"{listed(extra)} not read"] * bool(extra)
+        raise InputError(f"{what} '{name}': {' and '.join(wrong)}; it has {listed(sorted(wanted))}")
     return make(**given)
 
 
@@ -570,8 +570,8 @@ class PlanTable(Table):
             raise InputError(f"longest_pass is {self.longest_pass:g} s; a sweep takes at least 1 s, better 10 s")
         if self.frequency_range[0] < 5.0:
             raise InputError(
-                f"frequency_range begins at {self.frequency_range[0]:g} Hz; below 5 Hz an acceleration tells nothing "
-                "of a displacement: begin higher"
+                f"frequency_range begins at {self.frequency_range[0]:g} Hz; below 5 Hz an acceleration does not give "
+                "the displacement: begin higher"
             )
         if self.frequency_range[1] > 0.2 * self.sample_rate:
             raise InputError(

@@ -39,7 +39,7 @@ def check(campaign: Path | str, progress: Progress = silent, show: Show | None =
     progress : callable, optional
         Called with (what, done, of).
     show : callable, optional
-        Shows the licence of a public data set before it is fetched.
+        Called with the licence of a public data set before it is fetched.
 
     Returns
     -------

@@ -132,11 +132,11 @@ def run(
     comparison, explained, errors = compared({}), explain({}), model_errors({}, ())
     with notes.timed("compare"):
         progress("comparing", 0, 1)
-        told = single_levels({n: compliances[n] for n in found})
+        single = single_levels({n: compliances[n] for n in found})
         with attempt(failures, "comparison"):
-            comparison = compared(told)
+            comparison = compared(single)
         with attempt(failures, "comparison", "what feed, level and method explain"):
-            explained = explain(told)
+            explained = explain(single)
         with attempt(failures, "comparison", "with the models"):
             errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):

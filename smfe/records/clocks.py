@@ -143,7 +143,7 @@ def put_on_time(record: xr.Dataset, other: xr.Dataset, offset: float = 0.0) -> x
     record, other : xarray.Dataset
         Records of one event, whose times are those of one clock, or of two that differ by a fixed offset.
     offset : float, optional
-        What the clock of `other` shows more than that of `record` [s].
+        Time of the clock of `other` less that of `record` [s].
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""What a dynamometer shows of a force, and the force from what it shows.
+"""The force that a dynamometer measures, and the force on its plate from it.
 
-The plate with the work (or the tool) of mass m sits on the springs of the sensor. It shows the force in these springs:
-``F_shown = H (F - m a)`` with ``H = 1/(1 - r^2 + 2 j zeta r)``, ``r = f/f_d`` and the acceleration a of what the sensor
-stands on; so ``F = F_shown/H + m a``. Without mass the second term is none, with a high f_d the first is the force
+The plate with the work (or the tool) of mass m sits on the springs of the sensor, which measures the force in them:
+``F_meas = H (F - m a)`` with ``H = 1/(1 - r^2 + 2 j zeta r)``, ``r = f/f_d`` and the acceleration a of what the sensor
+stands on; so ``F = F_meas/H + m a``. Without mass the second term is none, with a high f_d the first is the force
 itself: at 40 Hz a resonance of 400 Hz makes forces 1 % too large.
 """
 

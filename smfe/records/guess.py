@@ -199,7 +199,7 @@ def _unit_of(channel: str, unit: str | None) -> tuple[str, bool]:
     return usual.get(dimension, "Pa"), False
 
 
-# --- the channels that a file has where nobody declares any --------------------------------------------------------
+# --- the channels that a file has where none are declared ----------------------------------------------------------
 
 DEFAULT_CHANNELS: tuple[tuple[str, Channel], ...] = (*OWN_COLUMNS.items(), ("sound", Channel("p", "Pa")))
 """Columns that are looked for in a file when no campaign declares others: those that `smfe convert` and `smfe simulate`

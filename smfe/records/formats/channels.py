@@ -72,7 +72,7 @@ CHANNELS: dict[str, str] = {**RECORD_CHANNELS, **COMPLIANCE_CHANNELS}
 class Channel:
     """Where a channel stands in a file, and what has to be done to its numbers.
 
-    ``value = sign * scale * number * (unit in SI)``, then shifted in time: the sensor shows at t what happened at
+    ``value = sign * scale * number * (unit in SI)``, then shifted in time: the sample at t belongs to what happened at
     ``t - delay``.
 
     Parameters

@@ -37,7 +37,7 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
 
 def read_segments(path: Path, wanted: Sequence[Column], block: int) -> list[Iterator[Table]]:
     """Return the blocks of every segment; the file is gone through once for its headers, and once for each segment."""
-    with damaged(path, _KIND), _opened(path) as stream:
+    with damaged(path, _KIND), _open(path) as stream:
         first = stream.readline()
         if not first.strip() and not stream.read(4096).strip():
             raise InputError(f"{path.name}: the file is empty")
@@ -61,7 +61,7 @@ def stated_units(path: Path) -> dict[str, str]:
     return found
 
 
-def _opened(path: Path) -> TextIO:
+def _open(path: Path) -> TextIO:
     return path.open(encoding="utf-8", errors="ignore")
 
 
@@ -70,7 +70,7 @@ def _layout(path: Path) -> tuple[list[str], list[_Part]]:
     header: list[str] = []
     parts: list[_Part] = []
     separator, in_rows = "\t", False
-    with _opened(path) as stream:
+    with _open(path) as stream:
         for number, line in enumerate(stream):
             if number < 20 and line.startswith("Separator"):
                 separator = line.strip()[9]
@@ -151,7 +151,7 @@ def _blocks(
     clock: tuple[float | None, float, tuple[str, ...]],
     block: int,
 ) -> Iterator[Table]:
-    with _opened(path) as stream:
+    with _open(path) as stream:
         rows = islice(stream, part.begin, part.begin + part.rows)
         while lines := list(islice(rows, block)):
             data: Real = np.atleast_2d(_parsed(prefix, lines)["data"])
@@ -159,7 +159,7 @@ def _blocks(
 
 
 def _lines(path: Path, begin: int, count: int) -> list[str]:
-    with _opened(path) as stream:
+    with _open(path) as stream:
         return list(islice(stream, begin, begin + count))
 
 

@@ -314,7 +314,7 @@ class _Plain:
         return self.file.read(count)
 
     def finish(self) -> None:
-        """Nothing tells whether they are right."""
+        """Do nothing: plain bytes carry no checksum."""
 
 
 class _Unpacked:
@@ -341,7 +341,7 @@ class _Unpacked:
             count -= len(part)
 
     def finish(self) -> None:
-        """Unpack to the end, where a sum tells whether all was right."""
+        """Unpack to the end, where the checksum of the stream is."""
         while self.read(_READ):
             pass
         if not self.unpack.eof:

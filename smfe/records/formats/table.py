@@ -284,7 +284,7 @@ def available() -> float | None:
         pass
     if sys.platform == "win32":
         return _windows()
-    try:  # all of it, where what is free is not told
+    try:  # all of it, where the free memory is not known
         return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError, OSError):
         return None

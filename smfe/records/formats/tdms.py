@@ -49,7 +49,7 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
     if head != b"TDSm":
         raise InputError(f"{path.name}: not a TDMS file; it must begin with the letters TDSm")
     _refuse_truncated(path)
-    with damaged(path, _KIND), _opened(path) as file, _quiet():
+    with damaged(path, _KIND), _open(path) as file, _quiet():
         channels = [channel for group in file.groups() for channel in group.channels()]
         plain = Counter(channel.name for channel in channels)
         full = [f"{channel.group_name}/{channel.name}" for channel in channels]
@@ -64,7 +64,7 @@ def stated_units(path: Path) -> dict[str, str]:
     """Return ``group/channel`` -> unit after the property ``unit_string`` (or ``Unit``, ``NI_UnitDescription``)."""
     keys = ("unit_string", "Unit", "unit", "NI_UnitDescription")
     found = {}
-    with damaged(path, _KIND), _opened(path) as file:
+    with damaged(path, _KIND), _open(path) as file:
         for channel in (c for group in file.groups() for c in group.channels()):
             text = next((str(channel.properties[key]) for key in keys if channel.properties.get(key)), "")
             found[f"{channel.group_name}/{channel.name}"] = text
@@ -72,7 +72,7 @@ def stated_units(path: Path) -> dict[str, str]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open(path: Path) -> Iterator[Any]:
     """Open a file as a stream: npTDMS leaves its own open when it fails, and would read an index file beside it."""
     with path.open("rb") as stream:
         with _quiet():
@@ -131,7 +131,7 @@ def _item_size(channel: Any) -> int:
 
 
 def _blocks(path: Path, at: dict[Column, int], block: int) -> Iterator[Table]:
-    with _opened(path) as file:
+    with _open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         used = {column: channels[index] for column, index in at.items()}
         lengths = {column: len(channel) for column, channel in used.items()}

@@ -105,7 +105,7 @@ class TestBaseline:
         with pytest.raises(InputError, match=re.escape(said)):
             self.load(tmp_path, text)
 
-    def test_a_key_of_a_second_recorder_that_is_not_known_is_told_so(self, tmp_path: Path) -> None:
+    def test_a_key_of_a_second_recorder_that_is_not_known_is_refused(self, tmp_path: Path) -> None:
         """`with` is a word of Python, so its field has another name."""
         recorder = "[[measurement]]\nname = 'two'\nmethod = 'hammer'\n[[measurement.records]]\nfile = 'hit.csv'\n"
         recorder += "excitation = 'x'\n[[measurement.records.with]]\nfile = 'hit.csv'\nsharde = 'force_x'\n"

@@ -381,13 +381,13 @@ controller = "K2"
 STILL = "axis y stands still on its friction while the cut pushes it: the result depends on the force; give feed = "
 
 
-def test_an_axis_that_stands_still_in_a_cut_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    told: list[str] = []
-    campaign = simulate(write(tmp_path, TWO_AXES), tmp_path / "out", show=told.append)
-    assert told == [f'trial[0]: {STILL}{{ x = "230 mm/min", y = "230 mm/min" }} to move it, or read it as such']
-    assert f"# {told[0]}\n" in campaign.read_text(encoding="utf-8")
+def test_an_axis_that_stands_still_in_a_cut_is_a_notice(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    notices: list[str] = []
+    campaign = simulate(write(tmp_path, TWO_AXES), tmp_path / "out", show=notices.append)
+    assert notices == [f'trial[0]: {STILL}{{ x = "230 mm/min", y = "230 mm/min" }} to move it, or read it as such']
+    assert f"# {notices[0]}\n" in campaign.read_text(encoding="utf-8")
     simulate(tmp_path / "scenario.toml", tmp_path / "out")
-    assert f"notice: {told[0]}\n" in capfd.readouterr().err
+    assert f"notice: {notices[0]}\n" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -400,10 +400,10 @@ def test_an_axis_that_stands_still_in_a_cut_is_told(tmp_path: Path, capfd: pytes
         ((TWO_AXES[TWO_AXES.rindex("friction =") : TWO_AXES.rindex("controllers.K1")], ""), None),
     ],
 )
-def test_only_coulomb_like_friction_at_rest_is_told(tmp_path: Path, change: tuple[str, str], axes: str | None) -> None:
+def test_only_friction_that_sticks_is_a_notice(tmp_path: Path, change: tuple[str, str], axes: str | None) -> None:
     head, y, tail = TWO_AXES.partition("[machine.axis.y]")
-    told = standing_axes(load_scenario(write(tmp_path, head + y + tail.replace(*change))))
-    assert [text.split(" stands")[0] for text in told] == ([f"trial[0]: axis {axes}"] if axes else [])
+    notices = standing_axes(load_scenario(write(tmp_path, head + y + tail.replace(*change))))
+    assert [text.split(" stands")[0] for text in notices] == ([f"trial[0]: axis {axes}"] if axes else [])
 
 
 LOBES = """
@@ -435,7 +435,7 @@ def test_a_campaign_that_could_not_be_run_is_not_begun(tmp_path: Path, text: str
         load_scenario(write(tmp_path, text))
 
 
-def test_lobes_of_a_wrong_trial_are_not_told_as_unknown(tmp_path: Path) -> None:
+def test_lobes_of_a_wrong_trial_are_not_refused_as_unknown(tmp_path: Path) -> None:
     text = HEAD + CUTTING + HAMMER + 'duration = "1 ms"\n' + LOBES.format("hammer")
     with pytest.raises(InputError, match=r"^scenario.toml: trial\[0\]: a pulse of 1 ms [^\n]*$"):
         load_scenario(write(tmp_path, text))
@@ -449,17 +449,17 @@ def test_a_scenario_is_no_campaign_and_a_campaign_no_scenario(simulated: Path) -
 
 
 def test_records_of_an_earlier_scenario_are_named(tmp_path: Path) -> None:
-    told: list[str] = []
-    simulate(write(tmp_path, SHORT), tmp_path / "out", show=told.append)
-    simulate(tmp_path / "scenario.toml", tmp_path / "out", show=told.append)
-    assert told == []
+    notices: list[str] = []
+    simulate(write(tmp_path, SHORT), tmp_path / "out", show=notices.append)
+    simulate(tmp_path / "scenario.toml", tmp_path / "out", show=notices.append)
+    assert notices == []
     done: list[str] = []
     other = SHORT.replace("hits = 2", 'hits = 2\nname = "again"\ndirections = ["x", "y"]')
-    simulate(write(tmp_path, other), tmp_path / "out", 1, lambda what, *_: done.append(what), told.append)
+    simulate(write(tmp_path, other), tmp_path / "out", 1, lambda what, *_: done.append(what), notices.append)
     assert done == ["simulating", "record again_x", "record again_y"]
-    assert len(told) == 1
-    assert "also holds 3 file(s) of an earlier scenario" in told[0]
-    assert "'hammer_x.csv', 'hammer_y.csv', 'hammer_z.csv'" in told[0]
+    assert len(notices) == 1
+    assert "also holds 3 file(s) of an earlier scenario" in notices[0]
+    assert "'hammer_x.csv', 'hammer_y.csv', 'hammer_z.csv'" in notices[0]
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
@@ -550,13 +550,13 @@ def test_what_is_wrong_is_said_and_nothing_is_written(
     assert change[0] in text
     scenario = write(tmp_path, text.replace(*change))
     assert command(monkeypatch, "simulate", scenario, "-o", tmp_path / "out") == 1
-    told = capfd.readouterr().err
-    assert message in told
-    assert "Traceback" not in told
+    notices = capfd.readouterr().err
+    assert message in notices
+    assert "Traceback" not in notices
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scenario.toml"]
 
 
-def test_every_error_is_told_at_once(tmp_path: Path) -> None:
+def test_every_error_is_notices_at_once(tmp_path: Path) -> None:
     text = SHORT.replace("seed = 3", 'seed = "3"').replace('"4 N s"', '"4 kg"').replace("order = 6", "ordre = 6")
     with pytest.raises(InputError, match=r"(?s)3 errors.*scenario.seed.*sensors.anti_alias.ordre.*trial\[0\].impulse"):
         load_scenario(write(tmp_path, text))

@@ -1,7 +1,7 @@
 """Damaged files of every format: the right record or one sentence; never a traceback, a hang or a huge allocation.
 
 What cannot be found out: a flipped bit among the samples of a format without checksums gives another number there, and
-in the names of channels another name. Text that ends with a whole row cannot be told from a shorter record.
+in the names of channels another name. Text that ends with a whole row is no other than a shorter record.
 
 On what makes the HDF5 library itself run on for ever, see test_records_hdf5_damage.py.
 """
