@@ -475,7 +475,7 @@ class TestDamage:
             whole = path.read_bytes()
             for size in np.linspace(1, len(whole) - 1, 40, dtype=int):
                 path.write_bytes(whole[:size])
-                # Text that ends with a whole row cannot be distinguished from a short record; a binary file knows its size.
+                # Text that ends with a whole row is a shorter record; a binary file states its size.
                 assert self.reads_or_says(path) or path.suffix in (".csv", ".lvm")
 
     @pytest.mark.parametrize("times", [12, pytest.param(60, marks=pytest.mark.slow)])
