@@ -204,7 +204,7 @@ class TestAgainstProduction:
         _, h = impact_response(truth, Setting(500.0 * MM_MIN, phase=0.0), 25.0, 2.0)
         assert away(h, of_package(Viscous(168.0), "K2", 500.0 * MM_MIN, 25.0, 1e-13)[1]) < 1e-4
 
-    @pytest.mark.parametrize(("servo", "feed"), [("K2", 500.0), ("K3", -1000.0)])
+    @pytest.mark.parametrize(("servo", "feed"), [("K2", 500.0), pytest.param("K3", -1000.0, marks=SLOW)])
     def test_sliding_they_differ_a_little(self, servo: str, feed: float) -> None:
         _, h = impact_response(Truth(), Setting(feed * MM_MIN, servo), 50.0, 2.0)
         assert 2e-3 < away(h, of_package(sides(), servo, feed * MM_MIN, 50.0)[1]) < 2e-2
