@@ -1,8 +1,8 @@
 """Compliances under several conditions as one array: force level, depth of cut and feed become dimensions.
 
 A machine with friction, play or micro-slip has no compliance but one for each force level, and a moving axis one for
-each feed. Hits of several levels in the same records are separated by their peaks; whole measurements by what the
-campaign says of them.
+each feed; the depths of cut of a sweep are its force levels. Hits of several levels in the same records are separated by
+their peaks, whole measurements by what the campaign says of them.
 """
 
 from __future__ import annotations
@@ -45,7 +45,14 @@ STACKED = (
 )
 """Variables that are stacked; covariances stay with the single measurements."""
 
+BY_LEVEL = "by level"
+"""Behind the name of a measurement: all its levels as one array."""
+
+SIGNIFICANT = 0.01
+"""Corrected p-value below which two levels differ."""
+
 _SAME_FREQUENCY = 2e-4
+"""Relative difference of two frequencies up to which they are one."""
 
 
 def stack_conditions(compliances: Sequence[tuple[Mapping[str, float], xr.Dataset]]) -> xr.Dataset:
@@ -119,24 +126,20 @@ def _shared_frequencies(axes: Sequence[Real]) -> tuple[Real, list[NDArray[np.int
 # --- levels in the records of one measurement ----------------------------------------------------------------------
 
 
-def force_levels(peaks: Iterable[float], gap: float = LEVEL_GAP) -> list[tuple[float, float]]:
+def force_levels(peaks: Iterable[float]) -> list[tuple[float, float]]:
     """Return the levels among peak forces: lowest and highest peak of each, rising [N].
 
     Parameters
     ----------
     peaks : iterable of float
-        Peak forces [N]; their sign does not count.
-    gap : float, optional
-        Ratio of two neighbours from which they belong to different levels.
+        Peak forces [N]; their sign does not count. Neighbours with a ratio above `LEVEL_GAP` are two levels.
     """
     size = np.sort(np.abs(np.fromiter(peaks, dtype=float)))
-    cuts = np.flatnonzero(size[1:] > gap * size[:-1]) + 1
+    cuts = np.flatnonzero(size[1:] > LEVEL_GAP * size[:-1]) + 1
     return [(float(part[0]), float(part[-1])) for part in np.split(size, cuts) if part.size]
 
 
-def hammer_levels(
-    name: str, records: Mapping[str, Sequence[xr.Dataset]], *, gap: float = LEVEL_GAP, **settings: Any
-) -> Identification:
+def hammer_levels(name: str, records: Mapping[str, Sequence[xr.Dataset]], **settings: Any) -> Identification:
     """Identify the compliance at each force level of hammer hits.
 
     Parameters
@@ -145,8 +148,6 @@ def hammer_levels(
         Name of the measurement.
     records : mapping of str to sequence of xarray.Dataset
         Excitation axis -> records with hits of several levels, in any order.
-    gap : float, optional
-        Ratio of two neighbouring peaks from which they belong to different levels.
     **settings
         Of `smfe.identification.hammer.hammer.identify_hammer`.
 
@@ -163,7 +164,7 @@ def hammer_levels(
     """
     rules: HitRules = settings.pop("rules", None) or HitRules()
     hits = [h for axis, group in records.items() for i, r in enumerate(group) for h in find_hits(r, axis, i, rules)]
-    levels = force_levels((h.peak_force for h in hits), gap)
+    levels = force_levels(h.peak_force for h in hits)
     settings.setdefault("resolution", 1.0 / longest_block(hits))
     parts, tables, notes, rows = [], [], [], []
     for low, high in levels:
@@ -254,13 +255,7 @@ def _numbers(m: Measurement) -> dict[str, float]:
     return out
 
 
-# --- Depths of cut as the force levels of a sweep: one compliance each, and whether they differ.
-
-BY_LEVEL = "by level"
-"""Behind the name of a measurement: all its levels as one array."""
-
-SIGNIFICANT = 0.01
-"""Corrected probability below which two levels differ."""
+# --- depths of cut as the force levels of a sweep: one compliance each, and whether they differ --------------------
 
 
 def sweep_levels(

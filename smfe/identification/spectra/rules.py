@@ -36,6 +36,12 @@ class SpectraRules:
     tooth_harmonics: int = 4
     """Harmonics of the tooth passing frequency that are added up."""
 
+    lowest_tooth_passing: float = 4.0
+    """Least tooth passing frequency [Hz] that is looked for in forces."""
+
+    highest_tooth_passing: float = 250.0
+    """Greatest such frequency [Hz]."""
+
     turns: float = 6.0
     """Turns over which an order is separated from the noise halfway to the next."""
 

@@ -54,7 +54,7 @@ def spindle_angle(record: xr.Dataset, teeth: int | None = None) -> tuple[Real, s
 # --- from the force ---------------------------------------------------------------------------------------------------
 
 
-def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: float = 250.0) -> Real:
+def force_angle(record: xr.Dataset, teeth: int) -> Real:
     """Return the angle [rad] from the tooth passing that the forces show.
 
     A path of the tooth passing frequency through a spectrogram (the comb with most amplitude, dynamic programming)
@@ -68,8 +68,6 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
         With force.
     teeth : int
         Of the tool.
-    lowest, highest : float, optional
-        Tooth passing frequencies [Hz] that are looked for.
 
     Raises
     ------
@@ -77,7 +75,7 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
         For forces that are too short, or that may repeat once a tooth or once a turn.
     """
     dt = sample_interval(record)
-    keep = max(1, int(1.0 / (dt * 5.0 * RULES.tooth_harmonics * highest)))
+    keep = max(1, int(1.0 / (dt * 5.0 * RULES.tooth_harmonics * RULES.highest_tooth_passing)))
     force = record["force"].sel(axis=axis_present(record, "force")).values
     force = force - force.mean(axis=1, keepdims=True)
     if keep > 1:
@@ -85,7 +83,9 @@ def force_angle(record: xr.Dataset, teeth: int, lowest: float = 4.0, highest: fl
     step = dt * keep
     if force.shape[1] * step < 3.0 * RULES.angle_window:
         raise InputError(f"{force.shape[1] * step:.3g} s of force are too short to find the tooth passing in; 3 s are")
-    times, path = _comb_path(force, step, lowest, min(highest, 0.49 / (RULES.tooth_harmonics * step)))
+    times, path = _comb_path(
+        force, step, RULES.lowest_tooth_passing, min(RULES.highest_tooth_passing, 0.49 / (RULES.tooth_harmonics * step))
+    )
     clock = np.arange(force.shape[1]) * step
     angle = _integral(np.interp(clock, times, path), step)
     for length in (0.5 * RULES.angle_window, RULES.angle_window):
