@@ -1,8 +1,8 @@
 """Compliances under several conditions as one array: force level, depth of cut and feed become dimensions.
 
 A machine with friction, play or micro-slip has no compliance but one for each force level, and a moving axis one for
-each feed; the depths of cut of a sweep are its force levels. Hits of several levels in the same records are separated by
-their peaks, whole measurements by what the campaign says of them.
+each feed; the depths of cut of a sweep are its force levels. Hits of several levels in the same records are separated
+by their peaks, whole measurements by what the campaign says of them.
 """
 
 from __future__ import annotations
