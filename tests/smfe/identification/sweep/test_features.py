@@ -265,6 +265,7 @@ def test_order_tracking_finds_the_compliance_at_any_sweep_rate_also_by_the_angle
     assert 0.9 < inside(found).mean() <= 1.0
 
 
+@pytest.mark.slow
 def test_order_tracking_follows_a_sweep_that_crosses_a_resonance_while_it_rings() -> None:
     """2 Hz/s: in the 0.3 s that a mode rings the order moves by a third of its width. Plain ratios are 9 % wrong."""
     tool, spindle = Tool(0.08, 2, math.pi / 4.0, runout=(8e-6, -8e-6)), Spindle(20.0 * math.pi, 6.4)

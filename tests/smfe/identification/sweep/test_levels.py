@@ -360,6 +360,7 @@ def test_an_operating_point_over_the_depths_predicts_a_cutting_test(folder: Path
     assert table["predicted_sweep, 1 mm + sweep, 2 mm"].isin(["stable", "chatter"]).all()
 
 
+@pytest.mark.slow
 def test_levels_of_an_earlier_run_do_not_stay(folder: Path, tmp_path: Path) -> None:
     depths = {"1 mm": list(CUTS), "2 mm": list(CUTS)}
     (tmp_path / "conditions.nc").write_bytes(b"of an earlier run")
@@ -376,6 +377,7 @@ def test_compliances_are_not_written_where_other_results_stand(folder: Path, tmp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_sweeps_are_stacked_at_the_depth_of_their_records(folder: Path, tmp_path: Path) -> None:
     """The measurement says 2 mm, and all its records 1 mm."""
     path = campaign(folder, {"1 mm": list(CUTS)}, 'depth_of_cut = "2 mm"\n')

@@ -142,6 +142,7 @@ def test_a_record_without_air_bounds_the_clock_by_the_speeds_that_it_misses() ->
         assert short.beyond == 0.0
 
 
+@pytest.mark.slow
 def test_seven_parts_in_a_thousand_are_found_against_stated_speeds_and_not_more() -> None:
     data = passes(stated=True, clock=0.007, speed_signal="angle", ramps=(0.05, 0.05), seconds=14.0)
     clock = judge_clock("s", data, 3)

@@ -149,7 +149,8 @@ def test_a_record_that_ends_in_the_cut_is_solved_with_its_transient(monkeypatch:
     assert without.mean() > 2.0 * with_transient.mean()
 
 
-@pytest.mark.parametrize("damping", [pytest.param(0.02, marks=pytest.mark.slow), 0.01])
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [0.02, 0.01])
 def test_a_lightly_damped_machine_keeps_its_peaks_and_its_error_is_stated(
     damping: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

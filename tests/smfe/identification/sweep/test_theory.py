@@ -68,6 +68,7 @@ def test_without_free_decay_a_slow_sweep_is_saved_by_polynomials_for_the_transie
     assert fast > 0.2
 
 
+@pytest.mark.slow
 def test_the_package_does_what_is_written_out_here() -> None:
     whole = experiment(20.0, TAIL)
     same = LocalPolynomial(half_widths=(0.5,), rational=False)
