@@ -289,7 +289,7 @@ def diagnose(
     output: Annotated[Path, typer.Option("-o", "--output", help="JSON file of the finding.")] = Path("finding.json"),
     seed: Annotated[int, typer.Option(help="Seed of all draws.")] = 0,
     held_out: Annotated[
-        list[str] | None, typer.Option("--held-out", help="Measurement to open once, at the very end.")
+        list[str] | None, typer.Option("--held-out", help="Measurement to hold out and compare once, at the very end.")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; default: one a core, at most 8, on Linux; else one.")
