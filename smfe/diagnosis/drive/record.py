@@ -263,17 +263,7 @@ def _learn(
     nuisances = (*_nuisances(full, mass), _timing(cutoff))
     place = plain.seen(plain.motion.position)
     centre, stroke = float(np.mean(place)), float(np.ptp(place))
-    catalogue = [
-        terms.coulomb(),
-        terms.stribeck(),
-        terms.shear(),
-        terms.asymmetry(),
-        terms.position_slope(centre),
-        terms.position_bend(centre, stroke),
-        terms.drift(),
-        terms.offset_drift(),
-        terms.missing_mode(nuisances[0].start),
-    ]
+    catalogue = [*terms.always(centre, stroke, nuisances[0].start)]
     if lead is not None:
         catalogue.append(terms.ripple(lead, centre, known))
     if line is not None:

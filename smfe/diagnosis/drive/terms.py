@@ -49,84 +49,80 @@ def built(m: Motion, p: Values, speed: float) -> Real:
     return m.built(speed, p["coulomb.slide"], p["coulomb.damping"])
 
 
-def coulomb() -> Term:
-    """Return Coulomb friction, ``F (z + tau dz/dt)`` with z the direction after pre-sliding.
+def always(centre: float, stroke: float, mass: float) -> tuple[Term, ...]:
+    """Return the forces that are in every catalogue, of a stroke [m] about a centre [m] and a mass [kg]."""
+    bends = ("offset_slope", "offset_bend", "friction_slope", "friction_bend")
+    bend = tuple(Parameter(f"bend.{n}", "N", 0.0, 0.1) for n in bends)
 
-    The damping of the bristles, ``tau = sigma_1/sigma_0`` of LuGre (Canudas de Wit et al., IEEE Transactions on
-    Automatic Control 40, 1995), acts within the pre-sliding only; without it a reversal comes late by tau.
-    """
-    force = Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0)
-    slide = Parameter("coulomb.slide", "um", 2e-6, 1e-6, 1e-7, 1e-4, shown=1e6)
-    # Little friction says little of it: the prior keeps it where bristles of steel on steel or plastic have it.
-    damping = Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3)
-    start = (0.0, 2e-6, 0.0)
-    return Term(
-        Cause("guideway_friction", "Coulomb friction", (force, slide, damping), "coulomb", starts=(start,)),
-        lambda m, p: p["coulomb.force"] * m.sliding(p["coulomb.slide"], p["coulomb.damping"]),
-    )
-
-
-def stribeck() -> Term:
-    """Return the boost of the friction near rest, ``B exp(-|v|/vs) s(v)`` with B >= 0 (Stribeck)."""
-    boost = Parameter("stribeck.boost", "N", 0.0, 1.0, low=0.0)
-    speed = Parameter("stribeck.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3)
-    title = "Stribeck friction: higher near rest"
-    return Term(
-        Cause("low_speed_friction", title, (boost, speed), "stribeck", starts=_SPEEDS),
-        lambda m, p: p["stribeck.boost"] * (direction(m, p) - built(m, p, p["stribeck.speed"])),
-    )
-
-
-def shear() -> Term:
-    """Return a friction that builds up with speed and saturates, ``A [1 - exp(-|v|/vs)] s(v)`` with A >= 0.
-
-    The opposite of a Stribeck boost: grease that thins under shear, a lubricant film that forms.
-    """
-    amount = Parameter("shear.force", "N", 0.0, 1.0, low=0.0)
-    # What builds up within less is Coulomb friction.
-    speed = Parameter("shear.speed", "mm/s", 0.02, 0.01, 5e-3, 0.1, shown=1e3)
-    title = "lubricant friction: lower near rest"
-    return Term(
-        Cause("low_speed_friction", title, (amount, speed), "shear", starts=_SPEEDS),
-        lambda m, p: p["shear.force"] * built(m, p, p["shear.speed"]),
-    )
-
-
-def asymmetry() -> Term:
-    """Return viscous friction that depends on the direction, ``d |v|``: ``sigma +- d`` forwards and backwards.
-
-    A Coulomb force that depends on the direction is the same as an offset, which the baseline has.
-    """
-    difference = Parameter("asymmetry.viscous", "N s/m", 0.0, 5.0)
-    cause = Cause("friction_asymmetry", "friction that depends on the direction", (difference,))
-    return Term(cause, lambda m, p: p["asymmetry.viscous"] * np.abs(m.velocity))
-
-
-def position_slope(centre: float) -> Term:
-    """Return friction and offset linear in position, ``(a + b s(v)) (x - centre)``."""
-    both = Parameter("position.offset", "N/m", 0.0, 1.0)
-    friction = Parameter("position.friction", "N/m", 0.0, 1.0)
-
-    def force(m: Motion, p: Values) -> Real:
-        slope = p["position.offset"] + p["position.friction"] * direction(m, p)
-        return np.asarray(slope * (m.position - centre))
-
-    cause = Cause("position_friction", "force that changes along the stroke", (both, friction))
-    return Term(cause, force)
-
-
-def position_bend(centre: float, stroke: float) -> Term:
-    """Return friction and offset with a slope and a bend over the stroke, each way its own (`position_slope`, bent)."""
-    names = ("offset_slope", "offset_bend", "friction_slope", "friction_bend")
-    numbers = tuple(Parameter(f"bend.{n}", "N", 0.0, 0.1) for n in names)
-
-    def force(m: Motion, p: Values) -> Real:
+    def bent(m: Motion, p: Values) -> Real:
         x = 2.0 * (m.position - centre) / stroke
-        a, b, c, d = (p[q.name] for q in numbers)
+        a, b, c, d = (p[q.name] for q in bend)
         return np.asarray(a * x + b * x * x + direction(m, p) * (c * x + d * x * x))
 
-    title = "force that changes and bends along the stroke"
-    return Term(Cause("position_friction", title, numbers, "bent"), force)
+    coulomb = (
+        Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0),
+        Parameter("coulomb.slide", "um", 2e-6, 1e-6, 1e-7, 1e-4, shown=1e6),
+        # Little friction determines little of it: the prior is that of bristles of steel on steel or plastic.
+        Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3),
+    )
+    boost = (
+        Parameter("stribeck.boost", "N", 0.0, 1.0, low=0.0),
+        Parameter("stribeck.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3),
+    )
+    shear = (
+        Parameter("shear.force", "N", 0.0, 1.0, low=0.0),
+        # What builds up within less is Coulomb friction.
+        Parameter("shear.speed", "mm/s", 0.02, 0.01, 5e-3, 0.1, shown=1e3),
+    )
+    slope = (Parameter("position.offset", "N/m", 0.0, 1.0), Parameter("position.friction", "N/m", 0.0, 1.0))
+    difference = (Parameter("asymmetry.viscous", "N s/m", 0.0, 5.0),)
+    compliance = (Parameter("mode.compliance", "N s4/m", 0.0, mass / (8.0 * math.pi * 100.0) ** 2, low=0.0),)
+    return (
+        # F (z + tau dz/dt) with z the direction after pre-sliding. The damping of the bristles, tau = sigma_1/sigma_0
+        # of LuGre (Canudas de Wit et al., IEEE Transactions on Automatic Control 40, 1995), acts within the
+        # pre-sliding only; without it a reversal comes late by tau.
+        Term(
+            Cause("guideway_friction", "Coulomb friction", coulomb, "coulomb", starts=((0.0, 2e-6, 0.0),)),
+            lambda m, p: p["coulomb.force"] * m.sliding(p["coulomb.slide"], p["coulomb.damping"]),
+        ),
+        # B exp(-|v|/vs) s(v) with B >= 0.
+        Term(
+            Cause("low_speed_friction", "Stribeck friction: higher near rest", boost, "stribeck", starts=_SPEEDS),
+            lambda m, p: p["stribeck.boost"] * (direction(m, p) - built(m, p, p["stribeck.speed"])),
+        ),
+        # A [1 - exp(-|v|/vs)] s(v) with A >= 0, the opposite: grease that thins under shear, a film that forms.
+        Term(
+            Cause("low_speed_friction", "lubricant friction: lower near rest", shear, "shear", starts=_SPEEDS),
+            lambda m, p: p["shear.force"] * built(m, p, p["shear.speed"]),
+        ),
+        # d |v|: sigma +- d forwards and backwards. A Coulomb force that depends on the direction is an offset, which
+        # the baseline has.
+        Term(
+            Cause("friction_asymmetry", "friction that depends on the direction", difference),
+            lambda m, p: p["asymmetry.viscous"] * np.abs(m.velocity),
+        ),
+        # (a + b s(v)) (x - centre), and the same with a slope and a bend over the stroke.
+        Term(
+            Cause("position_friction", "force that changes along the stroke", slope),
+            lambda m, p: (p["position.offset"] + p["position.friction"] * direction(m, p)) * (m.position - centre),
+        ),
+        Term(Cause("position_friction", "force that changes and bends along the stroke", bend, "bent"), bent),
+        # r (t - middle) v, and r (t - middle): a counterweight, a sensor that warms up.
+        Term(
+            Cause("drift", "viscous friction that drifts", (Parameter("drift.viscous", "N s/m/s", 0.0, 0.1),)),
+            lambda m, p: p["drift.viscous"] * m.time * m.velocity,
+        ),
+        Term(
+            Cause("drift", "offset that drifts", (Parameter("drift.offset", "N/s", 0.0, 0.01),), "offset"),
+            lambda m, p: p["drift.offset"] * m.time,
+        ),
+        # K x'''' with K >= 0: motor mass a M and load (1 - a) M on a spring of frequency f below the mode,
+        # F = M x'' + M a (1 - a)/(2 pi f)^2 x''''.
+        Term(
+            Cause("missing_mode", "flexible mode between drive and encoder", compliance),
+            lambda m, p: p["mode.compliance"] * m.snap,
+        ),
+    )
 
 
 def ripple(lead: float, centre: float, known: bool) -> Term:
@@ -136,63 +132,29 @@ def ripple(lead: float, centre: float, known: bool) -> Term:
     """
     free = 1e-3 if known else 0.03
     wave = Parameter("ripple.lead", "mm", lead, 1e-3 * lead, (1.0 - free) * lead, (1.0 + free) * lead, shown=1e3)
-    cosine = Parameter("ripple.cosine", "N", 0.0, 0.1)
-    sine = Parameter("ripple.sine", "N", 0.0, 0.1)
-
-    def force(m: Motion, p: Values) -> Real:
-        angle = 2.0 * math.pi * (m.position - centre) / p["ripple.lead"]
-        return np.asarray(p["ripple.cosine"] * np.cos(angle) + p["ripple.sine"] * np.sin(angle))
-
-    cause = Cause("position_ripple", "ripple of the screw", (cosine, sine, wave), starts=((0.0, 0.0, lead),))
-    return Term(cause, force)
+    cause = Cause("position_ripple", "ripple of the screw", (*_wave("ripple"), wave), starts=((0.0, 0.0, lead),))
+    return Term(cause, lambda m, p: _periodic("ripple", 2.0 * math.pi * (m.position - centre) / p["ripple.lead"], p))
 
 
 def tone(frequency: float, duration: float) -> Term:
     """Return a line in the force channel, ``a cos(2 pi f t) + b sin(2 pi f t)``; f is free by one over the duration."""
-    line = Parameter(
-        "tone.frequency", "Hz", frequency, 0.1 / duration, frequency - 1.0 / duration, frequency + 1.0 / duration
-    )
-    cosine = Parameter("tone.cosine", "N", 0.0, 0.1)
-    sine = Parameter("tone.sine", "N", 0.0, 0.1)
-
-    def force(m: Motion, p: Values) -> Real:
-        angle = 2.0 * math.pi * p["tone.frequency"] * m.time
-        return np.asarray(p["tone.cosine"] * np.cos(angle) + p["tone.sine"] * np.sin(angle))
-
-    title = "tone in the drive force"
+    free = 1.0 / duration
+    line = Parameter("tone.frequency", "Hz", frequency, 0.1 / duration, frequency - free, frequency + free)
     starts = ((0.0, 0.0, frequency),)
-    return Term(Cause("background_tone", title, (cosine, sine, line), kind="measurement", starts=starts), force)
+    cause = Cause("background_tone", "tone in the drive force", (*_wave("tone"), line), "", "measurement", starts)
+    return Term(cause, lambda m, p: _periodic("tone", 2.0 * math.pi * p["tone.frequency"] * m.time, p))
 
 
-def drift() -> Term:
-    """Return viscous friction that changes with time, ``r (t - middle) v``."""
-    rate = Parameter("drift.viscous", "N s/m/s", 0.0, 0.1)
-    cause = Cause("drift", "viscous friction that drifts", (rate,))
-    return Term(cause, lambda m, p: p["drift.viscous"] * m.time * m.velocity)
+def _wave(name: str) -> tuple[Parameter, Parameter]:
+    return Parameter(f"{name}.cosine", "N", 0.0, 0.1), Parameter(f"{name}.sine", "N", 0.0, 0.1)
 
 
-def offset_drift() -> Term:
-    """Return an offset that changes with time, ``r (t - middle)``: a counterweight, a sensor that warms up."""
-    rate = Parameter("drift.offset", "N/s", 0.0, 0.01)
-    cause = Cause("drift", "offset that drifts", (rate,), "offset")
-    return Term(cause, lambda m, p: p["drift.offset"] * m.time)
-
-
-def missing_mode(mass: float) -> Term:
-    """Return the force of a flexible mode between drive and encoder, ``K x''''`` with K >= 0 [N s4/m].
-
-    Motor mass a M and load (1 - a) M on a spring of frequency f: ``F = M x'' + M a (1 - a)/(2 pi f)^2 x''''`` below
-    the mode, shown as the frequency would be for a = 1/2.
-    """
-    snap = Parameter("mode.compliance", "N s4/m", 0.0, mass / (8.0 * math.pi * 100.0) ** 2, low=0.0)
-    cause = Cause("missing_mode", "flexible mode between drive and encoder", (snap,))
-    return Term(cause, lambda m, p: p["mode.compliance"] * m.snap)
+def _periodic(name: str, angle: Real, p: Values) -> Real:
+    return np.asarray(p[f"{name}.cosine"] * np.cos(angle) + p[f"{name}.sine"] * np.sin(angle))
 
 
 def hidden_force(windows: Sequence[tuple[float, float, float]]) -> Term:
-    """Return an unmeasured force, the same in all windows: begin, end [s on the clock of the record] and sign."""
-    force = Parameter("hidden.force", "N", 0.0, 1.0)
-    cause = Cause("hidden_input", "unmeasured force on the axis", (force,), "force")
+    """Return an unmeasured force, the same in all windows: begin, end [s on the time base of the record] and sign."""
 
     def pulses(m: Motion, p: Values) -> Real:
         total = np.zeros_like(m.time)
@@ -200,7 +162,8 @@ def hidden_force(windows: Sequence[tuple[float, float, float]]) -> Term:
             total[(m.time >= begin) & (m.time < end)] = sign * p["hidden.force"]
         return total
 
-    return Term(cause, pulses)
+    force = Parameter("hidden.force", "N", 0.0, 1.0)
+    return Term(Cause("hidden_input", "unmeasured force on the axis", (force,), "force"), pulses)
 
 
 # --- Causes that a drive record can name besides friction: delay, cut-off force, gains, a command that was not logged.
