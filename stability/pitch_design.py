@@ -28,7 +28,7 @@ from process.errors import InputError
 from process.types import Real
 from stability.methods.semi_discretization import LimitDepth, limit_depth
 from stability.problem import Machine, check_spindle_speed
-from stability.settings import SETTINGS
+from stability.rules import RULES
 
 CHECK_COLUMNS: tuple[str, ...] = (
     "spindle_speed_rpm",
@@ -189,7 +189,7 @@ class _Search:
     speed: float
     around: float
 
-    def limit(self, tool: Tool, speed: float, tolerance: float = SETTINGS.loose_tolerance) -> LimitDepth:
+    def limit(self, tool: Tool, speed: float, tolerance: float = RULES.loose_tolerance) -> LimitDepth:
         """Return the converged limit of a tool."""
         return limit_depth(self.machine, tool, self.arc, self.coefficients, speed, tolerance)
 
@@ -205,7 +205,7 @@ class _Search:
     def improved(self, pattern: str, difference: float, best: Best, largest_deviation: float) -> Best:
         """Return the better of what there is and the best difference of a pattern."""
         factor, tried = 1.0, set[Tool]()
-        for offsets in ([f - 1.0 for f in SETTINGS.factors_tried], *((-step, step) for step in SETTINGS.refined_steps)):
+        for offsets in ([f - 1.0 for f in RULES.factors_tried], *((-step, step) for step in RULES.refined_steps)):
             centre = factor
             for offset in offsets:
                 tool = self._pitched(pattern, (centre + offset) * difference, largest_deviation)
@@ -224,6 +224,6 @@ class _Search:
         pitch = (alternating if pattern == "alternating" else linear)(teeth, difference)
         if np.abs(pitch * teeth / (2.0 * math.pi) - 1.0).max() > largest_deviation + 1e-9:
             return None
-        steps = np.round(pitch[:-1] / SETTINGS.ground_angle)
-        last = round(2.0 * math.pi / SETTINGS.ground_angle) - steps.sum()
-        return replace(self.tool, pitch_angles=tuple(float(k) for k in np.append(steps, last) * SETTINGS.ground_angle))
+        steps = np.round(pitch[:-1] / RULES.ground_angle)
+        last = round(2.0 * math.pi / RULES.ground_angle) - steps.sum()
+        return replace(self.tool, pitch_angles=tuple(float(k) for k in np.append(steps, last) * RULES.ground_angle))

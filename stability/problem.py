@@ -17,7 +17,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, at_tool, check_compliance, full_matrix, not_measured
 from process.types import Complex, Real
-from stability.settings import SETTINGS
+from stability.rules import RULES
 
 NO_LOBE = -1
 """Value of ``lobe`` where there is no limit."""
@@ -149,12 +149,12 @@ def edge_warnings(samples: Samples) -> tuple[str, ...]:
     f, matrix = samples.frequency, samples.matrix
     size = np.linalg.norm(matrix, axis=(1, 2))
     out = []
-    if size[-1] > SETTINGS.edge_size * size.max():
+    if size[-1] > RULES.edge_size * size.max():
         out.append(
             f"at {f[-1]:.6g} Hz, its last sample, the compliance still is {100.0 * size[-1] / size.max():.0f} % of its "
             "peak: modes there and above are missing, and limits may be too high; measure further up"
         )
-    if np.linalg.norm(matrix[0].imag) > SETTINGS.edge_phase * size[0]:
+    if np.linalg.norm(matrix[0].imag) > RULES.edge_phase * size[0]:
         out.append(
             f"at {f[0]:.6g} Hz, its first sample, the compliance is out of phase with the force: modes there and below "
             "are missing, and limits may be too high; measure further down"
@@ -174,7 +174,7 @@ def _active_warning(frequency: Real, matrix: Complex, noise: Real) -> list[str]:
     """Say when a compliance gives energy: ``j (Phi - Phi^H)/2`` of a passive machine has no negative eigenvalue."""
     size = np.linalg.norm(matrix, axis=(1, 2))
     n = matrix.shape[1]
-    allowed = SETTINGS.active_share * size + SETTINGS.beyond_noise * noise
+    allowed = RULES.active_share * size + RULES.beyond_noise * noise
     taken = 0.5j * (matrix - matrix.conj().transpose(0, 2, 1)) + allowed[:, None, None] * np.eye(n)
     passive = np.ones(size.size, dtype=bool)
     for axes in [c for k in range(1, n + 1) for c in combinations(range(n), k)]:
@@ -206,7 +206,7 @@ def _long_steps(frequency: Real) -> NDArray[np.bool_]:
         return np.zeros(step.size, dtype=bool)
     before = np.concatenate([[0.0], step[:-1]])
     after = np.concatenate([step[1:], [0.0]])
-    return np.asarray(step > SETTINGS.gap_factor * np.maximum(before, after), dtype=bool)
+    return np.asarray(step > RULES.gap_factor * np.maximum(before, after), dtype=bool)
 
 
 def partial_warning(response: ArrayLike, excitation: ArrayLike, missing: xr.DataArray) -> list[str]:

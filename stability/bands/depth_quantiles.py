@@ -33,7 +33,7 @@ from process.labels import label
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from stability.bands.error_model import ErrorModel, ModalError, Spread, changed_coefficients, measured_error
-from stability.bands.settings import SETTINGS
+from stability.bands.rules import RULES
 from stability.methods.vibration_mode import modal_samples
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
 from stability.problem import Cut, Samples, check_spindle_speed, complete_samples, modes_of, pattern_of_pitch
@@ -177,9 +177,9 @@ def linearised_band(
     size, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(size, 0.0))[..., None, :]
     found = np.empty((len(levels), problem.speed.size))
-    common = generator.standard_normal((SETTINGS.linear_draws, shared.shape[-1]))
+    common = generator.standard_normal((RULES.linear_draws, shared.shape[-1]))
     for s in range(problem.speed.size):
-        own = generator.standard_normal((SETTINGS.linear_draws, value.shape[1]))
+        own = generator.standard_normal((RULES.linear_draws, value.shape[1]))
         half_inverse = (value[s] + own @ factor[s].T + common @ shared[s].T).max(axis=1)
         found[:, s] = _depth_quantiles(half_inverse, levels)
     return _labelled("linearised", problem, nominal, levels, found, safe_probability, {"seed": seed})
@@ -234,12 +234,12 @@ def corrected_quantiles(drawn: Real, nominal: Real, levels: Sequence[float]) -> 
     drawn : ndarray, shape (samples, speeds)
         Samples; inf is a value like any other.
     nominal : ndarray, shape (speeds,)
-        The estimate about which they were drawn. The median z0 of the samples below it is cut to `SETTINGS.most_bias`.
+        The estimate about which they were drawn. The median z0 of the samples below it is cut to `RULES.most_bias`.
     levels : sequence of float
         Levels between 0 and 1.
     """
     count = drawn.shape[0]
-    z0 = np.where(np.isinf(nominal), 0.0, np.clip(_bias(drawn, nominal), -SETTINGS.most_bias, SETTINGS.most_bias))
+    z0 = np.where(np.isinf(nominal), 0.0, np.clip(_bias(drawn, nominal), -RULES.most_bias, RULES.most_bias))
     rank = ndtr(2.0 * z0 + ndtri(np.asarray(levels))[:, None]) * count
     ordered = np.sort(drawn, axis=0)
     index = np.clip(np.ceil(rank - 0.5).astype(np.int64), 1, count) - 1
@@ -254,7 +254,7 @@ def _bias(drawn: Real, nominal: Real) -> Real:
 
 def _bias_warning(drawn: Real, nominal: Real) -> list[str]:
     """Say where errors of the compliance make limits too low as a rule: every wrong crossing counts, none raises it."""
-    low = int((_bias(drawn, nominal) > SETTINGS.most_bias).sum())
+    low = int((_bias(drawn, nominal) > RULES.most_bias).sum())
     if low == 0:
         return []
     return [
@@ -344,15 +344,15 @@ def _lowest_crossings(branches: Branches, period: Real) -> _Crossings:
     """Return the crossings of largest Re(mu), i.e. lowest depth, at each tooth period [s]."""
     pieces = 1 + 4 * (branches.samples.frequency.size < 4000)
     f, every = branches.refined(pieces)
-    shape = (period.size, SETTINGS.crossings)
+    shape = (period.size, RULES.crossings)
     out = np.zeros((3, *shape), dtype=complex)
     out[0] = branches.samples.frequency[0]
     found = [_crossings(f, mu, period) for mu in every]
     speed, frequency, mu, slope = (np.concatenate(columns) for columns in zip(*found, strict=True))
     order = np.lexsort((-mu.real, speed))
     rank = np.arange(order.size) - np.searchsorted(speed[order], speed[order])
-    kept = order[rank < SETTINGS.crossings]
-    at = speed[kept], rank[rank < SETTINGS.crossings]
+    kept = order[rank < RULES.crossings]
+    at = speed[kept], rank[rank < RULES.crossings]
     for field, values in zip(out, (frequency, mu, slope), strict=True):
         field[at] = values[kept]
     return _Crossings(out[0].real, out[1], out[2], np.broadcast_to(period[:, None], shape))

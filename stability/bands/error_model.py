@@ -32,7 +32,7 @@ from process.errors import InputError
 from process.labels import AXES, at_tool, axis_index, not_measured
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Complex, Real
-from stability.bands.settings import SETTINGS
+from stability.bands.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class ModalError:
 
 def carries_errors(compliance: xr.Dataset) -> bool:
     """Whether a compliance says how far it can be trusted: a standard deviation at nearly all of its frequencies."""
-    return "compliance_std" in compliance and _missing(compliance) <= SETTINGS.most_missing
+    return "compliance_std" in compliance and _missing(compliance) <= RULES.most_missing
 
 
 def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
@@ -251,7 +251,7 @@ def _covariance(compliance: xr.Dataset) -> Complex:
         column.real[~known] = np.interp(f[~known], f[known], column.real[known])
         column.imag[~known] = np.interp(f[~known], f[known], column.imag[known])
     lines = max(1.0, float(compliance.attrs.get("error_lines", 1.0)))
-    return _level(flat, round(0.5 * SETTINGS.level_width * lines)).reshape(values.shape)
+    return _level(flat, round(0.5 * RULES.level_width * lines)).reshape(values.shape)
 
 
 def _level(values: Complex, reach: int) -> Complex:

@@ -24,7 +24,7 @@ from stability.chatter.line_spectrum import (
     stands_out,
     without_orders,
 )
-from stability.chatter.settings import SETTINGS
+from stability.chatter.rules import RULES
 from stability.chatter.sidebands import sideband_coherence, sideband_lines
 from stability.chatter.spindle_speed import windows
 
@@ -107,9 +107,9 @@ class SpectralAmplitudes:
 
     @property
     def spindle_seen(self) -> bool:
-        """Whether any of the first `SETTINGS.orders_seen` spindle orders stands out of the noise."""
+        """Whether any of the first `RULES.orders_seen` spindle orders stands out of the noise."""
         first, last = float(self.spectrum.frequency[0]) / self.base, float(self.spectrum.frequency[-1]) / self.base
-        orders = range(max(1, math.ceil(first)), min(SETTINGS.orders_seen, math.floor(last)) + 1)
+        orders = range(max(1, math.ceil(first)), min(RULES.orders_seen, math.floor(last)) + 1)
         return any(stands_out(self.spectrum, order * self.base, 0.5) for order in orders)
 
     @property
@@ -126,7 +126,7 @@ class SpectralAmplitudes:
 
     def _stands_out(self, frequency: float, amplitude: float) -> bool:
         """Whether a harmonic stands out of the noise around it."""
-        return amplitude > SETTINGS.stands_out * noise_rms(self.spectrum, self.amplitude, ~self.masked, frequency)
+        return amplitude > RULES.stands_out * noise_rms(self.spectrum, self.amplitude, ~self.masked, frequency)
 
     @property
     def ratio(self) -> float:
@@ -174,7 +174,7 @@ class SpectralAmplitudes:
             return ()
         reach = 1.5 * self.spectrum.resolution
         reach += 0.5 * (self.short.high - self.short.low) if self.drifts else 0.0
-        least = max(0.1 * amplitude, SETTINGS.stands_out * self.noise)
+        least = max(0.1 * amplitude, RULES.stands_out * self.noise)
         return sideband_lines(
             self.spectrum.frequency, np.where(self.peaks, self.amplitude, 0.0), frequency, self.base, reach, least
         )
@@ -211,19 +211,19 @@ class SpectralAmplitudes:
     def line_like(self) -> bool:
         """Whether the candidate is a line, not a mode that noise excites."""
         varies, amplitude = self.envelope[0], self.candidate[1]
-        if varies < SETTINGS.noise_like and self.coherence > SETTINGS.certain:
+        if varies < RULES.noise_like and self.coherence > RULES.certain:
             return True
         height = amplitude / (self.threshold * self.denominator) if self.denominator > 0.0 else 0.0
-        if varies < SETTINGS.steady and height > SETTINGS.towering:
+        if varies < RULES.steady and height > RULES.towering:
             # A line that drifts is its own noise.
             return True
-        if amplitude < SETTINGS.stands_out * self.noise:
+        if amplitude < RULES.stands_out * self.noise:
             return False
-        if self.envelope[1] > SETTINGS.grows and varies < SETTINGS.growing:
+        if self.envelope[1] > RULES.grows and varies < RULES.growing:
             return True
         # A lightly damped mode may look steady over a short record: then something else must speak for a line.
-        steady = varies < SETTINGS.steady or height > 2.0 or bool(self.sidebands) or self.coherence > SETTINGS.coherent
-        return varies < SETTINGS.comes_and_goes and steady
+        steady = varies < RULES.steady or height > 2.0 or bool(self.sidebands) or self.coherence > RULES.coherent
+        return varies < RULES.comes_and_goes and steady
 
     @property
     def noise_like(self) -> bool:
@@ -232,28 +232,24 @@ class SpectralAmplitudes:
         if math.isnan(self.tooth_line) and not self._stands_out(self.order_frequency, self.order_amplitude):
             return False
         if (
-            not SETTINGS.noise_kurtosis[0] < varies < SETTINGS.noise_kurtosis[1]
-            or self.coherence > SETTINGS.noise_coherence
+            not RULES.noise_kurtosis[0] < varies < RULES.noise_kurtosis[1]
+            or self.coherence > RULES.noise_coherence
             or self.sidebands
         ):
             return False
-        return (
-            varies > SETTINGS.plainly_noise or self.candidate[1] < SETTINGS.excited * self.threshold * self.denominator
-        )
+        return varies > RULES.plainly_noise or self.candidate[1] < RULES.excited * self.threshold * self.denominator
 
     @property
     def plain(self) -> bool:
         """Whether the candidate is a steady high line, or one with sidebands, that neither dies out nor comes up."""
-        if not SETTINGS.lasts[0] < self.envelope[1] < SETTINGS.lasts[1]:
+        if not RULES.lasts[0] < self.envelope[1] < RULES.lasts[1]:
             return False
-        return self.coherent_sidebands or (self.envelope[0] < SETTINGS.steady and self.ratio > 2.0 * self.threshold)
+        return self.coherent_sidebands or (self.envelope[0] < RULES.steady and self.ratio > 2.0 * self.threshold)
 
     @property
     def coherent_sidebands(self) -> bool:
         """Whether the candidate is a steady line with at least two sidebands."""
-        return (
-            self.envelope[0] < SETTINGS.comes_and_goes and len(self.sidebands) > 1 and self.coherence > SETTINGS.certain
-        )
+        return self.envelope[0] < RULES.comes_and_goes and len(self.sidebands) > 1 and self.coherence > RULES.certain
 
 
 def spectral_amplitudes(
@@ -275,7 +271,7 @@ def spectral_amplitudes(
     if not exact:
         base = comb_speed(raw, base, teeth, tolerance)
     count = max(teeth, int(band[1] / base))
-    error = SETTINGS.speed_variation + (0.0 if exact else _remaining_error(raw, base, count, tolerance))
+    error = RULES.speed_variation + (0.0 if exact else _remaining_error(raw, base, count, tolerance))
     phasors = order_phasors(part.samples, part.dt, base, count)
     scale = np.abs(displacement_over_acceleration(raw.frequency)) if integrate else np.ones(raw.frequency.size)
     spectrum = LineSpectrum(raw.frequency, raw.phasor * scale, raw.resolution)
@@ -357,13 +353,13 @@ def _short(
     """Return the highest line between the orders that short windows have, the median over the windows."""
     best = Short(math.nan, math.nan, math.nan, 0.0, 0.0)
     turns = part.duration * base
-    for length in (t for t in SETTINGS.short_turns if 2.0 * t <= turns):
+    for length in (t for t in RULES.short_turns if 2.0 * t <= turns):
         _, frequency, phasor = windows(part.samples, part.dt, length / base, 0.25 * length / base)
         size = np.abs(phasor[0])
         if integrate:
             size = size * np.abs(displacement_over_acceleration(np.maximum(frequency, band[0])))
         order = np.maximum(1.0, np.round(frequency / base))
-        free = np.abs(frequency - order * base) > SETTINGS.mask_bins * base / length + error * order * base
+        free = np.abs(frequency - order * base) > RULES.mask_bins * base / length + error * order * base
         free &= (frequency >= band[0]) & (frequency <= band[1])
         free &= np.interp(frequency, spectrum.frequency, in_air.astype(float)) < 0.5
         if not free.any():
@@ -409,7 +405,7 @@ def _order_mask(spectrum: LineSpectrum, base: float, error: float) -> NDArray[np
     """Mark ``|f - h base| <= 3/T + error h base`` for every order h >= 1."""
     order = np.maximum(1.0, np.round(spectrum.frequency / base))
     nearest = order * base
-    return np.abs(spectrum.frequency - nearest) <= SETTINGS.mask_bins * spectrum.resolution + error * nearest
+    return np.abs(spectrum.frequency - nearest) <= RULES.mask_bins * spectrum.resolution + error * nearest
 
 
 def _growth(part: CutPart, frequency: float, teeth: int) -> float:

@@ -15,7 +15,7 @@ from scipy import fft, signal
 from process.labels import UNITS, sample_interval
 from stability.chatter.cut_interval import CutPart
 from stability.chatter.line_spectrum import LineSpectrum, hann_spectrum, order_phasors, stands_out
-from stability.chatter.settings import SETTINGS
+from stability.chatter.rules import RULES
 from stability.chatter.spindle_speed import spindle_from_lines
 
 
@@ -31,17 +31,17 @@ def other_teeth(part: CutPart, teeth: int) -> tuple[int, str]:
     power = (np.abs(order_phasors(part.samples, part.dt, part.base, top)) ** 2).sum(axis=0)
     # Lines beside the orders, where there is nothing but noise and chatter: an order must stand out of them.
     beside = order_phasors(part.samples, part.dt, part.base * (1.0 + 0.37 / top), top)
-    if power.max() <= SETTINGS.stands_out**2 * float(np.median((np.abs(beside) ** 2).sum(axis=0))):
+    if power.max() <= RULES.stands_out**2 * float(np.median((np.abs(beside) ** 2).sum(axis=0))):
         return teeth, ""
     order = np.arange(1, top + 1)
-    share = {z: float(power[order % z == 0].sum() / power.sum()) for z in range(2, SETTINGS.most_teeth + 1)}
-    if teeth == 1 or share.get(teeth, 0.0) > SETTINGS.not_explained:
+    share = {z: float(power[order % z == 0].sum() / power.sum()) for z in range(2, RULES.most_teeth + 1)}
+    if teeth == 1 or share.get(teeth, 0.0) > RULES.not_explained:
         return teeth, ""
     # One line that stands alone is chatter on an order, not a tool: what is left without it must say the same.
     rest = np.where(order == order[np.argmax(power)], 0.0, power)
     left = {z: float(rest[order % z == 0].sum() / max(rest.sum(), 1e-300)) for z in share}
     share = {z: min(share[z], left[z]) for z in share}
-    fits = [z for z in share if share[z] > SETTINGS.explained and teeth % z != 0 and z % teeth != 0 and z <= 2 * teeth]
+    fits = [z for z in share if share[z] > RULES.explained and teeth % z != 0 and z % teeth != 0 and z <= 2 * teeth]
     if not fits:
         return teeth, ""
     best = max(fits, key=lambda z: (round(share[z], 2), z))
@@ -94,7 +94,7 @@ def other_speed(part: CutPart, base: float, teeth: int, band: tuple[float, float
     here, there = (_share_at(spectrum, speed) for speed in (base, found))
     ends = (k * teeth * found for k in range(1, 9))
     seen = sum(stands_out(spectrum, line, 0.5) for line in ends if line < spectrum.frequency[-1])
-    if there < SETTINGS.explained or here > 0.5 * there or seen < 5:
+    if there < RULES.explained or here > 0.5 * there or seen < 5:
         return ""
     return (
         f"the lines of the record fit {60.0 * found:.4g} rpm far better than {60.0 * base:.4g} rpm (the orders of the "
@@ -133,15 +133,15 @@ def spectrogram(
     rows = record[channel].values[None] if "axis" not in record[channel].dims else None
     values = record[channel].sel(axis=axes).transpose("axis", "time").values if rows is None else rows
     duration = values.shape[1] * dt
-    window = min(max(duration / 100.0, SETTINGS.picture_turns / base, 64 * dt), duration)
+    window = min(max(duration / 100.0, RULES.picture_turns / base, 64 * dt), duration)
     n = max(8, min(values.shape[1], round(window / dt)))
-    step = max(1, round(max(window / 8.0, (duration - window) / SETTINGS.picture[0]) / dt))
+    step = max(1, round(max(window / 8.0, (duration - window) / RULES.picture[0]) / dt))
     starts = np.arange(0, values.shape[1] - n + 1, step)
     shape = signal.windows.hann(n, sym=False)
     frequency = fft.rfftfreq(n, dt)
     inside = (frequency >= band[0]) & (frequency <= band[1])
     # Each point of the picture holds the highest of so many neighbouring lines.
-    each = math.ceil(np.count_nonzero(inside) / SETTINGS.picture[1])
+    each = math.ceil(np.count_nonzero(inside) / RULES.picture[1])
     first = np.arange(0, np.count_nonzero(inside), each)
     grid = np.array([part.mean() for part in np.split(frequency[inside], first[1:])])
     size = np.zeros((values.shape[0], starts.size, grid.size), dtype=np.float32)

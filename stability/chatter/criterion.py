@@ -55,9 +55,9 @@ from stability.chatter.cut_interval import (
     with_angle,
 )
 from stability.chatter.line_spectrum import LineSpectrum, comb_speed, hann_spectrum
-from stability.chatter.rules import Finding, Verdict, judge, too_few_turns
-from stability.chatter.settings import SETTINGS
+from stability.chatter.rules import RULES
 from stability.chatter.spindle_speed import followed_turns, spindle_from_lines
+from stability.chatter.verdict_rules import Finding, Verdict, judge, too_few_turns
 
 QUANTITIES: tuple[str, ...] = ("acceleration", "displacement", "force", "sound")
 
@@ -286,7 +286,7 @@ def _judged(
     base, exact = spindle_frequency(record, part, rotation / (2.0 * math.pi), speed_tolerance)
     band = _band(frequency_range, part, teeth * base)
     integrate = chosen != recorded
-    enough = part.duration * base >= SETTINGS.fewest_turns
+    enough = part.duration * base >= RULES.fewest_turns
     if enough and speed_tolerance > 0.0:
         angle = measured_turns(record, part) if exact else None
         if angle is None:
@@ -306,7 +306,7 @@ def _judged(
         spectral_amplitudes(name, axis_part(part, i), *settings, half_order_reference) for i, name in enumerate(names)
     ]
     highest = max(max(e.tooth_amplitude, e.order_amplitude) for e in found)
-    found = [replace(e, least=SETTINGS.silent * highest) for e in found]
+    found = [replace(e, least=RULES.silent * highest) for e in found]
     findings = [too_few_turns(part, base) or judge(e) for e in found]
     worst = _deciding(found, findings)
     decisive, finding = found[worst], findings[worst]
@@ -369,7 +369,7 @@ def _in_words(
         if e.highest_sidebands:
             lines = ", ".join(f"{line:.4g}" for line in e.highest_sidebands)
             text += f"; a whole number of spindle orders away lie {lines} Hz"
-        if e.envelope[1] > SETTINGS.growth:
+        if e.envelope[1] > RULES.growth:
             text += f"; it grows {e.envelope[1]:.2g} times within what is judged"
     return f"{said}; {text}" if said else text
 
@@ -418,12 +418,12 @@ def _rotation(
     frequency_range: tuple[float, float | None],
 ) -> float:
     """Return the spindle rotation [rad/s] that a record states or that its lines give away."""
-    part = judged_part(record, channel, axes, SETTINGS.turn_unknown, interval)
+    part = judged_part(record, channel, axes, RULES.turn_unknown, interval)
     stated = stated_frequency(record, part)
     if stated is None:
-        low, high = (s / 60.0 for s in SETTINGS.speeds_searched)
+        low, high = (s / 60.0 for s in RULES.speeds_searched)
         top = HIGHEST_SHARE_OF_SAMPLE_RATE / part.dt if frequency_range[1] is None else frequency_range[1]
-        band = max(frequency_range[0], SETTINGS.mask_bins / part.duration), min(top, 0.5 / part.dt)
+        band = max(frequency_range[0], RULES.mask_bins / part.duration), min(top, 0.5 / part.dt)
         if band[0] < band[1]:
             stated = spindle_from_lines(hann_spectrum(part.samples, part.dt, band), teeth, (low, high))
     if stated is None:
@@ -462,7 +462,7 @@ def _choose_axes(record: xr.Dataset, channel: str, axes: Sequence[str] | None) -
 
 
 def _band(frequency_range: tuple[float, float | None], part: CutPart, tooth: float) -> tuple[float, float]:
-    """Return the band [Hz]; below `SETTINGS.mask_bins` bins the mean leaks."""
+    """Return the band [Hz]; below `RULES.mask_bins` bins the mean leaks."""
     low, high = frequency_range
     sample_rate = 1.0 / part.dt
     top = HIGHEST_SHARE_OF_SAMPLE_RATE * sample_rate if high is None else high
@@ -476,4 +476,4 @@ def _band(frequency_range: tuple[float, float | None], part: CutPart, tooth: flo
             f"the tooth passing frequency of {tooth:g} Hz lies above the frequency range, which ends at {top:g} Hz: "
             "sample faster or raise the upper end"
         )
-    return max(low, SETTINGS.mask_bins / part.duration), top
+    return max(low, RULES.mask_bins / part.duration), top

@@ -19,7 +19,7 @@ from process.errors import InputError
 from process.instruments.tacho import tacho_angle
 from process.labels import axis_present, sample_interval
 from process.types import Real
-from stability.chatter.settings import SETTINGS
+from stability.chatter.rules import RULES
 from stability.chatter.spindle_speed import resampled
 
 
@@ -69,7 +69,7 @@ def judged_part(
             )
         cut = samples[:, begin:end]
     else:
-        fewest, most = (round(count * turn / dt) for count in SETTINGS.judged_turns)
+        fewest, most = (round(count * turn / dt) for count in RULES.judged_turns)
         half = (first + last) // 2
         begin = max(steady[0], min(half, max(steady[1] - fewest, first + (last - first) // 4)), steady[1] - most)
         begin, end = min(begin, steady[1] - 2), steady[1]
@@ -101,8 +101,8 @@ def stretches(
         Duration of a turn [s].
     """
     first, last = cut[1], cut[2]
-    found = [(first, judged[0])] if judged[0] - first >= SETTINGS.turns_of_a_stretch * turn else []
-    pieces = min(SETTINGS.most_stretches, int((last - first) / (SETTINGS.turns_of_a_stretch * turn)))
+    found = [(first, judged[0])] if judged[0] - first >= RULES.turns_of_a_stretch * turn else []
+    pieces = min(RULES.most_stretches, int((last - first) / (RULES.turns_of_a_stretch * turn)))
     if pieces > 1:
         edges = np.linspace(first, last, pieces + 1)
         found += list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
@@ -146,7 +146,7 @@ def _find_cut(samples: Real, turn: int, static: bool) -> tuple[int, int, int, in
         return 0, n, 0, n
     start, stop = _longest_cut(level)
     # A few turns far above all others are an entry, an exit or a knock, and hide the cut beside them.
-    while stop - start < min(SETTINGS.fewest_turns_of_cut, blocks // 4):
+    while stop - start < min(RULES.fewest_turns_of_cut, blocks // 4):
         quieter = np.delete(level, np.arange(start, stop))
         level = np.minimum(level, np.quantile(quieter, 0.95))
         again = _longest_cut(level)
@@ -261,7 +261,7 @@ def _recorded_speed(record: xr.Dataset, inside: NDArray[np.bool_], nominal: floa
         return nominal
     # Means, because every sample of a measured speed carries noise; a piece is a turn at least.
     turn = sample_interval(record) * nominal
-    pieces = int(np.clip(speed.size * turn, 2, SETTINGS.speed_pieces))
+    pieces = int(np.clip(speed.size * turn, 2, RULES.speed_pieces))
     _check_constant(np.array([piece.mean() for piece in np.array_split(speed, pieces)]))
     measured = float(np.median(speed)) / 60.0
     _check_same(measured, nominal, tolerance, "the recorded spindle speed is")
@@ -270,14 +270,14 @@ def _recorded_speed(record: xr.Dataset, inside: NDArray[np.bool_], nominal: floa
 
 def _check_same(measured: float, nominal: float, tolerance: float, what: str) -> None:
     """Refuse a record whose speed [Hz] is not the one given."""
-    if abs(measured / nominal - 1.0) > max(tolerance, SETTINGS.speed_mismatch):
+    if abs(measured / nominal - 1.0) > max(tolerance, RULES.speed_mismatch):
         raise InputError(f"{what} {60.0 * measured:g} rpm, {60.0 * nominal:g} rpm were given: correct one of them")
 
 
 def _check_constant(speed: Real) -> None:
     """Refuse a sweep."""
     low, high = float(speed.min()), float(speed.max())
-    if high - low > SETTINGS.most_change * abs(high):
+    if high - low > RULES.most_change * abs(high):
         raise InputError(
             f"the spindle speed varies from {low:g} to {high:g} rpm within the part that is judged; the "
             "criterion needs a constant speed: give an interval in which it is constant"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from process.types import Complex, Real
-from stability.chatter.settings import SETTINGS
+from stability.chatter.rules import RULES
 
 PADDING = 4
 """Grid points a bin of 1/T."""
@@ -88,7 +88,7 @@ def alternating(phasors: Complex, teeth: int) -> tuple[float, float]:
     """
     if teeth % 2 or teeth < 4:
         return math.nan, math.nan
-    power = np.abs(phasors[0, : SETTINGS.alternating_orders * teeth]) ** 2
+    power = np.abs(phasors[0, : RULES.alternating_orders * teeth]) ** 2
     remainder = np.arange(1, power.size + 1) % teeth
     power[remainder == 0] = 0.0
     found = []
@@ -139,15 +139,13 @@ def comb_speed(spectrum: LineSpectrum, base: float, teeth: int, tolerance: float
     """Return the spindle frequency [Hz] within ``base (1 +- tolerance)`` whose orders carry most lines.
 
     Maximises the sum over orders of ``log(1 + power/(16 median power))``, first over all orders up to
-    `SETTINGS.comb_harmonics` tooth harmonics, then nearby over those alone that stand out. The logarithm keeps one high
+    `RULES.comb_harmonics` tooth harmonics, then nearby over those alone that stand out. The logarithm keeps one high
     chatter line from pulling the comb to itself: it counts as one line of many. The floor keeps noise out of the sum.
     """
     power = spectrum.vector_amplitude**2
-    floor = max(
-        SETTINGS.stands_out**2 * float(np.median(power)), float(power.max()) * 1e-12, float(np.finfo(float).tiny)
-    )
+    floor = max(RULES.stands_out**2 * float(np.median(power)), float(power.max()) * 1e-12, float(np.finfo(float).tiny))
     gain = np.log1p(power / floor)
-    top = min(float(spectrum.frequency[-1]) / (1.0 + tolerance), SETTINGS.comb_harmonics * teeth * base)
+    top = min(float(spectrum.frequency[-1]) / (1.0 + tolerance), RULES.comb_harmonics * teeth * base)
     orders = np.arange(max(1, math.ceil(spectrum.frequency[0] / base)), int(top / base) + 1)
     coarse = _best_comb(spectrum, gain, base, orders, tolerance)
     lines = orders[[stands_out(spectrum, order * coarse, 2.0) for order in orders]]
@@ -181,7 +179,7 @@ def stands_out(spectrum: LineSpectrum, frequency: float, bins: float) -> bool:
     amplitude = spectrum.vector_amplitude
     everywhere = np.ones(amplitude.size, dtype=bool)
     at = float(amplitude[spectrum.near(frequency, bins * spectrum.resolution)].max())
-    return at > SETTINGS.stands_out * noise_rms(spectrum, amplitude, everywhere, frequency)
+    return at > RULES.stands_out * noise_rms(spectrum, amplitude, everywhere, frequency)
 
 
 def highest_visible_order(spectrum: LineSpectrum, base: float, count: int) -> int:

@@ -1,261 +1,138 @@
-"""The rules of the chatter criterion, applied in turn to the spectral amplitudes of one axis.
-
-1. `_silence_rule`: nothing reaches the floor: undecided.
-2. `_sideband_rule`: a steady line with two sidebands or more, from 0.4 of the threshold on: chatter.
-3. `_half_rule`: a line above the threshold of one half of the highest harmonic: chatter (the rule of the paper).
-4. `_period_doubling_rule`: order Z/2 that run-out does not explain: chatter, or undecided.
-5. `_mask_rule`: what does not repeat with the spindle inside the mask of an order: chatter, or undecided.
-6. `_foreign_order_rule`: a spindle order far above the teeth that is not one of theirs.
-7. `_crowded_rule`: masks that hide too much of the spectrum: undecided.
-
-Where none applies the cut is stable.
-"""
+"""The chosen numbers of the chatter criterion, in one place, each with its reason."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Literal
-
-from stability.chatter.amplitudes import SpectralAmplitudes
-from stability.chatter.cut_interval import CutPart
-from stability.chatter.settings import SETTINGS
-
-Verdict = Literal["stable", "chatter", "undecided"]
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What one rule concludes."""
+class ChatterRules:
+    """What the criterion takes as a line, as noise, as a cut, as a spindle speed."""
 
-    verdict: Verdict
-    ratio: float
-    frequency: float
-    reason: str
+    # What a line is.
+    mask_bins: float = 3.0
+    """Half width of the mask of a spindle order [bins of 1/T]: the main lobe of a Hann window reaches 2."""
+    speed_variation: float = 5e-4
+    """Relative variation of the speed within the record that the masks allow for [1]."""
+    orders_seen: int = 60
+    """Spindle orders of which one at least stands out of the noise where a tool cuts."""
+    short_turns: tuple[float, ...] = (24.0, 12.0)
+    """Windows in which lines that drift are looked for [turns]."""
+    stands_out: float = 4.0
+    """A line is a line from this many times the local rms noise: white noise exceeds it once in 10^7 bins."""
+    comb_harmonics: int = 20
+    """Tooth passing harmonics that take part in finding the speed."""
+    alternating_orders: int = 4
+    """Tooth harmonics up to which order Z/2 and its odd multiples are compared with the other orders."""
 
+    # Envelope and sidebands of the candidate.
+    steady: float = 1.2
+    """Kurtosis of the envelope below which a line is steady whatever else there is; self-excited chatter has 1."""
+    comes_and_goes: float = 1.4
+    """Kurtosis of the envelope, <|a|^4>/<|a|^2>^2, above which a line may be a mode that noise excites (2)."""
+    noise_like: float = 1.75
+    """Kurtosis of the envelope from which no coherence makes a line of it."""
+    plainly_noise: float = 1.9
+    """Kurtosis from which the height of a mode that noise excites does not matter."""
+    noise_kurtosis: tuple[float, float] = (1.65, 3.5)
+    """Least and most kurtosis of the envelope of a mode that noise excites."""
+    noise_coherence: float = 6.0
+    """Most coherence of such a mode."""
+    excited: float = 4.0
+    """Most that a mode that noise excites reaches below `plainly_noise` [thresholds]."""
+    towering: float = 8.0
+    """Height from which a steady line needs not stand out of what is around it [thresholds]."""
+    grows: float = 5.0
+    """Growth from the first to the last quarter from which a line grows [1]."""
+    growing: float = 4.0
+    """Most kurtosis that growth explains: exponential growth has 2 to 4, a knock far more."""
+    lasts: tuple[float, float] = (0.7, 1.5)
+    """Growth in which a line of a stretch is no transient that dies out, nor one that comes up [1]."""
+    coherent: float = 30.0
+    """Power of the sidebands over the median power between the orders that speaks for a line [1]."""
+    certain: float = 50.0
+    """The same, from which it is a line even where its envelope varies [1]."""
 
-def too_few_turns(part: CutPart, base: float) -> Finding | None:
-    """Return what to say of a part too short for any line; None where it is long enough."""
-    turns = part.duration * base
-    if turns >= SETTINGS.fewest_turns:
-        return None
-    return Finding(
-        "undecided",
-        math.nan,
-        math.nan,
-        f"{part.duration:.3g} s of cut are {turns:.2g} turns, in which no line is apart from a spindle order; at "
-        f"least {SETTINGS.fewest_turns} turns ({SETTINGS.fewest_turns / base:.3g} s) are needed, 12 are better",
-    )
+    # The rules.
+    fewest_turns: int = 6
+    """Below this number of turns the masks of neighbouring orders meet."""
+    sideband_share: float = 0.4
+    """Share of the threshold that suffices a steady line with sidebands [1]."""
+    nearly: float = 0.09
+    """A steady line less than this share below the threshold is left open: a sensor may read it low [1]."""
+    growth: float = 3.0
+    """Growth of order Z/2 against the tooth line along the cut that run-out cannot explain [1]."""
+    alternating: float = 6.0
+    """Order Z/2 and its odd multiples over all other run-out orders, from which teeth alternate [1]."""
+    alternating_rest: float = 0.9
+    """The same without the highest order, which may stand on a resonance [1]."""
+    alternate: float = 4.0
+    """The same without the highest order, from which half the threshold suffices [1]."""
+    eccentric: float = 1.5
+    """The same, up to which order Z/2 is one of the lines that run-out puts on all orders [1]."""
+    foreign: float = 5.0
+    """A spindle order that is no tooth harmonic and this many times as high is left open: run-out reaches 15 [1]."""
+    never_run_out: float = 20.0
+    """The same, from which it is chatter [1]."""
+    crowded: float = 0.25
+    """Share of the spectrum that may be masked where a cut is called stable [1]."""
+    silent: float = 0.1
+    """An axis is measured against at least this share of the highest harmonic of all axes [1]."""
 
+    # The part that is judged.
+    speed_mismatch: float = 0.01
+    """Difference between a recorded and the given speed above which one of them must be wrong [1]."""
+    most_change: float = 0.03
+    """Change of a recorded speed above which a record is a sweep; up to it the spindle is followed [1]."""
+    judged_turns: tuple[int, int] = (60, 600)
+    """Turns that are judged: fewer than the first reach back before the second half of the cut."""
+    fewest_turns_of_cut: int = 12
+    """A stretch of fewer turns far above the rest of a long record is an event, no cut."""
+    turns_of_a_stretch: int = 24
+    """Least turns of a stretch that is judged for itself."""
+    most_stretches: int = 5
+    """Most such stretches."""
+    speed_pieces: int = 32
+    """Most pieces on whose means a recorded speed is tested for being constant: each sample has noise."""
 
-def judge(e: SpectralAmplitudes) -> Finding:
-    """Return the finding of the first rule that applies; stable where none does."""
-    for rule in (
-        _silence_rule,
-        _sideband_rule,
-        _half_rule,
-        _period_doubling_rule,
-        _mask_rule,
-        _foreign_order_rule,
-        _crowded_rule,
-    ):
-        finding = rule(e)
-        if finding is not None:
-            return finding
-    reason = f"the largest non-harmonic peak is {e.ratio:.2g} of {_denominator(e)}, "
-    if e.ratio < e.threshold:
-        reason += f"below {e.threshold:g}"
-    else:
-        reason += (
-            f"but its envelope is that of filtered noise (kurtosis {e.envelope[0]:.2g}; noise has 2, a line 1), "
-            "without sidebands: a mode that the noise of the cut excites"
-        )
-    return Finding("stable", e.ratio, math.nan, reason)
+    # The speed of the spindle.
+    speeds_searched: tuple[float, float] = (60.0, 60000.0)
+    """Spindle speeds among which an unknown one is looked for [rpm]."""
+    turn_unknown: float = 0.1
+    """Window in which cut and air are separated while the speed is not known [s]."""
+    clear: float = 1.5
+    """How much higher a line must stand than another to be called the higher one [1]."""
+    fewest_lines: int = 3
+    """Lines that make a comb."""
+    steps_a_bin: int = 4
+    """Trial speeds within a bin of the highest line."""
+    most_orders: int = 200
+    """Most orders of a trial speed."""
+    drift: float = 0.012
+    """Relative change of the speed along what is judged that is looked for [1]."""
+    first_turns: float = 10.0
+    """Windows in which the speed is first followed [turns]."""
+    most_turn_orders: int = 60
+    """Most orders by which the speed is followed."""
+    other_orders: float = 0.1
+    """Weight of an order that is no tooth harmonic: half a per cent lays a chatter line at order 20 on an order."""
+    most_gain: float = 3.0
+    """Most that one line counts while the search is wide: log(1 + power/floor)."""
+    line: float = 16.0
+    """A bin counts from this many times the median power."""
 
-
-def _denominator(e: SpectralAmplitudes) -> str:
-    """Name what the ratio is taken of."""
-    if e.denominator == e.tooth_amplitude:
-        return f"the highest tooth harmonic at {e.tooth_frequency:.4g} Hz"
-    if e.denominator == e.order_amplitude:
-        return f"the highest spindle order at {e.order_frequency:.4g} Hz"
-    if e.denominator == e.floor:
-        return f"the floor {e.floor:g} (no tooth harmonic reaches it)"
-    return f"{e.least:.3g} {e.unit}, a tenth of the highest harmonic of all axes"
-
-
-def _silence_rule(e: SpectralAmplitudes) -> Finding | None:
-    """A spectrum of which nothing, not even a spindle order, reaches the floor."""
-    if e.highest >= e.floor:
-        return None
-    return Finding(
-        "undecided",
-        e.ratio,
-        math.nan,
-        f"nothing reaches the floor of {e.floor:g} {e.unit} (the highest line has {e.highest:.2g} {e.unit}), so no cut "
-        "is seen: check sensor, unit and interval, or give a lower floor",
-    )
-
-
-def _what(e: SpectralAmplitudes) -> str:
-    """Name the candidate and its ratio."""
-    frequency, amplitude = e.candidate
-    group = " with its sidebands" if e.ratio * e.denominator > 1.001 * amplitude else ""
-    return f"the non-harmonic peak at {frequency:.4g} Hz{group} is {e.ratio:.3g} of {_denominator(e)}"
-
-
-def _sideband_rule(e: SpectralAmplitudes) -> Finding | None:
-    """A steady line with two sidebands or more: chatter from `ChatterSettings.sideband_share` of the threshold on."""
-    if math.isnan(e.candidate[0]) or not e.coherent_sidebands or e.ratio < SETTINGS.sideband_share * e.threshold:
-        return None
-    reason = f"{_what(e)}, above {e.threshold:g}"
-    if e.ratio < e.threshold:
-        reason = (
-            f"{_what(e)}, below {e.threshold:g}, but steady, and {len(e.highest_sidebands)} lines or more lie a whole "
-            "number of spindle orders beside it: what regenerates does so, and nothing in air"
-        )
-    return Finding("chatter", e.ratio, e.candidate[0], reason)
-
-
-def _half_rule(e: SpectralAmplitudes) -> Finding | None:
-    """A peak above the threshold that is not a harmonic, nor a mode that noise excites."""
-    frequency, amplitude = e.candidate
-    if math.isnan(frequency):
-        return None
-    what = _what(e)
-    if e.ratio < e.threshold - max(e.guard, SETTINGS.nearly * e.threshold) or (
-        e.ratio < e.threshold and not e.line_like
-    ):
-        return None
-    if e.noise_like:
-        return None
-    if amplitude < SETTINGS.stands_out * e.noise and not e.line_like:
-        return Finding("undecided", e.ratio, frequency, f"{what}, but does not stand out of the noise: cut longer")
-    # What a drifting line spreads around itself is no noise.
-    if abs(e.ratio - e.threshold) <= min(e.guard, (0.1 if e.line_like else 0.5) * e.threshold):
-        reason = f"{what}: within {e.guard:.2g} of {e.threshold:g}, which the noise leaves open; record longer"
-        return Finding("undecided", e.ratio, frequency, reason)
-    if e.ratio < e.threshold:
-        reason = f"{what}, little below {e.threshold:g}, and it is a steady line: judge another axis or sensor as well"
-        return Finding("undecided", e.ratio, frequency, reason)
-    if not (e.line_like and e.spindle_seen):
-        but = (
-            f"no order of a spindle at {60.0 * e.base:.4g} rpm stands out of the noise: the tool does not cut, or "
-            "turns at another speed; check both"
-            if e.line_like
-            else "comes and goes like a mode that noise excites: cut longer, or compare with a lower depth"
-        )
-        return Finding("undecided", e.ratio, frequency, f"{what}, but {but}")
-    return Finding("chatter", e.ratio, frequency, f"{what}, above {e.threshold:g}")
-
-
-def _period_doubling_rule(e: SpectralAmplitudes) -> Finding | None:
-    """Order Z/2 of an even number of teeth: run-out or period doubling."""
-    frequency, amplitude = e.half
-    ratio = amplitude / e.denominator
-    excess = ratio - (e.half_reference or 0.0)
-    if math.isnan(frequency) or excess < 0.5 * e.threshold or amplitude < e.least:
-        return None
-    what = (
-        f"{frequency:.4g} Hz, an odd multiple of half the tooth passing frequency, is {ratio:.3g} of {_denominator(e)}"
-    )
-    if e.half_growth > SETTINGS.growth:
-        reason = f"{what} and has grown {e.half_growth:.3g} times along the cut: period doubling, not run-out"
-        return Finding("chatter", ratio, frequency, reason)
-    if e.half_reference is not None:
-        if excess < e.threshold:
-            return None
-        reason = f"{what}; the reference cut has {e.half_reference:.3g} there: period doubling"
-        return Finding("chatter", ratio, frequency, reason)
-    every, others = e.alternating
-    if others > SETTINGS.alternate or (
-        excess >= e.threshold and every > SETTINGS.alternating and others > SETTINGS.alternating_rest
-    ):
-        reason = (
-            f"{what}; these orders hold {every:.2g} times what all others have that are no tooth harmonics: every "
-            "other tooth cuts alike, which run-out does not do: period doubling"
-        )
-        return Finding("chatter", ratio, frequency, reason)
-    if excess < e.threshold or every < SETTINGS.eccentric:
-        return None
-    return Finding(
-        "undecided",
-        ratio,
-        frequency,
-        f"{what}: run-out or period doubling. Give the half_order_ratio of a stable cut as half_order_reference",
-    )
+    # Another number of teeth; the picture.
+    most_teeth: int = 12
+    """Numbers of teeth that are tried."""
+    explained: float = 0.8
+    """Least share of the power at the spindle orders that another number of teeth must explain [1]."""
+    not_explained: float = 0.1
+    """Most that the declared number of teeth then explains [1]."""
+    picture: tuple[int, int] = (160, 300)
+    """Most points of a spectrogram over time and frequency."""
+    picture_turns: float = 10.0
+    """Window of a spectrogram: neighbouring orders stand apart, an entry of as many turns is seen [turns]."""
 
 
-def _mask_rule(e: SpectralAmplitudes) -> Finding | None:
-    """Something that does not repeat with the spindle, inside the mask of an order."""
-    frequency, amplitude = e.peak(e.masked, e.left)
-    ratio = amplitude / e.denominator
-    if math.isnan(frequency) or ratio < e.threshold:
-        return None
-    order = max(1, round(frequency / e.base))
-    apart = max(abs(frequency - order * e.base), 0.25 * e.spectrum.resolution)
-    # The mask is SETTINGS.mask_bins/T wide on either side, and wider by the error of the speed.
-    clear = apart - e.speed_error * order * e.base
-    near = e.spectrum.near(order * e.base, e.spectrum.resolution)
-    if clear <= 0.25 * e.spectrum.resolution and 0.6 * float(e.amplitude[near].max()) > amplitude:
-        # Much less than the order itself, no farther from it than the speed may wander: a harmonic not quite steady.
-        return None
-    if e.noise_like and abs(frequency - e.candidate[0]) < e.base and ratio < 2.0 * e.threshold:
-        # The mode that noise excites beside the mask reaches into it.
-        return None
-    what = (
-        f"{ratio:.3g} of {_denominator(e)} does not repeat with the spindle, but lies at {frequency:.5g} Hz, "
-        f"within the mask of spindle order {order}"
-    )
-    if clear > 0.0 and e.followed and e.coherence > SETTINGS.certain:
-        # The speed has been followed, and what lies between the orders is no order.
-        reason = f"{what}; its sidebands between the orders stand {e.coherence:.2g} times above the noise there"
-        return Finding("chatter", ratio, frequency, reason)
-    advice = "a record of the spindle angle or a better known speed would separate them"
-    if clear > 0.0:
-        judged = 1.0 / e.spectrum.resolution
-        advice = f"{SETTINGS.mask_bins / clear:.2g} s of steady cut would separate them, {judged:.2g} s were judged"
-    reason = f"{what}: chatter close to a harmonic, or a speed that varies; {advice}"
-    return Finding("undecided", ratio, frequency, reason)
-
-
-def _foreign_order_rule(e: SpectralAmplitudes) -> Finding | None:
-    """A spindle order, not of the teeth, far above them: chatter that falls on an order looks like it."""
-    if e.order_amplitude < SETTINGS.foreign * max(e.tooth_amplitude, e.floor, e.least) or e.teeth == 1:
-        return None
-    order = round(e.order_frequency / e.base)
-    if order % e.teeth == 0 or order == 1:
-        return None
-    what = (
-        f"spindle order {order} at {e.order_frequency:.4g} Hz is {e.order_amplitude / e.tooth_amplitude:.2g} times "
-        f"as high as the harmonics of {e.teeth} teeth"
-    )
-    if e.coherent_sidebands:
-        frequency, lines = e.candidate[0], len(e.highest_sidebands)
-        reason = (
-            f"{what}, and a steady line at {frequency:.4g} Hz has {lines} lines or more beside it: chatter on an order"
-        )
-        return Finding("chatter", e.order_amplitude / e.tooth_amplitude, e.order_frequency, reason)
-    if e.order_amplitude > SETTINGS.never_run_out * e.tooth_amplitude:
-        reason = f"{what}, more than run-out explains: chatter on an order"
-        return Finding("chatter", e.order_amplitude / e.tooth_amplitude, e.order_frequency, reason)
-    reason = f"{what}: chatter on an order, or another number of teeth; change the speed by 2 %"
-    return Finding("undecided", e.ratio, e.order_frequency, reason)
-
-
-def _crowded_rule(e: SpectralAmplitudes) -> Finding | None:
-    """Masks that hide too much of the spectrum at the tooth passing frequency to call a cut stable."""
-    tooth = e.teeth * e.base
-    half_width = SETTINGS.mask_bins * e.spectrum.resolution + e.speed_error * tooth
-    if 2.0 * half_width <= SETTINGS.crowded * e.base:
-        return None
-    needed = 2.0 * SETTINGS.mask_bins / max(SETTINGS.crowded * e.base - 2.0 * e.speed_error * tooth, 0.05 * e.base)
-    return Finding(
-        "undecided",
-        e.ratio,
-        e.candidate[0],
-        f"no chatter line is seen, but the masks of the spindle orders ({e.base:.3g} Hz apart, "
-        f"+-{half_width:.2g} Hz each) hide more than {100.0 * SETTINGS.crowded:.0f} % of the spectrum; "
-        f"{needed:.2g} s of cut are needed, "
-        f"{1.0 / e.spectrum.resolution:.2g} s are there",
-    )
+RULES = ChatterRules()
+"""Those of the criterion; none was chosen on the cuts on which it was verified."""

@@ -1,7 +1,7 @@
 """Sidebands of a chatter line: regeneration in an interrupted cut repeats it one spindle order apart.
 
 A cut that changes with the turn puts lines at ``f_c + k n`` and their mirror images ``k n - f_c``, n being the spindle
-frequency. The *sideband rule* (`chatter.rules`) calls a steady line with two sidebands or more chatter from 0.4 of the
+frequency. The *sideband rule* (`verdict_rules`) calls a steady line with two sidebands or more chatter from 0.4 of the
 threshold on: nothing else puts lines one spindle order apart there.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from process.types import Real
-from stability.chatter.settings import SETTINGS
+from stability.chatter.rules import RULES
 from stability.chatter.spindle_speed import windows
 
 
@@ -48,7 +48,7 @@ def sideband_coherence(samples: Real, dt: float, base: float, band: tuple[float,
     """Return the power of the highest group of lines one order apart over the median of all groups [1].
 
     The spectrum is folded: all lines one spindle order apart, and their mirror images, are one sum, for each place
-    between two orders. Windows of `ChatterSettings.short_turns` and of the whole; the highest of their medians.
+    between two orders. Windows of `ChatterRules.short_turns` and of the whole; the highest of their medians.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def sideband_coherence(samples: Real, dt: float, base: float, band: tuple[float,
     """
     turns = samples.size * dt * base
     best = 0.0
-    for length in (*(t for t in SETTINGS.short_turns if 2.0 * t < turns), 0.99 * turns):
+    for length in (*(t for t in RULES.short_turns if 2.0 * t < turns), 0.99 * turns):
         _, orders, phasor = windows(samples[None], dt * base, length, 0.25 * length)
         power = np.abs(phasor[0]) ** 2
         inside = (orders >= band[0] / base) & (orders <= band[1] / base)

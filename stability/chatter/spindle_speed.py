@@ -22,7 +22,7 @@ from scipy import fft, ndimage, signal
 
 from process.types import Complex, Real
 from stability.chatter.line_spectrum import LineSpectrum
-from stability.chatter.settings import SETTINGS
+from stability.chatter.rules import RULES
 
 
 def spindle_from_lines(spectrum: LineSpectrum, teeth: int, bounds: tuple[float, float]) -> float | None:
@@ -44,9 +44,7 @@ def spindle_from_lines(spectrum: LineSpectrum, teeth: int, bounds: tuple[float, 
     """
     amplitude = spectrum.vector_amplitude
     power = amplitude**2
-    floor = max(
-        SETTINGS.stands_out**2 * float(np.median(power)), float(power.max()) * 1e-8, float(np.finfo(float).tiny)
-    )
+    floor = max(RULES.stands_out**2 * float(np.median(power)), float(power.max()) * 1e-8, float(np.finfo(float).tiny))
     gain = np.maximum(np.log(np.maximum(power, floor) / floor), 0.0)
     fundamental = _fundamental(spectrum, gain, bounds[0], bounds[1] * teeth)
     if fundamental is None:
@@ -62,11 +60,11 @@ def _fundamental(spectrum: LineSpectrum, gain: Real, low: float, high: float) ->
     low, high = max(low, 4.0 * spectrum.resolution), min(high, top)
     if not low < high:
         return None
-    ratio = 1.0 + spectrum.resolution / (SETTINGS.steps_a_bin * top)
+    ratio = 1.0 + spectrum.resolution / (RULES.steps_a_bin * top)
     candidates = low * ratio ** np.arange(int(math.log(high / low) / math.log(ratio)) + 1)
     # A line is taken within half a bin, so that the steps between candidates lose none.
     wide = ndimage.maximum_filter1d(gain, 2 * math.ceil(0.5 * spectrum.resolution / step) + 1)
-    orders = np.minimum(np.floor(top / candidates + 1e-9), SETTINGS.most_orders)
+    orders = np.minimum(np.floor(top / candidates + 1e-9), RULES.most_orders)
     score, lines = np.zeros(candidates.size), np.zeros(candidates.size)
     for k in range(1, int(orders[0]) + 1):
         reach = int(np.searchsorted(-orders, -k, side="right"))
@@ -74,7 +72,7 @@ def _fundamental(spectrum: LineSpectrum, gain: Real, low: float, high: float) ->
         found = np.where(place >= 0, wide[np.clip(place, 0, grid.size - 1)], 0.0)
         score[:reach] += found
         lines[:reach] += found > 0.0
-    score = np.where(lines >= SETTINGS.fewest_lines, score / np.sqrt(orders), 0.0)
+    score = np.where(lines >= RULES.fewest_lines, score / np.sqrt(orders), 0.0)
     best = int(np.argmax(score))
     return float(candidates[best]) if score[best] > 0.0 else None
 
@@ -94,8 +92,8 @@ def _spindle(
     heights = np.where(heights > floor, heights, 0.0)
     at_tooth = heights[teeth - 1 :: teeth].max()
     others = np.delete(heights, [teeth - 1, 2 * teeth - 1]).max()
-    spindle = at_tooth > SETTINGS.clear * others and bounds[0] <= fundamental <= bounds[1]
-    teeth_only = others > SETTINGS.clear * at_tooth and bounds[0] <= fundamental / teeth <= bounds[1]
+    spindle = at_tooth > RULES.clear * others and bounds[0] <= fundamental <= bounds[1]
+    teeth_only = others > RULES.clear * at_tooth and bounds[0] <= fundamental / teeth <= bounds[1]
     if spindle == teeth_only:
         return None
     return fundamental if spindle else fundamental / teeth
@@ -162,17 +160,17 @@ def followed_turns(
     """
     duration = samples.shape[1] * dt
     time = np.arange(samples.shape[1]) * dt
-    window = min(duration, max(SETTINGS.first_turns / base, min(0.1, duration)))
-    mean, drift = _best_comb(samples, dt, base, teeth, window, tolerance, SETTINGS.drift, band)
+    window = min(duration, max(RULES.first_turns / base, min(0.1, duration)))
+    mean, drift = _best_comb(samples, dt, base, teeth, window, tolerance, RULES.drift, band)
     turns = base * ((1.0 + mean) * time + drift * (time * time / (2.0 * duration) - 0.5 * time))
     for share in (0.34, 0.99):
         total = float(turns[-1])
-        if share * total < 1.2 * SETTINGS.first_turns:
+        if share * total < 1.2 * RULES.first_turns:
             continue
         steps = math.ceil(2.2 * band[1] / base)
         even = resampled(samples, turns, steps)
         orders = band[0] / base, band[1] / base
-        reach = 1.5 / (min(orders[1], 12.0 * teeth) * (SETTINGS.first_turns if share < 0.5 else 0.34 * total))
+        reach = 1.5 / (min(orders[1], 12.0 * teeth) * (RULES.first_turns if share < 0.5 else 0.34 * total))
         mean, drift = _best_comb(
             even, 1.0 / steps, 1.0, teeth, share * total, reach, reach if share < 0.5 else 0.0, orders
         )
@@ -198,11 +196,11 @@ def _best_comb(
     duration = samples.shape[1] * dt
     middle, frequency, phasor = windows(samples, dt, window, 0.5 * window)
     power = np.abs(phasor) ** 2
-    floor = SETTINGS.line * np.median(power, axis=2, keepdims=True) + 1e-12 * power.max() + np.finfo(float).tiny
+    floor = RULES.line * np.median(power, axis=2, keepdims=True) + 1e-12 * power.max() + np.finfo(float).tiny
     gain = np.log1p(power / floor)
-    if drift == SETTINGS.drift:
+    if drift == RULES.drift:
         # While the reach is wide, a high line counts as one of many; a tenth of the rest keeps its top from being flat.
-        gain = 0.9 * np.minimum(gain, SETTINGS.most_gain) + 0.1 * gain
+        gain = 0.9 * np.minimum(gain, RULES.most_gain) + 0.1 * gain
     gain = gain.sum(axis=0)[:, frequency <= band[1]]
     place = middle / duration - 0.5
     lowest, highest = max(1, math.ceil(band[0] / base)), int(band[1] / base / (1.0 + tolerance))
@@ -210,7 +208,7 @@ def _best_comb(
     reach = limit = np.array([tolerance, drift])
     for top in (4 * teeth, 12 * teeth, 20 * teeth):
         orders = np.arange(lowest, max(lowest, min(highest, top)) + 1)
-        orders = orders[np.argsort(orders % teeth != 0, kind="stable")][: SETTINGS.most_turn_orders]
+        orders = orders[np.argsort(orders % teeth != 0, kind="stable")][: RULES.most_turn_orders]
         step = 0.5 / (int(orders.max()) * window * base)
         grids = [
             centre + np.linspace(-r, r, 2 * max(1, math.ceil(2.0 * r / step)) + 1) if r > 0.0 else np.array([centre])
@@ -222,7 +220,7 @@ def _best_comb(
             speed = base / frequency[1] * (1.0 + means + drifts * at)
             for order in orders:
                 bins = np.rint(order * speed).astype(np.int64)
-                weight = 1.0 if order % teeth == 0 else SETTINGS.other_orders
+                weight = 1.0 if order % teeth == 0 else RULES.other_orders
                 score += weight * np.where(bins < row.size, row[np.minimum(bins, row.size - 1)], 0.0)
         best = np.unravel_index(int(np.argmax(score)), score.shape)
         found = np.clip([grids[0][best[0]], grids[1][best[1]]], -limit, limit)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from process.types import Complex, Real
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 
 Curve = Callable[[Real], Sequence[Complex] | Complex]
 """Angles, shape (n,) -> for each the eigenvalues [1/m], shape (any,), in any order."""
@@ -59,7 +59,7 @@ def angle_grid(poles: Complex, count: int) -> Real:
     width = np.minimum(-np.log(np.maximum(np.abs(poles), 1e-300)), 1.0)
     near = (np.abs(np.angle(poles))[:, None] + width[:, None] * offset).ravel()
     # At 0 and pi every real eigenvalue lies on the axis: a curve that crosses just before is seen just before only.
-    close = [SETTINGS.close_to_end, math.pi - SETTINGS.close_to_end]
+    close = [RULES.close_to_end, math.pi - RULES.close_to_end]
     grid = np.unique(np.concatenate([even, close, near[(near > close[0]) & (near < close[1])]]))
     apart = np.concatenate([[True], np.diff(grid) > 1e-4])
     apart[-2:] = True
@@ -91,7 +91,7 @@ def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> 
     largest = float(size.max())
     if largest == 0.0:
         return []
-    beyond = deepest or 1.0 / (SETTINGS.negligible_eigenvalue * largest)
+    beyond = deepest or 1.0 / (RULES.negligible_eigenvalue * largest)
     found = [c for c in found if c.depth <= beyond]
     reach = np.maximum(real[:-1], real[1:])
     bound = deepest or min([beyond, *(c.depth for c in found)])
@@ -121,7 +121,7 @@ def _between(curve: Curve, low: tuple[float, Complex], high: tuple[float, Comple
     while work:
         (a, at_a), (b, at_b) = work.pop()
         steps = _matched(at_a, at_b, least)
-        if b - a > SETTINGS.smallest_interval and any(_too_far(first, last) for first, last in steps):
+        if b - a > RULES.smallest_interval and any(_too_far(first, last) for first, last in steps):
             middle = 0.5 * (a + b)
             at_middle = _at(curve, middle)
             work += [((a, at_a), (middle, at_middle)), ((middle, at_middle), (b, at_b))]
@@ -137,8 +137,8 @@ def _too_far(first: complex, last: complex) -> bool:
         return False
     step, size = abs(last - first), max(abs(first), abs(last))
     if first.imag * last.imag <= 0.0:
-        return step > SETTINGS.largest_step * size
-    return min(abs(first.imag), abs(last.imag)) < 0.5 * step and step > SETTINGS.tangent_step * size
+        return step > RULES.largest_step * size
+    return min(abs(first.imag), abs(last.imag)) < 0.5 * step and step > RULES.tangent_step * size
 
 
 def _matched(at_a: Complex, at_b: Complex, least: float) -> list[tuple[complex, complex]]:
@@ -185,7 +185,7 @@ def follow(curve: Curve, crossing: Crossing) -> Crossing | None:
         if abs(at_new.imag) <= 1e-7 * abs(at_new):
             near = (
                 abs(at_new.real * crossing.depth - 1.0) < 0.2
-                and SETTINGS.close_to_end < new < math.pi - SETTINGS.close_to_end
+                and RULES.close_to_end < new < math.pi - RULES.close_to_end
             )
             return Crossing(new, 1.0 / at_new.real) if near else None
         if at_new.imag == value.imag:
@@ -201,7 +201,7 @@ def is_unstable(matrix: Callable[[float], Complex], angles: Real, depth: float) 
 
     The machine alone is stable, so that ``det(1 - depth M(theta))`` turns about zero as often as multipliers lie
     outside the unit circle. Over half the circle it turns by half of that, from one real value to another; steps of
-    more than `SETTINGS.largest_turn` are halved.
+    more than `RULES.largest_turn` are halved.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def is_unstable(matrix: Callable[[float], Complex], angles: Real, depth: float) 
             known[high] = sign(high)
         at_high = known[high]
         turned = float(np.angle(at_high / at_low)) if at_low else 0.0
-        if abs(turned) > SETTINGS.largest_turn and high - low > SETTINGS.smallest_interval:
+        if abs(turned) > RULES.largest_turn and high - low > RULES.smallest_interval:
             ahead.append(0.5 * (low + high))
             continue
         total, low, at_low = total + turned, high, at_high

@@ -41,8 +41,8 @@ from stability.methods.floquet_crossings import (
     is_unstable,
     relative_change,
 )
+from stability.methods.rules import RULES
 from stability.methods.semi_discretization import LimitDepth, labelled_limits
-from stability.methods.settings import SETTINGS
 from stability.problem import (
     NO_LOBE,
     Cut,
@@ -229,15 +229,15 @@ class _Lines:
     @cached_property
     def most(self) -> int:
         """Number of harmonics beyond which none is added: more where short arcs keep the unknowns few."""
-        each = SETTINGS.nodes_a_radian * self.pattern.repeats * sum(part.arc for part in self._arc.arcs)
-        few = (SETTINGS.most_unknowns / self.teeth - len(self._arc.arcs) * SETTINGS.spare_nodes) / each
-        return max(SETTINGS.most_harmonics, min(4 * SETTINGS.most_harmonics, int(few)))
+        each = RULES.nodes_a_radian * self.pattern.repeats * sum(part.arc for part in self._arc.arcs)
+        few = (RULES.most_unknowns / self.teeth - len(self._arc.arcs) * RULES.spare_nodes) / each
+        return max(RULES.most_harmonics, min(4 * RULES.most_harmonics, int(few)))
 
     def upto(self, count: int) -> _Blocks | _Contacts:
         """Return the smaller of the two forms in which the lines -R .. R of the cut can be had."""
         if count not in self._known:
-            share = SETTINGS.nodes_a_radian * self.pattern.repeats * count
-            nodes = [math.ceil(share * part.arc) + SETTINGS.spare_nodes for part in self._arc.arcs]
+            share = RULES.nodes_a_radian * self.pattern.repeats * count
+            nodes = [math.ceil(share * part.arc) + RULES.spare_nodes for part in self._arc.arcs]
             fewer = self.teeth * sum(nodes) < self._directions * (2 * count + 1)
             self._known[count] = self._contacts(count, nodes) if fewer else self._blocks(count)
         return self._known[count]
@@ -373,7 +373,7 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
     """Add harmonics until the first loss stands still; where it does not, the next set is scanned as a whole."""
     duration = lines.pattern.duration(spindle_speed)
     poles = np.exp(response.resonance * duration)
-    angles = angle_grid(poles, SETTINGS.even_steps)
+    angles = angle_grid(poles, RULES.even_steps)
 
     def truncated(count: int) -> _Truncated:
         return _Truncated(response, lines.pattern, duration, count, lines.upto(count))
@@ -397,9 +397,9 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
             new = first(loop)
             change = relative_change(old, new)
         old = new
-    if not _confirmed(loop, angle_grid(poles, SETTINGS.even_steps // 4), old):
+    if not _confirmed(loop, angle_grid(poles, RULES.even_steps // 4), old):
         # A coarser set has missed a root, or the angles have.
-        closer = angle_grid(poles, 4 * SETTINGS.even_steps)
+        closer = angle_grid(poles, 4 * RULES.even_steps)
         new = next(iter(find_crossings(loop.values, closer)), None)
         change = relative_change(old, new) if _confirmed(loop, closer, new) and change <= tolerance else math.inf
         old = new
@@ -411,9 +411,9 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
 def _confirmed(loop: _Truncated, angles: Real, found: Crossing | None) -> bool:
     """Whether the cut is stable just below a limit, or deep down where there is none."""
     if found is None:
-        depth = 1.0 / (SETTINGS.negligible_eigenvalue * max(float(np.abs(part).max()) for part in loop.values(angles)))
+        depth = 1.0 / (RULES.negligible_eigenvalue * max(float(np.abs(part).max()) for part in loop.values(angles)))
     else:
-        depth = SETTINGS.confirmed_share * found.depth
+        depth = RULES.confirmed_share * found.depth
     return not is_unstable(lambda angle: loop.matrix(angle)[0], angles, depth)
 
 

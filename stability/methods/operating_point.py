@@ -27,7 +27,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import at_tool, check_compliance, label
 from process.types import Complex, Real
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 from stability.methods.vibration_mode import vibration
 from stability.methods.zero_order import first_limits, labelled
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
@@ -168,7 +168,7 @@ class _Search:
         if key in self.kept:
             return self.kept[key]
         branches = eigenvalue_branches(self.conditions.at(*key), self.directional)
-        if self.conditions.feed.size == 1 and len(self.kept) < SETTINGS.kept_conditions:
+        if self.conditions.feed.size == 1 and len(self.kept) < RULES.kept_conditions:
             self.kept[key] = branches
         return branches
 
@@ -198,7 +198,7 @@ class _Search:
     def _nodes(self) -> list[float]:
         """Return the depths [m] of the measured levels and between them; below and above the compliance is constant."""
         ends = [_inverse(self.level, float(level)) for level in self.conditions.every_level]
-        between = [np.linspace(a, b, SETTINGS.pieces_of_a_level, endpoint=False) for a, b in pairwise(ends)]
+        between = [np.linspace(a, b, RULES.pieces_of_a_level, endpoint=False) for a, b in pairwise(ends)]
         return [float(a) for a in np.concatenate([*between, ends[-1:]])]
 
 

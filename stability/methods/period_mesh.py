@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from process.cut.force import chip_projection, force_projection
 from process.types import Complex, Real
 from stability.methods import _semi_discretization_kernels as kernels
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 from stability.problem import Cut, Modes, Pattern
 
 Element = tuple[float, float, list[int]]
@@ -90,13 +90,13 @@ def _elements(cut: Cut, pattern: Pattern, steps: int) -> tuple[list[Element], in
     # An element must not hold the surface that it cuts itself: none is longer than the shortest delay.
     fewest = [math.ceil(length / pattern.delay.min() - 1e-9) for _, length, _ in pieces]
     choices = []
-    for order in range(SETTINGS.fewest_nodes, SETTINGS.highest_order + 1):
+    for order in range(RULES.fewest_nodes, RULES.highest_order + 1):
         counts = [max(n, math.ceil(s / order - 1e-9)) for s, n in zip(share, fewest, strict=True)]
-        nodes = max(SETTINGS.fewest_nodes, *(math.ceil(s / n - 1e-9) for s, n in zip(share, counts, strict=True)))
+        nodes = max(RULES.fewest_nodes, *(math.ceil(s / n - 1e-9) for s, n in zip(share, counts, strict=True)))
         choices.append((nodes * sum(counts), nodes, counts))
     # Many nodes in few elements are the most accurate; but all elements have as many, and short ones need few.
     least = min(total for total, _, _ in choices)
-    _, nodes, counts = max((c for c in choices if c[0] <= SETTINGS.wasted_nodes * least), key=lambda c: c[1])
+    _, nodes, counts = max((c for c in choices if c[0] <= RULES.wasted_nodes * least), key=lambda c: c[1])
     elements = [
         (low + length * i / n, length / n, teeth)
         for (low, length, teeth), n in zip(pieces, counts, strict=True)

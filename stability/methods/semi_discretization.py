@@ -47,7 +47,7 @@ from stability.methods.floquet_crossings import (
     relative_change,
 )
 from stability.methods.period_mesh import Mesh, cut_at_speed, lay_mesh
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 from stability.problem import NO_LOBE, Cut, Machine, Modes, Pattern, check_spindle_speed, modes_of, pattern_of
 
 Krylov = Callable[[int], tuple[Complex, Complex, int]]
@@ -96,9 +96,9 @@ class _Discrete:
     @cached_property
     def dense(self) -> Dense | None:
         """Dense matrices of a small problem."""
-        return dense(self.system) if self.system.source.size + self.system.turn.size <= SETTINGS.full_search else None
+        return dense(self.system) if self.system.source.size + self.system.turn.size <= RULES.full_search else None
 
-    def curve(self, share: float = SETTINGS.large_eigenvalue, deepest: float = math.inf) -> Curve:
+    def curve(self, share: float = RULES.large_eigenvalue, deepest: float = math.inf) -> Curve:
         """Return the eigenvalues 1/depth [1/m] over the angle.
 
         All when the problem is small; else at least those above a share of the largest and those down to 1/deepest.
@@ -120,14 +120,14 @@ class _Discrete:
         return float(np.abs(self.multipliers(np.array([depth]))[0][0]))
 
     def stable_below(self, depth: float) -> bool:
-        """Whether the map over one period is stable at the shares `SETTINGS.confirmed_shares` of a depth [m]."""
-        return all(abs(v[0]) < 1.0 for v in self.multipliers(depth * np.array(SETTINGS.confirmed_shares)))
+        """Whether the map over one period is stable at the shares `RULES.confirmed_shares` of a depth [m]."""
+        return all(abs(v[0]) < 1.0 for v in self.multipliers(depth * np.array(RULES.confirmed_shares)))
 
     def chips(self, crossing: Crossing) -> Complex:
         """Return the chips of the vibration at a crossing, shape (m,)."""
         if self.dense is not None:
             return self.dense.chips(crossing.angle, crossing.depth)
-        _, basis, small = _crossing_values(self.system, crossing.angle, SETTINGS.large_eigenvalue, crossing.depth)
+        _, basis, small = _crossing_values(self.system, crossing.angle, RULES.large_eigenvalue, crossing.depth)
         values, vectors = np.linalg.eig(small)
         return np.asarray(vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))] @ basis)
 
@@ -161,7 +161,7 @@ def _ritz(krylov: Krylov, total: int, wanted: Callable[[Real], NDArray[np.bool_]
 
     A vector v of the small matrix stands for ``v @ basis``.
     """
-    size = min(total, SETTINGS.full_search)
+    size = min(total, RULES.full_search)
     while True:
         basis, hessenberg, reached = krylov(size)
         small = hessenberg[:reached, :reached]
@@ -188,14 +188,14 @@ class _Problem:
 
     def first_steps(self) -> int:
         """Steps that resolve the fastest mode over the engaged part of a period."""
-        in_cut = float(self.mesh(SETTINGS.fewest_nodes).length.sum())
+        in_cut = float(self.mesh(RULES.fewest_nodes).length.sum())
         turns = float(np.abs(self.modes.rate.imag).max()) * in_cut / (self.spindle_speed * math.pi / 30.0)
         steps = max(6, math.ceil(0.4 * turns + 3.5))
-        if 2 * steps > SETTINGS.most_steps:
+        if 2 * steps > RULES.most_steps:
             raise InputError(
                 f"at {self.spindle_speed:g} rpm the fastest mode turns {turns / (2.0 * math.pi):.0f} times in a period "
-                f"of the cut: {2 * steps} steps are needed, {SETTINGS.most_steps} are the most. Ask for "
-                f"{self.spindle_speed * 2 * steps / SETTINGS.most_steps:.3g} rpm or more, or leave out the fast modes"
+                f"of the cut: {2 * steps} steps are needed, {RULES.most_steps} are the most. Ask for "
+                f"{self.spindle_speed * 2 * steps / RULES.most_steps:.3g} rpm or more, or leave out the fast modes"
             )
         return steps
 
@@ -206,9 +206,9 @@ class _Problem:
         return self.kept[steps]
 
     def finer(self, mesh: Mesh) -> _Discrete:
-        """Return the cut in at least `SETTINGS.finer` times the steps of a mesh."""
+        """Return the cut in at least `RULES.finer` times the steps of a mesh."""
         steps = mesh.steps
-        while self.mesh(steps).steps < SETTINGS.finer * mesh.steps:
+        while self.mesh(steps).steps < RULES.finer * mesh.steps:
             steps = math.ceil(1.2 * steps)
         return self.discrete(steps)
 
@@ -226,7 +226,7 @@ def _first_loss(discrete: _Discrete) -> Crossing | None:
             deepest = found.depth
         else:
             sizes = discrete.curve()(angle_grid(discrete.system.turn, 4))
-            deepest = 1.0 / (SETTINGS.negligible_eigenvalue * max(float(np.abs(part).max()) for part in sizes))
+            deepest = 1.0 / (RULES.negligible_eigenvalue * max(float(np.abs(part).max()) for part in sizes))
         if discrete.stable_below(deepest):
             return found
     raise InputError(
@@ -238,9 +238,9 @@ def _first_loss(discrete: _Discrete) -> Crossing | None:
 def _lowest(discrete: _Discrete, harder: int = 0) -> Crossing | None:
     """Return the first crossing that a search of some hardness finds; none only where small eigenvalues have none."""
     angles = angle_grid(discrete.system.turn, 26 * 4**harder)
-    found = find_crossings(discrete.curve(SETTINGS.large_eigenvalue / 10**harder), angles)
+    found = find_crossings(discrete.curve(RULES.large_eigenvalue / 10**harder), angles)
     if not found and discrete.dense is None:
-        found = find_crossings(discrete.curve(SETTINGS.negligible_eigenvalue), angles)
+        found = find_crossings(discrete.curve(RULES.negligible_eigenvalue), angles)
     return next(iter(found), None)
 
 
@@ -248,7 +248,7 @@ def _limit(problem: _Problem, tolerance: float) -> LimitDepth:
     """Refine until the first loss moves by less than the tolerance; each result but the coarsest is confirmed."""
     discrete, change = problem.discrete(problem.first_steps()), math.inf
     old = _lowest(discrete)
-    while change > tolerance and discrete.mesh.steps < SETTINGS.most_steps:
+    while change > tolerance and discrete.mesh.steps < RULES.most_steps:
         discrete = problem.finer(discrete.mesh)
         new = follow(discrete.curve(deepest=old.depth), old) if old is not None else None
         if new is None or not discrete.stable_below(new.depth):
@@ -278,7 +278,7 @@ def _strongest_line(problem: _Problem, discrete: _Discrete, crossing: Crossing) 
 def _problem(machine: Machine, cut: Cut, spindle_speed: float) -> _Problem:
     """Check that the cut can move the machine, and put the two together."""
     problem = _Problem(cut, pattern_of(cut.tool, METHOD), modes_of(machine), spindle_speed)
-    mesh, modes = problem.mesh(SETTINGS.fewest_nodes), problem.modes
+    mesh, modes = problem.mesh(RULES.fewest_nodes), problem.modes
     felt = np.abs(mesh.chip @ modes.shape).max() > 1e-12 * np.abs(modes.shape).max()
     largest = np.abs(modes.participation).max() * np.abs(mesh.force).max()
     moved = np.abs(modes.participation @ mesh.force).max() > 1e-12 * largest
@@ -397,14 +397,14 @@ def stability_bands(
     problem = _problem(machine, Cut(tool, arc, coefficients), speed)
     discrete, tolerance = problem.discrete(problem.first_steps()), _checked(tolerance)
     old = _all_crossings(discrete, maximum_depth)
-    while discrete.mesh.steps < SETTINGS.most_steps:
+    while discrete.mesh.steps < RULES.most_steps:
         discrete = problem.finer(discrete.mesh)
         new = _all_crossings(discrete, maximum_depth)
         if len(new) == len(old) and all(relative_change(a, b) <= tolerance for a, b in zip(old, new, strict=True)):
             return _bands(problem, discrete, new, maximum_depth)
         old = new
     raise InputError(
-        f"the bands up to {maximum_depth * 1e3:g} mm do not settle with {SETTINGS.most_steps} steps; ask for a "
+        f"the bands up to {maximum_depth * 1e3:g} mm do not settle with {RULES.most_steps} steps; ask for a "
         "smaller depth or a coarser tolerance"
     )
 
@@ -470,7 +470,7 @@ def semi_discretization(
     if loose:
         warnings.append(
             f"{loose} of {speed.size} limits still move by more than {tolerance:g} of themselves with "
-            f"{SETTINGS.most_steps} steps: see limit_depth_error"
+            f"{RULES.most_steps} steps: see limit_depth_error"
         )
     return labelled_limits("semi_discretization", speed, limits, "steps", warnings)
 

@@ -22,7 +22,7 @@ from process.errors import InputError
 from process.types import Complex, Real
 from stability.methods.dense_problem import dense
 from stability.methods.period_mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 from stability.problem import Cut, Machine, Modes, check_spindle_speed, modes_of, pattern_of
 
 METHOD = "stationary vibration"
@@ -99,9 +99,9 @@ def stationary_vibration(
         raise InputError(f"the tool has a run-out; the {METHOD} holds for teeth on one circle. Leave runout out")
     cut, pattern, modes = Cut(tool, arc, coefficients), pattern_of(tool, METHOD), modes_of(machine)
     turns = float(np.abs(modes.rate.imag).max()) * pattern.duration(speed)
-    steps = SETTINGS.first_steps_of_vibration + math.ceil(0.4 * turns)
+    steps = RULES.first_steps_of_vibration + math.ceil(0.4 * turns)
     old = None
-    while steps <= SETTINGS.most_steps_of_vibration:
+    while steps <= RULES.most_steps_of_vibration:
         mesh = lay_mesh(cut, pattern, steps)
         new = _Periodic(cut, mesh, modes, depth, feed_per_tooth, speed)
         lines = new.lines()
@@ -111,7 +111,7 @@ def stationary_vibration(
                 return new.result(change)
         old, steps = lines, 2 * mesh.steps
     raise InputError(
-        f"the vibration at {speed:g} rpm does not settle with {SETTINGS.most_steps_of_vibration} steps in a period of "
+        f"the vibration at {speed:g} rpm does not settle with {RULES.most_steps_of_vibration} steps in a period of "
         "the cut; ask for a higher speed or a coarser tolerance"
     )
 

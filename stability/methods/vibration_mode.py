@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.types import Complex, Real
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 from stability.methods.zero_order_branches import Branches
 from stability.problem import Modes, Samples
 
@@ -22,14 +22,14 @@ def modal_samples(modes: Modes) -> Samples:
     if pole.size == 0:
         pole = modes.rate / (2.0 * math.pi)
     centre, width = np.abs(pole), np.maximum(-pole.real, 1e-6 * np.abs(pole))
-    low, high = float(centre.min()) / SETTINGS.reach_of_samples, float(centre.max()) * SETTINGS.reach_of_samples
+    low, high = float(centre.min()) / RULES.reach_of_samples, float(centre.max()) * RULES.reach_of_samples
     spread = np.sinh(np.linspace(-20.0, 20.0, 2001))
     every = (centre[:, None] + width[:, None] * spread).ravel()
     every = np.unique(np.concatenate([[low, high], np.geomspace(low, high, 500), every]))
     every = every[(every >= low) & (every <= high)]
     count = np.arcsinh((every[:, None] - centre) / width).sum(axis=1) + np.log(every)
     even = np.linspace(
-        count[0], count[-1], math.ceil(SETTINGS.density_of_samples * (count[-1] - count[0]) / math.log(2.0)) + 1
+        count[0], count[-1], math.ceil(RULES.density_of_samples * (count[-1] - count[0]) / math.log(2.0)) + 1
     )
     frequency = np.unique(np.interp(even, count, every))
     return Samples(frequency, modes.matrix(frequency), np.ones(frequency.size - 1, dtype=bool), ())

@@ -38,7 +38,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, label
 from process.types import Complex, Real
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 from stability.methods.vibration_mode import NO_MODE, dominant_modes, modal_samples, vibration
 from stability.methods.zero_order_branches import Branches, eigenvalue_branches
 from stability.methods.zero_order_scan import Loop, loop_of, sampled_crossings
@@ -192,7 +192,7 @@ def _limits(
     else:
         depth, chatter, lobe = first_limits(branches, pitch, speed)
     warnings = [*notes, *samples.warnings, *_unlimited_warning(branches, depth)]
-    if np.ptp(pitch) >= SETTINGS.equal_pitch:
+    if np.ptp(pitch) >= RULES.equal_pitch:
         warnings.append(
             "with unequal pitch the zero-order equation can have losses of stability that are none, at low speeds "
             "above all; compare with the semi-discretisation"
@@ -207,7 +207,7 @@ def _limits(
 
 def first_limits(branches: Branches, pitch: Real, speed: Real) -> Crossings:
     """Return depth [m], chatter frequency [Hz] and lobe of the first limit at speeds [rpm], for pitch angles [rad]."""
-    return (_equal if np.ptp(pitch) < SETTINGS.equal_pitch else _unequal)(branches, pitch, speed)
+    return (_equal if np.ptp(pitch) < RULES.equal_pitch else _unequal)(branches, pitch, speed)
 
 
 def _equal(branches: Branches, pitch: Real, speed: Real) -> Crossings:

@@ -29,7 +29,7 @@ from process.cut.force import (
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
-from stability.methods.settings import SETTINGS
+from stability.methods.rules import RULES
 from stability.methods.zero_order_branches import Branches
 from stability.problem import pattern_of_pitch
 
@@ -79,7 +79,7 @@ def modal_crossings(machine: ModalModel, loop: Loop) -> tuple[Real, Real]:
     """Return `crossings` of a modal model, scanned evenly from below its lowest to beyond its highest mode."""
     low, high = 0.3 * float(machine.frequency.min()), 1.6 * float(machine.frequency.max()) + 0.5 / loop.delay.max()
     half_width = float((machine.frequency * machine.damping).min())
-    step = min(1.0 / (SETTINGS.samples_per_period * loop.delay.max()), half_width)
+    step = min(1.0 / (RULES.samples_per_period * loop.delay.max()), half_width)
     shapes = (machine.direction[:, :, None] * machine.direction[:, None, :]).reshape(-1, 9)
 
     def compliance(frequency: Real) -> Complex:
@@ -88,14 +88,14 @@ def modal_crossings(machine: ModalModel, loop: Loop) -> tuple[Real, Real]:
         return np.asarray((gain @ shapes).reshape(-1, 3, 3))
 
     return crossings(
-        compliance, np.linspace(low, high, min(SETTINGS.most_samples, math.ceil((high - low) / step) + 1)), loop
+        compliance, np.linspace(low, high, min(RULES.most_samples, math.ceil((high - low) / step) + 1)), loop
     )
 
 
 def sampled_crossings(branches: Branches, loop: Loop) -> tuple[Real, Real]:
     """Return `crossings` of a compliance on its own grid, each step cut where the wave turns far over it."""
     f, bridged = branches.samples.frequency, branches.samples.bridged
-    pieces = np.ceil(np.diff(f) * SETTINGS.samples_per_period * loop.delay.max()).astype(np.int64)
+    pieces = np.ceil(np.diff(f) * RULES.samples_per_period * loop.delay.max()).astype(np.int64)
     pieces[~bridged] = 1
     step = np.repeat(np.diff(f) / pieces, pieces)
     number = np.arange(step.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
@@ -180,7 +180,7 @@ def _shallow(
     cells, branch = np.nonzero(turns)
     left, right = before[cells, branch], after[cells, branch]
     inverse = (left.imag * right.real - right.imag * left.real) / (left.imag - right.imag)
-    kept = (inverse > 0.0) & (inverse > inverse.max(initial=0.0) / SETTINGS.deepest)
+    kept = (inverse > 0.0) & (inverse > inverse.max(initial=0.0) / RULES.deepest)
     return cells[kept], branch[kept]
 
 

@@ -167,7 +167,7 @@ def test_nothing_hidden_nothing_named() -> None:
     assert found.verdict == "consistent"
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_a_worn_flank_is_named_against_the_coefficients() -> None:
     # 20 % of the depth at the lowest speed.
     problem, expected = family("process_damping", 0)
@@ -187,7 +187,7 @@ def test_what_is_hidden_is_named_or_among_what_remains_open(effect: str) -> None
     assert named == [expected] or any(expected in [c.id for c in s] for s in found.alternatives)
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_one_speed_leaves_a_set_and_other_speeds_settle_it() -> None:
     # Deeper than predicted at one low speed, no chatter frequency: a worn flank or a softer material.
     mill = replace(SLOT, flank=worn(0.8))

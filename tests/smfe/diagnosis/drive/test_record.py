@@ -284,7 +284,7 @@ def test_a_healthy_axis_is_consistent(seed: int) -> None:
     assert diagnose(hidden(None, seed)[0]).verdict == "consistent"
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_healthy_axes_are_consistent() -> None:
     """At least 7 of 8, masses, gains, screws, noise and moves drawn; the exam has 300."""
     said = [diagnose(hidden(None, seed)[0]).verdict for seed in range(1000, 1008)]

@@ -127,7 +127,7 @@ def test_noise_raises_no_alarm():
     assert false_alarms(diagnose, 5) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_false_alarms_stay_below_2_percent_on_300_nulls():
     assert upper(false_alarms(diagnose, 300), 300) <= 0.02
 
@@ -149,7 +149,7 @@ def test_effects_of_the_promised_size_are_named():
     assert named_right(diagnose, range(1), SINGLE[::4]) == 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_effects_of_the_promised_size_are_named_in_95_of_100_cases():
     assert named_right(diagnose, range(13)) >= 0.95
 
@@ -281,7 +281,7 @@ def test_the_linearised_threshold_is_that_of_a_non_linear_bootstrap():
     assert 0.05 - 3.0 * math.sqrt(0.05 * 0.95 / 200) <= alarms <= 0.05 + 3.0 * math.sqrt(0.05 * 0.95 / 200)
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_intervals_of_a_diagnosis_cover_the_truth_in_95_of_100_cases():
     inside = []
     for seed, (name, size) in itertools.product(range(25), TYPICAL.items()):

@@ -1,4 +1,4 @@
-"""The settings of the bands, in one place."""
+"""The chosen numbers of the bands, in one place."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class BandSettings:
+class BandRules:
     """Settings, each with its reason; by the module that uses it."""
 
     # depth_quantiles.py
@@ -24,4 +24,4 @@ class BandSettings:
     """Share of the frequencies at which a standard deviation may be missing; there it is interpolated."""
 
 
-SETTINGS = BandSettings()
+RULES = BandRules()

@@ -1,4 +1,4 @@
-"""The settings of the compliance check and of the pitch design, in one place."""
+"""The chosen numbers of the compliance check and of the pitch design, in one place."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class ProblemSettings:
+class ProblemRules:
     """Settings, each with its reason; by the module that uses it."""
 
     # pitch_design.py
@@ -33,4 +33,4 @@ class ProblemSettings:
     """A step longer than this many neighbouring steps is a gap: a logarithmic grid is not, a dropped row is."""
 
 
-SETTINGS = ProblemSettings()
+RULES = ProblemRules()

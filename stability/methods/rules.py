@@ -1,4 +1,4 @@
-"""The settings of the stability methods, in one place; those of compiled loops stand beside them in `_*_kernels.py`."""
+"""The chosen numbers of the stability methods; those of compiled loops stand beside them in `_*_kernels.py`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class MethodSettings:
+class MethodRules:
     """Settings, each with its reason; by the module that uses it."""
 
     # floquet_crossings.py
@@ -88,4 +88,4 @@ class MethodSettings:
     """A crossing this many times deeper than the first is not closed in on."""
 
 
-SETTINGS = MethodSettings()
+RULES = MethodRules()
