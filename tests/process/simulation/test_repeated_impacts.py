@@ -1,4 +1,4 @@
-"""A machine that is made ready once and struck often, against one that is simulated anew for each blow."""
+"""A machine that is prepared once and hit often, against one that is simulated anew for each impact."""
 
 from dataclasses import replace
 
