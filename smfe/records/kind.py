@@ -217,7 +217,7 @@ def _period(samples: Real, rate: float) -> tuple[float, float]:
     block = samples[:size] - samples[:size].mean()
     products = signal.fftconvolve(samples - samples.mean(), block[::-1], mode="valid")
     power = np.cumsum(np.concatenate([[0.0], (samples - samples.mean()) ** 2]))
-    norm = np.sqrt(np.maximum(power[size:] - power[:-size], 1e-300) * float(block @ block))
+    norm = np.sqrt(np.maximum((power[size:] - power[:-size]) * float(block @ block), 1e-300))
     rho = products / norm[: products.size]
     first = max(4, samples.size // 200)
     below = np.flatnonzero(rho[first:] < 0.5)

@@ -21,7 +21,7 @@ class StabilityMethod:
     ----------
     limits : callable
         (compliance or modes, tool, engagement, coefficients, spindle speeds [rpm]) -> a data set with
-        ``limit_depth(spindle_speed)`` [mm] and ``chatter_frequency(spindle_speed)`` [Hz].
+        ``limit_depth`` [mm], ``chatter_frequency`` [Hz] and ``lobe`` over ``spindle_speed``.
     takes : {"compliance", "modes", "either"}
         What it works on: a measured compliance; modes, fitted to the compliance where none are declared; modes where
         they are declared and the compliance elsewhere.

@@ -128,3 +128,8 @@ class TestStart:
         (tmp_path / "r.csv").write_text("no numbers here\nat all\n")
         with pytest.raises(InputError, match=r"r\.csv: no rows of numbers"):
             smfe.look(tmp_path / "r.csv")
+
+
+def test_a_record_of_three_samples_divides_by_nothing(tmp_path: Path) -> None:
+    (tmp_path / "short.csv").write_text("t [s],Fx [N]\n0,1\n0.001,2\n0.002,4\n")
+    assert examine(tmp_path / "short.csv").size == 3
