@@ -3,9 +3,9 @@
 import sys
 from pathlib import Path
 
-from smfe.reporting.draw_matplotlib import pictures, save
-from smfe.reporting.results import read_results
-from smfe.reporting.style import palette
+from smfe.reporting.content.results import read_results
+from smfe.reporting.content.style import palette
+from smfe.reporting.figures.draw_matplotlib import pictures, save
 
 if __name__ == "__main__":
     folder, wanted = Path(sys.argv[1]), (sys.argv[2:] or [""])[0]

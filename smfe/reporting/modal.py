@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from smfe.modes.fit_modes import ModalFit
-from smfe.reporting.draw_matplotlib import DPI, save
-from smfe.reporting.style import literal
+from smfe.reporting.content.style import literal
+from smfe.reporting.figures.draw_matplotlib import DPI, save
 
 LEVELS: tuple[tuple[int, str, dict[str, Any]], ...] = (
     (0, "pole: new", {"marker": ".", "color": "#bbbbbb", "markersize": 3}),

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.planning.forces import orders_within
 from smfe.planning.recommend import Plan
-from smfe.reporting.draw_matplotlib import DPI, save
-from smfe.reporting.style import AXIS_COLOURS, CHATTER
+from smfe.reporting.content.style import AXIS_COLOURS, CHATTER
+from smfe.reporting.figures.draw_matplotlib import DPI, save
 from smfe.results import write_atomically
 
 _HERE = Path(__file__).parent

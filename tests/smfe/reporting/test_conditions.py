@@ -10,7 +10,7 @@ from process.errors import InputError
 from process.labels import make_compliance
 from smfe.identification.levels import stack_conditions
 from smfe.reporting import write_report
-from smfe.reporting.conditions import cubes, largest_changes
+from smfe.reporting.content.conditions import cubes, largest_changes
 from smfe.results import read_groups, write_groups
 
 GRID = np.arange(20.0, 120.0, 0.25)

@@ -4,16 +4,19 @@ import base64
 import json
 import re
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, Remainder, StableDepth, explain
 from smfe.reporting import write_report
-from smfe.reporting.diagnosis import section
-from smfe.reporting.draw_matplotlib import draw_diagnosis
-from smfe.reporting.figures import MOST_CONDITIONS, has_diagnosis
+from smfe.reporting.content.results import Results
+from smfe.reporting.figures.draw_matplotlib import draw_diagnosis
+from smfe.reporting.figures.figure_data import MOST_CONDITIONS, has_diagnosis
+from smfe.reporting.sections.diagnosis import section
+from smfe.reporting.sections.draft import Draft
 
 
 def finding(count: int = 4, **more: Any) -> dict[str, Any]:
@@ -33,7 +36,8 @@ def finding(count: int = 4, **more: Any) -> dict[str, Any]:
 
 def shown(content: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     plots: dict[str, Any] = {}
-    return section(content, plots), plots
+    results = cast(Results, SimpleNamespace(finding=content))
+    return section(Draft(results, {}, plots)), plots
 
 
 def test_the_search_goes_from_the_baseline_to_the_best_model() -> None:

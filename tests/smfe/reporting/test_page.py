@@ -29,14 +29,14 @@ from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.limits.cutting_tests import with_picture
 from smfe.reporting import write_report
-from smfe.reporting.draw_matplotlib import NOTHING, draw_compliance
-from smfe.reporting.draw_plotly import packed
-from smfe.reporting.figures import depth_range, frequency_range, magnitude_range
-from smfe.reporting.headline import answers, pockets, score
+from smfe.reporting.content.headline import answers, pockets, score
+from smfe.reporting.content.results import Results, read_results
+from smfe.reporting.content.style import number, palette
+from smfe.reporting.figures.draw_matplotlib import NOTHING, draw_compliance
+from smfe.reporting.figures.figure_data import depth_range, frequency_range, magnitude_range
+from smfe.reporting.figures.plotly_frame import packed
+from smfe.reporting.figures.spectrograms import draw as draw_spectrograms
 from smfe.reporting.page import render
-from smfe.reporting.results import Results, read_results
-from smfe.reporting.spectrograms import draw as draw_spectrograms
-from smfe.reporting.style import number, palette
 from smfe.results import pack_warnings, write_csv, write_groups
 from stability import write_table
 
@@ -113,7 +113,7 @@ class TestOneFile:
 
     def test_same_folder_same_report(self, sample: Path) -> None:
         results = read_results(sample)
-        assert render(results, palette(results)) == page(sample)
+        assert render(results) == page(sample)
 
     def test_every_plot_has_a_place(self, sample: Path, drawn: dict) -> None:
         text = page(sample)

@@ -15,8 +15,8 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from process.labels import UNITS
-from smfe.reporting.results import Measurement
-from smfe.reporting.style import Line, number
+from smfe.reporting.content.results import Measurement
+from smfe.reporting.content.style import Line, number
 
 _DASHES = ("solid", "dash", "dot", "dashdot")
 _LIGHTEST = 0.85

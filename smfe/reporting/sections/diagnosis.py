@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from smfe.reporting.draw_plotly import condition_figure, search_figure, stable_depth_figure
-from smfe.reporting.style import number
-from smfe.reporting.tables import Row, Table
+from smfe.reporting.content.style import number
+from smfe.reporting.content.tables import Row, Table
+from smfe.reporting.figures.plotly_diagnosis import condition_figure, search_figure, stable_depth_figure
+from smfe.reporting.sections.draft import Draft
 
 _WORDS = {
     "consistent": "nothing is wrong",
@@ -18,8 +19,9 @@ _WORDS = {
 }
 
 
-def section(finding: Mapping[str, Any], plots: dict[str, Any]) -> dict[str, Any]:
-    """Return the section on ``finding.json``, its figures added to `plots`; empty when there is none."""
+def section(draft: Draft) -> dict[str, Any]:
+    """Return what ``finding.json`` says; empty when there is none."""
+    finding, plots = draft.results.finding, draft.plots
     if not finding:
         return {}
     tables = [_causes(finding), _own(finding), _search(finding), _power(finding), _audit(finding)]

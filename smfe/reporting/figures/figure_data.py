@@ -15,8 +15,8 @@ import xarray as xr
 from scipy.signal import find_peaks
 
 from process.types import Complex, Real
-from smfe.reporting.results import Lobes, Measurement, bands
-from smfe.reporting.style import CURVE_COLOURS, number
+from smfe.reporting.content.results import Lobes, Measurement, bands
+from smfe.reporting.content.style import CURVE_COLOURS, number
 
 # --- lobes and cutting tests -----------------------------------------------------------------------------------------
 

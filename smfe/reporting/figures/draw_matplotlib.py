@@ -19,11 +19,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from smfe.reporting import figures, spectrograms
-from smfe.reporting.conditions import cubes
-from smfe.reporting.headline import outcomes
-from smfe.reporting.results import BAD_CONDITION, Lobes, Measurement, Results
-from smfe.reporting.style import (
+from smfe.reporting.content.conditions import cubes
+from smfe.reporting.content.headline import outcomes
+from smfe.reporting.content.results import BAD_CONDITION, Lobes, Measurement, Results
+from smfe.reporting.content.style import (
     AXIS_COLOURS,
     CHATTER,
     CURVE_COLOURS,
@@ -33,6 +32,7 @@ from smfe.reporting.style import (
     literal,
     number,
 )
+from smfe.reporting.figures import figure_data, spectrograms
 from smfe.results import write_atomically
 
 DPI = 150
@@ -63,7 +63,7 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
     out: dict[str, Draw] = {}
     for position, (request, lobes) in enumerate(results.requests.items(), 1):
         name = re.sub(r"[^\w-]", "_", request) or f"lobes_{position}"
-        out[f"{name}.png"] = partial(draw_lobes, lobes, figures.tests_of(results.chatter, request), looks)
+        out[f"{name}.png"] = partial(draw_lobes, lobes, figure_data.tests_of(results.chatter, request), looks)
     shown = [m for m in results.measurements if m.entries]
     if shown:
         out["compliance.png"] = partial(draw_compliance, shown, looks)
@@ -71,16 +71,16 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         out[f"conditions_{position}.png"] = partial(draw_compliance, cube.cells, cube.looks)
     for position, dataset in enumerate(results.loops.values(), 1):
         out[f"loop_{position}.png"] = partial(draw_loop, dataset)
-    for position, frame in enumerate(figures.frictions(results.tables).values(), 1):
+    for position, frame in enumerate(figure_data.frictions(results.tables).values(), 1):
         out[f"drive_{position}.png"] = partial(draw_drive, frame)
-    if any(figures.quality_panels(shown)[1:]):
+    if any(figure_data.quality_panels(shown)[1:]):
         out["condition.png"] = partial(draw_quality, shown, looks)
     if results.spectra:
         out["spectra.png"] = partial(draw_spectra, list(results.spectra.values()))
     with_picture = spectrograms.pictured(list(results.spectra.values()))
     if with_picture:
         out["spectrograms.png"] = partial(spectrograms.draw, with_picture)
-    if figures.has_diagnosis(results.finding):
+    if figure_data.has_diagnosis(results.finding):
         out["diagnosis.png"] = partial(draw_diagnosis, results.finding)
     return out
 
@@ -166,10 +166,10 @@ def draw_lobes(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mappin
         _draw_lobe(upper, lower, item, looks[item.source])
     if tests is not None:
         _draw_tests(upper, lower, tests)
-    slowest, fastest = figures.speed_range(lobes)
+    slowest, fastest = figure_data.speed_range(lobes)
     if slowest < fastest:
         upper.set_xlim(slowest, fastest)
-    upper.set_ylim(0.0, figures.highest_depth(lobes, tests))
+    upper.set_ylim(0.0, figure_data.highest_depth(lobes, tests))
     upper.set_ylabel("limit depth $a_p$ [mm]")
     upper.tick_params(labelbottom=False)
     lower.set_xlabel("spindle speed [rpm]")
@@ -189,7 +189,7 @@ def _draw_lobe(upper: Axes, lower: Axes, item: Lobes, look: Line) -> None:
     curves = item.curves()
     if curves is not None:
         upper.plot(curves[0], curves[1], color=look.colour, alpha=0.45, linewidth=0.5)
-    upper.plot(speed, figures.finite_depth(item), color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.6)
+    upper.plot(speed, figure_data.finite_depth(item), color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.6)
     lower.plot(speed, item.values("chatter_frequency"), ".", color=look.colour, markersize=2.5)
 
 
@@ -206,9 +206,9 @@ def _draw_tests(upper: Axes, lower: Axes, tests: pd.DataFrame) -> None:
 
 def draw_compliance(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure:
     """Draw the magnitudes of the compliances, one panel an entry."""
-    responses, excitations = figures.axes_of(measurements)
-    span = figures.frequency_range(measurements)
-    low, high = figures.magnitude_range(measurements, span)
+    responses, excitations = figure_data.axes_of(measurements)
+    span = figure_data.frequency_range(measurements)
+    low, high = figure_data.magnitude_range(measurements, span)
     entries: list[tuple[Artist, str]] = [(_handle(looks[m.name]), m.name) for m in measurements]
     width, height = (7.5, 2.0 * len(responses) + 0.9) if len(excitations) > 1 else (6.0, 4.2)
     top = 1.0 - _legend_height(entries) / height
@@ -247,7 +247,7 @@ def _draw_entry(
     drawn = [_draw_magnitude(axes, m, looks[m.name], pair, floor) for m in measurements if pair in m.entries]
     if not any(drawn):
         _say_empty(axes)
-    name = rf"$\Phi_{{{figures.entry_name(*pair)}}}$"
+    name = rf"$\Phi_{{{figure_data.entry_name(*pair)}}}$"
     axes.text(0.97, 0.95, name, transform=axes.transAxes, ha="right", va="top", fontsize=10)
 
 
@@ -257,7 +257,7 @@ def _draw_magnitude(axes: Axes, m: Measurement, look: Line, pair: tuple[str, str
     magnitude = 1e6 * np.abs(values)
     drawn = False
     if std is not None:
-        low, high = figures.magnitude_band(values, std, floor)
+        low, high = figure_data.magnitude_band(values, std, floor)
         drawn = bool((high > 0.0).any())
         if drawn:
             axes.fill_between(m.frequency, low, high, where=high > 0.0, color=look.colour, alpha=0.2, linewidth=0)
@@ -275,7 +275,7 @@ def _say_empty(axes: Axes) -> None:
 
 def draw_quality(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure:
     """Draw coherence by response and the condition number of the forces."""
-    measured, responses, conditioned = figures.quality_panels(measurements)
+    measured, responses, conditioned = figure_data.quality_panels(measurements)
     rows = bool(responses) + bool(conditioned)
     shown = [m for m in measured if m in conditioned or any(m.coherences(r) for r in responses)]
     entries: list[tuple[Artist, str]] = [(Line2D([], [], color=looks[m.name].colour), m.name) for m in shown]
@@ -295,7 +295,7 @@ def draw_quality(measurements: Sequence[Measurement], looks: Mapping[str, Line])
         wspace=0.06,
         hspace=0.25,
     )
-    span = figures.frequency_range(measured)
+    span = figure_data.frequency_range(measured)
     for j, r in enumerate(responses):
         axes = figure.add_subplot(grid[0, j])
         _draw_coherence(axes, measured, looks, r)
@@ -323,7 +323,7 @@ def _draw_condition(
     _plain_axes(axes)
     for m in conditioned:
         axes.semilogy(m.frequency, m.condition(), color=looks[m.name].colour, linewidth=1.0)
-        for low, high in figures.badly_conditioned(m):
+        for low, high in figure_data.badly_conditioned(m):
             axes.axvspan(low, high, color=CHATTER, alpha=0.2, linewidth=0)
     axes.axhline(BAD_CONDITION, color=CHATTER, linestyle="--", linewidth=1.0)
     axes.set(xlim=span, ylabel="condition number\nof the forces [1]")
@@ -337,12 +337,12 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
     rows = -(-len(shown) // columns)
     axes_names = sorted({str(a) for s in shown for a in s["axis"].values})
     entries: list[tuple[Artist, str]] = [(Line2D([], [], color=AXIS_COLOURS.get(a, "#000000")), a) for a in axes_names]
-    if any(figures.harmonic_bands(s) for s in shown):
+    if any(figure_data.harmonic_bands(s) for s in shown):
         entries.append((Patch(facecolor="#777777", alpha=0.3), "removed harmonics"))
     entries.append((Line2D([], [], color=CHATTER, linestyle=":"), "chatter line"))
-    if any(figures.predicted_lines(s, np.inf) for s in shown):
+    if any(figure_data.predicted_lines(s, np.inf) for s in shown):
         entries.append((Line2D([], [], color=CHATTER, linestyle="", marker="v"), "predicted by lobes"))
-    if any(np.isfinite(figures.chatter_marks(s)[0]) for s in shown):
+    if any(np.isfinite(figure_data.chatter_marks(s)[0]) for s in shown):
         entries.append((Line2D([], [], color=CHATTER, linestyle="--"), "threshold"))
     width, height = (2.6 * columns + 0.6 if columns > 1 else 5.5), 2.2 * rows + 0.9
     note = 0.22 if len(spectra) > len(shown) else 0.0
@@ -351,11 +351,11 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
     grid = figure.add_gridspec(
         rows, columns, left=0.75 / width, right=0.985, bottom=0.5 / height, top=top, wspace=0.28, hspace=0.42
     )
-    end = figures.common_end(spectra)
+    end = figure_data.common_end(spectra)
     for position, dataset in enumerate(shown):
         _draw_spectrum(figure.add_subplot(grid[divmod(position, columns)]), dataset, end)
     figure.supxlabel("frequency [Hz]", fontsize=10, y=0.08 / height)
-    figure.supylabel(literal(figures.amplitude_label(shown[0])), fontsize=10, x=0.08 / width)
+    figure.supylabel(literal(figure_data.amplitude_label(shown[0])), fontsize=10, x=0.08 / width)
     if note:
         text = f"the first {len(shown)} of {len(spectra)} tests"
         figure.text(0.5, 1.0 - 0.18 / height, text, ha="center", fontsize=9)
@@ -365,20 +365,20 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
 
 def _draw_spectrum(axes: Axes, dataset: xr.Dataset, end: float) -> None:
     _plain_axes(axes)
-    _, floor, top = figures.spectrum_span(dataset)
-    pairs = [(a, b) for a, b in figures.harmonic_bands(dataset) if a < end]
+    _, floor, top = figure_data.spectrum_span(dataset)
+    pairs = [(a, b) for a, b in figure_data.harmonic_bands(dataset) if a < end]
     axes.broken_barh([(a, b - a) for a, b in pairs], (1e-3 * floor, 1e3 * top), facecolor="#777777", alpha=0.25)
     frequency = dataset["frequency"].values.astype(float)
     inside = frequency <= end
     for axis in dataset["axis"].values:
         values = dataset["amplitude"].sel(axis=axis).values[inside]
         axes.plot(frequency[inside], values, color=AXIS_COLOURS.get(str(axis), "#000000"), linewidth=0.7)
-    threshold, line = figures.chatter_marks(dataset)
+    threshold, line = figure_data.chatter_marks(dataset)
     if np.isfinite(line):
         axes.axvline(line, color=CHATTER, linestyle=":", linewidth=1.2)
     if np.isfinite(threshold):
         axes.axhline(threshold, color=CHATTER, linestyle="--", linewidth=1.0)
-    marks = list(figures.predicted_lines(dataset, end).values())
+    marks = list(figure_data.predicted_lines(dataset, end).values())
     axes.plot(marks, [0.97] * len(marks), "v", color=CHATTER, markersize=4.5, transform=axes.get_xaxis_transform())
     axes.set(yscale="log", xlim=(0.0, end), ylim=(floor, top))
     attrs = dataset.attrs
@@ -391,7 +391,7 @@ def _draw_spectrum(axes: Axes, dataset: xr.Dataset, end: float) -> None:
 
 def draw_drive(frame: pd.DataFrame) -> Figure:
     """Draw drive force over velocity: the record, the friction curve, runs at constant velocity."""
-    parts = figures.friction_parts(frame)
+    parts = figure_data.friction_parts(frame)
     picture = Figure(figsize=(6.0, 4.2), dpi=150, layout="constrained")
     axes = picture.subplots()
     axes.plot(parts["motion"]["velocity"], parts["motion"]["force"], ".", color=RECORD, markersize=2, label="record")
@@ -416,7 +416,7 @@ def draw_drive(frame: pd.DataFrame) -> Figure:
             markersize=4,
             label="runs at constant velocity",
         )
-    velocity, force = figures.friction_titles(frame)
+    velocity, force = figure_data.friction_titles(frame)
     axes.set(xlabel=velocity, ylabel=force)
     axes.legend(frameon=False, fontsize=9)
     axes.grid(True, color="#dddddd", linewidth=0.5)
@@ -427,13 +427,13 @@ def draw_loop(dataset: xr.Dataset) -> Figure:
     """Draw gain and phase of a drive loop, a line a feed."""
     picture = Figure(figsize=(6.0, 4.6), dpi=150, layout="constrained")
     upper, lower = picture.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    for name, colour, gain, phase in figures.loop_curves(dataset):
+    for name, colour, gain, phase in figure_data.loop_curves(dataset):
         upper.semilogx(dataset["frequency"].values, gain, color=colour, linewidth=1.0, label=name)
         lower.semilogx(dataset["frequency"].values, phase, color=colour, linewidth=1.0)
     upper.axhline(-3.01, color="#888888", linewidth=0.7, linestyle="--")
-    upper.set_ylabel(figures.GAIN)
+    upper.set_ylabel(figure_data.GAIN)
     upper.legend(frameon=False, fontsize=9)
-    lower.set(ylabel=figures.PHASE, xlabel=figures.FREQUENCY, ylim=(-180, 180), yticks=(-180, -90, 0, 90, 180))
+    lower.set(ylabel=figure_data.PHASE, xlabel=figure_data.FREQUENCY, ylim=(-180, 180), yticks=(-180, -90, 0, 90, 180))
     for axes in (upper, lower):
         axes.grid(True, color="#dddddd", linewidth=0.5)
     return picture
@@ -444,15 +444,15 @@ def draw_loop(dataset: xr.Dataset) -> Figure:
 
 def draw_diagnosis(finding: Mapping[str, Any]) -> Figure:
     """Draw the steps of the search, the misfit of each condition and the stable depth, one above the other."""
-    names, _ = figures.search_steps(finding)
-    rows, _ = figures.shown_conditions(finding)
+    names, _ = figure_data.search_steps(finding)
+    rows, _ = figure_data.shown_conditions(finding)
     searched = len(names) > 1
     heights = [0.9 + 0.32 * len(names)] * searched
-    heights += [1.1 + 0.22 * len(rows)] * bool(rows) + [3.0] * bool(figures.stable_depths(finding))
+    heights += [1.1 + 0.22 * len(rows)] * bool(rows) + [3.0] * bool(figure_data.stable_depths(finding))
     figure = Figure(figsize=(8.0, sum(heights)), layout="constrained")
     panels = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     painters = [_draw_search] * searched + [_draw_conditions] * bool(rows)
-    painters += [_draw_depths] * bool(figures.stable_depths(finding))
+    painters += [_draw_depths] * bool(figure_data.stable_depths(finding))
     for axes, paint in zip(panels, painters, strict=True):
         paint(axes, finding)
         axes.spines[["top", "right"]].set_visible(False)
@@ -460,9 +460,9 @@ def draw_diagnosis(finding: Mapping[str, Any]) -> Figure:
 
 
 def _draw_search(axes: Axes, finding: Mapping[str, Any]) -> None:
-    names, heights = figures.search_steps(finding)
+    names, heights = figure_data.search_steps(finding)
     places = range(len(names))
-    axes.barh(places, heights, color=[figures.BASELINE, *[figures.EXTENDED] * (len(names) - 1)], height=0.6)
+    axes.barh(places, heights, color=[figure_data.BASELINE, *[figure_data.EXTENDED] * (len(names) - 1)], height=0.6)
     for place, height in zip(places, heights, strict=True):
         axes.text(max(height, 0.0), place, f" {height:.2f} dB", va="center")
     axes.set_yticks(list(places), names)
@@ -473,8 +473,8 @@ def _draw_search(axes: Axes, finding: Mapping[str, Any]) -> None:
 
 
 def _draw_conditions(axes: Axes, finding: Mapping[str, Any]) -> None:
-    rows, title = figures.shown_conditions(finding)
-    for name, colour, held_out, places, misfit in figures.condition_marks(finding):
+    rows, title = figure_data.shown_conditions(finding)
+    for name, colour, held_out, places, misfit in figure_data.condition_marks(finding):
         axes.plot(misfit, places, "o", color=colour, fillstyle="none" if held_out else "full", label=name)
     axes.set_yticks(range(len(rows)), [literal(str(c["name"])) for c in rows], fontsize="small")
     axes.set_ylim(len(rows) - 0.5, -0.5)
@@ -487,7 +487,7 @@ def _draw_conditions(axes: Axes, finding: Mapping[str, Any]) -> None:
 
 def _draw_depths(axes: Axes, finding: Mapping[str, Any]) -> None:
     styles: dict[str, str] = {}
-    for where, word, colour, speeds, depths in figures.stable_depths(finding):
+    for where, word, colour, speeds, depths in figure_data.stable_depths(finding):
         style = styles.setdefault(where, ("-", "--", ":", "-.")[len(styles) % 4])
         wide = 3.5 if word == "baseline" else 1.5  # where nothing changes both are seen
         axes.plot(speeds, depths, style, color=colour, linewidth=wide, label=f"{word}, {literal(where)}")

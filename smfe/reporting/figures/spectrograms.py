@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from smfe.reporting.figures import chatter_marks, common_end
-from smfe.reporting.style import CHATTER, literal, number
+from smfe.reporting.content.style import CHATTER, literal, number
+from smfe.reporting.figures.figure_data import chatter_marks, common_end
 
 RANGE_DB = 60.0
 """Range of the colours below the highest level [dB]."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smfe.campaign.methods import METHODS as MEASURED
-from smfe.reporting.results import Results
+from smfe.reporting.content.results import Results
 
 # Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis.
 CURVE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")

@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.signal import find_peaks
 
 from process.types import Real
-from smfe.reporting.results import Lobes, Results
+from smfe.reporting.content.results import Lobes, Results
 
 KEEP = 0.8
 """Share of the depth of a pocket that must hold over the window of speeds given with it."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from smfe.reporting.headline import outcomes
-from smfe.reporting.style import number
+from smfe.reporting.content.headline import outcomes
+from smfe.reporting.content.style import number
 
 UNITS: dict[str, str] = {
     "cm3_min": "cm³/min",
