@@ -172,6 +172,21 @@ def parse(text: str, dimension: str) -> float:
     return value
 
 
+def si(value: float | str, dimension: str) -> float:
+    """Return a number as it is, which is SI, and a text with a unit in SI: ``si("40 mm", "length") == si(0.04, ...)``.
+
+    Raises
+    ------
+    InputError
+        When the text is no quantity of that dimension, or the value is no number.
+    """
+    if isinstance(value, str):
+        return parse(value, dimension)
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{value!r} is neither a number in SI nor a text with a unit, e.g. {_example(dimension)}")
+    return float(value)
+
+
 def show(value: float, unit: str, dimension: str, digits: int = 6) -> str:
     """Write an SI value as text in `unit`: ``show(0.125, "mm", "length") == "125 mm"``."""
     return f"{value / factor(unit, dimension):.{digits}g} {unit}".strip()

@@ -23,18 +23,20 @@ from numpy.typing import ArrayLike
 from process.cut.engagement import AnyEngagement
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.notebook import html_table
 from process.types import Complex, Real
+from process.units import RANGES, si
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class CuttingCoefficients:
-    """Mechanistic coefficients of a work material with a tool, SI.
+    """Mechanistic coefficients of a work material with a tool. Numbers are SI; texts carry their unit, "1900 N/mm^2".
 
     Parameters
     ----------
-    Ktc, Krc, Kac : float
+    Ktc, Krc, Kac : float or str
         Tangential, radial, axial cutting coefficients [N/m2].
-    Kte, Kre, Kae : float, optional
+    Kte, Kre, Kae : float or str, optional
         Edge coefficients [N/m].
 
     Raises
@@ -50,8 +52,20 @@ class CuttingCoefficients:
     Kre: float = 0.0
     Kae: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Refuse coefficients that are no numbers and a work material that pushes the tool forwards."""
+    def __init__(
+        self,
+        Ktc: float | str,
+        Krc: float | str,
+        Kac: float | str,
+        Kte: float | str = 0.0,
+        Kre: float | str = 0.0,
+        Kae: float | str = 0.0,
+    ) -> None:
+        """Turn texts into SI; refuse coefficients that are no numbers and a work material that pushes the tool."""
+        for name, value in (("Ktc", Ktc), ("Krc", Krc), ("Kac", Kac)):
+            object.__setattr__(self, name, si(value, "pressure"))
+        for name, value in (("Kte", Kte), ("Kre", Kre), ("Kae", Kae)):
+            object.__setattr__(self, name, si(value, "line_force"))
         for coefficient in fields(self):
             value = getattr(self, coefficient.name)
             if not math.isfinite(value):
@@ -68,6 +82,12 @@ class CuttingCoefficients:
     def edge(self) -> Real:
         """(K_te, K_re, K_ae) [N/m]."""
         return np.array([self.Kte, self.Kre, self.Kae])
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook."""
+        known = ((f.name, RANGES[f.name]) for f in fields(self))
+        rows = [(name, shown.shown * getattr(self, name), shown.unit) for name, shown in known]
+        return html_table("Cutting coefficients", rows)
 
 
 @dataclass(frozen=True)

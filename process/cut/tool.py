@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from process.errors import InputError
+from process.notebook import html_table
 from process.types import Real
-from process.units import check_diameter
+from process.units import check_diameter, si
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Tool:
-    """A milling tool, SI.
+    """A milling tool. Numbers are SI; texts carry their unit, as in a campaign file: ``Tool("80 mm", 4)``.
 
     Parameters
     ----------
-    diameter : float
+    diameter : float or str
         Cutting diameter [m].
     teeth : int
         Number of teeth.
-    approach_angle : float, optional
+    approach_angle : float or str, optional
         Angle between cutting edge and feed plane [rad]; pi/2 for a shoulder mill.
-    pitch_angles : tuple of float, optional
+    pitch_angles : sequence of (float or str), optional
         Angles from each tooth to the next [rad]; they add up to 2 pi within their rounding. Default:
         equal.
-    runout : tuple of float, optional
+    runout : sequence of (float or str), optional
         Radial position of each tooth relative to the mean [m]. Default: zero.
-    helix_angle : float, optional
+    helix_angle : float or str, optional
         Helix angle of the edges [rad]. Default: straight edges.
 
     Raises
@@ -45,8 +47,29 @@ class Tool:
     runout: tuple[float, ...] | None = None
     helix_angle: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Refuse impossible geometry."""
+    def __init__(
+        self,
+        diameter: float | str,
+        teeth: int,
+        approach_angle: float | str = math.pi / 2,
+        pitch_angles: Sequence[float | str] | None = None,
+        runout: Sequence[float | str] | None = None,
+        helix_angle: float | str = 0.0,
+    ) -> None:
+        """Turn texts into SI and refuse impossible geometry."""
+        values = {
+            "diameter": si(diameter, "length"),
+            "teeth": teeth,
+            "approach_angle": si(approach_angle, "angle"),
+            "pitch_angles": None if pitch_angles is None else tuple(si(a, "angle") for a in pitch_angles),
+            "runout": None if runout is None else tuple(si(r, "length") for r in runout),
+            "helix_angle": si(helix_angle, "angle"),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self._check()
+
+    def _check(self) -> None:
         if not (self.diameter > 0.0 and math.isfinite(self.diameter)):
             raise InputError(f"the tool diameter is {self.diameter:g} m; it must be positive and finite")
         check_diameter(self.diameter)
@@ -95,6 +118,20 @@ class Tool:
     def tooth_offsets(self) -> Real:
         """Return the radial position of each tooth relative to the mean [m], shape (teeth,)."""
         return np.zeros(self.teeth) if self.runout is None else np.asarray(self.runout, dtype=float)
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook."""
+        rows: list[tuple[object, ...]] = [
+            ("diameter", 1e3 * self.diameter, "mm"),
+            ("teeth", self.teeth, ""),
+            ("approach angle", math.degrees(self.approach_angle), "deg"),
+            ("helix angle", math.degrees(self.helix_angle), "deg"),
+        ]
+        if self.pitch_angles is not None:
+            rows.append(("pitch angles", ", ".join(f"{math.degrees(a):.6g}" for a in self.pitch_angles), "deg"))
+        if self.runout is not None:
+            rows.append(("runout", ", ".join(f"{1e6 * r:.6g}" for r in self.runout), "µm"))
+        return html_table("Tool", rows)
 
     def tooth_passing_frequency(self, rotation: float) -> float:
         """Return the tooth passing frequency [Hz] at a spindle rotation [rad/s]."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from process.notebook import html_table
 from process.types import Complex, Real
 
 HIGHEST_DAMPING = 0.999
@@ -70,6 +71,25 @@ class ModalModel:
     def mass(self) -> Real:
         """Modal mass [kg], ``k / (2 pi f)^2``."""
         return self.stiffness / (2.0 * np.pi * self.frequency) ** 2
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook, a row a mode."""
+        rows = [
+            (k, f, 100.0 * z, 1e-6 * s, m, ", ".join(f"{u:.3g}" for u in direction))
+            for k, (f, z, s, m, direction) in enumerate(
+                zip(
+                    self.frequency.tolist(),
+                    self.damping.tolist(),
+                    self.stiffness.tolist(),
+                    self.mass.tolist(),
+                    self.direction.tolist(),
+                    strict=True,
+                ),
+                1,
+            )
+        ]
+        head = ("mode", "frequency [Hz]", "damping [%]", "stiffness [N/µm]", "mass [kg]", "direction (x, y, z)")
+        return html_table("Modes at the tool", rows, head)
 
     def matrix(self, frequency: ArrayLike) -> Complex:
         """Return the compliance matrix [m/N], shape (frequencies, 3, 3), at frequencies [Hz]."""
