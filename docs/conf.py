@@ -1,20 +1,27 @@
 """Sphinx configuration: furo, MyST notebooks that are executed, numpydoc docstrings."""
 
 import os
+import sys
 from importlib.metadata import version as installed_version
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "smfe"
 author = "The smfe developers"
 copyright = "2026, The smfe developers"
 release = version = installed_version("smfe")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "offline"]
+html_math_renderer = "mathml"
 # One page alone, for whoever writes it: `make page PAGE=hammer`.
 page = os.environ.get("SMFE_PAGE")
 include_patterns = [f"{page}.md", "index.md"] if page else ["**"]
 exclude_patterns = ["_build", "*_table.md", "**.ipynb_checkpoints"]
 
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["smfe.css"]
 html_title = f"smfe {release}"
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
