@@ -49,6 +49,11 @@ SECTIONS: dict[str, tuple[str, Section]] = {
 
 _HERE = Path(__file__).parent
 
+_SCRIPTS = ("arrays.js", "tables.js", "report.js")
+
+_ARRAY = {"bdata", "codes", "derive"}
+"""A part of a figure with one of these keys is an array: of 32-bit floats, of 16 bits, or made of others."""
+
 
 def write_report(folder: Path, progress: Progress | None = None) -> Path:
     """Write ``report.html`` and ``figures/*.png`` from the files of a folder of results.
@@ -99,6 +104,7 @@ def render(results: Results) -> str:
     )
     environment.filters.update(n=number, bands=band_text)
     environment.globals["marks"] = OUTCOMES
+    environment.globals["late"] = draft.late
     wanted = ("diagnosis", "files") if results.diagnosis_alone else tuple(SECTIONS)
     made = {name: content for name in wanted if (content := SECTIONS[name][1](draft))}
     environment.globals["heights"] = {name: plot["layout"]["height"] for name, plot in draft.plots.items()}
@@ -108,24 +114,31 @@ def render(results: Results) -> str:
         made=made,
         links={name: SECTIONS[name][0] for name in made},
         css=Markup((_HERE / "static" / "report.css").read_text(encoding="utf-8")),
-        script=Markup((_HERE / "static" / "report.js").read_text(encoding="utf-8")),
+        tables=lambda: Markup(_json([table.content for table in draft.tables])),
+        script=Markup("\n".join((_HERE / "static" / name).read_text(encoding="utf-8") for name in _SCRIPTS)),
         plotly=Markup((_HERE / "static" / "plotly-cartesian.min.js").read_text(encoding="utf-8")),
         plots=Markup(_embedded(draft.plots)),
     )
 
 
 def _embedded(plots: dict[str, Any]) -> str:
-    """Return JSON that cannot end the script element it stands in; the same array is written once."""
+    """Return figures and their arrays as JSON; the same array is written once."""
     arrays: dict[str, int] = {}
 
     def shared(part: Any) -> Any:
         if isinstance(part, dict):
-            if "bdata" in part:
-                return {"array": arrays.setdefault(json.dumps(part), len(arrays))}
-            return {key: shared(value) for key, value in part.items()}
-        return [shared(value) for value in part] if isinstance(part, list) else part
+            found = {key: shared(value) for key, value in part.items()}
+            if _ARRAY & part.keys():
+                return {"array": arrays.setdefault(json.dumps(found), len(arrays))}
+            return found
+        return [shared(value) for value in part] if isinstance(part, list | tuple) else part
 
     content = {"plots": shared(plots), "arrays": []}
     content["arrays"] = [json.loads(text) for text in arrays]
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return _json(content)
+
+
+def _json(content: Any) -> str:
+    """Return JSON that cannot end the script element it stands in."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

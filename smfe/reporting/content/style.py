@@ -76,6 +76,26 @@ def number(value: object, digits: int = 4) -> str:
     return re.sub(r"e([+-])0*(\d+)", lambda m: f"·10^{'-' if m[1] == '-' else ''}{m[2]}", text).replace("-", "−")
 
 
+def with_spread(value: float, std: float) -> str:
+    """Return "−3.28 ± 0.33": two digits of the standard deviation, and the value as far as these reach."""
+    if not math.isfinite(std) or std <= 0.0 or not math.isfinite(value):
+        return number(value, 3)
+    digits = 1 - math.floor(math.log10(float(f"{std:.1e}")))
+    texts = [f"{round(part, digits):.{max(digits, 0)}f}" for part in (value, std)]
+    return " ± ".join("0" if float(text) == 0.0 else text.replace("-", "−") for text in texts)
+
+
+def listed(parts: Iterable[str]) -> str:
+    """Return "a, b and c"."""
+    *first, last = [*parts] or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def spoken(name: str) -> str:
+    """Return the name of a measurement as it stands in a sentence: "hammer moving" for hammer_moving."""
+    return name.replace("_", " ")
+
+
 def band_text(pairs: Iterable[tuple[float, float]], limit: int = 12) -> str:
     """Return "12–14.5 Hz, 60 Hz"."""
     parts = [number(a) if a == b else f"{number(a)}–{number(b)}" for a, b in pairs]

@@ -80,6 +80,13 @@ class Table:
         """Whether it is too long to stand open."""
         return len(self.rows) > LONG
 
+    @property
+    def content(self) -> dict[str, Any]:
+        """What tables.js makes of it when it is opened."""
+        rows = [list(row.cells) for row in self.rows]
+        css = {str(at): row.css for at, row in enumerate(self.rows) if row.css}
+        return {"head": list(self.headers), "numeric": [int(n) for n in self.numeric], "rows": rows, "css": css}
+
 
 def heading(column: str) -> str:
     """Return "frequency a [Hz]" for "frequency_a_Hz"."""

@@ -1,10 +1,11 @@
 "use strict";
 (function () {
   const embedded = JSON.parse(document.getElementById("plots").textContent);
+  const array = smfeArrays(embedded.arrays);
   function resolve(part) {
     if (Array.isArray(part)) return part.map(resolve);
     if (part === null || typeof part !== "object") return part;
-    if ("array" in part) return embedded.arrays[part.array];
+    if ("array" in part) return array(part.array);
     return Object.fromEntries(Object.entries(part).map(([key, value]) => [key, resolve(value)]));
   }
   const plots = resolve(embedded.plots);
@@ -51,14 +52,14 @@
     }
   }
   window.addEventListener("beforeprint", () => {
-    document.querySelectorAll("details").forEach((d) => {
+    document.querySelectorAll("details:not([data-table])").forEach((d) => {
       d.dataset.was = d.open ? "open" : "";
       d.open = true;
     });
     fit(690);
   });
   window.addEventListener("afterprint", () => {
-    document.querySelectorAll("details").forEach((d) => (d.open = d.dataset.was === "open"));
+    document.querySelectorAll("details:not([data-table])").forEach((d) => (d.open = d.dataset.was === "open"));
     fit(0);
   });
   draw(0);

@@ -84,6 +84,11 @@ def plots(folder: Path) -> dict:
     return resolved(content["plots"])
 
 
+def late_tables(folder: Path) -> list[dict]:
+    """Return the tables that the page makes when they are opened."""
+    return json.loads(re.search(r'<script type="application/json" id="tables">(.*?)</script>', page(folder))[1])
+
+
 def unpacked(array: dict) -> np.ndarray:
     values = np.frombuffer(base64.b64decode(array["bdata"]), dtype="<f4")
     return values.reshape([int(n) for n in array["shape"].split(",")]) if "shape" in array else values
@@ -166,9 +171,9 @@ class TestEscaping:
 
 
 def page_scripts(folder: Path) -> int:
-    """Return the number of script elements: data, plotly, ours, and those that plotly itself names."""
+    """Return the number of script elements: two of data, plotly, ours, and those that plotly itself names."""
     bundle = CHECKOUT / "smfe" / "reporting" / "static" / "plotly-cartesian.min.js"
-    return 3 + bundle.read_text(encoding="utf-8").count("<script")
+    return 4 + bundle.read_text(encoding="utf-8").count("<script")
 
 
 class TestAnswer:
@@ -478,11 +483,15 @@ class TestAxes:
 
 class TestTables:
     def test_rejected_hits_are_marked(self, sample: Path) -> None:
-        assert page(sample).count('<tr class="rejected">') == 3 + 6
+        assert page(sample).count('<tr class="rejected">') == 3
+        assert list(late_tables(sample)[0]["css"].values()) == ["rejected"] * 6
         assert "hammer_idle: hits: 18 of 21 used" in written(sample)
 
-    def test_long_tables_are_folded(self, sample: Path) -> None:
-        assert "<details><summary>other.v2: hits: 34 of 40 used</summary>" in page(sample)
+    def test_long_tables_are_made_when_they_are_opened(self, sample: Path) -> None:
+        assert '<details data-table="0"><summary>other.v2: hits: 34 of 40 used</summary></details>' in page(sample)
+        table = late_tables(sample)[0]
+        assert len(table["rows"]) == 40
+        assert {len(row) for row in table["rows"]} == {len(table["head"])} == {len(table["numeric"])}
         assert "<summary>hammer_idle: hits" not in page(sample)
 
     def test_units_in_brackets(self, sample: Path) -> None:
