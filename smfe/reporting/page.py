@@ -32,20 +32,20 @@ from smfe.results import write_atomically
 Progress = Callable[[int, int], None]
 Section = Callable[[Draft], dict[str, Any]]
 
-SECTIONS: dict[str, tuple[str, Section]] = {
-    "answer": ("Answer", answer.section),
-    "lobes": ("Lobes", lobes.section),
-    "cutting_tests": ("Cutting tests", cutting_tests.section),
-    "compliances": ("Compliances", compliances.section),
-    "loops": ("Drive loops", loops.section),
-    "drives": ("Drives", drives.section),
-    "comparison": ("Comparison", comparison.section),
-    "diagnosis": ("Diagnosis", diagnosis.section),
-    "measured": ("Tables", measured.section),
-    "warnings": ("Warnings", warnings.section),
-    "files": ("Provenance", files.section),
+SECTIONS: dict[str, tuple[str, str, Section]] = {
+    "answer": ("Answer", "How deep, at which speed, how sure", answer.section),
+    "lobes": ("Lobes", "Stability lobes", lobes.section),
+    "cutting_tests": ("Cutting tests", "Cutting tests", cutting_tests.section),
+    "measured": ("Measured", "What was measured", measured.section),
+    "compliances": ("Compliances", "Compliances", compliances.section),
+    "loops": ("Drive loops", "Drive loops", loops.section),
+    "drives": ("Drives", "Drives: inertia and friction", drives.section),
+    "comparison": ("Comparison", "Comparison of the measurements", comparison.section),
+    "diagnosis": ("Diagnosis", "What the simulation gets wrong", diagnosis.section),
+    "warnings": ("Warnings", "Warnings", warnings.section),
+    "files": ("Files", "Provenance", files.section),
 }
-"""Name of a section, of its module and of its template -> what the link to it says, and who writes it; in order."""
+"""Name of a section, its module and its template -> its link, its heading (unless it says another), its maker."""
 
 _HERE = Path(__file__).parent
 
@@ -106,12 +106,13 @@ def render(results: Results) -> str:
     environment.globals["marks"] = OUTCOMES
     environment.globals["late"] = draft.late
     wanted = ("diagnosis", "files") if results.diagnosis_alone else tuple(SECTIONS)
-    made = {name: content for name in wanted if (content := SECTIONS[name][1](draft))}
+    made = {name: content for name in wanted if (content := SECTIONS[name][2](draft))}
     environment.globals["heights"] = {name: plot["layout"]["height"] for name, plot in draft.plots.items()}
     return environment.get_template("report.html.j2").render(
         title=results.title,
         alone=results.diagnosis_alone,
         made=made,
+        headings={name: SECTIONS[name][1] for name in made},
         links={name: SECTIONS[name][0] for name in made},
         css=Markup((_HERE / "static" / "report.css").read_text(encoding="utf-8")),
         tables=lambda: Markup(_json([table.content for table in draft.tables])),

@@ -12,7 +12,6 @@ from smfe.reporting.content.results import BAD_CONDITION, Measurement
 from smfe.reporting.content.style import CHATTER, EXCITATION_DASHES, Line, band_text, translucent
 from smfe.reporting.figures import figure_data
 from smfe.reporting.figures.plotly_frame import (
-    LEGEND,
     Figure,
     axis_look,
     base_layout,
@@ -48,8 +47,7 @@ def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, L
             )
     layout = _grid_layout(responses, excitations, span, (low, high))
     axes = _view_axes((low, high), figure_data.part_ranges(measurements, span))
-    layout["updatemenus"] = [_view_menu(views, list(panels.values()), axes)]
-    return {"data": data, "layout": layout}
+    return {"data": data, "layout": layout, "views": _view_switch(views, list(panels.values()), axes)}
 
 
 def _views(values: Complex) -> list[dict[str, str]]:
@@ -82,10 +80,8 @@ def _grid_layout(
     """Return panels that zoom together, tick labels only at the edges of the grid."""
     rows, columns = len(responses), len(excitations)
     layout = base_layout(
-        110 + 250 * rows if rows > 1 else 460, margin={"l": 80, "r": 20, "t": 60, "b": 85}, annotations=[]
+        40 + 250 * rows if rows > 1 else 420, margin={"l": 80, "r": 20, "t": 12, "b": 50}, annotations=[]
     )
-    # Below, where a legend of any length keeps clear of the buttons.
-    layout["legend"] = {**LEGEND, "y": -55.0 / (layout["height"] - 145), "yanchor": "top"}
     gap_x, gap_y = 0.025, 0.035
     for i, r in enumerate(responses):
         for j, e in enumerate(excitations):
@@ -147,35 +143,25 @@ def _view_axes(
     ]
 
 
-def _view_menu(
+def _view_switch(
     views: Sequence[Sequence[Any]], panels: Sequence[int], axes: Sequence[tuple[str, Mapping[str, Any]]]
-) -> Figure:
-    """Return the buttons; bands belong to the magnitude and hide in the other views."""
+) -> list[dict[str, Any]]:
+    """Return what report.js makes of a click on each view; bands belong to the magnitude and hide in the others."""
     lines = [k for k, v in enumerate(views) if v]
     fills = [k for k, v in enumerate(views) if not v]
     names = [f"yaxis{'' if p == 1 else p}" for p in panels]
-    buttons = []
-    for number_, (title, settings) in enumerate(axes):
-        relayout = {f"{name}.{key}": value for name in names for key, value in settings.items()}
-        buttons.append(
-            {
-                "label": title.partition(" [")[0],
-                "method": "skip",
-                # Read by report.js: plotly's own buttons cannot change two sets of traces at once.
-                "args": [
-                    {
-                        "lines": lines,
-                        "fills": fills,
-                        "y": [views[k][number_] for k in lines],
-                        "band": number_ == 0,
-                        "title": title,
-                        "layout": relayout,
-                    }
-                ],
-            }
-        )
-    place = {"x": 0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "pad": {"b": 10}}
-    return {"type": "buttons", "direction": "right", "showactive": True, "buttons": buttons, **place}
+    return [
+        {
+            "label": title.partition(" [")[0],
+            "lines": lines,
+            "fills": fills,
+            "y": [views[k][number_] for k in lines],
+            "band": number_ == 0,
+            "title": title,
+            "layout": {f"{name}.{key}": value for name in names for key, value in settings.items()},
+        }
+        for number_, (title, settings) in enumerate(axes)
+    ]
 
 
 def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure | None:

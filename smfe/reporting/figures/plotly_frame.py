@@ -56,10 +56,10 @@ def axis_look(title: str = "", **more: Any) -> dict[str, Any]:
 
 
 def base_layout(height: int, **more: Any) -> dict[str, Any]:
-    """Return the layout that every figure starts from, the legend above the panels."""
+    """Return the layout that every figure starts from; the page writes the legend itself, as buttons above."""
     return {
         "height": height,
-        "margin": {"l": 70, "r": 20, "t": 40, "b": 50},
+        "margin": {"l": 70, "r": 20, "t": 12, "b": 50},
         "paper_bgcolor": "#fff",
         "plot_bgcolor": "#fff",
         "font": _FONT,

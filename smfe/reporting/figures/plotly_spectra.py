@@ -46,8 +46,8 @@ def spectrum_figure(dataset: xr.Dataset, end: float) -> Figure:
             }
         )
     layout = base_layout(
-        330,
-        margin={"l": 70, "r": 15, "t": 34, "b": 46},
+        310,
+        margin={"l": 70, "r": 15, "t": 12, "b": 46},
         xaxis=axis_look("frequency [Hz]", range=[0.0, end]),
         yaxis=axis_look(plain(figure_data.amplitude_label(dataset)), **log_axis(floor, top)),
         shapes=_spectrum_lines(dataset),

@@ -33,9 +33,11 @@ def section(draft: Draft) -> dict[str, Any]:
     partly = finding.get("verdict") == "unknown" and finding.get("causes")
     found = {name: figure for name, make in figures.items() if (figure := make(finding)) is not None}
     plots.update(found)
+    verdict = "partly found" if partly else _WORDS.get(str(finding.get("verdict")), str(finding.get("verdict")))
     return {
         "plots": list(found),
-        "verdict": "partly found" if partly else _WORDS.get(str(finding.get("verdict")), str(finding.get("verdict"))),
+        "heading": f"What the simulation gets wrong: {verdict}",
+        "verdict": verdict,
         "summary": list(finding.get("story", [])),
         "tables": [t for t in tables if t is not None],
     }

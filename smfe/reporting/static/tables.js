@@ -28,7 +28,9 @@
     scroll.appendChild(table);
     details.appendChild(scroll);
   }
-  document.querySelectorAll("details[data-table]").forEach((details) => {
-    details.addEventListener("toggle", () => details.open && details.children.length === 1 && fill(details));
-  });
+  document.addEventListener(
+    "toggle",
+    ({ target }) => target.open && "table" in target.dataset && target.children.length === 1 && fill(target),
+    true,
+  );
 })();
