@@ -9,49 +9,55 @@ compliance with its uncertainty, are `hammer_compliance`, `actuator_compliance`,
 of the three methods; they go in a later release.
 """
 
+from typing import TYPE_CHECKING
+
 import stability  # noqa: F401  (fails with a clear sentence when a user's own process.py shadows ours)
-from process.errors import InputError
+from process._lazy import lazy
 from smfe._version import __version__
-from smfe.campaign import Campaign, load_campaign
-from smfe.campaign import load_campaign as read_campaign
-from smfe.commands.chatter import chatter
-from smfe.commands.check import check
-from smfe.commands.coefficients import Coefficients, coefficients
-from smfe.commands.compare import compare
-from smfe.commands.convert import convert
-from smfe.commands.demo import demo
-from smfe.commands.diagnose import diagnose
-from smfe.commands.identify import identify
-from smfe.commands.lobes import lobes
-from smfe.commands.look import look
-from smfe.commands.modal import modal
-from smfe.commands.plan import plan
-from smfe.commands.report import report
-from smfe.commands.run import run
-from smfe.commands.simulate import simulate
-from smfe.identification.actuator.stepped_sine import identify_actuator
-from smfe.identification.actuator.stepped_sine import identify_actuator as actuator_compliance
-from smfe.identification.drive.friction import (
-    constant_force,
-    fit_coulomb_curve,
-    fit_friction_curve,
-    fit_friction_record,
-    friction_runs,
-)
-from smfe.identification.drive.open_loop import fit_open_loop, open_loop_response
-from smfe.identification.errors.intervals import interval
-from smfe.identification.errors.result import Identification
-from smfe.identification.hammer.hammer import identify_hammer
-from smfe.identification.hammer.hammer import identify_hammer as hammer_compliance
-from smfe.identification.sweep.local_polynomial import LocalPolynomial
-from smfe.identification.sweep.passes import SweepPass
-from smfe.identification.sweep.segments import Segments, SingleReference
-from smfe.identification.sweep.sweep import identify_sweep
-from smfe.identification.sweep.sweep import identify_sweep as sweep_compliance
-from smfe.limits.campaign_lobes import LobeResult
-from smfe.modes.fit_modes import fit_modes
-from smfe.records import read_blocks, read_record, read_records, read_reduced
-from smfe.records.look import Look
+
+if TYPE_CHECKING:
+    from process.errors import InputError
+    from smfe.campaign import Campaign, load_campaign
+    from smfe.campaign import load_campaign as read_campaign
+    from smfe.commands.chatter import chatter
+    from smfe.commands.check import check
+    from smfe.commands.coefficients import Coefficients, coefficients
+    from smfe.commands.compare import compare
+    from smfe.commands.convert import convert
+    from smfe.commands.demo import demo
+    from smfe.commands.diagnose import diagnose
+    from smfe.commands.identify import identify
+    from smfe.commands.lobes import lobes
+    from smfe.commands.look import look
+    from smfe.commands.modal import modal
+    from smfe.commands.plan import plan
+    from smfe.commands.report import report
+    from smfe.commands.run import run
+    from smfe.commands.simulate import simulate
+    from smfe.identification.actuator.stepped_sine import identify_actuator
+    from smfe.identification.actuator.stepped_sine import identify_actuator as actuator_compliance
+    from smfe.identification.drive.friction import (
+        constant_force,
+        fit_coulomb_curve,
+        fit_friction_curve,
+        fit_friction_record,
+        friction_runs,
+    )
+    from smfe.identification.drive.open_loop import fit_open_loop, open_loop_response
+    from smfe.identification.errors.intervals import interval
+    from smfe.identification.errors.result import Identification
+    from smfe.identification.hammer.hammer import identify_hammer
+    from smfe.identification.hammer.hammer import identify_hammer as hammer_compliance
+    from smfe.identification.sweep.local_polynomial import LocalPolynomial
+    from smfe.identification.sweep.passes import SweepPass
+    from smfe.identification.sweep.segments import Segments, SingleReference
+    from smfe.identification.sweep.sweep import identify_sweep
+    from smfe.identification.sweep.sweep import identify_sweep as sweep_compliance
+    from smfe.limits.campaign_lobes import LobeResult
+    from smfe.modes.fit_modes import fit_modes
+    from smfe.records import read_blocks, read_record, read_records, read_reduced
+    from smfe.records.look import Look
+
 
 __all__ = [
     "Campaign",
@@ -102,3 +108,43 @@ __all__ = [
     "simulate",
     "sweep_compliance",
 ]
+
+_HOMES = {
+    "process.errors": "InputError",
+    "smfe.campaign": "Campaign, load_campaign, load_campaign as read_campaign",
+    "smfe.commands.chatter": "chatter",
+    "smfe.commands.check": "check",
+    "smfe.commands.coefficients": "Coefficients, coefficients",
+    "smfe.commands.compare": "compare",
+    "smfe.commands.convert": "convert",
+    "smfe.commands.demo": "demo",
+    "smfe.commands.diagnose": "diagnose",
+    "smfe.commands.identify": "identify",
+    "smfe.commands.lobes": "lobes",
+    "smfe.commands.look": "look",
+    "smfe.commands.modal": "modal",
+    "smfe.commands.plan": "plan",
+    "smfe.commands.report": "report",
+    "smfe.commands.run": "run",
+    "smfe.commands.simulate": "simulate",
+    "smfe.identification.actuator.stepped_sine": "identify_actuator, identify_actuator as actuator_compliance",
+    "smfe.identification.drive.friction": (
+        "constant_force, fit_coulomb_curve, fit_friction_curve, fit_friction_record, friction_runs"
+    ),
+    "smfe.identification.drive.open_loop": "fit_open_loop, open_loop_response",
+    "smfe.identification.errors.intervals": "interval",
+    "smfe.identification.errors.result": "Identification",
+    "smfe.identification.hammer.hammer": "identify_hammer, identify_hammer as hammer_compliance",
+    "smfe.identification.sweep.local_polynomial": "LocalPolynomial",
+    "smfe.identification.sweep.passes": "SweepPass",
+    "smfe.identification.sweep.segments": "Segments, SingleReference",
+    "smfe.identification.sweep.sweep": "identify_sweep, identify_sweep as sweep_compliance",
+    "smfe.limits.campaign_lobes": "LobeResult",
+    "smfe.modes.fit_modes": "fit_modes",
+    "smfe.records": "read_blocks, read_record, read_records, read_reduced",
+    "smfe.records.look": "Look",
+}
+"""Module -> the names that it gives; `__all__` and the imports for the type checker say the same."""
+
+if not TYPE_CHECKING:  # a type checker takes the imports above, and so finds a name that is not there
+    __getattr__, __dir__ = lazy(__name__, _HOMES)

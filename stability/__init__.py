@@ -24,34 +24,40 @@ from stability._guard import check_process
 
 check_process()
 
-from stability.bands.depth_quantiles import linearised_band, sampled_band, with_band
-from stability.bands.error_model import Spread, carries_errors
-from stability.boundary import Axis, Boundary, find_boundary, pointwise
-from stability.chatter.criterion import ChatterVerdict, chatter_verdict
-from stability.methods.multi_frequency import multi_frequency
-from stability.methods.operating_point import operating_point
-from stability.methods.semi_discretization import (
-    BAND_COLUMNS,
-    LimitDepth,
-    floquet_multipliers,
-    limit_depth,
-    semi_discretization,
-    stability_bands,
-)
-from stability.methods.stationary_vibration import StationaryVibration, stationary_vibration
-from stability.methods.zero_order import (
-    CriticalDepth,
-    critical_depth,
-    critical_depth_from_matrix,
-    lobe_curves,
-    zero_order,
-    zero_order_from_matrix,
-)
-from stability.pitch_design import PitchDesign, design_pitch
-from stability.problem import Cut
-from stability.tables.lobe_table import LOBE_COLUMNS, lobe_table, read_table, write_table
-from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
-from stability.tables.presets import PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets
+from typing import TYPE_CHECKING
+
+from process._lazy import lazy
+
+if TYPE_CHECKING:
+    from stability.bands.depth_quantiles import linearised_band, sampled_band, with_band
+    from stability.bands.error_model import Spread, carries_errors
+    from stability.boundary import Axis, Boundary, find_boundary, pointwise
+    from stability.chatter.criterion import ChatterVerdict, chatter_verdict
+    from stability.methods.multi_frequency import multi_frequency
+    from stability.methods.operating_point import operating_point
+    from stability.methods.semi_discretization import (
+        BAND_COLUMNS,
+        LimitDepth,
+        floquet_multipliers,
+        limit_depth,
+        semi_discretization,
+        stability_bands,
+    )
+    from stability.methods.stationary_vibration import StationaryVibration, stationary_vibration
+    from stability.methods.zero_order import (
+        CriticalDepth,
+        critical_depth,
+        critical_depth_from_matrix,
+        lobe_curves,
+        zero_order,
+        zero_order_from_matrix,
+    )
+    from stability.pitch_design import PitchDesign, design_pitch
+    from stability.problem import Cut
+    from stability.tables.lobe_table import LOBE_COLUMNS, lobe_table, read_table, write_table
+    from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
+    from stability.tables.presets import PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets
+
 
 __all__ = [
     "BAND_COLUMNS",
@@ -97,3 +103,28 @@ __all__ = [
     "zero_order",
     "zero_order_from_matrix",
 ]
+
+_HOMES = {
+    "stability.bands.depth_quantiles": "linearised_band, sampled_band, with_band",
+    "stability.bands.error_model": "Spread, carries_errors",
+    "stability.boundary": "Axis, Boundary, find_boundary, pointwise",
+    "stability.chatter.criterion": "ChatterVerdict, chatter_verdict",
+    "stability.methods.multi_frequency": "multi_frequency",
+    "stability.methods.operating_point": "operating_point",
+    "stability.methods.semi_discretization": (
+        "BAND_COLUMNS, LimitDepth, floquet_multipliers, limit_depth, semi_discretization, stability_bands"
+    ),
+    "stability.methods.stationary_vibration": "StationaryVibration, stationary_vibration",
+    "stability.methods.zero_order": (
+        "CriticalDepth, critical_depth, critical_depth_from_matrix, lobe_curves, zero_order, zero_order_from_matrix"
+    ),
+    "stability.pitch_design": "PitchDesign, design_pitch",
+    "stability.problem": "Cut",
+    "stability.tables.lobe_table": "LOBE_COLUMNS, lobe_table, read_table, write_table",
+    "stability.tables.pockets": "POCKET_COLUMNS, SpindleRange, best_pockets",
+    "stability.tables.presets": "PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets",
+}
+"""Module -> the names that it gives; `__all__` and the imports for the type checker say the same."""
+
+if not TYPE_CHECKING:  # a type checker takes the imports above, and so finds a name that is not there
+    __getattr__, __dir__ = lazy(__name__, _HOMES)

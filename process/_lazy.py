@@ -1,0 +1,37 @@
+"""Public names of a package that are imported when they are first used: ``import smfe`` costs no numerics."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Mapping
+
+
+def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """Return ``__getattr__`` and ``__dir__`` of a package (PEP 562).
+
+    Parameters
+    ----------
+    package : str
+        Name of the package.
+    homes : mapping of str to str
+        Module -> the names that it gives to the package, "one, two, three as public_name".
+    """
+    sources: dict[str, tuple[str, str]] = {}
+    for module, names in homes.items():
+        for entry in names.split(", "):
+            name, _, public = entry.partition(" as ")
+            sources[public or name] = (module, name)
+
+    def get(name: str) -> object:
+        if name not in sources:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, attribute = sources[name]
+        value = getattr(importlib.import_module(module), attribute)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *sources})
+
+    return get, names
