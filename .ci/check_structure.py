@@ -71,7 +71,10 @@ def clashes(found: Mapping[str, Path], packages: set[str]) -> Iterator[str]:
     for package in sorted(packages):
         beside = {name.rpartition(".")[2] for name in found if name.rpartition(".")[0] == package}
         tree = ast.parse(found[package].read_text(encoding="utf-8"))
-        names = {a.asname or a.name for node in tree.body if isinstance(node, ast.ImportFrom) for a in node.names}
+        # The imports of a facade that is lazy stand below `if TYPE_CHECKING`.
+        inner = [node for part in tree.body if isinstance(part, ast.If) for node in part.body]
+        imported = [node for node in (*tree.body, *inner) if isinstance(node, ast.ImportFrom)]
+        names = {a.asname or a.name for node in imported for a in node.names}
         names |= {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
         for name in sorted(names & beside):
             yield f"{package}: '{name}' is a public name and a module or folder beside it; rename one"

@@ -20,8 +20,8 @@ def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object
     sources: dict[str, tuple[str, str]] = {}
     for module, names in homes.items():
         for entry in names.split(", "):
-            name, _, public = entry.partition(" as ")
-            sources[public or name] = (module, name)
+            there, _, here = entry.partition(" as ")
+            sources[here or there] = (module, there)
 
     def get(name: str) -> object:
         if name not in sources:
@@ -31,7 +31,7 @@ def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object
         setattr(sys.modules[package], name, value)
         return value
 
-    def names() -> list[str]:
+    def public() -> list[str]:
         return sorted({*vars(sys.modules[package]), *sources})
 
-    return get, names
+    return get, public

@@ -554,8 +554,14 @@ def test_warnings_are_printed_where_the_run_was_started(
 ) -> None:
     (tmp_path / "campaign.toml").write_text(HAMMER + SWEEPS_LOBES)
     hit_table().to_csv(tmp_path / "hit.csv", index=False)
-    assert command(monkeypatch, "run", tmp_path / "campaign.toml", "--out", tmp_path / "results") == 0
-    assert "partial matrix" in capsys.readouterr().err
+    asked = ("run", tmp_path / "campaign.toml", "--out", tmp_path / "results")
+    assert command(monkeypatch, *asked) == 0
+    said = capsys.readouterr()
+    assert "2 warnings" in said.out
+    assert "partial matrix" in said.out
+    assert "warning, " not in said.err
+    assert command(monkeypatch, *asked, "-v") == 0
+    assert capsys.readouterr().err.count("warning, ") == 2
 
 
 SWEEPS_LOBES = """

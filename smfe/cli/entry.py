@@ -1,0 +1,45 @@
+"""Where the command line begins and how it ends."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from smfe._version import __version__
+from smfe.cli import decide, files, measure, predict  # noqa: F401  (each registers its verbs)
+from smfe.cli.terminal import DONE, errors, out
+from smfe.cli.verb import GROUPS, STATUS, app
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        out.print(f"smfe {__version__}", highlight=False)
+        raise typer.Exit(DONE)
+
+
+app.registered_commands.sort(key=lambda command: GROUPS.index(str(command.rich_help_panel)))
+
+
+@app.callback(epilog=STATUS)
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Machine-tool dynamics: measured records -> compliance -> stability lobes -> chatter verdicts.
+
+    [bold]How deep may I cut, at which speed, and how sure are you?[/bold] Write what was measured
+    into a campaign file, then: smfe run campaign.toml
+    """
+
+
+def app_entry() -> None:
+    """Run the command line: the exit status says how it ended, see `smfe --help`."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        # Before a verb began or after it ended; a verb says itself what it keeps.
+        errors.print("smfe: interrupted", highlight=False)
+        sys.exit(130)

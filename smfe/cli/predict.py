@@ -1,0 +1,111 @@
+"""Verbs that predict: `lobes`, `simulate`, `demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smfe.cli.answer import run_outcome
+from smfe.cli.terminal import Outcome, Terminal
+from smfe.cli.verb import PREDICT, CampaignFile, any_files, campaign_files, verb
+
+
+@verb(
+    PREDICT,
+    gives="lobes.nc and lobe_table.csv: the limit depth over the spindle speed with its quantiles, for each "
+    "measurement that the campaign asks for.",
+    examples=["smfe lobes campaign.toml", "smfe lobes campaign.toml --frf results/frf.nc"],
+    keeps="nothing was written, and what was identified is kept beside the results",
+)
+def lobes(
+    terminal: Terminal,
+    campaign: CampaignFile,
+    frf: Annotated[
+        Path | None,
+        typer.Option(
+            help="Use these compliances instead of identifying.", show_default=False, autocompletion=any_files
+        ),
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file of the lobes.")] = Path("lobes.nc"),
+    table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
+) -> Outcome:
+    """Compute the stability lobes that a campaign asks for."""
+    import smfe
+    from smfe.results import Failures, unpack_warnings
+
+    failures: Failures = []
+    with terminal.bar() as progress:
+        results = smfe.lobes(campaign, output, table, frf, progress, failures)
+    lines, content, warnings = [], [], []
+    for r in results:
+        depth, speed = r.lobes["limit_depth"].values, r.lobes["spindle_speed"].values
+        low, high = int(depth.argmin()), int(depth.argmax())
+        lines.append(
+            f"{r.request}, {r.source}: limit {depth[low]:.3g} mm at {speed[low]:g} rpm (smallest) to "
+            f"{depth[high]:.3g} mm at {speed[high]:g} rpm (largest)"
+        )
+        content.append(
+            {
+                "lobes": r.request,
+                "source": r.source,
+                "smallest_limit_mm": float(depth[low]),
+                "smallest_at_rpm": float(speed[low]),
+                "largest_limit_mm": float(depth[high]),
+                "largest_at_rpm": float(speed[high]),
+            }
+        )
+        warnings += [f"{r.request}, {r.source}: {warning}" for warning in unpack_warnings(r.lobes)]
+    lines.append(f"written: {output}, {table}; next: smfe run {campaign} recommends a speed and a depth")
+    return Outcome(lines, {"output": str(output), "table": str(table), "limits": content}, warnings, failures)
+
+
+@verb(
+    PREDICT,
+    gives="records as instruments would have written them, the campaign file that reads them, and truth.nc.",
+    examples=["smfe simulate scenario.toml -o simulated", "smfe run simulated/campaign.toml"],
+)
+def simulate(
+    terminal: Terminal,
+    scenario: Annotated[
+        Path, typer.Argument(help="Scenario file (TOML).", show_default=False, autocompletion=campaign_files)
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for records and campaign file.")] = Path(
+        "simulated"
+    ),
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Records at a time; default: one a core.", show_default=False)
+    ] = None,
+) -> Outcome:
+    """Simulate the trials of a scenario; write their records and the campaign file that reads them."""
+    import smfe
+
+    notes: list[str] = []
+    with terminal.bar() as progress:
+        campaign = smfe.simulate(scenario, output, workers, progress, notes.append)
+    return Outcome([f"written: {campaign}; next: smfe run {campaign}"], {"campaign": str(campaign)}, notes)
+
+
+@verb(
+    PREDICT,
+    gives="a campaign with records under demo/, and its results: open demo/results/report.html.",
+    examples=["smfe demo", "smfe demo --out try --seed 1"],
+    keeps="records that are complete are kept",
+)
+def demo(
+    terminal: Terminal,
+    folder: Annotated[Path, typer.Option("--out", "-o", help="Folder for records, campaign file and results.")] = Path(
+        "demo"
+    ),
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the sensor noise; default: a fixed one.", show_default=False)
+    ] = None,
+) -> Outcome:
+    """Simulate a whole measuring campaign and run it."""
+    import smfe
+    from smfe.commands.demo import DEMO_SEED
+
+    with terminal.bar() as progress:
+        report_file = smfe.demo(folder, DEMO_SEED if seed is None else seed, progress)
+    return run_outcome(report_file)
