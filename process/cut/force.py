@@ -8,7 +8,8 @@ Frame: x feed, y normal to it, z tool axis away from the work, tool clockwise, t
     F on the tool   = [[-c, -sin k s, -cos k s], [s, -sin k c, -cos k c], [0, cos k, -sin k]] (F_t, F_r, F_a)
 
 so that ``F = a_p P (s, c, 1)^T (s, c, 1) Q d`` for a dynamic displacement d, with `force_projection` P and
-`chip_projection` Q. Source: Altintas, Manufacturing Automation; Altintas 2001 (three-dimensional form).
+`chip_projection` Q: :eq:`cutting-force`, :eq:`projections`. Source: Altintas, Manufacturing Automation; Altintas 2001
+(three-dimensional form).
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ class ProcessDamping:
     While an edge of length b cuts at the speed ``v_c = pi D n`` and moves into the work at ``v_n`` along its chip
     normal, its flank displaces material: ``F_r = C b v_n/v_c`` [N/m m = N] against ``v_n``, and ``mu F_r`` along the
     cutting speed. Small vibration: the equivalent linear damper, for both signs of ``v_n``. Source: Ahmadi & Altintas,
-    Int. J. Mach. Tools Manuf. 2011.
+    Int. J. Mach. Tools Manuf. 2011; :eq:`process-damping`.
 
     Parameters
     ----------
@@ -179,7 +180,8 @@ def gram_matrix(arc: AnyEngagement, order: int = 0) -> Complex:
 def directional_matrix(tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients, order: int = 0) -> Complex:
     """Return the Fourier coefficient of the directional matrix, ``A_r = N/(2 pi) P Gram_r Q``.
 
-    `order` r counts tooth passing harmonics; ``F = a_p A_0 (1 - exp(-j w T)) Phi F`` is the zero-order loop.
+    For r = 0 :eq:`directional-matrix`. `order` r counts tooth passing harmonics; ``F = a_p A_0 (1 - exp(-j w T)) Phi
+    F`` is the zero-order loop.
 
     Parameters
     ----------
@@ -224,7 +226,7 @@ def force_harmonics(
 ) -> Complex:
     """Return the harmonics of the static cutting force on a tool with equal teeth and no run-out.
 
-    ``F_h = (N/pi) integral f(phi) exp(-j h N phi) dphi`` with
+    This is :eq:`force-harmonics`, ``F_h = (N/pi) integral f(phi) exp(-j h N phi) dphi`` with
     ``f = a_p (f_z P (s^2, s c, s) + P_e (s, c, 1)/sin k)``; a helix multiplies harmonic h by the mean of
     ``exp(-j h N lag)`` over the depth, the lag being ``2 z tan(helix)/D``.
 

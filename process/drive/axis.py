@@ -5,7 +5,7 @@
     m_t x_t'' = F_tip - k (x_t - x_m) - c (x_t' - x_m')
     m_m x_m'' = k (x_t - x_m) + c (x_t' - x_m') + F_servo(t - tau) - f(x_m')
 
-Here the friction f is its slope sigma; `process.simulation.machine` takes the whole law.
+This is :eq:`axis`. Here the friction f is its slope sigma; `process.simulation.machine` takes the whole law.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ class Drive:
 
         ``Phi = (m_m s^2 + (c + sigma) s + k + G)/((m_t s^2 + c s + k)(m_m s^2 + (c + sigma) s + k + G) - (c s + k)^2)``
         with ``G = (s + Kv) Kp (1 + 1/(Ti s)) e^(-s tau)``: Eq. (4) of Franco et al. 2024 with the ``sigma s`` that its
-        printed numerator lacks, and with the dead time of its Eq. (2). Both are multiplied by s, so that s = 0 is good.
+        printed numerator lacks, and with the dead time of its Eq. (2), :eq:`tip-compliance`. Both are multiplied by s,
+        so that s = 0 is good.
         """
         s = np.asarray(s, dtype=np.complex128)
         joint = self.damping * s + self.stiffness
@@ -110,7 +111,7 @@ class Drive:
         return make_compliance(f, self.tip_compliance(f)[:, None, None], [axis], [axis])
 
     def open_loop(self, frequency: ArrayLike, delay: float | None = None) -> Complex:
-        """Return carriage position over drive force [m/N] at frequencies [Hz], Eq. (2).
+        """Return carriage position over drive force [m/N] at frequencies [Hz], Eq. (2) of the paper, :eq:`open-loop`.
 
         Parameters
         ----------

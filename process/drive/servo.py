@@ -26,7 +26,7 @@ class Servo:
     """Position controller Kv around a velocity controller Kp, Ti, with velocity feed-forward and dead time.
 
     ``F = Kp [e_v + (1/Ti) int e_v]``, ``e_v = a v_ref + Kv (x_ref - x) - x'``, applied `delay` later: Eq. (3) of
-    Franco et al. 2024 (JMMP 8/5/207), where the feed-forward a is 1 and there is no delay.
+    Franco et al. 2024 (JMMP 8/5/207), where the feed-forward a is 1 and there is no delay, :eq:`servo`.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ class CoulombViscous(_Step):
 
 @dataclass(frozen=True)
 class Andersson(FrictionLaw):
-    """Stribeck curve through a smooth sign (Andersson et al. 2007; Eq. 5 of Franco et al. 2024).
+    """Stribeck curve through a smooth sign (Andersson et al. 2007; Eq. 5 of Franco et al. 2024), :eq:`friction`.
 
     ``f(v) = [Fc + (Fs - Fc) exp(-(|v|/vs)^delta)] tanh(kt v) + sigma v``
 

@@ -117,7 +117,7 @@ def _scale(law: FrictionLaw) -> float:
 
 
 def equivalent_damping(law: FrictionLaw, feed: ArrayLike, amplitude: ArrayLike) -> Real:
-    """Return the equivalent damping c_eq(v0, V) of a law [N s/m].
+    """Return the equivalent damping c_eq(v0, V) of a law [N s/m], :eq:`equivalent-damping`, :eq:`coulomb-damping`.
 
     ``c_eq = 2/(pi V) int_0^pi f(v0 + V cos t) cos t dt`` by Gauss-Legendre quadrature on panels graded towards the
     passage through rest: some hundred evaluations of f, where the midpoint (Gauss-Chebyshev) rule needs 30 kt V of

@@ -5,8 +5,8 @@ the force f_p of its motion u_p: the velocity at a guideway, ``s_p = j w``, or t
 
     u_p(k w) = s_p(k w) (G_pe F delta_k1 - sum_q G_pq f_q(k w)),   x_t(k w) = G_te F delta_k1 - sum_q G_tq f_q(k w).
 
-A `reference` coefficient (force for a unit of u) may belong to the linear machine; the element resists with the rest.
-Convention exp(+j w t); phasors are peak values.
+This is :eq:`harmonic-balance`. A `reference` coefficient (force for a unit of u) may belong to the linear machine; the
+element resists with the rest. Convention exp(+j w t); phasors are peak values.
 """
 
 from __future__ import annotations

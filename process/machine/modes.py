@@ -22,7 +22,7 @@ HIGHEST_DAMPING = 0.999
 class ModalModel:
     """A linear machine seen from the tool: real modes with viscous damping.
 
-    The compliance is ``Phi(f) = sum_r u_r u_r^T / (k_r (1 - (f/f_r)^2 + 2 j zeta_r f/f_r))``.
+    The compliance is ``Phi(f) = sum_r u_r u_r^T / (k_r (1 - (f/f_r)^2 + 2 j zeta_r f/f_r))``, :eq:`modes`.
 
     Parameters
     ----------

@@ -8,10 +8,11 @@ lowest::
     d(1/(2 a)) = Re[(1 - j k/mu) d mu],                k = Re(mu') / (pi T - Im(mu'/mu))
 
 (the second term is the shift of the chatter frequency along the phase condition), and takes the minimum over these
-crossings, whose errors are correlated. Source: first-order perturbation of eigenvalues; theory 2.3.
+crossings, whose errors are correlated. Source: first-order perturbation of eigenvalues, :eq:`eigenvalue-change`.
 
 A limit is the lowest of many crossings, so that noise makes it too low on the average: the estimate once, its samples
-twice. Quantiles of the samples are therefore corrected for their median (Efron 1987, bias-corrected percentiles).
+twice. A common factor on the coefficients scales a limit by its inverse, :eq:`coefficient-error`. Quantiles of the
+samples are therefore corrected for their median (Efron 1987, bias-corrected percentiles).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Spectral chatter criterion: a peak that is no harmonic and exceeds half of the highest tooth harmonic.
 
-This is the rule of the paper. Added here, with the reason (theory 5):
+This is the rule of the paper, :eq:`chatter`. Added here, with the reason:
 
 - *Harmonic* means every spindle order: run-out alone puts lines of 0.3 of the tooth line on orders 1, 2, ... An order
   that is higher than the tooth harmonics takes their place in the ratio.

@@ -12,7 +12,7 @@ doublings (-1) exactly. A fold needs unequal pitch: with equal pitch a motion th
 
 Harmonics are added, twice as many and more each time, until the limit stands still; a set with which it does not is
 scanned over the whole range of w again. Nyquist's criterion then confirms that the cut is stable just below the limit.
-Source: Budak and Altintas 1998; Merdol and Altintas 2004; theory 2.4.
+Source: Budak and Altintas 1998; Merdol and Altintas 2004; :eq:`multi-frequency`.
 """
 
 from __future__ import annotations

@@ -5,9 +5,10 @@ n the feed is ``f_z N n``, and at a depth a the force level is that of the cut. 
 
     L(Phi(feed(n), level(a))) = a
 
-has as roots all depths at which stability changes: a cut at depth a is stable where ``a < L``. Between the measured
-conditions the complex compliance is interpolated linearly; outside them the nearest one is taken, and that is said.
-Each feed may have been measured at levels of its own: along the level it is interpolated first, then along the feed.
+(:eq:`operating-point`) has as roots all depths at which stability changes: a cut at depth a is stable where ``a < L``.
+Between the measured conditions the complex compliance is interpolated linearly; outside them the nearest one is taken,
+and that is said. Each feed may have been measured at levels of its own: along the level it is interpolated first, then
+along the feed.
 """
 
 from __future__ import annotations

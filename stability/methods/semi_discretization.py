@@ -1,8 +1,8 @@
 """Converged limits of a modal machine: the delay equation over one period, with the shift structure used.
 
-A machine ``q' = A q + B F``, ``r = C q`` cuts with ``F = a_p sum_j P s_j s_j^T Q (r(t) - r(t - T_j))``,
-``s_j = (sin phi_j, cos phi_j, 1)``, over the engaged teeth j. What has to be remembered from pass to pass is one number
-for each engaged tooth and node, the chip ``s^T Q r``: not the state over a whole delay.
+A machine ``q' = A q + B F``, ``r = C q`` cuts with ``F = a_p sum_j P s_j s_j^T Q (r(t) - r(t - T_j))``, ``s_j = (sin
+phi_j, cos phi_j, 1)``, over the engaged teeth j, :eq:`delay-equation`. What has to be remembered from pass to pass is
+one number for each engaged tooth and node, the chip ``s^T Q r``: not the state over a whole delay.
 
 - The period is cut at every entry and exit, so that all coefficients are smooth within an element; the force is a
   polynomial through Gauss nodes there, and its response an exact exponential: the error falls faster than any power

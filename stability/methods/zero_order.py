@@ -8,17 +8,17 @@ an eigenvalue ``mu`` of ``A0 Phi(f)`` and ``sigma = 1/mu``::
     T     = (theta + 2 pi k) / w,   n = 60 / (N T)          lobe k = 0, 1, 2, ...
 
 All three eigenvalues and all cross terms count. Depth is the axial depth a_p, not the edge length b. Source:
-Altintas and Budak 1995; Altintas 2001 (three dimensions); theory 2.3.
+Altintas and Budak 1995; Altintas 2001 (three dimensions); :eq:`regeneration`, :eq:`limit-depth`.
 
 With unequal pitch the factor ``1 - exp(-j w T)`` becomes its mean S(w) over the delays T_j of the teeth, ``1 = a_p S(w)
 mu(w)``, and the speed is no longer explicit: at each speed the frequency is scanned for real positive ``S mu`` (Budak
-2003; theory 2.4). The averaged equation is unreliable beyond the first crossing: islands there may not exist.
+2003). The averaged equation is unreliable beyond the first crossing: islands there may not exist.
 
 Process damping by the worn flank adds ``j w A_d/v_c`` to ``A0 (1 - exp(-j w T))``: each speed is scanned by itself
 (`stability.methods.zero_order_scan`).
 
 The mean directional matrix misses period doubling and parametric resonance: with few teeth in the cut, or
-with half the tooth passing frequency near a mode, the true limit can lie below (theory 2.5 d: by up to 32 %).
+with half the tooth passing frequency near a mode, the true limit can lie below (by up to 32 % in the reference cases).
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@ together; without such a contrast each condition by itself. A fold without which
 some combination of parameters tests nothing and is left away (known from the slopes, not from the residuals).
 
 Where no condition can be left out because each alone determines some parameter (idle and one feed, say), alternate
-blocks of the values of every condition are: that proves interpolation only, so that the gain asked for is larger.
+blocks of the values of every condition are: that proves interpolation only, so that the gain (:eq:`gain`) asked for is
+larger.
 
 The error before and after is the repeatable one: a misfit within the 99 % band of noise counts as none, and what then
 remains of it is what the uncertainty of the fitted parameters makes of the prediction, so that no gain is claimed

@@ -1,10 +1,10 @@
 """The verdict: consistent, named, ambiguous, unknown or insufficient data, each by a rule fixed beforehand.
 
-Named is a cause whose likelihood ratio passes the calibrated threshold, that leads every other cause by a calibrated
-margin, whose model leaves nothing but noise on held-out conditions and gains there by at least 1 dB however they are
-drawn, whose parameters are physical and agree between independent sources. Where more than noise is left the verdict is
-"unknown", and a lead counts only if the conditions share it (Vuong, Econometrica 57, 1989): a few that no model
-describes must not decide between two.
+Named is a cause whose likelihood ratio (:eq:`likelihood-ratio`) passes the calibrated threshold, that leads every other
+cause by a calibrated margin, whose model leaves nothing but noise on held-out conditions and gains there by at least 1
+dB however they are drawn, whose parameters are physical and agree between independent sources. Where more than noise is
+left the verdict is "unknown", and a lead counts only if the conditions share it (Vuong, Econometrica 57, 1989): a few
+that no model describes must not decide between two.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Mass that sits on the tool only to measure: an accelerometer, or the plate and frame between load cell and tool.
 
 What is measured is the machine with the mass, ``Phi' = (Phi^-1 - w^2 m)^-1`` with ``exp(+j w t)``; the machine without
-it is ``Phi = Phi' (1 + w^2 m Phi')^-1`` (Sherman and Morrison; for one direction ``H = H'/(1 + w^2 m H'_dd)``). It is
-exact for a rigid mass at the point where the force acts, whatever the damping. A mass m between load cell and tool does
-the same to a measured force, ``F_tool = F_measured - m a``, so that one correction serves both.
+it is ``Phi = Phi' (1 + w^2 m Phi')^-1`` (:eq:`attached-mass`; Sherman and Morrison; for one direction ``H = H'/(1 + w^2
+m H'_dd)``). It is exact for a rigid mass at the point where the force acts, whatever the damping. A mass m between load
+cell and tool does the same to a measured force, ``F_tool = F_measured - m a``, so that one correction serves both.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Average:
 
 
 def average(motion: Complex, force: Complex, estimator: str = "H1", noise_ratio: Real | None = None) -> Average:
-    """Average hits.
+    """Average hits, :eq:`averages`.
 
     ``H1 = S_XF/S_FF`` with ``S_XF = sum X conj(F)``: unbiased for noise on the response, low by ``S_nn/S_FF`` for noise
     on the force. ``H2 = S_XX/S_FX``: the other way round. ``Hv``: total least squares, the H that minimises ``sum

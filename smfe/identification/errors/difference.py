@@ -1,10 +1,11 @@
 """Whether two compliances of one machine differ by more than their noise, and whether one is reciprocal.
 
-With the difference d of n entries at a frequency and its covariance C, ``2 d^H C^-1 d`` of circular errors has the mean
-2 n (real and imaginary part). Averaged over frequency, it is compared with chi^2. Where the entries stand in rows, B,
-the blocks of the rows in C, takes the place of C: the mean of ``2 d^H B^-1 d`` does not depend on what rows share, so
-an estimate of that cannot spoil it; the scatter does: it is that of chi^2 with ``2 n^2/tr((B^-1 C)^2)`` degrees of
-freedom (Satterthwaite 1946). A C that is estimated from nu degrees of freedom makes the mean larger by nu/(nu - 2).
+With the difference d of n entries at a frequency and its covariance C, ``2 d^H C^-1 d`` of circular errors
+(:eq:`difference`) has the mean 2 n (real and imaginary part). Averaged over frequency, it is compared with chi^2. Where
+the entries stand in rows, B, the blocks of the rows in C, takes the place of C: the mean of ``2 d^H B^-1 d`` does not
+depend on what rows share, so an estimate of that cannot spoil it; the scatter does: it is that of chi^2 with ``2
+n^2/tr((B^-1 C)^2)`` degrees of freedom (Satterthwaite 1946). A C that is estimated from nu degrees of freedom makes the
+mean larger by nu/(nu - 2).
 
 Reciprocity compares ``Phi_ij`` with ``Phi_ji`` of one compliance; `symmetric` forces them to be equal.
 """

@@ -1,7 +1,7 @@
 """The funnel: every record becomes block spectra of force and displacement here, and only here.
 
 An acceleration becomes a displacement in this file (``X = -A/w^2``) and in no other, so that the conversion happens
-once for every method.
+once for every method, :eq:`compliance`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Weighted least squares at a frequency: the core that every sweep estimator shares.
 
 ``X = Phi F + noise`` with one column a line, segment or harmonic of a test. Rows of Phi are solved one by one because
-the noise of x, y and z differs; columns are weighted with the inverse noise level of their test.
+the noise of x, y and z differs; columns are weighted with the inverse noise level of their test: :eq:`sweep`,
+:eq:`sweep-covariance`.
 
 `solve`
     takes the columns themselves, by QR: for few of them, and where their noise is correlated (segments that overlap).
@@ -16,7 +17,7 @@ the noise of x, y and z differs; columns are weighted with the inverse noise lev
 
 Sources: theory of multiple-input least squares, ``Cov(Phi_i) = s_i^2 (F W F^H)^-1`` (Pintelon and Schoukens, System
 Identification, 2012); multiple coherence adjusted for the number of columns M and unknowns p,
-``1 - (1 - g2) M/(M - p)``, because M columns of pure noise have ``E[g2] = p/M``.
+``1 - (1 - g2) M/(M - p)`` (:eq:`adjusted-coherence`), because M columns of pure noise have ``E[g2] = p/M``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The default estimator of a sweep: whole-record transforms, local polynomials of several widths, a rational model.
 
-Over a band of neighbouring lines the compliance is a polynomial (Pintelon and Schoukens 2012, ch. 7): free of leakage
-at any sweep rate for a record that runs from rest to rest; otherwise a polynomial takes up the transient.
+Over a band of neighbouring lines the compliance is a polynomial (:eq:`local-polynomial`; Pintelon and Schoukens 2012,
+ch. 7): free of leakage at any sweep rate for a record that runs from rest to rest; otherwise a polynomial takes up the
+transient.
 
 Everything is one errors-in-variables least squares: columns are the lines of all passes, inputs are the forces, a
 transient for each pass that does not run from rest to rest, and what repeats with the spindle where an air cut was

@@ -1,8 +1,8 @@
 """Noise of the force channels: from the air before and after the cut, bounded by what the cut has between its lines.
 
-Noise on the inputs makes every least squares estimate too small, ``E[Phi_hat] = Phi (1 - N (F F^H)^-1)``. With N known
-it is subtracted from the normal equations (bias-compensated least squares: Stoica and Soderstrom 1982), in
-`least_squares.Equations.without_input_noise`; how well N is known is charged to the estimate.
+Noise on the inputs makes every least squares estimate too small, ``E[Phi_hat] = Phi (1 - N (F F^H)^-1)``,
+:eq:`attenuation`. With N known it is subtracted from the normal equations (bias-compensated least squares: Stoica and
+Soderstrom 1982), in `least_squares.Equations.without_input_noise`; how well N is known is charged to the estimate.
 
 What is quiet need not be air: a tool that still touches and a cut that fades have lines at the orders of the spindle,
 and noise lies between them, too. So N is a median over lines, of the quietest pieces, and at most what the cut itself

@@ -1,6 +1,6 @@
 """One axis, linear: Eqs. (2) and (4), poles, limits and stick-slip against reference numbers and other methods.
 
-Numbers marked as reference come from an independent program (theory.md, sections 2.5(b), 3.2 and 3.3).
+Numbers marked as reference come from an independent program (the same equations, another implementation).
 """
 
 import math

@@ -16,7 +16,7 @@ BACKWARDS = Andersson(38.7, 88.0, 421.0 * MM_MIN, 150.0, 15000.0)
 BOTH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0, negative=BACKWARDS)
 
 FEEDS = [0.0, 25.0, 50.0, 100.0, 250.0, 500.0, 1000.0]
-# theory.md 4.1, Andersson positive direction [N s/m]: amplitude [mm/min] -> a value for each feed.
+# Reference: Andersson positive direction [N s/m]: amplitude [mm/min] -> a value for each feed.
 REFERENCE = {
     1: [1.24e6, -5592, -5250, -4594, -3065, -1528, -298],
     20: [3.10e5, 3795, -5252, -4595, -3066, -1528, -299],
@@ -155,7 +155,7 @@ def test_the_curve_interpolates_the_quadrature() -> None:
 
 
 def test_the_bench_is_invariant_above_the_larger_of_both_criteria() -> None:
-    # theory.md 4.1: 2 F/(pi Kp) = 305 mm/min for 50 N and K2.
+    # 2 F/(pi Kp) = 305 mm/min for 50 N and K2.
     assert invariant_feed(Coulomb(44.2), 50.0, 6268.0, 1.0) / MM_MIN == pytest.approx(305, abs=1)
     # The slope of the Stribeck curve falls to a tenth of Kp where (Fs-Fc)/vs exp(-v/vs) = 0.1 Kp.
     vs = BENCH.stribeck_speed

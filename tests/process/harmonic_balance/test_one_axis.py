@@ -20,7 +20,7 @@ from process.harmonic_balance.quasi_frf import balanced, network, quasi_complian
 from process.machine.machine import Machine
 
 MM_MIN = 1.0 / 60e3
-# Tables 1 and 2 of the paper; the references of theory.md are without delay.
+# Tables 1 and 2 of the paper; the reference values are without delay.
 MOTOR, TIP, K, C = 23.1, 11.3, 1.68e6, 104.0
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)
 CONTROLLER = {
@@ -122,7 +122,7 @@ def test_viscous_friction_is_solved_exactly_by_one_harmonic() -> None:
     exact = [np.linalg.solve(2j * np.pi * f * np.eye(5) - a, b)[0] for f in GRID]
     np.testing.assert_allclose(result["compliance"].values[:, 0, 0], exact, rtol=1e-9)
     assert np.all(result["method"] == 0)
-    assert 1e6 * np.abs(exact).max() == pytest.approx(1.396, abs=1e-3)  # theory.md 3.3, viscous only
+    assert 1e6 * np.abs(exact).max() == pytest.approx(1.396, abs=1e-3)  # Reference: viscous only
 
 
 def test_a_small_force_is_answered_with_the_local_slope() -> None:

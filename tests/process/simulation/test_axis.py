@@ -1,6 +1,7 @@
 """The axis in time: linear limit, order of convergence, energy, and the hammer on the bench against reference numbers.
 
-Numbers marked as reference come from an independent program (theory.md, section 3.3): half-sine of 4 ms, 25 N peak,
+Numbers marked as reference come from an independent program, another implementation of the same equations: half-sine
+of 4 ms, 25 N peak,
 10 ms into a record of 4 s, peak of |X/F| from 30 to 120 Hz on a grid of 0.25 Hz.
 """
 

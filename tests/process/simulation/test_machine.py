@@ -1,6 +1,6 @@
 """A whole machine in time: closed forms of its linear part, reciprocity, energy, cuts, sampled servos, joints.
 
-Numbers marked as reference come from an independent program (theory.md, sections 2.5 and 4.5).
+Numbers marked as reference come from an independent program (the same equations, another implementation).
 """
 
 import itertools

@@ -86,7 +86,7 @@ def test_the_highest_harmonic_counts_even_when_it_is_not_the_first():
 
 
 def test_run_out_is_no_chatter():
-    # theory 5: with 40 um of run-out, orders 1 and 3 pass half of the tooth line
+    # Reference: with 40 um of run-out, orders 1 and 3 pass half of the tooth line
     found = judge(cut_record(runout=(9.0, 0.0, 7.0)))
     assert found.verdict == "stable"
     assert found.ratio < 0.05
@@ -164,7 +164,7 @@ def test_the_speed_is_found_in_the_record(error, chatter):
 
 
 def test_without_that_a_wrong_speed_is_no_chatter_but_an_open_question():
-    # theory 5: 0.3 % over 4 s would be a ratio of 0.5 and more
+    # Reference: 0.3 % over 4 s would be a ratio of 0.5 and more
     found = judge(cut_record(rpm=RPM * 1.003), speed_tolerance=0.0)
     assert found.verdict == "undecided"
     assert "a speed that varies" in found.reason
@@ -426,7 +426,7 @@ def test_period_doubling_of_an_odd_number_of_teeth_is_no_order_and_simply_seen()
 
 
 def test_chatter_within_a_mask_is_seen_where_the_speed_has_been_followed():
-    # theory 5: 1200 rpm, 62 Hz against order 3 at 60 Hz
+    # Reference: 1200 rpm, 62 Hz against order 3 at 60 Hz
     short = judge(cut_record([(62.0, 20.0)], rpm=1200, duration=1.6), rpm=1200)
     assert short.verdict == "chatter"
     assert "order 3" in short.reason
@@ -465,7 +465,7 @@ def test_noise_alone_is_neither():
 
 
 def test_the_quantity_matters_and_is_stated():
-    # theory 5: displacement over acceleration changes the ratio by (f_T/f_c)^2
+    # Displacement over acceleration changes the ratio by (f_T/f_c)^2
     record = cut_record([(63.07, 3.0)])
     acceleration = judge(record)
     displacement = judge(record, quantity="displacement")
@@ -505,7 +505,7 @@ def test_the_spectrum_is_there_to_be_drawn():
 )
 @pytest.mark.parametrize("runout", [pytest.param(0.0, marks=pytest.mark.slow), 20e-6])
 def test_verdict_of_a_simulated_cut_changes_at_the_limit(lab_slot, share, verdict, runout):
-    # 1500 rpm: limit 0.1604 mm, chatter at 63.07 Hz (theory 2.5 a). Below it the ideal slot has no tooth line and the
+    # 1500 rpm: limit 0.1604 mm, chatter at 63.07 Hz. Below it the ideal slot has no tooth line and the
     # table nearly rests: 0.06 m/s^2 of run-out is less than the floor, so that no more can be said than that.
     tool = Tool(50.8e-3, 4, runout=tuple(runout * np.cos(np.arange(4) * np.pi / 2 + 0.3)))
     cut = MillingCut(

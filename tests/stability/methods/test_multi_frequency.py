@@ -41,7 +41,7 @@ def test_classical_benchmark(make_case, every):
 
 @pytest.mark.parametrize(
     ("directions", "immersion", "expected"),
-    [  # theory 2.5 (c); a coarse set of harmonics misses the root at 18500 rpm and returns 25.8 mm
+    [  # Reference: a coarse set of harmonics misses the root at 18500 rpm and returns 25.8 mm
         (2, 1.0, {9000: 0.3462, 12000: 0.0849, 15000: 0.1144, 18500: 0.0493}),
         (2, 0.5, {9000: 0.9523, 12000: 0.2418, 15000: 0.2818, 18500: 0.1115}),
         (2, 0.05, {12000: 7.86, 15000: 1.6515}),

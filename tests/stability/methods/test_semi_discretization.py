@@ -76,7 +76,7 @@ def test_an_island_has_three_crossings(make_case):
 
 @pytest.mark.parametrize(
     ("directions", "immersion", "expected"),
-    [  # theory 2.5 (c)
+    [  # reference values
         (2, 1.0, {9000: 0.3462, 12000: 0.0849, 15000: 0.1145, 18500: 0.0493}),
         (2, 0.5, {9000: 0.9523, 12000: 0.2418, 15000: 0.2819, 18500: 0.1115}),
         (2, 0.05, {12000: 7.86, 15000: 1.6515}),
@@ -89,7 +89,7 @@ def test_two_dimensional_rows(make_case, directions, immersion, expected):
 
 
 def test_a_constant_directional_factor_makes_zero_order_exact(lab_slot):
-    # theory 2.5 (a): four straight teeth in a slot
+    # Reference: four straight teeth in a slot
     speeds = [800, 920, 1000, 1200, 1500, 1800, 2000, 2250, 2500, 3000]
     expected = [1.7516, 3.053, 0.2470, 0.1168, 0.1604, 0.3925, 0.7578, 1.4202, 2.2255, 4.1493]
     found = semi_discretization(lab_slot.machine, *lab_slot.cut, speeds)
@@ -142,7 +142,7 @@ def test_nearly_equal_pitch_is_nearly_the_same(make_case):
 
 @pytest.mark.parametrize(
     ("pitch", "simulated"),
-    [  # theory 2.4: time simulation of low order, 1 to 5 % low
+    [  # Reference: time simulation of low order, 1 to 5 % low
         ((90, 90, 90, 90), {1000: 0.247, 1200: 0.117, 1500: 0.159, 2000: 0.751}),
         ((80, 100, 80, 100), {1000: 0.333, 1200: 0.135, 1500: 0.173, 2000: 0.768}),
         ((70, 85, 95, 110), {1200: 0.157, 1500: 0.189, 2000: 0.826}),
@@ -165,7 +165,7 @@ def test_the_limit_of_unequal_pitch_lies_where_a_multiplier_leaves_the_unit_circ
 
 
 def test_the_averaged_island_of_unequal_pitch_is_not_there(lab_slot):
-    # theory 2.4: averaged, unstable from 0.57 to 1.36 mm; in time simulation lost between 2.5 and 4 mm
+    # Reference: averaged, unstable from 0.57 to 1.36 mm; in time simulation lost between 2.5 and 4 mm
     tool = replace(lab_slot.tool, pitch_angles=tuple(math.radians(p) for p in (70, 85, 95, 110)))
     bands = stability_bands(lab_slot.machine, tool, lab_slot.arc, lab_slot.coefficients, 1000, 4e-3)
     assert bands["stable"].tolist()[:2] == [True, False]
@@ -214,7 +214,7 @@ class ClosedLoop:
 
 @pytest.mark.parametrize(
     ("loop", "expected"),
-    [  # theory 2.5 (b); the table of gains is rounded, which moves a limit by up to 0.4 %
+    [  # Reference: the table of gains is rounded, which moves a limit by up to 0.4 %
         (ClosedLoop(3242, 21.2e-3, 23.5), [1.561, 2.722, 3.700, 3.034, 1.129, 1.137, 1.328, 1.734, 2.332]),
         (ClosedLoop(6268, 10.9e-3, 45.5), [1.922, 2.948, 3.858, 3.483, 1.646, 1.586, 1.760, 2.141, 2.693]),
         (ClosedLoop(18804, 3.6e-3, 136.6), [2.331, 1.485, 0.925, 0.732, 0.962, 1.433, 1.840, 2.436, 3.125]),

@@ -62,7 +62,7 @@ def test_many_teeth_in_two_arcs_make_zero_order_exact():
 
 @pytest.mark.parametrize(
     ("pitch", "expected"),
-    [  # theory 2.4, averaged equation
+    [  # Reference: averaged equation
         ((90, 90, 90, 90), {1000: 0.247, 1200: 0.117, 1500: 0.160, 2000: 0.758}),
         ((80, 100, 80, 100), {1000: 0.338, 1200: 0.137, 1500: 0.177, 2000: 0.793}),
         ((70, 85, 95, 110), {1000: 0.57, 1200: 0.165, 1500: 0.198, 2000: 0.835}),

@@ -38,7 +38,7 @@ def test_textbook_orthogonal_turning():
 
 
 def test_lab_slot_idle(lab_slot):
-    # theory 2.5 (a), confirmed there by semi-discretisation and time simulation
+    # Reference: confirmed there by semi-discretisation and time simulation
     speeds = [800, 920, 1000, 1200, 1500, 1800, 2000, 2250, 2500, 3000]
     expected = [1.7516, 3.053, 0.2470, 0.1168, 0.1604, 0.3925, 0.7578, 1.4202, 2.2255, 4.1493]
     lobes = zero_order(lab_slot.compliance(0.25, 400, 0.25), *lab_slot.cut, speeds)
@@ -63,7 +63,7 @@ CONTROLLERS = {  # K_p N s/m, T_i ms, K_v 1/s (paper, Table 2)
     "K3": (10590, 6.5, 76.9),
     "K4": (18804, 3.6, 136.6),
 }
-IN_MOTION = [  # theory 2.5 (b): controller, sigma [N s/m], delay [ms], a_min, limits at the speeds below
+IN_MOTION = [  # Reference: controller, sigma [N s/m], delay [ms], a_min, limits at the speeds below
     ("K1", 0, 0, 1.078, [1.561, 2.722, 3.700, 3.034, 1.129, 1.137, 1.328, 1.734, 2.332]),
     ("K2", 0, 0, 1.549, [1.922, 2.948, 3.858, 3.483, 1.646, 1.586, 1.760, 2.141, 2.693]),
     ("K3", 0, 0, 1.798, [2.267, 3.227, 4.078, 2.427, 1.816, 1.885, 2.092, 2.490, 3.035]),
@@ -100,7 +100,7 @@ def test_lab_slot_in_motion(lab_slot, controller, sigma, delay, smallest, expect
 
 @pytest.mark.parametrize(
     ("directions", "immersion", "expected"),
-    [  # theory 2.5 (c) and reference/README.md
+    [  # reference values
         (2, 1.0, {9000: 0.3064, 12000: 0.0820, 15000: 0.1171, 18500: 0.0493}),
         (2, 0.5, {9000: 0.8461, 12000: 0.2339, 15000: 0.2879, 18500: 0.1327}),
         (2, 0.05, {12000: 6.30, 15000: 1.643}),
