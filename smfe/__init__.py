@@ -1,9 +1,10 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
-`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`. Files are read by
-`read_campaign`, `read_record`, `read_records`, `read_blocks`, `read_reduced`. The methods alone, from records to a
-compliance with its uncertainty, are `hammer_compliance`, `actuator_compliance`, `sweep_compliance`.
+`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`. What a folder of
+results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`, `read_records`,
+`read_blocks`, `read_reduced`. The methods alone, from records to a compliance with its uncertainty, are
+`hammer_compliance`, `actuator_compliance`, `sweep_compliance`.
 
 `load_campaign`, `identify_hammer`, `identify_actuator` and `identify_sweep` are the former names of `read_campaign` and
 of the three methods; they go in a later release.
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
     from smfe.identification.sweep.sweep import identify_sweep
     from smfe.identification.sweep.sweep import identify_sweep as sweep_compliance
     from smfe.limits.campaign_lobes import LobeResult
+    from smfe.limits.recommendation import Recommendation
+    from smfe.limits.recommendation import recommendation_of as recommendation
     from smfe.modes.fit_modes import fit_modes
     from smfe.records import read_blocks, read_record, read_records, read_reduced
     from smfe.records.look import Look
@@ -67,6 +70,7 @@ __all__ = [
     "LobeResult",
     "LocalPolynomial",
     "Look",
+    "Recommendation",
     "Segments",
     "SingleReference",
     "SweepPass",
@@ -103,6 +107,7 @@ __all__ = [
     "read_record",
     "read_records",
     "read_reduced",
+    "recommendation",
     "report",
     "run",
     "simulate",
@@ -140,6 +145,7 @@ _HOMES = {
     "smfe.identification.sweep.segments": "Segments, SingleReference",
     "smfe.identification.sweep.sweep": "identify_sweep, identify_sweep as sweep_compliance",
     "smfe.limits.campaign_lobes": "LobeResult",
+    "smfe.limits.recommendation": "Recommendation, recommendation_of as recommendation",
     "smfe.modes.fit_modes": "fit_modes",
     "smfe.records": "read_blocks, read_record, read_records, read_reduced",
     "smfe.records.look": "Look",

@@ -10,7 +10,7 @@
 - `find_boundary`: the boundary of any scalar function of two named axes, with islands and every band.
 - `sampled_band`, `linearised_band`, `with_band`: quantiles of a limit and the depth that is safe; `Spread` for
   errors that the compliance does not hold.
-- `best_pockets`, `presets`, `write_presets`: the speeds at which most is removed, and presets for a tool library.
+- `best_pockets`, `write_presets`: the speeds at which most is removed, and presets for a tool library.
 - `design_pitch`: the unequal pitch that suits a mode and a speed.
 - `chatter_verdict`: stable, chatter or undecided, from the record of a cut.
 - `lobe_table`, `write_table`, `read_table`: tables for CAM.
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from stability.problem import Cut
     from stability.tables.lobe_table import LOBE_COLUMNS, lobe_table, read_table, write_table
     from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
-    from stability.tables.presets import PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets
+    from stability.tables.presets import PRESET_SCHEMA, read_presets, write_presets
 
 
 __all__ = [
@@ -71,7 +71,6 @@ __all__ = [
     "Cut",
     "LimitDepth",
     "PitchDesign",
-    "PresetContext",
     "SpindleRange",
     "Spread",
     "StationaryVibration",
@@ -90,7 +89,6 @@ __all__ = [
     "multi_frequency",
     "operating_point",
     "pointwise",
-    "presets",
     "read_presets",
     "read_table",
     "sampled_band",
@@ -122,7 +120,7 @@ _HOMES = {
     "stability.problem": "Cut",
     "stability.tables.lobe_table": "LOBE_COLUMNS, lobe_table, read_table, write_table",
     "stability.tables.pockets": "POCKET_COLUMNS, SpindleRange, best_pockets",
-    "stability.tables.presets": "PRESET_SCHEMA, PresetContext, presets, read_presets, write_presets",
+    "stability.tables.presets": "PRESET_SCHEMA, read_presets, write_presets",
 }
 """Module -> the names that it gives; `__all__` and the imports for the type checker say the same."""
 

@@ -426,6 +426,26 @@ class CuttingTest:
 
 
 @dataclass(frozen=True)
+class MachineLimits:
+    """What tool and machine can do, each None where the campaign does not say; SI.
+
+    Parameters
+    ----------
+    edge_length : float, optional
+        Usable length of the cutting edges [m], along the edge.
+    power, torque : float, optional
+        That the spindle gives all day [W, N m].
+    feed : float, optional
+        Greatest feed of the table [m/s].
+    """
+
+    edge_length: float | None = None
+    power: float | None = None
+    torque: float | None = None
+    feed: float | None = None
+
+
+@dataclass(frozen=True)
 class Campaign:
     """A campaign file, read and checked.
 
@@ -455,6 +475,10 @@ class Campaign:
         The simulation to be tested, where the campaign gives one.
     plan : PlanTable or None
         What a sweep may use, for `smfe plan`.
+    tool_name, machine : str
+        As the shop calls them; where it does not say, by diameter and teeth, and by the name of the campaign.
+    machine_limits : MachineLimits
+        What tool and machine can do.
     """
 
     path: Path
@@ -472,6 +496,9 @@ class Campaign:
     missing_coefficients: tuple[str, ...] = ()
     spindle: SpindleRange = field(default_factory=SpindleRange)
     plan: PlanTable | None = None
+    tool_name: str = ""
+    machine: str = ""
+    machine_limits: MachineLimits = field(default_factory=MachineLimits)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -590,7 +617,19 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         missing_coefficients=tuple(n for n in ("Krc", "Kac") if file.material and getattr(file.material, n) is None),
         spindle=file.spindle.build() if file.spindle else SpindleRange(),
         plan=file.plan,
+        tool_name=_tool_name(file.tool) if file.tool else "",
+        machine=(file.machine and file.machine.name) or file.campaign.name,
+        machine_limits=MachineLimits(
+            file.tool.edge_length if file.tool else None,
+            file.spindle.power if file.spindle else None,
+            file.spindle.torque if file.spindle else None,
+            file.machine.maximum_feed if file.machine else None,
+        ),
     )
+
+
+def _tool_name(table: schema.ToolTable) -> str:
+    return table.name or f"{1e3 * table.diameter:g} mm, {table.teeth} {'tooth' if table.teeth == 1 else 'teeth'}"
 
 
 def _baseline(table: Any) -> Baseline:

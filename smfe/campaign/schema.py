@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING
+from dataclasses import MISSING, fields
 from datetime import date, datetime
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -128,9 +128,11 @@ class CampaignTable(Table):
 class ToolTable(Table):
     """``[tool]``."""
 
+    name: StrictStr | None = None
     diameter: q.PositiveLength
     teeth: StrictInt
     approach_angle: q.Angle = math.pi / 2
+    edge_length: q.PositiveLength | None = None
     pitch_angles: tuple[q.Angle, ...] | None = None
     runout: tuple[q.Length, ...] | None = None
     helix_angle: q.Angle = 0.0
@@ -142,7 +144,7 @@ class ToolTable(Table):
 
     def build(self) -> Tool:
         """Return the tool."""
-        return Tool(**dict(self))
+        return Tool(**{f.name: getattr(self, f.name) for f in fields(Tool)})
 
 
 class MaterialTable(Table):
@@ -167,13 +169,22 @@ class MaterialTable(Table):
         return CuttingCoefficients(self.Ktc, self.Krc or 0.0, self.Kac or 0.0, self.Kte, self.Kre, self.Kae)
 
 
+class MachineTable(Table):
+    """``[machine]``: what it is called and how fast it feeds."""
+
+    name: q.Name | None = None
+    maximum_feed: Annotated[float, q.quantity("speed", above=0.0)] | None = None
+
+
 class SpindleTable(Table):
-    """``[spindle]``: what it can be set to."""
+    """``[spindle]``: what it can be set to, and what it can give all day."""
 
     minimum: q.Rotation | None = None
     maximum: q.Rotation | None = None
     step: q.Rotation | None = None
     accuracy: q.Share = 0.01
+    power: Annotated[float, q.quantity("power", above=0.0)] | None = None
+    torque: Annotated[float, q.quantity("torque", above=0.0)] | None = None
 
     @model_validator(mode="after")
     def _possible(self) -> SpindleTable:
@@ -596,6 +607,7 @@ class CampaignFile(Table, Generic[B]):
     measurement: tuple[MeasurementTable, ...] = ()
     model: tuple[ModelTable, ...] = ()
     baseline: B | None = None
+    machine: MachineTable | None = None
     spindle: SpindleTable | None = None
     lobes: tuple[LobesTable, ...] = ()
     cutting_test: tuple[CuttingTestTable, ...] = ()

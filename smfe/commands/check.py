@@ -18,8 +18,9 @@ from smfe.identification.compliances import labelled
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import condition_cubes, with_levels
 from smfe.identification.measurement import split_levels
-from smfe.limits.campaign_lobes import all_lobes, pockets_of
+from smfe.limits.campaign_lobes import all_lobes
 from smfe.limits.cutting_tests import judge_all
+from smfe.limits.recommendation import pockets_of
 from smfe.planning.search import Search
 from smfe.planning.task import load_task
 from smfe.progress import Progress, silent

@@ -9,7 +9,8 @@ from smfe.campaign import load_campaign
 from smfe.commands.identify import identify_all
 from smfe.identification.compliances import labelled
 from smfe.identification.levels import with_levels
-from smfe.limits.campaign_lobes import LobeResult, all_lobes, joined
+from smfe.limits.campaign_lobes import LobeResult, all_lobes
+from smfe.limits.lobe_files import joined
 from smfe.progress import Progress, silent
 from smfe.results import (
     KEPT,

@@ -43,8 +43,9 @@ from smfe.identification.drive.drives import (
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import file_hash
-from smfe.limits.campaign_lobes import LobeResult, all_lobes, write_lobes
+from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
+from smfe.limits.lobe_files import write_lobes
 from smfe.progress import Progress, silent
 from smfe.results import (
     KEPT,
@@ -165,7 +166,7 @@ def run(
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)
     write_csv(folder / "model_error.csv", errors)
-    write_lobes(folder, results, loaded, failures)
+    write_lobes(folder, results, loaded, verdicts.rows, failures)
     write_verdicts(folder, verdicts)
     if finding is None:
         (folder / "finding.json").unlink(missing_ok=True)

@@ -1,13 +1,11 @@
-"""Lobes that a campaign asks for: from compliances to limits, bands, pockets and presets."""
+"""Lobes that a campaign asks for: from compliances to limits and their bands."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import xarray as xr
 
@@ -16,29 +14,13 @@ from process.errors import InputError
 from process.labels import at_tool
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest
-from smfe.limits.cut_conditions import FIXED, sources_of, turned, turned_modes
+from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
 from smfe.limits.operating_conditions import over_conditions
 from smfe.modes.fit_modes import fit_modes, model_error
 from smfe.progress import Progress
-from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack, pack_warnings, write_csv, write_groups
-from stability import (
-    PresetContext,
-    Spread,
-    best_pockets,
-    carries_errors,
-    lobe_curves,
-    lobe_table,
-    operating_point,
-    presets,
-    sampled_band,
-    with_band,
-    write_presets,
-    write_table,
-)
+from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
+from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
 from stability.methods.catalogue import METHODS
-
-MADE = ("lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json")
-"""Files that lobes make."""
 
 _CURVES = {
     "spindle_speed": "spindle_speed_rpm",
@@ -65,18 +47,21 @@ class LobeResult:
         lobes as ``curve_*(point)``.
     table : pandas.DataFrame
         Rows of lobe_table.csv.
-    cut : str
-        Kind of cut.
-    maximum_depth : float or None
-        Greatest depth that can be cut [m].
+    asked : LobeRequest
+        Method and cut.
+    kind : str
+        How the source was measured ("hammer", "sweep", ...), or "model".
+    in_motion : bool
+        Whether an axis moved while it was measured.
     """
 
     request: str
     source: str
     lobes: xr.Dataset
     table: pd.DataFrame
-    cut: str = "down"
-    maximum_depth: float | None = None
+    asked: LobeRequest
+    kind: str
+    in_motion: bool = False
 
 
 def all_lobes(
@@ -119,7 +104,7 @@ def all_lobes(
             except InputError as error:
                 raise InputError(f"lobes {number}, {source}: {error}" if failures is None else str(error)) from error
             limits = limits.assign_attrs({k: v for k in FIXED if (v := getattr(of, k)) is not None})
-            out.append(_result(campaign, request, f"lobes_{number}", source, limits))
+            out.append(_result(campaign, request, f"lobes_{number}", of, limits))
     return out
 
 
@@ -231,8 +216,9 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     return limits.assign({f"curve_{n}": ("point", curves[c].to_numpy()) for n, c in _CURVES.items()})
 
 
-def _result(campaign: Campaign, request: LobeRequest, name: str, source: str, limits: xr.Dataset) -> LobeResult:
+def _result(campaign: Campaign, request: LobeRequest, name: str, of: Source, limits: xr.Dataset) -> LobeResult:
     assert campaign.tool is not None
+    source, kind = of.label, kind_of(campaign, of)
     table = lobe_table(limits, source, campaign.tool, request.width_of_cut, request.feed_per_tooth)
     notes = list(limits.attrs.pop("warnings", ()))
     if campaign.missing_coefficients:
@@ -245,66 +231,7 @@ def _result(campaign: Campaign, request: LobeRequest, name: str, source: str, li
         width_of_cut_mm=request.width_of_cut * 1e3,
         feed_per_tooth_mm=request.feed_per_tooth * 1e3,
         method=request.method,
+        kind=kind,
         feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )
-    return LobeResult(name, source, limits, table, request.cut, request.maximum_depth)
-
-
-def joined(results: Sequence[LobeResult]) -> pd.DataFrame:
-    """Return the rows of all tables."""
-    return pd.concat([r.table for r in results], ignore_index=True)
-
-
-def write_lobes(
-    folder: Path, results: Sequence[LobeResult], campaign: Campaign, failures: Failures | None = None
-) -> None:
-    """Write the files of `MADE`, or remove those of an earlier run when there are no lobes.
-
-    The attribute ``failures`` of ``lobes.nc`` says which requests failed; where all did, this is all that it holds.
-    """
-    missing = pack(f for f in failures or () if f.part == LOBES)
-    if not results:
-        for name in MADE:
-            (folder / name).unlink(missing_ok=True)
-        if missing:
-            write_groups(folder / "lobes.nc", {}, missing)
-        return
-    write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results}, missing)
-    write_table(joined(results), folder / "lobe_table.csv")
-    found = []
-    for r in results:
-        with attempt(failures, "pockets", f"{r.request}, {r.source}"):
-            found.append((r, pockets_of(r, campaign)))
-    if not found:
-        for name in ("pockets.csv", "presets.json"):
-            (folder / name).unlink(missing_ok=True)
-        return
-    write_csv(folder / "pockets.csv", pd.concat([p.assign(request=r.request) for r, p in found], ignore_index=True))
-    write_presets(_presets(found, campaign), folder / "presets.json")
-
-
-def pockets_of(result: LobeResult, campaign: Campaign) -> pd.DataFrame:
-    """Return the best pockets of one result; speeds without a limit count only up to the maximum depth, if given."""
-    table = result.table
-    if result.maximum_depth is None:
-        table = table[np.isfinite(table["limit_depth_mm"].to_numpy(float))]
-    return best_pockets(table, spindle=campaign.spindle, maximum_depth=result.maximum_depth)
-
-
-def _presets(found: Sequence[tuple[LobeResult, pd.DataFrame]], campaign: Campaign) -> dict[str, object]:
-    assert campaign.tool is not None
-    title = f"{1e3 * campaign.tool.diameter:g} mm, {campaign.tool.teeth} teeth"
-    documents = [
-        presets(
-            pockets,
-            PresetContext(
-                campaign.tool,
-                title,
-                campaign.material or "work material",
-                result.cut,
-                result.lobes.attrs.get("safe_probability"),
-            ),
-        )
-        for result, pockets in found
-    ]
-    return {**documents[0], "presets": [p for d in documents for p in d["presets"]]}
+    return LobeResult(name, source, limits, table, request, kind, in_motion(campaign, of))

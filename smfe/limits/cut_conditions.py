@@ -23,6 +23,9 @@ from stability.problem import partial_warning
 SEVERAL = " + "
 """Between the names of measurements that make one source."""
 
+MODEL = "model"
+"""Kind of a source that was declared instead of measured."""
+
 ALIKE = math.radians(5.0)
 """Angle below which two directions of a feed are one [rad]."""
 
@@ -77,6 +80,22 @@ def sources_of(campaign: Campaign, request: LobeRequest) -> list[Source]:
         label = ", ".join([SEVERAL.join(n for n in request.measurements if n in names), *said])
         out.append(Source(names, label.replace("/", " per "), *kind))
     return out
+
+
+def kind_of(campaign: Campaign, source: Source) -> str:
+    """Return how a source was measured, several methods joined by " + "; "model" where it was not."""
+    methods = {m.name: m.method for m in campaign.measurements}
+    return SEVERAL.join(dict.fromkeys(methods.get(name, MODEL) for name in source.names))
+
+
+def in_motion(campaign: Campaign, source: Source) -> bool:
+    """Return whether an axis moved while a source was measured: it states a feed, or was measured by cutting."""
+    for m in campaign.measurements:
+        if m.name in source.names:
+            feeds = [m.feed, *(entry.feed for entry in m.records)]
+            if m.method == "sweep" or any(any((feed or {}).values()) for feed in feeds):
+                return True
+    return False
 
 
 def _varies(key: str, kinds: Sequence[tuple[str | None, ...]]) -> bool:

@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
-from process.cut.tool import Tool
 from process.errors import InputError
 from stability.tables.lobe_table import write_whole
 
 FORMAT = "smfe-presets"
-VERSION = 1
+VERSION = 2
 
 _POSITIVE = {"type": "number", "exclusiveMinimum": 0}
+_UNKNOWN = {"type": ["number", "null"], "exclusiveMinimum": 0}
 _TEXT = {"type": "string", "minLength": 1}
 _SHARE = {"type": ["number", "null"], "exclusiveMinimum": 0, "exclusiveMaximum": 1}
 
@@ -42,125 +39,69 @@ _TOOL = _object(
         "teeth": {"type": "integer", "minimum": 1},
         "approach_angle_deg": _POSITIVE,
     },
-    {"pitch_angles_deg": {"type": "array", "items": _POSITIVE}, "helix_angle_deg": _POSITIVE},
+    {
+        "pitch_angles_deg": {"type": "array", "items": _POSITIVE},
+        "helix_angle_deg": _POSITIVE,
+        "edge_length_mm": _POSITIVE,
+    },
 )
 
-_PRESET = _object(
-    {
-        "name": _TEXT,
-        "tool": _TOOL,
-        "material": _TEXT,
-        "cut": {"enum": ["down", "up", "central"]},
-        "spindle_speed_rpm": _POSITIVE,
-        "depth_of_cut_mm": _POSITIVE,
-        "width_of_cut_mm": _POSITIVE,
-        "feed_per_tooth_mm": _POSITIVE,
-        "feed_mm_min": _POSITIVE,
-        "removal_rate_cm3_min": _POSITIVE,
-        "safe_probability": _SHARE,
-        "source": _TEXT,
-    },
-    {"stable_from_rpm": _POSITIVE, "stable_to_rpm": _POSITIVE},
-)
+
+def _operating_point(status: list[str], number: dict[str, Any]) -> dict[str, Any]:
+    return _object(
+        {
+            "status": {"enum": status},
+            "spindle_speed_rpm": number,
+            "speed_from_rpm": number,
+            "speed_to_rpm": number,
+            "depth_of_cut_mm": number,
+            "limit_depth_mm": _UNKNOWN,
+            "limit_depth_p05_mm": _UNKNOWN,
+            "limit_depth_p95_mm": _UNKNOWN,
+            "width_of_cut_mm": _POSITIVE,
+            "feed_per_tooth_mm": _POSITIVE,
+            "feed_mm_min": number,
+            "cutting_speed_m_min": number,
+            "removal_rate_cm3_min": number,
+            "probability": _SHARE,
+            "chatter_frequency_Hz": _UNKNOWN,
+            "lobes": _TEXT,
+            "method": _TEXT,
+            "cut": {"enum": ["down", "up", "central"]},
+            "source": _TEXT,
+            "reason": _TEXT,
+            "assumptions": {"type": "array", "items": _TEXT},
+            "tool": _TOOL,
+            "material": _TEXT,
+            "machine": _TEXT,
+        }
+    )
+
+
+RECOMMENDED, LIMIT_ONLY, NONE = "recommended", "limit_only", "none"
+"""A depth to cut with; a limit whose uncertainty is not known, and therefore no depth; nothing that can be cut."""
+
+_ANSWER = _operating_point([RECOMMENDED, LIMIT_ONLY, NONE], _UNKNOWN)
 
 PRESET_SCHEMA: dict[str, Any] = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
-    "title": "Operating points of milling tools",
+    "title": "Operating points of a milling tool",
     **_object(
-        {"format": {"const": FORMAT}, "version": {"const": VERSION}, "presets": {"type": "array", "items": _PRESET}}
+        {
+            "format": {"const": FORMAT},
+            "version": {"const": VERSION},
+            "recommendation": _ANSWER,
+            "recommendations": {"type": "array", "items": _ANSWER},
+            "presets": {"type": "array", "items": _operating_point([RECOMMENDED], _POSITIVE)},
+        }
     ),
 }
-"""The form of a file of presets. ``safe_probability`` is null where the depth is a limit without margin."""
+"""The form of a file of presets.
 
-
-@dataclass(frozen=True)
-class PresetContext:
-    """What pockets do not know about themselves.
-
-    Parameters
-    ----------
-    tool : Tool
-        Tool of the cut.
-    tool_name, material : str
-        As the shop calls them.
-    cut : {"down", "up", "central"}
-        Kind of cut.
-    safe_probability : float or None
-        With which the safe depths of the table are stable; None when it has none.
-    """
-
-    tool: Tool
-    tool_name: str
-    material: str
-    cut: str
-    safe_probability: float | None = None
-
-
-def presets(pockets: pd.DataFrame, context: PresetContext) -> dict[str, Any]:
-    """Return pockets as presets, in the form of `PRESET_SCHEMA`.
-
-    Parameters
-    ----------
-    pockets : pandas.DataFrame
-        From `stability.best_pockets`.
-    context : PresetContext
-        Tool, material and cut.
-
-    Raises
-    ------
-    InputError
-        When a name is empty, the cut is unknown, or a depth is called safe without a probability.
-    """
-    for what, text in (("tool", context.tool_name), ("material", context.material)):
-        if not text.strip():
-            raise InputError(f"the {what} has no name; a preset needs one")
-    found = [_preset(row, context) for row in pockets.to_dict("records") if row["safe_depth_mm"] > 0.0]
-    return check_presets({"format": FORMAT, "version": VERSION, "presets": found})
-
-
-def _preset(row: dict[Any, Any], context: PresetContext) -> dict[str, Any]:
-    safe = row["basis"] == "safe_depth"
-    if safe and context.safe_probability is None:
-        raise InputError(
-            f"the depths of '{row['source']}' are safe depths, but with which probability is not said; give "
-            "safe_probability"
-        )
-    numbers = {name: _short(row[name]) for name in ("width_of_cut_mm", "feed_per_tooth_mm", "feed_mm_min")}
-    return {
-        "name": f"{context.tool_name}, {context.material}, {row['spindle_speed_rpm']:.6g} rpm, {context.cut}",
-        "tool": _tool(context),
-        "material": context.material,
-        "cut": context.cut,
-        "spindle_speed_rpm": _short(row["spindle_speed_rpm"]),
-        # Never rounded up: the depth is a limit.
-        "depth_of_cut_mm": math.floor(1e3 * row["safe_depth_mm"]) / 1e3 or _short(row["safe_depth_mm"]),
-        **numbers,
-        "removal_rate_cm3_min": _short(row["removal_rate_cm3_min"]),
-        "safe_probability": context.safe_probability if safe else None,
-        "source": row["source"],
-        "stable_from_rpm": _short(row["from_rpm"]),
-        "stable_to_rpm": _short(row["to_rpm"]),
-    }
-
-
-def _tool(context: PresetContext) -> dict[str, Any]:
-    tool = context.tool
-    out: dict[str, Any] = {
-        "name": context.tool_name,
-        "diameter_mm": _short(1e3 * tool.diameter),
-        "teeth": tool.teeth,
-        "approach_angle_deg": _short(math.degrees(tool.approach_angle)),
-    }
-    if not tool.equal_pitch:
-        out["pitch_angles_deg"] = [_short(math.degrees(p)) for p in tool.pitch_angles or ()]
-    if tool.helix_angle > 0.0:
-        out["helix_angle_deg"] = _short(math.degrees(tool.helix_angle))
-    return out
-
-
-def _short(value: float) -> float:
-    """Return a number with six digits: more is not known."""
-    return float(f"{value:.6g}")
+``recommendation`` is the one answer, ``recommendations`` holds one for each request of the campaign, and ``presets``
+every pocket that can be cut, best first within each request and source. The numbers of a limit are null where there is
+no limit, or where it is not known how sure it is; ``probability`` is null where no depth is given.
+"""
 
 
 def write_presets(document: dict[str, Any], path: str | Path) -> Path:
@@ -187,7 +128,7 @@ def read_presets(path: str | Path) -> dict[str, Any]:
         raise InputError(f"there is no file '{file}'")
     try:
         return check_presets(json.loads(file.read_text(encoding="utf-8")))
-    except json.JSONDecodeError as error:
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"'{file}' is not JSON: {error}") from error
 
 

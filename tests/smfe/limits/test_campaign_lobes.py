@@ -1,16 +1,15 @@
-"""Lobes of a campaign: every method, its band, pockets and presets, through the campaign file."""
+"""Lobes of a campaign: every method and its band, through the campaign file."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from smfe.campaign import load_campaign
-from smfe.limits.campaign_lobes import all_lobes, write_lobes
+from smfe.limits.campaign_lobes import all_lobes
 from smfe.progress import silent
-from stability import Cut, read_presets
+from stability import Cut
 
 HEAD = """
 [campaign]
@@ -83,21 +82,6 @@ def test_uncertain_coefficients_move_a_single_mode_as_its_directional_factor(tmp
         # 200 samples know their 5 % quantile to 0.15 standard deviations.
         assert abs(ratio[0] - np.quantile(factor, level)) < 0.5 * np.std(factor)
     assert np.all(result.table["safe_depth_mm"] <= result.table["limit_depth_mm"])
-
-
-@pytest.mark.parametrize("method", ["zero_order", "multi_frequency"])
-def test_pockets_and_presets_stand_beside_the_table_and_keep_to_the_spindle(tmp_path, method):
-    loaded = campaign(tmp_path, method, model="uncertainty = { frequency = 0.005, damping = 0.2, stiffness = 0.05 }")
-    write_lobes(tmp_path, lobes_of(loaded), loaded)
-    pockets = pd.read_csv(tmp_path / "pockets.csv")
-    assert len(pockets) >= 1
-    assert pockets["spindle_speed_rpm"].between(4000.0, 11000.0).all()
-    np.testing.assert_allclose(pockets["spindle_speed_rpm"] % 100.0, 0.0, atol=1e-9)
-    table = pd.read_csv(tmp_path / "lobe_table.csv")
-    assert pockets["safe_depth_mm"].max() <= table["safe_depth_mm"].max()
-    presets = read_presets(tmp_path / "presets.json")["presets"]
-    assert {p["safe_probability"] for p in presets} == {0.95}
-    assert [p["spindle_speed_rpm"] for p in presets] == list(pockets["spindle_speed_rpm"])
 
 
 def test_semi_discretisation_takes_the_modes_that_fit_a_measured_compliance(tmp_path):

@@ -1,6 +1,5 @@
-"""Best pockets of a table, and presets for a tool library."""
+"""Best pockets of a table."""
 
-import json
 import math
 
 import numpy as np
@@ -9,11 +8,9 @@ import pytest
 from process.cut.tool import Tool
 from process.errors import InputError
 from stability import lobe_table, zero_order
-from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
-from stability.tables.presets import PRESET_SCHEMA, PresetContext, check_presets, presets, read_presets, write_presets
+from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets, rounded_down
 
 TOOL = Tool(80e-3, 2, math.pi / 4)
-CONTEXT = PresetContext(TOOL, "face mill 80", "C45", "down", 0.95)
 
 
 @pytest.fixture
@@ -27,11 +24,16 @@ def test_the_best_pocket_is_where_the_most_is_removed(table):
     found = best_pockets(table, spindle=SpindleRange(accuracy=0.0))
     assert tuple(found.columns) == POCKET_COLUMNS
     rate = table["safe_depth_mm"] * table["width_of_cut_mm"] * table["feed_mm_min"] / 1e3
-    best = found.iloc[0]
-    assert best["spindle_speed_rpm"] == table["spindle_speed_rpm"][rate.argmax()]
-    assert best["removal_rate_cm3_min"] == pytest.approx(rate.max())
+    inside = found[~found["at_edge"]]
+    best, flank = found.iloc[0], table["spindle_speed_rpm"] > 1200.0
+    # The largest removal rate of all lies on a flank that ends with the range.
+    assert rate.argmax() == len(table) - 1
+    assert best["spindle_speed_rpm"] == table["spindle_speed_rpm"][rate[~flank].idxmax()]
+    assert best["removal_rate_cm3_min"] == pytest.approx(
+        best["depth_of_cut_mm"] * best["width_of_cut_mm"] * best["feed_mm_min"] / 1e3
+    )
     assert best["depth_gain"] == pytest.approx(best["safe_depth_mm"] / table["safe_depth_mm"].min())
-    assert found["removal_rate_cm3_min"].is_monotonic_decreasing
+    assert inside["removal_rate_cm3_min"].is_monotonic_decreasing
     assert found["rank"].tolist() == list(range(1, len(found) + 1))
 
 
@@ -40,9 +42,9 @@ def test_a_pocket_is_safe_at_every_speed_that_the_spindle_may_turn(table):
         for row in best_pockets(table, spindle=SpindleRange(accuracy=accuracy)).itertuples():
             near = (table["spindle_speed_rpm"] / row.spindle_speed_rpm - 1.0).abs() <= accuracy
             assert row.safe_depth_mm <= table["safe_depth_mm"][near].min()
-            held = table["spindle_speed_rpm"].between(row.from_rpm, row.to_rpm)
-            assert (table["safe_depth_mm"][held] >= row.safe_depth_mm * (1 - 1e-9)).all()
-            assert row.from_rpm <= row.spindle_speed_rpm <= row.to_rpm
+            held = table["spindle_speed_rpm"].between(row.speed_from_rpm, row.speed_to_rpm)
+            assert (table["safe_depth_mm"][held] >= row.depth_of_cut_mm * (1 - 1e-9)).all()
+            assert row.speed_from_rpm <= row.spindle_speed_rpm <= row.speed_to_rpm
 
 
 def test_limits_and_steps_of_the_spindle_are_honoured(table):
@@ -66,10 +68,46 @@ def test_ripple_makes_no_pocket(table):
     np.testing.assert_allclose(one["spindle_speed_rpm"], other["spindle_speed_rpm"], atol=10.0)
 
 
-def test_without_a_safe_depth_the_limit_is_used_and_named(table):
+def test_without_a_safe_depth_the_pocket_is_that_of_the_limit_and_no_depth_is_given(table):
     found = best_pockets(table.assign(safe_depth_mm=np.nan), 1, SpindleRange(accuracy=0.0))
     assert found["basis"].tolist() == ["limit_depth"]
-    assert found["safe_depth_mm"][0] == found["limit_depth_mm"][0]
+    assert found["limit_depth_mm"][0] > 0.0
+    assert found[["depth_of_cut_mm", "safe_depth_mm", "removal_rate_cm3_min"]].isna().all(axis=None)
+
+
+def test_an_end_of_the_range_never_ranks_above_a_pocket_inside(table):
+    for top in (1000.0, 1200.0, 1400.0, 1595.0):
+        found = best_pockets(table[table["spindle_speed_rpm"] <= top], 9)
+        assert found["at_edge"].is_monotonic_increasing
+        assert not found["at_edge"][0]
+    # Rising to the end, with no pocket inside: then the end is all there is, and named.
+    flank = table[table["spindle_speed_rpm"].between(1300.0, 1595.0)]
+    assert best_pockets(flank)["at_edge"].tolist() == [True]
+
+
+def test_depths_are_rounded_down_and_whole_tenths_stay(table):
+    np.testing.assert_array_equal(
+        rounded_down(np.array([15.751, 0.09, 0.3, 20.0, 1.2 - 1e-12])), [15.7, 0, 0.3, 20, 1.2]
+    )
+    for row in best_pockets(table).itertuples():
+        assert 0.0 <= row.safe_depth_mm - row.depth_of_cut_mm < 0.1
+        assert row.removal_rate_cm3_min == pytest.approx(
+            row.depth_of_cut_mm * row.width_of_cut_mm * row.feed_mm_min / 1e3
+        )
+
+
+def test_each_of_the_speeds_of_a_shop_is_a_candidate_and_none_an_edge(table):
+    shop = np.array([500.0, 700.0, 850.0, 1500.0])
+    found = best_pockets(table, 9, SpindleRange(accuracy=0.0, maximum=1450.0), speeds=shop)
+    assert set(found["spindle_speed_rpm"]) == {500.0, 700.0, 850.0}
+    assert not found["at_edge"].any()
+    assert found["removal_rate_cm3_min"].is_monotonic_decreasing
+
+
+def test_a_ceiling_that_falls_with_the_speed_is_kept_everywhere(table):
+    power = 3.0  # [m rpm]
+    for row in best_pockets(table, 5, maximum_depth=lambda n: power / n).itertuples():
+        assert row.depth_of_cut_mm <= 1e3 * power / row.spindle_speed_rpm
 
 
 def test_a_speed_without_limit_needs_a_greatest_depth(table):
@@ -89,63 +127,9 @@ def test_each_source_has_its_own_pockets(table):
     np.testing.assert_allclose(found["safe_depth_mm"][2:].to_numpy(), 2 * found["safe_depth_mm"][:2].to_numpy())
 
 
-def test_presets_hold_what_the_pockets_say_and_come_back(table, tmp_path):
-    pockets = best_pockets(table, 2)
-    document = presets(pockets, CONTEXT)
-    assert read_presets(write_presets(document, tmp_path / "presets.json")) == document
-    for preset, row in zip(document["presets"], pockets.itertuples(), strict=True):
-        assert preset["spindle_speed_rpm"] == row.spindle_speed_rpm
-        assert row.safe_depth_mm - 1e-3 <= preset["depth_of_cut_mm"] <= row.safe_depth_mm
-        feed = preset["feed_per_tooth_mm"] * preset["tool"]["teeth"] * preset["spindle_speed_rpm"]
-        assert preset["feed_mm_min"] == pytest.approx(feed)
-        assert preset["safe_probability"] == 0.95
-        assert preset["source"] == "model"
-
-
-def test_presets_have_the_published_form(table):
-    jsonschema = pytest.importorskip("jsonschema")
-    tool = Tool(80e-3, 2, math.pi / 4, pitch_angles=(math.radians(170.0), math.radians(190.0)))
-    document = presets(best_pockets(table), PresetContext(tool, "mill", "C45", "up", 0.9))
-    jsonschema.Draft202012Validator.check_schema(PRESET_SCHEMA)
-    jsonschema.validate(json.loads(json.dumps(document)), PRESET_SCHEMA)
-    assert document["presets"][0]["tool"]["pitch_angles_deg"] == [170.0, 190.0]
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (lambda p: p.pop("material"), "the file.presets.0. has no 'material'"),
-        (lambda p: p.update(colour="red"), "has 'colour', which is not known"),
-        (lambda p: p.update(spindle_speed_rpm="1000"), "spindle_speed_rpm is '1000'; number is needed"),
-        (lambda p: p.update(depth_of_cut_mm=0), "depth_of_cut_mm is 0; it must be above 0"),
-        (lambda p: p.update(cut="side"), "cut is 'side'; it must be one of down, up, central"),
-        (lambda p: p.update(safe_probability=1.0), "safe_probability is 1; it must be above 0 and below 1"),
-        (lambda p: p["tool"].update(teeth=0), "tool.teeth is 0"),
-        (lambda p: p.update(source=""), "source is empty"),
-    ],
-)
-def test_presets_of_another_form_are_refused_as_the_schema_does(table, change, sentence):
-    document = presets(best_pockets(table), CONTEXT)
-    change(document["presets"][0])
-    with pytest.raises(InputError, match=sentence):
-        check_presets(document)
-    jsonschema = pytest.importorskip("jsonschema")
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(document, PRESET_SCHEMA)
-
-
-def test_what_makes_no_pocket_or_preset_is_refused(table, tmp_path):
+def test_what_makes_no_pocket_is_refused(table):
     with pytest.raises(InputError, match="0 pockets"):
         best_pockets(table, 0)
     for bad in ({"minimum": 5.0, "maximum": 4.0}, {"step": 0.0}, {"accuracy": 1.0}):
         with pytest.raises(InputError, match="spindle"):
             SpindleRange(**bad)
-    with pytest.raises(InputError, match="with which probability is not said"):
-        presets(best_pockets(table), PresetContext(TOOL, "mill", "C45", "down"))
-    with pytest.raises(InputError, match="the material has no name"):
-        presets(best_pockets(table), PresetContext(TOOL, "mill", " ", "down"))
-    with pytest.raises(InputError, match="there is no file"):
-        read_presets(tmp_path / "none.json")
-    (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(InputError, match="is not JSON"):
-        read_presets(tmp_path / "bad.json")
