@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,6 +140,19 @@ def known(unit: str, dimension: str) -> bool:
     return _canonical(unit) in UNITS[dimension]
 
 
+_NUMBERS: ContextVar[bool] = ContextVar("numbers are SI", default=False)
+
+
+@contextmanager
+def numbers_are_si() -> Iterator[None]:
+    """Let `parse` take plain numbers, as SI, inside the block: a program knows its units, a file must state them."""
+    token = _NUMBERS.set(True)
+    try:
+        yield
+    finally:
+        _NUMBERS.reset(token)
+
+
 def parse(text: str, dimension: str) -> float:
     """Turn a quantity written as text into SI.
 
@@ -159,6 +174,8 @@ def parse(text: str, dimension: str) -> float:
         When there is no number, no unit, the unit is of another dimension, or the number is too large to be held.
     """
     if not isinstance(text, str):
+        if _NUMBERS.get() and isinstance(text, int | float) and not isinstance(text, bool):
+            return float(text)
         raise InputError(f"{text!r} has no unit; write it as text with a unit, e.g. {_example(dimension)}")
     match = _NUMBER.match(text)
     if match is None:

@@ -1,7 +1,8 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
-`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`. What a folder of
+`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`. They take paths, or
+objects in memory, which `record`, `compliance`, `Tool` and `CuttingCoefficients` make of arrays. What a folder of
 results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`, `read_records`,
 `read_blocks`, `read_reduced`. The methods alone, from records to a compliance with its uncertainty, are
 `hammer_compliance`, `actuator_compliance`, `sweep_compliance`.
@@ -17,7 +18,12 @@ from process._lazy import lazy
 from smfe._version import __version__
 
 if TYPE_CHECKING:
+    from process.cut.force import CuttingCoefficients
+    from process.cut.tool import Tool
     from process.errors import InputError
+    from process.machine.modes import ModalModel
+    from smfe.arrays.compliances import compliance
+    from smfe.arrays.records import record
     from smfe.campaign import Campaign, load_campaign
     from smfe.campaign import load_campaign as read_campaign
     from smfe.commands.chatter import chatter
@@ -57,7 +63,8 @@ if TYPE_CHECKING:
     from smfe.limits.campaign_lobes import LobeResult
     from smfe.limits.recommendation import Recommendation
     from smfe.limits.recommendation import recommendation_of as recommendation
-    from smfe.modes.fit_modes import fit_modes
+    from smfe.modes.fit_modes import ModalFit, fit_modes
+    from smfe.progress import SmfeWarning
     from smfe.records import read_blocks, read_record, read_records, read_reduced
     from smfe.records.look import Look
 
@@ -65,21 +72,27 @@ if TYPE_CHECKING:
 __all__ = [
     "Campaign",
     "Coefficients",
+    "CuttingCoefficients",
     "Identification",
     "InputError",
     "LobeResult",
     "LocalPolynomial",
     "Look",
+    "ModalFit",
+    "ModalModel",
     "Recommendation",
     "Segments",
     "SingleReference",
+    "SmfeWarning",
     "SweepPass",
+    "Tool",
     "__version__",
     "actuator_compliance",
     "chatter",
     "check",
     "coefficients",
     "compare",
+    "compliance",
     "constant_force",
     "convert",
     "demo",
@@ -108,6 +121,7 @@ __all__ = [
     "read_records",
     "read_reduced",
     "recommendation",
+    "record",
     "report",
     "run",
     "simulate",
@@ -115,7 +129,12 @@ __all__ = [
 ]
 
 _HOMES = {
+    "process.cut.force": "CuttingCoefficients",
+    "process.cut.tool": "Tool",
     "process.errors": "InputError",
+    "process.machine.modes": "ModalModel",
+    "smfe.arrays.compliances": "compliance",
+    "smfe.arrays.records": "record",
     "smfe.campaign": "Campaign, load_campaign, load_campaign as read_campaign",
     "smfe.commands.chatter": "chatter",
     "smfe.commands.check": "check",
@@ -146,7 +165,8 @@ _HOMES = {
     "smfe.identification.sweep.sweep": "identify_sweep, identify_sweep as sweep_compliance",
     "smfe.limits.campaign_lobes": "LobeResult",
     "smfe.limits.recommendation": "Recommendation, recommendation_of as recommendation",
-    "smfe.modes.fit_modes": "fit_modes",
+    "smfe.modes.fit_modes": "ModalFit, fit_modes",
+    "smfe.progress": "SmfeWarning",
     "smfe.records": "read_blocks, read_record, read_records, read_reduced",
     "smfe.records.look": "Look",
 }

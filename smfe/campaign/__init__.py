@@ -16,6 +16,7 @@ from smfe.campaign.campaign import (
     OtherRecorder,
     RecordEntry,
     RigidDrive,
+    campaign_of_tables,
     load_campaign,
     load_channels,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "OtherRecorder",
     "RecordEntry",
     "RigidDrive",
+    "campaign_of_tables",
     "load_campaign",
     "load_channels",
 ]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from pydantic import ValidationError
 
+from process import units
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.drive.axis import Drive
@@ -113,6 +115,8 @@ class RecordEntry(Conditions):
         Stated where the cut begins and ends [rad/s] (sweep).
     others : tuple of OtherRecorder
         Files of other recorders that belong to the one file of the entry; often empty.
+    held : tuple of xarray.Dataset
+        Records in memory instead of files.
     """
 
     files: tuple[Path, ...]
@@ -123,6 +127,7 @@ class RecordEntry(Conditions):
     width_of_cut: float | None = None
     spindle_speed: tuple[float, float] | None = None
     others: tuple[OtherRecorder, ...] = ()
+    held: tuple[xr.Dataset, ...] = field(default=(), repr=False, compare=False)
 
     @property
     def all_files(self) -> tuple[Path, ...]:
@@ -508,13 +513,13 @@ class Campaign:
         return tuple(sorted(found | {test.file for test in self.cutting_tests}))
 
 
-def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
+def load_campaign(path: str | Path | Campaign, show: Show | None = None) -> Campaign:
     """Read a campaign file.
 
     Parameters
     ----------
-    path : str or Path
-        TOML file; names of files in it are relative to its folder.
+    path : str, Path or Campaign
+        TOML file; names of files in it are relative to its folder. A campaign that was read is returned as it is.
     show : callable, optional
         Called with the licence before a public data set is fetched. None: nothing is fetched.
 
@@ -528,6 +533,8 @@ def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
     InputError
         With every error of the file at once, each with its place.
     """
+    if isinstance(path, Campaign):
+        return path
     path = Path(path).absolute()
     raw = read_toml(path)
     if "scenario" in raw and "campaign" not in raw:
@@ -540,6 +547,66 @@ def load_campaign(path: str | Path, show: Show | None = None) -> Campaign:
     if found:
         raise InputError(report(path, found))
     return _build(path, file)
+
+
+def campaign_of_tables(
+    tables: Mapping[str, Any], held: Mapping[str, Sequence[xr.Dataset]] | None = None, name: str = "campaign"
+) -> Campaign:
+    """Build a campaign from tables as a file holds them: what a file would be refused for is refused here, too.
+
+    Parameters
+    ----------
+    tables : mapping
+        ``tool``, ``material``, ``measurement``, ``lobes``, ... with plain values. Numbers are SI, texts have units.
+    held : mapping of str to sequence of xarray.Dataset, optional
+        Name that an entry of ``records`` gives as its file -> records in memory.
+    name : str, optional
+        What the campaign is called.
+
+    Returns
+    -------
+    Campaign
+        Its path names no file.
+
+    Raises
+    ------
+    InputError
+        With every error at once, each with its key.
+    """
+    raw: dict[str, Any] = {"campaign": {"name": name}, **{key: _plain(value) for key, value in tables.items()}}
+    here = Path.cwd() / name
+    with units.numbers_are_si():
+        found, table = check(raw), schema.file_table(raw)
+        try:
+            file = table.model_validate(raw, context={"path": here, "show": None, "held": set(held or ())})
+        except ValidationError as error:
+            found = complaints(error, table) + found
+    if found:
+        raise InputError("; ".join(f"{_key(where)}: {text}" if where else text for where, text in found))
+    campaign = _build(here, file)
+    return replace(campaign, measurements=tuple(_holding(m, held or {}) for m in campaign.measurements))
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TOML would hold it: NumPy's numbers, tuples and arrays become plain ones."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items() if entry is not None}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return _plain(value.tolist()) if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _key(where: tuple[str | int, ...]) -> str:
+    """Return the place of an error without the number of a table: there is one of each."""
+    return path(where[2:] if len(where) > 2 and where[1] == 0 else where)
+
+
+def _holding(measurement: Measurement, held: Mapping[str, Sequence[xr.Dataset]]) -> Measurement:
+    entries = [
+        replace(entry, files=(), held=tuple(held[entry.files[0].name])) if entry.files[0].name in held else entry
+        for entry in measurement.records
+    ]
+    return replace(measurement, records=tuple(entries))
 
 
 def load_channels(path: str | Path) -> dict[str, Channel]:

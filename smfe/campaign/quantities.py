@@ -264,10 +264,12 @@ Ramp = Annotated[tuple[float, float], BeforeValidator(_ramp)]
 
 
 def _files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
-    """A name, a pattern or ``dataset:NAME/FILE`` -> files, sorted. The context holds `path` and `show`."""
+    """A name, a pattern or ``dataset:NAME/FILE`` -> files, sorted. The context holds `path`, `show`, perhaps `held`."""
     if not isinstance(value, str) or not value:
         raise InputError(f"{value!r} is not the name of a file")
     context: dict[str, Any] = info.context or {}
+    if value in context.get("held", ()):
+        return (Path(value),)  # a record in memory, under this name
     campaign: Path = context["path"]
     if value.startswith(datasets.PREFIX):
         found = [datasets.resolve(value, campaign.parent, context.get("show"))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -12,6 +13,7 @@ from rich.markup import escape
 
 from process.errors import InputError
 from smfe.cli.terminal import INTERRUPTED, WRONG, Outcome, Terminal
+from smfe.progress import SmfeWarning
 
 GROUPS = MEASURE, PREDICT, DECIDE, FILES = "Measure", "Predict", "Decide", "Files"
 """Groups of verbs in the help, in this order."""
@@ -65,7 +67,11 @@ def verb(
         def called(as_json: bool, verbose: bool, quiet: bool, **arguments: Any) -> None:
             terminal = Terminal(as_json, verbose, quiet)
             try:
-                terminal.end(function(terminal, **arguments))
+                with warnings.catch_warnings():
+                    # What must be known of the result stands in the outcome, and is said there.
+                    warnings.simplefilter("ignore", SmfeWarning)
+                    outcome = function(terminal, **arguments)
+                terminal.end(outcome)
             except KeyboardInterrupt:
                 terminal.refuse(f"interrupted; {keeps}; the same command goes on")
                 raise typer.Exit(INTERRUPTED) from None

@@ -30,13 +30,13 @@ QUICK = ("zero_order", "multi_frequency", "operating_point")
 """Methods whose prediction for a cutting test is tried as well; fitting modes for each test would take minutes."""
 
 
-def check(campaign: Path | str, progress: Progress = silent, show: Show | None = None) -> pd.DataFrame:
+def check(campaign: Path | str | Campaign, progress: Progress = silent, show: Show | None = None) -> pd.DataFrame:
     """Audit the data of a campaign, and try in short everything that it asks for.
 
     Parameters
     ----------
-    campaign : path
-        Campaign file.
+    campaign : path or Campaign
+        Campaign file, or what `smfe.read_campaign` read.
     progress : callable, optional
         Called with (what, done, of).
     show : callable, optional

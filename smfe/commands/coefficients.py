@@ -10,32 +10,39 @@ A helix does not change it. Source: Altintas, Manufacturing Automation, 2.8 (ave
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from scipy import optimize, stats
 
 from process.cut.engagement import engagement
-from process.cut.force import force_projection, gram_matrix
+from process.cut.force import CuttingCoefficients, force_projection, gram_matrix
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, axis_present
+from process.notebook import html_table
 from process.types import Real
-from process.units import RANGES, implausible
-from smfe.campaign import load_campaign
+from process.units import RANGES, Range, implausible
+from smfe.arrays.tables import tool_of
+from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, silent, warn
 from smfe.records import read_records
 from smfe.results import write_atomically
 
 CUTTING = ("Ktc", "Krc", "Kac")
 EDGE = ("Kte", "Kre", "Kae")
 _LEVEL = 0.95
+_SHOWN = {
+    "runout": Range(0.0, 5e-4, 1e6, "µm", "bound of the fit"),
+    "helix": Range(0.0, 1.2, 180.0 / math.pi, "deg", "bound of the fit"),
+}
 _POOR = 0.2
 """Residual of the mechanistic fit above which its values are not to be used."""
 
@@ -63,6 +70,23 @@ class Coefficients:
     intervals: Mapping[str, tuple[float, float]]
     residual: float
     warnings: tuple[str, ...] = ()
+
+    @property
+    def cutting_coefficients(self) -> CuttingCoefficients:
+        """The coefficients alone, for `smfe.lobes`; edge coefficients that were not found are zero."""
+        return CuttingCoefficients(**{key: self.values.get(key, 0.0) for key in (*CUTTING, *EDGE)})
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: each value with its 95 % interval."""
+        rows = []
+        for key in self.values:
+            known = RANGES.get(key, _SHOWN.get(key))
+            factor, unit = (1.0, "rad") if known is None else (known.shown, known.unit)
+            low, high = self.intervals.get(key, (math.nan, math.nan))
+            rows.append((key, *(f"{factor * v:.5g}" for v in (self.values[key], low, high)), unit))
+        notes = [f"residual {100.0 * self.residual:.3g} % of the forces", *self.warnings]
+        head = ("coefficient", "value", "95 % from", "to", "unit")
+        return html_table(f"Cutting coefficients, {self.method}", rows, head, notes)
 
     def material(self, name: str) -> str:
         """Return a table ``[material]`` for a campaign file."""
@@ -186,24 +210,30 @@ def mechanistic(family: CuttingForces, start: Mapping[str, float]) -> Coefficien
 
 
 def coefficients(
-    campaign: str | Path,
+    campaign: str | Path | Campaign | Sequence[xr.Dataset],
     output: str | Path | None = None,
     progress: Progress = silent,
     licence: Show | None = None,
+    *,
+    tool: Tool | Mapping[str, Any] | None = None,
 ) -> list[Coefficients]:
-    """Find the cutting coefficients from the cutting tests of a campaign, by both methods.
+    """Find the cutting coefficients from the cutting tests of a campaign, or from records, by both methods.
 
     Parameters
     ----------
-    campaign : path
-        Campaign file with ``[tool]`` and ``[[cutting_test]]`` that record all three forces and state
-        ``feed_per_tooth``; ``[material]`` is not needed.
+    campaign : path, Campaign, or sequence of xarray.Dataset
+        Campaign with ``[tool]`` and ``[[cutting_test]]`` that record all three forces and state ``feed_per_tooth``;
+        ``[material]`` is not needed. Or records of such cuts that say their cut, width, depth, feed per tooth and
+        spindle speed: ``smfe.record(..., cut="down", width_of_cut="40 mm", depth_of_cut="2 mm",
+        feed_per_tooth="0.1 mm", spindle_speed="950 rpm")``.
     output : path, optional
         File for ``[material]`` of both, to paste. None: nothing is written.
     progress : callable, optional
         Called with (what, done, of).
     licence : callable, optional
         Called with the licence of a public data set before it is fetched.
+    tool : Tool or mapping, optional
+        With records: the tool, or the keys of ``[tool]``.
 
     Returns
     -------
@@ -213,40 +243,82 @@ def coefficients(
     Raises
     ------
     InputError
-        When the campaign file or a record is wrong, or the cuts do not determine the coefficients.
+        When the campaign or a record is wrong, or the cuts do not determine the coefficients.
+
+    Warns
+    -----
+    SmfeWarning
+        What speaks against the values (``Coefficients.warnings``).
     """
-    loaded = load_campaign(Path(campaign), licence)
+    if isinstance(campaign, str | Path | Campaign):
+        name, cutter, cuts = _of_campaign(campaign, progress, licence)
+    else:
+        name, cutter, cuts = _of_records(campaign, tool)
+    means: list[tuple[SteadyCut, Real]] = []
+    for record, cut in cuts.values():
+        mean = cutting_orders(record, cutter, cut).value[0].real
+        means.append((cut, np.asarray(mean, dtype=np.float64)))
+    results = [average_force(cutter, means)]
+    progress("fitting the forces at all orders", len(cuts), len(cuts) + 1)
+    start = results[0].values
+    if start["Ktc"] > 0.0:
+        handbook = (start["Ktc"], start["Krc"], start["Kac"])
+        results.append(mechanistic(cutting_family(cuts, cutter, handbook), start))
+    if output is not None:
+        text = "\n".join(r.material(name) for r in results[:1])
+        extra = [f"# {line.removeprefix('# ')}" for r in results[1:] for line in r.material(name).splitlines()]
+        notes = [f"# warning, {r.method}: {w}" for r in results for w in r.warnings]
+        whole = "\n".join([*notes, text, *extra]) + "\n"
+        write_atomically(Path(output), lambda p: p.write_text(whole, encoding="utf-8"))
+    warn(f"{r.method}: {w}" for r in results for w in r.warnings)
+    return results
+
+
+Cuts = dict[str, tuple[xr.Dataset, SteadyCut]]
+
+
+def _of_campaign(campaign: str | Path | Campaign, progress: Progress, licence: Show | None) -> tuple[str, Tool, Cuts]:
+    """Return name of the material, tool and cuts of a campaign."""
+    loaded = load_campaign(campaign, licence)
     if loaded.tool is None or not loaded.cutting_tests:
         raise InputError(
             f"{loaded.path.name}: coefficients need [tool] and [[cutting_test]]s with their forces; add them"
         )
-    records: dict[str, tuple[xr.Dataset, SteadyCut]] = {}
-    means: list[tuple[SteadyCut, Real]] = []
+    cuts: Cuts = {}
     for number, test in enumerate(loaded.cutting_tests):
         progress(f"reading {test.file.name}", number, len(loaded.cutting_tests) + 1)
         record = read_records(test.file, test.channels)[0]
-        present = axis_present(record, "force")
-        if len(present) < 3:
-            missing = ", ".join(f"force_{a}" for a in AXES if a not in present)
-            raise InputError(
-                f"{test.file.name}: {missing} is missing; all three forces are needed for the coefficients"
-            )
+        _check_forces(record, test.file.name)
         arc = engagement(test.cut, test.width_of_cut, loaded.tool.diameter)
         speed = test.spindle_speed * math.pi / 30.0
         cut = SteadyCut(speed, test.stated_feed_per_tooth, test.depth_of_cut, arc)
-        records[f"cut {number + 1}, {test.file.name}"] = (record, cut)
-        mean = cutting_orders(record, loaded.tool, cut).value[0].real
-        means.append((cut, np.asarray(mean, dtype=np.float64)))
-    results = [average_force(loaded.tool, means)]
-    progress("fitting the forces at all orders", len(records), len(records) + 1)
-    start = results[0].values
-    if start["Ktc"] > 0.0:
-        handbook = (start["Ktc"], start["Krc"], start["Kac"])
-        results.append(mechanistic(cutting_family(records, loaded.tool, handbook), start))
-    if output is not None:
-        text = "\n".join(r.material(loaded.material or loaded.name) for r in results[:1])
-        extra = [f"# {line.removeprefix('# ')}" for r in results[1:] for line in r.material(loaded.name).splitlines()]
-        notes = [f"# warning, {r.method}: {w}" for r in results for w in r.warnings]
-        whole = "\n".join([*notes, text, *extra]) + "\n"
-        write_atomically(Path(output), lambda p: p.write_text(whole, encoding="utf-8"))
-    return results
+        cuts[f"cut {number + 1}, {test.file.name}"] = (record, cut)
+    return loaded.material or loaded.name, loaded.tool, cuts
+
+
+def _of_records(records: Sequence[xr.Dataset], tool: Tool | Mapping[str, Any] | None) -> tuple[str, Tool, Cuts]:
+    """Return what records in memory say of their cuts."""
+    if tool is None:
+        raise InputError('coefficients of records need their tool, e.g. tool=smfe.Tool("80 mm", 2)')
+    cutter = tool_of(tool)
+    cuts: Cuts = {}
+    for number, record in enumerate(records, 1):
+        name = str(record.attrs.get("source", f"record {number}"))
+        _check_forces(record, name)
+        keys = ("width_of_cut", "depth_of_cut", "feed_per_tooth")
+        missing = [k for k in ("cut",) if k not in record.attrs] + [k for k in keys if f"{k}_mm" not in record.attrs]
+        missing += [] if "spindle_speed" in record else ["spindle_speed"]
+        if missing:
+            raise InputError(f'{name}: {", ".join(missing)} is missing; say it to smfe.record, e.g. cut="down"')
+        width, depth, feed = (1e-3 * float(record.attrs[f"{k}_mm"]) for k in keys)
+        arc = engagement(record.attrs["cut"], width, cutter.diameter)
+        speed = float(np.median(record["spindle_speed"].values)) * math.pi / 30.0
+        cuts[f"cut {number}, {name}"] = (record, SteadyCut(speed, feed, depth, arc))
+    return "work material", cutter, cuts
+
+
+def _check_forces(record: xr.Dataset, name: str) -> None:
+    present = axis_present(record, "force")
+    if len(present) < 3:
+        missing = ", ".join(f"force_{a}" for a in AXES if a not in present)
+        raise InputError(f"{name}: {missing} is missing; all three forces are needed for the coefficients")

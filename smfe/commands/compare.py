@@ -12,6 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from process.labels import AXES, full_matrix, make_compliance, not_measured
+from smfe.arrays.compliances import Compliance, compliances_of
 from smfe.campaign import Model
 from smfe.comparison.compare import compare as compare_compliances
 from smfe.comparison.explained import explain
@@ -22,13 +23,37 @@ from smfe.results import (
 )
 
 
-def compare(frf: Path | str, output: Path | str | None = None) -> pd.DataFrame:
-    """Compare the measurements of a compliance file peak by peak; optionally write the table.
+def compare(
+    frf: Path | str | Mapping[str, Compliance] | Sequence[Identification], output: Path | str | None = None
+) -> pd.DataFrame:
+    """Compare the measurements of a compliance file, or compliances in memory, peak by peak.
 
     Beside it, `explained.csv` says what feed, level, controller and method explain of the differences. Of a sweep at
     several depths of cut these are compared, and not the estimate of all its passes together.
+
+    Parameters
+    ----------
+    frf : path, mapping of str to (xarray.Dataset or Identification), or sequence of Identification
+        Compliance file, or the compliances by name.
+    output : path, optional
+        CSV file. None: nothing is written.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row for each peak of each entry and pair of measurements; columns end in their unit.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or something given is no compliance.
+
+    Examples
+    --------
+    >>> table = smfe.compare({"at rest": hammer, "sweep": sweep})
     """
-    groups = single_levels({n: d for n, d in read_groups(Path(frf)).items() if d.attrs.get("method") != "model"})
+    given = read_groups(Path(frf)) if isinstance(frf, Path | str) else compliances_of(frf)
+    groups = single_levels({n: d for n, d in given.items() if d.attrs.get("method") != "model"})
     table = compare_compliances(groups)
     if output is not None:
         write_csv(Path(output), table)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import xarray as xr
 
 from process.errors import InputError
-from smfe.campaign import load_channels
-from smfe.progress import Progress, silent
+from process.labels import check_record
+from smfe.campaign import Campaign, load_channels
+from smfe.progress import Progress, silent, warn
 from smfe.records import (
     Channel,
     column_names,
@@ -40,13 +40,13 @@ WHOLE: dict[str, Callable[[xr.Dataset, Path], Path]] = {
 
 
 def _warned(text: str) -> None:
-    warnings.warn(text, UserWarning, stacklevel=3)
+    warn([text])
 
 
 def convert(
-    source: str | Path,
+    source: str | Path | xr.Dataset | Sequence[xr.Dataset],
     target: str | Path,
-    campaign: str | Path | None = None,
+    campaign: str | Path | Campaign | None = None,
     progress: Progress = silent,
     say: Callable[[str], None] = _warned,
 ) -> list[Path]:
@@ -56,19 +56,19 @@ def convert(
 
     Parameters
     ----------
-    source : path
-        A file that `read_records` reads.
+    source : path, xarray.Dataset or sequence of xarray.Dataset
+        A file that `read_records` reads, or records in memory.
     target : path
         File to write: .nc, .csv, .mat, .uff or .unv. Of several segments each gets a file, with ``_0``, ``_1``, ...
         before the suffix.
-    campaign : path, optional
-        Campaign file whose [channels] say which column is which; default: `guess.DEFAULT_CHANNELS`. A NetCDF
+    campaign : path or Campaign, optional
+        Campaign whose [channels] say which column is which; default: `guess.DEFAULT_CHANNELS`. A NetCDF
         file in our own layout needs none.
     progress : callable, optional
         Called with (what, done, of).
     say : callable, optional
         Called with a sentence for what is left out of the target: columns of the source that are no channel. Default:
-        `warnings.warn`.
+        it is warned of, as a `SmfeWarning`.
 
     Returns
     -------
@@ -80,26 +80,43 @@ def convert(
     InputError
         For a suffix that is not written, a target that is the source, or anything wrong with the source.
     """
-    source, target = Path(source), Path(target)
+    target = Path(target)
     suffix = target.suffix.lower()
     if suffix not in PIECEWISE | WHOLE:
         raise InputError(
             f"{target.name}: files with suffix '{target.suffix}' are not written; known are "
             f"{', '.join(PIECEWISE | WHOLE)}"
         )
+    if not isinstance(source, str | Path):
+        return _written([source] if isinstance(source, xr.Dataset) else source, target, progress, say)
+    source = Path(source)
     if target.exists() and source.exists() and target.samefile(source):
         raise InputError(f"{target.name}: the source itself would be overwritten; name another file")
-    channels = default_channels(source) if campaign is None else load_channels(Path(campaign))
+    channels, name = _channels(source, campaign)
     if campaign is not None and not channels and not names_itself(source):
-        raise InputError(f"{Path(campaign).name}: it declares no [channels]; say there which column is which")
+        raise InputError(f"{name}: it declares no [channels]; say there which column is which")
     if left := _left_out(source, channels):
         say(left)
     if suffix in PIECEWISE and _one_segment(source):
         return [PIECEWISE[suffix](_counted(_noted(read_blocks(source, channels), say), source, progress), target)]
-    records = read_records(source, channels)
+    return _written(read_records(source, channels), target, progress, say)
+
+
+def _channels(source: Path, campaign: str | Path | Campaign | None) -> tuple[Mapping[str, Channel], str]:
+    """Return the channels of a file, and the name of the campaign that declares them."""
+    if campaign is None:
+        return default_channels(source), ""
+    if isinstance(campaign, Campaign):
+        return campaign.channels, campaign.path.name
+    return load_channels(Path(campaign)), Path(campaign).name
+
+
+def _written(records: Sequence[xr.Dataset], target: Path, progress: Progress, say: Callable[[str], None]) -> list[Path]:
+    """Write records in memory, each to a file."""
     for record in records:
-        _note(record, say)
+        _note(check_record(record), say)
     written = []
+    suffix = target.suffix.lower()
     for number, record in enumerate(records):
         progress(f"writing {target.name}", number, len(records))
         name = target if len(records) == 1 else target.with_stem(f"{target.stem}_{number}")

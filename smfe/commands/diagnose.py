@@ -19,13 +19,13 @@ from smfe.diagnosis.inference.diagnose import diagnose as diagnose_family
 from smfe.diagnosis.inference.finding import Finding, explain
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, silent, warn
 from smfe.results import KEPT, MEASUREMENT, TEST, Failures, check_target, write_json
 
 
 def diagnose(
-    campaign: Path | str,
-    output: Path | str = "finding.json",
+    campaign: Path | str | Campaign,
+    output: Path | str | None = None,
     seed: int = 0,
     held_out: Sequence[str] = (),
     progress: Progress = silent,
@@ -36,10 +36,10 @@ def diagnose(
 
     Parameters
     ----------
-    campaign : path
-        Campaign file with ``[baseline]``.
+    campaign : path or Campaign
+        Campaign with ``[baseline]``.
     output : path, optional
-        JSON file of the finding.
+        JSON file of the finding. Default: of a path ``finding.json``, else nothing is written.
     seed : int, optional
         Of all draws.
     held_out : sequence of str, optional
@@ -57,20 +57,30 @@ def diagnose(
     Finding
         Also written to `output`, with the suspicions of the data audit.
 
+    Warns
+    -----
+    SmfeWarning
+        Faults that the data audit found: what they exclude is not compared.
+
     Raises
     ------
     InputError
         When the campaign file or a record is wrong, there is no baseline, or nothing to compare it with.
     """
-    loaded, path = load_campaign(Path(campaign), licence), Path(output)
-    check_target(path)
+    if output is None and not isinstance(campaign, Campaign):
+        output = "finding.json"
+    loaded, path = load_campaign(campaign, licence), None if output is None else Path(output)
+    if path is not None:
+        check_target(path)
     if loaded.baseline is None:
         case_of(loaded, {})  # says what is missing, before any record is read
-    checked = audited(loaded, progress, path.parent / KEPT)
+    checked = audited(loaded, progress, None if path is None else path.parent / KEPT)
     suspects = checked.suspects
     case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), progress)
     finding, content = _tested(loaded, case, suspects, seed, progress, held_out, workers)
-    write_json(path, content)
+    if path is not None:
+        write_json(path, content)
+    warn(f"{s.where}: {s.evidence}; {s.advice}" for s in suspects if s.level == "fault")
     return finding
 
 

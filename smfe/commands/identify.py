@@ -1,13 +1,17 @@
-"""`smfe identify`: every measurement of a campaign -> compliances with uncertainty, in one file."""
+"""`smfe identify`: measurements of a campaign, or records in memory -> compliances with uncertainty."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, overload
 
 import xarray as xr
 
+from process.cut.tool import Tool
 from process.errors import InputError
+from smfe.arrays.records import Records, measured
 from smfe.campaign import Campaign, Measurement, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.campaign.methods import COMPLIANCE_METHODS
@@ -15,8 +19,13 @@ from smfe.identification.compliances import labelled
 from smfe.identification.drive.drives import DRIVE_FILE, LOOP_FILE, drives_of, loops_of, write_drives, write_loops
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import belongs, condition_cubes, level_cubes, with_levels
-from smfe.identification.measurement import cached_identification, check_sweep, split_levels
-from smfe.progress import Progress, silent
+from smfe.identification.measurement import (
+    cached_identification,
+    check_sweep,
+    identify_measurement,
+    split_levels,
+)
+from smfe.progress import Progress, silent, warn
 from smfe.results import (
     KEPT,
     MEASUREMENT,
@@ -33,42 +42,130 @@ CONDITIONS = "conditions.nc"
 """File of what was measured at several levels or feeds."""
 
 
+@overload
 def identify(
-    campaign: Path | str,
-    output: Path | str,
+    source: Path | str | Campaign,
+    output: Path | str | None = None,
     progress: Progress = silent,
     licence: Show | None = None,
     failures: Failures | None = None,
-) -> dict[str, Identification]:
-    """Identify every measurement of a campaign and write the compliances to one NetCDF file.
+) -> dict[str, Identification]: ...
 
-    A sweep at several depths of cut is identified at each of them, too. As after `run`, `conditions.nc` beside the file
-    holds what was measured at several levels or feeds, ``loops.nc`` the responses of drive loops and ``drives.csv`` the
-    inertia and friction of drives, which are no compliances; where the campaign has none, such a file of an earlier run
-    is taken away.
+
+@overload
+def identify(
+    source: Records,
+    output: Path | str | None = None,
+    progress: Progress = silent,
+    *,
+    method: str,
+    tool: Tool | Mapping[str, Any] | None = None,
+    name: str | None = None,
+    **settings: Any,
+) -> Identification: ...
+
+
+def identify(
+    source: Path | str | Campaign | Records,
+    output: Path | str | None = None,
+    progress: Progress = silent,
+    licence: Show | None = None,
+    failures: Failures | None = None,
+    *,
+    method: str | None = None,
+    tool: Tool | Mapping[str, Any] | None = None,
+    name: str | None = None,
+    **settings: Any,
+) -> dict[str, Identification] | Identification:
+    """Identify compliances: those of all measurements of a campaign, or that of records in memory.
+
+    Of a campaign the compliances go to one NetCDF file. A sweep at several depths of cut is identified at each of them,
+    too. As after `run`, `conditions.nc` beside the file holds what was measured at several levels or feeds,
+    ``loops.nc`` the responses of drive loops and ``drives.csv`` the inertia and friction of drives, which are no
+    compliances; where the campaign has none, such a file of an earlier run is taken away.
 
     Parameters
     ----------
-    campaign, output : path
-        Campaign file; file to write.
+    source : path, Campaign, xarray.Dataset, sequence of them, or mapping of axis to them
+        Campaign; or records, as `smfe.record` and `smfe.read_records` return them. Of hammer and actuator the mapping
+        says which axis was excited: ``{"x": taps_x, "y": taps_y}``.
+    output : path, optional
+        NetCDF file to write. None: nothing is written.
     progress : callable, optional
         Called with (what, done, of).
     licence : callable, optional
         Called with the licence of a public data set before it is fetched.
     failures : list of Failure, optional
-        Collects measurements that cannot be identified, which the file names in its attribute ``failures``; the rest
-        is written. None: the first one is raised, and nothing is written.
+        With a campaign: collects measurements that cannot be identified, which the file names in its attribute
+        ``failures``; the rest is written. None: the first one is raised, and nothing is written.
+    method : {"hammer", "actuator", "sweep"}
+        Of records: how they were measured.
+    tool : Tool or mapping, optional
+        Of a sweep: the tool, or the keys of ``[tool]``.
+    name : str, optional
+        Of records: what the measurement is called; default: the method.
+    **settings
+        Of records: further keys of a ``[[measurement]]``; numbers are SI, e.g. ``frequency_range=(20, 400)``,
+        ``resolution="0.5 Hz"``, ``accelerometer_mass="12 g"``, ``feed="500 mm/min"``.
+
+    Returns
+    -------
+    dict of str to Identification, or Identification
+        Of a campaign by measurement, of records the one. ``Identification.compliance`` is
+        ``compliance(frequency, response, excitation)`` [m/N] with its error.
 
     Raises
     ------
     InputError
-        When the campaign file is wrong, the output has the name of one of the files beside it, or nothing at all can
-        be identified.
+        When the campaign or a setting is wrong, the output has the name of one of the files beside it, or nothing at
+        all can be identified.
+
+    Warns
+    -----
+    SmfeWarning
+        What must be known of the compliances; it also stands in ``Identification.warnings``.
+
+    Examples
+    --------
+    >>> taps = smfe.record(51200, force_x=force, acceleration_x=(acceleration, "g"))
+    >>> hammer = smfe.identify(taps, method="hammer")
     """
-    path = Path(output)
-    if path.name in (CONDITIONS, LOOP_FILE, DRIVE_FILE):
+    if isinstance(source, Path | str | Campaign):
+        if method is not None or settings:
+            raise InputError("a campaign says its methods and settings itself; method and settings are for records")
+        every = _of_campaign(source, output, progress, licence, failures)
+        warn(f"{n}: {w}" for n, one in every.items() for w in one.warnings)
+        return every
+    if method is None:
+        raise InputError('records need their method: method="hammer", "actuator" or "sweep"')
+    campaign, measurement = measured(source, method, tool, name or method, settings)
+    check_sweep(campaign, measurement)
+    path = None if output is None else Path(output)
+    if path is not None:
+        check_target(path)
+    found = identify_measurement(campaign, measurement, progress)
+    said = labelled(campaign, {found.name: found})[found.name].assign_attrs(name=found.name)
+    found = replace(found, compliance=said)
+    if path is not None:
+        write_groups(path, with_warnings({found.name: said}, {found.name: found}))
+    warn(found.warnings)
+    return found
+
+
+def _of_campaign(
+    campaign: Path | str | Campaign,
+    output: Path | str | None,
+    progress: Progress,
+    licence: Show | None,
+    failures: Failures | None,
+) -> dict[str, Identification]:
+    path = None if output is None else Path(output)
+    if path is not None and path.name in (CONDITIONS, LOOP_FILE, DRIVE_FILE):
         raise InputError(f"{path.name} is what another file beside the compliances is called; write to frf.nc")
-    loaded = load_campaign(Path(campaign), licence)
+    loaded = load_campaign(campaign, licence)
+    if path is None:
+        found, _ = identify_all(loaded, None, progress, failures)
+        return found
     check_target(path)
     found, levels = identify_all(loaded, path.parent / KEPT, progress, failures)
     loops, drives = loops_of(loaded, failures), drives_of(loaded, failures, progress)
@@ -83,7 +180,7 @@ def identify(
 
 
 def identify_all(
-    campaign: Campaign, kept: Path, progress: Progress, failures: Failures | None = None
+    campaign: Campaign, kept: Path | None, progress: Progress, failures: Failures | None = None
 ) -> tuple[dict[str, Identification], dict[str, xr.Dataset]]:
     """Return all measurements and levels of sweeps, and the latter as arrays over the depth of cut."""
     whole = with_levels(campaign)

@@ -1,17 +1,27 @@
-"""`smfe lobes`: the lobes that a campaign asks for."""
+"""`smfe lobes`: the lobes that a campaign asks for, or those of a compliance in memory."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, overload
 
+import xarray as xr
+
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
-from smfe.campaign import load_campaign
+from process.machine.modes import ModalModel
+from smfe.arrays.compliances import Compliance, several
+from smfe.arrays.requests import Speeds, asked
+from smfe.campaign import Campaign, load_campaign
 from smfe.commands.identify import identify_all
 from smfe.identification.compliances import labelled
 from smfe.identification.levels import with_levels
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.lobe_files import joined
-from smfe.progress import Progress, silent
+from smfe.modes.fit_modes import ModalFit
+from smfe.progress import Progress, silent, warn
 from smfe.results import (
     KEPT,
     Failures,
@@ -19,52 +29,189 @@ from smfe.results import (
     pack,
     read_groups,
     require_something,
+    unpack_warnings,
     write_groups,
 )
 from stability import write_table
 
+Lobes = Compliance | ModalModel | ModalFit
+"""What lobes are computed from."""
 
+
+@overload
 def lobes(
-    campaign: Path | str,
-    output: Path | str,
+    source: Path | str | Campaign,
+    output: Path | str | None = None,
+    table: Path | str | None = None,
+    frf: Path | str | None = None,
+    progress: Progress = silent,
+    failures: Failures | None = None,
+) -> list[LobeResult]: ...
+
+
+@overload
+def lobes(
+    source: Lobes,
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    *,
+    cut: str,
+    width_of_cut: float | str,
+    spindle_speed: Speeds,
+    feed_per_tooth: float | str = "0.1 mm",
+    method: str = "zero_order",
+    output: Path | str | None = None,
+    table: Path | str | None = None,
+    progress: Progress = silent,
+    **more: Any,
+) -> xr.Dataset: ...
+
+
+@overload
+def lobes(
+    source: Mapping[str, Lobes],
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    *,
+    cut: str,
+    width_of_cut: float | str,
+    spindle_speed: Speeds,
+    feed_per_tooth: float | str = "0.1 mm",
+    method: str = "zero_order",
+    output: Path | str | None = None,
+    table: Path | str | None = None,
+    progress: Progress = silent,
+    **more: Any,
+) -> dict[str, xr.Dataset]: ...
+
+
+def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Dataset | dict[str, xr.Dataset]:
+    """Compute stability lobes: those that a campaign asks for, or those of a compliance for one cut.
+
+    ``lobes(campaign, output, table, frf, progress, failures)`` computes what a campaign asks for, from its records or
+    from a compliance file. ``lobes(compliance, tool, material, cut=..., width_of_cut=..., spindle_speed=...)`` does the
+    same for a compliance in memory; numbers are SI, texts carry their unit.
+
+    Parameters
+    ----------
+    source : path, Campaign, xarray.Dataset, Identification, ModalModel, ModalFit, or mapping of str to the latter
+        Campaign, or what the lobes are computed from; of several, by name, those of each.
+    output : path, optional
+        NetCDF file of the lobes. None: nothing is written.
+    table : path, optional
+        CSV lobe table.
+    frf : path, optional
+        With a campaign: compliances of an earlier run.
+    failures : list of Failure, optional
+        With a campaign: collects measurements and requests that fail, which the file names in its attribute
+        ``failures``; the rest is written. None: the first one is raised, and nothing is written.
+    tool : Tool or mapping
+        The tool, or the keys of ``[tool]``.
+    material : CuttingCoefficients or mapping
+        Cutting coefficients, or the keys of ``[material]``: name, Ktc, ..., uncertainty.
+    cut : {"down", "up", "central"}
+        Kind of cut.
+    width_of_cut : float or str
+        [m].
+    spindle_speed : (float or str, float or str), the same with a step, or numpy.ndarray
+        From and to, and the step of the table; or these speeds. Numbers are rpm.
+    feed_per_tooth : float or str, optional
+        [m]; sets feed and removal rate, and the limit of an operating point.
+    method : str, optional
+        "zero_order", "multi_frequency", "semi_discretization" or "operating_point".
+    progress : callable, optional
+        Called with (what, done, of).
+    **more
+        Further keys of ``[[lobes]]`` (feed_direction, maximum_depth), and ``spindle`` or ``machine``, mappings with the
+        keys of those tables.
+
+    Returns
+    -------
+    list of LobeResult, xarray.Dataset or dict of str to xarray.Dataset
+        Of a campaign a result for each request and source. Of a compliance ``limit_depth(spindle_speed)`` [mm] and
+        ``chatter_frequency`` [Hz]; where the errors are known ``limit_depth_quantile(quantile, spindle_speed)`` [mm]
+        and ``safe_depth`` [mm]. Of several, by name.
+
+    Raises
+    ------
+    InputError
+        When the campaign or an argument is wrong, or no lobes at all can be computed.
+
+    Warns
+    -----
+    SmfeWarning
+        What must be known of the limits; it also stands in their attribute ``warnings``.
+
+    Examples
+    --------
+    >>> tool = smfe.Tool("80 mm", 2)
+    >>> steel = smfe.CuttingCoefficients("1900 N/mm^2", "800 N/mm^2", "300 N/mm^2")
+    >>> limits = smfe.lobes(frf, tool, steel, cut="down", width_of_cut="40 mm", spindle_speed=(600, 1500))
+    """
+    if isinstance(source, Path | str | Campaign):
+        results = _of_campaign(source, *given, **named)
+        warn(f"{r.request}, {r.source}: {w}" for r in results for w in unpack_warnings(r.lobes))
+        return results
+    found = _of_compliances(source, *given, **named)
+    many = several(source)
+    warn(f"{name}: {w}" if many else w for name, one in found.items() for w in unpack_warnings(one))
+    return found if many else next(iter(found.values()))
+
+
+def _of_campaign(
+    campaign: Path | str | Campaign,
+    output: Path | str | None = None,
     table: Path | str | None = None,
     frf: Path | str | None = None,
     progress: Progress = silent,
     failures: Failures | None = None,
 ) -> list[LobeResult]:
-    """Compute the lobes that a campaign asks for, from its records or from a compliance file.
-
-    Parameters
-    ----------
-    campaign, output : path
-        Campaign file; file of the lobes.
-    table : path, optional
-        CSV lobe table.
-    frf : path, optional
-        Compliances of an earlier run.
-    progress : callable, optional
-        Called with (what, done, of).
-    failures : list of Failure, optional
-        Collects measurements and requests that fail, which the file names in its attribute ``failures``; the rest is
-        written. None: the first one is raised, and nothing is written.
-
-    Raises
-    ------
-    InputError
-        When the campaign file is wrong, or no lobes at all can be computed.
-    """
-    loaded, path = load_campaign(Path(campaign)), Path(output)
+    loaded = load_campaign(campaign)
+    path = None if output is None else Path(output)
     if not loaded.lobes:
-        raise InputError(f"{campaign}: it asks for no lobes; add a [[lobes]] table")
-    check_target(path)
+        raise InputError(f"{loaded.path.name}: it asks for no lobes; add a [[lobes]] table")
+    if path is not None:
+        check_target(path)
     if frf is not None:
         compliances = read_groups(Path(frf))
     else:
-        found, _ = identify_all(loaded, path.parent / KEPT, progress, failures)
+        found, _ = identify_all(loaded, None if path is None else path.parent / KEPT, progress, failures)
         compliances = labelled(with_levels(loaded), found)
     results = all_lobes(with_levels(loaded), compliances, progress, failures)
     require_something(results, failures)
-    write_groups(path, {f"{r.request}/{r.source}": r.lobes for r in results}, pack(failures or ()))
+    _write(results, path, table, failures)
+    return results
+
+
+def _write(
+    results: Sequence[LobeResult], output: Path | None, table: Path | str | None, failures: Failures | None
+) -> None:
+    if output is not None:
+        write_groups(output, {f"{r.request}/{r.source}": r.lobes for r in results}, pack(failures or ()))
     if table is not None:
         write_table(joined(results), Path(table))
-    return results
+
+
+def _of_compliances(
+    source: object,
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    *,
+    cut: str,
+    width_of_cut: float | str,
+    spindle_speed: Speeds,
+    feed_per_tooth: float | str = "0.1 mm",
+    method: str = "zero_order",
+    output: Path | str | None = None,
+    table: Path | str | None = None,
+    progress: Progress = silent,
+    **more: Any,
+) -> dict[str, xr.Dataset]:
+    path = None if output is None else Path(output)
+    if path is not None:
+        check_target(path)
+    request = {"cut": cut, "width_of_cut": width_of_cut, "feed_per_tooth": feed_per_tooth, "method": method}
+    campaign, compliances = asked(source, tool, material, {**request, "spindle_speed": spindle_speed, **more})
+    results = all_lobes(campaign, compliances, progress)
+    _write(results, path, table, None)
+    return {r.source: r.lobes for r in results}

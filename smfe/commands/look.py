@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pandas as pd
+import xarray as xr
+
 from smfe.records.look import Look, examine
 from smfe.results import write_atomically
 
 
-def look(path: str | Path, output: str | Path | None = None) -> Look:
+def look(path: str | Path | xr.Dataset | pd.DataFrame, output: str | Path | None = None) -> Look:
     """Say what a file holds and what kind of record it seems to be.
 
     Parameters
     ----------
-    path : path
-        Any file that `read_records` reads.
+    path : path, xarray.Dataset or pandas.DataFrame
+        Any file that `read_records` reads; a record; or a table with a column a channel.
     output : path, optional
         Folder for a picture, ``NAME.look.png``, and a campaign file to start from, ``NAME.look.toml``. A campaign file
         that is there already is left as it is. None: nothing is written.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 import pandas as pd
@@ -12,41 +13,70 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import AXES
-from process.units import parse, show
-from smfe.campaign import load_campaign
+from process.units import show, si
+from smfe.arrays.compliances import Compliance, compliances_of
+from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.campaign.toml import table as toml_table
+from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import cached_identification
-from smfe.modes.fit_modes import ModalFit, fit_modes
-from smfe.progress import Progress, silent
+from smfe.modes.fit_modes import ModalFit, fit_modes, uncertainty
+from smfe.progress import Progress, silent, warn
 from smfe.records import read_universal_frfs
 from smfe.results import KEPT, MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
 
+Band = tuple[float | str, float | str]
+"""From and to [Hz], or texts with units."""
 
+
+@overload
 def modal(
-    source: Path | str,
-    output: Path | str = "modal.toml",
+    source: Path | str | Campaign | Mapping[str, Compliance],
+    output: Path | str | None = None,
     measurement: str | None = None,
-    band: tuple[str, str] | None = None,
+    band: Band | None = None,
     progress: Progress = silent,
     licence: Show | None = None,
     failures: Failures | None = None,
-) -> dict[str, ModalFit]:
+) -> dict[str, ModalFit]: ...
+
+
+@overload
+def modal(
+    source: Compliance,
+    output: Path | str | None = None,
+    measurement: None = None,
+    band: Band | None = None,
+    progress: Progress = silent,
+) -> ModalFit: ...
+
+
+def modal(
+    source: Path | str | Campaign | Compliance | Mapping[str, Compliance],
+    output: Path | str | None = None,
+    measurement: str | None = None,
+    band: Band | None = None,
+    progress: Progress = silent,
+    licence: Show | None = None,
+    failures: Failures | None = None,
+) -> dict[str, ModalFit] | ModalFit:
     """Fit modes to measured compliances; write ``[[model]]`` tables, intervals and a stabilisation diagram.
 
     Parameters
     ----------
-    source : path
-        Campaign file, a compliance file (frf.nc), or a universal file whose responses say what they are.
+    source : path, Campaign, xarray.Dataset, Identification, or mapping of str to the latter two
+        Campaign, a compliance file (frf.nc), a universal file whose responses say what they are, or compliances in
+        memory.
     output : path, optional
         ``.toml``: one ``[[model]]`` a measurement, to be pasted into a campaign file; ``.json``: the same as JSON with
         intervals and warnings. Beside it, under its name: a ``.csv`` with a row a mode, a ``.png`` a measurement.
+        Default: of a path ``modal.toml``, else nothing is written.
     measurement : str, optional
         Only this one; else every measurement whose modes can be found.
-    band : (str, str), optional
-        Only these frequencies, e.g. ``("20 Hz", "80 Hz")``.
+    band : (float or str, float or str), optional
+        Only these frequencies, e.g. ``("20 Hz", "80 Hz")``; numbers are Hz.
     progress : callable, optional
         Called with (what, done, of).
     licence : callable, optional
@@ -56,22 +86,35 @@ def modal(
 
     Returns
     -------
-    dict of str to ModalFit
-        Measurement -> modes.
+    dict of str to ModalFit, or ModalFit
+        Measurement -> modes; of one compliance its modes.
 
     Raises
     ------
     InputError
         When the source is wrong, the measurement is not in it, or no measurement can carry a fit.
+
+    Warns
+    -----
+    SmfeWarning
+        What must be known of the modes (``ModalFit.warnings``), and measurements that no modes could be fitted to.
     """
-    path = Path(output)
-    if path.suffix not in (".toml", ".json"):
+    if output is None and isinstance(source, Path | str):
+        output = "modal.toml"
+    path = None if output is None else Path(output)
+    if path is not None and path.suffix not in (".toml", ".json"):
         raise InputError(f"the modes cannot be written to '{path.name}'; name a file that ends in .toml or .json")
-    limits = None if band is None else (parse(band[0], "frequency"), parse(band[1], "frequency"))
+    limits = None if band is None else (si(band[0], "frequency"), si(band[1], "frequency"))
     if limits is not None and not limits[0] < limits[1]:
         raise InputError(f"the band runs from {limits[0]:g} to {limits[1]:g} Hz; give the lower frequency first")
     refused: Failures = []
-    compliances = _compliances(Path(source), path.parent / KEPT, measurement, progress, licence, refused)
+    if isinstance(source, Path | str | Campaign):
+        kept = None if path is None else path.parent / KEPT
+        compliances = _compliances(source, kept, measurement, progress, licence, refused)
+    else:
+        compliances = compliances_of(source)
+        _require(measurement, list(compliances), "what is given")
+        compliances = {n: d for n, d in compliances.items() if measurement in (None, n)}
     fits = {}
     for done, (name, compliance) in enumerate(compliances.items()):
         progress(f"fitting modes to {name}", done, len(compliances))
@@ -80,20 +123,32 @@ def modal(
     if not fits:
         reasons = "; ".join(f"{f.name}: {f.reason}" for f in refused)
         raise InputError(f"no modes could be fitted: {reasons}")
-    _write(path, fits, {f.name: f.reason for f in refused})
+    if path is not None:
+        _write(path, fits, {f.name: f.reason for f in refused})
     if failures is not None:
         failures += refused
+    if isinstance(source, xr.Dataset | Identification):
+        (fit,) = fits.values()
+        warn(fit.warnings)
+        return fit
+    warn([*(f"{n}: {w}" for n, fit in fits.items() for w in fit.warnings), *(f.sentence for f in refused)])
     return fits
 
 
 def _compliances(
-    source: Path, kept: Path, only: str | None, progress: Progress, licence: Show | None, failures: Failures
+    given: Path | str | Campaign,
+    kept: Path | None,
+    only: str | None,
+    progress: Progress,
+    licence: Show | None,
+    failures: Failures,
 ) -> dict[str, xr.Dataset]:
     """Return the measured compliances of a campaign, of a compliance file or of a universal file."""
-    if source.suffix == ".toml":
-        campaign = load_campaign(source, licence)
+    source = given.path if isinstance(given, Campaign) else Path(given)
+    if isinstance(given, Campaign) or source.suffix == ".toml":
+        campaign = load_campaign(given, licence)
         wanted = {m.name: m for m in with_levels(campaign).measurements if m.method in COMPLIANCE_METHODS}
-        _require(only, list(wanted), source)
+        _require(only, list(wanted), source.name)
         found = {}
         for done, (name, item) in enumerate(wanted.items()):
             if only in (None, name):
@@ -102,18 +157,18 @@ def _compliances(
                     found[name] = cached_identification(campaign, item, kept, progress)[0].compliance
         return found
     if source.suffix.lower() in (".uff", ".unv"):
-        _require(only, [source.stem], source)
+        _require(only, [source.stem], source.name)
         return {source.stem: read_universal_frfs(source)}
     groups = {n: d for n, d in read_groups(source).items() if d.attrs.get("method") != "model"}
-    _require(only, list(groups), source)
+    _require(only, list(groups), source.name)
     return {n: d for n, d in groups.items() if only in (None, n)}
 
 
-def _require(only: str | None, names: list[str], source: Path) -> None:
+def _require(only: str | None, names: list[str], source: str) -> None:
     if not names:
-        raise InputError(f"{source.name} holds no measured compliance; `smfe modal` needs one")
+        raise InputError(f"{source} holds no measured compliance; `smfe modal` needs one")
     if only is not None and only not in names:
-        raise InputError(f"{source.name} has no measurement '{only}' with a compliance; there are: {', '.join(names)}")
+        raise InputError(f"{source} has no measurement '{only}' with a compliance; there are: {', '.join(names)}")
 
 
 def model_name(measurement: str) -> str:
@@ -168,16 +223,6 @@ def as_toml(name: str, fit: ModalFit) -> str:
         head.append(f"# modes above {band:.6g} Hz stand for all modes above the band")
     values = {"name": model_name(name), "modes": modes, "uncertainty": uncertainty(fit)}
     return "\n".join(head) + "\n" + toml_table("[[model]]", values)
-
-
-def uncertainty(fit: ModalFit) -> dict[str, str]:
-    """Return the relative standard deviations for ``uncertainty`` of a ``[[model]]``: the largest of any mode."""
-    table = fit.table()
-    out = {}
-    for name, unit in (("frequency", "_Hz"), ("damping", ""), ("stiffness", "_N_um")):
-        share = float(np.max(table[f"{name}_std{unit}"] / table[f"{name}{unit}"]))
-        out[name] = f"{100.0 * min(share, 0.99):.3g} %"
-    return out
 
 
 def _as_json(fit: ModalFit) -> dict[str, object]:

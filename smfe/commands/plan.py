@@ -2,48 +2,120 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, overload
 
+import xarray as xr
+
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
 from process.errors import InputError
+from process.machine.modes import ModalModel
+from smfe.arrays.requests import planned
+from smfe.campaign import Campaign
 from smfe.campaign.datasets import Show
+from smfe.campaign.schema import PlanTable
+from smfe.identification.errors.result import Identification
+from smfe.modes.fit_modes import ModalFit
 from smfe.planning.recommend import Plan, recommend
 from smfe.planning.sweep_files import campaign_text, passes_table, scenario_text
-from smfe.planning.task import load_task
-from smfe.progress import Progress, silent
+from smfe.planning.task import Estimate, estimate_of, load_task, task_of
+from smfe.progress import Progress, silent, warn
 from smfe.results import pack_warnings, write_atomically, write_csv, write_groups
 
 WRITTEN = ("plan.toml", "plan.csv", "prediction.nc", "scenario.toml", "plan.html")
 """Files of a plan, beside its figures."""
 
 
-def plan(file: Path | str, out: Path | str, progress: Progress = silent, show: Show | None = None) -> Plan:
-    """Plan a sweep and write the campaign to run, the passes, the prediction and its figures.
+@overload
+def plan(
+    file: Path | str | Campaign, out: Path | str | None = None, progress: Progress = silent, show: Show | None = None
+) -> Plan: ...
+
+
+@overload
+def plan(
+    file: xr.Dataset | Identification | ModalModel | ModalFit,
+    out: Path | str | None = None,
+    progress: Progress = silent,
+    *,
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    **limits: Any,
+) -> Plan: ...
+
+
+def plan(
+    file: Path | str | Campaign | xr.Dataset | Identification | ModalModel | ModalFit,
+    out: Path | str | None = None,
+    progress: Progress = silent,
+    show: Show | None = None,
+    *,
+    tool: Tool | Mapping[str, Any] | None = None,
+    material: CuttingCoefficients | Mapping[str, Any] | None = None,
+    **limits: Any,
+) -> Plan:
+    """Plan a sweep; write the campaign to run, the passes, the prediction and its figures.
 
     Parameters
     ----------
-    file : path
-        Campaign file with ``[tool]``, ``[material]``, an estimate of the machine and, usually, ``[plan]``.
-    out : path
+    file : path, Campaign, xarray.Dataset, Identification, ModalModel or ModalFit
+        Campaign with ``[tool]``, ``[material]``, an estimate of the machine and, usually, ``[plan]``; or the estimate
+        itself: a compliance or modes.
+    out : path, optional
         Folder for ``plan.toml``, ``plan.csv``, ``prediction.nc``, ``scenario.toml``, ``plan.html`` and ``figures/``.
+        None: nothing is written.
     progress : callable, optional
         Called with (what, done, of).
     show : callable, optional
         Called with the licence of a public data set before it is fetched.
+    tool, material : Tool or mapping, CuttingCoefficients or mapping
+        With an estimate: the tool, or the keys of ``[tool]``; cutting coefficients, or the keys of ``[material]``.
+    **limits
+        With an estimate: keys of ``[plan]``, e.g. ``frequency_range=(20, 80)``, ``depth_of_cut=("0.5 mm", "3 mm")``,
+        and ``spindle``, a mapping with the keys of that table; numbers are SI.
 
     Returns
     -------
     Plan
-        What was written.
+        What is recommended.
 
     Raises
     ------
     InputError
-        When the file is wrong, or no sweep works within the limits; nothing is then written.
+        When something given is wrong, or no sweep works within the limits; nothing is then written.
+
+    Warns
+    -----
+    SmfeWarning
+        What must be known of the plan (``Plan.warnings``).
     """
-    check_target(Path(file), Path(out))
-    found = recommend(load_task(file, progress, show), progress)
-    progress("writing", 0, 1)
-    write_plan(found, Path(out))
+    if isinstance(file, Path | str | Campaign):
+        if tool is not None or material is not None or limits:
+            raise InputError("a campaign says its tool, material and limits itself; they are for an estimate in memory")
+        path = file.path if isinstance(file, Campaign) else Path(file)
+        if out is not None:
+            check_target(path, Path(out))
+        task = load_task(file, progress, show)
+    else:
+        if tool is None or material is None:
+            raise InputError("a plan needs tool and material; give both, e.g. tool=smfe.Tool(...), material=...")
+        campaign, compliances, written = planned(file, tool, material, limits)
+
+        def estimate(table: PlanTable) -> Estimate:
+            if compliances:
+                ((name, dataset),) = compliances.items()
+                return estimate_of(name, dataset, table)
+            (model,) = campaign.models
+            return Estimate(model.name, model.modal, {"modes": written["model"][0]["modes"]})
+
+        task = task_of(campaign, written, estimate)
+    found = recommend(task, progress)
+    if out is not None:
+        progress("writing", 0, 1)
+        write_plan(found, Path(out))
+    warn(found.warnings)
     return found
 
 

@@ -46,7 +46,7 @@ from smfe.identification.measurement import file_hash
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.limits.lobe_files import write_lobes
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, silent, warn
 from smfe.results import (
     KEPT,
     MEASUREMENT,
@@ -80,7 +80,7 @@ class Notes:
 
 
 def run(
-    campaign: Path | str,
+    campaign: Path | str | Campaign,
     out: Path | str,
     fresh: bool = False,
     progress: Progress = silent,
@@ -92,8 +92,8 @@ def run(
 
     Parameters
     ----------
-    campaign : path
-        Campaign file.
+    campaign : path or Campaign
+        Campaign file, or what `smfe.read_campaign` read.
     out : path
         Folder of the results; made when missing.
     fresh : bool, optional
@@ -113,8 +113,13 @@ def run(
     ------
     InputError
         When the campaign file is wrong or the results cannot be written; no result is then written or touched.
+
+    Warns
+    -----
+    SmfeWarning
+        What must be known of the results, and what failed; both also stand in ``provenance.json`` and in the report.
     """
-    loaded, folder, notes = load_campaign(Path(campaign), licence), Path(out), Notes()
+    loaded, folder, notes = load_campaign(campaign, licence), Path(out), Notes()
     failures = notes.failures
     check_target(folder / "report.html")
     if fresh:
@@ -173,7 +178,9 @@ def run(
     else:
         write_json(folder / "finding.json", finding)
     write_json(folder / "provenance.json", _provenance(loaded, notes))
-    return report(folder, progress)
+    page = report(folder, progress)
+    warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in failures)])
+    return page
 
 
 def _warnings(found: Mapping[str, Identification], lobes: Sequence[LobeResult], verdicts: Verdicts) -> list[str]:

@@ -27,7 +27,7 @@ def _to_stderr(text: str) -> None:
 
 
 def simulate(
-    scenario: Path | str,
+    scenario: Path | str | Scenario,
     out: Path | str,
     workers: int | None = None,
     progress: Progress = silent,
@@ -40,8 +40,8 @@ def simulate(
 
     Parameters
     ----------
-    scenario : path
-        Scenario file.
+    scenario : path or Scenario
+        Scenario file, or what `smfe.scenario.load_scenario` read.
     out : path
         Folder for ``campaign.toml``, ``records/``, ``truth.nc`` and ``scenario.toml``; made when missing.
     workers : int, optional
@@ -62,7 +62,7 @@ def simulate(
     InputError
         When the scenario is wrong; nothing is then written.
     """
-    loaded = load_scenario(scenario)
+    loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     true = truths(loaded)
     notices = standing_axes(loaded)
     for notice in notices:

@@ -22,7 +22,7 @@ import xarray as xr
 from process.cut.engagement import Engagement, engagement
 from process.cut.tool import Tool
 from process.errors import InputError
-from process.labels import sample_interval
+from process.labels import axis_present, sample_interval
 from smfe._version import __version__
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.identification.actuator.excitation_kind import identify_shaken
@@ -39,7 +39,7 @@ from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.sweep import Estimator, check_independent, identify_sweep
 from smfe.progress import Progress, silent
-from smfe.records import put_on_clock, put_on_time, read_records, read_reduced
+from smfe.records import put_on_clock, put_on_time, read_records, read_reduced, reduced
 from smfe.records.dynamometer import compensate
 from smfe.results import MEASUREMENT, Failures, attempt, pack_warnings, read_groups, unpack_warnings, write_groups
 
@@ -142,6 +142,8 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
 
 def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dataset]:
     """Read the records of an entry; of the force channels only the one that excites, where that is known."""
+    if entry.held:
+        return [record if only_force is None else _with_force(record, only_force) for record in entry.held]
     channels = {
         name: channel
         for name, channel in entry.channels.items()
@@ -157,6 +159,13 @@ def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dat
         else:
             found = [put_on_clock(found[0], added[0], other.shared)]
     return found
+
+
+def _with_force(record: xr.Dataset, axis: str) -> xr.Dataset:
+    """Return a record in memory with the force that excites alone."""
+    if axis_present(record, "force") in ([], [axis]):
+        return record
+    return record.assign(force=record["force"].where(record["axis"] == axis))
 
 
 def _hammer(campaign: Campaign, measurement: Measurement, progress: Progress) -> Identification:
@@ -285,8 +294,10 @@ def _sweep_records(measurement: Measurement, entry: RecordEntry) -> list[xr.Data
     )
     if band is None or entry.others or follows or measurement.background:
         return records_of(entry)
-    channels = {name: channel for name, channel in entry.channels.items() if name != "tacho"}
     highest = band[1] + 2.0 * max(LocalPolynomial().half_widths)  # the band that the widest fit reaches to
+    if entry.held:
+        return [reduced(record, highest) for record in entry.held]
+    channels = {name: channel for name, channel in entry.channels.items() if name != "tacho"}
     return [record for file in entry.files for record in read_reduced(file, channels, highest)]
 
 
@@ -387,9 +398,14 @@ IDENTIFY: dict[str, Callable[[Campaign, Measurement, Progress], Identification]]
 
 
 def cached_identification(
-    campaign: Campaign, measurement: Measurement, folder: Path, progress: Progress = silent
+    campaign: Campaign, measurement: Measurement, folder: Path | None, progress: Progress = silent
 ) -> tuple[Identification, bool]:
-    """Return the identification of a measurement, from `folder` when it is there, and whether it was."""
+    """Return the identification of a measurement, from `folder` when it is there, and whether it was.
+
+    Without a folder, and of records in memory, nothing is kept.
+    """
+    if folder is None or any(entry.held for entry in measurement.records):
+        return identify_measurement(campaign, measurement, progress), False
     path = folder / f"{measurement.name}-{_key(campaign, measurement)}.nc"
     if path.is_file():
         try:

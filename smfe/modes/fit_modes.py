@@ -406,3 +406,13 @@ def _warnings(fit: ModalFit) -> list[str]:
             "part of the compliance is described by poles outside the band or too broad for modes: no modes of it"
         )
     return out
+
+
+def uncertainty(fit: ModalFit) -> dict[str, str]:
+    """Return the relative standard deviations for ``uncertainty`` of a ``[[model]]``: the largest of any mode."""
+    table = fit.table()
+    out = {}
+    for name, unit in (("frequency", "_Hz"), ("damping", ""), ("stiffness", "_N_um")):
+        share = float(np.max(table[f"{name}_std{unit}"] / table[f"{name}{unit}"]))
+        out[name] = f"{100.0 * min(share, 0.99):.3g} %"
+    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -201,13 +201,13 @@ class Task:
         return LocalPolynomial().axis(self.limits.frequency_range, ())
 
 
-def load_task(path: Path | str, progress: Progress = silent, show: Show | None = None) -> Task:
+def load_task(path: Path | str | Campaign, progress: Progress = silent, show: Show | None = None) -> Task:
     """Read a plan or campaign file; identify the measurement that the plan starts from.
 
     Parameters
     ----------
-    path : path
-        Campaign file, usually with a table ``[plan]``.
+    path : path or Campaign
+        Campaign file, usually with a table ``[plan]``, or what was read of one.
     progress : callable, optional
         Called with (what, done, of).
     show : callable, optional
@@ -219,6 +219,18 @@ def load_task(path: Path | str, progress: Progress = silent, show: Show | None =
         When the file is wrong, names no machine, or its tool cannot be planned for.
     """
     campaign = load_campaign(path, show)
+    raw = read_toml(campaign.path)
+    return task_of(campaign, raw, lambda limits: _estimate(campaign, limits, raw, progress))
+
+
+def task_of(campaign: Campaign, raw: Mapping[str, Any], estimate: Callable[[PlanTable], Estimate]) -> Task:
+    """Return the task of a campaign whose estimate of the machine is asked for once all else is right.
+
+    Raises
+    ------
+    InputError
+        When tool or material are missing, or the tool cannot be planned for.
+    """
     limits = campaign.plan or PlanTable()
     missing = [
         f"[{name}]" for name, value in (("tool", campaign.tool), ("material", campaign.coefficients)) if not value
@@ -226,13 +238,12 @@ def load_task(path: Path | str, progress: Progress = silent, show: Show | None =
     if campaign.tool is None or campaign.coefficients is None:
         raise InputError(f"{campaign.path.name}: a plan needs {' and '.join(missing)}; add it")
     _check_tool(campaign.path, campaign.tool)
-    raw = read_toml(campaign.path)
     return Task(
         campaign.path,
         campaign.name,
         campaign.tool,
         campaign.coefficients,
-        _estimate(campaign, limits, raw, progress),
+        estimate(limits),
         campaign.spindle,
         limits,
         raw,
@@ -264,7 +275,11 @@ def _estimate(campaign: Campaign, limits: PlanTable, raw: Mapping[str, Any], pro
             f"{campaign.path.name}: the plan has {wanted}; name a [[model]], or a measurement by hammer, actuator, "
             "sweep or frf"
         )
-    found = identify_measurement(campaign, measured[name], progress).compliance
+    return estimate_of(name, identify_measurement(campaign, measured[name], progress).compliance, limits)
+
+
+def estimate_of(name: str, found: xr.Dataset, limits: PlanTable) -> Estimate:
+    """Return a measured compliance as the estimate of a machine."""
     array = found["compliance"]
     lacking = [a for a in AXES if a not in array["response"].values or a not in array["excitation"].values]
     warning = (f"'{name}' has no {', '.join(lacking)}; what was not measured is taken as rigid",) if lacking else ()

@@ -3,7 +3,7 @@
 from smfe.records.blocks import read_blocks
 from smfe.records.clocks import put_on_clock, put_on_time
 from smfe.records.contents import column_names, names_itself
-from smfe.records.decimate import read_reduced
+from smfe.records.decimate import read_reduced, reduced
 from smfe.records.formats.channels import CHANNELS, COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
 from smfe.records.frf import read_frf, read_universal_frfs
 from smfe.records.read import FORMATS, read_record, read_records
@@ -36,6 +36,7 @@ __all__ = [
     "read_reduced",
     "read_universal_frfs",
     "record_columns",
+    "reduced",
     "uff_columns",
     "write_compliance_uff",
     "write_pieces_csv",

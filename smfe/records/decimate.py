@@ -19,7 +19,7 @@ from process.errors import InputError
 from process.types import Real
 from smfe.records.blocks import BLOCK, Samples, Stream, streams
 from smfe.records.formats.channels import Channel, split_vector
-from smfe.records.read import read_records
+from smfe.records.read import own_table, read_records
 
 PASS_BAND = 0.4
 """Share of the reduced sample rate up to which a reduced record is that of the file."""
@@ -74,6 +74,25 @@ def read_reduced(
             return read_records(path, channels)
         found.append(reduced)
     return found
+
+
+def reduced(record: xr.Dataset, highest_frequency: float) -> xr.Dataset:
+    """Return a record in memory at the lowest sample rate that holds a band, as `read_reduced` does a file.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        A record; a tacho in it is left out.
+    highest_frequency : float
+        Up to here [Hz] every channel is what the record holds, within 3e-6.
+    """
+    whole = record.drop_vars("tacho", errors="ignore")
+    table, channels = own_table(whole, {})
+    samples = {str(name): values for name, values in table.columns.items()}
+    found = _reduced(
+        Stream(str(record.attrs.get("source", "record")), channels, iter([samples]), record.attrs), highest_frequency
+    )
+    return whole if found is None else found
 
 
 def reduction(rate: float, highest_frequency: float) -> int:

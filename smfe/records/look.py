@@ -11,7 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
+from process.errors import InputError
+from process.labels import check_record
 from process.types import Real
 from process.units import factor
 from smfe.records import names_itself, read_records
@@ -67,13 +70,13 @@ class Look:
         return self.size / self.sample_rate
 
 
-def examine(path: str | Path, folder: str | Path | None = None) -> Look:
+def examine(path: str | Path | xr.Dataset | pd.DataFrame, folder: str | Path | None = None) -> Look:
     """Say what a file holds and what kind of record it seems to be.
 
     Parameters
     ----------
-    path : path
-        Any file that `read_records` reads.
+    path : path, xarray.Dataset or pandas.DataFrame
+        Any file that `read_records` reads; a record, or a table of columns, in memory.
     folder : path, optional
         Where the campaign file is to stand, for the paths in it. None: beside the file.
 
@@ -86,13 +89,12 @@ def examine(path: str | Path, folder: str | Path | None = None) -> Look:
     InputError
         When the file cannot be read or holds no column of numbers.
     """
-    path = Path(path)
-    segments = _own(path) if names_itself(path) else contents(path)
+    path, segments, own = _opened(path)
     found = segments[0]
     frf = _frf(found)
     guesses, left = (_of_frf(found, frf), {}) if frf else guess_channels(found)
     rate = math.nan if frf else _rate(found, guesses)
-    if not frf and not names_itself(path):
+    if not frf and not own:
         guesses = _unnamed(found, guesses, rate)
     kind = _kind(found, guesses, frf, rate, path)
     notes = [*found.notes]
@@ -101,7 +103,7 @@ def examine(path: str | Path, folder: str | Path | None = None) -> Look:
     if not frf and not math.isfinite(rate):
         notes.append("no clock: the file states no sample rate and no column rises in even steps")
     notes += [f"'{column}' is not read: {why}" for column, why in list(found.unread.items())[:6]]
-    text = _campaign(path, path.parent if folder is None else Path(folder), found, guesses, frf, rate, kind)
+    text = _campaign(path, path.parent if folder is None else Path(folder), found, guesses, frf, rate, kind, own)
     return Look(
         path,
         len(segments),
@@ -116,16 +118,33 @@ def examine(path: str | Path, folder: str | Path | None = None) -> Look:
     )
 
 
-def _own(path: Path) -> list[Contents]:
-    """Return a record in our own layout as columns called after their channels."""
+def _opened(given: str | Path | xr.Dataset | pd.DataFrame) -> tuple[Path, list[Contents], bool]:
+    """Return the name of what is looked at, its columns, and whether they name themselves."""
+    if isinstance(given, xr.Dataset):
+        path = Path(str(given.attrs.get("source", "record")))
+        return path, _own([check_record(given)], path.name), True
+    if isinstance(given, pd.DataFrame):
+        numbers = given.select_dtypes("number")
+        if numbers.empty:
+            raise InputError("the table holds no column of numbers")
+        columns: dict[Column, Real] = {str(n): numbers[n].to_numpy(dtype=float) for n in numbers.columns}
+        unread: dict[Column, str] = {str(n): "it holds no numbers" for n in given.columns if n not in numbers}
+        return Path("table"), [Contents("table", columns, unread=unread)], False
+    path = Path(given)
+    own = names_itself(path)
+    return path, _own(read_records(path, {}), path.name) if own else contents(path), own
+
+
+def _own(records: Sequence[xr.Dataset], name: str) -> list[Contents]:
+    """Return records in our own layout as columns called after their channels."""
     out = []
-    for record in read_records(path, {}):
+    for record in records:
         columns: dict[Column, Real] = {"t": record["time"].values}
         units: dict[Column, str] = {"t": "s"}
-        for name, channel in OWN_COLUMNS.items():
-            variable, _, axis = name.rpartition("_")
-            if name in record:
-                values = record[name].values
+        for own, channel in OWN_COLUMNS.items():
+            variable, _, axis = own.rpartition("_")
+            if own in record:
+                values = record[own].values
             elif variable in record and axis in record["axis"].values:
                 values = record[variable].sel(axis=axis).values
             else:
@@ -133,7 +152,7 @@ def _own(path: Path) -> list[Contents]:
             if channel.column is not None and np.all(np.isfinite(values)):
                 columns[channel.column] = values
                 units[channel.column] = str(channel.unit)
-        out.append(Contents(path.name, columns, units))
+        out.append(Contents(name, columns, units))
     return out
 
 
@@ -256,6 +275,7 @@ def _campaign(
     frf: tuple[Column, Column, Column] | None,
     rate: float,
     kind: Kind,
+    own: bool,
 ) -> str:
     """Return the text of the campaign file."""
     file = _text(Path(os.path.relpath(path, folder)).as_posix())
@@ -277,7 +297,7 @@ def _campaign(
         body = _cut_tables(file, used, kind, found)
     else:
         body = _measurement_tables(file, used, kind, found)
-    declared = kind.name != "FRF" and not names_itself(path)
+    declared = kind.name != "FRF" and not own
     channels = ["[channels]", *_channel_lines(used, found, rate, kind)] if declared else []
     return "\n".join([*head, *channels, "", *body, ""])
 

@@ -1,0 +1,141 @@
+"""A compliance in memory, a tool, a material and a cut -> the campaign that asks for their lobes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.errors import InputError
+from process.machine.modes import ModalModel
+from process.types import Real
+from smfe.arrays.compliances import conditions_of, dataset_of, name_of, several
+from smfe.arrays.tables import material_table, model_table, tool_table
+from smfe.campaign import Campaign, campaign_of_tables
+from smfe.campaign.schema import ConditionsTable
+from smfe.identification.compliances import labelled
+from smfe.modes.fit_modes import ModalFit, uncertainty
+
+Speeds = Sequence[float | str] | Real
+"""From, to and perhaps a step, or an array of speeds; numbers are rpm."""
+
+_TABLES = ("spindle", "machine")
+"""Tables of a campaign file that say what limits a cut besides the machine's compliance."""
+
+
+def asked(
+    source: object,
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    request: Mapping[str, Any],
+) -> tuple[Campaign, dict[str, xr.Dataset]]:
+    """Return a campaign with one request for lobes, and its compliances.
+
+    Parameters
+    ----------
+    source : xarray.Dataset, Identification, ModalModel, ModalFit, or mapping of str to these
+        What the lobes are computed from.
+    tool, material
+        As of `smfe.lobes`.
+    request : mapping
+        Keys of ``[[lobes]]`` besides ``measurements``, and mappings ``spindle`` and ``machine``; numbers are SI,
+        spindle speeds rpm.
+
+    Raises
+    ------
+    InputError
+        Where a campaign file would be refused.
+    """
+    tables, compliances = machines(source)
+    tables |= {key: request[key] for key in _TABLES if request.get(key) is not None}
+    lobes = {key: value for key, value in request.items() if key not in _TABLES}
+    lobes["spindle_speed"], speeds = _speeds(request["spindle_speed"])
+    names = [table["name"] for key in ("measurement", "model") for table in tables.get(key, ())]
+    tables |= {"tool": tool_table(tool), "material": material_table(material)}
+    tables["lobes"] = [{"measurements": names, **lobes}]
+    campaign = campaign_of_tables(tables, {name: [one] for name, one in compliances.items()}, "lobes")
+    if speeds is not None:
+        campaign = replace(campaign, lobes=(replace(campaign.lobes[0], spindle_speed=speeds),))
+    return campaign, labelled(campaign, {}) | compliances
+
+
+def planned(
+    source: object,
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    limits: Mapping[str, Any],
+) -> tuple[Campaign, dict[str, xr.Dataset], dict[str, Any]]:
+    """Return a campaign that asks for a plan, its compliances, and its tables as a file would hold them.
+
+    Parameters
+    ----------
+    source : xarray.Dataset, Identification, ModalModel or ModalFit
+        Estimate of the machine.
+    tool, material
+        As of `smfe.plan`.
+    limits : mapping
+        Keys of ``[plan]``, and a mapping ``spindle``; numbers are SI.
+    """
+    tables, compliances = machines(source)
+    said = {key: value for key, value in limits.items() if key not in _TABLES}
+    tables |= {key: limits[key] for key in _TABLES if limits.get(key) is not None}
+    tables |= {"tool": tool_table(tool), "material": material_table(material), "plan": said}
+    campaign = campaign_of_tables(tables, {name: [one] for name, one in compliances.items()}, "plan")
+    assert campaign.tool is not None
+    assert campaign.coefficients is not None
+    name = {"name": campaign.material} if campaign.material else {}
+    written = {"tool": tool_table(campaign.tool), "material": name | material_table(campaign.coefficients)}
+    return campaign, compliances, written | {key: tables[key] for key in ("model",) if key in tables}
+
+
+def machines(source: object) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
+    """Return what holds compliances or modes as tables of a campaign, and the compliances by name."""
+    items = dict(source) if several(source) else {_name(source): source}
+    models, measurements, compliances = [], [], {}
+    for name, item in items.items():
+        if isinstance(item, ModalFit):
+            models.append(model_table(name, item.modal_model(), uncertainty(item)))
+        elif isinstance(item, ModalModel):
+            models.append(model_table(name, item))
+        else:
+            compliances[name] = dataset_of(item)
+            # Nothing is read of this record: the compliance is there.
+            record = {"file": name, "response": "x", "excitation": "x"}
+            measurements.append({"name": name, "method": "frf", "records": [record], **_conditions(compliances[name])})
+    tables = {"model": models, "measurement": measurements}
+    return {key: found for key, found in tables.items() if found}, compliances
+
+
+def _name(item: object) -> str:
+    return "modes" if isinstance(item, ModalModel | ModalFit) else name_of(item)
+
+
+def _conditions(compliance: xr.Dataset) -> dict[str, Any]:
+    """Return what a compliance was measured under as keys of a measurement."""
+    said: dict[str, Any] = {k: v for k, v in conditions_of(compliance).items() if k in ConditionsTable.model_fields}
+    feed = str(said.get("feed", ""))
+    if "," in feed:  # as compliances are labelled: "x 500 mm/min, y 0 mm/min, z 0 mm/min"
+        said["feed"] = {axis: value for axis, _, value in (part.strip().partition(" ") for part in feed.split(","))}
+    return said
+
+
+def _speeds(given: object) -> tuple[list[str], Real | None]:
+    """Return speeds as a campaign file has them; of an array its ends, and the array itself [rpm]."""
+    if isinstance(given, np.ndarray | xr.DataArray) or (isinstance(given, Sequence) and len(given) > 3):
+        speeds = np.asarray(given, dtype=float).ravel()
+        if not (speeds.size and np.isfinite(speeds).all() and speeds.min() > 0.0):
+            raise InputError("spindle_speed: the speeds must be positive numbers in rpm")
+        low = float(speeds.min())
+        return _texts([low, max(float(speeds.max()), low * (1.0 + 1e-9))]), speeds
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise InputError(f"spindle_speed: {given!r} is no range; give (from, to) in rpm, e.g. (600, 1500)")
+    return _texts(given), None
+
+
+def _texts(given: Sequence[Any]) -> list[str]:
+    return [value if isinstance(value, str) else f"{float(value)!r} rpm" for value in given]
