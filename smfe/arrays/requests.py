@@ -59,6 +59,9 @@ def asked(
     tables |= {"tool": tool_table(tool), "material": material_table(material)}
     tables["lobes"] = [{"measurements": names, **lobes}]
     campaign = campaign_of_tables(tables, {name: [one] for name, one in compliances.items()}, "lobes")
+    how = {name: str(one.attrs.get("method", "frf")) for name, one in compliances.items()}
+    measurements = tuple(replace(m, method=how[m.name]) for m in campaign.measurements)
+    campaign = replace(campaign, measurements=measurements)
     if speeds is not None:
         campaign = replace(campaign, lobes=(replace(campaign.lobes[0], spindle_speed=speeds),))
     return campaign, labelled(campaign, {}) | compliances

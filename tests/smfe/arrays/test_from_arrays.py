@@ -1,4 +1,4 @@
-"""From arrays of one's own to lobes: the same numbers as through a campaign file, and one sentence for what is wrong."""
+"""From arrays to lobes: the same numbers as through a campaign file, and one sentence for what is wrong."""
 
 import json
 import warnings
