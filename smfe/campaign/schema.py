@@ -157,7 +157,7 @@ class MaterialTable(Table):
     Kte: q.LineForce = 0.0
     Kre: q.LineForce = 0.0
     Kae: q.LineForce = 0.0
-    uncertainty: q.Share = 0.0
+    uncertainty: q.Share | None = None
 
     @model_validator(mode="after")
     def _possible(self) -> MaterialTable:
@@ -364,7 +364,7 @@ class ModelTable(Table):
 
     name: q.Name
     modes: Annotated[tuple[ModeTable, ...], q.NotEmpty]
-    uncertainty: Annotated[UncertaintyTable, Field(default_factory=UncertaintyTable)]
+    uncertainty: UncertaintyTable | None = None
 
     @model_validator(mode="after")
     def _possible(self) -> ModelTable:

@@ -46,6 +46,7 @@ from smfe.identification.measurement import file_hash
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.limits.lobe_files import write_lobes
+from smfe.limits.recommendation import coefficients_assumption
 from smfe.progress import Progress, silent, warn
 from smfe.results import (
     KEPT,
@@ -157,6 +158,8 @@ def run(
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
     notes.warnings += notes_of(drives)
     notes.warnings += _warnings(found, results, verdicts)
+    if results and not loaded.coefficient_spread:  # a default, or declared to be exact: either way it is said
+        notes.warnings.append(coefficients_assumption(loaded))
     notes.warnings += unstacked
     notes.warnings += [
         f"{s.where}: {s.evidence}; {s.advice}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pandas as pd
 import xarray as xr
@@ -20,6 +20,7 @@ from smfe.modes.fit_modes import fit_modes, model_error
 from smfe.progress import Progress
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
 from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
+from stability.bands.depth_quantiles import exact_band
 from stability.methods.catalogue import METHODS
 
 _CURVES = {
@@ -183,14 +184,12 @@ def _modal(campaign: Campaign, name: str) -> ModalModel | None:
 def _banded(
     campaign: Campaign, request: LobeRequest, name: str, compliance: xr.Dataset, limits: xr.Dataset
 ) -> xr.Dataset:
-    """Add quantiles and safe depth, where the errors of compliance, modes or coefficients are known."""
+    """Add quantiles and safe depth, where the uncertainty of the compliance is known.
+
+    That of the coefficients alone makes no limit safe: a limit whose compliance nobody has judged has no band.
+    """
     model = next((m for m in campaign.models if m.name == name), None)
-    own = Spread() if model is None else model.spread
-    spread = Spread((campaign.coefficient_spread,) * 3, own.frequency, own.damping, own.stiffness)
-    measured = model is None and carries_errors(compliance)
-    if not measured and not spread.modal.any() and campaign.coefficient_spread == 0.0:
-        return limits
-    if model is None and not measured:
+    if (model is None and not carries_errors(compliance)) or (model is not None and model.spread is None):
         return limits
     if request.feed_direction and model is None:
         text = "the limits have no band: the errors of a compliance are known in its own axes, not in those of the cut"
@@ -198,6 +197,10 @@ def _banded(
     assert campaign.tool is not None
     assert campaign.coefficients is not None
     arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
+    own = Spread() if model is None or model.spread is None else model.spread
+    spread = replace(own, common=campaign.coefficients_known_within)
+    if model is not None and not spread.modal.any() and spread.common == 0.0:
+        return with_band(limits, exact_band(limits))
     of = compliance if model is None else turned_modes(model.modal, request.feed_direction)
     band = sampled_band(of, campaign.tool, arc, campaign.coefficients, request.spindle_speed, spread)
     notes = [*limits.attrs.get("warnings", ()), *band.attrs.get("warnings", ())]
@@ -232,6 +235,7 @@ def _result(campaign: Campaign, request: LobeRequest, name: str, of: Source, lim
         feed_per_tooth_mm=request.feed_per_tooth * 1e3,
         method=request.method,
         kind=kind,
+        coefficient_uncertainty=campaign.coefficients_known_within,
         feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )
     return LobeResult(name, source, limits, table, request, kind, in_motion(campaign, of))

@@ -506,18 +506,31 @@ def _limit_at(source: _Candidate, speed: float) -> tuple[float, float] | None:
         return limit, math.nan
     # The coefficients are the same for all sources: what they add explains no difference.
     whole = math.log(high / low) / _WIDTH_OF_BAND
-    return limit, math.sqrt(max(whole**2 - source.campaign.coefficient_spread**2, 0.0))
+    return limit, math.sqrt(max(whole**2 - source.campaign.coefficients_known_within**2, 0.0))
 
 
 def assumptions_of(campaign: Campaign, result: LobeResult) -> tuple[str, ...]:
     """Return what a recommendation takes for granted, a sentence each."""
-    out = []
+    out = [coefficients_assumption(campaign)]
     if campaign.missing_coefficients:
         names = " and ".join(campaign.missing_coefficients)
         out.append(f"[material] gives no {names}: taken as zero")
     if result.asked.maximum_depth is None and campaign.machine_limits.edge_length is None:
         out.append("the cutting edges are taken to be long enough; say edge_length in [tool]")
     return tuple(out)
+
+
+def coefficients_assumption(campaign: Campaign) -> str:
+    """Return how well the cutting coefficients are taken to be known, as a sentence."""
+    known, what = (
+        campaign.coefficients_known_within,
+        f"the cutting coefficients of {campaign.material or 'the material'}",
+    )
+    if known == 0.0:
+        return f"{what} are taken as exact, as [material] says with uncertainty = 0"
+    stated = campaign.coefficient_spread is not None
+    said = "one standard deviation" if stated else "one standard deviation, a default: say uncertainty in [material]"
+    return f"{what} are taken as known within {100.0 * known:.3g} % ({said})"
 
 
 def tool_of(campaign: Campaign) -> dict[str, Any]:

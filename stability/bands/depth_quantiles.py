@@ -11,8 +11,12 @@ lowest::
 crossings, whose errors are correlated. Source: first-order perturbation of eigenvalues, :eq:`eigenvalue-change`.
 
 A limit is the lowest of many crossings, so that noise makes it too low on the average: the estimate once, its samples
-twice. A common factor on the coefficients scales a limit by its inverse, :eq:`coefficient-error`. Quantiles of the
-samples are therefore corrected for their median (Efron 1987, bias-corrected percentiles).
+twice. Quantiles of the samples are therefore corrected for their median (Efron 1987, bias-corrected percentiles).
+
+A factor ``exp(s z)`` on all coefficients together needs no samples: every limit is divided by it,
+:eq:`coefficient-error`, so that the limit is distributed as a mixture over the samples a_i of the compliance::
+
+    P(limit < a) = mean_i Phi(ln(a/a_i) / s)
 """
 
 from __future__ import annotations
@@ -55,6 +59,12 @@ class _Problem:
     error: ErrorModel
     spread: Spread
     speed: Real
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything else than the common factor of the coefficients is uncertain."""
+        measured = not isinstance(self.error, ModalError)
+        return measured or bool(self.spread.modal.any() or any(self.spread.coefficients))
 
     @property
     def delay(self) -> Real:
@@ -128,11 +138,12 @@ def sampled_band(
     problem = _problem(compliance, Cut(tool, arc, coefficients), spindle_speed, spread or Spread())
     nominal = problem.depths(problem.samples.matrix, coefficients)
     generator = np.random.default_rng(seed)
-    drawn = np.empty((count, problem.speed.size))
-    for i, steps in enumerate(_stratified(generator, count)):
+    # A common factor alone moves no sample: one is as good as all.
+    drawn = np.empty((count if problem.moves else 1, problem.speed.size))
+    for i, steps in enumerate(_stratified(generator, drawn.shape[0])):
         work = changed_coefficients(coefficients, problem.spread, steps)
         drawn[i] = problem.depths(problem.samples.matrix + problem.error.draw(generator), work)
-    found = corrected_quantiles(drawn, nominal, levels)
+    found = corrected_quantiles(drawn, nominal, levels, problem.spread.common)
     out = _labelled("sampled", problem, nominal, levels, found, safe_probability, {"samples": count, "seed": seed})
     out.attrs["warnings"] += _bias_warning(drawn, nominal)
     return out
@@ -182,8 +193,22 @@ def linearised_band(
     for s in range(problem.speed.size):
         own = generator.standard_normal((RULES.linear_draws, value.shape[1]))
         half_inverse = (value[s] + own @ factor[s].T + common @ shared[s].T).max(axis=1)
-        found[:, s] = _depth_quantiles(half_inverse, levels)
+        found[:, s] = _depth_quantiles(half_inverse, levels, problem.spread.common)
     return _labelled("linearised", problem, nominal, levels, found, safe_probability, {"seed": seed})
+
+
+def exact_band(lobes: xr.Dataset) -> xr.Dataset:
+    """Return the band of limits that are declared to be exact: every quantile is the limit itself.
+
+    Parameters
+    ----------
+    lobes : xarray.Dataset
+        ``limit_depth(spindle_speed)`` [mm] of any method.
+    """
+    limit = lobes["limit_depth"]
+    quantiles = limit.expand_dims(quantile=list(QUANTILES))
+    named = {"limit_depth": limit, "limit_depth_quantile": quantiles, "safe_depth": limit}
+    return xr.Dataset(named, attrs={"safe_probability": SAFE_PROBABILITY, "warnings": []})
 
 
 def with_band(lobes: xr.Dataset, band: xr.Dataset) -> xr.Dataset:
@@ -227,8 +252,10 @@ def _stratified(generator: np.random.Generator, count: int) -> Real:
     return np.asarray(ndtri((strata + generator.random((count, 3))) / count))
 
 
-def corrected_quantiles(drawn: Real, nominal: Real, levels: Sequence[float]) -> Real:
+def corrected_quantiles(drawn: Real, nominal: Real, levels: Sequence[float], common: float = 0.0) -> Real:
     """Return bias-corrected percentiles ``Phi(2 z0 + z)`` of samples, shape (levels, speeds).
+
+    With a common factor they are those of the mixture over all samples (see the module).
 
     Parameters
     ----------
@@ -238,17 +265,54 @@ def corrected_quantiles(drawn: Real, nominal: Real, levels: Sequence[float]) -> 
         The estimate about which they were drawn. The median z0 of the samples below it is cut to `RULES.most_bias`.
     levels : sequence of float
         Levels between 0 and 1.
+    common : float, optional
+        Relative standard deviation of a factor by which all samples are divided.
     """
     count = drawn.shape[0]
-    z0 = np.where(np.isinf(nominal), 0.0, np.clip(_bias(drawn, nominal), -RULES.most_bias, RULES.most_bias))
-    rank = ndtr(2.0 * z0 + ndtri(np.asarray(levels))[:, None]) * count
+    bias = _bias(drawn, nominal, common)
+    z0 = np.where(np.isinf(nominal), 0.0, np.clip(bias, -RULES.most_bias, RULES.most_bias))
+    some, places = np.unique(np.asarray(levels), return_inverse=True)
+    share = ndtr(2.0 * z0 + ndtri(some)[:, None])
+    if common > 0.0:
+        return np.asarray(_mixture_quantiles(drawn, share, common)[places])
+    rank = share * count
     ordered = np.sort(drawn, axis=0)
     index = np.clip(np.ceil(rank - 0.5).astype(np.int64), 1, count) - 1
-    return np.asarray(np.take_along_axis(ordered, index, axis=0))
+    return np.asarray(np.take_along_axis(ordered, index, axis=0)[places])
 
 
-def _bias(drawn: Real, nominal: Real) -> Real:
-    """Return how far samples lie below the estimate on the average, in standard deviations."""
+def _steps(drawn: Real, logarithm: Real, common: float) -> Real:
+    """Return ``ln(a/a_i)/s`` of depths given by their logarithm, (..., samples, speeds); -inf for samples of inf."""
+    finite = np.isfinite(drawn)
+    steps = (logarithm[..., None, :] - np.log(np.where(finite, drawn, 1.0))) / common
+    return np.where(finite, steps, -np.inf)
+
+
+def _mixture_quantiles(drawn: Real, share: Real, common: float) -> Real:
+    """Return the depths below which these shares (levels, speeds) of the mixture lie; inf where it has no more."""
+    finite = np.isfinite(drawn)
+    level = np.log(np.where(finite, drawn, 1.0))
+    low = np.where(finite, level, np.inf).min(axis=0) - RULES.reach * common
+    high = np.where(finite, level, -np.inf).max(axis=0) + RULES.reach * common
+    there = (share < finite.mean(axis=0)) & finite.any(axis=0)
+    low, high = (np.broadcast_to(np.where(finite.any(axis=0), end, 0.0), share.shape) for end in (low, high))
+    for _ in range(RULES.halvings):
+        middle = 0.5 * (low + high)
+        above = ndtr(_steps(drawn, middle, common)).mean(axis=-2) > share
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    at = 0.5 * (low + high)
+    for _ in range(2):  # Newton's steps from there: the distribution is smooth over `common`
+        steps = _steps(drawn, at, common)
+        density = np.exp(-0.5 * steps**2).mean(axis=-2) / (math.sqrt(2.0 * math.pi) * common)
+        off = ndtr(steps).mean(axis=-2) - share
+        at = np.clip(at - off / np.where(density > 0.0, density, np.inf), low, high)
+    return np.where(there, np.exp(at), np.inf)
+
+
+def _bias(drawn: Real, nominal: Real, common: float = 0.0) -> Real:
+    """Return how far samples, or their mixture, lie below the estimate on the average, in standard deviations."""
+    if common > 0.0:
+        return np.asarray(ndtri(ndtr(_steps(drawn, np.log(nominal), common)).mean(axis=0)))
     below = (drawn < nominal).sum(axis=0) + 0.5 * (drawn == nominal).sum(axis=0)
     return np.asarray(ndtri(below / drawn.shape[0]))
 
@@ -264,8 +328,11 @@ def _bias_warning(drawn: Real, nominal: Real) -> list[str]:
     ]
 
 
-def _depth_quantiles(half_inverse: Real, levels: Sequence[float]) -> Real:
+def _depth_quantiles(half_inverse: Real, levels: Sequence[float], common: float) -> Real:
     """Return quantiles of ``1/(2 x)`` [m]; where x is not positive there is no limit."""
+    if common > 0.0:
+        depth = np.where(half_inverse > 0.0, 0.5 / np.where(half_inverse > 0.0, half_inverse, 1.0), np.inf)
+        return _mixture_quantiles(depth[:, None], np.asarray(levels)[:, None], common)[:, 0]
     x = np.quantile(half_inverse, 1.0 - np.asarray(levels))
     return np.asarray(np.where(x > 0.0, 0.5 / np.where(x > 0.0, x, 1.0), np.inf))
 
@@ -283,7 +350,7 @@ def _problem(compliance: xr.Dataset | ModalModel, cut: Cut, spindle_speed: Array
         samples = complete_samples(compliance)
         error = measured_error(compliance, samples.frequency)
     else:
-        if not (spread.modal.any() or any(spread.coefficients)):
+        if not (spread.modal.any() or any(spread.coefficients) or spread.common):
             raise InputError(
                 "neither modes nor coefficients are uncertain, so that there is no band; give a Spread, e.g. "
                 "Spread(coefficients=(0.1, 0.1, 0.1), damping=0.2)"

@@ -42,9 +42,12 @@ class Spread:
     Parameters
     ----------
     coefficients : tuple of float, optional
-        Of K_tc, K_rc, K_ac.
+        Of K_tc, K_rc, K_ac, each for itself.
     frequency, damping, stiffness : float, optional
         Of every natural frequency, damping ratio and modal stiffness of a machine given as modes.
+    common : float, optional
+        Of one factor on all cutting coefficients together, as a harder batch or a worn edge changes them: the limit
+        depth goes exactly as one over it.
 
     Raises
     ------
@@ -56,12 +59,13 @@ class Spread:
     frequency: float = 0.0
     damping: float = 0.0
     stiffness: float = 0.0
+    common: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is no standard deviation."""
         if len(self.coefficients) != 3:
             raise InputError(f"the coefficients have {len(self.coefficients)} spreads; give one for Ktc, Krc and Kac")
-        for value in (*self.coefficients, self.frequency, self.damping, self.stiffness):
+        for value in (*self.coefficients, self.frequency, self.damping, self.stiffness, self.common):
             if not (math.isfinite(value) and value >= 0.0):
                 raise InputError(f"a relative standard deviation of {value:g}; it must be at least 0, e.g. 0.1")
 

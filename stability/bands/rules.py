@@ -14,6 +14,10 @@ class BandRules:
     """Crossings a speed that may become the lowest, in the linearised way."""
     most_bias: float = 0.5
     """Largest correction for the median, in standard deviations; an estimate of infinity is not corrected at all."""
+    reach: float = 8.0
+    """The quantiles of a mixture are sought this many standard deviations beyond its samples."""
+    halvings: int = 20
+    """Of that interval, before two steps of Newton: to 1e-9 of the depth."""
     linear_draws: int = 2000
     """Draws of the linearised errors; they cost next to nothing."""
 

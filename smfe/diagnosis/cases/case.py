@@ -53,7 +53,7 @@ def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identificatio
     for model in campaign.models:
         if model.name == name:
             low, high = float(model.modal.frequency.min()), float(model.modal.frequency.max())
-            given = {n: getattr(model.spread, n) for n in ("frequency", "damping", "stiffness")}
+            given = {n: getattr(model.spread, n, 0.0) for n in ("frequency", "damping", "stiffness")}
             return NamedModes(model.modal, (low, high), spread={n: s for n, s in given.items() if s > 0.0})
     if name not in found:
         raise InputError(f"baseline: measurement '{name}' is no compliance, so it has no modes; name one that is")

@@ -114,7 +114,7 @@ def limit_case(
         raise InputError(f"no limit is bracketed between a stable and a chattering cut: {why}")
     arcs = [x.arc for x in limits if x.arc is not None]
     # How well the modes are known: as the campaign says of a model, else the default.
-    given = [m.spread for m in campaign.models if m.name == baseline.source]
+    given = [m.spread for m in campaign.models if m.name == baseline.source and m.spread is not None]
     known = {n: s for n in ("frequency", "damping", "stiffness") for g in given[:1] if (s := getattr(g, n))}
     family = limit_family(limits, modes.modal, tool, arcs[0], material, spread=replace(Spread(), **known))
     return Case(family, groups, _held_out(campaign, groups), tuple(suspects))

@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from process.cut.engagement import engagement
-from process.cut.force import CuttingCoefficients
 from process.errors import InputError
 from smfe.campaign import load_campaign
 from smfe.limits.campaign_lobes import all_lobes
 from smfe.progress import silent
-from stability import Cut
 
 HEAD = """
 [campaign]
@@ -63,25 +60,27 @@ def test_converged_methods_agree_with_each_other_and_differ_from_zero_order_wher
     assert np.abs(zero / semi - 1.0).max() > 0.02
 
 
-def test_uncertain_coefficients_move_a_single_mode_as_its_directional_factor(tmp_path):
-    # One mode in x: the limit goes as 1/A_xx at every speed, and A_xx is linear in K_tc and K_rc.
-    loaded = campaign(tmp_path, material='uncertainty = "10 %"')
-    result = lobes_of(loaded)[0]
-    arc = engagement("down", 8e-3, loaded.tool.diameter)
-    alone, both = (
-        Cut(loaded.tool, arc, CuttingCoefficients(1.0, k, 0.0)).directional_matrix()[0, 0].real for k in (0.0, 1.0)
-    )
-    per = [alone, both - alone, 0.0]
-    drawn = np.array([600e6, 200e6, 0.0])[:, None] * np.exp(
-        0.1 * np.random.default_rng(1).standard_normal((3, 100_000))
-    )
-    factor = np.dot(per, [600e6, 200e6, 0.0]) / np.dot(per, drawn)
-    for level in (0.05, 0.95):
-        ratio = result.lobes["limit_depth_quantile"].sel(quantile=level).values / result.lobes["limit_depth"].values
-        np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
-        # 200 samples know their 5 % quantile to 0.15 standard deviations.
-        assert abs(ratio[0] - np.quantile(factor, level)) < 0.5 * np.std(factor)
-    assert np.all(result.table["safe_depth_mm"] <= result.table["limit_depth_mm"])
+EXACT = "uncertainty = { frequency = 0, damping = 0, stiffness = 0 }"
+
+
+@pytest.mark.parametrize("method", ["zero_order", "multi_frequency"])
+@pytest.mark.parametrize(("material", "known"), [("", 0.1), ('uncertainty = "5 %"', 0.05), ("uncertainty = 0", 0.0)])
+def test_uncertain_coefficients_move_every_limit_by_their_common_factor(tmp_path, method, material, known):
+    # Of a machine that is known exactly the limit goes as one over the coefficients: quantiles of a log-normal.
+    result = lobes_of(campaign(tmp_path, method, material, EXACT))[0]
+    limit = result.lobes["limit_depth"].values
+    for level, step in ((0.05, -1.6448536269514722), (0.5, 0.0), (0.95, 1.6448536269514722)):
+        quantile = result.lobes["limit_depth_quantile"].sel(quantile=level).values
+        np.testing.assert_allclose(quantile, limit * np.exp(known * step), rtol=1e-8)
+    np.testing.assert_allclose(result.table["safe_depth_mm"], limit * np.exp(-1.6448536269514722 * known), rtol=1e-8)
+    assert result.lobes.attrs["coefficient_uncertainty"] == known
+
+
+def test_a_model_that_states_no_uncertainty_has_no_band_however_well_the_coefficients_are_known(tmp_path):
+    for material in ("", 'uncertainty = "1 %"', "uncertainty = 0"):
+        result = lobes_of(campaign(tmp_path, material=material))[0]
+        assert "limit_depth_quantile" not in result.lobes
+        assert result.table["safe_depth_mm"].isna().all()
 
 
 def test_semi_discretisation_takes_the_modes_that_fit_a_measured_compliance(tmp_path):
