@@ -41,6 +41,18 @@ class Pass:
         """Return the engagement of a tool of this diameter [m]."""
         return engagement(self.cut, self.width, diameter)
 
+    def entry_length(self, diameter: float) -> float:
+        """Return the way [m] from the first touch to the full arc of engagement, and the same again at the exit.
+
+        Within a strip of the width ``a_e`` at the edge of a tool of radius R the tool reaches ``sqrt(R^2 - (R -
+        a_e)^2)`` ahead of its centre, R where the strip passes the centre, and the arc is full when the centre is at
+        the face. A central strip is met at R ahead and full at ``sqrt(R^2 - (a_e/2)^2)``.
+        """
+        radius = 0.5 * diameter
+        if self.cut == "central":
+            return radius - math.sqrt(max(radius**2 - (0.5 * self.width) ** 2, 0.0))
+        return radius if self.width >= radius else math.sqrt(radius**2 - (radius - self.width) ** 2)
+
 
 @dataclass(frozen=True)
 class SweepPlan:
@@ -59,7 +71,7 @@ class SweepPlan:
     start, end : float
         Spindle rotation [rad/s].
     duration : float
-        Time in the cut [s].
+        Time at full width [s], in which the spindle goes from `start` to `end`.
     repeats : int
         How often all passes are cut.
     lead, tail : float
@@ -94,18 +106,33 @@ class SweepPlan:
 
     @property
     def record(self) -> float:
-        """Length of a record [s]: air, cut, air."""
+        """Length of a record [s]: air, full width, air; entry and exit add to it."""
         return self.lead + self.duration + self.tail
 
     @property
     def length_of_cut(self) -> float:
-        """Length of one pass in the work [m]."""
+        """Way of the tool at full width [m], on which the spindle accelerates."""
         return self.feed_rate * self.duration
 
     @property
+    def entry(self) -> float:
+        """Way on which the tool enters the work, and again on which it leaves it [m]; the longest of the passes."""
+        return max((p.entry_length(self.tool.diameter) for p in self.passes), default=0.0)
+
+    @property
+    def stock(self) -> float:
+        """Length of the work [m]: the tool enters it and cuts at full width."""
+        return self.length_of_cut + self.entry
+
+    @property
     def travel(self) -> float:
-        """Travel of the axis in one pass with the air before and after [m]."""
-        return self.feed_rate * self.record
+        """Travel of the axis in one pass [m]: air, entry, full width, exit, air."""
+        return self.feed_rate * self.record + 2.0 * self.entry
+
+    @property
+    def pass_time(self) -> float:
+        """Duration of one pass [s], entry and exit included."""
+        return self.travel / self.feed_rate
 
     @property
     def records(self) -> int:
@@ -170,7 +197,7 @@ def energy(
     tooth_passing : (float, float)
         Range of the tooth passing frequency [Hz].
     duration : float
-        Time in the cut [s].
+        Time at full width [s], in which the spindle goes from `start` to `end`.
     feed_rate : float
         [m/s].
     """

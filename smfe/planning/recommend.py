@@ -82,7 +82,8 @@ def summary(found: Plan) -> str:
     lines = [
         f"cut {passes}, {times}: {sweep.tool.teeth} inserts, {1e3 * sweep.depth:.3g} mm deep, spindle {slow:.5g} to "
         f"{fast:.5g} rpm in {sweep.duration:g} s, feed {6e4 * sweep.feed_rate:.4g} mm/min "
-        f"({1e3 * sweep.feed_per_tooth:.3g} mm per tooth at the start), {1e3 * sweep.length_of_cut:.4g} mm long",
+        f"({1e3 * sweep.feed_per_tooth:.3g} mm per tooth at the start), {1e3 * sweep.length_of_cut:.4g} mm long at "
+        f"full width, and {1e3 * sweep.entry:.3g} mm to enter",
         f"expected error of the rms compliance: at most {100.0 * found.worst:.2g} %, "
         f"median {100.0 * found.median:.2g} % (95 % of sweeps: worst entry {100.0 * low:.2g} to {100.0 * high:.2g} %; "
         "narrow bands alone: at most "

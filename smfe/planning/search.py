@@ -201,7 +201,8 @@ class Search:
         base = SweepPlan(
             ramp.tool, (), 1.0, ramp.feed_per_tooth, ramp.start, ramp.end, 1.0, 1, limits.lead, limits.tail
         )
-        duration, needs = self._duration(base, len(choices[0]))
+        entry = max(p.entry_length(ramp.tool.diameter) for p in cuts.choices)
+        duration, needs = self._duration(base, len(choices[0]), entry)
         plan = replace(base, duration=duration)
         loads = self._loads(plan, cuts)
         peaks = {k: v[rows].max(axis=1) for k, v in loads.items()}
@@ -238,8 +239,11 @@ class Search:
             columns[k] = np.zeros(rows.shape[0]) if given is None else least * v / given
         return pd.DataFrame(columns)
 
-    def _duration(self, plan: SweepPlan, passes: int) -> tuple[float, dict[str, float]]:
-        """Return the longest time in the cut [s], and needed over available of what limits it."""
+    def _duration(self, plan: SweepPlan, passes: int, entry: float) -> tuple[float, dict[str, float]]:
+        """Return the longest time at full width [s], and needed over available of what limits it.
+
+        The tool enters and leaves on the way `entry` [m] each.
+        """
         limits = self.task.limits
         feed, air = plan.feed_rate, plan.lead + plan.tail
         rise = plan.end - plan.start
@@ -251,9 +255,9 @@ class Search:
             shortest = max(shortest, rise / limits.spindle_acceleration)
         ends = [longest]
         for key, given, used, extra in (
-            ("stroke", limits.stroke, feed, feed * air),
-            ("stock", limits.stock_length, feed, 0.0),
-            ("time", limits.time, float(passes), passes * air),
+            ("stroke", limits.stroke, feed, feed * air + 2.0 * entry),
+            ("stock", limits.stock_length, feed, entry),
+            ("time", limits.time, float(passes), passes * (air + 2.0 * entry / feed)),
         ):
             if given is not None:
                 needs[key] = (used * shortest + extra) / given
@@ -271,7 +275,7 @@ class Search:
         limits = self.task.limits
         if limits.time is None:
             return limits.repeats
-        return min(limits.repeats, max(1, math.floor(limits.time / (passes * plan.record) + 1e-9)))
+        return min(limits.repeats, max(1, math.floor(limits.time / (passes * plan.pass_time) + 1e-9)))
 
     def _loads(self, plan: SweepPlan, cuts: Cuts) -> dict[str, Real]:
         """Return the largest force [N/m], torque [N] and power [W/m] of each pass of unit depth over the sweep."""

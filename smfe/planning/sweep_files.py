@@ -51,6 +51,8 @@ def passes_table(found: Plan) -> pd.DataFrame:
                 "feed_per_tooth_from_mm": 1e3 * sweep.feed_per_tooth,
                 "feed_per_tooth_to_mm": 1e3 * last,
                 "length_of_cut_mm": 1e3 * sweep.length_of_cut,
+                "entry_mm": 1e3 * one.entry_length(sweep.tool.diameter),
+                "stock_mm": 1e3 * sweep.stock,
                 "travel_mm": 1e3 * sweep.travel,
                 **_loads(levels, sweep),
                 "smallest_limit_depth_mm": limits[k],
@@ -88,8 +90,8 @@ def campaign_text(found: Plan) -> str:
     head = (
         "# Planned sweep. Cut the passes of plan.csv, put their records where [[measurement]] names them, correct\n"
         "# [channels] to your recorder, then: smfe run plan.toml\n"
-        f"# Each pass: spindle from {slow:.5g} to {fast:.5g} rpm in {sweep.duration:g} s, feed held at "
-        f"{6e4 * sweep.feed_rate:.4g} mm/min.\n"
+        f"# Each pass: enter at {slow:.5g} rpm; at full width spindle from {slow:.5g} to {fast:.5g} rpm in "
+        f"{sweep.duration:g} s; leave. Feed held at {6e4 * sweep.feed_rate:.4g} mm/min. plan.html has the steps.\n"
         "# Record from air to air, with the free decay after the cut. Forces act on the tool: a dynamometer under the\n"
         "# work needs sign = -1 in its channels.\n"
     )

@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from smfe.identification.sweep.rules import RULES as SWEEP_RULES
-from smfe.planning.forces import orders_within
+from smfe.planning import operator
+from smfe.planning.forces import Pass, orders_within
 from smfe.planning.recommend import Plan
 from smfe.reporting.content.style import AXIS_COLOURS, CHATTER
 from smfe.reporting.figures.draw_matplotlib import DPI, save
@@ -33,6 +34,8 @@ _UNITS = {
 _DASHES = ("-", "--", ":", "-.")
 
 CAPTIONS = {
+    "plan_top_view.png": "From above: work (grey) before each pass, path of the tool centre (dashed), where the "
+    "inserts cut (thick). Feed to the right, spindle clockwise.",
     "plan_band.png": "What covers the band: harmonics of the tooth passing frequency at the speeds of the sweep.",
     "plan_error.png": "Compliance of the estimate, and the error to be expected of what the sweep will find (noise and "
     "what resonances bend).",
@@ -61,7 +64,7 @@ def write_page(found: Plan, passes: pd.DataFrame, folder: Path) -> Path:
     Path
         The page: one file that needs nothing else.
     """
-    draws = (draw_band, draw_error, draw_forces, draw_condition, draw_level, draw_chatter)
+    draws = (draw_top_view, draw_band, draw_error, draw_forces, draw_condition, draw_level, draw_chatter)
     drawn = dict(zip(CAPTIONS, (draw(found) for draw in draws), strict=True))
     images = []
     for name, figure in drawn.items():
@@ -87,8 +90,26 @@ def _context(found: Plan, passes: pd.DataFrame) -> dict[str, Any]:
         "errors": [[f"{v:.2g}" for v in row] for row in error],
         "repeats": found.sweep.repeats,
         "passes": _turned(passes[passes["repeat"] == 1].drop(columns=["repeat", "file"])),
+        "before": operator.before(found),
+        "at_the_machine": [_pass_of(found, number, one) for number, one in enumerate(found.sweep.passes, 1)],
+        "goes_wrong": operator.what_goes_wrong(found),
         "alternatives": _table(found.alternatives),
         "rejected": _table(found.rejected),
+    }
+
+
+def _pass_of(found: Plan, number: int, one: Pass) -> dict[str, Any]:
+    """Return title, work and steps of a pass."""
+    steps = [
+        (f"{s.time:.1f}", f"{1e3 * s.position:.0f}", f"{s.speed * 30.0 / np.pi:.0f}", s.text)
+        for s in operator.steps(found.sweep, one)
+    ]
+    title = f"Pass {number}: {one.cut} milling, {1e3 * one.width:g} mm wide, {1e3 * found.sweep.depth:g} mm deep"
+    return {
+        "title": title,
+        "work": operator.side_cuts(found.sweep, one),
+        "feed": f"{6e4 * found.sweep.feed_rate:.4g} mm/min",
+        "steps": steps,
     }
 
 
@@ -127,6 +148,39 @@ def _plain(axes: Axes) -> None:
 
 def _new(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def draw_top_view(found: Plan) -> Figure:
+    """Draw each pass from above: x to the right is the feed, y up, the tool centre in the origin."""
+    passes, diameter = found.sweep.passes, 1e3 * found.sweep.tool.diameter
+    radius = 0.5 * diameter
+    figure = _new(3.1 * len(passes), 3.3)
+    panels = figure.subplots(1, len(passes), squeeze=False)[0]
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    far = 2.0 * diameter
+    for k, (axes, one) in enumerate(zip(panels, passes, strict=True)):
+        low, high = operator.strip(one, found.sweep.tool.diameter)
+        axes.axhspan(max(1e3 * low, -far), min(1e3 * high, far), color="#cfcfcf")
+        # What is behind the tool is cut already.
+        axes.fill_between([-far, 0.0], -radius, radius, color="white", linewidth=0)
+        axes.fill(radius * np.sin(turn), radius * np.cos(turn), color="white", linewidth=0)
+        axes.plot(radius * np.sin(turn), radius * np.cos(turn), color="black", linewidth=1.0)
+        arc = one.engagement(found.sweep.tool.diameter)
+        for part in arc.arcs:
+            phi = np.linspace(part.entry, part.exit, 60)
+            axes.plot(radius * np.sin(phi), radius * np.cos(phi), color=CHATTER, linewidth=3.5)
+        axes.axhline(0.0, color="black", linewidth=0.8, linestyle="--")
+        axes.annotate(
+            "", (1.15 * radius, 0.0), (0.35 * radius, 0.0), arrowprops={"arrowstyle": "-|>", "color": "black"}
+        )
+        axes.set_title(f"pass {k + 1}: {one.cut}, {1e3 * one.width:g} mm", fontsize=9)
+        axes.set_xlim(-1.4 * radius, 1.8 * radius)
+        axes.set_ylim(-1.5 * radius, 1.5 * radius)
+        axes.set_aspect("equal")
+        axes.set_xlabel("x [mm]", fontsize=9)
+        axes.tick_params(labelsize=8, direction="in")
+    panels[0].set_ylabel("y [mm]", fontsize=9)
+    return figure
 
 
 def draw_band(found: Plan) -> Figure:

@@ -67,7 +67,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
 def test_the_folder_holds_campaign_passes_prediction_scenario_and_page(found: tuple[Plan, Path]) -> None:
     result, out = found
     names = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()}
-    figures = {f"figures/plan_{n}.png" for n in ("band", "error", "forces", "condition", "level", "chatter")}
+    kinds = ("top_view", "band", "error", "forces", "condition", "level", "chatter")
+    figures = {f"figures/plan_{n}.png" for n in kinds}
     assert names == {"plan.toml", "plan.csv", "prediction.nc", "scenario.toml", "plan.html"} | figures
     prediction = read_groups(out / "prediction.nc")["sweep"]
     assert prediction["compliance_std"].dims == ("frequency", "response", "excitation")
