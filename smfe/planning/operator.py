@@ -62,15 +62,17 @@ def steps(sweep: SweepPlan, one: Pass) -> list[Step]:
     """
     feed = sweep.feed_rate
     entry = one.entry_length(sweep.tool.diameter) / feed
-    full, left = sweep.lead + entry, sweep.lead + entry + sweep.duration
-    moments = (
+    full, leaves = sweep.lead + entry, sweep.lead + sweep.stock / feed
+    ramped = full + sweep.duration
+    moments = [
         (0.0, sweep.start, "start recorder and feed in the air, spindle at constant speed; nothing touches"),
         (sweep.lead, sweep.start, "the tool touches the work"),
         (full, sweep.start, "full width of cut: start the ramp of the spindle"),
-        (left, sweep.end, "end of the ramp: hold the speed; the tool begins to leave the work"),
-        (left + entry, sweep.end, "the tool has left the work; feed and spindle go on in the air"),
-        (left + entry + sweep.tail, sweep.end, "stop the recorder: the machine has come to rest"),
-    )
+        (ramped, sweep.end, "end of the ramp: hold the speed"),
+        (leaves, sweep.end, "the tool begins to leave the work"),
+        (leaves + entry, sweep.end, "the tool has left the work; feed and spindle go on in the air"),
+        (leaves + entry + sweep.tail, sweep.end, "stop the recorder: the machine has come to rest"),
+    ]
     return [Step(t, feed * (t - sweep.lead), speed, text) for t, speed, text in moments]
 
 

@@ -48,12 +48,23 @@ def test_the_centre_runs_outside_the_wall_by_what_is_not_cut() -> None:
 def test_the_ramp_is_cut_at_full_width_alone() -> None:
     sweep = SweepPlan(Tool(DIAMETER, 2, math.pi / 4), (Pass("down", 0.012),), 1e-3, 1e-4, 60.0, 120.0, 30.0)
     entry = sweep.passes[0].entry_length(DIAMETER)
-    begin, touch, full, leaving, left, end = steps(sweep, sweep.passes[0])
+    begin, touch, full, ramped, leaving, left, end = steps(sweep, sweep.passes[0])
     assert (touch.position, full.position) == pytest.approx((0.0, entry))
-    assert leaving.time - full.time == pytest.approx(sweep.duration)
+    assert ramped.time - full.time == pytest.approx(sweep.duration)
+    assert leaving.time == pytest.approx(ramped.time)
     # The foremost point of the arc, `entry` ahead of the centre, is then at the far face of the work.
     assert leaving.position == pytest.approx(sweep.stock)
     assert left.position - leaving.position == pytest.approx(entry)
-    assert (begin.speed, full.speed, leaving.speed, end.speed) == (60.0, 60.0, 120.0, 120.0)
+    assert (begin.speed, full.speed, ramped.speed, end.speed) == (60.0, 60.0, 120.0, 120.0)
     assert end.position - begin.position == pytest.approx(sweep.travel)
     assert end.time == pytest.approx(sweep.pass_time)
+
+
+def test_a_narrow_ridge_on_the_same_work_is_left_later_than_its_ramp_ends() -> None:
+    passes = (Pass("down", 0.012), Pass("central", 0.03))
+    sweep = SweepPlan(Tool(DIAMETER, 2, math.pi / 4), passes, 1e-3, 1e-4, 60.0, 120.0, 30.0)
+    _, _, full, ramped, leaving, _, end = steps(sweep, passes[1])
+    assert ramped.time - full.time == pytest.approx(sweep.duration)
+    assert leaving.position == pytest.approx(sweep.stock)
+    assert leaving.time > ramped.time
+    assert end.time < sweep.pass_time
