@@ -10,6 +10,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from smfe.reporting.content.advice import subject
 from smfe.reporting.content.results import Results, read_results
 from smfe.reporting.content.style import OUTCOMES, band_text, number, palette
 from smfe.reporting.figures import draw_matplotlib
@@ -24,7 +25,6 @@ from smfe.reporting.sections import (
     lobes,
     loops,
     measured,
-    warnings,
 )
 from smfe.reporting.sections.draft import Draft
 from smfe.results import write_atomically
@@ -34,7 +34,7 @@ Section = Callable[[Draft], dict[str, Any]]
 
 SECTIONS: dict[str, tuple[str, str, Section]] = {
     "answer": ("Answer", "How deep, at which speed, how sure", answer.section),
-    "lobes": ("Lobes", "Stability lobes", lobes.section),
+    "lobes": ("Lobes", "Every source and pocket", lobes.section),
     "cutting_tests": ("Cutting tests", "Cutting tests", cutting_tests.section),
     "measured": ("Measured", "What was measured", measured.section),
     "compliances": ("Compliances", "Compliances", compliances.section),
@@ -42,7 +42,6 @@ SECTIONS: dict[str, tuple[str, str, Section]] = {
     "drives": ("Drives", "Drives: inertia and friction", drives.section),
     "comparison": ("Comparison", "Comparison of the measurements", comparison.section),
     "diagnosis": ("Diagnosis", "What the simulation gets wrong", diagnosis.section),
-    "warnings": ("Warnings", "Warnings", warnings.section),
     "files": ("Files", "Provenance", files.section),
 }
 """Name of a section, its module and its template -> its link, its heading (unless it says another), its maker."""
@@ -110,6 +109,7 @@ def render(results: Results) -> str:
     environment.globals["heights"] = {name: plot["layout"]["height"] for name, plot in draft.plots.items()}
     return environment.get_template("report.html.j2").render(
         title=results.title,
+        subject=subject(results),
         alone=results.diagnosis_alone,
         made=made,
         headings={name: SECTIONS[name][1] for name in made},

@@ -182,6 +182,10 @@ class Results:
         Content of provenance.json, empty when absent.
     finding : mapping
         Content of finding.json, empty when absent.
+    presets : mapping
+        Content of presets.json, empty when absent.
+    pockets : pandas.DataFrame or None
+        Rows of pockets.csv.
     """
 
     folder: Path
@@ -198,6 +202,8 @@ class Results:
     conditions: Mapping[str, xr.Dataset] = field(default_factory=dict)
     loops: Mapping[str, xr.Dataset] = field(default_factory=dict)
     drives: pd.DataFrame | None = None
+    presets: Mapping[str, Any] = field(default_factory=dict)
+    pockets: pd.DataFrame | None = None
 
     @property
     def title(self) -> str:
@@ -226,6 +232,17 @@ class Results:
         if self.provenance:
             return unpack(self.provenance)
         return [f for name in ("frf.nc", "lobes.nc") for f in of_file(self.folder / name)]
+
+    @property
+    def advice(self) -> Mapping[str, Mapping[str, Any]]:
+        """The recommendation of each request, as presets.json says it."""
+        return {str(r["lobes"]): r for r in self.presets.get("recommendations", ())}
+
+    @property
+    def best(self) -> Mapping[str, Any]:
+        """The one recommendation over all requests, empty where there is none."""
+        found: Mapping[str, Any] = self.presets.get("recommendation") or {}
+        return found
 
     @property
     def requests(self) -> dict[str, list[Lobes]]:
@@ -271,6 +288,8 @@ def read_results(folder: Path) -> Results:
         _read_conditions(folder / "conditions.nc"),
         _read_loops(folder / "loops.nc"),
         _read_csv(folder / "drives.csv", ("measurement", "parameter", "direction", "value", "low", "high", "unit")),
+        _read_json(folder / "presets.json"),
+        _read_csv(folder / "pockets.csv", ("source", "spindle_speed_rpm", "limit_depth_mm")),
     )
 
 

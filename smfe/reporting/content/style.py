@@ -14,9 +14,14 @@ from smfe.reporting.content.results import Results
 
 # Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis.
 CURVE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
-_DASHES = ("solid", "dash", "dot", "dashdot")
+_DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+SAFE_DASH = "longdashdot"
+"""The safe curve's."""
 CHATTER = "#D55E00"
 RECORD = "#9A9A9A"
+STABLE = "#0072B2"
+ADVICE = "#F0E442"
+"""The recommended cut: yellow with a black edge, as no line is."""
 AXIS_COLOURS = {"x": "#000000", "y": "#56B4E9", "z": "#8C6D1F"}
 EXCITATION_DASHES = {"": "solid", "x": "solid", "y": "dash", "z": "dot"}
 
@@ -37,12 +42,11 @@ class Line:
 def palette(results: Results) -> dict[str, Line]:
     """Return the look of each measurement, model and lobe source."""
     names = [m.name for m in results.measurements] + [item.source for item in results.lobes]
-    models = {m.name for m in results.measurements if m.is_model}
     looks = {}
     for number, name in enumerate(dict.fromkeys(names)):
         turn, colour = divmod(number, len(CURVE_COLOURS))
-        # Models are broken lines from the first: they were not measured.
-        looks[name] = Line(CURVE_COLOURS[colour], _DASHES[(turn + (name in models)) % len(_DASHES)])
+        # The first five differ in colour and in dash, the next five from them in one of both.
+        looks[name] = Line(CURVE_COLOURS[colour], _DASHES[(number + turn) % len(_DASHES)])
     return looks
 
 
@@ -94,6 +98,15 @@ def listed(parts: Iterable[str]) -> str:
 def spoken(name: str) -> str:
     """Return the name of a measurement as it stands in a sentence: "hammer moving" for hammer_moving."""
     return name.replace("_", " ")
+
+
+def with_range(value: float | None, low: float | None, high: float | None) -> tuple[str, str]:
+    """Return ("17.50", "17.43 to 17.57"): a range about a value to two digits of its half width, the value as far."""
+    if value is None or low is None or high is None or not all(map(math.isfinite, (value, low, high))) or high <= low:
+        return number(value), ""
+    digits = max(0, 1 - math.floor(math.log10(float(f"{0.5 * (high - low):.1e}"))))
+    texts = [f"{part:.{digits}f}".replace("-", "−") for part in (value, low, high)]
+    return texts[0], f"{texts[1]} to {texts[2]}"
 
 
 def band_text(pairs: Iterable[tuple[float, float]], limit: int = 12) -> str:

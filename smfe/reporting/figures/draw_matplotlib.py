@@ -19,20 +19,25 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from process.types import Real
 from smfe.reporting.content.conditions import cubes
 from smfe.reporting.content.headline import outcomes
 from smfe.reporting.content.results import BAD_CONDITION, Lobes, Measurement, Results
 from smfe.reporting.content.style import (
+    ADVICE,
     AXIS_COLOURS,
     CHATTER,
     CURVE_COLOURS,
     EXCITATION_DASHES,
     RECORD,
+    SAFE_DASH,
+    STABLE,
     Line,
     literal,
     number,
 )
 from smfe.reporting.figures import figure_data, spectrograms
+from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.results import write_atomically
 
 DPI = 150
@@ -42,7 +47,14 @@ MOST_SPECTRA = 24
 NOTHING = "nothing to draw:\nzero or not known"
 """What a panel says that has no positive value for its logarithmic axis."""
 
-_STYLES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
+_STYLES: dict[str, Any] = {
+    "solid": "-",
+    "dash": "--",
+    "dot": ":",
+    "dashdot": "-.",
+    "longdash": (0, (9, 3)),
+    "longdashdot": (0, (9, 3, 2, 3)),
+}
 _MARKERS: dict[str, dict[str, Any]] = {
     "stable": {"marker": "o", "color": "black", "markersize": 6},
     "chatter": {
@@ -55,6 +67,8 @@ _MARKERS: dict[str, dict[str, Any]] = {
     "undecided": {"marker": "^", "color": "black", "markersize": 7, "fillstyle": "none"},
 }
 
+_STAR: dict[str, Any] = {"marker": "*", "color": ADVICE, "markersize": 15, "markeredgecolor": "black"}
+
 Draw = Callable[[], Figure]
 
 
@@ -63,7 +77,9 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
     out: dict[str, Draw] = {}
     for position, (request, lobes) in enumerate(results.requests.items(), 1):
         name = re.sub(r"[^\w-]", "_", request) or f"lobes_{position}"
-        out[f"{name}.png"] = partial(draw_lobes, lobes, figure_data.tests_of(results.chatter, request), looks)
+        out[f"{name}.png"] = partial(
+            draw_lobes, lobes, figure_data.tests_of(results.chatter, request), looks, results.advice.get(request)
+        )
     shown = [m for m in results.measurements if m.entries]
     if shown:
         out["compliance.png"] = partial(draw_compliance, shown, looks)
@@ -128,6 +144,7 @@ def _legend(figure: Figure, entries: Sequence[tuple[Artist, str]], top: float) -
         ncols=columns,
         frameon=False,
         fontsize=9,
+        handlelength=3.2,
     )
 
 
@@ -147,30 +164,46 @@ def _plain_axes(axes: Axes) -> None:
     axes.tick_params(labelsize=8, direction="in", which="both")
 
 
-def draw_lobes(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mapping[str, Line]) -> Figure:
-    """Draw limit depth and chatter frequency over spindle speed with the cutting tests."""
+def draw_lobes(
+    lobes: Sequence[Lobes],
+    tests: pd.DataFrame | None,
+    looks: Mapping[str, Line],
+    advice: Mapping[str, Any] | None = None,
+) -> Figure:
+    """Draw limit depth and chatter frequency over spindle speed, as the page does; the recommended cut is marked."""
+    shown = diagram(lobes, tests, advice)
     entries: list[tuple[Artist, str]] = [(_handle(looks[item.source]), item.source) for item in lobes]
-    banded = next((b for item in lobes if (b := item.band()) is not None), None)
-    if banded is not None:
-        entries.append((Patch(facecolor="#888888", alpha=0.35), banded[2]))
+    if shown.safe is not None:
+        entries.append((_handle(Line("#000000", SAFE_DASH)), f"{SAFE} of {shown.main.source}"))
     happened = outcomes(tests) if tests is not None else pd.Series(dtype=str)
     for outcome, look in _MARKERS.items():
         if (happened == outcome).any():
             entries.append((Line2D([], [], linestyle="none", **look), f"test: {outcome}"))
+    if shown.point is not None:
+        entries.append((Line2D([], [], linestyle="none", **_STAR), advice_name(shown.point[2])))
     height = 5.4
     top = 1.0 - _legend_height(entries) / height
     figure = _new(7.5, height)
-    upper = figure.add_axes((0.09, 0.40, 0.88, top - 0.40))
-    lower = figure.add_axes((0.09, 0.09, 0.88, 0.27), sharex=upper)
+    upper = figure.add_axes((0.09, 0.36, 0.76, top - 0.36))
+    lower = figure.add_axes((0.09, 0.09, 0.76, 0.22), sharex=upper)
+    _draw_regions(upper, shown, looks[shown.main.source])
     for item in lobes:
-        _draw_lobe(upper, lower, item, looks[item.source])
+        main = item is shown.main
+        look = looks[item.source]
+        line = {"color": look.colour, "linestyle": _STYLES[look.dash], "linewidth": 2.6 if main else 1.3}
+        upper.plot(_speeds(item), figure_data.finite_depth(item), zorder=2 if main else 3, **line)
+        lower.plot(_speeds(item), item.values("chatter_frequency"), ".", color=look.colour, markersize=2.5)
+    if shown.safe is not None:
+        upper.plot(*shown.safe, color="black", linestyle=_STYLES[SAFE_DASH], linewidth=1.1, zorder=4)
     if tests is not None:
         _draw_tests(upper, lower, tests)
-    slowest, fastest = figure_data.speed_range(lobes)
-    if slowest < fastest:
-        upper.set_xlim(slowest, fastest)
-    upper.set_ylim(0.0, figure_data.highest_depth(lobes, tests))
-    upper.set_ylabel("limit depth $a_p$ [mm]")
+    for axes in (upper, lower):
+        _plain_axes(axes)
+    if shown.span[0] < shown.span[1]:
+        upper.set_xlim(*shown.span)
+    upper.set_ylim(0.0, shown.top)
+    _draw_words(upper, shown, tests)
+    upper.set_ylabel("depth of cut $a_p$ [mm]")
     upper.tick_params(labelbottom=False)
     lower.set_xlabel("spindle speed [rpm]")
     lower.set_ylabel("chatter\nfrequency [Hz]")
@@ -178,19 +211,56 @@ def draw_lobes(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mappin
     return figure
 
 
-def _draw_lobe(upper: Axes, lower: Axes, item: Lobes, look: Line) -> None:
-    _plain_axes(upper)
-    _plain_axes(lower)
-    speed = item.data["spindle_speed"].values.astype(float)
-    band = item.band()
+def _speeds(item: Lobes) -> Real:
+    return np.asarray(item.data["spindle_speed"].values, dtype=float)
+
+
+def _draw_regions(axes: Axes, shown: Diagram, look: Line) -> None:
+    """Shade where the source of the answer calls the cut stable, and where it says chatter; draw its single lobes."""
+    axes.fill_between(shown.speed, 0.0, shown.floor, color=STABLE, alpha=0.13, linewidth=0)
+    axes.fill_between(shown.speed, shown.limit, shown.top, color=CHATTER, alpha=0.10, linewidth=0)
+    band = shown.main.band()
     if band is not None:
-        low, high = (np.where(np.isinf(v), 1e6, v) for v in band[:2])
-        upper.fill_between(speed, low, high, color=look.colour, alpha=0.2, linewidth=0)
-    curves = item.curves()
-    if curves is not None:
-        upper.plot(curves[0], curves[1], color=look.colour, alpha=0.45, linewidth=0.5)
-    upper.plot(speed, figure_data.finite_depth(item), color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.6)
-    lower.plot(speed, item.values("chatter_frequency"), ".", color=look.colour, markersize=2.5)
+        low, high = (np.minimum(v, 2.0 * shown.top) for v in band[:2])
+        axes.fill_between(shown.speed, low, high, color=look.colour, alpha=0.22, linewidth=0)
+    single = single_lobes(shown.main, shown.span, shown.top)
+    if single is not None:
+        axes.plot(*single, color=look.colour, alpha=0.5, linewidth=0.5)
+
+
+def _draw_words(axes: Axes, shown: Diagram, tests: pd.DataFrame | None) -> None:
+    """Write what the regions are, the names at the ends of the lines, and the recommended cut."""
+    for word, (speed, depth) in shown.places(tests).items():
+        axes.text(speed, depth, word, ha="center", va="center", fontsize=11, color="#444444")
+    for _, text, end, place in shown.ends(0.05):
+        name = literal(text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 1]}…")
+        axes.annotate(
+            name,
+            (1.0, end),
+            (1.04, place),
+            xycoords=axes.get_yaxis_transform(),
+            fontsize=8,
+            va="center",
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": "#555555", "linewidth": 0.6, "shrinkA": 1, "shrinkB": 0},
+        )
+    if shown.point is not None:
+        speed, depth, text = shown.point
+        axes.plot([speed], [depth], linestyle="none", zorder=7, **_STAR)
+        left = speed > 0.5 * sum(shown.span)
+        axes.annotate(
+            text,
+            (speed, depth),
+            (-45 if left else 45, -26),
+            textcoords="offset points",
+            ha="right" if left else "left",
+            va="center",
+            fontsize=9,
+            fontweight="bold",
+            zorder=8,
+            bbox={"facecolor": "white", "edgecolor": "black", "linewidth": 0.7, "pad": 2.5},
+            arrowprops={"arrowstyle": "->", "linewidth": 0.8, "shrinkB": 6},
+        )
 
 
 def _draw_tests(upper: Axes, lower: Axes, tests: pd.DataFrame) -> None:

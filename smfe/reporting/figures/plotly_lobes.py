@@ -8,11 +8,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from process.types import Real
 from smfe.reporting.content.headline import outcomes
 from smfe.reporting.content.results import Lobes
-from smfe.reporting.content.style import CHATTER, Line, number, translucent
+from smfe.reporting.content.style import ADVICE, CHATTER, SAFE_DASH, STABLE, Line, number, translucent
 from smfe.reporting.figures import figure_data
-from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, filled, packed, plain, polygons
+from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
+from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, filled, packed, plain, polygons, scatter
+
+HEIGHT = 500
+_LABEL = 17
+"""Height of a label at the end of a line [px]."""
 
 _SYMBOLS = {
     "stable": {"symbol": "circle", "color": "#000", "size": 10},
@@ -21,69 +27,173 @@ _SYMBOLS = {
 }
 
 
-def lobes_figure(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mapping[str, Line]) -> Figure:
-    """Return limit depth over speed with the cutting tests, and the chatter frequency below."""
-    top, frequencies = figure_data.highest_depth(lobes, tests), figure_data.chatter_range(lobes)
-    data: list[Figure] = []
-    for item in lobes:
-        data += _lobe_traces(item, looks[item.source], top)
+def lobes_figure(
+    lobes: Sequence[Lobes],
+    tests: pd.DataFrame | None,
+    looks: Mapping[str, Line],
+    advice: Mapping[str, Any] | None = None,
+) -> Figure:
+    """Return limit depth over speed: stable and chatter shaded, safe curve, cutting tests, the recommended cut."""
+    shown = diagram(lobes, tests, advice)
+    data = [*_regions(shown), *_main_traces(shown, looks[shown.main.source])]
+    # Thinner and on top: where sources agree, the broken lines are seen on the thick one.
+    data += [_limit_trace(item, looks[item.source], 1.9) for item in lobes if item is not shown.main]
+    if shown.safe is not None:
+        data.append(_safe_trace(shown.safe))
     if tests is not None:
         data += _test_traces(tests)
-    shared = {"range": list(figure_data.speed_range(lobes)), "anchor": "y2", "mirror": "all"}
-    below = {"range": list(frequencies)} if frequencies else {}
+    if shown.point is not None:
+        data.append(_advice(shown.point))
     layout = base_layout(
-        640,
-        xaxis=axis_look("spindle speed [rpm]", **shared),
-        yaxis=axis_look("limit depth a<sub>p</sub> [mm]", domain=[0.36, 1.0], range=[0.0, top]),
-        yaxis2=axis_look("chatter frequency [Hz]", domain=[0.0, 0.3], **below),
+        HEIGHT,
+        margin={"l": 58, "r": 150, "t": 10, "b": 46},
+        xaxis=axis_look("spindle speed [rpm]", range=list(shown.span)),
+        yaxis=axis_look("depth of cut a<sub>p</sub> [mm]", range=[0.0, shown.top]),
+        annotations=[*_words(shown, tests), *_names(shown, looks), *_arrow(shown)],
+    )
+    return {"data": data, "layout": layout, "narrow": {"height": 380}}
+
+
+def _regions(shown: Diagram) -> list[Figure]:
+    """Return the shading: stable below the safe curve, chatter above the limit, neither between them."""
+    speed, zero, top = shown.speed, np.zeros_like(shown.floor), np.full_like(shown.limit, shown.top)
+    group = {"legendgroup": shown.main.source}
+    return [
+        filled(polygons(speed, zero, shown.floor), STABLE, 0.13, group),
+        filled(polygons(speed, shown.limit, top), CHATTER, 0.10, group),
+    ]
+
+
+def _main_traces(shown: Diagram, look: Line) -> list[Figure]:
+    """Return the source of the answer: band, single lobes and limit."""
+    item, out = shown.main, []
+    band = item.band()
+    if band is not None:
+        low, high = (np.minimum(v, 1.2 * shown.top) for v in band[:2])
+        out.append(filled(polygons(shown.speed, low, high), look.colour, 0.22, {"legendgroup": item.source}))
+    single = single_lobes(item, shown.span, shown.top)
+    if single is not None:
+        thin = {"width": 0.7, "color": translucent(look.colour, 0.5)}
+        hidden = {"hoverinfo": "skip", "showlegend": False, "legendgroup": item.source}
+        out.append({**scatter("lines", *single), **hidden, "line": thin})
+    return [*out, _limit_trace(item, look, 3.4)]
+
+
+def _safe_trace(curve: tuple[Real, Real]) -> Figure:
+    return {
+        **scatter("lines", *curve),
+        "name": SAFE,
+        "legendgroup": SAFE,
+        "line": {"width": 1.5, "color": "#000", "dash": SAFE_DASH},
+        "hovertemplate": "%{x:.5~g} rpm<br>safe depth %{y:.4~g} mm",
+    }
+
+
+def _limit_trace(item: Lobes, look: Line, width: float) -> Figure:
+    finite, lobe = figure_data.finite_depth(item), item.values("lobe")
+    frequency = item.values("chatter_frequency")
+    return {
+        **scatter("lines", item.data["spindle_speed"].values.astype(float), finite),
+        "name": plain(item.source),
+        "legendgroup": item.source,
+        "customdata": packed(np.column_stack([frequency, np.where(lobe >= 0, lobe, np.nan)])),
+        "hovertemplate": "%{x:.5~g} rpm<br>limit depth %{y:.4~g} mm<br>"
+        "chatter frequency %{customdata[0]:.4~g} Hz<br>lobe %{customdata[1]:.0f}",
+        "line": {"width": width, "color": look.colour, "dash": look.dash},
+    }
+
+
+def _advice(point: tuple[float, float, str]) -> Figure:
+    speed, depth, text = point
+    marker = {"symbol": "star", "size": 19, "color": ADVICE, "line": {"color": "#000", "width": 1.5}}
+    return {
+        **{
+            "type": "scatter",
+            "mode": "markers",
+            "x": [speed],
+            "y": [depth],
+            "name": advice_name(text),
+            "marker": marker,
+        },
+        "hovertemplate": f"{plain(text)}<extra></extra>",
+    }
+
+
+def _arrow(shown: Diagram) -> list[Figure]:
+    """Return what is written at the recommended cut, beside it where there is more room."""
+    if shown.point is None:
+        return []
+    speed, depth, text = shown.point
+    left = speed > 0.5 * (shown.span[0] + shown.span[1])
+    place = {"x": speed, "y": depth, "ax": -75 if left else 75, "ay": 34, "xanchor": "right" if left else "left"}
+    look = {"bgcolor": "rgba(255,255,255,0.92)", "bordercolor": "#000", "borderpad": 3, "font": {"size": 14}}
+    return [{**place, **look, "text": f"<b>{plain(text)}</b>", "showarrow": True, "arrowhead": 2, "standoff": 9}]
+
+
+def _words(shown: Diagram, tests: pd.DataFrame | None) -> list[Figure]:
+    look = {"showarrow": False, "font": {"size": 16, "color": "#444"}}
+    return [{**look, "x": x, "y": y, "text": word} for word, (x, y) in shown.places(tests).items()]
+
+
+def _names(shown: Diagram, looks: Mapping[str, Line]) -> list[Figure]:
+    """Return the names at the ends of the lines, with a thin line to each end."""
+    room = _LABEL / (HEIGHT - 56)
+    out = []
+    for source, text, end, place in shown.ends(room):
+        name = text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 1]}…"
+        out.append(
+            {
+                **{"x": 1.0, "xref": "paper", "y": end, "xanchor": "left", "align": "left", "text": plain(name)},
+                **{"ax": 24, "ay": -(place - end) / shown.top * (HEIGHT - 56), "showarrow": True, "arrowhead": 0},
+                **{
+                    "arrowwidth": 1,
+                    "arrowcolor": "#000" if text == SAFE else looks[source].colour,
+                    "font": {"size": 12, "color": "#222"},
+                },
+                **{"wide": True, "group": source if text == source else text},
+            }
+        )
+    return out
+
+
+def chatter_figure(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Mapping[str, Line]) -> Figure | None:
+    """Return the chatter frequency over speed; None where none is known."""
+    ends = figure_data.chatter_range(lobes)
+    if ends is None:
+        return None
+    data: list[Figure] = []
+    symbols = ("circle", "square", "diamond", "triangle-up", "triangle-down")
+    for item, symbol in zip(lobes, symbols * len(lobes), strict=False):
+        data.append(
+            {
+                **scatter("markers", item.data["spindle_speed"].values.astype(float), item.values("chatter_frequency")),
+                "name": plain(item.source),
+                "marker": {"size": 5, "symbol": symbol, "color": looks[item.source].colour},
+                "hovertemplate": "%{x:.5~g} rpm: %{y:.4~g} Hz",
+            }
+        )
+    if tests is not None and "chatter_frequency_Hz" in tests:
+        rows = tests[(outcomes(tests) == "chatter") & np.isfinite(tests["chatter_frequency_Hz"].to_numpy(dtype=float))]
+        if not rows.empty:
+            data.append(
+                {
+                    **scatter("markers", rows["spindle_speed_rpm"], rows["chatter_frequency_Hz"]),
+                    "name": "cutting test: chatter",
+                    "marker": _SYMBOLS["chatter"],
+                    "text": [_test_text(row) for row in rows.to_dict("records")],
+                    "hovertemplate": "%{text}<extra></extra>",
+                }
+            )
+    layout = base_layout(
+        300,
+        xaxis=axis_look("spindle speed [rpm]", range=list(figure_data.speed_range(lobes))),
+        yaxis=axis_look("chatter frequency [Hz]", range=list(ends)),
     )
     return {"data": data, "layout": layout}
 
 
-def _lobe_traces(item: Lobes, look: Line, top: float) -> list[Figure]:
-    name, group = plain(item.source), item.source
-    speed, finite = item.data["spindle_speed"].values.astype(float), figure_data.finite_depth(item)
-    frequency, lobe = item.values("chatter_frequency"), item.values("lobe")
-    out = []
-    band = item.band()
-    if band is not None:
-        low, high = (np.where(np.isinf(v), 20.0 * top, v) for v in band[:2])
-        out.append(filled(polygons(speed, low, high), look.colour, 0.18, {"legendgroup": group}))
-    curves = item.curves()
-    if curves is not None:
-        thin = {
-            "type": "scatter",
-            "mode": "lines",
-            "line": {"width": 0.7, "color": translucent(look.colour, 0.45)},
-        }
-        hidden = {"hoverinfo": "skip", "showlegend": False, "legendgroup": group}
-        x = packed(curves[0])
-        out.append({**thin, **hidden, "x": x, "y": packed(curves[1])})
-        out.append({**thin, **hidden, "x": x, "y": packed(curves[2]), "yaxis": "y2"})
-    shared = {
-        "type": "scatter",
-        "x": packed(speed),
-        "name": name,
-        "legendgroup": group,
-        "customdata": packed(np.column_stack([finite, frequency, np.where(lobe >= 0, lobe, np.nan)])),
-        "hovertemplate": "%{x:.5~g} rpm<br>limit depth %{customdata[0]:.4~g} mm<br>"
-        "chatter frequency %{customdata[1]:.4~g} Hz<br>lobe %{customdata[2]:.0f}",
-    }
-    out.append(
-        {
-            **shared,
-            "mode": "lines",
-            "y": packed(finite),
-            "line": {"width": 2.4, "color": look.colour, "dash": look.dash},
-        }
-    )
-    points = {"mode": "markers", "marker": {"size": 3.5, "color": look.colour}, "showlegend": False}
-    out.append({**shared, **points, "y": packed(frequency), "yaxis": "y2"})
-    return out
-
-
 def _test_traces(tests: pd.DataFrame) -> list[Figure]:
-    """Return the cutting tests by outcome, and the frequencies of those that chattered."""
+    """Return the cutting tests by outcome."""
     happened = outcomes(tests)
     out: list[Figure] = []
     for outcome, marker in _SYMBOLS.items():
@@ -101,8 +211,6 @@ def _test_traces(tests: pd.DataFrame) -> list[Figure]:
             "hovertemplate": "%{text}<extra></extra>",
         }
         out.append({**shared, "y": packed(rows["depth_of_cut_mm"])})
-        if outcome == "chatter" and "chatter_frequency_Hz" in rows:
-            out.append({**shared, "y": packed(rows["chatter_frequency_Hz"]), "yaxis": "y2", "showlegend": False})
     return out
 
 

@@ -1,4 +1,4 @@
-"""Stability lobes: a diagram for each request."""
+"""Every source and pocket of the stability lobes, and the frequencies of chatter."""
 
 from __future__ import annotations
 
@@ -6,32 +6,37 @@ from typing import Any
 
 import numpy as np
 
+from smfe.reporting.content import advice
 from smfe.reporting.content.results import Lobes, bands
 from smfe.reporting.content.style import band_text
 from smfe.reporting.figures import figure_data
-from smfe.reporting.figures.plotly_lobes import lobes_figure
-from smfe.reporting.sections.answer import cut_text
+from smfe.reporting.figures.plotly_lobes import chatter_figure
 from smfe.reporting.sections.draft import Draft
 
 
 def section(draft: Draft) -> dict[str, Any]:
-    """Return the diagrams."""
+    """Return tables and figures, one block a request."""
     results, out = draft.results, []
+    best = results.best.get("lobes", next(iter(results.requests), ""))
     for position, (request, lobes) in enumerate(results.requests.items(), 1):
-        tests = figure_data.tests_of(results.chatter, request)
-        name = f"plot-lobes-{position}"
-        draft.plots[name] = lobes_figure(lobes, tests, draft.looks)
+        found = results.advice.get(request)
+        name = f"plot-chatter-{position}"
+        figure = chatter_figure(lobes, figure_data.tests_of(results.chatter, request), draft.looks)
+        if figure is not None:
+            draft.plots[name] = figure
         out.append(
             {
                 "request": request,
-                "cut": cut_text(results, request),
-                "plot": name,
-                "tests": 0 if tests is None else len(tests),
-                "band": next((b[2] for item in lobes if (b := item.band()) is not None), ""),
+                "shown": request == best,
+                "cut": advice.cut_text(found) if found else request,
+                "sources": advice.sources(results, lobes, found),
+                "pockets": advice.pockets(results, request),
+                "plot": "" if figure is None else name,
                 "unlimited": [(item.source, _unlimited(item)) for item in lobes if _unlimited(item)],
             }
         )
-    return {"requests": out, "failures": draft.failures("lobes")}
+    failures = draft.failures("lobes")
+    return {"requests": out, "failures": failures} if out or failures else {}
 
 
 def _unlimited(item: Lobes) -> str:

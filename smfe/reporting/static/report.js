@@ -85,7 +85,7 @@
       const colour = typeof marker.color === "string" ? marker.color : "#000";
       path.setAttribute("d", SYMBOLS[marker.symbol || "circle"] || SYMBOLS.circle);
       path.setAttribute("fill", open ? "none" : colour);
-      path.setAttribute("stroke", colour);
+      path.setAttribute("stroke", (marker.line || {}).color === "#000" ? "#000" : colour);
       path.setAttribute("stroke-width", marker.symbol === "x" ? "3" : "1.5");
     } else {
       path.setAttribute("d", "M0 6H26");
