@@ -1,9 +1,10 @@
-"""Expensive results that several tests read: computed once, kept in ``.cache`` while arguments and packages stay."""
+"""Expensive results that several tests read: computed once, kept in ``.cache`` while arguments, maker and packages stay."""
 
 import fcntl
 import functools
 import hashlib
 import importlib
+import inspect
 import os
 import shutil
 import time
@@ -19,11 +20,14 @@ A_WEEK = 7 * 86400.0
 
 @functools.cache
 def sources() -> str:
-    """Return the hash of all sources of the three packages: a change of any of them makes every result anew."""
+    """Return the hash of all sources of the three packages: a change of any of them makes every result anew.
+
+    The page's templates, styles and scripts are among them.
+    """
     digest = hashlib.sha256()
     for package in PACKAGES:
         root = Path(importlib.import_module(package).__path__[0])
-        for path in sorted(root.rglob("*.py")):
+        for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".j2", ".js", ".css")):
             digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return digest.hexdigest()
 
@@ -34,7 +38,8 @@ def kept(make: Callable[..., object], *arguments: object) -> Path:
     Workers that ask for the same folder wait for the one that makes it. What is in it must not be changed: copy it.
     The representation of each argument must say all about it.
     """
-    key = repr((make.__module__, make.__qualname__, arguments, sources()))
+    own = hashlib.sha256(Path(inspect.getfile(make)).read_bytes()).hexdigest()
+    key = repr((make.__module__, make.__qualname__, own, arguments, sources()))
     folder = CACHE / f"{make.__name__}-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     CACHE.mkdir(parents=True, exist_ok=True)
     with (CACHE / f"{folder.name}.lock").open("w") as lock:

@@ -14,6 +14,7 @@ from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.machine.modes import ModalModel
+from smfe.reporting import write_report
 from smfe.results import pack_warnings, write_csv, write_groups, write_json
 from stability import lobe_curves, lobe_table, write_table, zero_order
 
@@ -145,6 +146,47 @@ def hits(count: int) -> pd.DataFrame:
     )
 
 
+def recommendation(request: str, cut: str, source: str, table: pd.DataFrame) -> dict[str, object]:
+    """Return a recommendation at the highest limit of a table, with the keys that the pipeline writes."""
+    row = table.loc[table["limit_depth_mm"].idxmax()]
+    speed, depth = float(row["spindle_speed_rpm"]), np.floor(10.0 * row["safe_depth_mm"]) / 10.0
+    return {
+        "status": "recommended",
+        "spindle_speed_rpm": speed,
+        "speed_from_rpm": speed - 4.0,
+        "speed_to_rpm": speed + 4.0,
+        "depth_of_cut_mm": float(depth),
+        "limit_depth_mm": float(row["limit_depth_mm"]),
+        "limit_depth_p05_mm": float(row["limit_depth_p05_mm"]),
+        "limit_depth_p95_mm": float(row["limit_depth_p95_mm"]),
+        "width_of_cut_mm": 100.0,
+        "feed_per_tooth_mm": 0.2,
+        "feed_mm_min": float(row["feed_mm_min"]),
+        "cutting_speed_m_min": float(np.pi * TOOL.diameter * speed),
+        "removal_rate_cm3_min": float(depth * 100.0 * row["feed_mm_min"] / 1e3),
+        "probability": 0.95,
+        "chatter_frequency_Hz": float(row["chatter_frequency_Hz"]),
+        "lobes": request,
+        "method": "zero_order",
+        "cut": cut,
+        "source": source,
+        "reason": f"From {source}, measured in motion. The depth is stable with a probability of 95 %.",
+        "assumptions": ["cutting coefficients of C45 are taken as known within 10 %"],
+        "tool": {"name": "125 mm, 8 teeth", "diameter_mm": 125.0, "teeth": 8, "approach_angle_deg": 45.0},
+        "material": "C45",
+        "machine": "Ram machine",
+    }
+
+
+def pockets(answers: list[dict[str, object]]) -> pd.DataFrame:
+    """Return rows of pockets.csv: each recommendation, and half of each at the end of the speeds."""
+    names = ["lobes", "source", "spindle_speed_rpm", "speed_from_rpm", "speed_to_rpm", "depth_of_cut_mm"]
+    names += ["limit_depth_mm", "limit_depth_p05_mm", "limit_depth_p95_mm", "removal_rate_cm3_min"]
+    best = pd.DataFrame(answers)[[*names, "chatter_frequency_Hz"]].assign(recommended=[True, False], at_edge=False)
+    edge = best.assign(recommended=False, at_edge=True, spindle_speed_rpm=SPEEDS[-1])
+    return pd.concat([best, edge], ignore_index=True)
+
+
 def comparison() -> pd.DataFrame:
     pairs = [("hammer_idle", "actuator"), ("hammer_idle", "sweep"), ("actuator", "sweep")]
     rows = [
@@ -198,6 +240,9 @@ def write_sample(folder: Path, name: str = "Ram machine, K1 and K2") -> Path:
     results = {f"{request}/{source}": lobes_of(frf[source], source, cut) for request, cut, source in jobs}
     write_groups(folder / "lobes.nc", {name: item[0] for name, item in results.items()})
     write_table(pd.concat([item[1] for item in results.values()], ignore_index=True), folder / "lobe_table.csv")
+    answers = [recommendation(request, cut, s, results[f"{request}/{s}"][1]) for request, cut, s in jobs[1:]]
+    write_json(folder / "presets.json", {"recommendation": answers[0], "recommendations": answers, "presets": answers})
+    write_csv(folder / "pockets.csv", pockets(answers))
     tests = cutting_tests()
     write_csv(folder / "chatter.csv", tests)
     write_groups(folder / "spectra.nc", {f"test_{i + 1}": spectrum(row) for i, row in tests.iterrows()})
@@ -218,6 +263,13 @@ def write_sample(folder: Path, name: str = "Ram machine, K1 and K2") -> Path:
         "warnings": ["hammer_idle: 1 of 21 hits is overloaded", "cut_600.csv: undecided"],
     }
     write_json(folder / "provenance.json", provenance)
+    return folder
+
+
+def write_reported(folder: Path) -> Path:
+    """Write the sample and its page and figures, for `kept`."""
+    write_sample(folder)
+    write_report(folder)
     return folder
 
 

@@ -188,11 +188,10 @@ def draw_lobes(
     lower = figure.add_axes((0.09, 0.09, 0.76, 0.22), sharex=upper)
     _draw_regions(upper, shown, looks[shown.main.source])
     for item in lobes:
-        main = item is shown.main
-        look = looks[item.source]
-        line = {"color": look.colour, "linestyle": _STYLES[look.dash], "linewidth": 2.6 if main else 1.3}
-        upper.plot(_speeds(item), figure_data.finite_depth(item), zorder=2 if main else 3, **line)
-        lower.plot(_speeds(item), item.values("chatter_frequency"), ".", color=look.colour, markersize=2.5)
+        main, line = item is shown.main, looks[item.source]
+        style = {"color": line.colour, "linestyle": _STYLES[line.dash], "linewidth": 2.6 if main else 1.3}
+        upper.plot(_speeds(item), figure_data.finite_depth(item), zorder=2 if main else 3, **style)
+        lower.plot(_speeds(item), item.values("chatter_frequency"), ".", color=line.colour, markersize=2.5)
     if shown.safe is not None:
         upper.plot(*shown.safe, color="black", linestyle=_STYLES[SAFE_DASH], linewidth=1.1, zorder=4)
     if tests is not None:

@@ -11,16 +11,17 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from kept import kept
 from places import CHECKOUT
 from samples.report import (
     MACHINE,
-    SPEEDS,
     cutting_tests,
     hits,
     lobes_of,
     measured,
     model_error,
     spectrum,
+    write_reported,
     write_sample,
     write_single,
 )
@@ -29,7 +30,6 @@ from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.limits.cutting_tests import with_picture
 from smfe.reporting import write_report
-from smfe.reporting.content.headline import answers, pockets, score
 from smfe.reporting.content.results import Results, read_results
 from smfe.reporting.content.style import number, palette
 from smfe.reporting.figures.draw_matplotlib import NOTHING, draw_compliance
@@ -42,10 +42,8 @@ from stability import write_table
 
 
 @pytest.fixture(scope="module")
-def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = write_sample(tmp_path_factory.mktemp("sample"))
-    write_report(folder)
-    return folder
+def sample() -> Path:
+    return kept(write_reported)
 
 
 @pytest.fixture(scope="module")
@@ -174,67 +172,6 @@ def page_scripts(folder: Path) -> int:
     """Return the number of script elements: two of data, plotly, ours, and those that plotly itself names."""
     bundle = CHECKOUT / "smfe" / "reporting" / "static" / "plotly-cartesian.min.js"
     return 4 + bundle.read_text(encoding="utf-8").count("<script")
-
-
-class TestAnswer:
-    def test_pockets_are_rows_of_the_lobe_table(self, sample: Path, results: Results) -> None:
-        table = pd.read_csv(sample / "lobe_table.csv")
-        text = written(sample)
-        for found in answers(results):
-            rows = table[table["source"] == found.source]
-            assert found.pockets
-            for p in found.pockets:
-                same = rows[(rows["spindle_speed_rpm"] == p.speed[0]) & np.isclose(rows["limit_depth_mm"], p.depth)]
-                assert len(same) == 1
-                assert same["removal_rate_cm3_min"].item() == pytest.approx(p.removal_rate)
-                shown = (p.speed[0], p.depth, p.removal_rate)
-                at_edge = r"( \*)? " if p.at_edge else " "
-                assert re.search(f" {number(shown[0])}{at_edge}+{number(shown[1])} ", text)
-                assert f" {number(shown[2])} " in text
-
-    def test_smallest_depths_are_minima_of_the_table(self, sample: Path, results: Results) -> None:
-        text = written(sample)
-        table = pd.read_csv(sample / "lobe_table.csv")
-        blocks = [table.iloc[k * SPEEDS.size : (k + 1) * SPEEDS.size] for k in range(3)]
-        for found, block in zip(answers(results), blocks, strict=True):
-            assert found.smallest == pytest.approx(block["limit_depth_mm"].min())
-            assert found.smallest_safe == pytest.approx(block["safe_depth_mm"].min())
-            assert f"below {number(found.smallest)} mm every speed from 250 to 750 rpm" in text
-            assert f"{number(found.smallest_safe)} mm" in text
-
-    def test_score_counts_what_was_observed_before_the_verdict(self) -> None:
-        tests = cutting_tests()
-        # The sixth test belongs to no lobes; the fourth was observed stable, the fifth chattered.
-        hammer, sweep = (score(tests, "lobes_1", s) for s in ("hammer_idle", "sweep"))
-        assert (hammer.right, hammer.of, hammer.unsafe) == (2, 5, 1)
-        assert (sweep.right, sweep.of, sweep.unsafe) == (5, 5, 0)
-        assert score(tests, "lobes_2", "sweep") is None
-        assert score(None, "lobes_1", "sweep") is None
-
-    def test_score_is_in_the_headline(self, sample: Path) -> None:
-        assert "2 of 5 predicted rightly; 1 predicted stable, but chattered" in written(sample)
-        assert "5 of 5 predicted rightly" in written(sample)
-
-    def test_pockets_of_a_known_curve(self) -> None:
-        speed = np.arange(100.0, 200.0, 10.0)
-        depth = np.array([1.0, 2.0, 4.0, 3.5, 1.0, 1.0, np.inf, np.inf, 1.0, 2.5])
-        frame = pd.DataFrame({"spindle_speed_rpm": speed, "limit_depth_mm": depth})
-        found = pockets(frame)
-        assert [p.speed for p in found] == [(160.0, 170.0), (120.0, 120.0), (190.0, 190.0)]
-        assert [p.window for p in found] == [(160.0, 170.0), (120.0, 130.0), (190.0, 190.0)]
-        assert [p.at_edge for p in found] == [False, False, True]
-
-    def test_no_limit_at_all(self, tmp_path: Path) -> None:
-        frame = pd.DataFrame({"source": "a", "spindle_speed_rpm": [100.0, 110.0, 120.0], "limit_depth_mm": np.nan})
-        write_csv(tmp_path / "lobe_table.csv", frame)
-        write_report(tmp_path)
-        assert "no limit was found at any speed from 100 to 120 rpm" in written(tmp_path)
-
-    def test_warnings_are_counted_once(self, sample: Path, results: Results) -> None:
-        found = results.warnings
-        assert len(found) == len(set(found))
-        assert sum("1 of 21 hits is overloaded" in sentence for _, sentence in found) == 1
-        assert f"{len(found)} warnings belong" in written(sample)
 
 
 class TestFigures:
