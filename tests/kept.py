@@ -1,4 +1,4 @@
-"""Expensive results that several tests read: computed once, kept in ``.cache`` while arguments, maker and packages stay."""
+"""Expensive results that several tests read: computed once, kept in ``.cache`` while what makes them stays."""
 
 import fcntl
 import functools
