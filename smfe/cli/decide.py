@@ -151,7 +151,7 @@ def diagnose(
 ) -> Outcome:
     """Say what the baseline of a campaign gets wrong, why, and what the repaired model gains."""
     import smfe
-    from smfe.diagnosis.inference.finding import explain
+    from smfe.diagnosis.story.sentences import explain
 
     with terminal.bar() as progress:
         finding = smfe.diagnose(campaign, output, seed, tuple(held_out or ()), progress, terminal.show, workers)

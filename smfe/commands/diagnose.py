@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import html
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
+
+import xarray as xr
 
 from process.errors import InputError
+from smfe._version import __version__
 from smfe.campaign import AxisModel, Campaign, LimitsOf, ModesOf, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.campaign.methods import COMPLIANCE_METHODS
@@ -16,11 +24,42 @@ from smfe.diagnosis.cases.compliances import case_of
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.inference.diagnose import diagnose as diagnose_family
-from smfe.diagnosis.inference.finding import Finding, explain
+from smfe.diagnosis.inference.finding import Finding
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
+from smfe.identification.measurement import file_hash
 from smfe.progress import Progress, silent, warn
-from smfe.results import KEPT, MEASUREMENT, TEST, Failures, check_target, write_json
+from smfe.reporting.figures.draw_diagnosis import Picture, draw_compared
+from smfe.results import KEPT, MEASUREMENT, TEST, Failures, check_target, read_groups, write_groups, write_json
+
+CURVES = ".nc"
+"""Suffix of the file beside ``finding.json`` that holds the curves."""
+
+FORM = 1
+"""Number of the form in which findings are kept."""
+
+
+@dataclass(frozen=True)
+class Diagnosis(Finding):
+    """A finding that shows itself: in a notebook as its sentences, with `plot` as a figure."""
+
+    def plot(self) -> Picture:
+        """Return a matplotlib figure: measured, baseline and extended model of each condition, and what is left.
+
+        Raises
+        ------
+        InputError
+            Where nothing was compared, so that there is nothing to draw.
+        """
+        if self.curves is None:
+            raise InputError("nothing was compared in this finding, so there is nothing to draw")
+        return draw_compared(self.curves)
+
+    def _repr_html_(self) -> str:
+        """Return the sentences, the verdict first and the notes left out."""
+        first, *others = [p for p in self.passages if p.about != "note"]
+        said = "".join(f"<p>{html.escape(p.text)}</p>" for p in others)
+        return f"<p><strong>{html.escape(first.text)}</strong></p>{said}"
 
 
 def diagnose(
@@ -79,9 +118,19 @@ def diagnose(
     case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), progress)
     finding, content = _tested(loaded, case, suspects, seed, progress, held_out, workers)
     if path is not None:
-        write_json(path, content)
+        write_finding(path, content, finding.curves)
     warn(f"{s.where}: {s.evidence}; {s.advice}" for s in suspects if s.level == "fault")
     return finding
+
+
+def write_finding(path: Path, content: Mapping[str, Any], curves: xr.Dataset | None) -> None:
+    """Write the JSON file of a finding and, beside it, its curves with the suffix ``.nc``; remove those of another."""
+    write_json(path, content)
+    beside = path.with_suffix(CURVES)
+    if curves is None:
+        beside.unlink(missing_ok=True)
+    else:
+        write_groups(beside, {"curves": curves})
 
 
 def finding_of(
@@ -89,10 +138,35 @@ def finding_of(
     found: Mapping[str, Identification],
     suspects: Sequence[Suspect],
     progress: Progress = silent,
-) -> dict[str, object]:
-    """Return what ``finding.json`` holds for a campaign with a baseline that was audited and identified already."""
+    kept: Path | None = None,
+    happened: Mapping[str, str] | None = None,
+) -> tuple[dict[str, Any], xr.Dataset | None]:
+    """Return what ``finding.json`` holds, and the curves, of a campaign that was audited and identified already.
+
+    A campaign whose files are those of an earlier run is not diagnosed again: its finding is read back from the folder
+    `kept`. `happened` says of the file of each cutting test whether it was "stable" or "chatter".
+    """
+    path = None if kept is None else kept / f"finding-{_key(campaign, suspects, happened)}.json"
+    if path is not None and path.is_file():
+        with contextlib.suppress(InputError, OSError, ValueError):
+            beside = path.with_suffix(CURVES)
+            return json.loads(path.read_text(encoding="utf-8")), (
+                read_groups(beside)["curves"] if beside.is_file() else None
+            )
     case = case_of(*_usable(campaign, Audit(list(suspects)).excluded, found), progress)
-    return _tested(campaign, case, suspects, 0, progress, ())[1]
+    finding, content = _tested(campaign, case, suspects, 0, progress, (), None, happened)
+    if path is not None:
+        for old in (*path.parent.glob("finding-*.json"), *path.parent.glob(f"finding-*{CURVES}")):
+            old.unlink()
+        write_finding(path, content, finding.curves)
+    return content, finding.curves
+
+
+def _key(campaign: Campaign, suspects: Sequence[Suspect], happened: Mapping[str, str] | None) -> str:
+    """Return a hash of all that a finding rests on: the files, what was noticed and judged, and this version."""
+    hashes = [file_hash(f) for f in (campaign.path, *campaign.files)]
+    settings = repr((__version__, FORM, suspects, sorted((happened or {}).items())))
+    return hashlib.sha256("\n".join([settings, *hashes]).encode()).hexdigest()[:16]
 
 
 def _usable(
@@ -114,17 +188,19 @@ def _tested(
     progress: Progress,
     held_out: Sequence[str],
     workers: int | None = None,
-) -> tuple[Finding, dict[str, object]]:
+    happened: Mapping[str, str] | None = None,
+) -> tuple[Diagnosis, dict[str, Any]]:
     left_out = case.held_out_conditions(held_out)
     finding = diagnose_family(case.family, seed, progress, left_out, workers)
-    finding = with_consequences(campaign, case.family, finding, left_out)
-    return finding, {"campaign": campaign.name, **as_dict(finding, [*suspects, *case.suspects])}
+    finding = with_consequences(campaign, case.family, finding, left_out, happened)
+    said = Diagnosis(**{f.name: getattr(finding, f.name) for f in fields(finding)})
+    return said, {"campaign": campaign.name, **as_dict(finding, [*suspects, *case.suspects])}
 
 
-def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, object]:
+def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, Any]:
     """Return what ``finding.json`` holds."""
     audited = [{"cause": s.cause, "level": s.level, "where": s.where, "evidence": s.evidence} for s in suspects]
-    summary = explain(finding).splitlines()
+    summary = list(finding.sentences)
     return {**finding.as_dict(), "story": summary, "summary": summary, "data_audit": audited}
 
 

@@ -24,7 +24,7 @@ from smfe._version import __version__
 from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.commands.compare import compared, model_errors, single_levels
-from smfe.commands.diagnose import finding_of
+from smfe.commands.diagnose import finding_of, write_finding
 from smfe.commands.identify import CONDITIONS, conditions_of, identify_all, left_out, with_warnings, write_conditions
 from smfe.commands.report import report
 from smfe.comparison.explained import explain
@@ -152,7 +152,9 @@ def run(
         verdicts = judge_all(whole, compliances, progress, failures)
     finding = None
     with notes.timed("diagnosis"), attempt(failures, "diagnosis"):
-        finding = finding_of(loaded, found, checked.suspects, progress) if loaded.baseline is not None else None
+        if loaded.baseline is not None:
+            happened = {r["file"]: str(r.get("observed") or r["verdict"]) for r in verdicts.rows}
+            finding = finding_of(loaded, found, checked.suspects, progress, folder / KEPT, happened)
     gone = {f.name for f in failures if f.part == MEASUREMENT}
     notes.warnings += [left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *drives, *gone}]
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
@@ -177,10 +179,12 @@ def run(
     write_lobes(folder, results, loaded, verdicts.rows, failures)
     write_verdicts(folder, verdicts)
     if finding is None:
-        (folder / "finding.json").unlink(missing_ok=True)
+        for name in ("finding.json", "finding.nc"):
+            (folder / name).unlink(missing_ok=True)
     else:
-        write_json(folder / "finding.json", finding)
-    write_json(folder / "provenance.json", _provenance(loaded, notes))
+        write_finding(folder / "finding.json", *finding)
+    diagnosed = {} if finding is None else {key: finding[0][key] for key in ("verdict", "summary")}
+    write_json(folder / "provenance.json", _provenance(loaded, notes, diagnosed))
     page = report(folder, progress)
     warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in failures)])
     return page
@@ -204,7 +208,7 @@ def _write_identifications(
             write_csv(folder / "tables" / f"{name}.{table}.csv", frame)
 
 
-def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
+def _provenance(campaign: Campaign, notes: Notes, finding: Mapping[str, Any]) -> dict[str, Any]:
     packages = ("smfe", "numpy", "scipy", "numba", "xarray", "pandas", "h5netcdf")
     return {
         "campaign": campaign.name,
@@ -216,4 +220,5 @@ def _provenance(campaign: Campaign, notes: Notes) -> dict[str, Any]:
         "warnings": notes.warnings,
         "failures": as_rows(notes.failures),
         "check": notes.check,
+        **({"finding": dict(finding)} if finding else {}),
     }

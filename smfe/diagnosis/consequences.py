@@ -1,4 +1,4 @@
-"""What a finding means in the workshop: stable depths and force errors, with the baseline and with what repairs it."""
+"""What a finding means in the workshop: errors, stable depths and force errors before and after, and its sentences."""
 
 from __future__ import annotations
 
@@ -9,14 +9,23 @@ from dataclasses import replace
 import numpy as np
 
 from process.cut.engagement import engagement
+from process.errors import InputError
+from process.labels import make_compliance
 from process.units import implausible
-from smfe.campaign import Campaign
+from smfe.campaign import Campaign, CuttingTest
+from smfe.diagnosis.cutting.forces import CuttingForces
 from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
-from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, StableDepth
+from smfe.diagnosis.frf.modes import ModalFrfs
+from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, ForetoldCut, StableDepth
 from smfe.diagnosis.inference.problem import Condition, Family, Values
+from smfe.diagnosis.story.causes import Friction
+from smfe.diagnosis.story.curves import with_curves
+from smfe.diagnosis.story.experiments import instruction
+from smfe.diagnosis.story.sentences import Setting, told
+from smfe.limits.cutting_tests import judge
 from stability import zero_order
 
 SPEEDS = 41
@@ -25,18 +34,110 @@ SPEEDS = 41
 _STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
 
 
-def with_consequences(campaign: Campaign, family: Family, finding: Finding, held_out: Sequence[str]) -> Finding:
-    """Return a finding with what became of the baseline, and stable depths or force errors where it is repaired."""
+def with_consequences(
+    campaign: Campaign,
+    family: Family,
+    finding: Finding,
+    held_out: Sequence[str],
+    happened: Mapping[str, str] | None = None,
+) -> Finding:
+    """Return a finding as it is told: what became of the baseline, errors and curves, depths, sentences.
+
+    `happened` says of each cutting test, by the name of its file, whether it was "stable" or "chatter"; without it they
+    are judged here.
+    """
     finding = _plausible(replace(finding, baseline=tuple(_baseline(family, finding))))
-    if not finding.causes:
-        return finding
-    if isinstance(family, DriveRecordFamily):
-        return replace(finding, force_error=tuple(_force_errors(family, finding, held_out)))
-    if isinstance(family, MachineFrfs) and isinstance(family.baseline, AxisBaseline):
-        return replace(finding, stable_depth=stable_depths(campaign, family.baseline, finding.values))
+    finding = with_curves(family, finding)
+    if finding.causes:
+        if isinstance(family, DriveRecordFamily):
+            finding = replace(finding, force_error=tuple(_force_errors(family, finding, held_out)))
+        depths, why = _stable_depths(campaign, family, finding)
+        tested = tuple(_tested(campaign, depths, happened)) if depths else ()
+        finding = replace(finding, stable_depth=depths, no_depth=why, tested_depth=tested)
+    if finding.next_experiment is not None:
+        proposed = [c for c in family.proposals if c.name == finding.next_experiment.name]
+        if proposed:
+            do = instruction(family, proposed[0])
+            finding = replace(finding, next_experiment=replace(finding.next_experiment, do=do))
+    return replace(finding, passages=told(finding, Setting(_friction(family, finding))))
+
+
+def _friction(family: Family, finding: Finding) -> Friction | None:
+    """Return what brakes the axis of a baseline by the extended model, at rest and at its fastest feed."""
+    if not (isinstance(family, MachineFrfs) and finding.values):
+        return None
+    baseline = family.baseline
+    feeds = [abs(float(c.settings.get("feed", 0.0))) for c in family.conditions]
+    fastest = max(feeds, default=0.0)
+    side = baseline.effective(finding.values, {}, fastest).friction[0]
+    return Friction(baseline.axis, side.force(0.0), 6e4 * fastest, side.force(fastest))
+
+
+def _stable_depths(campaign: Campaign, family: Family, finding: Finding) -> tuple[tuple[StableDepth, ...], str]:
+    """Return the stable depths before and after, or why none is given."""
+    if isinstance(family, DriveRecordFamily | CuttingForces):
+        what = "drive force" if isinstance(family, DriveRecordFamily) else "cutting force"
+        return (), f"No depth in millimetres: the {what} alone says nothing of how far the tool gives way."
+    lost = [
+        name
+        for name, there in (
+            ("[tool]", campaign.tool is not None),
+            ("[material]", campaign.coefficients is not None),
+            ("[[lobes]] or cutting tests with their feed", any(True for _ in _asked(campaign))),
+        )
+        if not there
+    ]
+    if lost:
+        return (), f"No depth in millimetres: the campaign has no {', no '.join(lost)}."
+    if isinstance(family, MachineFrfs):
+        return stable_depths(campaign, family.baseline, finding.values), ""
     if isinstance(family, CuttingLimits):
-        return replace(finding, stable_depth=tuple(_limits(campaign, family, finding)))
-    return finding
+        return tuple(_limits(campaign, family, finding)), ""
+    if isinstance(family, ModalFrfs):
+        return tuple(_of_modes(campaign, family, finding.values)), ""
+    return (), ""
+
+
+def _of_modes(campaign: Campaign, family: ModalFrfs, values: Values) -> Iterator[StableDepth]:
+    """Limit depths of modes as the campaign gives them, and as the extended model has them, by the zero-order method.
+
+    The tool carries no sensor; the spindle turns as it does in the cut.
+    """
+    assert campaign.tool is not None
+    assert campaign.coefficients is not None
+    given = {p.name: p.start for p in (*family.nuisances, *(p for c in family.causes for p in c.parameters))}
+    f = family.fine_frequency()
+    for where, cut, width, feed_per_tooth, speeds in _asked(campaign):
+        arc = engagement(cut, width, campaign.tool.diameter)
+        for rpm in speeds:
+            depths = []
+            for v in (given, values):
+                phi = make_compliance(f, family.in_the_cut(v, rpm, f))
+                found = zero_order(phi, campaign.tool, arc, campaign.coefficients, [rpm])
+                depths.append(float(found["limit_depth"].values[0]))
+            yield StableDepth(where, rpm, feed_per_tooth * campaign.tool.teeth * rpm * 1e3, *depths)
+
+
+def _tested(
+    campaign: Campaign, depths: Sequence[StableDepth], happened: Mapping[str, str] | None
+) -> Iterator[ForetoldCut]:
+    """Yield the cutting tests that are decided, with the stable depths of both models."""
+    rows = {row.where: row for row in depths}
+    for test in campaign.cutting_tests:
+        row = rows.get(test.file.name)
+        if row is None:
+            continue
+        verdict = test.observed or (_judged(campaign, test) if happened is None else happened.get(test.file.name, ""))
+        if verdict in ("stable", "chatter"):
+            depth = 1e3 * test.depth_of_cut
+            yield ForetoldCut(test.file.name, test.spindle_speed, depth, verdict, row.before_mm, row.after_mm)
+
+
+def _judged(campaign: Campaign, test: CuttingTest) -> str:
+    try:
+        return judge(campaign, test).verdict
+    except InputError:
+        return ""
 
 
 def _plausible(finding: Finding) -> Finding:

@@ -73,11 +73,13 @@ class CuttingForces(Abilities):
             return np.asarray(_through_sensor(known, 0.0, values)[0].real / condition.data.std)
         found = condition.data
         assert isinstance(found, CuttingOrders)
+        orders = self.orders(found, values)
+        return found.whitened(orders if condition.observed is None else turned(orders, found))
+
+    def orders(self, found: CuttingOrders, values: Values) -> Complex:
+        """Return the orders of a cut that a set of values predicts [N], shape (orders, 3), at any spindle angle."""
         orders = rigid_orders(self.tool, found.cut, found.value.shape[0], values)
-        orders = _through_sensor(orders, found.cut.rotation, values)
-        if condition.observed is not None:
-            orders = turned(orders, found)
-        return found.whitened(orders)
+        return _through_sensor(orders, found.cut.rotation, values)
 
 
 def cutting_family(

@@ -218,6 +218,17 @@ class CuttingLimits(Abilities):
         loop = loop_of(self.tool, limit.arc or self.arc, material, limit.spindle_speed, flank)
         return modal_crossings(self.changed(values, limit), loop)
 
+    def found(self, condition: Condition) -> tuple[float, float | None]:
+        """Return spindle speed [rpm] and depth [m] of a limit as it was found."""
+        limit = _limit(condition)
+        return limit.spindle_speed, limit.depth
+
+    def depth(self, condition: Condition, values: Values) -> float:
+        """Return the depth of a limit that a set of values predicts [m]; infinite where no depth is unstable."""
+        known = _known(condition)
+        depth, _ = self.limits_at(known.limit, values)
+        return float(depth[0]) * known.depth_ratio if depth.size else math.inf
+
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return log depth and chatter frequency, whitened like the data; `InputError` where no depth is unstable."""
         known = _known(condition)

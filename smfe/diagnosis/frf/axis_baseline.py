@@ -8,6 +8,7 @@ stick with.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -38,6 +39,11 @@ class Side(NamedTuple):
     static: float
     speed: float
     viscous: float
+
+    def force(self, velocity: float) -> float:
+        """Return what brakes at a steady velocity [m/s], at zero what is held at rest [N], as `LuGre` has it."""
+        rise = (self.static - self.coulomb) * math.exp(-abs(velocity) / self.speed) if self.speed else 0.0
+        return self.coulomb + rise + self.viscous * abs(velocity)
 
 
 class Effective(NamedTuple):

@@ -147,6 +147,24 @@ class ModalFrfs(Abilities):
         key = (excited, machine or free + carried, laser, tuple([values.get(n, 0.0) for n in SENSORS]))
         return kept(self._predicted, key, predicted, RULES.modal_kept)
 
+    def in_the_cut(self, values: Values, spindle_speed: float, frequency: Real) -> Complex:
+        """Return the compliance of the machine without a sensor while the spindle turns [m/N], shape (f, 3, 3).
+
+        Spindle speed in rpm, frequency in Hz. A joint that slips or hardens counts as at the smallest level measured.
+        """
+        settings: dict[str, float | str] = {"sensor": "laser", "position": self._first_place, "spindle_speed": 0.0}
+        settings["spindle_speed"] = spindle_speed * math.pi / 30.0
+        machine = self.changed(Condition("cut", settings), values)
+        least = min(self._data, key=lambda d: amplitude(unchanged(self.model), d.method, d.level))
+        return full_compliance(machine, frequency, Shaken(least.method, least.level, self._reference))
+
+    def fine_frequency(self) -> Real:
+        """Return frequencies over all modes [Hz], a quarter of the narrowest width at half power apart."""
+        m = self.model
+        low, high = 0.5 * float(m.frequency.min()), 2.0 * float(m.frequency.max())
+        step = max(0.5 * float(np.min(m.frequency * m.damping)), (high - low) / 6000.0)
+        return np.arange(low, high, step)
+
     def _carried(self, condition: Condition, values: Values) -> float:
         """Mass that the tool carries beyond its own [kg]."""
         settings = condition.settings

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ class HeldOut:
     values: Mapping[int, float]  # how many values the condition has: what noise gives
     misfit: Misfit  # the scheme that looks worst, its p-value times the number of schemes
     trusted: bool  # whether all fits converged
+    fitted: Mapping[int, tuple[Real, ...]] = field(default_factory=dict)
+    """Scaled values that predicted each condition, one for each scheme."""
 
 
 @dataclass(frozen=True)
@@ -126,24 +128,26 @@ def held_out(model: Model, target: Target, fit: Fit, chosen: Sequence[Scheme]) -
     """Predict every fold from a fit to the others."""
     squares: dict[int, list[float]] = {}
     floors: dict[int, list[float]] = {}
+    fitted: dict[int, tuple[Real, ...]] = {}
     misfits: list[Misfit] = []
     trusted = True
     for scheme in chosen:
         groups: list[Group] = []
         for fold in scheme:
-            out, converged = _apart(model, target, fit, fold)
+            out, u, converged = _apart(model, target, fit, fold)
             trusted &= converged
             spread = _spread(model, target.without(fold), fit, {r: fit.slope[r] for r in fold})
             groups.append((out, spread.load))
             for r in fold:
                 squares.setdefault(r, []).append(float(out[r] @ out[r]))
                 floors.setdefault(r, []).append(spread.square(r))
+                fitted[r] = (*fitted.get(r, ()), u)
         misfits.append(assess(groups, False, model.noise_knowledge))
     worst = min(misfits, key=lambda m: m.p_value, default=Misfit(1.0, 0.0, 0.0, {}))
     worst = replace(worst, p_value=min(1.0, worst.p_value * len(misfits)))
     values = {r: float(target.observed[r].size) for r in squares}
     mean, floor = ({r: float(np.mean(v)) for r, v in x.items()} for x in (squares, floors))
-    return HeldOut(mean, floor, values, worst, trusted)
+    return HeldOut(mean, floor, values, worst, trusted, fitted)
 
 
 def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
@@ -186,8 +190,8 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
     return HeldOut(squares, floor, count, replace(misfit, by_condition=by_row), fit.converged)
 
 
-def _apart(model: Model, target: Target, fit: Fit, fold: Fold) -> tuple[Mapping[int, Real], bool]:
-    """Predict a fold from a fit to the others, and say whether that converged.
+def _apart(model: Model, target: Target, fit: Fit, fold: Fold) -> tuple[Mapping[int, Real], Real, bool]:
+    """Predict a fold from a fit to the others; return its residuals, the scaled values, and whether that converged.
 
     One step from the fit to all, with its slopes; a fit of its own where the prediction does not follow them. Where
     that does not converge, what the fit to all leaves stands for it: that is less, and makes the gain of an extension
@@ -205,12 +209,12 @@ def _apart(model: Model, target: Target, fit: Fit, fold: Fold) -> tuple[Mapping[
         found = sum(float(x @ x) for x in out.values())
         noise = sum(model.size(r, u) for r in fold)
         if abs(found - expected) <= max(RULES.followed * expected, RULES.roughly * (expected - noise)):
-            return out, fit.converged
+            return out, u, fit.converged
     apart = refit(model, others, fit)
     out = residuals(model, mine, apart.u)
     if out is None or not apart.converged:
-        return {r: fit.residual[r] for r in fold}, False
-    return out, True
+        return {r: fit.residual[r] for r in fold}, fit.u, False
+    return out, apart.u, True
 
 
 def unseen(model: Model, target: Target, fit: Fit, data: Mapping[int, Real]) -> HeldOut:

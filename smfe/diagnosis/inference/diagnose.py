@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from process.errors import InputError
 from process.types import Complex, Real
-from smfe.diagnosis.inference.cross_validation import Gain, compare, unseen
+from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, compare, unseen
 from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, Remainder, SearchStep, by_condition
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.hypotheses import Bench
@@ -118,12 +118,13 @@ def _finding(bench: Bench, apart: Mapping[int, Real], at: Fit, steps: Sequence[S
     sizes = detectable(model, bench.tangent(null), limit)
     together = groups(model, cosines(model, bench.tangent(null)))
     judged = judge(bench, at, steps, sizes)
+    conditions, compared = by_condition(model, null, at, apart, _in_turn(bench, null, at))
     return Finding(
         verdict=judged.verdict,
         reason=judged.reason,
         causes=tuple(_found(bench, at, k, judged) for k in at.causes),
         alternatives=_alternatives(bench, at, judged),
-        search_steps=tuple(_search_step(s, values) for s in steps),
+        search_steps=tuple(_search_step(model, s, values) for s in steps),
         misfit_before_db=_decibel(null.chi2, values),
         misfit_after_db=_decibel(at.chi2, values),
         gain=judged.gain,
@@ -134,10 +135,17 @@ def _finding(bench: Bench, apart: Mapping[int, Real], at: Fit, steps: Sequence[S
         unconverged=tuple(sorted(bench.unconverged.items())),
         next_experiment=_next_experiment(bench, at, steps, judged),
         threshold=limit if math.isfinite(limit) else None,
-        conditions=by_condition(model, null, at, apart),
+        conditions=conditions,
+        compared=compared,
         values=model.values(at.u),
         values_before=model.values(null.u),
     )
+
+
+def _in_turn(bench: Bench, null: Fit, at: Fit) -> list[tuple[HeldOut, HeldOut]]:
+    """Return what baseline and best model predict of conditions left out in turn, where any can be."""
+    chosen = bench.usable(at, at.causes) if at.causes else ()
+    return [(bench.held_out(null, chosen), bench.held_out(at, chosen))] if chosen else []
 
 
 def _decibel(chi2: float, values: int) -> float:
@@ -145,10 +153,13 @@ def _decibel(chi2: float, values: int) -> float:
     return 10.0 * math.log10(max(chi2, 1e-300) / values)
 
 
-def _search_step(step: Step, values: int) -> SearchStep:
+def _search_step(model: Model, step: Step, values: int) -> SearchStep:
     db, sd = (None, None) if step.gain is None else (step.gain.db, step.gain.sd)
     misfit = _decibel(step.chi2, values)
-    return SearchStep(step.change, step.ratio, step.threshold, db, sd, misfit, step.accepted, step.reason)
+    titles = {cause.key: cause.title for cause in model.causes}
+    changed = " and ".join(titles[key] for key in step.change[2:].split(" + "))
+    words = f"{'with' if step.change[0] == '+' else 'without'} {changed}"
+    return SearchStep(step.change, step.ratio, step.threshold, db, sd, misfit, step.accepted, step.reason, words)
 
 
 def _found(bench: Bench, at: Fit, k: int, judged: Judgement) -> FoundCause:
@@ -202,8 +213,8 @@ def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judge
     """Return the proposal that best separates the first open set, or reveals what could be hidden."""
     model = bench.model
     rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
-    if judged.verdict == "consistent":
-        return revealing(model, bench.target, at, bench.threshold(bench.null()), rows)
+    if judged.verdict in ("consistent", "named"):
+        return revealing(model, bench.target, at, bench.threshold(at), rows)
     if judged.verdict == "insufficient_data":
         ranked = rank(model, bench.target, _unproven(bench, steps), rows, "what was refused") if steps else []
         return ranked[0] if ranked else None

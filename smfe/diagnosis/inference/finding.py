@@ -1,19 +1,21 @@
-"""What a diagnosis found, as it is kept in ``finding.json`` and as it is said in sentences."""
+"""What a diagnosis found, as it is kept in ``finding.json``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from process.types import Real
-from smfe.diagnosis.inference.cross_validation import Gain
+from smfe.diagnosis.inference.cross_validation import Gain, HeldOut
 from smfe.diagnosis.inference.fit import Fit, Target, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.next_experiment import Proposal
+from smfe.diagnosis.inference.problem import Condition, Values
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.thresholds import Detectable
 from smfe.diagnosis.inference.verdict import Verdict
@@ -68,6 +70,82 @@ class SearchStep:
     misfit_db: float
     accepted: bool
     reason: str
+    words: str = ""  # the change for people: "with guideway friction"
+
+
+@dataclass(frozen=True)
+class ConditionMisfit:
+    """Squares of the residuals of a condition over those of noise [dB], and the error of both models there."""
+
+    name: str  # of the condition
+    before_db: float | None  # of the baseline; None where it predicts nothing there
+    after_db: float | None  # of the best model
+    held_out: bool  # whether no fit has seen it
+    error_before: float | None = None
+    """Error of the baseline, rms over rms of what was measured [1], from a fit that has not seen the condition where
+    `unseen` says so; None where it is not known in the units of the measurement."""
+    error_after: float | None = None  # of the best model
+    unseen: bool = False  # whether the errors are those of fits that have not seen the condition
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a model predicts of a condition."""
+
+    values: Values  # with these values (SI)
+    whitened: Real = field(repr=False)  # in the form of the data of the condition
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A condition as it was compared in the end, and what both models make of it."""
+
+    condition: Condition
+    held_out: bool  # whether no fit has seen it
+    before: Prediction | None  # of the baseline; None where it predicts nothing there
+    after: Prediction | None  # of the best model
+    unseen: tuple[tuple[Prediction, Prediction], ...] = ()
+    """Of baseline and best model fitted without it, one for each way in which conditions were left out."""
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """Error of both models over some conditions: rms over rms of what was measured [1]."""
+
+    of: str  # "measurements", "moves", "cuts" or "limits"
+    count: int  # of them
+    tested: str  # "set aside" (by the campaign), "left out in turn" or "fitted"
+    before: float  # error of the baseline
+    after: float  # error of the extended model
+
+    @property
+    def gain_db(self) -> float:
+        """Error before over error after [dB]."""
+        return 20.0 * math.log10(max(self.before, 1e-12) / max(self.after, 1e-12))
+
+
+@dataclass(frozen=True)
+class ForetoldCut:
+    """A cutting test, and whether both models foretell it."""
+
+    file: str  # of the record
+    spindle_speed_rpm: float
+    depth_of_cut_mm: float
+    happened: str  # "stable" or "chatter"
+    before_mm: float  # stable depth by the simulation; infinite: no limit
+    after_mm: float  # by the extended model
+
+    def foretold(self, limit: float) -> bool:
+        """Whether a limit depth [mm] foretells what happened."""
+        return (self.depth_of_cut_mm > limit) == (self.happened == "chatter")
+
+
+@dataclass(frozen=True)
+class Passage:
+    """A sentence or two of a diagnosis, and what it is about."""
+
+    about: str  # "verdict", "cause", "parameter", "depth", "next", "power" or "note"
+    text: str
 
 
 @dataclass(frozen=True)
@@ -140,10 +218,26 @@ class Finding:
     force_error: tuple[ForceError, ...] = ()  # where it repairs the model of a drive
     baseline: tuple[BaselineParameter, ...] = ()
     """The baseline's own parameters, as given and as fitted: a verdict is about what is beyond them."""
+    errors: tuple[ModelError, ...] = ()
+    """Error before and after, in the units of the measurement: of what no fit has seen first."""
+    tested_depth: tuple[ForetoldCut, ...] = ()  # cutting tests against the stable depths of both models
+    no_depth: str = ""  # why no stable depth is given, a sentence
+    passages: tuple[Passage, ...] = ()  # the finding in sentences (`smfe.diagnosis.story.sentences`)
+    compared: tuple[Compared, ...] = field(default=(), repr=False, compare=False)  # conditions, not in the file
+    curves: xr.Dataset | None = field(default=None, repr=False, compare=False)
+    """Measured, baseline and extended model of each condition (`smfe.diagnosis.story.curves`): ``finding.nc``."""
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The finding in sentences, the verdict first; empty before it has been told."""
+        return tuple(p.text for p in self.passages)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for ``finding.json``; numbers that are not finite become None."""
-        found = asdict(self, dict_factory=_with_keys)
+        # Arrays are kept beside the file.
+        found = asdict(replace(self, compared=(), curves=None), dict_factory=_with_keys)
+        for name in ("compared", "curves"):
+            del found[name]
         found["misfit_db"] = {"before": found.pop("misfit_before_db"), "after": found.pop("misfit_after_db")}
         found["unconverged"] = dict(self.unconverged)
         plain: dict[str, Any] = _plain(found)
@@ -174,121 +268,42 @@ def _plain(x: Any) -> Any:
     return x
 
 
-_OPENING = {
-    "consistent": "The data are consistent with the baseline",
-    "named": "The baseline leaves something out",
-    "ambiguous": "The baseline leaves something out, and it remains open what",
-    "unknown": "The baseline is wrong for a reason that the catalogue does not hold",
-    "insufficient_data": "The data do not suffice for a verdict",
-    "part": "Part of what the baseline leaves out is found, part of it remains unknown",
-}
-
-
-def explain(finding: Finding) -> str:
-    """Say a finding in plain sentences, one a line."""
-    opening = _OPENING["part" if finding.verdict == "unknown" and finding.causes else finding.verdict]
-    said = [f"{opening}: {finding.reason}."]
-    if finding.misfit_before_db is not None:
-        more = finding.causes and finding.misfit_after_db is not None
-        extended = f", the extended model's {finding.misfit_after_db:.2f} dB" if more else ""
-        said.append(f"The baseline's misfit is {finding.misfit_before_db:.2f} dB over noise{extended}.")
-    moved = [p for p in finding.baseline if p.beyond_prior]
-    if moved:
-        values = "; ".join(f"{p.name} {p.fitted:.4g}{unit_of(p.unit)} in place of {p.given:.4g}" for p in moved)
-        said.append(f"These data give the baseline other values than the campaign does: {values}.")
-    said += [_cause(c) for c in finding.causes]
-    said += [f"The data do not separate: {', '.join(c.title for c in s)}." for s in finding.alternatives]
-    for gain, where in ((finding.gain, "held out in turn"), (finding.held_out_gain, "held out beforehand")):
-        if gain is not None and finding.causes:
-            said.append(
-                f"On conditions {where} the extension explains {100.0 * gain.share:.3g} % of the repeatable error "
-                f"({gain.db:.1f} dB, sd {gain.sd:.1f} dB; the error with its noise falls by {gain.error_db:.2f} dB)."
-            )
-    for e in finding.force_error:
-        where = "moves held out beforehand" if e.held_out else "the moves that were fitted"
-        said.append(f"Force error over {where}: {100.0 * e.before:.1f} % before, {100.0 * e.after:.1f} % after.")
-    for where in dict.fromkeys(row.where for row in finding.stable_depth):
-        said += _stable_depth([row for row in finding.stable_depth if row.where == where])
-    left = finding.remainder
-    if left is not None and left.beyond_noise and left.carriers:
-        share = "" if left.share is None else f", {100.0 * left.share:.2g} % of the repeatable error of the baseline"
-        where = "; ".join(left.carriers)
-        said.append(f"Unknown remainder: {left.misfit_db:.2f} dB over noise{share}, carried by {where}.")
-        if finding.causes:
-            said.append("The intervals include its scatter; a cause that is not in the catalogue may still shift them.")
-    if finding.next_experiment is not None:
-        n = finding.next_experiment
-        price = "" if n.minutes is None else f" (about {n.minutes:.0f} min)"
-        said.append(f"Measure next: {n.name}{price}; {n.expected}.")
-    elif finding.verdict == "ambiguous":
-        said.append("None of the proposed experiments would settle it.")
-    if finding.verdict == "consistent":
-        said += [
-            f"{p.title} above {p.size:.2g}{unit_of(p.unit)} ({p.parameter}) would have been seen with 95 %."
-            for p in finding.detectable
-            if p.admissible
-        ]
-        hidden = dict.fromkeys(f"{p.title} ({p.parameter})" for p in finding.detectable if not p.admissible)
-        said += [f"Would not have been seen in these conditions: {'; '.join(hidden)}."] if hidden else []
-    return "\n".join([*said, *(f"Not used as evidence: {name}: {why}." for name, why in finding.unconverged)])
-
-
-def _cause(cause: FoundCause) -> str:
-    said = []
-    for e in cause.parameters:
-        known = math.isfinite(e.high - e.low)
-        interval = f"{e.low:.4g} to {e.high:.4g}" if known else "not separable from others in these data"
-        said.append(f"{e.name} {e.value:.4g}{unit_of(e.unit)} ({interval})")
-    values, proof = "; ".join(said), f"likelihood ratio {cause.ratio:.0f}"
-    if cause.gain_db is None:
-        return f"Not proven on conditions it was not fitted to: {cause.title}: {values} ({proof})."
-    gain = f"worth {cause.gain_db:.1f} dB there"
-    return f"Accepted on conditions it was not fitted to: {cause.title}: {values}; {gain} ({proof})."
-
-
 def unit_of(unit: str) -> str:
     """Return a unit as it stands behind a number; a pure number has none."""
     return "" if unit == "1" else f" {unit}"
 
 
-def _stable_depth(rows: Sequence[StableDepth]) -> list[str]:
-    where, out = f"Stable depth ({rows[0].where})", []
-    known = [r for r in rows if 0.0 < r.before_mm < math.inf and 0.0 < r.after_mm < math.inf]
-    if known:
-        worst = max(known, key=lambda r: abs(math.log(r.after_mm / r.before_mm)))
-        most = "" if len(known) == 1 else "the largest change is "
-        out.append(
-            f"{where}: {most}at {worst.spindle_speed_rpm:g} rpm, {worst.after_mm:.3g} mm with the extended model, "
-            f"{worst.before_mm:.3g} mm with the baseline."
-        )
-    silent = [r.spindle_speed_rpm for r in rows if r.after_mm == 0.0]
-    if silent:
-        speeds = f"{min(silent):g} rpm" if len(silent) == 1 else f"{min(silent):g} to {max(silent):g} rpm"
-        out.append(f"{where}: at the feed of {speeds} the axis of the extended model vibrates without any cut.")
-    return out
+# --- What the baseline and the best model make of each condition, those that were held out included.
 
 
-# --- What the baseline and the best model leave of each condition, those that were held out included.
+def by_condition(
+    model: Model, before: Fit, after: Fit, held_out: Mapping[int, Real], in_turn: Sequence[tuple[HeldOut, HeldOut]]
+) -> tuple[tuple[ConditionMisfit, ...], tuple[Compared, ...]]:
+    """Return the misfit and the predictions of each condition, in the order of the campaign.
 
-
-@dataclass(frozen=True)
-class ConditionMisfit:
-    """Squares of the residuals of a condition over those of noise [dB]."""
-
-    name: str  # of the condition
-    before_db: float | None  # of the baseline; None where it predicts nothing there
-    after_db: float | None  # of the best model
-    held_out: bool  # whether no fit has seen it
-
-
-def by_condition(model: Model, before: Fit, after: Fit, held_out: Mapping[int, Real]) -> tuple[ConditionMisfit, ...]:
-    """Return the misfit of each condition, in the order of the campaign."""
+    `in_turn` are the predictions of the baseline and of the best model from fits that left conditions out.
+    """
     unseen = [residuals(model, Target(held_out, f.u), f.u) or {} for f in (before, after)]
     every = [{**f.residual, **more} for f, more in zip((before, after), unseen, strict=True)]
-    return tuple(
-        ConditionMisfit(model.conditions[r].name, _decibel(every[0].get(r)), _decibel(every[1].get(r)), r in held_out)
-        for r in sorted({*before.residual, *held_out})
-    )
+    misfits, compared = [], []
+    for r in sorted({*before.residual, *held_out}):
+        condition = model.conditions[r]
+        both = [_prediction(model, r, f.u) for f in (before, after)]
+        blind = [both] if r in held_out else []
+        for pair in in_turn:
+            fits = zip(*(h.fitted.get(r, ()) for h in pair), strict=True)
+            blind += [[_prediction(model, r, u) for u in us] for us in fits]
+        misfits.append(
+            ConditionMisfit(condition.name, _decibel(every[0].get(r)), _decibel(every[1].get(r)), r in held_out)
+        )
+        known = tuple((a, b) for a, b in blind if a is not None and b is not None)
+        compared.append(Compared(condition, r in held_out, both[0], both[1], known))
+    return tuple(misfits), tuple(compared)
+
+
+def _prediction(model: Model, row: int, u: Real) -> Prediction | None:
+    found = model.predict(row, u)
+    return None if found is None else Prediction(model.values(u), found)
 
 
 def _decibel(residual: Real | None) -> float | None:

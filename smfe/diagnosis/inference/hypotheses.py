@@ -31,6 +31,7 @@ class Bench:
     known: Mapping[tuple[int, ...], Fit] = field(default_factory=dict)
     """Hypothesis -> its fit to nearly the same data, to start from."""
     fits: dict[tuple[int, ...], Fit] = field(default_factory=dict)  # hypothesis -> its best fit so far
+    planned: int = 0  # hypotheses that will be fitted, as far as that is known
     _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
     _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
     _held_out: dict[tuple[tuple[int, ...], tuple[Scheme, ...]], HeldOut] = field(default_factory=dict)
@@ -42,6 +43,10 @@ class Bench:
     def title(self, causes: Sequence[int]) -> str:
         """Return the keys of a hypothesis."""
         return " + ".join(self.model.causes[k].key for k in causes) or "baseline"
+
+    def words(self, causes: Sequence[int]) -> str:
+        """Return a hypothesis in words."""
+        return " and ".join(self.model.causes[k].title for k in causes) or "the simulation as it is"
 
     # --- Fits of a hypothesis.
 
@@ -71,7 +76,7 @@ class Bench:
         causes = tuple(sorted({*at.causes, *added}))
         if causes in self.fits:
             return self.fits[causes]
-        self.progress(f"fitting {self.title(causes)}", len(self.fits), len(self.fits) + 1)
+        self.progress(f"diagnosis: trying {self.words(added)}", len(self.fits), max(self.planned, len(self.fits) + 1))
         if causes in self.known:
             again = self._follow(causes, self.known[causes].u, self.known[causes].slope, most)
             if again.converged:
@@ -262,7 +267,8 @@ class Bench:
         """Predict held-out conditions."""
         key = (at.causes, chosen)
         if key not in self._held_out:
-            self.progress(f"holding conditions out of {self.title(at.causes)}", len(self._held_out), 0)
+            done = len(self.fits)
+            self.progress("diagnosis: leaving conditions out in turn", done, max(self.planned, done + 1))
             self._held_out[key] = held_out(self.model, self.target, at, chosen)
         return self._held_out[key]
 

@@ -24,6 +24,17 @@ from smfe.diagnosis.inference.thresholds import Detectable, detectable
 
 
 @dataclass(frozen=True)
+class Revealed:
+    """What an experiment would show that the data so far hide."""
+
+    title: str  # of the cause
+    parameter: str
+    size: float  # that would be seen with 95 %, in the unit shown
+    so_far: float  # that is seen so far; infinite: nothing is
+    unit: str
+
+
+@dataclass(frozen=True)
 class Proposal:
     """An experiment that could be done next."""
 
@@ -34,6 +45,10 @@ class Proposal:
     probability: float  # probability that it settles that pair, or reveals what it is said to reveal
     expected: str  # what to look for
     minutes: float | None = None  # what it takes; None where nothing is said about it
+    between: str = ""  # hypotheses that it separates, in words; empty where it is to reveal what could be hidden
+    apart: float = math.nan  # by how many times the noise (rms) their predictions differ at least
+    reveals: tuple[Revealed, ...] = ()  # what it would show, the greatest progress first
+    do: str = ""  # what to do, a sentence (`smfe.diagnosis.story.experiments`)
 
 
 def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: Sequence[int]) -> Fit | None:
@@ -70,7 +85,8 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
             f"there the predictions of {title or 'the hypotheses'} differ by {apart:.2g} times the noise (rms) at "
             f"least; the probability that it settles the question is {100.0 * probability:.0f} %"
         )
-        found.append(Proposal(model.conditions[row].name, worst.chi2, probability, words, _stated_minutes(model, row)))
+        name, minutes = model.conditions[row].name, _stated_minutes(model, row)
+        found.append(Proposal(name, worst.chi2, probability, words, minutes, title or "the hypotheses", apart))
     return sorted(found, key=lambda p: ((p.minutes or RULES.minutes) / max(p.probability, 1e-9), -p.discrimination))
 
 
@@ -153,7 +169,14 @@ def _proposal(
         RULES.seen,
         f"there would be seen with {100 * RULES.seen:.0f} % what the data so far hide: {words}",
         None if minutes is None else float(minutes),
+        reveals=tuple(_revealed(model, key, before[key], after[key]) for key in listed),
     )
+
+
+def _revealed(model: Model, key: tuple[str, str], before: float, after: float) -> Revealed:
+    cause, p = next((c, p) for c in model.causes for p in c.parameters if (c.key, p.name) == key)
+    unit = p.scale * p.shown
+    return Revealed(cause.title, p.name, after * unit, before * unit if before < RULES.blind else math.inf, p.unit)
 
 
 def _words(model: Model, key: tuple[str, str], before: float, after: float) -> str:

@@ -65,7 +65,9 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
     """Take the best single cause that passes, else the best pair; None where nothing does."""
     others = _others(bench, at)
     found: list[tuple[Fit, tuple[int, ...]]] = []
-    for k in _promising(bench, at, others, bench.threshold(at)):
+    promising = _promising(bench, at, others, bench.threshold(at))
+    bench.planned = len(bench.fits) + len(promising) + RULES.most_pairs
+    for k in promising:
         most = min((f.chi2 + RULES.far for f, _ in found if f.converged), default=np.inf)
         found.append((bench.extend(at, (k,), min(most, _passing(bench, at, (k,), bench.threshold(at)))), (k,)))
     at = _settled(bench, at, [f for f, _ in found if f.converged])

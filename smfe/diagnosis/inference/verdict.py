@@ -53,7 +53,7 @@ def judge(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectab
     chosen = bench.usable(at, at.causes)
     left = bench.held_out(at, chosen).misfit if chosen else bench.misfit(at)
     how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
-    best = bench.title(at.causes)
+    best = bench.words(at.causes)
     sets = {k: found for k in at.causes if (found := _open(bench, at, k, left))}
     if left.p_value < RULES.band:
         reason = f"the best of the catalogue, {best}, leaves more than noise on conditions it did not see"
@@ -77,7 +77,8 @@ def _without_cause(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence
     telling = [s for s in steps if left.p_value < RULES.band or _borne_out(s)]
     if telling:
         refused = max(telling, key=lambda s: s.ratio - s.threshold)
-        reason = f"the baseline is wrong, but the best explanation, {refused.change[2:]}, is refused: {refused.reason}"
+        best = bench.words([k for k in refused.causes if k not in at.causes])
+        reason = f"the baseline is wrong, but the best explanation, {best}, is refused: {refused.reason}"
         # Enough is explained, but not proven on conditions that the fit did not see: more data, not another cause.
         weak = all(s.gain is None for s in telling) or (
             bench.misfit(bench.fits[refused.causes]).p_value >= RULES.band

@@ -186,6 +186,8 @@ class Results:
         Content of presets.json, empty when absent.
     pockets : pandas.DataFrame or None
         Rows of pockets.csv.
+    curves : xarray.Dataset or None
+        What a diagnosis compared, of finding.nc; None when it is absent.
     """
 
     folder: Path
@@ -204,6 +206,7 @@ class Results:
     drives: pd.DataFrame | None = None
     presets: Mapping[str, Any] = field(default_factory=dict)
     pockets: pd.DataFrame | None = None
+    curves: xr.Dataset | None = None
 
     @property
     def title(self) -> str:
@@ -290,6 +293,7 @@ def read_results(folder: Path) -> Results:
         _read_csv(folder / "drives.csv", ("measurement", "parameter", "direction", "value", "low", "high", "unit")),
         _read_json(folder / "presets.json"),
         _read_csv(folder / "pockets.csv", ("source", "spindle_speed_rpm", "limit_depth_mm")),
+        _groups(folder / "finding.nc").get("curves") if (folder / "finding.json").is_file() else None,
     )
 
 

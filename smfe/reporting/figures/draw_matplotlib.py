@@ -37,6 +37,7 @@ from smfe.reporting.content.style import (
     number,
 )
 from smfe.reporting.figures import figure_data, spectrograms
+from smfe.reporting.figures.draw_diagnosis import draw_compared, draw_depths, draw_search
 from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.results import write_atomically
 
@@ -96,8 +97,12 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
     with_picture = spectrograms.pictured(list(results.spectra.values()))
     if with_picture:
         out["spectrograms.png"] = partial(spectrograms.draw, with_picture)
+    if results.curves is not None:
+        out["diagnosis.png"] = partial(draw_compared, results.curves)
+    if figure_data.stable_depths(results.finding):
+        out["diagnosis_depth.png"] = partial(draw_depths, results.finding)
     if figure_data.has_diagnosis(results.finding):
-        out["diagnosis.png"] = partial(draw_diagnosis, results.finding)
+        out["diagnosis_search.png"] = partial(draw_search, results.finding)
     return out
 
 
@@ -112,7 +117,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
         "condition.png",
         "spectra.png",
         "spectrograms.png",
-        "diagnosis.png",
+        "diagnosis*.png",
     ):
         for path in folder.glob(pattern):
             if path.name not in kept:
@@ -506,61 +511,3 @@ def draw_loop(dataset: xr.Dataset) -> Figure:
     for axes in (upper, lower):
         axes.grid(True, color="#dddddd", linewidth=0.5)
     return picture
-
-
-# --- diagnosis -------------------------------------------------------------------------------------------------------
-
-
-def draw_diagnosis(finding: Mapping[str, Any]) -> Figure:
-    """Draw the steps of the search, the misfit of each condition and the stable depth, one above the other."""
-    names, _ = figure_data.search_steps(finding)
-    rows, _ = figure_data.shown_conditions(finding)
-    searched = len(names) > 1
-    heights = [0.9 + 0.32 * len(names)] * searched
-    heights += [1.1 + 0.22 * len(rows)] * bool(rows) + [3.0] * bool(figure_data.stable_depths(finding))
-    figure = Figure(figsize=(8.0, sum(heights)), layout="constrained")
-    panels = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-    painters = [_draw_search] * searched + [_draw_conditions] * bool(rows)
-    painters += [_draw_depths] * bool(figure_data.stable_depths(finding))
-    for axes, paint in zip(panels, painters, strict=True):
-        paint(axes, finding)
-        axes.spines[["top", "right"]].set_visible(False)
-    return figure
-
-
-def _draw_search(axes: Axes, finding: Mapping[str, Any]) -> None:
-    names, heights = figure_data.search_steps(finding)
-    places = range(len(names))
-    axes.barh(places, heights, color=[figure_data.BASELINE, *[figure_data.EXTENDED] * (len(names) - 1)], height=0.6)
-    for place, height in zip(places, heights, strict=True):
-        axes.text(max(height, 0.0), place, f" {height:.2f} dB", va="center")
-    axes.set_yticks(list(places), names)
-    axes.invert_yaxis()
-    axes.set_xlim(min(0.0, *heights), 1.15 * max(*heights, 0.1))
-    axes.axvline(0.0, color="black", linewidth=0.8)
-    axes.set_xlabel("misfit over noise [dB], step by step")
-
-
-def _draw_conditions(axes: Axes, finding: Mapping[str, Any]) -> None:
-    rows, title = figure_data.shown_conditions(finding)
-    for name, colour, held_out, places, misfit in figure_data.condition_marks(finding):
-        axes.plot(misfit, places, "o", color=colour, fillstyle="none" if held_out else "full", label=name)
-    axes.set_yticks(range(len(rows)), [literal(str(c["name"])) for c in rows], fontsize="small")
-    axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.axvline(0.0, color="black", linewidth=0.8)
-    axes.grid(axis="y", color="0.93")
-    axes.set_axisbelow(True)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize="small", frameon=False)
-    axes.set_xlabel(title)
-
-
-def _draw_depths(axes: Axes, finding: Mapping[str, Any]) -> None:
-    styles: dict[str, str] = {}
-    for where, word, colour, speeds, depths in figure_data.stable_depths(finding):
-        style = styles.setdefault(where, ("-", "--", ":", "-.")[len(styles) % 4])
-        wide = 3.5 if word == "baseline" else 1.5  # where nothing changes both are seen
-        axes.plot(speeds, depths, style, color=colour, linewidth=wide, label=f"{word}, {literal(where)}")
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("spindle speed [rpm]")
-    axes.set_ylabel("limit depth [mm]")
-    axes.legend(fontsize="small", frameon=False)

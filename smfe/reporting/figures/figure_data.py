@@ -16,7 +16,7 @@ from scipy.signal import find_peaks
 
 from process.types import Complex, Real
 from smfe.reporting.content.results import Lobes, Measurement, bands
-from smfe.reporting.content.style import CURVE_COLOURS, number
+from smfe.reporting.content.style import CHATTER, CURVE_COLOURS, number
 
 # --- lobes and cutting tests -----------------------------------------------------------------------------------------
 
@@ -282,7 +282,7 @@ def loop_curves(dataset: xr.Dataset) -> list[tuple[str, str, Any, Any]]:
 
 # --- diagnosis -------------------------------------------------------------------------------------------------------
 
-BASELINE, EXTENDED = "#999999", "#0072B2"
+BASELINE, EXTENDED = "#B35C00", "#0072B2"
 """Colours of the two models."""
 
 MOST_CONDITIONS = 30
@@ -295,7 +295,7 @@ def search_steps(finding: Mapping[str, Any]) -> tuple[list[str], list[float]]:
     kept = [step for step in finding.get("ladder", []) if step["accepted"]]
     if before is None:
         return [], []
-    names = ["baseline", *(str(step["change"]).replace("_", " ") for step in kept)]
+    names = ["simulation", *(str(step.get("words") or step["change"]) for step in kept)]
     return names, [float(before), *(float(step["misfit_db"]) for step in kept)]
 
 
@@ -312,14 +312,14 @@ def shown_conditions(finding: Mapping[str, Any]) -> tuple[list[Mapping[str, Any]
 def condition_marks(finding: Mapping[str, Any]) -> list[tuple[str, str, bool, list[int], list[float]]]:
     """Return name, colour, whether held out, place and misfit [dB] of the marks of the conditions drawn."""
     rows, _ = shown_conditions(finding)
-    models = [("before_db", BASELINE, "baseline")]
+    models = [("before_db", BASELINE, "simulation")]
     if finding.get("causes"):
         models.append(("after_db", EXTENDED, "extended model"))
     out = []
     for key, colour, word in models:
         for held_out in sorted({bool(c["held_out"]) for c in rows}):
             places = [i for i, c in enumerate(rows) if bool(c["held_out"]) == held_out]
-            name = f"{word}, held out" if held_out else word
+            name = f"{word}, set aside" if held_out else word
             out.append((name, colour, held_out, places, [float(rows[i][key]) for i in places]))
     return out
 
@@ -332,9 +332,26 @@ def stable_depths(finding: Mapping[str, Any]) -> list[tuple[str, str, str, Real,
     out = []
     for where, rows in found.items():
         speeds = np.array([float(r["spindle_speed_rpm"]) for r in rows])
-        for key, colour, word in (("before_mm", BASELINE, "baseline"), ("after_mm", EXTENDED, "extended model")):
+        for key, colour, word in (("before_mm", BASELINE, "simulation"), ("after_mm", EXTENDED, "extended model")):
             depths = np.array([np.nan if r[key] is None else float(r[key]) for r in rows])
             out += [(where, word, colour, speeds, depths)] * (len(rows) > 1)
+    return out
+
+
+def condition_symbol(name: str) -> str:
+    """Return the symbol of the marks of a model: its shape tells the models apart, its filling what was set aside."""
+    shape = "diamond" if name.startswith("simulation") else "circle"
+    return f"{shape}-open" if name.endswith("set aside") else shape
+
+
+def tested_depths(finding: Mapping[str, Any]) -> list[tuple[str, str, str, Real, Real]]:
+    """Return what happened, mark, colour, spindle speeds [rpm] and depths [mm] of the decided cutting tests."""
+    out = []
+    for happened, mark, colour in (("stable", "o", "#000000"), ("chatter", "x", CHATTER)):
+        rows = [t for t in finding.get("tested_depth", []) if t["happened"] == happened]
+        if rows:
+            speeds, depths = (np.array([float(t[k]) for t in rows]) for k in ("spindle_speed_rpm", "depth_of_cut_mm"))
+            out.append((happened, mark, colour, speeds, depths))
     return out
 
 

@@ -5,33 +5,61 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from smfe.reporting.figures import figure_data
-from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, packed, plain
+from smfe.reporting.figures.compared import LOOKS, Block
+from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, log_axis, on_panel, packed, plain
+
+_GAP = 0.07
+_MARKS = {"measured": "circle", "simulation": "x", "extended model": "circle-open"}
 
 
-def search_figure(finding: Mapping[str, Any]) -> Figure | None:
-    """Return the misfit of the baseline and of each step that was kept; None without a step."""
-    names, heights = figure_data.search_steps(finding)
-    if len(names) < 2:
-        return None
-    bars = {
-        "type": "bar",
-        "orientation": "h",
-        "x": heights,
-        "y": [plain(n) for n in names],
-        "marker": {"color": [figure_data.BASELINE, *[figure_data.EXTENDED] * (len(names) - 1)]},
-        "text": [f"{h:.2f} dB" for h in heights],
-        "textposition": "outside",
-        "cliponaxis": False,
-        "hoverinfo": "skip",
-        "showlegend": False,
-    }
-    layout = base_layout(
-        110 + 34 * len(names),
-        xaxis=axis_look("misfit over noise [dB]", range=[min(0.0, *heights), 1.15 * max(heights)], zeroline=True),
-        yaxis=axis_look(autorange="reversed", automargin=True, type="category"),
-    )
-    return {"data": [bars], "layout": layout}
+def compared_figure(block: Block) -> Figure:
+    """Return measured, simulation and extended model of a condition, and what is left, one panel above the other."""
+    count = len(block.panels)
+    weights = np.array([1.6] + [1.0] * (count - 1))
+    tall = (1.0 - _GAP * (count - 1)) * weights / weights.sum()
+    data: list[Figure] = []
+    layout: dict[str, Any] = {}
+    named: set[str] = set()
+    top = 1.0
+    for place, panel in enumerate(block.panels, 1):
+        tail, last = "" if place == 1 else str(place), place == count
+        for line in panel.lines:
+            colour, dash, width = LOOKS[line.word]
+            drawn = {
+                "mode": "markers" if line.marks else "lines",
+                "line": {"color": colour, "dash": dash, "width": width},
+                "marker": {"color": colour, "symbol": _MARKS[line.word], "size": 5},
+            }
+            data.append(
+                {
+                    "type": "scatter",
+                    "name": line.word,
+                    "legendgroup": line.word,
+                    "showlegend": line.word not in named,
+                    "x": packed(line.x),
+                    "y": packed(line.y),
+                    "hovertemplate": "%{x:.5~g}: %{y:.3~g}",
+                    **drawn,
+                    **on_panel(place),
+                }
+            )
+            named.add(line.word)
+        bottom = max(top - float(tall[place - 1]), 0.0)
+        look: dict[str, Any] = {"domain": [bottom, top], "anchor": f"x{tail}"}
+        if panel.log:
+            known = np.concatenate([line.y[np.isfinite(line.y) & (line.y > 0.0)] for line in panel.lines])
+            if known.size:
+                look |= log_axis(float(known.min()) / 1.3, float(known.max()) * 1.3)
+        layout[f"yaxis{tail}"] = axis_look(panel.label, **look)
+        matched = {} if place == 1 else {"matches": "x"}
+        layout[f"xaxis{tail}"] = axis_look(
+            block.x_label if last else "", anchor=f"y{tail}", showticklabels=last, **matched
+        )
+        top = bottom - _GAP
+    return {"data": data, "layout": base_layout(150 + 110 * count + 70, **layout)}
 
 
 def condition_figure(finding: Mapping[str, Any]) -> Figure | None:
@@ -47,9 +75,9 @@ def condition_figure(finding: Mapping[str, Any]) -> Figure | None:
             "name": name,
             "x": misfit,
             "y": [names[i] for i in places],
-            "marker": {"color": colour, "size": 9, "symbol": "circle-open" if held_out else "circle"},
+            "marker": {"color": colour, "size": 9, "symbol": figure_data.condition_symbol(name)},
         }
-        for name, colour, held_out, places, misfit in figure_data.condition_marks(finding)
+        for name, colour, _, places, misfit in figure_data.condition_marks(finding)
     ]
     layout = base_layout(
         130 + 22 * len(names),
@@ -62,18 +90,34 @@ def condition_figure(finding: Mapping[str, Any]) -> Figure | None:
 
 
 def stable_depth_figure(finding: Mapping[str, Any]) -> Figure | None:
-    """Return the stable depth over spindle speed before and after; None without lobes."""
-    data = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": f"{word}, {plain(where)}",
-            "x": packed(speeds),
-            "y": packed(depths),
-            "line": {"color": colour, "width": 4 if word == "baseline" else 2},
-        }
-        for where, word, colour, speeds, depths in figure_data.stable_depths(finding)
-    ]
+    """Return the stable depth over spindle speed before and after, with the cutting tests; None without lobes."""
+    curves, tests = figure_data.stable_depths(finding), figure_data.tested_depths(finding)
+    many = len({where for where, *_ in curves}) > 1
+    data: list[Figure] = []
+    for where, word, _, speeds, depths in curves:
+        colour, dash, width = LOOKS[word]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": f"{word}, {plain(where)}" if many else word,
+                "x": packed(speeds),
+                "y": packed(depths),
+                "line": {"color": colour, "dash": dash, "width": width},
+            }
+        )
+    symbols = {"stable": "circle", "chatter": "x"}
+    for happened, _, colour, speeds, depths in tests:
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": f"cut: {happened}",
+                "x": packed(speeds),
+                "y": packed(depths),
+                "marker": {"color": colour, "size": 10, "symbol": symbols[happened]},
+            }
+        )
     layout = base_layout(
         360,
         xaxis=axis_look("spindle speed [rpm]"),

@@ -1,13 +1,15 @@
-"""The section of the page on a diagnosis: verdict, causes, steps of the search, detectable effects, data audit."""
+"""The section of the page on a diagnosis: verdict and gain, what both models say, depths, what to do next, details."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from smfe.diagnosis.story.words import in_words, parameter_words, unit_text
 from smfe.reporting.content.style import number
 from smfe.reporting.content.tables import Row, Table
-from smfe.reporting.figures.plotly_diagnosis import condition_figure, search_figure, stable_depth_figure
+from smfe.reporting.figures.compared import blocks
+from smfe.reporting.figures.plotly_diagnosis import compared_figure, condition_figure, stable_depth_figure
 from smfe.reporting.sections.draft import Draft
 
 _WORDS = {
@@ -19,28 +21,75 @@ _WORDS = {
 }
 
 
+ABOUT = ("verdict", "cause", "parameter", "depth", "next", "power", "note")
+"""What a passage of a finding may be about, in order."""
+
+
 def section(draft: Draft) -> dict[str, Any]:
     """Return what ``finding.json`` says; empty when there is none."""
     finding, plots = draft.results.finding, draft.plots
     if not finding:
         return {}
-    tables = [_causes(finding), _own(finding), _search(finding), _power(finding), _audit(finding)]
-    figures = {
-        "plot-search": search_figure,
-        "plot-conditions": condition_figure,
-        "plot-stable-depth": stable_depth_figure,
-    }
-    partly = finding.get("verdict") == "unknown" and finding.get("causes")
+    compared = []
+    for place, block in enumerate(blocks(draft.results.curves), 1):
+        name = f"plot-compared-{place}"
+        plots[name] = compared_figure(block)
+        compared.append({"plot": name, "title": block.title, "note": block.note})
+    figures = {"plot-stable-depth": stable_depth_figure, "plot-conditions": condition_figure}
     found = {name: figure for name, make in figures.items() if (figure := make(finding)) is not None}
     plots.update(found)
+    partly = finding.get("verdict") == "unknown" and finding.get("causes")
     verdict = "partly found" if partly else _WORDS.get(str(finding.get("verdict")), str(finding.get("verdict")))
+    tables = [_causes(finding), _own(finding), _search(finding), _conditions(finding), _power(finding), _audit(finding)]
     return {
         "plots": list(found),
-        "heading": f"What the simulation gets wrong: {verdict}",
+        "heading": "What the simulation gets wrong",
         "verdict": verdict,
         "summary": list(finding.get("story", [])),
+        "told": _told(finding),
+        "compared": compared,
+        "curves": draft.results.curves is not None,
+        "ladder": _ladder(finding),
         "tables": [t for t in tables if t is not None],
     }
+
+
+def _told(finding: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the sentences by what they are about; of a file without that, all of them first."""
+    told: dict[str, list[str]] = {about: [] for about in ABOUT}
+    for passage in finding.get("passages") or [{"about": "verdict", "text": t} for t in finding.get("story", [])]:
+        told.setdefault(str(passage["about"]), []).append(str(passage["text"]))
+    return told
+
+
+def _ladder(finding: Mapping[str, Any]) -> Table | None:
+    """Return the steps that were kept: what is left after each, over noise, and what it gains on what was left out."""
+    before = (finding.get("misfit_db") or {}).get("before")
+    kept = [step for step in finding.get("ladder", []) if step["accepted"]]
+    if before is None or not kept:
+        return None
+    rows = [Row(("simulation", f"{before:.1f}", ""))]
+    for step in kept:
+        gain = "" if step["gain_db"] is None else f"{step['gain_db']:.1f}"
+        rows.append(Row((str(step.get("words") or step["change"]), f"{step['misfit_db']:.1f}", gain)))
+    return _table(("step", "error over noise [dB]", "gain where it was left out [dB]"), (False, True, True), rows, "")
+
+
+def _conditions(finding: Mapping[str, Any]) -> Table | None:
+    rows = [
+        Row(
+            (
+                str(c["name"]),
+                "set aside" if c["held_out"] else "left out" if c.get("unseen") else "fitted",
+                *(_n(None if c.get(k) is None else 100.0 * c[k]) for k in ("error_before", "error_after")),
+                *(_n(c[k]) for k in ("before_db", "after_db")),
+            )
+        )
+        for c in finding.get("conditions", [])
+        if c.get("error_before") is not None
+    ]
+    heads = ("condition", "how", "error of the simulation [%]", "of the extended model [%]", "over noise [dB]", "[dB]")
+    return _table(heads, (False, False, True, True, True, True), rows, "Error of each condition")
 
 
 def _table(headers: Sequence[str], numeric: Sequence[bool], rows: Sequence[Row], summary: str) -> Table | None:
@@ -52,7 +101,7 @@ def _n(value: Any) -> str:
 
 
 def _unit(p: Mapping[str, Any]) -> str:
-    return "" if p["unit"] == "1" else str(p["unit"])
+    return unit_text(str(p["unit"])).strip()
 
 
 def _causes(finding: Mapping[str, Any]) -> Table | None:
@@ -60,7 +109,7 @@ def _causes(finding: Mapping[str, Any]) -> Table | None:
         Row(
             (
                 cause["title"] if i == 0 else "",
-                p["name"],
+                parameter_words(p["name"]),
                 _n(p["value"]),
                 "not separable from others" if None in (p["low"], p["high"]) else f"{_n(p['low'])} to {_n(p['high'])}",
                 _unit(p),
@@ -70,29 +119,29 @@ def _causes(finding: Mapping[str, Any]) -> Table | None:
         for i, p in enumerate(cause["parameters"])
     ]
     heads = ("cause", "parameter", "value", "95 % interval", "unit")
-    return _table(heads, (False, False, True, True, False), rows, "What the best model adds to the baseline")
+    return _table(heads, (False, False, True, True, False), rows, "What the extended model adds to the simulation")
 
 
 def _own(finding: Mapping[str, Any]) -> Table | None:
     rows = [
-        Row((p["name"], _n(p["given"]), _n(p["fitted"]), _n(p["spread"]), _unit(p)))
+        Row((parameter_words(p["name"]), _n(p["given"]), _n(p["fitted"]), _n(p["spread"]), _unit(p)))
         for p in finding.get("baseline", [])
     ]
     heads = ("parameter", "given", "fitted", "sd with which it is trusted", "unit")
-    return _table(heads, (False, True, True, True, False), rows, "The baseline's own parameters")
+    return _table(heads, (False, True, True, True, False), rows, "The simulation's own parameters")
 
 
 def _search(finding: Mapping[str, Any]) -> Table | None:
     rows = [
         Row(
             (
-                str(step["change"]),
+                str(step.get("words") or step["change"]),
                 _n(step["misfit_db"]),
                 _n(step["gain_db"]),
                 _n(step["gain_sd_db"]),
                 _n(step["ratio"]),
                 _n(step["threshold"]),
-                "kept" if step["accepted"] else str(step["reason"]),
+                "kept" if step["accepted"] else in_words(str(step["reason"])),
             ),
             "" if step["accepted"] else "quiet",
         )
@@ -104,7 +153,14 @@ def _search(finding: Mapping[str, Any]) -> Table | None:
 
 def _power(finding: Mapping[str, Any]) -> Table | None:
     rows = [
-        Row((p["title"], p["parameter"], _n(p["size"]) if p["admissible"] else "not detectable", _unit(p)))
+        Row(
+            (
+                p["title"],
+                parameter_words(p["parameter"]),
+                _n(p["size"]) if p["admissible"] else "not detectable",
+                _unit(p),
+            )
+        )
         for p in finding.get("power", [])
     ]
     heads = ("cause", "parameter", "size", "unit")
@@ -112,5 +168,8 @@ def _power(finding: Mapping[str, Any]) -> Table | None:
 
 
 def _audit(finding: Mapping[str, Any]) -> Table | None:
-    rows = [Row((s["level"], s["cause"], s["where"], s["evidence"])) for s in finding.get("data_audit", [])]
+    rows = [
+        Row((s["level"], s["cause"].replace("_", " "), s["where"], s["evidence"]))
+        for s in finding.get("data_audit", [])
+    ]
     return _table(("level", "cause", "where", "evidence"), (False,) * 4, rows, "Data audit")

@@ -9,18 +9,28 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import xarray as xr
 
-from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, Remainder, StableDepth, explain
+from smfe.diagnosis.inference.finding import BaselineParameter, Finding, Remainder, StableDepth
+from smfe.diagnosis.story.sentences import explain
 from smfe.reporting import write_report
 from smfe.reporting.content.results import Results
-from smfe.reporting.figures.draw_matplotlib import draw_diagnosis
+from smfe.reporting.figures.draw_diagnosis import draw_depths, draw_search
 from smfe.reporting.figures.figure_data import MOST_CONDITIONS, has_diagnosis
 from smfe.reporting.sections.diagnosis import section
 from smfe.reporting.sections.draft import Draft
 
 
 def finding(count: int = 4, **more: Any) -> dict[str, Any]:
-    step = {"change": "+ runout", "ratio": 900.0, "threshold": 12.0, "gain_db": 3.0, "gain_sd_db": 0.2, "reason": ""}
+    step: dict[str, Any] = {
+        "change": "+ runout",
+        "words": "with run-out",
+        "ratio": 900.0,
+        "threshold": 12.0,
+        "gain_db": 3.0,
+        "gain_sd_db": 0.2,
+        "reason": "",
+    }
     return {
         "verdict": "named",
         "story": ["It is the run-out."],
@@ -34,23 +44,22 @@ def finding(count: int = 4, **more: Any) -> dict[str, Any]:
     }
 
 
-def shown(content: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def shown(content: dict[str, Any], curves: xr.Dataset | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
     plots: dict[str, Any] = {}
-    results = cast(Results, SimpleNamespace(finding=content))
+    results = cast(Results, SimpleNamespace(finding=content, curves=curves))
     return section(Draft(results, {}, plots)), plots
 
 
-def test_the_search_goes_from_the_baseline_to_the_best_model() -> None:
-    (bars,) = shown(finding())[1]["plot-search"]["data"]
-    assert bars["y"] == ["baseline", "+ runout"]
-    assert bars["x"] == [12.5, 0.5]
+def test_the_ladder_goes_from_the_simulation_to_the_extended_model() -> None:
+    ladder = shown(finding())[0]["ladder"]
+    assert [row.cells for row in ladder.rows] == [("simulation", "12.5", ""), ("with run-out", "0.5", "3.0")]
 
 
 def test_what_no_fit_has_seen_is_marked_and_every_condition_is_there_twice() -> None:
     traces = shown(finding())[1]["plot-conditions"]["data"]
     assert sum(len(t["x"]) for t in traces) == 8
     for trace in traces:
-        assert ("cut 1" in trace["y"]) == ("held out" in trace["name"]) == (trace["marker"]["symbol"] == "circle-open")
+        assert ("cut 1" in trace["y"]) == ("set aside" in trace["name"]) == trace["marker"]["symbol"].endswith("-open")
 
 
 def test_of_many_conditions_those_with_most_left_are_shown_in_their_order() -> None:
@@ -67,9 +76,9 @@ def test_where_something_is_wrong_but_has_no_name_the_conditions_are_shown_with_
     content = finding(verdict="unknown", causes=[], ladder=[])
     plots = shown(content)[1]
     assert set(plots) == {"plot-conditions"}
-    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {"baseline", "baseline, held out"}
+    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {"simulation", "simulation, set aside"}
     assert has_diagnosis(content)
-    assert len(draw_diagnosis(content).axes) == 1
+    assert len(draw_search(content).axes) == 1
 
 
 def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_moved() -> None:
@@ -77,10 +86,13 @@ def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_move
     own = (BaselineParameter("damping_1", 3.0, 4.99, 0.9, "%"), BaselineParameter("frequency_1", 62.0, 62.1, 1.2, "Hz"))
     found = Finding("consistent", "it is", baseline=own)
     text = explain(found)
-    assert "damping_1 4.99 % in place of 3." in text
-    assert "frequency_1" not in text
+    assert "damping of mode 1 4.99 % in place of 3.00." in text
+    assert "frequency of mode 1" not in text
     (table,) = shown(found.as_dict())[0]["tables"]
-    assert [row.cells[:3] for row in table.rows] == [("damping_1", "3", "4.99"), ("frequency_1", "62", "62.1")]
+    assert [row.cells[:3] for row in table.rows] == [
+        ("damping of mode 1", "3", "4.99"),
+        ("frequency of mode 1", "62", "62.1"),
+    ]
 
 
 def test_a_finding_alone_says_nothing_of_what_the_campaign_may_hold_besides(tmp_path: Path) -> None:
@@ -88,7 +100,7 @@ def test_a_finding_alone_says_nothing_of_what_the_campaign_may_hold_besides(tmp_
     (tmp_path / "finding.json").write_text(json.dumps(finding(campaign="Slots & feeds")), encoding="utf-8")
     page = write_report(tmp_path).read_text(encoding="utf-8")
     assert "<h1>Slots &amp; feeds</h1>" in page
-    assert "What the simulation gets wrong: named</h2>" in page
+    assert "What the simulation gets wrong</h2>" in page
     assert not re.search("No lobes|No cutting tests|No compliances|No tables|provenance.json is absent", page)
     (tmp_path / "provenance.json").write_text(json.dumps({"campaign": "Slots"}), encoding="utf-8")
     page = write_report(tmp_path).read_text(encoding="utf-8")
@@ -100,7 +112,7 @@ def test_what_carries_the_remainder_is_told_apart() -> None:
     """Names of conditions hold commas themselves."""
     left = Remainder(3.5, 1e-9, True, 0.1, ("moves, move 8, forward", "moves, move 24, forward"))
     text = explain(Finding("unknown", "it is", remainder=left))
-    assert "carried by moves, move 8, forward; moves, move 24, forward." in text
+    assert "is largest in moves, move 8, forward; moves, move 24, forward." in text
 
 
 def test_no_limit_is_a_gap_in_the_stable_depth() -> None:
@@ -111,7 +123,8 @@ def test_no_limit_is_a_gap_in_the_stable_depth() -> None:
     before, after = shown(finding(stable_depth=rows))[1]["plot-stable-depth"]["data"]
     depths = np.frombuffer(base64.b64decode(after["y"]["bdata"]), dtype="<f4")
     np.testing.assert_array_equal(depths, np.array([2.0, np.nan, 0.0], dtype="f4"))
-    assert before["name"] == "baseline, lobes_1"
+    assert (before["name"], before["line"]["dash"]) == ("simulation", "dash")
+    assert (after["name"], after["line"]["dash"]) == ("extended model", "dot")
 
 
 def test_part_of_the_truth_is_not_called_unknown() -> None:
@@ -135,22 +148,20 @@ def test_a_folder_with_a_finding_alone_has_a_report_and_its_picture(tmp_path: Pa
     (tmp_path / "finding.json").write_text(json.dumps(content), encoding="utf-8")
     page = write_report(tmp_path).read_text(encoding="utf-8")
     assert "<script>alert(1)" not in page
-    for name in ("plot-search", "plot-conditions", "plot-stable-depth"):
+    for name in ("plot-conditions", "plot-stable-depth"):
         assert f'id="{name}"' in page
-    assert (tmp_path / "figures" / "diagnosis.png").stat().st_size > 10_000
-    assert len(draw_diagnosis(content).axes) == 3
+    for picture in ("diagnosis_search.png", "diagnosis_depth.png"):
+        assert (tmp_path / "figures" / picture).stat().st_size > 10_000
+    assert len(draw_search(content).axes) == 2
+    assert len(draw_depths(content).axes) == 1
 
 
 def test_the_words_say_what_it_means_in_the_workshop() -> None:
     depths = (StableDepth("lobes_1", 300.0, 480.0, 3.0, 2.9), StableDepth("lobes_1", 400.0, 640.0, 3.0, 1.5))
     resting = (StableDepth("a.csv", 500.0, 800.0, 3.0, 0.0),)
-    errors = (ForceError(False, 0.188, 0.016), ForceError(True, 0.188, 0.027))
-    text = explain(Finding("named", "it is", stable_depth=(*depths, *resting), force_error=errors))
-    assert "Stable depth (lobes_1): the largest change is at 400 rpm, 1.5 mm with the extended model, 3 mm with" in text
-    assert (
-        "Stable depth (a.csv): at the feed of 500 rpm the axis of the extended model vibrates without any cut." in text
-    )
-    assert "Force error over moves held out beforehand: 18.8 % before, 2.7 % after." in text
+    text = explain(Finding("named", "it is", stable_depth=(*depths, *resting)))
+    assert "The largest change is at 400 rpm: 1.50 mm where the simulation gives 3.00 mm." in text
+    assert "At 500 rpm the axis vibrates without any cut by the extended model; the simulation gives 3.00 mm." in text
 
 
 def test_a_depth_without_limit_is_none_in_the_file() -> None:

@@ -17,8 +17,9 @@ from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.cutting.forces import CuttingForces, KnownForce, cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders, find_rotation, rigid_orders
 from smfe.diagnosis.inference.diagnose import diagnose
-from smfe.diagnosis.inference.finding import Finding, explain
+from smfe.diagnosis.inference.finding import Finding
 from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.story.sentences import explain
 
 MILL = Mill()
 TOOL = Tool(MILL.diameter, MILL.teeth)

@@ -17,7 +17,8 @@ from smfe.diagnosis.cutting.forces import CuttingForces, cutting_family, turned
 from smfe.diagnosis.cutting.orders import SteadyCut
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.diagnose import diagnose
-from smfe.diagnosis.inference.finding import Finding, explain
+from smfe.diagnosis.inference.finding import Finding
+from smfe.diagnosis.story.sentences import explain
 from smfe.records import Channel, read_records
 
 FEEDS = (300, 600, 900, 1200, 1500)

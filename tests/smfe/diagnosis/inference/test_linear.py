@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear, nnls
 from process.errors import InputError
 from smfe.diagnosis.inference.cross_validation import HeldOut, compare, schemes
 from smfe.diagnosis.inference.diagnose import deviations, diagnose, estimates
-from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, explain
+from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause
 from smfe.diagnosis.inference.fit import Target, bounded_step, fit, nearest
 from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.misfit import Misfit, NoiseKnowledge, assess
@@ -23,6 +23,7 @@ from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import tangent
 from smfe.diagnosis.inference.thresholds import Score, noncentrality, threshold
 from smfe.diagnosis.inference.verdict import Judgement, changing, most_changing
+from smfe.diagnosis.story.sentences import explain
 from smfe.progress import silent
 
 N = 24
@@ -230,7 +231,7 @@ def test_of_two_parameters_that_are_seen_only_as_their_sum_neither_has_an_interv
         assert np.isfinite(half).tolist() == [known, known]
     found = FoundCause("a", "", "A", "physics", (Estimate("a.x", 0.4, -np.inf, np.inf, "N"),), 9.0, 3.0, 0.1)
     text = explain(Finding("named", "it is", (found,)))
-    assert "a.x 0.4 N (not separable from others in these data)" in text
+    assert "0.400 N (not separable from others in these data)" in text
 
 
 @pytest.mark.parametrize(("draws", "most"), [(100, 0.12), pytest.param(400, 0.08, marks=pytest.mark.slow)])
@@ -378,7 +379,7 @@ def test_causes_that_the_conditions_cannot_separate_are_a_set_until_the_proposed
         assert {c.id for c in before.alternatives[0]} == {"delay", "skew"}
         assert before.next_experiment.name == "at rest"
         assert before.next_experiment.probability > 0.95
-        assert "Measure next: at rest" in explain(before)
+        assert "Next: At rest" in explain(before)
         more = replace(ALIKE, conditions=(*ALIKE.conditions, ALIKE.proposals[1]))
         after = diagnose(measured(more, truth, seed))
         right += after.verdict == "named" and after.causes[0].id == "delay"
@@ -414,9 +415,9 @@ def test_one_strange_condition_does_not_decide_between_two_causes():
     assert found.remainder.beyond_noise
     assert found.remainder.carriers[0] == strange.name
     text = explain(found)
-    assert "Part of what the baseline leaves out is found, part of it remains unknown" in text
-    assert "Accepted on conditions it was not fitted to: Twist" in text
-    assert f"% of the repeatable error of the baseline, carried by {strange.name}" in text
+    assert text.startswith("The simulation leaves out twist")
+    assert "% remain unexplained" in text.splitlines()[0]
+    assert f"% of the error that repeats) is largest in {strange.name}" in text
 
 
 def held_out(squares, p_value):

@@ -1,0 +1,237 @@
+"""What was measured beside what both models say of it, condition by condition, and how far they are off.
+
+One dataset for every family: ``measured``, ``baseline`` and ``extended`` over (condition, point, entry), complex where
+they are compliances, not a number behind the end of a shorter condition. Where a condition could be left out of the
+fit, the models are those that have not seen it (coordinate ``unseen``); ``held_out`` are those that the campaign sets
+aside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from process.labels import AXES
+from process.types import Complex, Real
+from smfe.diagnosis.cutting.forces import CuttingForces, turned
+from smfe.diagnosis.cutting.limits import CuttingLimits
+from smfe.diagnosis.cutting.orders import CuttingOrders
+from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
+from smfe.diagnosis.frf.axis import MachineFrfs
+from smfe.diagnosis.frf.modes import ModalFrfs
+from smfe.diagnosis.frf.noise import excited_of
+from smfe.diagnosis.inference.finding import Compared, ConditionMisfit, Finding, ModelError, Prediction
+from smfe.diagnosis.inference.problem import Condition, Family
+
+ANGLES = np.arange(0.0, 361.0, 2.0)
+"""Spindle angles over which cutting forces are drawn [degrees]."""
+
+
+WELL_KNOWN, ENOUGH = 0.2, 0.25
+"""Relative standard deviation of a line that counts in the error of a compliance, and share of the lines that must be
+known so well, else all count: what is mostly noise says nothing of a model."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How the conditions of a family are compared and drawn."""
+
+    name: str  # what was measured: "compliance", "drive_force", "cutting_force", "limit_depth"
+    unit: str  # of it
+    over: str  # what it is drawn over
+    over_unit: str
+    of: str  # what a condition is: "measurements", "moves", "cuts", "limits"
+    alike: bool = True  # whether every condition counts alike in an error; else by its size
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A condition in the units of its measurement."""
+
+    over: Real  # (n,)
+    measured: Complex | Real  # (n, entries)
+    entries: tuple[str, ...]
+    predict: Callable[[Prediction], Complex | Real]  # from what a model predicts, (n, entries)
+    velocity: Real | None = None  # of a moving axis [m/s], (n,)
+    counts: NDArray[np.bool_] | None = None  # what counts in the error, (n, entries); None: all
+
+
+COMPLIANCE = Kind("compliance", "m/N", "frequency", "Hz", "measurements")
+DRIVE_FORCE = Kind("drive_force", "N", "time", "s", "moves", alike=False)
+CUTTING_FORCE = Kind("cutting_force", "N", "angle", "deg", "cuts")
+LIMIT_DEPTH = Kind("limit_depth", "mm", "spindle_speed", "rpm", "limits")
+
+
+def with_curves(family: Family, finding: Finding) -> Finding:
+    """Return a finding with its curves, the error of each condition, and that of all; as it is where none is known."""
+    kind = _kind(family)
+    known = [(c, curve) for c in finding.compared if (curve := _curve(family, c.condition)) is not None]
+    if kind is None or not known:
+        return finding
+    rows = [(c, curve, _pairs(c)) for c, curve in known]
+    rows = [row for row in rows if row[2]]
+    misfits = {m.name: m for m in finding.conditions}
+    sums: dict[str, list[tuple[float, float, float]]] = {"set aside": [], "left out in turn": [], "fitted": []}
+    for c, curve, pairs in rows:
+        before, after = _squares(curve, pairs)
+        whole = _square(curve, curve.measured)
+        size = 1.0 if kind.alike else whole
+        name, unseen = c.condition.name, bool(c.unseen)
+        sums["set aside" if c.held_out else "left out in turn" if unseen else "fitted"].append(
+            (size * before / whole, size * after / whole, size)
+        )
+        misfits[name] = replace(
+            misfits[name], error_before=(before / whole) ** 0.5, error_after=(after / whole) ** 0.5, unseen=unseen
+        )
+    errors = tuple(
+        ModelError(kind.of, len(found), tested, *(_root_mean(found, k) for k in (0, 1)))
+        for tested, found in sums.items()
+        if found
+    )
+    conditions: tuple[ConditionMisfit, ...] = tuple(misfits[m.name] for m in finding.conditions)
+    return replace(
+        finding, conditions=conditions, errors=errors, curves=_dataset(kind, rows, misfits, bool(finding.causes))
+    )
+
+
+def _root_mean(found: Sequence[tuple[float, float, float]], k: int) -> float:
+    return float(np.sqrt(sum(x[k] for x in found) / max(sum(x[2] for x in found), 1e-300)))
+
+
+def _pairs(c: Compared) -> tuple[tuple[Prediction, Prediction], ...]:
+    """Return what both models predict: without having seen the condition, where that is known."""
+    if c.unseen:
+        return c.unseen
+    return ((c.before, c.after),) if c.before is not None and c.after is not None else ()
+
+
+def _squares(curve: Curve, pairs: Sequence[tuple[Prediction, Prediction]]) -> tuple[float, float]:
+    """Squares of both models' errors, the mean over the ways in which the condition was left out."""
+    each = [[_square(curve, curve.predict(p) - curve.measured) for p in pair] for pair in pairs]
+    before, after = np.mean(each, axis=0)
+    return float(before), float(after)
+
+
+def _square(curve: Curve, values: Complex | Real) -> float:
+    return float(np.sum(np.abs(values if curve.counts is None else values[curve.counts]) ** 2))
+
+
+def _dataset(
+    kind: Kind,
+    rows: Sequence[tuple[Compared, Curve, Sequence[tuple[Prediction, Prediction]]]],
+    misfits: Mapping[str, ConditionMisfit],
+    repaired: bool,
+) -> xr.Dataset:
+    entries = tuple(dict.fromkeys(e for _, curve, _ in rows for e in curve.entries))
+    shape = (len(rows), max(curve.over.size for _, curve, _ in rows), len(entries))
+    number = np.complex64 if kind is COMPLIANCE else np.float32
+    found = {name: np.full(shape, np.nan, dtype=number) for name in ("measured", "baseline", "extended")}
+    over, velocity = (np.full(shape[:2], np.nan, dtype=np.float32) for _ in range(2))
+    for i, (_, curve, pairs) in enumerate(rows):
+        n, places = curve.over.size, [entries.index(e) for e in curve.entries]
+        over[i, :n] = curve.over
+        if curve.velocity is not None:
+            velocity[i, :n] = curve.velocity
+        models = (curve.measured, *(curve.predict(p) for p in pairs[0]))
+        for values, y in zip(found.values(), models, strict=True):
+            values[i, :n, places] = y.T
+    errors = {
+        "error_baseline": [misfits[c.condition.name].error_before for c, _, _ in rows],
+        "error_extended": [misfits[c.condition.name].error_after for c, _, _ in rows],
+    }
+    if not repaired:
+        del found["extended"], errors["error_extended"]
+    every = ("condition", "point", "entry")
+    data = {name: (every, values, {"units": kind.unit}) for name, values in found.items()}
+    out = xr.Dataset(
+        {
+            **data,
+            **{name: ("condition", values, {"units": "1"}) for name, values in errors.items()},
+            kind.over: (every[:2], over, {"units": kind.over_unit}),
+        },
+        coords={
+            "condition": [c.condition.name for c, _, _ in rows],
+            "entry": list(entries),
+            "held_out": ("condition", [c.held_out for c, _, _ in rows]),
+            "unseen": ("condition", [bool(c.unseen) for c, _, _ in rows]),
+        },
+        attrs={"kind": kind.name, "over": kind.over},
+    )
+    return out.assign(velocity=(every[:2], velocity, {"units": "m/s"})) if np.isfinite(velocity).any() else out
+
+
+# --- Of each family.
+
+
+def _kind(family: Family) -> Kind | None:
+    if isinstance(family, MachineFrfs | ModalFrfs):
+        return COMPLIANCE
+    if isinstance(family, DriveRecordFamily):
+        return DRIVE_FORCE
+    if isinstance(family, CuttingForces):
+        return CUTTING_FORCE
+    return LIMIT_DEPTH if isinstance(family, CuttingLimits) else None
+
+
+def _curve(family: Family, condition: Condition) -> Curve | None:
+    if condition.observed is None:
+        return None
+    if isinstance(family, MachineFrfs | ModalFrfs):
+        return _compliance(condition, condition.observed)
+    if isinstance(family, DriveRecordFamily) and isinstance(condition.data, ForceData):
+        return _drive_force(family, condition.data)
+    if isinstance(family, CuttingForces) and isinstance(condition.data, CuttingOrders):
+        return _cutting_force(family, condition.data)
+    if isinstance(family, CuttingLimits):
+        return _limit_depth(family, condition)
+    return None
+
+
+def _compliance(condition: Condition, observed: Real) -> Curve:
+    excited = excited_of(condition)
+
+    def physical(whitened: Real) -> Complex:
+        return excited.unwhitened(whitened[:, None])[:, 0].reshape(len(excited.entries), -1).T
+
+    entries = tuple(r + e for r, e in excited.entries)
+    found = physical(observed)
+    known = excited.std < WELL_KNOWN * np.abs(found)
+    counts = known if known.mean() > ENOUGH else None
+    return Curve(excited.frequency, found, entries, lambda p: physical(p.whitened), counts=counts)
+
+
+def _drive_force(family: DriveRecordFamily, data: ForceData) -> Curve:
+    begin, kept = family.model.whitener.order, family.model.resampler
+    seen = slice(kept.margin, kept.margin + kept.every * data.force.size, kept.every)
+    velocity = data.motion.velocity[seen][begin:]
+    return Curve(
+        data.motion.time[seen][begin:],
+        data.force[begin:, None],
+        ("force",),
+        lambda p: family.force(data, p.values)[begin:, None],
+        velocity,
+    )
+
+
+def _cutting_force(family: CuttingForces, found: CuttingOrders) -> Curve:
+    wave = np.exp(1j * np.radians(ANGLES)[:, None] * np.arange(found.value.shape[0]))
+
+    def force(orders: Complex) -> Real:
+        return np.asarray((wave @ np.where(found.used, orders, 0.0)).real)
+
+    return Curve(ANGLES, force(found.value), AXES, lambda p: force(turned(family.orders(found, p.values), found)))
+
+
+def _limit_depth(family: CuttingLimits, condition: Condition) -> Curve | None:
+    speed, depth = family.found(condition)
+    if depth is None:
+        return None
+
+    def predicted(p: Prediction) -> Real:
+        return np.array([[1e3 * family.depth(condition, p.values)]])
+
+    return Curve(np.array([speed]), np.array([[1e3 * depth]]), ("depth",), predicted)

@@ -1,0 +1,316 @@
+"""A finding in sentences, in the order in which an engineer asks.
+
+What is wrong and what is gained; each cause with its numbers; the depth in millimetres; what to measure next; what
+would have been seen. The same sentences stand on the page, in the terminal and in ``finding.json``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from smfe.diagnosis.inference.finding import Finding, ForetoldCut, FoundCause, ModelError, Passage, StableDepth
+from smfe.diagnosis.inference.thresholds import Detectable
+from smfe.diagnosis.story.causes import LEFT_OUT, MEASURED, WRONG, Friction, numbers_of, row_of
+from smfe.diagnosis.story.words import count_words, in_words, listed, parameter_words, percent, rounded, unit_text
+
+_MOST_POWERS = 5
+_REVEALED = 2
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the sentences need to know besides the finding."""
+
+    friction: Friction | None = None  # what brakes the axis by the extended model
+    about: str = "simulation"  # what is put to the test
+
+
+def explain(finding: Finding) -> str:
+    """Say a finding in plain sentences, one a line."""
+    return "\n".join(finding.sentences or [p.text for p in told(finding)])
+
+
+def told(finding: Finding, setting: Setting = Setting()) -> tuple[Passage, ...]:
+    """Return the passages of a finding, the verdict first."""
+    return tuple(
+        Passage(about, in_words(text))
+        for about, make in (
+            ("verdict", _verdict),
+            ("cause", _causes),
+            ("parameter", _own_parameters),
+            ("depth", _depths),
+            ("next", _next),
+            ("power", _power),
+            ("note", _notes),
+        )
+        for text in make(finding, setting)
+        if text
+    )
+
+
+# --- The verdict and the gain.
+
+
+def _verdict(finding: Finding, setting: Setting) -> Iterator[str]:
+    causes, reason = finding.causes, finding.reason
+    if finding.verdict == "consistent":
+        size = _error_now(finding)
+        yield f"The measurements bear the simulation out: what it leaves is no more than noise{size}."
+    elif finding.verdict == "insufficient_data":
+        yield f"The measurements do not suffice for a verdict: {reason}."
+    elif not causes:
+        yield f"The simulation is wrong, and no known cause explains it{_error_now(finding)}: {_short(reason)}."
+    else:
+        gain = _gain(finding)
+        open_ = [listed([_title(c) for c in group], "or") for group in finding.alternatives]
+        if finding.verdict == "ambiguous" and open_:
+            first = (
+                f"The simulation leaves something out, and these measurements do not tell which: {'; '.join(open_)}."
+            )
+            yield f"{first} {gain}".strip()
+        else:
+            yield f"{_opening(causes, setting)} {gain}{_part(finding)}".strip()
+
+
+def _opening(causes: Sequence[FoundCause], setting: Setting) -> str:
+    groups = {how: [c for c in causes if row_of(c).how == how] for how in (LEFT_OUT, WRONG, MEASURED)}
+    detail = ""
+    if len(causes) == 1:
+        numbers = numbers_of(causes[0], False, setting.friction)
+        detail = f": {numbers}" if numbers else ""
+    parts = [f"{how} {listed([_name(c) for c in groups[how]])}" for how in (LEFT_OUT, WRONG) if groups[how]]
+    faults = listed([_name(c) for c in groups[MEASURED]])
+    if not parts:
+        return f"The measurement is at fault: {faults}{detail}."
+    more = f" Besides, the measurement is at fault: {faults}." if faults else ""
+    return f"The {setting.about} {' and '.join(parts)}{detail}.{more}"
+
+
+def _name(cause: FoundCause) -> str:
+    return row_of(cause).name
+
+
+def _gain(finding: Finding) -> str:
+    """Return what the extended model gains, on what no fit has seen if possible."""
+    them = "With it" if len(finding.causes) == 1 else "With them"
+    if finding.errors:
+        unseen = [e for e in finding.errors if e.tested != "fitted"]
+        proof = "" if unseen else "; no measurement could be left out of the fit to prove it"
+        return f"{them} {_fall((unseen or finding.errors)[0])}{proof}."
+    gain = finding.held_out_gain or finding.gain
+    if gain is not None:
+        where = "set aside" if finding.held_out_gain is not None else "left out of the fit in turn"
+        return f"{them} the error that repeats falls by {gain.db:.1f} dB on conditions {where}."
+    return ""
+
+
+def _fall(e: ModelError) -> str:
+    one = e.of.removesuffix("s")
+    the = f"the {one}" if e.count == 1 else f"the {count_words(e.count, one)}"
+    some = count_words(e.count, one)
+    where = {
+        "set aside": f"{the} set aside",
+        "left out in turn": f"{some} left out of the fit in turn",
+        "fitted": f"{the} that {'was' if e.count == 1 else 'were'} fitted",
+    }[e.tested]
+    falls = "falls" if e.after < e.before else "rises"
+    return f"the error on {where} {falls} from {percent(e.before)} to {percent(e.after)} % ({e.gain_db:.0f} dB)"
+
+
+def _error_now(finding: Finding) -> str:
+    error = next(iter(finding.errors), None)
+    return "" if error is None else f" (error {percent(error.before)} %)"
+
+
+def _part(finding: Finding) -> str:
+    """Return what remains unexplained where it is more than noise."""
+    left = finding.remainder
+    if finding.verdict == "named" or left is None or not left.beyond_noise:
+        return ""
+    if finding.verdict == "unknown" and left.share is not None and left.share >= 0.005:
+        return f" Of the error that repeats, {percent(left.share)} % remain unexplained."
+    return " A part of the error that is more than noise remains unexplained."
+
+
+def _short(reason: str) -> str:
+    return reason.removeprefix("the baseline is wrong, but ")
+
+
+# --- Causes, parameters.
+
+
+def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
+    held_out = finding.gain is not None and finding.gain.held_out == "conditions"
+    where = "conditions" if held_out else "values"
+    for cause in finding.causes:
+        # The verdict has said what brakes the axis where that is all.
+        friction = setting.friction if len(finding.causes) > 1 else None
+        numbers, worth = numbers_of(cause, True, friction), f"not proven on {where} that it was not fitted to"
+        if cause.gain_db is not None:
+            worth = f"worth {cause.gain_db:.0f} dB of the error that repeats, on {where} left out of the fit"
+        yield f"{_capital(_name(cause))}{f': {numbers}' if numbers else ''}; {worth}."
+    for group in finding.alternatives:
+        yield f"These measurements do not separate {listed([_title(c) for c in group], 'from')}."
+
+
+def _capital(text: str) -> str:
+    """Return the beginning of a sentence; the name of an axis stays small."""
+    return text if text[1:2] == " " and text[0] in "xyz" else text[:1].upper() + text[1:]
+
+
+def _title(cause: FoundCause) -> str:
+    title = cause.title
+    return title if title[:2].isupper() else title[:1].lower() + title[1:]
+
+
+def _own_parameters(finding: Finding, setting: Setting) -> Iterator[str]:
+    moved = [p for p in finding.baseline if p.beyond_prior]
+    if moved:
+        said = [
+            f"{parameter_words(p.name)} {rounded(p.fitted)}{unit_text(p.unit)} in place of {rounded(p.given)}"
+            for p in moved
+        ]
+        yield f"The measurements ask for other values than the campaign gives: {listed(said)}."
+
+
+# --- Millimetres.
+
+
+def _depths(finding: Finding, setting: Setting) -> Iterator[str]:
+    tests = {t.file for t in finding.tested_depth}
+    if finding.tested_depth:
+        yield _tests(finding.tested_depth)
+    for where in dict.fromkeys(row.where for row in finding.stable_depth if row.where not in tests):
+        rows = [row for row in finding.stable_depth if row.where == where]
+        yield _over_speeds(rows) if len(rows) > 1 else _at(rows[0])
+    if finding.no_depth:
+        yield finding.no_depth
+
+
+def _tests(tests: Sequence[ForetoldCut]) -> str:
+    right = [sum(t.foretold(d) for t, d in zip(tests, depths, strict=True)) for depths in _both(tests)]
+    of = f"Of {count_words(len(tests), 'cutting test')} the simulation foretells {_few(right[0])} rightly, "
+    said = f"{of}the extended model {_few(right[1])}."
+    mended = [t for t in tests if not t.foretold(t.before_mm) and t.foretold(t.after_mm)]
+    if mended:
+        t = max(mended, key=lambda t: abs(math.log(max(t.before_mm, 1e-6) / max(t.after_mm, 1e-6))))
+        happened = "chattered" if t.happened == "chatter" else "was stable"
+        said += (
+            f" At {t.spindle_speed_rpm:.0f} rpm a cut of {t.depth_of_cut_mm:g} mm {happened}: the simulation allows "
+            f"{_depth(t.before_mm)}, the extended model {_depth(t.after_mm)}."
+        )
+    return said
+
+
+def _both(tests: Sequence[ForetoldCut]) -> tuple[list[float], list[float]]:
+    return [t.before_mm for t in tests], [t.after_mm for t in tests]
+
+
+def _few(count: int) -> str:
+    return count_words(count, "test").split()[0]
+
+
+def _depth(mm: float) -> str:
+    if mm == 0.0:
+        return "no depth, since the axis vibrates without any cut"
+    return f"{rounded(mm, 3)} mm" if math.isfinite(mm) else "any depth"
+
+
+def _over_speeds(rows: Sequence[StableDepth]) -> str:
+    low, high = min(r.spindle_speed_rpm for r in rows), max(r.spindle_speed_rpm for r in rows)
+    before, after = min(rows, key=lambda r: r.before_mm), min(rows, key=lambda r: r.after_mm)
+    said = (
+        f"From {low:.0f} to {high:.0f} rpm the smallest stable depth is {_depth(after.after_mm)} (at "
+        f"{after.spindle_speed_rpm:.0f} rpm) with the extended model, {_depth(before.before_mm)} (at "
+        f"{before.spindle_speed_rpm:.0f} rpm) with the simulation."
+    )
+    known = [r for r in rows if 0.0 < r.before_mm < math.inf and 0.0 < r.after_mm < math.inf]
+    if known:
+        worst = max(known, key=lambda r: abs(math.log(r.after_mm / r.before_mm)))
+        said += (
+            f" The largest change is at {worst.spindle_speed_rpm:.0f} rpm: {_depth(worst.after_mm)} where the "
+            f"simulation gives {_depth(worst.before_mm)}."
+        )
+    silent = [r.spindle_speed_rpm for r in rows if r.after_mm == 0.0]
+    if silent:
+        speeds = f"{min(silent):.0f} rpm" if len(silent) == 1 else f"{min(silent):.0f} to {max(silent):.0f} rpm"
+        said += f" At the feed of {speeds} the axis vibrates without any cut."
+    return said
+
+
+def _at(row: StableDepth) -> str:
+    if row.after_mm == 0.0 < row.before_mm:
+        return (
+            f"At {row.spindle_speed_rpm:.0f} rpm the axis vibrates without any cut by the extended model; the "
+            f"simulation gives {_depth(row.before_mm)}."
+        )
+    return (
+        f"At {row.spindle_speed_rpm:.0f} rpm the stable depth is {_depth(row.after_mm)} with the extended model, "
+        f"{_depth(row.before_mm)} with the simulation."
+    )
+
+
+# --- What to measure next, and what would have been seen.
+
+
+def _next(finding: Finding, setting: Setting) -> Iterator[str]:
+    n = finding.next_experiment
+    if n is None:
+        if finding.verdict == "ambiguous":
+            yield "None of the proposed experiments would settle it."
+        return
+    price = "" if n.minutes is None else f" (about {n.minutes:.0f} min)"
+    do = n.do or n.name[:1].upper() + n.name[1:]
+    if n.reveals:
+        shown = [
+            f"{r.title} from {rounded(r.size, 2)}{unit_text(r.unit)} on"
+            + (f" (so far from {rounded(r.so_far, 2)}{unit_text(r.unit)} on)" if math.isfinite(r.so_far) else "")
+            for r in n.reveals[:_REVEALED]
+        ]
+        yield f"Next: {do}{price}. It would show what the measurements so far hide: {listed(shown)}."
+    elif n.between:
+        yield (
+            f"Next: {do}{price}. There the predictions of {n.between} differ by {rounded(n.apart, 2)} times the noise; "
+            f"it settles the question with a probability of {100.0 * n.probability:.0f} %."
+        )
+    else:
+        yield f"Next: {do}{price}; {n.expected}."
+
+
+def _power(finding: Finding, setting: Setting) -> Iterator[str]:
+    if finding.verdict not in ("consistent", "named", "ambiguous"):
+        return
+    seen: dict[str, list[Detectable]] = {}
+    found = {c.id for c in finding.causes}
+    for p in finding.detectable:
+        if p.cause.partition("/")[0] not in found:
+            seen.setdefault(p.cause, []).append(p)
+    shown = {key: own for key, many in seen.items() if (own := [p for p in many if p.admissible])}
+    if shown:
+        said = [_size(own[0], len(seen[key])) for key, own in shown.items()]
+        more = [f"{count_words(len(said) - _MOST_POWERS, 'other cause')}"] if len(said) > _MOST_POWERS else []
+        yield f"Would have been seen with a probability of 95 %: {'; '.join([*said[:_MOST_POWERS], *more])}."
+    hidden = dict.fromkeys(many[0].title for key, many in seen.items() if key not in shown)
+    if hidden:
+        yield f"Would not have been seen in these conditions: {'; '.join(hidden)}."
+
+
+def _size(p: Detectable, of: int) -> str:
+    """Return e.g. "micro-slip in a joint (share of the stiffness that slips) from 8.3 % on"."""
+    what = f" ({parameter_words(p.parameter)})" if of > 1 else ""
+    return f"{p.title}{what} from {rounded(p.size, 2)}{unit_text(p.unit)} on"
+
+
+def _notes(finding: Finding, setting: Setting) -> Iterator[str]:
+    left = finding.remainder
+    if left is not None and left.beyond_noise and left.carriers:
+        share = "" if left.share is None else f" ({percent(left.share)} % of the error that repeats)"
+        yield f"The unknown remainder{share} is largest in {'; '.join(left.carriers)}."
+        if finding.causes:
+            yield "The intervals include its scatter; a cause that is not in the catalogue may still shift them."
+    titles = {p.cause: p.title for p in finding.detectable}
+    for name, why in finding.unconverged:
+        words = " and ".join(titles.get(part, part) for part in name.split(" + "))
+        yield f"Not used as evidence: {words}: {why}."

@@ -1,0 +1,135 @@
+"""Claims: the first sentence says what is wrong and what is gained; then numbers, millimetres, what to do next."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smfe.diagnosis.inference.finding import (
+    Estimate,
+    Finding,
+    ForetoldCut,
+    FoundCause,
+    ModelError,
+    Remainder,
+    StableDepth,
+)
+from smfe.diagnosis.inference.next_experiment import Proposal, Revealed
+from smfe.diagnosis.inference.thresholds import Detectable
+from smfe.diagnosis.story.causes import Friction
+from smfe.diagnosis.story.sentences import Setting, told
+
+RISE = (Estimate("stribeck_coulomb", 40.2, 37.4, 43.0, "N"), Estimate("static_rise", 45.6, 43.1, 48.1, "N"))
+FRICTION = FoundCause("guideway_friction", "stribeck", "Stribeck friction", "physics", RISE, 900.0, 41.0, 1.0)
+DELAY = FoundCause(
+    "loop_delay", "", "a dead time", "physics", (Estimate("extra_delay", 0.82, 0.80, 0.85, "ms"),), 99.0, 7.6, 0.4
+)
+GAIN = FoundCause("sensor_gain", "", "gain of a sensor", "measurement", (), 99.0, None, None)
+ERRORS = (
+    ModelError("measurements", 2, "set aside", 0.31, 0.04),
+    ModelError("measurements", 4, "left out in turn", 0.35, 0.05),
+)
+BARE = Setting()
+BRAKED = Setting(Friction("x", 86.0, 500.0, 37.4))
+
+
+def say(about: str, finding: Finding, setting: Setting = BARE) -> list[str]:
+    return [p.text for p in told(finding, setting) if p.about == about]
+
+
+def test_the_first_sentence_says_what_is_left_out_and_what_is_gained_on_what_no_fit_has_seen() -> None:
+    found = Finding("named", "it is", (FRICTION,), errors=ERRORS)
+    assert told(found, BRAKED)[0].text == (
+        "The simulation leaves out guideway friction: it brakes the x axis 2.3 times more at rest (86 N) than at "
+        "500 mm/min (37 N). With it the error on the two measurements set aside falls from 31 to 4.0 % (18 dB)."
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            ERRORS[1],
+            "the error on four measurements left out of the fit in turn falls from 35 to 5.0 % (17 dB).",
+        ),
+        (
+            ModelError("cuts", 1, "fitted", 0.2, 0.1),
+            "the error on the cut that was fitted falls from 20 to 10 % (6 dB); no measurement could be left out of "
+            "the fit to prove it.",
+        ),
+        (ModelError("moves", 30, "set aside", 0.02, 0.04), "With it the error on the 30 moves set aside rises from"),
+    ],
+)
+def test_the_gain_says_what_it_was_measured_on(error: ModelError, said: str) -> None:
+    assert said in say("verdict", Finding("named", "it is", (DELAY,), errors=(error,)))[0]
+
+
+def test_what_is_left_out_and_what_is_wrong_with_the_measurement_are_told_apart() -> None:
+    both = Finding("named", "it is", (FRICTION, DELAY, GAIN), errors=ERRORS)
+    assert say("verdict", both)[0].startswith(
+        "The simulation leaves out guideway friction and a dead time in the control loop. Besides, the measurement is "
+        "at fault: the gain of a sensor is off. With them"
+    )
+    alone = Finding("named", "it is", (GAIN,), errors=ERRORS)
+    assert say("verdict", alone)[0].startswith("The measurement is at fault: the gain of a sensor is off. With it")
+
+
+def test_each_cause_has_a_sentence_with_its_numbers_and_what_it_is_worth() -> None:
+    friction, delay, gain = say("cause", Finding("named", "it is", (FRICTION, DELAY, GAIN), errors=ERRORS), BRAKED)
+    assert "friction at rest beyond sliding 45.6 N (43.1 to 48.1)" in friction
+    assert delay.startswith("A dead time in the control loop: 0.820 ms (0.800 to 0.850); worth 8 dB")
+    assert gain.endswith("not proven on values that it was not fitted to.")
+
+
+def test_what_remains_is_said_beside_the_gain() -> None:
+    left = Remainder(3.0, 1e-9, True, 0.12, ("a move",))
+    found = Finding("unknown", "it is", (DELAY,), errors=ERRORS, remainder=left)
+    assert say("verdict", found)[0].endswith("Of the error that repeats, 12 % remain unexplained.")
+    nothing = replace(found, causes=(), reason="no cause of the catalogue explains it")
+    assert say("verdict", nothing)[0].startswith("The simulation is wrong, and no known cause explains it (error 31 %)")
+    healthy = Finding("consistent", "it is", errors=(ModelError("measurements", 3, "fitted", 0.021, 0.021),))
+    assert say("verdict", healthy) == [
+        "The measurements bear the simulation out: what it leaves is no more than noise (error 2.1 %)."
+    ]
+
+
+def test_what_the_data_do_not_separate_is_a_question_and_the_experiment_answers_it() -> None:
+    n = Proposal("as a, but b", 9.0, 0.97, "", 5.0, "friction and a dead time", 12.0, do="Hit the tool along x at rest")
+    found = Finding("ambiguous", "it is", (DELAY,), alternatives=((DELAY, FRICTION),), next_experiment=n)
+    assert "do not tell which: a dead time or stribeck friction" in say("verdict", found)[0]
+    assert say("next", found) == [
+        "Next: Hit the tool along x at rest (about 5 min). There the predictions of friction and a dead time differ by "
+        "12 times the noise; it settles the question with a probability of 97 %."
+    ]
+    shows = replace(n, reveals=(Revealed("play in a joint", "gap", 1.2, np.inf, "um"),), between="")
+    assert say("next", replace(found, next_experiment=shows))[0].endswith(
+        "It would show what the measurements so far hide: play in a joint from 1.2 µm on."
+    )
+
+
+def test_depths_are_those_of_the_speeds_of_the_shop_and_of_its_cutting_tests() -> None:
+    rows = tuple(StableDepth("lobes_1", n, n, b, a) for n, b, a in ((400.0, 3.0, 2.9), (800.0, 9.0, 1.5)))
+    tests = (
+        ForetoldCut("a.csv", 860.0, 6.0, "chatter", 17.6, 4.8),
+        ForetoldCut("b.csv", 700.0, 2.0, "stable", 9.0, 3.0),
+    )
+    of_tests = tuple(StableDepth(t.file, t.spindle_speed_rpm, 1.0, t.before_mm, t.after_mm) for t in tests)
+    found = Finding("named", "it is", (DELAY,), stable_depth=(*rows, *of_tests), tested_depth=tests)
+    assert say("depth", found) == [
+        "Of two cutting tests the simulation foretells one rightly, the extended model two. At 860 rpm a cut of 6 mm "
+        "chattered: the simulation allows 17.6 mm, the extended model 4.80 mm.",
+        "From 400 to 800 rpm the smallest stable depth is 1.50 mm (at 800 rpm) with the extended model, 3.00 mm (at "
+        "400 rpm) with the simulation. The largest change is at 800 rpm: 1.50 mm where the simulation gives 9.00 mm.",
+    ]
+
+
+def test_power_names_the_size_that_would_have_been_seen_of_causes_that_were_not_found() -> None:
+    power = (
+        Detectable("loop_delay", "a dead time", "extra_delay", 0.05, 0.1, "ms", True),
+        Detectable("backlash", "play in a joint", "gap", 1.5, 3.0, "um", True),
+        Detectable("drift", "stiffness that drifts", "stiffness_over_session", np.inf, np.inf, "%", False),
+    )
+    assert say("power", Finding("named", "it is", (DELAY,), errors=ERRORS, detectable=power)) == [
+        "Would have been seen with a probability of 95 %: play in a joint from 1.5 µm on.",
+        "Would not have been seen in these conditions: stiffness that drifts.",
+    ]
