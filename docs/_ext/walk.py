@@ -5,7 +5,7 @@ What a block of a page is, is said by the text that the reader sees:
 - ``sh`` runs in the folder; any exit status but 0 fails.
 - ``python`` runs in the folder, each block alone.
 - ``toml``, or another language, becomes the file that the paragraph above names last, in code style, before its colon;
-  where the paragraph begins with "Add", it is added to the end of that file.
+  where the last sentence begins with "Add", it is added to the end of that file.
 - ``text`` is to be looked at.
 
 A comment before a block says otherwise: ``<!-- not run: REASON -->``, or ``<!-- exit status 3: REASON -->``.
@@ -88,7 +88,7 @@ def blocks(page: str) -> list[Block]:
                 language,
                 match["body"],
                 named and named["name"],
-                paragraph.startswith("Add"),
+                re.split(r"[.!?]\s+", paragraph)[-1].startswith("Add"),
                 int(comment["status"]) if comment and comment["status"] else 0,
                 comment["reason"] if comment and comment["not_run"] else None,
             )
@@ -124,7 +124,7 @@ def faults(page: str) -> list[str]:
 def walk(folder: Path, page: str) -> list[tuple[Block, str]]:
     """Run the blocks of a page in a folder; return each with what it printed.
 
-    Of the standard error only warnings and failures are kept, without the names of steps.
+    Of the standard error of a block that succeeds only warnings and failures are kept, without the names of steps.
     """
     out = []
     with tempfile.TemporaryDirectory() as commands:
@@ -177,5 +177,7 @@ def _run(block: Block, folder: Path, environment: dict[str, str]) -> str:
         )
     if block.language == "python" and ended.stderr:
         raise Stopped(f"line {block.line}: warnings of Python\n{ended.stderr}")
-    said = [line for line in ended.stderr.splitlines() if line.startswith(("warning", "note", "failed", "smfe:"))]
+    said = ended.stderr.splitlines()
+    if not block.status:
+        said = [line for line in said if line.startswith(("warning", "note", "failed"))]
     return "\n".join([*said, ended.stdout.rstrip()]).strip("\n")

@@ -75,7 +75,8 @@ def compared(measured: Mapping[str, xr.Dataset]) -> pd.DataFrame:
 def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -> pd.DataFrame:
     """Return how far each measured entry is from each declared model.
 
-    ``error = sqrt(mean |measured - model|^2 / mean |model|^2)`` over the frequencies where the entry was measured.
+    ``error = sqrt(mean |measured - model|^2 / mean |model|^2)`` over the frequencies where the entry was measured. An
+    entry that the model says is zero has no such error, and no row.
 
     Parameters
     ----------
@@ -103,6 +104,9 @@ def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -
                     if missing.sel(response=r, excitation=e):
                         continue
                     valid = np.isfinite(measured[:, i, j])
+                    size = np.mean(np.abs(truth[valid, i, j]) ** 2)
+                    if size == 0.0:
+                        continue
                     f = item.compliance["frequency"].values[valid]
                     error = np.mean(np.abs(measured[valid, i, j] - truth[valid, i, j]) ** 2)
                     rows.append(
@@ -113,7 +117,7 @@ def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -
                             "excitation": e,
                             "from_Hz": f[0],
                             "to_Hz": f[-1],
-                            "error_percent": 100.0 * math.sqrt(error / np.mean(np.abs(truth[valid, i, j]) ** 2)),
+                            "error_percent": 100.0 * math.sqrt(error / size),
                         }
                     )
     columns = ["measurement", "model", "response", "excitation", "from_Hz", "to_Hz", "error_percent"]
