@@ -124,7 +124,7 @@ lock: $(VENV)/.locked
 		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --quiet --output-file requirements.lock
 
 clean:
-	rm -rf .venv .venv-wheel dist demo docs/_build .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
+	rm -rf .venv .venv-wheel dist demo docs/_build docs/_made .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
 		.benchmarks .hypothesis
 	find smfe process stability tests docs benchmarks .ci -name __pycache__ -prune -exec rm -rf {} +
 

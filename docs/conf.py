@@ -12,12 +12,12 @@ author = "The smfe developers"
 copyright = "2026, The smfe developers"
 release = version = installed_version("smfe")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "offline"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "offline", "tutorials"]
 html_math_renderer = "mathml"
 # One page alone, for whoever writes it: `make page PAGE=hammer`.
 page = os.environ.get("SMFE_PAGE")
 include_patterns = [f"{page}.md", "index.md"] if page else ["**"]
-exclude_patterns = ["_build", "*_table.md", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_made", "*_table.md", "**.ipynb_checkpoints"]
 
 html_theme = "furo"
 html_static_path = ["_static"]

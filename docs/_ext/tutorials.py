@@ -103,7 +103,7 @@ def _in_order(app: Sphinx) -> list[str]:
     return out
 
 
-def _picture(app: Sphinx, page: str, other: str, image: nodes.image) -> nodes.figure:
+def _picture(app: Sphinx, page: str, other: str, image: nodes.image) -> nodes.container:
     title = app.env.titles[other].astext()
     section = image.parent
     while section is not None and not isinstance(section, nodes.section):
@@ -113,11 +113,9 @@ def _picture(app: Sphinx, page: str, other: str, image: nodes.image) -> nodes.fi
     said = alt if " " in alt else heading
     shown = nodes.image(uri=image["uri"], candidates=image["candidates"], alt=said)
     address = app.builder.get_relative_uri(page, other)
-    figure = nodes.figure("", nodes.reference("", "", shown, refuri=address, internal=True))
-    caption = nodes.caption("", "", nodes.Text(f"{said}: " if said != title else ""))
+    caption = nodes.paragraph("", f"{said}: " if said != title else "")
     caption += nodes.reference("", title, refuri=address, internal=True)
-    figure += caption
-    return figure
+    return nodes.container("", nodes.reference("", "", shown, refuri=address, internal=True), caption)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
