@@ -135,8 +135,8 @@ def _duplicated(named: Sequence[tuple[str, Real]], where: str) -> Iterator[Suspe
                     "sensor_axis",
                     f"{where}, {name} and {other}",
                     f"they are the same signal (correlation {correlation:.6f})",
-                    "one column is declared twice, or one sensor is on two inputs; correct [channels], and declare a sensor "
-                    "that was moved between the records with each record ([measurement.records.channels])",
+                    "one column is declared twice, or one sensor is on two inputs; correct [channels], and declare a "
+                    "sensor that was moved between the records with each record ([measurement.records.channels])",
                 )
 
 

@@ -1,4 +1,4 @@
-"""Claims: how far a measurement is from a declared model is a share of the model, and of an entry that is zero nothing."""
+"""Claims: the distance of a measurement from a declared model is a share of the model; of a zero entry none."""
 
 import numpy as np
 import pytest
