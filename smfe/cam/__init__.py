@@ -1,0 +1,1 @@
+"""Operating points for CAM programs."""
