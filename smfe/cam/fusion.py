@@ -284,8 +284,8 @@ def _check_edges(tool: Mapping[str, Any], points: Sequence[OperatingPoint], path
         along = longest / math.sin(math.radians(points[0].approach_angle_deg))
         raise InputError(
             f"'{path}': the edges of {_title(tool)} reach {longest:g} mm, and {deepest:g} mm are recommended; give "
-            f'[tool] edge_length = "{math.floor(10.0 * along) / 10.0:g} mm", along the edge, in the campaign and run it '
-            "again"
+            f'[tool] edge_length = "{math.floor(10.0 * along) / 10.0:g} mm", along the edge, in the campaign and run '
+            "it again"
         )
 
 

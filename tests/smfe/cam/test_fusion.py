@@ -115,7 +115,9 @@ class TestExistingLibrary:
 
     def test_a_depth_beyond_the_edges_is_refused(self, tmp_path: Path) -> None:
         path = written(tmp_path / "shop.json", fusion_library())
-        with pytest.raises(InputError, match=r"reach 20 mm, and 20\.1 mm are recommended; give \[tool\] edge_length = \"28\.2 mm\""):
+        with pytest.raises(
+            InputError, match=r"reach 20 mm, and 20\.1 mm are recommended; give \[tool\] edge_length = \"28\.2 mm\""
+        ):
             write_fusion([replace(POINT, depth_of_cut_mm=20.1)], path)
         assert json.loads(path.read_text()) == fusion_library()
 
