@@ -1,9 +1,9 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
-`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`. They take paths, or
-objects in memory, which `record`, `compliance`, `Tool` and `CuttingCoefficients` make of arrays. What a folder of
-results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`, `read_records`,
+`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`, `export`. They take
+paths, or objects in memory, which `record`, `compliance`, `Tool` and `CuttingCoefficients` make of arrays. What a
+folder of results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`, `read_records`,
 `read_blocks`, `read_reduced`. The methods alone, from records to a compliance with its uncertainty, are
 `hammer_compliance`, `actuator_compliance`, `sweep_compliance`.
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from smfe.commands.convert import convert
     from smfe.commands.demo import demo
     from smfe.commands.diagnose import diagnose
+    from smfe.commands.export import export
     from smfe.commands.identify import identify
     from smfe.commands.lobes import lobes
     from smfe.commands.look import look
@@ -97,6 +98,7 @@ __all__ = [
     "convert",
     "demo",
     "diagnose",
+    "export",
     "fit_coulomb_curve",
     "fit_friction_curve",
     "fit_friction_record",
@@ -143,6 +145,7 @@ _HOMES = {
     "smfe.commands.convert": "convert",
     "smfe.commands.demo": "demo",
     "smfe.commands.diagnose": "diagnose",
+    "smfe.commands.export": "export",
     "smfe.commands.identify": "identify",
     "smfe.commands.lobes": "lobes",
     "smfe.commands.look": "look",

@@ -1,14 +1,14 @@
-"""Verbs about files: `look`, `convert`."""
+"""Verbs about files: `look`, `convert`, `export`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from smfe.cli.terminal import Outcome, Terminal
-from smfe.cli.verb import FILES, any_files, campaign_files, verb
+from smfe.cli.verb import FILES, any_files, campaign_files, result_folders, verb
 
 
 @verb(
@@ -84,3 +84,49 @@ def convert(
     with terminal.bar() as progress:
         written = smfe.convert(source, target, campaign, progress, left.append)
     return Outcome([f"written: {path}" for path in written], {"written": [str(p) for p in written]}, left)
+
+
+@verb(
+    FILES,
+    gives="presets with spindle speed, depth (stepdown), width (stepover), feed and cutting speed, in the units of the "
+    "tool; a library that is there already keeps everything else. Or a table, or a page for the wall.",
+    examples=[
+        "smfe export results -o shop.tools --to fusion",
+        'smfe export results -o shop.json --to fusion --tool "face mill 80"',
+        "smfe export results -o mill80.fctb --to freecad",
+        "smfe export results -o setup.pdf --to sheet",
+    ],
+)
+def export(
+    terminal: Terminal,
+    results: Annotated[
+        Path,
+        typer.Argument(help="Folder of results of `smfe run`.", show_default=False, autocompletion=result_folders),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="File: .json or .tools (Fusion), .fctb (FreeCAD), .csv, .pdf, .png or .svg (sheet).",
+            show_default=False,
+            autocompletion=any_files,
+        ),
+    ],
+    to: Annotated[
+        Literal["fusion", "freecad", "csv", "sheet"], typer.Option(help="What the file is for.", show_default=False)
+    ],
+    tool: Annotated[
+        str | None,
+        typer.Option(
+            help="Tool in an existing Fusion library: guid, number, product-id or description.", show_default=False
+        ),
+    ] = None,
+) -> Outcome:
+    """Write the cuts that a run recommends for a CAM program, or as a page for the wall."""
+    import smfe
+
+    with terminal.bar() as progress:
+        progress("writing", 0, 1)
+        written = smfe.export(results, output, to, tool)
+    return Outcome([*written, f"written: {output}"], {"written": str(output), "presets": written})

@@ -90,7 +90,8 @@ def draw_sheet(results: Results, document: Mapping[str, Any]) -> Figure:
         None,
     )
     if lobes is not None:
-        _draw_lobes(figure.add_axes((0.11, 0.315, 0.82, 0.27)), lobes, answer)
+        height = 0.27 if len(rows) > 1 else 0.37
+        _draw_lobes(figure.add_axes((0.11, 0.315, 0.82, height)), lobes, answer)
     _say_conditions(figure, answer, results)
     return figure
 
@@ -118,8 +119,8 @@ def _say_answer(figure: Figure, answer: Mapping[str, Any]) -> None:
         figure.text(at, 0.848, value, fontsize=32, weight="bold", color=_INK, va="top")
         figure.text(at, 0.797, unit, fontsize=11, color=_QUIET, va="top")
     line = (
-        f"feed a tooth {answer['feed_per_tooth_mm']:g} mm  ·  cutting speed {answer['cutting_speed_m_min']:.0f} m/min  ·  "
-        f"removal {answer['removal_rate_cm3_min']:.1f} cm³/min"
+        f"feed a tooth {answer['feed_per_tooth_mm']:g} mm  ·  cutting speed {answer['cutting_speed_m_min']:.0f} m/min"
+        f"  ·  removal {answer['removal_rate_cm3_min']:.1f} cm³/min"
     )
     figure.text(0.07, 0.765, line, fontsize=11, color=_INK, va="top")
     sure = (
@@ -153,7 +154,9 @@ def _draw_lobes(axes: Axes, lobes: Lobes, answer: Mapping[str, Any]) -> None:
     if safe is not None:
         axes.plot(speed, safe, color=_SAFE, linewidth=1.6, linestyle="--", label="safe")
     if answer["status"] == "recommended":
-        axes.plot(answer["spindle_speed_rpm"], answer["depth_of_cut_mm"], "o", color=_INK, markersize=9, label="cut here")
+        axes.plot(
+            answer["spindle_speed_rpm"], answer["depth_of_cut_mm"], "o", color=_INK, markersize=9, label="cut here"
+        )
     axes.set_xlim(speed[0], speed[-1])
     axes.set_ylim(0.0, top)
     axes.set_xlabel("spindle speed [rpm]")
@@ -163,7 +166,7 @@ def _draw_lobes(axes: Axes, lobes: Lobes, answer: Mapping[str, Any]) -> None:
 
 
 def _say_conditions(figure: Figure, answer: Mapping[str, Any], results: Results) -> None:
-    lines = [f"From: {str(answer['source']).replace('_', ' ')}. {answer['reason']}", *answer["assumptions"]]
+    lines = [answer["reason"], *(f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in answer["assumptions"])]
     lines.append("Holds for this machine, tool, material and feed, with a sharp tool, and for stability alone.")
     text = "\n".join(textwrap.fill(line, 108) for line in lines)
     figure.text(0.07, 0.255, literal(text), fontsize=9, color=_INK, va="top", linespacing=1.45)
