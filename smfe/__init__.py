@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from smfe.commands.check import check
     from smfe.commands.coefficients import Coefficients, coefficients
     from smfe.commands.compare import compare
-    from smfe.commands.convert import convert
     from smfe.commands.demo import demo
     from smfe.commands.diagnose import diagnose
-    from smfe.commands.export import export
+    from smfe.commands.files.convert import convert
+    from smfe.commands.files.export import export
+    from smfe.commands.files.look import look
     from smfe.commands.identify import identify
     from smfe.commands.lobes import lobes
-    from smfe.commands.look import look
     from smfe.commands.modal import modal
     from smfe.commands.plan import plan
     from smfe.commands.report import report
@@ -142,13 +142,13 @@ _HOMES = {
     "smfe.commands.check": "check",
     "smfe.commands.coefficients": "Coefficients, coefficients",
     "smfe.commands.compare": "compare",
-    "smfe.commands.convert": "convert",
+    "smfe.commands.files.convert": "convert",
     "smfe.commands.demo": "demo",
     "smfe.commands.diagnose": "diagnose",
-    "smfe.commands.export": "export",
+    "smfe.commands.files.export": "export",
     "smfe.commands.identify": "identify",
     "smfe.commands.lobes": "lobes",
-    "smfe.commands.look": "look",
+    "smfe.commands.files.look": "look",
     "smfe.commands.modal": "modal",
     "smfe.commands.plan": "plan",
     "smfe.commands.report": "report",

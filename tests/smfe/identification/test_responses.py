@@ -10,7 +10,7 @@ from truth.frf_files import averaged, draw, machine
 
 from process.errors import InputError
 from smfe.campaign import load_campaign
-from smfe.commands.look import look
+from smfe.commands.files.look import look
 from smfe.identification.errors.result import Identification
 from smfe.identification.measurement import identify_measurement
 from smfe.identification.responses import response_std, rising_phase

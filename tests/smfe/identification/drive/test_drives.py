@@ -16,7 +16,7 @@ import smfe
 from process.errors import InputError
 from process.labels import make_record
 from smfe.commands.check import check
-from smfe.commands.look import look
+from smfe.commands.files.look import look
 from smfe.identification.drive.parameters import identify_drive
 from smfe.identification.drive.results import DriveFit, DriveParameter
 

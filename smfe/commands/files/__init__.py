@@ -1,0 +1,1 @@
+"""Verbs about files: look, convert, export; `smfe.cli.files` parses their arguments."""
