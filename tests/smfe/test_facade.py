@@ -33,12 +33,12 @@ def commands() -> set[str]:
 def test_each_command_is_a_file_and_a_function_of_that_name() -> None:
     folder = inspect.getsourcefile(one_command)
     assert folder is not None
-    files = {path.stem for path in Path(folder).parent.glob("*.py")} - {"__init__"}
-    assert files == commands()
-    for name in files:
+    files = {path.stem: path for path in Path(folder).parent.rglob("*.py") if path.stem != "__init__"}
+    assert set(files) == commands()
+    for name, path in files.items():
         function = getattr(smfe, name)
         assert inspect.isfunction(function), name
-        assert function.__module__ == f"smfe.commands.{name}"
+        assert inspect.getsourcefile(function) == str(path)
         assert name in smfe.__all__
 
 
