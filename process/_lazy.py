@@ -7,7 +7,9 @@ import sys
 from collections.abc import Callable, Mapping
 
 
-def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+def lazy(
+    package: str, homes: Mapping[str, str], companions: Mapping[str, str] | None = None
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return ``__getattr__`` and ``__dir__`` of a package (PEP 562).
 
     Parameters
@@ -16,6 +18,8 @@ def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object
         Name of the package.
     homes : mapping of str to str
         Module -> the names that it gives to the package, "one, two, three as public_name".
+    companions : mapping of str to str, optional
+        Library -> module of ours that extends it, imported once a public name has imported the library.
     """
     sources: dict[str, tuple[str, str]] = {}
     for module, names in homes.items():
@@ -29,6 +33,9 @@ def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], object
         module, attribute = sources[name]
         value = getattr(importlib.import_module(module), attribute)
         setattr(sys.modules[package], name, value)
+        for library, module in (companions or {}).items():
+            if library in sys.modules:
+                importlib.import_module(module)
         return value
 
     def public() -> list[str]:

@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from smfe.limits.recommendation import Recommendation
     from smfe.limits.recommendation import recommendation_of as recommendation
     from smfe.modes.fit_modes import ModalFit, fit_modes
+    from smfe.notebook import plot
     from smfe.progress import SmfeWarning
     from smfe.records import read_blocks, read_record, read_records, read_reduced
     from smfe.records.look import Look
@@ -117,6 +118,7 @@ __all__ = [
     "modal",
     "open_loop_response",
     "plan",
+    "plot",
     "read_blocks",
     "read_campaign",
     "read_record",
@@ -169,6 +171,7 @@ _HOMES = {
     "smfe.limits.campaign_lobes": "LobeResult",
     "smfe.limits.recommendation": "Recommendation, recommendation_of as recommendation",
     "smfe.modes.fit_modes": "ModalFit, fit_modes",
+    "smfe.notebook": "plot",
     "smfe.progress": "SmfeWarning",
     "smfe.records": "read_blocks, read_record, read_records, read_reduced",
     "smfe.records.look": "Look",
@@ -176,4 +179,4 @@ _HOMES = {
 """Module -> the names that it gives; `__all__` and the imports for the type checker say the same."""
 
 if not TYPE_CHECKING:  # a type checker takes the imports above, and so finds a name that is not there
-    __getattr__, __dir__ = lazy(__name__, _HOMES)
+    __getattr__, __dir__ = lazy(__name__, _HOMES, {"xarray": "smfe.notebook"})

@@ -324,23 +324,30 @@ def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
 def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int, row: Mapping[str, Any]) -> xr.Dataset:
     marks = [k for k, v in row.items() if k.startswith("frequency_") and math.isfinite(v)]
     predicted = {k.removeprefix("frequency_").removesuffix("_Hz"): row[k] for k in marks}
-    whole = verdict.spectrum if verdict.spectrogram is None else with_picture(verdict.spectrum, verdict.spectrogram)
-    return whole.assign_attrs(
+    return spectrum_of(verdict).assign_attrs(
         file=test.file.name,
         spindle_speed_rpm=round(test.spindle_speed, 6),
         depth_of_cut_mm=round(test.depth_of_cut * 1e3, 9),
+        tooth_passing_frequency_Hz=teeth * verdict.spindle_speed_rpm / 60.0,
+        teeth=teeth,
+        predicted_Hz=json.dumps(predicted),
+    )
+
+
+def spectrum_of(verdict: ChatterVerdict) -> xr.Dataset:
+    """Return the spectrum of a verdict, the spectrogram beside it, with what the criterion said in its attributes."""
+    whole = verdict.spectrum if verdict.spectrogram is None else with_picture(verdict.spectrum, verdict.spectrogram)
+    return whole.assign_attrs(
+        spindle_speed_rpm=verdict.spindle_speed_rpm,
         verdict=verdict.verdict,
         ratio=verdict.ratio,
         chatter_frequency_Hz=verdict.chatter_frequency_Hz,
         tooth_passing_harmonic_Hz=verdict.tooth_passing_harmonic_Hz,
-        tooth_passing_frequency_Hz=teeth * verdict.spindle_speed_rpm / 60.0,
         quantity=verdict.quantity,
         reason=verdict.reason,
-        teeth=teeth,
         cut_s=json.dumps(list(verdict.cut_s)),
         interval_s=json.dumps(list(verdict.interval_s)),
         family_Hz=json.dumps(list(verdict.family_Hz)),
-        predicted_Hz=json.dumps(predicted),
     )
 
 

@@ -18,13 +18,18 @@ _POINTS = 2000
 
 def draw(result: Look, path: Path) -> None:
     """Write the picture as PNG."""
+    figure_of(result).savefig(path, format="png", dpi=110)
+
+
+def figure_of(result: Look) -> Figure:
+    """Return the picture."""
     figure = Figure(layout="constrained")
     if result.kind.name == "FRF":
         _response(result, figure)
     else:
         _channels(result, figure)
     figure.suptitle(f"{result.path.name}: seems to be {result.kind.name}", fontsize=11)
-    figure.savefig(path, format="png", dpi=110)
+    return figure
 
 
 def _channels(result: Look, figure: Figure) -> None:
@@ -41,7 +46,7 @@ def _channels(result: Look, figure: Figure) -> None:
     for k, (column, name) in enumerate(shown):
         panel = figure.add_subplot(grid[k], sharex=first)
         first = first or panel
-        panel.plot(*_envelope(time, found[column]), color=_COLOURS[k], linewidth=0.7)
+        panel.plot(*envelope(time, found[column]), color=_COLOURS[k], linewidth=0.7)
         panel.set_ylabel(name, fontsize=8)
         panel.tick_params(labelsize=8, labelbottom=k == len(shown) - 1)
         panel.grid(alpha=0.3)
@@ -77,7 +82,7 @@ def _response(result: Look, figure: Figure) -> None:
         panel.tick_params(labelsize=8)
 
 
-def _envelope(time: Real, values: Real) -> tuple[Real, Real]:
+def envelope(time: Real, values: Real) -> tuple[Real, Real]:
     """Return least and greatest value of each of some thousand stretches: what a thousand pixels can hold."""
     if values.size <= 2 * _POINTS:
         return time, values
