@@ -61,6 +61,8 @@ SI_UNITS: dict[str, str] = {
     "force_condition": "1",
     "force_spectrum": "N s",
     "force_level": "N",
+    "half_width": "Hz",
+    "quantile": "1",
     "lobe": "1",
     "loop_response": "1",
     "loop_response_std": "1",

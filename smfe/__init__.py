@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from process.errors import InputError
     from process.machine.modes import ModalModel
     from smfe.arrays.compliances import compliance
+    from smfe.arrays.recommendation import recommendation
     from smfe.arrays.records import record
     from smfe.campaign import Campaign, load_campaign
     from smfe.campaign import load_campaign as read_campaign
@@ -63,7 +64,6 @@ if TYPE_CHECKING:
     from smfe.identification.sweep.sweep import identify_sweep as sweep_compliance
     from smfe.limits.campaign_lobes import LobeResult
     from smfe.limits.recommendation import Recommendation
-    from smfe.limits.recommendation import recommendation_of as recommendation
     from smfe.modes.fit_modes import ModalFit, fit_modes
     from smfe.notebook import plot
     from smfe.progress import SmfeWarning
@@ -138,6 +138,7 @@ _HOMES = {
     "process.errors": "InputError",
     "process.machine.modes": "ModalModel",
     "smfe.arrays.compliances": "compliance",
+    "smfe.arrays.recommendation": "recommendation",
     "smfe.arrays.records": "record",
     "smfe.campaign": "Campaign, load_campaign, load_campaign as read_campaign",
     "smfe.commands.chatter": "chatter",
@@ -169,7 +170,7 @@ _HOMES = {
     "smfe.identification.sweep.segments": "Segments, SingleReference",
     "smfe.identification.sweep.sweep": "identify_sweep, identify_sweep as sweep_compliance",
     "smfe.limits.campaign_lobes": "LobeResult",
-    "smfe.limits.recommendation": "Recommendation, recommendation_of as recommendation",
+    "smfe.limits.recommendation": "Recommendation",
     "smfe.modes.fit_modes": "ModalFit, fit_modes",
     "smfe.notebook": "plot",
     "smfe.progress": "SmfeWarning",

@@ -35,8 +35,8 @@ def plot(
     ----------
     result : object
         A record, compliance, lobes or spectrum (`xarray.Dataset`), or what a verb returns: `Identification`,
-        `ChatterVerdict`, `ModalFit`, `Finding`, `Look`, `LobeResult`; a `ModalModel`; or a mapping of str to compliances
-        or lobes.
+        `ChatterVerdict`, `ModalFit`, `Finding`, `Look`, `LobeResult`; a `ModalModel`; or a mapping of str to
+        compliances or lobes.
     *others : object
         Further compliances or lobes, to compare with.
     entry : str, optional

@@ -22,6 +22,7 @@ from process.errors import InputError
 from process.friction.laws import FrictionLaw, MemoryLaw
 from process.labels import RECORD_SCALARS
 from process.machine.modes import ModalModel
+from process.notebook import html_table
 from process.types import Real
 from smfe.campaign import schema
 from smfe.campaign.checks import channel_complaints, check, complaints, merge, path
@@ -525,6 +526,28 @@ class Campaign:
         found = {file for m in self.measurements for record in m.records for file in record.all_files}
         found |= {file for m in self.measurements for file in m.background}
         return tuple(sorted(found | {test.file for test in self.cutting_tests}))
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: what was measured, with what, and what is asked for."""
+        rows: list[tuple[object, ...]] = []
+        if self.tool is not None:
+            size = f"{1e3 * self.tool.diameter:g} mm, {self.tool.teeth} teeth"
+            rows.append(("tool", self.tool_name or size, f"{size}, {np.degrees(self.tool.approach_angle):g}°"))
+        if self.coefficients is not None:
+            said = f"Ktc {1e-6 * self.coefficients.Ktc:.4g} N/mm²"
+            rows.append(("material", self.material or "", said))
+        for m in self.measurements:
+            count = sum(len(r.files) + len(r.held) for r in m.records)
+            rows.append(("measurement", m.name, f"{m.method}, {count} {'record' if count == 1 else 'records'}"))
+        rows += [("model", m.name, f"{m.modal.frequency.size} modes") for m in self.models]
+        for number, r in enumerate(self.lobes, 1):
+            speeds = f"{r.spindle_speed[0]:g} to {r.spindle_speed[-1]:g} rpm"
+            rows.append((f"lobes_{number}", ", ".join(r.measurements), f"{r.cut}, {r.method}, {speeds}"))
+        if self.cutting_tests:
+            rows.append(("cutting tests", len(self.cutting_tests), ""))
+        if self.baseline is not None:
+            rows.append(("baseline", type(self.baseline).__name__, ""))
+        return html_table(self.name, rows)
 
 
 def load_campaign(path: str | Path | Campaign, show: Show | None = None) -> Campaign:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from process.cut.engagement import engagement
 from process.errors import InputError
-from process.labels import at_tool
+from process.labels import UNITS, at_tool
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
@@ -216,7 +216,9 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     arc, speeds = engagement(request.cut, request.width_of_cut, campaign.tool.diameter), request.spindle_speed
     compliance = turned(compliance, request.feed_direction)[0] if request.feed_direction else compliance
     curves = lobe_curves(compliance, campaign.tool, arc, campaign.coefficients, (speeds[0], speeds[-1]))
-    return limits.assign({f"curve_{n}": ("point", curves[c].to_numpy()) for n, c in _CURVES.items()})
+    return limits.assign(
+        {f"curve_{n}": ("point", curves[c].to_numpy(), {"units": UNITS.get(n, "1")}) for n, c in _CURVES.items()}
+    )
 
 
 def _result(campaign: Campaign, request: LobeRequest, name: str, of: Source, limits: xr.Dataset) -> LobeResult:

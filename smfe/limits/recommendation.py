@@ -29,6 +29,7 @@ import numpy as np
 import pandas as pd
 
 from process.errors import InputError
+from process.notebook import html_table
 from smfe.campaign import Campaign
 from smfe.limits.campaign_lobes import LobeResult
 from smfe.limits.ceilings import ceilings_of, deepest, fastest
@@ -48,6 +49,22 @@ UNEXPLAINED = 1.96
 
 _WIDTH_OF_BAND = 2.0 * 1.6448536269514722
 """From the 5 % to the 95 % quantile, in standard deviations."""
+
+
+_SHOWN: dict[str, tuple[str, str, int]] = {
+    "spindle_speed_rpm": ("spindle speed", "rpm", 0),
+    "depth_of_cut_mm": ("depth of cut", "mm", 1),
+    "limit_depth_mm": ("limit depth", "mm", 2),
+    "width_of_cut_mm": ("width of cut", "mm", 1),
+    "feed_mm_min": ("feed", "mm/min", 0),
+    "feed_per_tooth_mm": ("feed per tooth", "mm", 3),
+    "cutting_speed_m_min": ("cutting speed", "m/min", 0),
+    "removal_rate_cm3_min": ("removal rate", "cm³/min", 1),
+    "probability": ("stable with a probability of at least", "1", 2),
+    "chatter_frequency_Hz": ("chatter frequency", "Hz", 1),
+    "source": ("source", "", 0),
+}
+"""What a notebook shows: name, unit, decimals."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +132,19 @@ class Recommendation:
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values under the same names, as every output writes it."""
         return {**asdict(self), "assumptions": list(self.assumptions), "tool": dict(self.tool)}
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook."""
+        rows = []
+        for name, (title, unit, digits) in _SHOWN.items():
+            value = getattr(self, name)
+            if value is not None:
+                rows.append((title, f"{value:.{digits}f}" if isinstance(value, float | int) else str(value), unit))
+        title = {
+            RECOMMENDED: "Recommended cut",
+            LIMIT_ONLY: "Limit; its uncertainty is not known, so that no depth is given",
+        }.get(self.status, "No cut is recommended")
+        return html_table(title, rows, notes=(self.reason, *self.assumptions))
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from process.machine.modes import ModalModel
+from process.notebook import html_table
 from process.types import Complex, Real
 from smfe.modes.merged_lines import merged
 from smfe.modes.model_order import OrderRules, choose, fit_poles, pair_distance
@@ -153,6 +154,18 @@ class ModalFit:
         if self.shapes is None:
             raise InputError(self.no_shapes)
         return self.shapes
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: each mode with the standard deviations of what was found."""
+        rows = []
+        for number, row in enumerate(self.table().to_dict("records"), 1):
+            cells = [f"{row['frequency_Hz']:.5g} ± {row['frequency_std_Hz']:.2g}"]
+            cells.append(f"{100.0 * row['damping']:.3g} ± {100.0 * row['damping_std']:.2g}")
+            known = np.isfinite(row.get("stiffness_N_um", np.nan))
+            cells.append(f"{row['stiffness_N_um']:.4g} ± {row['stiffness_std_N_um']:.2g}" if known else "not known")
+            rows.append((number, *cells))
+        head = ("mode", "frequency [Hz]", "damping [%]", "stiffness [N/µm]")
+        return html_table("Modes, ± one standard deviation", rows, head, self.warnings)
 
     def table(self) -> pd.DataFrame:
         """Return one row a mode with 95 % intervals; stiffness and direction are NaN where no shape is known."""

@@ -40,7 +40,7 @@ from smfe.reporting.figures.draw_matplotlib import (
 from smfe.reporting.modal import draw_stabilisation
 from stability import ChatterVerdict
 
-_DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
+_DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-.", "longdash": (0, (9, 3))}
 
 
 def figure_of(

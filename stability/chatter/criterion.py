@@ -41,6 +41,7 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import UNITS, axis_present, check_record
+from process.notebook import html_table
 from stability.chatter.amplitudes import SpectralAmplitudes, spectral_amplitudes
 from stability.chatter.comb import other_speed, other_teeth, spectrogram
 from stability.chatter.cut_interval import (
@@ -164,6 +165,20 @@ class ChatterVerdict:
     try_rpm: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
     spectrogram: xr.Dataset | None = field(default=None, repr=False)
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook."""
+        rows: list[tuple[object, ...]] = [
+            ("spindle speed", f"{self.spindle_speed_rpm:.5g}", "rpm"),
+            ("ratio of the largest line to the tooth passing line", f"{self.ratio:.3g}", "1"),
+            ("judged on", f"{self.quantity}, {', '.join(self.axes)}", ""),
+            ("judged from", f"{self.interval_s[0]:.3g} to {self.interval_s[1]:.3g}", "s"),
+        ]
+        if math.isfinite(self.chatter_frequency_Hz):
+            rows.insert(0, ("chatter frequency", f"{self.chatter_frequency_Hz:.4g}", "Hz"))
+        if self.try_rpm:
+            rows.append(("speeds to try", ", ".join(f"{s:.0f}" for s in self.try_rpm), "rpm"))
+        return html_table(f"Verdict: {self.verdict}", rows, notes=(self.reason, *self.notes))
 
 
 def chatter_verdict(

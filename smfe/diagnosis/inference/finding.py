@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from process.notebook import html_table
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut
 from smfe.diagnosis.inference.fit import Fit, Target, residuals
@@ -242,6 +243,16 @@ class Finding:
         found["unconverged"] = dict(self.unconverged)
         plain: dict[str, Any] = _plain(found)
         return plain
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: each cause with its parameters; below it what is said of them."""
+        rows: list[tuple[object, ...]] = []
+        for cause in self.causes:
+            gain = "not known" if cause.gain_db is None else f"{cause.gain_db:.2g}"
+            rows.append((cause.title, "gain on conditions held out", gain, "", "", "dB"))
+            rows += [("", p.name, *(f"{v:.4g}" for v in (p.value, p.low, p.high)), p.unit) for p in cause.parameters]
+        head = ("cause", "parameter", "value", "95 % from", "to", "unit") if rows else ()
+        return html_table(f"Diagnosis: {self.verdict.replace('_', ' ')}", rows, head, explain(self).splitlines())
 
 
 _KEYS = {
