@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -29,10 +28,10 @@ from smfe.reporting import first_look
 from smfe.reporting.content.results import Lobes, Measurement, Results
 from smfe.reporting.content.style import AXIS_COLOURS, CURVE_COLOURS, Line, literal, number, palette
 from smfe.reporting.figures import figure_data
+from smfe.reporting.figures.draw_diagnosis import draw_compared, draw_search
 from smfe.reporting.figures.draw_matplotlib import (
     DPI,
     draw_compliance,
-    draw_diagnosis,
     draw_lobes,
     draw_loop,
     draw_spectra,
@@ -96,7 +95,7 @@ def figure_of(
         "verdict": draw_verdict,
         "loop": draw_loop,
         "modes": lambda one: draw_stabilisation(one, name or ""),
-        "finding": lambda one: draw_diagnosis(_plain(one)),
+        "finding": _finding,
         "look": first_look.figure_of,
     }
     if kind not in single:
@@ -173,9 +172,13 @@ def _kind(thing: object) -> str:
     return next((kind for one, kind in classes.items() if isinstance(thing, one)), type(thing).__name__)
 
 
-def _plain(finding: Finding) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(json.dumps(finding.as_dict()))
-    return content
+def _finding(finding: Finding) -> Figure:
+    """Return measured and modelled curves side by side, or where there are none the steps of the search."""
+    if finding.curves is not None:
+        return draw_compared(finding.curves)
+    if not figure_data.has_diagnosis(finding.as_dict()):
+        raise InputError(f"this finding has no search to draw: {finding.reason}")
+    return draw_search(finding.as_dict())
 
 
 # --- compliances -----------------------------------------------------------------------------------------------------

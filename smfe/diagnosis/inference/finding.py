@@ -252,7 +252,7 @@ class Finding:
             rows.append((cause.title, "gain on conditions held out", gain, "", "", "dB"))
             rows += [("", p.name, *(f"{v:.4g}" for v in (p.value, p.low, p.high)), p.unit) for p in cause.parameters]
         head = ("cause", "parameter", "value", "95 % from", "to", "unit") if rows else ()
-        return html_table(f"Diagnosis: {self.verdict.replace('_', ' ')}", rows, head, explain(self).splitlines())
+        return html_table(f"Diagnosis: {self.verdict.replace('_', ' ')}", rows, head, self.sentences or (self.reason,))
 
 
 _KEYS = {
