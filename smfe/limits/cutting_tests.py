@@ -322,8 +322,9 @@ def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
 
 
 def _spectrum_of(test: CuttingTest, verdict: ChatterVerdict, teeth: int, row: Mapping[str, Any]) -> xr.Dataset:
-    marks = [k for k, v in row.items() if k.startswith("frequency_") and math.isfinite(v)]
-    predicted = {k.removeprefix("frequency_").removesuffix("_Hz"): row[k] for k in marks}
+    sources = [k.removeprefix("predicted_") for k in row if k.startswith("predicted_")]
+    marks = {s: row[f"frequency_{s}_Hz"] for s in sources}
+    predicted = {source: f for source, f in marks.items() if math.isfinite(f)}
     return spectrum_of(verdict).assign_attrs(
         file=test.file.name,
         spindle_speed_rpm=round(test.spindle_speed, 6),
@@ -348,7 +349,20 @@ def spectrum_of(verdict: ChatterVerdict) -> xr.Dataset:
         cut_s=json.dumps(list(verdict.cut_s)),
         interval_s=json.dumps(list(verdict.interval_s)),
         family_Hz=json.dumps(list(verdict.family_Hz)),
+        **_threshold(verdict),
     )
+
+
+def _threshold(verdict: ChatterVerdict) -> dict[str, Any]:
+    """Return the axis that has decided, and the amplitude above which a line of it is chatter."""
+    axis = next((a.axis for a in verdict.by_axis if a.ratio == verdict.ratio), None)
+    if axis is None:
+        return {}
+    frequency, near = verdict.spectrum["frequency"].values, 1.5 * verdict.resolution_Hz
+    height = verdict.spectrum["amplitude"].sel(axis=axis).values
+    order = np.abs(frequency - verdict.tooth_passing_harmonic_Hz) <= near
+    reference = max(float(height[order].max(initial=0.0)), verdict.floor)
+    return {"threshold_axis": axis, "threshold_amplitude": verdict.threshold * reference}
 
 
 PICTURE_STEP = 0.5

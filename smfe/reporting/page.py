@@ -11,8 +11,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from smfe.reporting.content.advice import subject
+from smfe.reporting.content.merging import sentence
 from smfe.reporting.content.results import Results, read_results
-from smfe.reporting.content.style import OUTCOMES, band_text, number, palette
+from smfe.reporting.content.style import OUTCOMES, band_text, number, palette, spoken
 from smfe.reporting.figures import draw_matplotlib
 from smfe.reporting.sections import (
     answer,
@@ -36,19 +37,19 @@ SECTIONS: dict[str, tuple[str, str, Section]] = {
     "answer": ("Answer", "How deep, at which speed, how sure", answer.section),
     "lobes": ("Lobes", "Every source and pocket", lobes.section),
     "cutting_tests": ("Cutting tests", "Cutting tests", cutting_tests.section),
-    "measured": ("Measured", "What was measured", measured.section),
+    "measured": ("Measured", "What was measured, and what the audit says", measured.section),
     "compliances": ("Compliances", "Compliances", compliances.section),
     "loops": ("Drive loops", "Drive loops", loops.section),
     "drives": ("Drives", "Drives: inertia and friction", drives.section),
     "comparison": ("Comparison", "Comparison of the measurements", comparison.section),
     "diagnosis": ("Diagnosis", "What the simulation gets wrong", diagnosis.section),
-    "files": ("Files", "Provenance", files.section),
+    "files": ("Files", "Files to download, and where they come from", files.section),
 }
 """Name of a section, its module and its template -> its link, its heading (unless it says another), its maker."""
 
 _HERE = Path(__file__).parent
 
-_SCRIPTS = ("arrays.js", "tables.js", "report.js")
+_SCRIPTS = ("arrays.js", "tables.js", "cuts.js", "panels.js", "report.js")
 
 _ARRAY = {"bdata", "codes", "derive"}
 """A part of a figure with one of these keys is an array: of 32-bit floats, of 16 bits, or made of others."""
@@ -101,7 +102,7 @@ def render(results: Results) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(n=number, bands=band_text)
+    environment.filters.update(n=number, bands=band_text, spoken=spoken, sentence=sentence)
     environment.globals["marks"] = OUTCOMES
     environment.globals["late"] = draft.late
     wanted = ("diagnosis", "files") if results.diagnosis_alone else tuple(SECTIONS)
@@ -113,7 +114,7 @@ def render(results: Results) -> str:
         alone=results.diagnosis_alone,
         made=made,
         headings={name: SECTIONS[name][1] for name in made},
-        links={name: SECTIONS[name][0] for name in made},
+        links={name: SECTIONS[name][0] for name, content in made.items() if not content.get("empty")},
         css=Markup((_HERE / "static" / "report.css").read_text(encoding="utf-8")),
         tables=lambda: Markup(_json([table.content for table in draft.tables])),
         script=Markup("\n".join((_HERE / "static" / name).read_text(encoding="utf-8") for name in _SCRIPTS)),

@@ -188,24 +188,40 @@ def pockets(answers: list[dict[str, object]]) -> pd.DataFrame:
 
 
 def comparison() -> pd.DataFrame:
+    """Return a comparison in which the sweep alone differs: its peak at 61.4 Hz is 2 Hz lower and 40 % higher."""
     pairs = [("hammer_idle", "actuator"), ("hammer_idle", "sweep"), ("actuator", "sweep")]
-    rows = [
-        {
-            "measurement_a": a,
-            "measurement_b": b,
-            "response": r,
-            "excitation": r,
-            "frequency_a_Hz": 61.4,
-            "frequency_b_Hz": 61.4 - k,
-            "frequency_difference_Hz": -float(k),
-            "frequency_difference_std_Hz": 0.2,
-            "damping_a": 0.03,
-            "damping_b": 0.031,
-            "significant": k > 1,
-        }
-        for k, (a, b) in enumerate(pairs)
-        for r in "xyz"
-    ]
+    rows = []
+    for k, (a, b) in enumerate(pairs):
+        for r in "xyz":
+            apart = b == "sweep" and r == "x"
+            row: dict[str, object] = {"measurement_a": a, "measurement_b": b, "response": r, "excitation": r}
+            row |= {"match": "both", "frequency_a_Hz": 61.4, "frequency_std_a_Hz": 0.08}
+            row |= {"frequency_b_Hz": 59.4 if apart else 61.4, "frequency_std_b_Hz": 0.1}
+            for quantity, percent, std in (
+                ("frequency", -3.257, 0.21),
+                ("damping", 1.0, 5.2),
+                ("amplitude", 40.0 + k, 5.4),
+            ):
+                row[f"{quantity}_difference_percent"] = percent if apart else 0.1
+                row[f"{quantity}_difference_std_percent"] = std
+                row[f"{quantity}_significant"] = apart and quantity != "damping"
+            rows.append({**row, "significant": apart})
+    alone = {"measurement_a": "hammer_idle", "measurement_b": "sweep", "response": "x", "excitation": "y"}
+    rows.append({**alone, "match": "b only", "frequency_b_Hz": 33.2, "significant": False})
+    return pd.DataFrame(rows)
+
+
+def explained() -> pd.DataFrame:
+    """Return what explains it: the feed; method and level change together."""
+    rows = []
+    for quantity, effect in (("frequency", -3.1), ("amplitude", 38.0)):
+        head = {"response": "x", "excitation": "x", "frequency_Hz": 60.7, "quantity": quantity}
+        feed = {"lowest": "0 mm/min", "highest": "x 120 mm/min, y 0 mm/min, z 0 mm/min", "effect_percent": effect}
+        feed |= {"effect_std_percent": 0.3, "explained_percent": 93.4, "p_family": 1e-4, "significant": True}
+        rows.append({**head, "factor": "feed", **feed})
+        rows.append(
+            {**head, "factor": "method + level", "explained_percent": 4.0, "p_family": 1.0, "significant": False}
+        )
     return pd.DataFrame(rows)
 
 
@@ -247,6 +263,7 @@ def write_sample(folder: Path, name: str = "Ram machine, K1 and K2") -> Path:
     write_csv(folder / "chatter.csv", tests)
     write_groups(folder / "spectra.nc", {f"test_{i + 1}": spectrum(row) for i, row in tests.iterrows()})
     write_csv(folder / "comparison.csv", comparison())
+    write_csv(folder / "explained.csv", explained())
     write_csv(folder / "model_error.csv", model_error())
     write_csv(folder / "tables" / "hammer_idle.hits.csv", hits(21))
     write_csv(folder / "tables" / "other.v2.hits.csv", hits(40))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from smfe.reporting.content.headline import outcomes
-from smfe.reporting.content.style import number
+from smfe.reporting.content.style import number, spoken, with_spread
 
 UNITS: dict[str, str] = {
     "cm3_min": "cm³/min",
@@ -68,17 +68,20 @@ class Table:
         Text cells.
     summary : str
         What the fold says, or the caption.
+    fold : bool
+        Whether it is folded however short it is.
     """
 
     headers: tuple[str, ...]
     numeric: tuple[bool, ...]
     rows: tuple[Row, ...]
     summary: str = ""
+    fold: bool = False
 
     @property
     def folded(self) -> bool:
-        """Whether it is too long to stand open."""
-        return len(self.rows) > LONG
+        """Whether it is made when it is opened: it was asked for, or the table is too long to stand open."""
+        return self.fold or len(self.rows) > LONG
 
     @property
     def content(self) -> dict[str, Any]:
@@ -123,95 +126,47 @@ def _cell(value: object, digits: int) -> str:
 
 
 def hits(frame: pd.DataFrame, title: str) -> Table:
-    """Return the table of hits, steps or passes of a measurement; what was not used is marked."""
+    """Return the folded table of hits, steps or passes of a measurement; what was not used is marked."""
     shown = frame.dropna(axis="columns", how="all")
     if "used" not in frame:
-        return table(shown, f"{title}: {len(frame)} rows")
+        return replace(table(shown, f"{title}: {len(frame)} row{'s' if len(frame) != 1 else ''}"), fold=True)
     used = int(sum(true(v) for v in frame["used"]))
-    return table(shown, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected")
+    made = table(shown, f"{title}: {used} of {len(frame)} used", lambda row: "" if true(row["used"]) else "rejected")
+    return replace(made, fold=True)
 
 
-def cutting_tests(frame: pd.DataFrame) -> list[Table]:
-    """Return what the criterion found in the cutting tests, and what each source of lobes had predicted."""
-    happened = outcomes(frame)
-    sources = [str(c).removeprefix("predicted_") for c in frame.columns if str(c).startswith("predicted_")]
-    columns = [
-        f"{kind}_{s}{end}" for s in sources for kind, end in (("predicted", ""), ("limit", "_mm"), ("frequency", "_Hz"))
-    ]
-    found = frame.drop(columns=columns, errors="ignore").dropna(axis="columns", how="all")
-    out = [table(found, f"{len(frame)} cutting tests", lambda row: str(row["verdict"]))]
-    if sources:
-        test = ["file", "spindle_speed_rpm", "depth_of_cut_mm"]
-        shown = frame[test].assign(outcome=happened, **{s: _predictions(frame, s, happened) for s in sources})
-        plain = table(shown, "Limit depth [mm] and prediction of each source")
-        # The name of a source stands as it is.
-        headers = (*plain.headers[: len(test) + 1], *sources)
-        out.append(Table(headers, plain.numeric, plain.rows, plain.summary))
-    return out
+_DIFFERENCES = ("frequency", "damping", "amplitude")
 
 
-def _predictions(frame: pd.DataFrame, source: str, happened: pd.Series[str]) -> list[str]:
-    """Return e.g. "3.927, stable" a test."""
-    limits = frame.get(f"limit_{source}_mm", pd.Series(np.nan, index=frame.index))
-    out = []
-    for limit, predicted, outcome in zip(limits, frame[f"predicted_{source}"], happened, strict=True):
-        wrong = " (wrong)" if {outcome, predicted} == {"stable", "chatter"} else ""
-        out.append(f"{number(limit)}, {predicted}{wrong}")
-    return out
+def comparison(frame: pd.DataFrame) -> Table:
+    """Return comparison.csv with what a reader needs, each difference with two digits of its uncertainty."""
+    if "measurement_a" not in frame or "match" not in frame:
+        return replace(table(frame.dropna(axis="columns", how="all"), f"All {len(frame)} rows"), fold=True)
+    rows = []
+    for row in frame.to_dict("records"):
+        peaks = [with_spread(_value(row, f"frequency_{m}_Hz"), _value(row, f"frequency_std_{m}_Hz")) for m in "ab"]
+        changes = [
+            with_spread(_value(row, f"{q}_difference_percent"), _value(row, f"{q}_difference_std_percent"))
+            for q in _DIFFERENCES
+        ]
+        which = [q for q in _DIFFERENCES if true(row.get(f"{q}_significant"))]
+        said = ", ".join(which) or ("all three together" if true(row.get("significant")) else "–")
+        head = (
+            spoken(str(row["measurement_a"])),
+            spoken(str(row["measurement_b"])),
+            f"{row['response']}{row['excitation']}",
+        )
+        cells = (*map(str, head), str(row["match"]), *peaks, *changes, said)
+        rows.append(Row(cells, "significant" if true(row.get("significant")) else ""))
+    own = ("a", "b", "entry", "peak in", "frequency a [Hz]", "frequency b [Hz]")
+    headers = (*own, *(f"{q}, b from a [%]" for q in _DIFFERENCES), "significant")
+    numeric = (False,) * 4 + (True,) * 5 + (False,)
+    return Table(headers, numeric, tuple(rows), f"All {len(frame)} pairs of peaks, ± one standard deviation", fold=True)
 
 
-def comparison(frame: pd.DataFrame) -> tuple[list[str], Table]:
-    """Return the headline sentences and the table of differences between measurements."""
-    marked = table(
-        frame.dropna(axis="columns", how="all"),
-        f"All {len(frame)} rows",
-        lambda row: "significant" if true(row.get("significant")) else "",
-    )
-    alone = int((frame["match"] != "both").sum()) if "match" in frame else 0
-    sentences = [f"{len(frame) - alone} pairs of peaks were compared."]
-    if "significant" in frame:
-        rows = _where(frame, "significant")
-        sentences[0] += f" {len(rows)} differ significantly (shaded rows)."
-        sentences += _largest(rows)
-    if alone:
-        sentences.append(f"{alone} peaks were found in one of two measurements only.")
-    return sentences, marked
-
-
-def _where(frame: pd.DataFrame, column: str) -> pd.DataFrame:
-    """Return the rows in which a column is true; an empty list would select columns, so the mask is an array."""
-    return frame[np.array([true(v) for v in frame[column]], dtype=bool)]
-
-
-def _largest(rows: pd.DataFrame) -> list[str]:
-    """Return for each kind of difference where it is largest, among those that are significant."""
-    own = [str(c).removesuffix("_significant") for c in rows.columns if str(c).endswith("_significant")]
-    out = []
-    for column in map(str, rows.columns):
-        quantity, found, _ = column.partition("_difference")
-        if not found or "_std" in column or not _numeric(rows[column]) or (own and quantity not in own):
-            continue
-        counted = _where(rows, f"{quantity}_significant") if own else rows
-        values = counted[column].abs().fillna(0.0).to_numpy(dtype=float)
-        if values.max(initial=0.0) > 0.0:
-            out.append(_difference_text(counted.iloc[int(values.argmax())], column))
-    return out
-
-
-def _difference_text(row: pd.Series[Any], column: str) -> str:
-    title, _, unit = heading(column).partition(" [")
-    std = row.get(column.replace("_difference", "_difference_std"))
-    spread = f" ± {number(std, 2)}" if std is not None else ""
-    amount = f"{number(row[column], 3)}{spread} {unit.rstrip(']')}".strip()
-    return f"Largest significant {title}: {amount} ({_named(row)})."
-
-
-def _named(row: pd.Series[Any]) -> str:
-    """Return what a row of the comparison is about: its text cells, the entry in one word."""
-    other = ("response", "excitation", "match")
-    parts = [str(v) for k, v in row.items() if isinstance(v, str) and v and k not in other]
-    entry = f"{row.get('response', '')}{row.get('excitation', '')}"
-    return ", ".join([*parts, entry] if entry else parts)
+def _value(row: Mapping[Any, Any], key: str) -> float:
+    value = row.get(key, np.nan)
+    return float(value) if isinstance(value, int | float | np.integer | np.floating) else float("nan")
 
 
 def model_errors(frame: pd.DataFrame) -> list[Table]:
@@ -228,29 +183,56 @@ def model_errors(frame: pd.DataFrame) -> list[Table]:
         shown = wide.reset_index()
         if spans is not None:
             low, high = spans.min()["from_Hz"], spans.max()["to_Hz"]
-            band = [f"{number(low[m])}–{number(high[m])}" for m in shown["measurement"]]
+            band = [f"{number(low[m], 3)} to {number(high[m], 3)}" for m in shown["measurement"]]
             shown.insert(1, "band_Hz", band)
         shown.columns = [str(c) for c in shown.columns]
-        out.append(table(shown, f"Relative error against {model} [%]", digits=3))
+        shown["measurement"] = [spoken(str(name)) for name in shown["measurement"]]
+        out.append(table(shown, f"Relative error against {spoken(str(model))} [%]", digits=2))
     return out
-
-
-EXPLAINED = (
-    *("response", "excitation", "frequency_Hz", "quantity", "factor", "lowest", "highest", "effect_percent"),
-    *("effect_low_percent", "effect_high_percent", "explained_percent", "p", "p_family", "significant"),
-)
-"""Columns of what conditions explain that the report holds; the file has all."""
 
 
 def explained(frame: pd.DataFrame | None) -> Table | None:
     """Return what conditions explain, significant rows marked; None without a row."""
     if frame is None or frame.empty:
         return None
-    count = int(sum(true(v) for v in frame["significant"]))
-    shown = frame[[c for c in EXPLAINED if c in frame]]
-    return table(
-        shown,
-        f"{count} of {len(frame)} rows are significant (5 % for all together)",
-        lambda row: "significant" if true(row["significant"]) else "",
-        digits=3,
+    rows = []
+    for row in frame.to_dict("records"):
+        effect = _value(row, "effect_percent")
+        ends = [str(row.get(key) or "") for key in ("lowest", "highest")] if np.isfinite(effect) else ["", ""]
+        cells = (
+            f"{row.get('response', '')}{row.get('excitation', '')}",
+            number(_value(row, "frequency_Hz"), 3),
+            str(row["quantity"]),
+            str(row["factor"]).replace("_", " ").replace(" x ", " × "),
+            with_spread(effect, _value(row, "effect_std_percent")),
+            *map(condition_text, ends),
+            number(_value(row, "explained_percent"), 2),
+            number(_value(row, "p_family"), 2),
+        )
+        rows.append(Row(cells, "significant" if true(row["significant"]) else ""))
+    headers = (
+        "entry",
+        "peak [Hz]",
+        "quantity",
+        "condition",
+        "effect [%]",
+        "from",
+        "to",
+        "explains [%]",
+        "p corrected [1]",
     )
+    numeric = (False, True, False, False, True, False, False, True, True)
+    count = sum(bool(row.css) for row in rows)
+    summary = f"What explains the differences: {count} of {len(frame)} rows are significant (5 % for all together)"
+    return Table(headers, numeric, tuple(rows), summary, fold=True)
+
+
+def condition_text(text: str) -> str:
+    """Return "120 mm/min along x" for "x 120 mm/min, y 0 mm/min, z 0 mm/min": an axis at rest is not said."""
+    parts = [part for part in text.split(", ") if not re.fullmatch(r"[xyz] 0 mm/min", part)]
+    return re.sub(r"\b([xyz]) (-?[\d.]+ mm/min)", r"\2 along \1", ", ".join(parts)) or (text and "0 mm/min")
+
+
+def conditions_text(conditions: Mapping[str, str]) -> str:
+    """Return "feed 120 mm/min along x, depth of cut 2 mm"; an axis at rest is not said."""
+    return ", ".join(f"{key.replace('_', ' ')} {condition_text(value)}" for key, value in conditions.items())

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from process.types import Complex, Real
 from smfe.reporting.content.results import BAD_CONDITION, Measurement
-from smfe.reporting.content.style import CHATTER, EXCITATION_DASHES, Line, band_text, translucent
+from smfe.reporting.content.style import CHATTER, Line, band_text, spoken, translucent
+from smfe.reporting.content.tables import conditions_text
 from smfe.reporting.figures import figure_data
 from smfe.reporting.figures.plotly_frame import (
     Figure,
@@ -20,53 +21,110 @@ from smfe.reporting.figures.plotly_frame import (
     on_panel,
     packed,
     plain,
-    polygons,
     scatter,
 )
+from smfe.reporting.figures.thinning import coded, thinned
+
+CURVES = 60
+"""So many curves are drawn as finely as a large figure resolves; more share the points."""
+
+COLUMNS = (300, 1200)
+"""Points over the width of the page, at least and at most."""
+
+VIEWS = ("magnitude [µm/N]", "phase [°]", "real part [µm/N]", "imaginary part [µm/N]", "coherence [1]")
+"""What the switch of the compliances offers."""
 
 
 def compliance_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure:
-    """Return the grid of compliances with a choice of magnitude, phase, real and imaginary part."""
+    """Return the grid of compliances with a choice of magnitude, phase, real and imaginary part and coherence.
+
+    Magnitude and phase are stored; the page makes the parts and the bands of uncertainty of them.
+    """
     responses, excitations = figure_data.axes_of(measurements)
     span = figure_data.frequency_range(measurements)
     low, high = figure_data.magnitude_range(measurements, span)
+    parts = figure_data.part_ranges(measurements, span)
+    curves = sum(len(m.entries) for m in measurements)
+    columns = int(np.clip(COLUMNS[1] * CURVES / max(curves, 1), *COLUMNS))
+    ranges = (float(np.log10(high / low)), float(np.ptp(parts[0] + parts[1])), 370.0)
     panels = {(r, e): 1 + i * len(excitations) + j for i, r in enumerate(responses) for j, e in enumerate(excitations)}
     data: list[Figure] = []
     views: list[list[Any]] = []
     for m in measurements:
         for first, (r, e) in enumerate(m.entries):
             shared = {**on_panel(panels[r, e]), "legendgroup": m.name}
-            std = m.std(r, e)
-            if std is not None:
-                edges = figure_data.magnitude_band(m.entry(r, e), std, 1e-2 * low)
-                data.append(filled(polygons(m.frequency, *edges), looks[m.name].colour, 0.2, shared))
+            entry = _entry(m, (r, e), span, ranges, columns)
+            if entry.std is not None:
+                data.append(_band(entry, looks[m.name], 1e-2 * low, shared))
                 views.append([])
-            views.append(_views(m.entry(r, e)))
-            data.append(
-                _compliance_line(m, looks[m.name], views[-1][0], figure_data.entry_name(r, e), first == 0, shared)
-            )
+            views.append(entry.views)
+            data.append(_line(m, looks[m.name], entry, figure_data.entry_name(r, e), first == 0, shared))
     layout = _grid_layout(responses, excitations, span, (low, high))
-    axes = _view_axes((low, high), figure_data.part_ranges(measurements, span))
-    return {"data": data, "layout": layout, "views": _view_switch(views, list(panels.values()), axes)}
+    axes = _view_axes((low, high), parts)
+    known = any(m.coherences(r) for m in measurements for r in responses)
+    return {
+        "data": data,
+        "layout": layout,
+        "views": _view_switch(views, list(panels.values()), axes if known else axes[:-1]),
+        "panels": [
+            {"name": figure_data.entry_name(r, e), "at": at, "axes": on_panel(at)} for (r, e), at in panels.items()
+        ],
+    }
 
 
-def _views(values: Complex) -> list[dict[str, str]]:
+@dataclass(frozen=True)
+class _Entry:
+    """Arrays of one entry as the page reads them; ``std`` is None where nothing is known of it."""
+
+    x: dict[str, Any]
+    views: list[dict[str, Any]]
+    std: dict[str, Any] | None
+
+
+def _entry(
+    m: Measurement, pair: tuple[str, str], span: tuple[float, float], ranges: Sequence[float], columns: int
+) -> _Entry:
+    """Return the points of one entry that a screen resolves [µm/N, degrees]."""
+    values, std = m.entry(*pair), m.std(*pair)
+    coherence = next((c for e, c in m.coherences(pair[0]) if e in ("", pair[1])), None)
+    also = [] if coherence is None else [(coherence, 0.01)]
+    if std is not None:
+        with np.errstate(divide="ignore"):
+            also.append((np.log10(std), np.log10(1.05)))
     scaled = 1e6 * values
-    return [packed(np.abs(scaled)), packed(figure_data.lagging_phase(values)), packed(scaled.real), packed(scaled.imag)]
+    kept = thinned(m.frequency, scaled, span, ranges, columns, also)
+    frequency = m.frequency[kept]
+    # 16 bits are enough where their steps are finer than those of the data.
+    fine = float(np.ptp(frequency)) < 1e4 * float(np.median(np.diff(m.frequency))) if frequency.size > 1 else False
+    x = coded(frequency) if fine else packed(frequency)
+    size = coded(np.abs(scaled[kept]), logarithmic=True)
+    phase = coded(figure_data.lagging_phase(values[kept]))
+    made = [{"derive": name, "of": [size, phase]} for name in ("real", "imaginary")]
+    quality = coded(np.full(1, np.nan) if coherence is None else coherence[kept])
+    return _Entry(x, [size, phase, *made, quality], None if std is None else coded(1e6 * std[kept], logarithmic=True))
 
 
-def _compliance_line(
-    m: Measurement, look: Line, y: dict[str, str], entry: str, in_legend: bool, shared: Mapping[str, Any]
-) -> Figure:
+def _band(entry: _Entry, look: Line, floor: float, shared: Mapping[str, Any]) -> Figure:
+    """Return the magnitude ∓ two standard deviations as the page makes it."""
+    size = entry.views[0]
+    return {
+        **filled((np.empty(0), np.empty(0)), look.colour, 0.2, shared),
+        "x": {"derive": "band_x", "of": [entry.x, size, entry.std]},
+        "y": {"derive": "band_y", "of": [size, entry.std, floor]},
+    }
+
+
+def _line(m: Measurement, look: Line, entry: _Entry, name: str, in_legend: bool, shared: Mapping[str, Any]) -> Figure:
+    said = conditions_text({key: value for key, value in m.conditions.items() if key != "feed_per_tooth"})
     return {
         "type": "scatter",
         "mode": "lines",
-        "x": packed(m.frequency),
-        "y": y,
-        "name": plain(m.name),
+        "x": entry.x,
+        "y": entry.views[0],
+        "name": plain(spoken(m.name) + (f" ({said})" if said else "")),
         "showlegend": in_legend,
         "line": {"width": 1.5, "color": look.colour, "dash": look.dash},
-        "hovertemplate": f"{entry}: %{{x:.5~g}} Hz, %{{y:.4~g}}",
+        "hovertemplate": f"{name}: %{{x:.5~g}} Hz, %{{y:.4~g}}",
         **shared,
     }
 
@@ -111,7 +169,8 @@ def _grid_layout(
                 **log_axis(*magnitude),
                 **({} if panel == 1 else {"matches": "y"}),
             )
-            layout["annotations"].append(_corner(f"Φ<sub>{r}{e}</sub>", x0 + wide, y0 + tall))
+            note = _corner(f"Φ<sub>{plain(figure_data.entry_name(r, e))}</sub>", x0 + wide, y0 + tall)
+            layout["annotations"].append({**note, "entry": figure_data.entry_name(r, e), "captureevents": True})
     return layout
 
 
@@ -135,12 +194,8 @@ def _view_axes(
     log = {**log_axis(*magnitude), "autorange": False}
     turn = {"type": "linear", "range": [-275.0, 95.0], "dtick": 90, "autorange": False}
     free = {"type": "linear", "dtick": None, "autorange": False}
-    return [
-        ("magnitude [µm/N]", log),
-        ("phase [°]", turn),
-        ("real part [µm/N]", {**free, "range": parts[0]}),
-        ("imaginary part [µm/N]", {**free, "range": parts[1]}),
-    ]
+    parted = [{**free, "range": part} for part in parts]
+    return list(zip(VIEWS, (log, turn, *parted, {**free, "range": [-0.02, 1.05]}), strict=True))
 
 
 def _view_switch(
@@ -164,99 +219,38 @@ def _view_switch(
     ]
 
 
-def quality_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure | None:
-    """Return coherence by response and, for sweeps, the condition of the forces; None without either."""
-    measured, responses, conditioned = figure_data.quality_panels(measurements)
-    if not responses and not conditioned:
+def condition_figure(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure | None:
+    """Return the condition number of the forces of each sweep, what is badly conditioned shaded; None without one."""
+    conditioned = figure_data.quality_panels(measurements)[2]
+    if not conditioned:
         return None
-    span = figure_data.frequency_range(measured)
-    data: list[Figure] = []
-    named: set[str] = set()
-    for panel, r in enumerate(responses, 1):
-        for m in measured:
-            for e, values in m.coherences(r):
-                what = f"response {r}, force {e}" if e else f"response {r}"
-                data.append(_quality_line(m, looks[m.name], values, what))
-                data[-1].update(on_panel(panel), showlegend=m.name not in named)
-                data[-1]["line"]["dash"] = EXCITATION_DASHES[e]
-                named.add(m.name)
-    for m in conditioned:
-        condition = m.condition()
-        assert condition is not None
-        data.append(_quality_line(m, looks[m.name], condition, "condition number"))
-        data[-1].update(on_panel(len(responses) + 1), showlegend=m.name not in named)
-        named.add(m.name)
-    return {"data": data, "layout": _quality_layout(responses, conditioned, span)}
-
-
-def _quality_line(m: Measurement, look: Line, values: Real, what: str) -> Figure:
-    return {
-        **scatter("lines", m.frequency, values),
-        "name": plain(m.name),
-        "legendgroup": m.name,
-        "line": {"width": 1.3, "color": look.colour},
-        "hovertemplate": f"{what}: %{{x:.5~g}} Hz, %{{y:.4~g}}",
-    }
-
-
-def _quality_layout(responses: Sequence[str], conditioned: Sequence[Measurement], span: tuple[float, float]) -> Figure:
-    rows = bool(responses) + bool(conditioned)
-    layout = base_layout(140 + 210 * rows, annotations=[], shapes=[])
-    count = len(responses)
-    floor = 0.0 if rows == 1 else 0.58
-    gap = 0.025
-    for panel, r in enumerate(responses, 1):
-        tail = "" if panel == 1 else str(panel)
-        wide = (1 - gap * (count - 1)) / count
-        x0 = (panel - 1) * (wide + gap)
-        linked = {} if panel == 1 else {"matches": "x"}
-        layout[f"xaxis{tail}"] = axis_look(
-            "" if conditioned else "frequency [Hz]",
-            domain=[x0, x0 + wide],
-            anchor=f"y{tail}",
-            range=list(span),
-            **linked,
-        )
-        layout[f"yaxis{tail}"] = axis_look(
-            "coherence [1]" if panel == 1 else "", domain=[floor, 1.0], anchor=f"x{tail}", range=[-0.02, 1.05]
-        )
-        layout[f"yaxis{tail}"]["showticklabels"] = panel == 1
-        note = _corner(f"response {r}", x0 + wide, floor)
-        layout["annotations"].append({**note, "yanchor": "bottom", "yshift": 4})
-    if conditioned:
-        _add_condition(layout, count + 1, conditioned, span, 0.42 if responses else 1.0)
-    return layout
-
-
-def _add_condition(
-    layout: Figure, panel: int, conditioned: Sequence[Measurement], span: tuple[float, float], top: float
-) -> None:
-    """Add the panel of condition numbers; what is badly conditioned is shaded."""
-    tail = "" if panel == 1 else str(panel)
-    linked = {} if panel == 1 else {"matches": "x"}
-    layout[f"xaxis{tail}"] = axis_look("frequency [Hz]", anchor=f"y{tail}", range=list(span), **linked)
-    numbers = [c for m in conditioned if (c := m.condition()) is not None]
-    highest = max(float(c[np.isfinite(c)].max(initial=1.0)) for c in numbers)
-    layout[f"yaxis{tail}"] = axis_look(
-        "condition number of the forces [1]" if panel == 1 else "condition number [1]",
-        **{"domain": [0.0, top], "anchor": f"x{tail}"},
-        **log_axis(1.0, max(1.5 * highest, 2.0 * BAD_CONDITION)),
+    span = figure_data.frequency_range([m for m in measurements if not m.is_model])
+    numbers = [(m, c) for m in conditioned if (c := m.condition()) is not None]
+    highest = max(float(c[np.isfinite(c)].max(initial=1.0)) for _, c in numbers)
+    data = [
+        {
+            **scatter("lines", m.frequency, values),
+            "name": plain(spoken(m.name)),
+            "legendgroup": m.name,
+            "line": {"width": 1.5, "color": looks[m.name].colour, "dash": looks[m.name].dash},
+            "hovertemplate": "%{x:.5~g} Hz: %{y:.3~g}",
+        }
+        for m, values in numbers
+    ]
+    layout = base_layout(
+        280,
+        xaxis=axis_look("frequency [Hz]", range=list(span)),
+        yaxis=axis_look("condition number [1]", **log_axis(1.0, max(1.5 * highest, 2.0 * BAD_CONDITION))),
+        shapes=[],
     )
-    on = {
-        "xref": f"x{tail}",
-        "yref": f"y{tail} domain",
-        "y0": 0,
-        "y1": 1,
-        "layer": "below",
-        "line": {"width": 0},
-    }
-    for m in conditioned:
+    on = {"xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below", "line": {"width": 0}}
+    for m, _ in numbers:
         for low, high in figure_data.badly_conditioned(m):
             shade = {"type": "rect", "x0": low, "x1": high, "fillcolor": translucent(CHATTER, 0.18)}
             layout["shapes"].append({**shade, **on})
-    limit = {"type": "line", "x0": 0, "x1": 1, "xref": f"x{tail} domain", "yref": f"y{tail}"}
-    look = {"line": {"color": CHATTER, "width": 1.2, "dash": "dash"}}
-    layout["shapes"].append({**limit, "y0": BAD_CONDITION, "y1": BAD_CONDITION, **look})
+    limit = {"type": "line", "x0": 0, "x1": 1, "xref": "paper", "y0": BAD_CONDITION, "y1": BAD_CONDITION}
+    layout["shapes"].append({**limit, "line": {"color": CHATTER, "width": 1.2, "dash": "dash"}})
+    return {"data": data, "layout": layout}
 
 
 def bad_bands_text(m: Measurement) -> str:

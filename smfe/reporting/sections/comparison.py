@@ -5,19 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 from smfe.reporting.content import tables
+from smfe.reporting.content.compared import sentences
 from smfe.reporting.sections.draft import Draft
 
 
 def section(draft: Draft) -> dict[str, Any]:
-    """Return what differs between the measurements, and why."""
+    """Return what differs between the measurements, and why. Nothing where there is nothing to compare."""
     results = draft.results
-    frame, errors = results.comparison, results.model_error
-    sentences, table = ([], None) if frame is None or frame.empty else tables.comparison(frame)
+    frame, errors, failures = results.comparison, results.model_error, draft.failures("comparison")
+    compared = frame is not None and not frame.empty
+    judged = errors is not None and not errors.empty
+    if not compared and not judged and not failures:
+        return {}
     return {
-        "sentences": sentences,
-        "table": table,
-        "compared": frame is not None,
-        "failures": draft.failures("comparison"),
+        "sentences": sentences(frame, results.explained) if frame is not None and compared else [],
+        "table": tables.comparison(frame) if frame is not None and compared else None,
+        "failures": failures,
         "explained": tables.explained(results.explained),
-        "errors": [] if errors is None or errors.empty else tables.model_errors(errors),
+        "errors": tables.model_errors(errors) if errors is not None and judged else [],
     }

@@ -1,4 +1,4 @@
-"""Cutting tests: verdicts, spectra and spectrograms."""
+"""Cutting tests: what happened, what had been predicted, and the spectrum of each."""
 
 from __future__ import annotations
 
@@ -6,56 +6,58 @@ from typing import Any
 
 import pandas as pd
 
-from smfe.reporting.content import tables
-from smfe.reporting.content.headline import outcomes
+from smfe.reporting.content.cuts import counted, cuts, scores
 from smfe.reporting.content.results import Results
 from smfe.reporting.figures import figure_data, spectrograms
 from smfe.reporting.figures.plotly_spectra import spectrum_figure
 from smfe.reporting.sections.draft import Draft
-from smfe.results import FAILED
 
-_NO_TEST: dict[str, Any] = {
-    "file": "cutting test",
-    "spindle_speed_rpm": float("nan"),
-    "depth_of_cut_mm": float("nan"),
-    "verdict": "undecided",
-    "ratio": float("nan"),
-    "chatter_frequency_Hz": float("nan"),
-    "reason": "",
-}
+_SAID = ("file", "spindle_speed_rpm", "depth_of_cut_mm", "verdict", "ratio", "chatter_frequency_Hz", "reason")
+"""What a spectrum says of its test."""
 
 
 def section(draft: Draft) -> dict[str, Any]:
-    """Return verdicts, spectra and spectrograms."""
-    results, tests = draft.results, []
+    """Return the tests in rows, and put their spectra and spectrograms aside for whoever opens them.
+
+    Nothing without a test.
+    """
+    results = draft.results
+    found, failures = cuts(_table(results)), draft.failures("cutting_tests")
+    if not found and not failures:
+        return {}
     end = figure_data.common_end(list(results.spectra.values()))
-    for position, (key, dataset) in enumerate(results.spectra.items(), 1):
-        name = f"plot-spectrum-{position}"
-        draft.plots[name] = spectrum_figure(dataset, end)
+    pictures = {}
+    for position, (key, dataset) in enumerate(results.spectra.items()):
         # A test that failed has a row in chatter.csv and no spectrum; the number says which row is meant.
         number_of = key.rpartition("_")[2]
-        observed = _observed(results.chatter, int(number_of) - 1 if number_of.isdigit() else position - 1)
-        picture = spectrograms.embedded(dataset, end) if spectrograms.pictured([dataset]) else ""
-        tests.append({"plot": name, "picture": picture, "attrs": {**_NO_TEST, **dataset.attrs}, "observed": observed})
-    found = []
-    if results.chatter is not None:
-        # Each reason stands below its spectrum.
-        found = tables.cutting_tests(results.chatter.drop(columns="reason" if results.spectra else [], errors="ignore"))
+        place = int(number_of) - 1 if number_of.isdigit() else position
+        pictures[place] = {"spectrum": f"plot-spectrum-{place + 1}", "spectrogram": ""}
+        draft.plots[pictures[place]["spectrum"]] = spectrum_figure(dataset, end)
+        if spectrograms.pictured([dataset]):
+            pictures[place]["spectrogram"] = f"plot-spectrogram-{place + 1}"
+            draft.plots[pictures[place]["spectrogram"]] = spectrograms.spectrogram_figure(dataset, end)
     return {
-        "tests": tests,
-        "tables": found,
+        "cuts": found,
+        "counted": counted(found) if found else "",
+        "scores": scores(found),
+        "sources": [p.source for p in found[0].predictions] if found else [],
+        "observed": any(cut.observed for cut in found),
+        "frequency": any(cut.frequency > 0.0 for cut in found),
+        "where": any(cut.where for cut in found),
+        "pictures": pictures,
+        "threshold": any("threshold_amplitude" in dataset.attrs for dataset in results.spectra.values()),
         "outside": _outside(results),
-        "disagree": _disagreeing(results.chatter),
-        "failures": draft.failures("cutting_tests"),
+        "disagree": [cut for cut in found if cut.disagrees],
+        "failures": failures,
     }
 
 
-def _observed(chatter: pd.DataFrame | None, row: int) -> str:
-    """Return what the engineer observed in the test of a row of chatter.csv."""
-    if chatter is None or "observed" not in chatter or row >= len(chatter):
-        return ""
-    value = chatter["observed"].iloc[row]
-    return value if isinstance(value, str) else ""
+def _table(results: Results) -> pd.DataFrame | None:
+    """Return chatter.csv, without it what the spectra say of their tests."""
+    if results.chatter is not None or not results.spectra:
+        return results.chatter
+    rows = [{key: s.attrs.get(key) for key in _SAID} for s in results.spectra.values()]
+    return pd.DataFrame(rows, columns=list(_SAID))
 
 
 def _outside(results: Results) -> int:
@@ -64,12 +66,3 @@ def _outside(results: Results) -> int:
         return 0
     shown = [figure_data.tests_of(results.chatter, request) for request in results.requests]
     return len(results.chatter) - sum(len(t) for t in shown if t is not None)
-
-
-def _disagreeing(chatter: pd.DataFrame | None) -> list[str]:
-    """Return the files of tests in which the engineer observed something else than the criterion says."""
-    if chatter is None:
-        return []
-    happened = outcomes(chatter)
-    other = (happened != chatter["verdict"]) & ~chatter["verdict"].isin(["undecided", FAILED])
-    return [str(f) for f in chatter["file"][other]]

@@ -12,7 +12,7 @@ from smfe.reporting.content.tables import Table
 from smfe.results import LOBES, MEASUREMENT, PREDICTION, TEST
 
 _SECTION = {
-    MEASUREMENT: "compliances",
+    MEASUREMENT: "measured",
     LOBES: "lobes",
     TEST: "cutting_tests",
     PREDICTION: "cutting_tests",

@@ -1,4 +1,4 @@
-"""Where the results come from: versions, input files, settings."""
+"""The files of the folder, and where the results come from: versions, input files, settings."""
 
 from __future__ import annotations
 
@@ -6,20 +6,31 @@ import datetime
 import json
 from typing import Any
 
+from smfe.reporting.content.folder import files, links
+from smfe.reporting.figures import draw_matplotlib
 from smfe.reporting.sections.draft import Draft
 
 
 def section(draft: Draft) -> dict[str, Any]:
-    """Return provenance with every part in the shape that the template takes."""
-    content = draft.results.provenance
+    """Return the files and the provenance with every part in the shape that the template takes."""
+    results, content = draft.results, draft.results.provenance
 
     def pairs(name: str) -> dict[str, Any]:
         part = content.get(name, {})
         return part if isinstance(part, dict) else {"": part}
 
     inputs = content.get("inputs", [])
+    folder = results.folder
+    pictures = draw_matplotlib.pictures(results, draft.looks)
+    tables = sorted(path.name for path in (folder / "tables").glob("*.csv"))
     return {
+        "files": files(folder),
+        "folders": [
+            ("Figures for papers and slides", links(folder / "figures", pictures)),
+            ("Every hit, step and pass", links(folder / "tables", tables)),
+        ],
         "known": bool(content),
+        "empty": results.diagnosis_alone or not (content or files(folder)),
         "created": _moment(str(content.get("created", ""))),
         "versions": pairs("versions"),
         "seconds": pairs("seconds"),

@@ -42,6 +42,9 @@ window.smfeArrays = function (stored) {
     band_x: (x, size, std) => around(runs(size, std), (i) => x[i], (i) => x[i]),
     band_y: (size, std, floor) =>
       around(runs(size, std), (i) => Math.max(size[i] - 2 * std[i], floor), (i) => size[i] + 2 * std[i]),
+    // Upright bars, one behind the other.
+    bars_x: (begins, ends) => [...begins].flatMap((begin, i) => [begin, begin, ends[i], ends[i], NaN]),
+    bars_y: (begins, low, high) => [...begins].flatMap(() => [low, high, high, low, NaN]),
   };
   function array(at) {
     if (!(at in made)) {

@@ -28,6 +28,7 @@
   function sizes(spec, width) {
     const layout = spec.layout;
     const out = { width: width, height: layout.height, margin: layout.margin, font: layout.font };
+    if (spec.entry) out.height = Math.min(layout.height, width < NARROW ? 420 : 600);
     out.annotations = layout.annotations || [];
     if (width >= NARROW) return out;
     out.margin = Object.assign({}, layout.margin, { l: 52, r: 10 });
@@ -40,6 +41,7 @@
     if (!spec || !div._fullLayout) return;
     const changes = sizes(spec, width || div.clientWidth);
     changes.annotations = changes.annotations.filter((note) => !spec.hidden.has(note.group));
+    if (spec.panels) changes.annotations = smfePanels.notes(spec, changes.annotations);
     return Plotly.relayout(div, changes);
   }
   function draw(div) {
@@ -51,7 +53,12 @@
     // A finger that moves over a figure scrolls the page.
     if (fingers) layout.dragmode = false;
     div.style.minHeight = "";
-    Plotly.newPlot(div, spec.data, layout, config);
+    Plotly.newPlot(div, spec.data, layout, config).then(() => {
+      if (!spec.panels) return;
+      div.on("plotly_clickannotation", (event) => choose(div, spec.entry ? "" : event.annotation.entry));
+      // Nine panels side by side cannot be read on a phone.
+      if (div.clientWidth < NARROW && spec.panels.length > 3) choose(div, spec.panels[0].name);
+    });
   }
 
   // --- Switches of a figure: HTML, so that the keyboard reaches them. A toolbar is one stop, arrows move within. ---
@@ -99,7 +106,7 @@
   function legend(div, spec) {
     const groups = new Map();
     spec.data.forEach((trace, at) => {
-      const key = trace.legendgroup || trace.name || String(at);
+      const key = groupOf(trace, at);
       const group = groups.get(key) || groups.set(key, { lines: [] }).get(key);
       group.lines.push(at);
       if (trace.name && trace.showlegend !== false && !group.trace) group.trace = trace;
@@ -112,10 +119,37 @@
         const shown = button.getAttribute("aria-pressed") !== "true";
         button.setAttribute("aria-pressed", String(shown));
         div.smfe.hidden[shown ? "delete" : "add"](key);
-        Plotly.restyle(div, { visible: shown }, group.lines).then(() => fit(div));
+        Plotly.restyle(div, { visible: group.lines.map((at) => visible(div.smfe, at)) }, group.lines).then(() => fit(div));
       });
       return button;
     });
+  }
+  function groupOf(trace, at) {
+    return trace.legendgroup || trace.name || String(at);
+  }
+  function visible(spec, at) {
+    const trace = spec.data[at];
+    return !spec.hidden.has(groupOf(trace, at)) && (!spec.panels || smfePanels.shows(spec, trace));
+  }
+  // Shows one panel of a grid over the whole figure; "" shows all.
+  function choose(div, name) {
+    draw(div);
+    const spec = div.smfe;
+    spec.entry = name;
+    const select = document.getElementById(div.id + "-entry");
+    if (select) select.value = name;
+    const every = spec.data.map((trace, at) => at);
+    return Plotly.restyle(div, { visible: every.map((at) => visible(spec, at)) }, every)
+      .then(() => Plotly.relayout(div, smfePanels.layout(spec)))
+      .then(() => fit(div));
+  }
+  function entries(div, panels) {
+    const select = element("select", { id: div.id + "-entry" }, [
+      element("option", { value: "", textContent: "all " + panels.length }),
+      ...panels.map((panel) => element("option", { value: panel.name, textContent: panel.name })),
+    ]);
+    select.addEventListener("change", () => choose(div, select.value));
+    return element("label", { className: "entry" }, ["Entry ", select]);
   }
   function toolbar(name, buttons) {
     const bar = element("div", { className: "toolbar" }, buttons);
@@ -154,6 +188,7 @@
   function show(div, at) {
     draw(div);
     const view = div.smfe.views[at];
+    div.smfe.view = at;
     Plotly.restyle(div, { y: view.y }, view.lines)
       .then(() => view.fills.length && Plotly.restyle(div, { opacity: view.band ? 1 : 0 }, view.fills))
       .then(() => {
@@ -161,6 +196,7 @@
         for (const key of Object.keys(div.layout)) {
           if (/^yaxis/.test(key) && div.layout[key].title && div.layout[key].title.text) changes[key + ".title.text"] = view.title;
         }
+        if (div.smfe.panels) Object.assign(changes, smfePanels.layout(div.smfe));
         div.smfe.ranges = {};
         for (const key of Object.keys(view.layout)) {
           if (/\.range$/.test(key)) div.smfe.ranges[key.slice(0, -6)] = view.layout[key];
@@ -182,6 +218,7 @@
     const spec = stored.plots[div.id];
     const controls = element("div", { className: "controls" });
     if (spec.views) controls.append(views(div, spec.views));
+    if (spec.panels && spec.panels.length > 1) controls.append(entries(div, spec.panels));
     const range = element("button", { type: "button", className: "act", textContent: "Whole range" });
     range.addEventListener("click", () => wholeRange(div));
     const picture = element("button", { type: "button", className: "act", textContent: "Save SVG" });
@@ -220,6 +257,7 @@
     },
     true,
   );
+  document.addEventListener("figures", prepareAll);
   // A choice shows one of several parts of the page: <input type="radio" data-shows="lobes_2">, <div data-part="lobes_2">.
   document.addEventListener("change", (event) => {
     const wanted = event.target.dataset.shows;

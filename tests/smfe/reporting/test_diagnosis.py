@@ -104,8 +104,8 @@ def test_a_finding_alone_says_nothing_of_what_the_campaign_may_hold_besides(tmp_
     assert not re.search("No lobes|No cutting tests|No compliances|No tables|provenance.json is absent", page)
     (tmp_path / "provenance.json").write_text(json.dumps({"campaign": "Slots"}), encoding="utf-8")
     page = write_report(tmp_path).read_text(encoding="utf-8")
-    assert "No cutting tests in this campaign" in page
-    assert page.index("It is the run-out.") < page.index("No cutting tests in this campaign")
+    assert "No lobes were computed for this campaign" in page
+    assert page.index("It is the run-out.") < page.index('<section id="diagnosis"')
 
 
 def test_what_carries_the_remainder_is_told_apart() -> None:

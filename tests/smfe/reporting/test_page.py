@@ -6,6 +6,7 @@ import base64
 import json
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pandas as pd
@@ -82,11 +83,6 @@ def plots(folder: Path) -> dict:
     return resolved(content["plots"])
 
 
-def late_tables(folder: Path) -> list[dict]:
-    """Return the tables that the page makes when they are opened."""
-    return json.loads(re.search(r'<script type="application/json" id="tables">(.*?)</script>', page(folder))[1])
-
-
 def unpacked(array: dict) -> np.ndarray:
     values = np.frombuffer(base64.b64decode(array["bdata"]), dtype="<f4")
     return values.reshape([int(n) for n in array["shape"].split(",")]) if "shape" in array else values
@@ -100,7 +96,10 @@ class TestOneFile:
         # Pictures stand in the page itself.
         assert all(re.search(r'\bsrc="data:image/png;base64,', tag) for tag in re.findall(r"<img\b[^>]*>", before))
         assert not re.findall(r"<script[^>]*\bsrc\b", text)
-        assert all(target.startswith("#") for target in re.findall(r'\bhref="([^"]*)"', written_html(text)))
+        # What is offered to download lies beside the page.
+        targets = [t for t in re.findall(r'\bhref="([^"]*)"', written_html(text)) if not t.startswith("#")]
+        assert targets
+        assert all((sample / unquote(target)).is_file() for target in targets)
         assert "@import" not in text
         assert "url(" not in re.search("<style>(.*?)</style>", text, flags=re.S)[1]
         assert "default-src 'none'" in text
@@ -162,7 +161,7 @@ class TestEscaping:
     def test_names_are_read_letter_by_letter(self, nasty: Path) -> None:
         assert "&lt;/script&gt;&lt;script&gt;alert(&#34;1&#34;)" in page(nasty)
         names = {trace.get("name", "") for trace in plots(nasty)["plot-compliance"]["data"]}
-        assert "a&lt;b&gt;$_{\\frac$&amp;" in names
+        assert "a&lt;b&gt;$ {\\frac$&amp; (controller K2)" in names
 
     def test_a_formula_in_a_name_does_not_stop_the_figures(self, nasty: Path) -> None:
         assert (nasty / "figures" / "lobes_1.png").stat().st_size > 10_000
@@ -183,13 +182,6 @@ class TestFigures:
             content = (sample / "figures" / name).read_bytes()
             assert content.startswith(b"\x89PNG")
             assert len(content) > 20_000
-
-    def test_a_spectrogram_a_test_in_the_page_small_and_marked(self, sample: Path, results: Results) -> None:
-        found = re.findall(r'<img class="spectrogram" src="data:image/png;base64,([^"]+)"', page(sample))
-        assert len(found) == len(results.spectra)
-        for picture in found:
-            assert base64.b64decode(picture).startswith(b"\x89PNG")
-            assert len(picture) < 100_000
 
     def test_a_spectrogram_marks_orders_chatter_and_the_cut(self) -> None:
         tests = cutting_tests()
@@ -248,25 +240,11 @@ class TestFigures:
         colours: dict[str, set[str]] = {}
         for figure in drawn.values():
             for trace in figure["data"]:
-                if trace.get("name") in (
-                    "hammer_idle",
-                    "actuator",
-                    "sweep",
-                    "bench",
-                ) and "color" in trace.get("line", {}):
-                    colours.setdefault(trace["name"], set()).add(trace["line"]["color"])
+                name = trace.get("name", "").partition(" (")[0].replace(" ", "_")
+                if name in ("hammer_idle", "actuator", "sweep", "bench") and "color" in trace.get("line", {}):
+                    colours.setdefault(name, set()).add(trace["line"]["color"])
         assert all(len(found) == 1 for found in colours.values())
         assert len({next(iter(found)) for found in colours.values()}) == 4
-
-    def test_band_is_two_standard_deviations(self, tmp_path: Path) -> None:
-        write_report(write_single(tmp_path))
-        band, line = plots(tmp_path)["plot-compliance"]["data"]
-        magnitude = unpacked(line["y"])
-        x, y = unpacked(band["x"]), unpacked(band["y"])
-        assert x.min() == 20.0
-        at = np.flatnonzero(x == 61.0)
-        expected = magnitude[unpacked(line["x"]) == 61.0] + [2e-3 * -2.0, 2e-3 * 2.0]
-        np.testing.assert_allclose(np.sort(y[at]), expected, rtol=1e-4)
 
     def test_packing_keeps_seven_digits_and_gaps(self) -> None:
         values = np.array([[1.234567, np.nan], [-3e-9, 1e6]])
@@ -277,13 +255,8 @@ class TestWhatIsMissing:
     def test_empty_folder(self, tmp_path: Path) -> None:
         write_report(tmp_path)
         text = written(tmp_path)
-        for sentence in (
-            "No lobes were computed",
-            "frf.nc is absent",
-            "No cutting tests",
-            "comparison.csv is absent",
-        ):
-            assert sentence in text
+        assert "No lobes were computed" in text
+        assert re.findall(r'<section id="(\w+)"', page(tmp_path)) == ["answer"]
         assert plots(tmp_path) == {}
 
     def test_one_axis(self, tmp_path: Path) -> None:
@@ -355,7 +328,7 @@ class TestWhatIsMissing:
         write_csv(tmp_path / "comparison.csv", pd.DataFrame())
         write_csv(tmp_path / "model_error.csv", model_error().iloc[:0])
         write_report(tmp_path)
-        assert "No model is declared" in written(tmp_path)
+        assert 'id="comparison"' not in page(tmp_path)
 
 
 class TestCorruptFiles:
@@ -418,41 +391,7 @@ class TestAxes:
         assert depth_range([np.array([np.inf])], np.empty(0)) == 1.0
 
 
-class TestTables:
-    def test_rejected_hits_are_marked(self, sample: Path) -> None:
-        assert page(sample).count('<tr class="rejected">') == 3
-        assert list(late_tables(sample)[0]["css"].values()) == ["rejected"] * 6
-        assert "hammer_idle: hits: 18 of 21 used" in written(sample)
-
-    def test_long_tables_are_made_when_they_are_opened(self, sample: Path) -> None:
-        assert '<details data-table="0"><summary>other.v2: hits: 34 of 40 used</summary></details>' in page(sample)
-        table = late_tables(sample)[0]
-        assert len(table["rows"]) == 40
-        assert {len(row) for row in table["rows"]} == {len(table["head"])} == {len(table["numeric"])}
-        assert "<summary>hammer_idle: hits" not in page(sample)
-
-    def test_units_in_brackets(self, sample: Path) -> None:
-        text = written(sample)
-        for heading in (
-            "peak force [N]",
-            "frequency a [Hz]",
-            "duration [s]",
-            "depth of cut [mm]",
-            "Limit depth [mm] and prediction of each source",
-        ):
-            assert heading in text
-
-    def test_predictions_that_failed_say_so(self, sample: Path) -> None:
-        assert "cut_600.csv 600 1.6 chatter 1.1, stable (wrong) 1.3, chatter " in written(sample)
-
-    def test_significant_differences(self, sample: Path) -> None:
-        assert page(sample).count('<tr class="significant">') == 3
-        assert "9 pairs of peaks were compared. 3 differ significantly" in written(sample)
-        assert "Largest significant frequency difference: −2 ± 0.2 Hz (actuator, sweep, xx)." in written(sample)
-
-    def test_model_errors_are_a_matrix(self, sample: Path) -> None:
-        assert "sweep 10–200 7.25 7.25" in written(sample)
-
+class TestNumbers:
     @pytest.mark.parametrize(
         ("value", "text"),
         [
