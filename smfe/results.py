@@ -100,9 +100,6 @@ def unpack_warnings(dataset: xr.Dataset) -> list[str]:
 FAILED = "failed"
 """What stands in a table where a verdict or a prediction would have stood."""
 
-KEPT = ".kept"
-"""Folder, inside the results, of what a second run reads back."""
-
 MEASUREMENT, LOBES, TEST, PREDICTION = "measurement", "lobes", "cutting test", "prediction"
 """Kinds of parts that have a place of their own in the report."""
 

@@ -6,9 +6,12 @@ import csv
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from smfe.cli.terminal import Outcome
+
+if TYPE_CHECKING:
+    from smfe.results import Failures
 
 
 def run_outcome(report_file: Path) -> Outcome:
@@ -19,13 +22,11 @@ def run_outcome(report_file: Path) -> Outcome:
     report_file : Path
         The report, beside the other results.
     """
-    from smfe.results import unpack
-
     folder = report_file.parent
     kept = _json(folder / "provenance.json")
     presets, finding = _json(folder / "presets.json"), _json(folder / "finding.json")
     recommendation = presets.get("recommendation")
-    failures = unpack(kept)
+    failures = _failures(kept)
     warnings = [str(w) for w in kept.get("warnings", [])]
     faults = [row for row in kept.get("check", []) if row.get("level") == "fault"]
     lines = [
@@ -95,6 +96,15 @@ def warned(warnings: list[str], recommendation: Mapping[str, Any] | None) -> str
     about = [w for w in warnings if source and source in w.partition(": ")[0]]
     more = "" if len(warnings) == 1 else f" (all: -v, report); the first: {(about or warnings)[0]}"
     return f"1 warning: {warnings[0]}" if len(warnings) == 1 else f"{len(warnings)} warnings{more}"
+
+
+def _failures(kept: Mapping[str, Any]) -> Failures:
+    """Return what failed; the module of results, which imports numerics, is asked only where something did."""
+    if not kept.get("failures"):
+        return []
+    from smfe.results import unpack
+
+    return unpack(kept)
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -30,6 +30,12 @@ def run(
     fresh: Annotated[bool, typer.Option("--fresh", help="Read nothing back from an earlier run.")] = False,
 ) -> Outcome:
     """Do all that a campaign asks for: data audit, compliances, lobes, verdicts, diagnosis, report."""
+    from smfe.kept import is_unchanged
+
+    # Said before the numerics are imported, which takes longer than all the rest.
+    if not fresh and is_unchanged(campaign, folder):
+        terminal.note("nothing has changed since these results were written; --fresh computes them again")
+        return run_outcome(folder / "report.html")
     import smfe
 
     with terminal.bar() as progress:

@@ -87,6 +87,11 @@ class Terminal:
         """Show the licence of a public data set that is about to be fetched, also where all else is silent."""
         _say(errors, text)
 
+    def note(self, text: str) -> None:
+        """Say something by the way."""
+        if not self.quiet:
+            _say(errors, text)
+
     def end(self, outcome: Outcome) -> None:
         """Print what was found and leave with exit status 3 where a fault remains."""
         if self.as_json:

@@ -27,10 +27,10 @@ from smfe.diagnosis.inference.diagnose import diagnose as diagnose_family
 from smfe.diagnosis.inference.finding import Finding
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
-from smfe.identification.measurement import file_hash
+from smfe.kept import KEPT, file_hash
 from smfe.progress import Progress, silent, warn
 from smfe.reporting.figures.draw_diagnosis import Picture, draw_compared
-from smfe.results import KEPT, MEASUREMENT, TEST, Failures, check_target, read_groups, write_groups, write_json
+from smfe.results import MEASUREMENT, TEST, Failures, check_target, read_groups, write_groups, write_json
 
 CURVES = ".nc"
 """Suffix of the file beside ``finding.json`` that holds the curves."""

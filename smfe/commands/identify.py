@@ -25,9 +25,9 @@ from smfe.identification.measurement import (
     identify_measurement,
     split_levels,
 )
+from smfe.kept import KEPT
 from smfe.progress import Progress, silent, warn
 from smfe.results import (
-    KEPT,
     MEASUREMENT,
     Failures,
     attempt,

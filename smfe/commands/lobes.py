@@ -18,12 +18,12 @@ from smfe.campaign import Campaign, load_campaign
 from smfe.commands.identify import identify_all
 from smfe.identification.compliances import labelled
 from smfe.identification.levels import with_levels
+from smfe.kept import KEPT
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.lobe_files import joined
 from smfe.modes.fit_modes import ModalFit
 from smfe.progress import Progress, silent, warn
 from smfe.results import (
-    KEPT,
     Failures,
     check_target,
     pack,

@@ -22,10 +22,11 @@ from smfe.campaign.toml import table as toml_table
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
 from smfe.identification.measurement import cached_identification
+from smfe.kept import KEPT
 from smfe.modes.fit_modes import ModalFit, fit_modes, uncertainty
 from smfe.progress import Progress, silent, warn
 from smfe.records import read_universal_frfs
-from smfe.results import KEPT, MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
+from smfe.results import MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
 
 Band = tuple[float | str, float | str]
 """From and to [Hz], or texts with units."""

@@ -1,7 +1,7 @@
 """`smfe run`: from a campaign file to a folder of results.
 
 Everything is computed before the first result is written, and every file is written to a temporary name and moved into
-place: a folder of results belongs together. Only identified measurements are kept at once, so that a second run
+place: a folder of results belongs together. Only measurements and checks are kept at once, so that a second run
 continues where the first stopped. Each part (a measurement, the lobes of one source, a cutting test, ...) fails alone:
 what is asked of it is missing, every output says so in its place, and the rest is as it would have been.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import datetime
 import importlib.metadata
+import json
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,20 +43,20 @@ from smfe.identification.drive.drives import (
 )
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
-from smfe.identification.measurement import file_hash
+from smfe.kept import KEPT, file_hash, forget_record, inputs_of, is_unchanged, read_hashes, write_record
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.limits.lobe_files import write_lobes
 from smfe.limits.recommendation import coefficients_assumption
 from smfe.progress import Progress, silent, warn
 from smfe.results import (
-    KEPT,
     MEASUREMENT,
     Failures,
     as_rows,
     attempt,
     check_target,
     pack,
+    unpack,
     unpack_warnings,
     write_csv,
     write_groups,
@@ -98,7 +99,8 @@ def run(
     out : path
         Folder of the results; made when missing.
     fresh : bool, optional
-        Identify every measurement again instead of reading back what an earlier run has kept.
+        Compute everything again instead of reading back what an earlier run has kept. Without it, a folder that holds
+        what this run would write is left as it is, and parts of which nothing has changed are read back.
     progress : callable, optional
         Called with (what, done, of).
     licence : callable, optional
@@ -120,11 +122,17 @@ def run(
     SmfeWarning
         What must be known of the results, and what failed; both also stand in ``provenance.json`` and in the report.
     """
-    loaded, folder, notes = load_campaign(campaign, licence), Path(out), Notes()
-    failures = notes.failures
+    folder, notes = Path(out), Notes()
+    if isinstance(campaign, Path | str) and not fresh and is_unchanged(Path(campaign), folder):
+        said = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+        warn([*said["warnings"], *(f"failed, {failure.sentence}" for failure in unpack(said))])
+        return folder / "report.html"
+    loaded, failures = load_campaign(campaign, licence), notes.failures
     check_target(folder / "report.html")
+    inputs = inputs_of(loaded.path, loaded.files)
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
+    read_hashes(folder / KEPT)
     with notes.timed("check"):
         checked = audited(loaded, progress, folder / KEPT)
         failures += checked.excluded
@@ -169,6 +177,7 @@ def run(
         if s.level == "warning" or (s.level == "fault" and not s.excludes)
     ]
     # From here on nothing depends on the input any more.
+    forget_record(folder)
     _write_identifications(folder, compliances, found, failures)
     write_loops(folder / LOOP_FILE, loops, folder / "tables")
     write_drives(folder / DRIVE_FILE, drives, folder / "tables")
@@ -186,6 +195,9 @@ def run(
     diagnosed = {} if finding is None else {key: finding[0][key] for key in ("verdict", "summary")}
     write_json(folder / "provenance.json", _provenance(loaded, notes, diagnosed))
     page = report(folder, progress)
+    if isinstance(campaign, Path | str):
+        # A campaign in memory may be another than its file.
+        write_record(folder, inputs)
     warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in failures)])
     return page
 

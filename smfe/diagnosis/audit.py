@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import astuple, dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -42,6 +44,7 @@ from smfe.identification.measurement import (
 )
 from smfe.identification.sweep.passes import prepare
 from smfe.identification.sweep.spindle_clock import ADVICE, judge_clock
+from smfe.kept import Parts, file_hash, key_of
 from smfe.progress import Progress, silent
 from smfe.records import read_records
 from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt
@@ -57,6 +60,26 @@ class Audit:
     identified: dict[str, Identification] = field(default_factory=dict)
     """Measurement, or level of a sweep -> its identification."""
     seen: list[Seen] = field(default_factory=list)  # records, by their samples
+
+    def add(self, parts: Parts, name: str, key: str, files: Iterable[Path], check: Callable[[Audit], None]) -> None:
+        """Add what a check of one measurement or cutting test finds, or what was kept of it for the same files."""
+        if parts.path is None:
+            check(self)
+            return
+
+        def checked() -> dict[str, list[Any]]:
+            own = Audit(identified=self.identified)
+            try:
+                check(own)
+            except Exception:
+                self.suspects += own.suspects
+                self.seen += own.seen
+                raise
+            return {"suspects": [astuple(s) for s in own.suspects], "seen": [astuple(s) for s in own.seen]}
+
+        found = parts.get(name, key_of(key, *(file_hash(f) for f in files)), checked)
+        self.suspects += [Suspect(*texts, tuple((kind, of) for kind, of in gone)) for *texts, gone in found["suspects"]]
+        self.seen += [Seen((kind, of), file, tuple(said), digest) for (kind, of), file, said, digest in found["seen"]]
 
     @property
     def excluded(self) -> Failures:
@@ -77,10 +100,12 @@ def audit(campaign: Campaign, progress: Progress = silent) -> list[Suspect]:
 def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None = None) -> Audit:
     """Audit the data of a campaign.
 
-    Identifications are kept in the folder `kept`, and found again while neither records nor settings have changed.
+    Identifications and suspicions are kept in the folder `kept`, and found again while neither records nor settings
+    have changed.
     """
     out = Audit()
     whole = with_levels(campaign)
+    parts = Parts(kept, "check")
     total = len(campaign.measurements) + len(campaign.cutting_tests)
     for done, measurement in enumerate(campaign.measurements):
         progress(f"checking {measurement.name}", done, total)
@@ -97,15 +122,21 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
                         else cached_identification(campaign, m, kept)[0]
                     )
         with attempt(failures, *part):
-            _measurement(out, campaign, measurement)
+            asked = (_is_source(campaign, measurement.name), measurement.name in out.identified)
+            key = key_of(measurement, campaign.tool, campaign.coefficients, *asked)
+            files = (*(f for entry in measurement.records for f in entry.all_files), *measurement.background)
+            out.add(parts, f"measurement {measurement.name}", key, files, partial(_measurement, campaign, measurement))
         # What a record cannot be read for is said once, though both steps read it.
         out.suspects += [fault("unusable", measurement.name, f.reason, _CORRECT, part) for f in failures[:1]]
     for done, test in enumerate(campaign.cutting_tests, start=len(campaign.measurements)):
         progress(f"checking {test.file.name}", done, total)
         where, part, failures = f"cutting test, {test.file.name}", (TEST, test.file.name), []
         with attempt(failures, *part):
-            _cutting_test(out, campaign, test, where, part)
+            key = key_of(test, campaign.tool, campaign.coefficients)
+            check = partial(_cutting_test, campaign, test, where, part)
+            out.add(parts, f"cutting test {done} {test.file.name}", key, [test.file], check)
         out.suspects += [fault("unusable", where, f.reason, _CORRECT, part) for f in failures]
+    parts.forget_others()
     out.suspects += same_suspects(out.seen)
     failures = []
     with attempt(failures, "silent records"):
@@ -121,7 +152,7 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
     return out
 
 
-def _measurement(out: Audit, campaign: Campaign, measurement: Measurement) -> None:
+def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> None:
     """Audit the records of a measurement one by one, and what was identified from them."""
     name, method, part = measurement.name, measurement.method, (MEASUREMENT, measurement.name)
     found, tool = out.identified.get(name), campaign.tool
@@ -185,7 +216,7 @@ def _force_size(
     yield from force_suspects(record, where, (tool, arc, work), depth, feed, *excludes)
 
 
-def _cutting_test(out: Audit, campaign: Campaign, test: CuttingTest, where: str, part: Part) -> None:
+def _cutting_test(campaign: Campaign, test: CuttingTest, where: str, part: Part, out: Audit) -> None:
     tool = campaign.tool
     said = (test.spindle_speed, test.depth_of_cut, test.cut, test.width_of_cut, test.feed_per_tooth, test.controller)
     for record in read_records(test.file, test.channels):
@@ -202,10 +233,7 @@ def _cutting_test(out: Audit, campaign: Campaign, test: CuttingTest, where: str,
 
 def _compliance_suspects(campaign: Campaign, name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
     # Lobes of a machine that gives out energy mean nothing; its compliance, of two places perhaps, may still be read.
-    sources = {n for request in campaign.lobes for n in request.measurements}
-    if isinstance(campaign.baseline, ModesOf | LimitsOf):
-        sources.add(campaign.baseline.source)
-    part = ((MEASUREMENT, name),) if name in sources else ()
+    part = ((MEASUREMENT, name),) if _is_source(campaign, name) else ()
     signs = sign_warnings(compliance)
     for text in signs:
         yield fault("sensor_gain", name, text, "declare sign = -1 on the channel that is turned round", *part)
@@ -213,6 +241,14 @@ def _compliance_suspects(campaign: Campaign, name: str, compliance: xr.Dataset) 
         yield from skew_suspects(name, compliance)
     yield from reciprocity_suspects(name, compliance)
     yield from stiffness_suspects(name, compliance)
+
+
+def _is_source(campaign: Campaign, name: str) -> bool:
+    """Return whether lobes or the baseline of a diagnosis come from a measurement."""
+    sources = {n for request in campaign.lobes for n in request.measurements}
+    if isinstance(campaign.baseline, ModesOf | LimitsOf):
+        sources.add(campaign.baseline.source)
+    return name in sources
 
 
 def _drive_suspects(campaign: Campaign, measurement: Measurement) -> Iterator[Suspect]:

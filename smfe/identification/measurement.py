@@ -11,7 +11,6 @@ import io
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +37,7 @@ from smfe.identification.sweep.order_tracking import Orders
 from smfe.identification.sweep.passes import SweepPass
 from smfe.identification.sweep.segments import Segments, SingleReference
 from smfe.identification.sweep.sweep import Estimator, check_independent, identify_sweep
+from smfe.kept import file_hash
 from smfe.progress import Progress, silent
 from smfe.records import put_on_clock, put_on_time, read_records, read_reduced, reduced
 from smfe.records.dynamometer import compensate
@@ -45,21 +45,6 @@ from smfe.results import MEASUREMENT, Failures, attempt, pack_warnings, read_gro
 
 FORM = 7
 """Raised where an estimator, or what it writes, changes within a version: what was kept is then not read back."""
-
-
-@cache
-def _hash(path: Path, size: int, modified: int) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
-
-
-def file_hash(path: Path) -> str:
-    """Return the sha256 of a file, remembered while its size and time stay the same."""
-    state = path.stat()
-    return _hash(path, state.st_size, state.st_mtime_ns)
 
 
 def identify_measurement(campaign: Campaign, measurement: Measurement, progress: Progress = silent) -> Identification:

@@ -21,7 +21,8 @@ from smfe.commands.demo import DEMO, MACHINE, DemoSize, write_demo
 from smfe.commands.run import Notes, _provenance
 from smfe.identification import measurement as measurements
 from smfe.identification.errors.result import Identification
-from smfe.results import KEPT, read_groups
+from smfe.kept import KEPT
+from smfe.results import read_groups
 from stability import LOBE_COLUMNS
 
 SMALL = DemoSize(

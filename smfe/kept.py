@@ -1,0 +1,234 @@
+"""What a folder of results keeps for the next run: hashes of files, parts under the key of their input, a record.
+
+Nothing here imports numerics: whether anything has changed is said before they are. A file counts as the same while its
+size and time are; only where these differ is it read. Parts are kept by a key of everything that they depend on,
+the program among it, so that what is read back is what would be computed again.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import os
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from smfe._version import __version__
+
+KEPT = ".kept"
+"""Folder, inside the results, of what a second run reads back."""
+
+RECORD = "run.json"
+"""File of `KEPT` that says what a run read and wrote."""
+
+_HASHES = "hashes.json"
+
+State = tuple[int, int]
+"""Size of a file and the time of its last change [ns]."""
+
+
+def state(path: Path) -> State:
+    """Return size and time of a file; (-1, 0) where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return -1, 0
+    return found.st_size, found.st_mtime_ns
+
+
+@cache
+def code() -> str:
+    """Return what stands for the program: its version, and number, size and last change of its files."""
+    count = size = newest = 0
+    for package in ("smfe", "stability", "process"):
+        spec = find_spec(package)
+        for root in (spec.submodule_search_locations or ()) if spec is not None else ():
+            for path in Path(root).rglob("*"):
+                if path.suffix in (".py", ".j2", ".js", ".css"):
+                    found = path.stat()
+                    count, size, newest = count + 1, size + found.st_size, max(newest, found.st_mtime_ns)
+    return f"{__version__} {count} {size} {newest}"
+
+
+def key_of(*parts: object) -> str:
+    """Return a short hash of what a part depends on; the representation of each must say all about it."""
+    return hashlib.sha256("\n".join([code(), *map(repr, parts)]).encode()).hexdigest()[:32]
+
+
+# --- Hashes of files ----------------------------------------------------------------------------------------------
+
+_known: dict[tuple[str, State], str] = {}
+
+
+def file_hash(path: Path) -> str:
+    """Return the sha256 of a file, remembered while its size and time stay the same."""
+    where = (str(path.absolute()), state(path))
+    if where not in _known:
+        digest = hashlib.sha256()
+        with path.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+        _known[where] = digest.hexdigest()
+    return _known[where]
+
+
+def read_hashes(kept: Path) -> None:
+    """Remember the hashes that an earlier run has kept, so that long records are not read for them again."""
+    for name, (size, time, digest) in _read(kept / _HASHES).items():
+        _known.setdefault((name, (size, time)), digest)
+
+
+def write_hashes(kept: Path, files: Iterable[Path]) -> None:
+    """Keep the hashes of files for the next run."""
+    rows = {str(p.absolute()): [*state(p), file_hash(p)] for p in files if p.is_file()}
+    _write(kept / _HASHES, rows)
+
+
+# --- Parts --------------------------------------------------------------------------------------------------------
+
+
+class Parts:
+    """Results of one kind of part, as JSON, each under its name with the key of what it came from.
+
+    Parameters
+    ----------
+    folder : Path or None
+        `KEPT` of a folder of results. None: nothing is kept.
+    kind : str
+        What they are; the name of the file.
+    """
+
+    def __init__(self, folder: Path | None, kind: str) -> None:
+        self.path = None if folder is None else folder / f"{kind}.json"
+        self._parts: dict[str, Any] = {} if self.path is None else _read(self.path)
+        self._used: set[str] = set()
+
+    def __contains__(self, asked: tuple[str, str]) -> bool:
+        name, key = asked
+        found = self._parts.get(name)
+        return isinstance(found, dict) and found.get("key") == key
+
+    def get(self, name: str, key: str, make: Callable[[], Any]) -> Any:
+        """Return the part that was kept under this key, else make it and keep it; what JSON can hold."""
+        self._used.add(name)
+        if (name, key) not in self:
+            self._parts[name] = {"key": key, "value": make()}
+            self.write()
+        return self._parts[name]["value"]
+
+    def write(self) -> None:
+        """Write what is kept, so that an interruption loses nothing."""
+        if self.path is not None:
+            _write(self.path, self._parts)
+
+    def forget_others(self) -> None:
+        """Forget what nothing has asked for: parts that the campaign has no longer."""
+        if set(self._parts) - self._used:
+            self._parts = {name: part for name, part in self._parts.items() if name in self._used}
+            self.write()
+
+
+# --- A whole run --------------------------------------------------------------------------------------------------
+
+
+def inputs_of(campaign: Path, files: Iterable[Path]) -> dict[str, Any]:
+    """Return what a run reads as it is now: files by size and time, and what each pattern of the campaign finds."""
+    text = campaign.read_text(encoding="utf-8")
+    patterns = {t for t in _texts(tomllib.loads(text)) if glob.has_magic(t)}
+    return {
+        "campaign": str(campaign.absolute()),
+        "files": {str(p.absolute()): list(state(p)) for p in (campaign, *files)},
+        "patterns": {pattern: _found(campaign, pattern) for pattern in sorted(patterns)},
+        "data": os.environ.get("SMFE_DATA", ""),
+    }
+
+
+def write_record(folder: Path, inputs: Mapping[str, Any]) -> None:
+    """Write down what a run read, before it began, and what it wrote; the last thing that a run does."""
+    kept = folder / KEPT
+    write_hashes(kept, map(Path, inputs["files"]))
+    outputs = {str(p.relative_to(folder)): list(state(p)) for p in _results(folder)}
+    _write(kept / RECORD, {**inputs, "code": code(), "outputs": outputs})
+
+
+def forget_record(folder: Path) -> None:
+    """Forget that the results are complete; the first thing that a run does when it writes."""
+    (folder / KEPT / RECORD).unlink(missing_ok=True)
+
+
+def is_unchanged(campaign: Path, folder: Path) -> bool:
+    """Return whether a folder holds what a run of this campaign would write, all of it as it was written.
+
+    Parameters
+    ----------
+    campaign : Path
+        Campaign file.
+    folder : Path
+        Folder of results.
+    """
+    record = _read(folder / KEPT / RECORD)
+    if record.get("code") != code() or record.get("campaign") != str(campaign.absolute()):
+        return False
+    if record.get("data") != os.environ.get("SMFE_DATA", ""):
+        return False
+    if any(list(state(folder / name)) != known for name, known in record["outputs"].items()):
+        return False
+    hashes = _read(folder / KEPT / _HASHES)
+    for name, known in record["files"].items():
+        path = Path(name)
+        if list(state(path)) != known and not (path.is_file() and file_hash(path) == hashes.get(name, [0, 0, ""])[2]):
+            return False
+    return all(_found(campaign, pattern) == known for pattern, known in record["patterns"].items())
+
+
+def campaign_of(folder: Path) -> Path | None:
+    """Return the campaign file whose results a folder holds, as far as that is written down."""
+    name = _read(folder / KEPT / RECORD).get("campaign")
+    return Path(name) if isinstance(name, str) else None
+
+
+def _results(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and KEPT not in path.relative_to(folder).parts:
+            yield path
+
+
+def _found(campaign: Path, pattern: str) -> list[str]:
+    root = "" if Path(pattern).is_absolute() else glob.escape(str(campaign.absolute().parent)) + "/"
+    return sorted(glob.glob(root + pattern, recursive=True))
+
+
+def _texts(value: object) -> Iterator[str]:
+    """Yield every text in the tables of a file."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for inner in value.values():
+            yield from _texts(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _texts(inner)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return what a file of ours holds; a file that is not readable is as good as none."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.write_text(json.dumps(content), encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
