@@ -1,15 +1,52 @@
 """What a function says: how far a long job is, and what must be known of its result."""
 
+from __future__ import annotations
+
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many steps are done, and of how many."""
 
+STEPS = 10_000
+"""Steps of a whole that has parts."""
+
 
 def silent(what: str, done: int, of: int) -> None:
     """Report nothing."""
+
+
+def part(progress: Progress, begin: float, end: float) -> Progress:
+    """Return the progress of a part, which fills its whole from the share `begin` to the share `end`."""
+
+    def report(what: str, done: int, of: int) -> None:
+        share = min(max(done / of, 0.0), 1.0) if of > 0 else 0.0
+        progress(what, round(STEPS * (begin + (end - begin) * share)), STEPS)
+
+    return report
+
+
+def step(progress: Progress, done: int, of: int) -> Progress:
+    """Return the progress of one step of several: what it reports moves the whole from this step to the next."""
+    return part(progress, done / of, (done + 1) / of)
+
+
+def parts(progress: Progress, weights: Mapping[str, float]) -> dict[str, Progress]:
+    """Return the progress of each part of a whole, in their order.
+
+    Parameters
+    ----------
+    progress : callable
+        Of the whole.
+    weights : mapping of str to float
+        Part -> how long it takes beside the others.
+    """
+    total, at, out = sum(weights.values()) or 1.0, 0.0, {}
+    for name, weight in weights.items():
+        out[name] = part(progress, at / total, (at + weight) / total)
+        at += weight
+    return out
 
 
 _OURS = ("smfe", "stability", "process")

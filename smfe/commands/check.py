@@ -23,7 +23,7 @@ from smfe.limits.cutting_tests import judge_all
 from smfe.limits.recommendation import pockets_of
 from smfe.planning.search import Search
 from smfe.planning.task import load_task
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, part, silent
 from smfe.results import MEASUREMENT, Failures, attempt
 
 QUICK = ("zero_order", "multi_frequency", "operating_point")
@@ -54,8 +54,8 @@ def check(campaign: Path | str | Campaign, progress: Progress = silent, show: Sh
         When the campaign file is wrong.
     """
     loaded = load_campaign(campaign, show)
-    found = audited(loaded, progress)
-    refused = refusals(loaded, found.identified, found.excluded, progress)
+    found = audited(loaded, part(progress, 0.0, 0.8))
+    refused = refusals(loaded, found.identified, found.excluded, part(progress, 0.8, 1.0))
     progress("checking", 1, 1)
     return suspect_table([*found.suspects, *refused])
 
@@ -78,15 +78,15 @@ def refusals(
         at = np.unique(np.linspace(0, request.spindle_speed.size - 1, 3).round().astype(int))
         lobes.append(replace(request, spindle_speed=request.spindle_speed[at]))
     short = replace(whole, lobes=tuple(lobes))
-    results = all_lobes(short, compliances, progress, refused)
+    results = all_lobes(short, compliances, part(progress, 0.0, 0.4), refused)
     for r in results:
         with attempt(refused, "pockets", f"{r.request}, {r.source}"):
             pockets_of(r, campaign)
     quick = replace(short, lobes=tuple(r for r in short.lobes if r.method in QUICK))
-    unsure = judge_all(quick, compliances, progress, refused).warnings
+    unsure = judge_all(quick, compliances, part(progress, 0.4, 0.8), refused).warnings
     if campaign.baseline is not None:
         with attempt(refused, "diagnosis"):
-            case_of(campaign, found, progress)
+            case_of(campaign, found, part(progress, 0.8, 1.0))
     if campaign.plan is not None:
         with attempt(refused, "plan"):
             task = load_task(campaign.path)

@@ -23,7 +23,7 @@ from process.instruments.trials import actuator_trial, hammer_trial, milling_tri
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle
 from smfe.commands.run import run
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, part, silent
 from smfe.records import write_record_csv, write_record_mat, write_record_netcdf
 from smfe.results import write_atomically
 
@@ -226,7 +226,8 @@ def demo(out: Path | str, seed: int = DEMO_SEED, progress: Progress = silent) ->
     Records and campaign file are made anew each time; the same seed makes the same records.
     """
     folder = Path(out)
-    return run(write_demo(folder, seed, progress), folder / "results", progress=progress)
+    campaign = write_demo(folder, seed, part(progress, 0.0, 0.3))
+    return run(campaign, folder / "results", progress=part(progress, 0.3, 1.0))
 
 
 _HEAD = """\

@@ -28,7 +28,7 @@ from smfe.diagnosis.inference.finding import Finding
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
 from smfe.kept import KEPT, file_hash
-from smfe.progress import Progress, silent, warn
+from smfe.progress import Progress, part, silent, warn
 from smfe.reporting.figures.draw_diagnosis import Picture, draw_compared
 from smfe.results import MEASUREMENT, TEST, Failures, check_target, read_groups, write_groups, write_json
 
@@ -113,10 +113,10 @@ def diagnose(
         check_target(path)
     if loaded.baseline is None:
         case_of(loaded, {})  # says what is missing, before any record is read
-    checked = audited(loaded, progress, None if path is None else path.parent / KEPT)
+    checked = audited(loaded, part(progress, 0.0, 0.3), None if path is None else path.parent / KEPT)
     suspects = checked.suspects
-    case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), progress)
-    finding, content = _tested(loaded, case, suspects, seed, progress, held_out, workers)
+    case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), part(progress, 0.3, 0.4))
+    finding, content = _tested(loaded, case, suspects, seed, part(progress, 0.4, 1.0), held_out, workers)
     if path is not None:
         write_finding(path, content, finding.curves)
     warn(f"{s.where}: {s.evidence}; {s.advice}" for s in suspects if s.level == "fault")
@@ -153,8 +153,8 @@ def finding_of(
             return json.loads(path.read_text(encoding="utf-8")), (
                 read_groups(beside)["curves"] if beside.is_file() else None
             )
-    case = case_of(*_usable(campaign, Audit(list(suspects)).excluded, found), progress)
-    finding, content = _tested(campaign, case, suspects, 0, progress, (), None, happened)
+    case = case_of(*_usable(campaign, Audit(list(suspects)).excluded, found), part(progress, 0.0, 0.1))
+    finding, content = _tested(campaign, case, suspects, 0, part(progress, 0.1, 1.0), (), None, happened)
     if path is not None:
         for old in (*path.parent.glob("finding-*.json"), *path.parent.glob(f"finding-*{CURVES}")):
             old.unlink()

@@ -26,7 +26,7 @@ from smfe.identification.measurement import (
     split_levels,
 )
 from smfe.kept import KEPT
-from smfe.progress import Progress, silent, warn
+from smfe.progress import Progress, part, silent, step, warn
 from smfe.results import (
     MEASUREMENT,
     Failures,
@@ -167,8 +167,8 @@ def _of_campaign(
         found, _ = identify_all(loaded, None, progress, failures)
         return found
     check_target(path)
-    found, levels = identify_all(loaded, path.parent / KEPT, progress, failures)
-    loops, drives = loops_of(loaded, failures), drives_of(loaded, failures, progress)
+    found, levels = identify_all(loaded, path.parent / KEPT, part(progress, 0.0, 0.9), failures)
+    loops, drives = loops_of(loaded, failures), drives_of(loaded, failures, part(progress, 0.9, 1.0))
     compliances = labelled(with_levels(loaded), found)
     cubes, _ = conditions_of(loaded, compliances, levels, path.parent / KEPT, failures)
     require_something([*found, *loops, *drives], failures)
@@ -198,7 +198,9 @@ def identify_all(
             continue
         progress(f"identifying {measurement.name}", i, len(possible))
         with attempt(failures, MEASUREMENT, measurement.name):
-            found[measurement.name], _ = cached_identification(campaign, measurement, kept, progress)
+            found[measurement.name], _ = cached_identification(
+                campaign, measurement, kept, step(progress, i, len(possible))
+            )
     pooled: dict[str, Identification] = {}
     cubes: dict[str, xr.Dataset] = {}
     with attempt(failures, "levels of the sweeps"):

@@ -22,7 +22,7 @@ from smfe.kept import KEPT
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.lobe_files import joined
 from smfe.modes.fit_modes import ModalFit
-from smfe.progress import Progress, silent, warn
+from smfe.progress import Progress, part, silent, warn
 from smfe.results import (
     Failures,
     check_target,
@@ -175,9 +175,10 @@ def _of_campaign(
     if frf is not None:
         compliances = read_groups(Path(frf))
     else:
-        found, _ = identify_all(loaded, None if path is None else path.parent / KEPT, progress, failures)
+        kept = None if path is None else path.parent / KEPT
+        found, _ = identify_all(loaded, kept, part(progress, 0.0, 0.7), failures)
         compliances = labelled(with_levels(loaded), found)
-    results = all_lobes(with_levels(loaded), compliances, progress, failures)
+    results = all_lobes(with_levels(loaded), compliances, part(progress, 0.7 if frf is None else 0.0, 1.0), failures)
     require_something(results, failures)
     _write(results, path, table, failures)
     return results

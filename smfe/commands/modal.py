@@ -24,7 +24,7 @@ from smfe.identification.levels import with_levels
 from smfe.identification.measurement import cached_identification
 from smfe.kept import KEPT
 from smfe.modes.fit_modes import ModalFit, fit_modes, uncertainty
-from smfe.progress import Progress, silent, warn
+from smfe.progress import Progress, part, silent, step, warn
 from smfe.records import read_universal_frfs
 from smfe.results import MEASUREMENT, Failures, attempt, read_groups, write_atomically, write_csv
 
@@ -111,14 +111,14 @@ def modal(
     refused: Failures = []
     if isinstance(source, Path | str | Campaign):
         kept = None if path is None else path.parent / KEPT
-        compliances = _compliances(source, kept, measurement, progress, licence, refused)
+        compliances = _compliances(source, kept, measurement, part(progress, 0.0, 0.7), licence, refused)
     else:
         compliances = compliances_of(source)
         _require(measurement, list(compliances), "what is given")
         compliances = {n: d for n, d in compliances.items() if measurement in (None, n)}
     fits = {}
     for done, (name, compliance) in enumerate(compliances.items()):
-        progress(f"fitting modes to {name}", done, len(compliances))
+        part(progress, 0.7, 1.0)(f"fitting modes to {name}", done, len(compliances))
         with attempt(refused, "modes of", name):
             fits[name] = fit_modes(compliance, band=limits)
     if not fits:
@@ -155,7 +155,8 @@ def _compliances(
             if only in (None, name):
                 progress(f"identifying {name}", done, len(wanted))
                 with attempt(failures, MEASUREMENT, name):
-                    found[name] = cached_identification(campaign, item, kept, progress)[0].compliance
+                    within = step(progress, done, len(wanted))
+                    found[name] = cached_identification(campaign, item, kept, within)[0].compliance
         return found
     if source.suffix.lower() in (".uff", ".unv"):
         _require(only, [source.stem], source.name)

@@ -21,7 +21,7 @@ from smfe.modes.fit_modes import ModalFit
 from smfe.planning.recommend import Plan, recommend
 from smfe.planning.sweep_files import campaign_text, passes_table, scenario_text
 from smfe.planning.task import Estimate, estimate_of, load_task, task_of
-from smfe.progress import Progress, silent, warn
+from smfe.progress import Progress, part, silent, warn
 from smfe.results import pack_warnings, write_atomically, write_csv, write_groups
 
 WRITTEN = ("plan.toml", "plan.csv", "prediction.nc", "scenario.toml", "plan.html")
@@ -97,7 +97,7 @@ def plan(
         path = file.path if isinstance(file, Campaign) else Path(file)
         if out is not None:
             check_target(path, Path(out))
-        task = load_task(file, progress, show)
+        task = load_task(file, part(progress, 0.0, 0.2), show)
     else:
         if tool is None or material is None:
             raise InputError("a plan needs tool and material; give both, e.g. tool=smfe.Tool(...), material=...")
@@ -111,9 +111,9 @@ def plan(
             return Estimate(model.name, model.modal, {"modes": written["model"][0]["modes"]})
 
         task = task_of(campaign, written, estimate)
-    found = recommend(task, progress)
+    found = recommend(task, part(progress, 0.2, 1.0))
     if out is not None:
-        progress("writing", 0, 1)
+        progress("writing", 1, 1)
         write_plan(found, Path(out))
     warn(found.warnings)
     return found

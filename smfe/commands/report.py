@@ -13,4 +13,4 @@ def report(folder: Path | str, progress: Progress = silent) -> Path:
     from smfe.reporting import write_report
 
     progress("writing the report", 0, 1)
-    return write_report(Path(folder))
+    return write_report(Path(folder), lambda done, of: progress("writing the report", done, of))

@@ -43,12 +43,12 @@ from smfe.identification.drive.drives import (
 )
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
-from smfe.kept import KEPT, file_hash, forget_record, inputs_of, is_unchanged, read_hashes, write_record
+from smfe.kept import KEPT, file_hash, forget_record, inputs_of, is_unchanged, read_hashes, state, write_record
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.limits.lobe_files import write_lobes
 from smfe.limits.recommendation import coefficients_assumption
-from smfe.progress import Progress, silent, warn
+from smfe.progress import Progress, part, parts, silent, warn
 from smfe.results import (
     MEASUREMENT,
     Failures,
@@ -133,20 +133,21 @@ def run(
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     read_hashes(folder / KEPT)
+    of = parts(progress, costs(loaded))
     with notes.timed("check"):
-        checked = audited(loaded, progress, folder / KEPT)
+        checked = audited(loaded, of["check"], folder / KEPT)
         failures += checked.excluded
         notes.check = suspect_rows(checked.suspects)
     with notes.timed("identify"):
-        found, levels = identify_all(loaded, folder / KEPT, progress, failures)
+        found, levels = identify_all(loaded, folder / KEPT, of["identify"], failures)
         loops = loops_of(loaded, failures)
-        drives = drives_of(loaded, failures, progress)
+        drives = drives_of(loaded, failures, part(of["identify"], 0.9, 1.0))
     whole = with_levels(loaded)
     compliances = labelled(whole, found)
     cubes, unstacked = conditions_of(loaded, compliances, levels, folder / KEPT, failures)
     comparison, explained, errors = compared({}), explain({}), model_errors({}, ())
     with notes.timed("compare"):
-        progress("comparing", 0, 1)
+        of["compare"]("comparing", 0, 1)
         single = single_levels({n: compliances[n] for n in found})
         with attempt(failures, "comparison"):
             comparison = compared(single)
@@ -155,14 +156,14 @@ def run(
         with attempt(failures, "comparison", "with the models"):
             errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):
-        results = all_lobes(whole, compliances, progress, failures)
+        results = all_lobes(whole, compliances, of["lobes"], failures)
     with notes.timed("cutting tests"):
-        verdicts = judge_all(whole, compliances, progress, failures)
+        verdicts = judge_all(whole, compliances, of["cutting tests"], failures)
     finding = None
     with notes.timed("diagnosis"), attempt(failures, "diagnosis"):
         if loaded.baseline is not None:
             happened = {r["file"]: str(r.get("observed") or r["verdict"]) for r in verdicts.rows}
-            finding = finding_of(loaded, found, checked.suspects, progress, folder / KEPT, happened)
+            finding = finding_of(loaded, found, checked.suspects, of["diagnosis"], folder / KEPT, happened)
     gone = {f.name for f in failures if f.part == MEASUREMENT}
     notes.warnings += [left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *drives, *gone}]
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
@@ -194,12 +195,31 @@ def run(
         write_finding(folder / "finding.json", *finding)
     diagnosed = {} if finding is None else {key: finding[0][key] for key in ("verdict", "summary")}
     write_json(folder / "provenance.json", _provenance(loaded, notes, diagnosed))
-    page = report(folder, progress)
+    page = report(folder, of["report"])
     if isinstance(campaign, Path | str):
         # A campaign in memory may be another than its file.
         write_record(folder, inputs)
     warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in failures)])
     return page
+
+
+def costs(campaign: Campaign) -> dict[str, float]:
+    """Return what each part of a run takes beside the others: about its seconds on an ordinary computer.
+
+    The check identifies the measurements, so that their records count there.
+    """
+    size = sum(state(file)[0] for file in campaign.files) / 1e6
+    slow = sum(10.0 for request in campaign.lobes if request.method == "semi_discretization")
+    sources = sum(len(request.measurements) for request in campaign.lobes)
+    return {
+        "check": 1.0 + 0.1 * size + len(campaign.measurements),
+        "identify": 0.1 * len(campaign.measurements),
+        "compare": 0.2 * len(campaign.measurements),
+        "lobes": 0.5 * sources + slow,
+        "cutting tests": 0.4 * len(campaign.cutting_tests),
+        "diagnosis": 30.0 if campaign.baseline is not None else 0.0,
+        "report": 8.0,
+    }
 
 
 def _warnings(found: Mapping[str, Identification], lobes: Sequence[LobeResult], verdicts: Verdicts) -> list[str]:

@@ -45,7 +45,7 @@ from smfe.identification.measurement import (
 from smfe.identification.sweep.passes import prepare
 from smfe.identification.sweep.spindle_clock import ADVICE, judge_clock
 from smfe.kept import Parts, file_hash, key_of
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, silent, step
 from smfe.records import read_records
 from smfe.results import MEASUREMENT, TEST, Failure, Failures, attempt
 
@@ -109,6 +109,7 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
     total = len(campaign.measurements) + len(campaign.cutting_tests)
     for done, measurement in enumerate(campaign.measurements):
         progress(f"checking {measurement.name}", done, total)
+        within = step(progress, done, total)
         part = (MEASUREMENT, measurement.name)
         failures: Failures = []
         with attempt(failures, *part):
@@ -117,9 +118,9 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
             for m in whole.measurements:
                 if measurement.method in COMPLIANCE_METHODS and m.name in names:
                     out.identified[m.name] = (
-                        identify_measurement(campaign, m)
+                        identify_measurement(campaign, m, within)
                         if kept is None
-                        else cached_identification(campaign, m, kept)[0]
+                        else cached_identification(campaign, m, kept, within)[0]
                     )
         with attempt(failures, *part):
             asked = (_is_source(campaign, measurement.name), measurement.name in out.identified)

@@ -22,7 +22,7 @@ from smfe.planning.limits import KEYS, no_plan, rejections
 from smfe.planning.rules import RULES
 from smfe.planning.search import Search
 from smfe.planning.task import Task
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, part, silent
 from stability import multi_frequency, semi_discretization, zero_order
 
 
@@ -120,21 +120,22 @@ def recommend(task: Task, progress: Progress = silent) -> Plan:
         except InputError as error:
             raise InputError(f"{task.path.name}: plan.passes: {error}") from error
     search = Search(task)
-    table = search.table(progress)
+    table = search.table(part(progress, 0.0, 0.3))
     choices = search.choices()
     possible = table[(table[list(KEYS)] <= 1.0 + 1e-9).all(axis=1)]
     if possible.empty:
         raise InputError(no_plan(task, table))
     refined: list[_Refined] = []
+    steps = part(progress, 0.3, 0.9)
     kinds = _kinds(possible)
     for done, row in enumerate(kinds.index):
         if done >= RULES.refined and any(one.good for one in refined):
             break
-        progress("working through the best alternatives", min(done, RULES.refined - 1), RULES.refined)
+        steps("working through the best alternatives", min(done, RULES.refined - 1), RULES.refined)
         one = _refined(search, table, choices, row)
         refined.append(one)
         table.loc[row, list(one.needs)] = list(one.needs.values())
-    progress("confirming the limit depths", 0, 1)
+    progress("confirming the limit depths", 9, 10)
     ranked = sorted(refined, key=_rank)
     while ranked[0].good and not ranked[0].converged:
         # Of a measured compliance only for what is to be recommended: a converged limit takes seconds.

@@ -19,6 +19,7 @@ from smfe import cli
 from smfe.campaign import Measurement, load_campaign
 from smfe.commands.demo import DEMO, MACHINE, DemoSize, write_demo
 from smfe.commands.run import Notes, _provenance
+from smfe.diagnosis import audit
 from smfe.identification import measurement as measurements
 from smfe.identification.errors.result import Identification
 from smfe.kept import KEPT
@@ -169,11 +170,11 @@ def test_a_second_run_reads_back_what_every_method_has_identified(
 
     monkeypatch.setattr(measurements, "identify_measurement", identified)
     results, kept = tmp_path / "results", tmp_path / "results" / KEPT
-    before = {p.name: p.stat().st_mtime_ns for p in kept.iterdir()}
+    before = {p.name: p.stat().st_mtime_ns for p in kept.glob("*.nc")}
     compliance = read_groups(results / "frf.nc")["sweep"]
     smfe.run(tmp_path / "campaign.toml", results)
     assert json.loads((results / "provenance.json").read_text())["failures"] == []
-    assert {p.name: p.stat().st_mtime_ns for p in kept.iterdir()} == before
+    assert {p.name: p.stat().st_mtime_ns for p in kept.glob("*.nc")} == before
     assert read_groups(results / "frf.nc")["sweep"].identical(compliance)
     with pytest.raises(AssertionError, match="identified again"):
         smfe.identify(tmp_path / "campaign.toml", tmp_path / "elsewhere" / "frf.nc")
@@ -263,7 +264,7 @@ def test_what_is_identified_already_is_read_back_unless_its_record_has_changed(
         table.to_csv(tmp_path / name, index=False)
     smfe.identify(campaign, results / "frf.nc")
     compliance = read_groups(results / "frf.nc")
-    before = {p.name: p.stat().st_mtime_ns for p in (results / KEPT).iterdir()}
+    before = {p.name: p.stat().st_mtime_ns for p in (results / KEPT).glob("*.nc")}
     identified: list[str] = []
     identify = measurements.identify_measurement
 
@@ -275,7 +276,7 @@ def test_what_is_identified_already_is_read_back_unless_its_record_has_changed(
     smfe.run(campaign, results)
     assert identified == []
     assert json.loads((results / "provenance.json").read_text())["failures"] == []
-    assert {p.name: p.stat().st_mtime_ns for p in (results / KEPT).iterdir()} == before
+    assert {p.name: p.stat().st_mtime_ns for p in (results / KEPT).glob("*.nc")} == before
     again = read_groups(results / "frf.nc")
     assert set(again) == set(compliance) == {"hammer", "again"}
     assert all(again[name].identical(compliance[name]) for name in again)
@@ -284,7 +285,7 @@ def test_what_is_identified_already_is_read_back_unless_its_record_has_changed(
     table.iloc[:-1].to_csv(tmp_path / "hit.csv", index=False)
     smfe.identify(campaign, results / "frf.nc")
     assert identified == ["hammer", "again", "hammer"]
-    after = {p.name: p.stat().st_mtime_ns for p in (results / KEPT).iterdir()}
+    after = {p.name: p.stat().st_mtime_ns for p in (results / KEPT).glob("*.nc")}
     (old,) = before.keys() - after.keys()
     (new,) = after.keys() - before.keys()
     assert old.startswith("hammer-")
@@ -435,6 +436,43 @@ def test_good_input_of_the_same_kind_runs_and_its_report_can_be_written_again(
     report.unlink()
     assert command(monkeypatch, "report", tmp_path / "results") == 0
     assert report.read_bytes() == written
+
+
+def test_only_what_has_changed_is_computed_and_drawn_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is touched while nothing has changed; a word in the campaign file leaves every number as it was."""
+    campaign, out = tmp_path / "campaign.toml", tmp_path / "results"
+    with_cut(tmp_path)
+    campaign.write_text(HAMMER + CUTTING_TEST + SWEEPS_LOBES)
+    asked = ("run", campaign, "--out", out)
+
+    def times() -> dict[str, int]:
+        return {p.name: p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file()}
+
+    assert command(monkeypatch, *asked) == 0
+    first, written = contents(out), times()
+    monkeypatch.setattr("smfe.run", lambda *_: pytest.fail("run again"), raising=False)
+    capsys.readouterr()
+    assert command(monkeypatch, *asked) == 0
+    assert times() == written
+    said = capsys.readouterr()
+    assert "nothing has changed" in said.err
+    assert "report: " in said.out
+    monkeypatch.undo()
+    assert smfe.run(campaign, out) == out / "report.html"
+    assert times() == written
+    campaign.write_text(campaign.read_text() + "# a word\n")
+    monkeypatch.setattr(audit, "channel_suspects", lambda *_: pytest.fail("checked again"))
+    smfe.run(campaign, out)
+    again, rewritten = contents(out), times()
+    assert {p.name for p in again if again[p] != first[p]} <= {"provenance.json", "report.html"}
+    assert rewritten["report.html"] > written["report.html"]
+    monkeypatch.undo()
+    smfe.run(campaign, out, fresh=True)
+    assert all(times()[name] > rewritten[name] for name in rewritten if name.startswith("hammer-"))
+    fresh = contents(out)
+    assert {p.name for p in fresh if fresh[p] != again[p]} <= {"provenance.json", "report.html"}
 
 
 def contents(folder: Path) -> dict[Path, bytes]:
