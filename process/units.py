@@ -153,6 +153,16 @@ def numbers_are_si() -> Iterator[None]:
         _NUMBERS.reset(token)
 
 
+_DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*[^\d\s,]*\s*$")
+
+
+def _without_comma(text: str) -> str:
+    """Say what a quantity with a comma may be; three digits behind it may be thousands."""
+    point, none = text.strip().replace(",", "."), text.strip().replace(",", "")
+    perhaps = f' or, if the comma parts thousands, "{none}"' if re.search(r",\d{3}(?!\d)", text) else ""
+    return f"'{text}' has a decimal comma; write \"{point}\"{perhaps}"
+
+
 def parse(text: str, dimension: str) -> float:
     """Turn a quantity written as text into SI.
 
@@ -177,6 +187,8 @@ def parse(text: str, dimension: str) -> float:
         if _NUMBERS.get() and isinstance(text, int | float) and not isinstance(text, bool):
             return float(text)
         raise InputError(f"{text!r} has no unit; write it as text with a unit, e.g. {_example(dimension)}")
+    if _DECIMAL_COMMA.match(text):
+        raise InputError(_without_comma(text))
     match = _NUMBER.match(text)
     if match is None:
         raise InputError(f"'{text}' is not a number with a unit; write e.g. {_example(dimension)}")

@@ -27,9 +27,10 @@ from process.types import Real
 from smfe.campaign import schema
 from smfe.campaign.checks import channel_complaints, check, complaints, merge, path
 from smfe.campaign.datasets import Show
+from smfe.campaign.places import Loc, line_of, lines_of, place, syntax_advice
 from smfe.campaign.schema import PlanTable
 from smfe.records.dynamometer import Dynamometer
-from smfe.records.formats.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel
+from smfe.records.formats.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel, did_you_mean
 from stability import SpindleRange, Spread
 
 COEFFICIENT_SPREAD = 0.1
@@ -682,22 +683,39 @@ def load_channels(path: str | Path) -> dict[str, Channel]:
 
 def read_toml(file: Path, kind: str = "campaign") -> dict[str, object]:
     """Read a TOML file; `kind` names what it should have been."""
+    text = ""
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        return tomllib.loads(text)
     except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); name a {kind} file") from error
+        raise InputError(f"{file}: cannot be read ({error.strerror}){_nearest(file)}; name a {kind} file") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: not UTF-8 text; save it as UTF-8") from error
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not TOML: {error}; texts need quotes, tables one line") from error
+        line, advice = syntax_advice(text, error)
+        raise InputError(f"{file}{'' if line is None else f', line {line}'}: {advice}") from error
 
 
-def report(file: Path, found: list[tuple[tuple[str | int, ...], str]]) -> str:
-    """Return all complaints about a file as one message."""
-    lines = [f"{path(where)}: {text}" if where else text for where, text in found]
+def _nearest(file: Path) -> str:
+    """Return which TOML file of the folder may be meant."""
+    try:
+        near = did_you_mean(file.name, [p.name for p in file.parent.iterdir() if p.suffix == ".toml"])
+    except OSError:
+        return f"; there is no folder '{file.parent}'"
+    return near
+
+
+def report(file: Path, found: list[tuple[Loc, str]]) -> str:
+    """Return all complaints about a file as one message, each with its line and the name of its table."""
+    text = file.read_text(encoding="utf-8")
+    raw, known = tomllib.loads(text), lines_of(text)
+    lines = [(line_of(known, where), f"{place(where, raw)}: {said}" if where else said) for where, said in found]
     if len(lines) == 1:
-        return f"{file.name}: {lines[0]}"
-    return "\n  ".join([f"{file.name}: {len(lines)} errors (entries of lists count from 0)", *lines])
+        ((number, said),) = lines
+        return f"{file.name}{'' if number is None else f', line {number}'}: {said}"
+    lines.sort(key=lambda line: line[0] or 0)
+    shown = [said if number is None else f"line {number}: {said}" for number, said in lines]
+    return "\n  ".join([f"{file.name}: {len(lines)} errors (entries of lists count from 0)", *shown])
 
 
 # --- from the tables of the file to the objects -------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import math
+import os
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -285,6 +286,14 @@ def _matches(folder: Path, pattern: str) -> list[Path]:
     exact = folder / pattern
     if exact.is_file():
         return [exact]
+    escaped = {c: e for c, e in zip("\b\f\n\r\t", "bfnrt", strict=True) if c in pattern}
+    if escaped or ("\\" in pattern and os.sep == "/"):
+        meant = pattern
+        for character, letter in escaped.items():
+            meant = meant.replace(character, f"/{letter}")
+        meant = meant.replace("\\", "/")
+        why = "a backslash in double quotes begins an escape" if escaped else "a backslash parts no folders here"
+        raise InputError(f'no file {pattern!r} in {folder}: {why}; write "{meant}"')
     if glob.has_magic(pattern):
         root = "" if Path(pattern).is_absolute() else glob.escape(str(folder)) + "/"
         found = sorted(Path(name) for name in glob.glob(root + pattern, recursive=True))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import datetime
 import importlib.metadata
 import json
+import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from typing import Any
 
 import xarray as xr
 
+from process.errors import InputError
 from smfe._version import __version__
 from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.datasets import Show
@@ -43,7 +45,7 @@ from smfe.identification.drive.drives import (
 )
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
-from smfe.kept import KEPT, file_hash, forget_record, inputs_of, is_unchanged, read_hashes, state, write_record
+from smfe.kept import KEPT, campaign_of, file_hash, forget_record, inputs_of, is_unchanged, read_hashes, state, write_record
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.limits.lobe_files import write_lobes
@@ -128,8 +130,9 @@ def run(
         warn([*said["warnings"], *(f"failed, {failure.sentence}" for failure in unpack(said))])
         return folder / "report.html"
     loaded, failures = load_campaign(campaign, licence), notes.failures
-    check_target(folder / "report.html")
-    inputs = inputs_of(loaded.path, loaded.files)
+    check_folder(folder, loaded, fresh)
+    # A campaign in memory may be another than its file.
+    inputs = inputs_of(loaded.path, loaded.files) if isinstance(campaign, Path | str) else None
     if fresh:
         shutil.rmtree(folder / KEPT, ignore_errors=True)
     read_hashes(folder / KEPT)
@@ -196,11 +199,41 @@ def run(
     diagnosed = {} if finding is None else {key: finding[0][key] for key in ("verdict", "summary")}
     write_json(folder / "provenance.json", _provenance(loaded, notes, diagnosed))
     page = report(folder, of["report"])
-    if isinstance(campaign, Path | str):
-        # A campaign in memory may be another than its file.
+    if inputs is not None:
         write_record(folder, inputs)
     warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in failures)])
     return page
+
+
+def check_folder(folder: Path, campaign: Campaign, fresh: bool = False) -> None:
+    """Refuse a folder that cannot take the results of a campaign; asked before work begins.
+
+    Raises
+    ------
+    InputError
+        When it is a file, cannot be written, holds the results of another campaign (which `fresh` replaces), or a
+        folder of another's that a run would clear.
+    """
+    check_target(folder / "report.html")
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(f"'{there}' cannot be written by you; name another folder with --out")
+    kept = folder / "provenance.json"
+    if not kept.is_file():
+        if (folder / "tables").exists():
+            raise InputError(
+                f"'{folder}' holds a folder 'tables' and no results: a run would clear it; name another folder with --out"
+            )
+        return
+    try:
+        other = json.loads(kept.read_text(encoding="utf-8")).get("campaign")
+    except (ValueError, AttributeError):
+        return
+    if other != campaign.name and campaign_of(folder) != campaign.path and not fresh:
+        raise InputError(
+            f"'{folder}' holds the results of another campaign, '{other}'; name another folder with --out, or replace "
+            "them with --fresh"
+        )
 
 
 def costs(campaign: Campaign) -> dict[str, float]:

@@ -78,7 +78,9 @@ class Audit:
             return {"suspects": [astuple(s) for s in own.suspects], "seen": [astuple(s) for s in own.seen]}
 
         found = parts.get(name, key_of(key, *(file_hash(f) for f in files)), checked)
-        self.suspects += [Suspect(*texts, tuple((kind, of) for kind, of in gone)) for *texts, gone in found["suspects"]]
+        for cause, level, where, evidence, advice, excludes in found["suspects"]:
+            gone = tuple((kind, of) for kind, of in excludes)
+            self.suspects.append(Suspect(cause, level, where, evidence, advice, gone))
         self.seen += [Seen((kind, of), file, tuple(said), digest) for (kind, of), file, said, digest in found["seen"]]
 
     @property
@@ -126,7 +128,9 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
             asked = (_is_source(campaign, measurement.name), measurement.name in out.identified)
             key = key_of(measurement, campaign.tool, campaign.coefficients, *asked)
             files = (*(f for entry in measurement.records for f in entry.all_files), *measurement.background)
-            out.add(parts, f"measurement {measurement.name}", key, files, partial(_measurement, campaign, measurement))
+            # Records in memory have no file by which they could be known again.
+            known = Parts(None, "check") if any(entry.held for entry in measurement.records) else parts
+            out.add(known, f"measurement {measurement.name}", key, files, partial(_measurement, campaign, measurement))
         # What a record cannot be read for is said once, though both steps read it.
         out.suspects += [fault("unusable", measurement.name, f.reason, _CORRECT, part) for f in failures[:1]]
     for done, test in enumerate(campaign.cutting_tests, start=len(campaign.measurements)):
