@@ -438,6 +438,7 @@ def test_good_input_of_the_same_kind_runs_and_its_report_can_be_written_again(
     assert report.read_bytes() == written
 
 
+@pytest.mark.slow
 def test_only_what_has_changed_is_computed_and_drawn_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

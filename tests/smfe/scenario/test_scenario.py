@@ -437,7 +437,7 @@ def test_a_campaign_that_could_not_be_run_is_not_begun(tmp_path: Path, text: str
 
 def test_lobes_of_a_wrong_trial_are_not_refused_as_unknown(tmp_path: Path) -> None:
     text = HEAD + CUTTING + HAMMER + 'duration = "1 ms"\n' + LOBES.format("hammer")
-    with pytest.raises(InputError, match=r"^scenario.toml: trial\[0\]: a pulse of 1 ms [^\n]*$"):
+    with pytest.raises(InputError, match=r"^scenario.toml, line 24: trial\[0\]: a pulse of 1 ms [^\n]*$"):
         load_scenario(write(tmp_path, text))
 
 
