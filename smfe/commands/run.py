@@ -45,7 +45,17 @@ from smfe.identification.drive.drives import (
 )
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
-from smfe.kept import KEPT, campaign_of, file_hash, forget_record, inputs_of, is_unchanged, read_hashes, state, write_record
+from smfe.kept import (
+    KEPT,
+    campaign_of,
+    file_hash,
+    forget_record,
+    inputs_of,
+    is_unchanged,
+    read_hashes,
+    state,
+    write_record,
+)
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.limits.lobe_files import write_lobes
@@ -222,7 +232,7 @@ def check_folder(folder: Path, campaign: Campaign, fresh: bool = False) -> None:
     if not kept.is_file():
         if (folder / "tables").exists():
             raise InputError(
-                f"'{folder}' holds a folder 'tables' and no results: a run would clear it; name another folder with --out"
+                f"'{folder}' holds a folder 'tables' and no results, and a run would clear it: name another with --out"
             )
         return
     try:
