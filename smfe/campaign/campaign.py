@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import date, datetime
 from pathlib import Path
@@ -40,9 +40,6 @@ Forces predicted with coefficients that were fitted over speeds and immersions l
 aluminium, carbon steel and stainless steel, at a level of 95 % (ASME Manufacturing Science and Engineering Conference
 2009, MSEC2009-43628, page 137): two standard deviations. Coefficients of a handbook are known worse.
 """
-
-LOBE_POINTS = 200
-"""Spindle speeds of a lobe diagram where the campaign gives no step."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -341,7 +338,7 @@ Baseline = AxisModel | RigidDrive | MechanisticForces | ModesOf | LimitsOf
 
 @dataclass(frozen=True)
 class LobeRequest:
-    """One ``[[lobes]]``.
+    """One ``[[lobes]]`` at one width of cut.
 
     Parameters
     ----------
@@ -359,6 +356,11 @@ class LobeRequest:
         Greatest depth that can be cut [m].
     feed_direction : float
         Direction in which the cut is fed [rad], from +x of the measurements towards +y.
+    name, table : str
+        What it is called in every output, "lobes_1", or "lobes_1_20mm" where its table has several widths; and what
+        all widths of the table are called together, "lobes_1".
+    listed : bool
+        The speeds were named one by one, and each is a candidate; else they are steps of a range.
     """
 
     measurements: tuple[str, ...]
@@ -369,6 +371,9 @@ class LobeRequest:
     spindle_speed: Real = field(repr=False)
     maximum_depth: float | None = None
     feed_direction: float = 0.0
+    name: str = "lobes_1"
+    table: str = "lobes_1"
+    listed: bool = False
 
 
 @dataclass(frozen=True)
@@ -732,7 +737,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         channels=_channels("cutting", base),
         measurements=tuple(_measurement(table, base) for table in file.measurement),
         models=tuple(_model(table) for table in file.model),
-        lobes=tuple(_lobes(table) for table in file.lobes),
+        lobes=tuple(r for number, table in enumerate(file.lobes, 1) for r in _lobes(number, table)),
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
         baseline=_baseline(file.baseline) if file.baseline else None,
         coefficient_spread=None if file.material is None else file.material.uncertainty,
@@ -828,20 +833,23 @@ def _channels(method: str, declared: Declared) -> dict[str, Channel]:
     return {name: Channel(**entry) for name, entry in declared.items() if name in wanted}
 
 
-def _lobes(table: schema.LobesTable) -> LobeRequest:
-    low, high, *step = table.spindle_speed
-    count = LOBE_POINTS if not step else int((high - low) / step[0] * (1.0 + 1e-9)) + 1
-    speeds = np.linspace(low, high, count) if not step else low + step[0] * np.arange(count)
-    return LobeRequest(
-        table.measurements,
-        table.method,
-        table.cut,
-        table.width_of_cut,
-        table.feed_per_tooth,
-        np.asarray(speeds),
-        table.maximum_depth,
-        table.feed_direction,
-    )
+def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
+    """Yield the requests of one table, one a width."""
+    name = f"lobes_{number}"
+    for width in table.width_of_cut:
+        yield LobeRequest(
+            table.measurements,
+            table.method,
+            table.cut,
+            width,
+            table.feed_per_tooth,
+            np.asarray(table.spindle_speed.values),
+            table.maximum_depth,
+            table.feed_direction,
+            name=name if len(table.width_of_cut) == 1 else f"{name}_{1e3 * width:.6g}mm",
+            table=name,
+            listed=table.spindle_speed.listed,
+        )
 
 
 def _cutting_test(table: schema.CuttingTestTable, base: Declared) -> CuttingTest:

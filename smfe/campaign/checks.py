@@ -212,6 +212,11 @@ def _lobes(raw: Raw) -> Iterator[Complaint]:
     diameter = _quantity(raw.get("tool"), "diameter", "length")
     for where, table in _tables(raw, "lobes"):
         yield from _needs(raw, where, ("tool", "material"), "a stability limit")
+        widths = table.get("width_of_cut")
+        for i, width in enumerate(widths if isinstance(widths, list) else []):
+            one = {"width_of_cut": width}
+            for (*_, key), text in _fits(diameter, where, _quantity(one, "width_of_cut", "length"), one):
+                yield (*where, key, i), text
         yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
         names = table.get("measurements")
         for i, name in enumerate(names if isinstance(names, list) else []):

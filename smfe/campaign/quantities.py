@@ -7,9 +7,11 @@ import math
 import os
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BeforeValidator, ValidationInfo
 
 from process import units
@@ -236,21 +238,90 @@ Floor = Annotated[tuple[float, str], BeforeValidator(_floor)]
 
 _MOST_SPEEDS = 100_000
 
+LOBE_POINTS = 200
+"""Spindle speeds of a lobe diagram where the campaign gives no step."""
 
-def _speeds(value: Any) -> tuple[float, ...]:
-    """[from, to] or [from, to, step] -> rpm."""
-    numbers = _list_of(value, "rotation", (2, 3), '["250 rpm", "750 rpm"]')
-    rpm = tuple(units.from_si(number, "rpm", "rotation") for number in numbers)
-    if not 0.0 < rpm[0] < rpm[1]:
+_HOW_SPEEDS = (
+    'write ["600 rpm", "1500 rpm", "5 rpm"] (from, to, step), "1200 rpm", or { speeds = ["800 rpm", "1200 rpm"] }'
+)
+
+
+@dataclass(frozen=True)
+class SpindleSpeeds:
+    """Spindle speeds of a request for lobes.
+
+    Parameters
+    ----------
+    values : tuple of float
+        Rising [rpm].
+    listed : bool
+        Each was named, as a shop names the speeds that it uses; else they are the steps of a range.
+    """
+
+    values: tuple[float, ...]
+    listed: bool
+
+
+def _speeds(value: Any) -> SpindleSpeeds:
+    """A speed, {speeds = [...]}, four speeds or more, [from, to] or [from, to, step] -> rpm."""
+    if isinstance(value, dict):
+        if set(value) != {"speeds"}:
+            raise InputError(f"{value!r} is no list of spindle speeds; {_HOW_SPEEDS}")
+        return _listed(value["speeds"])
+    if not isinstance(value, list) or len(value) == 1:
+        return _listed(value)
+    if len(value) > 3:
+        found = _listed(value)
+        if [_rpm(item) for item in value] != list(found.values):
+            raise InputError(f"{value!r} is neither from, to and step nor a rising list of speeds; {_HOW_SPEEDS}")
+        return found
+    rpm = tuple(_rpm(item) for item in value)
+    if len(rpm) < 2:
+        raise InputError(f"{value!r} names no spindle speed; {_HOW_SPEEDS}")
+    low, high = rpm[:2]
+    if not 0.0 < low < high:
         raise InputError(f"from {value[0]} to {value[1]} is no range; the first must be positive and below the second")
-    if len(rpm) == 3 and not (rpm[1] - rpm[0]) / _MOST_SPEEDS < rpm[2] <= rpm[1] - rpm[0]:
+    if len(rpm) == 2:
+        return SpindleSpeeds(tuple(np.linspace(low, high, LOBE_POINTS).tolist()), listed=False)
+    if not (high - low) / _MOST_SPEEDS < rpm[2] <= (high - low) * (1.0 + 1e-9):
+        listed = "" if rpm[2] <= high else "; three speeds are { speeds = [...] }"
         raise InputError(
-            f"a step of {value[2]} does not divide {value[0]} to {value[1]} into 2 to {_MOST_SPEEDS} speeds"
+            f"a step of {value[2]} does not divide {value[0]} to {value[1]} into 2 to {_MOST_SPEEDS} speeds{listed}"
         )
-    return rpm
+    count = int((high - low) / rpm[2] * (1.0 + 1e-9)) + 1
+    return SpindleSpeeds(tuple((low + rpm[2] * np.arange(count)).tolist()), listed=False)
 
 
-SpeedRange = Annotated[tuple[float, ...], BeforeValidator(_speeds)]
+def _rpm(value: Any) -> float:
+    # What was written as a whole number of rpm is one again, whatever it was in rad/s.
+    return round(units.from_si(units.parse(value, "rotation"), "rpm", "rotation"), 9)
+
+
+def _listed(value: Any) -> SpindleSpeeds:
+    rpm = [_rpm(item) for item in (value if isinstance(value, list) else [value])]
+    if not rpm or min(rpm) <= 0.0:
+        raise InputError(f"{value!r} names no spindle speed that turns; {_HOW_SPEEDS}")
+    if len(set(rpm)) < len(rpm):
+        raise InputError(f"{value!r} names a spindle speed twice; name each once")
+    return SpindleSpeeds(tuple(sorted(rpm)), listed=True)
+
+
+LobeSpeeds = Annotated[SpindleSpeeds, BeforeValidator(_speeds)]
+
+
+def _widths(value: Any) -> tuple[float, ...]:
+    """A width, or a list of them -> rising [m], each once."""
+    found = [units.parse(item, "length") for item in (value if isinstance(value, list) else [value])]
+    if not found:
+        raise InputError("is empty; at least one width is needed")
+    if min(found) <= 0.0 or not math.isfinite(max(found)):
+        raise InputError(f"{value!r} is not possible; a width of cut must be positive")
+    if len({round(w, 12) for w in found}) < len(found):
+        raise InputError(f"{value!r} names a width twice; name each once")
+    return tuple(sorted(found))
+
+
+Widths = Annotated[tuple[float, ...], BeforeValidator(_widths)]
 
 
 def _ramp(value: Any) -> tuple[float, float]:

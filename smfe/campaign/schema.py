@@ -522,9 +522,9 @@ class LobesTable(Table):
     measurements: Annotated[tuple[StrictStr, ...], q.NotEmpty]
     method: Annotated[str, q.one_of(q.LOBE_METHODS, "method")]
     cut: q.CutName
-    width_of_cut: q.PositiveLength
+    width_of_cut: q.Widths
     feed_per_tooth: q.PositiveLength
-    spindle_speed: q.SpeedRange
+    spindle_speed: q.LobeSpeeds
     feed_direction: q.FeedDirection = 0.0
     maximum_depth: q.PositiveLength | None = None
 

@@ -207,10 +207,10 @@ def stable_depths(campaign: Campaign, baseline: AxisBaseline, values: Values) ->
 
 def _asked(campaign: Campaign) -> Iterator[tuple[str, str, float, float, Sequence[float]]]:
     """Yield what it is for, kind and width of cut, feed per tooth, and speeds [rpm]."""
-    for number, request in enumerate(campaign.lobes, 1):
+    for request in campaign.lobes:
         pick = np.unique(np.linspace(0, request.spindle_speed.size - 1, SPEEDS).round().astype(int))
         speeds = request.spindle_speed[pick].tolist()
-        yield f"lobes_{number}", request.cut, request.width_of_cut, request.feed_per_tooth, speeds
+        yield request.name, request.cut, request.width_of_cut, request.feed_per_tooth, speeds
     for test in (t for t in campaign.cutting_tests if t.feed_per_tooth is not None):
         yield test.file.name, test.cut, test.width_of_cut, test.stated_feed_per_tooth, [test.spindle_speed]
 

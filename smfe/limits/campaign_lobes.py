@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
@@ -13,6 +14,7 @@ from process.cut.engagement import engagement
 from process.errors import InputError
 from process.labels import UNITS, at_tool
 from process.machine.modes import ModalModel
+from process.types import Real
 from smfe.campaign import Campaign, LobeRequest
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
 from smfe.limits.operating_conditions import over_conditions
@@ -22,6 +24,7 @@ from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
 from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
 from stability.bands.depth_quantiles import exact_band
 from stability.methods.catalogue import METHODS
+from stability.tables.lobe_table import Origin
 
 _CURVES = {
     "spindle_speed": "spindle_speed_rpm",
@@ -39,7 +42,7 @@ class LobeResult:
     Parameters
     ----------
     request : str
-        "lobes_1", "lobes_2", ... in the order of the campaign file.
+        "lobes_1", "lobes_2", ... in the order of the campaign file; "lobes_1_20mm" where it asks for several widths.
     source : str
         Name of the measurement or model; of an operating point the names of all that it was had from, and where the
         request has several results their controller and position.
@@ -54,6 +57,8 @@ class LobeResult:
         How the source was measured ("hammer", "sweep", ...), or "model".
     in_motion : bool
         Whether an axis moved while it was measured.
+    near : pandas.DataFrame, optional
+        Where single speeds are asked for: the same table with the speeds that the spindle may turn about them.
     """
 
     request: str
@@ -63,6 +68,7 @@ class LobeResult:
     asked: LobeRequest
     kind: str
     in_motion: bool = False
+    near: pd.DataFrame | None = None
 
 
 def all_lobes(
@@ -91,22 +97,29 @@ def all_lobes(
         When a source is not among the compliances, or a limit cannot be computed from it.
     """
     out = []
-    jobs = [(i, r, source) for i, r in enumerate(campaign.lobes, 1) for source in sources_of(campaign, r)]
-    for done, (number, request, of) in enumerate(jobs):
-        source, names = of.label, of.names
-        progress(f"lobes {number}: {source}", done, len(jobs))
-        with attempt(failures, LOBES, f"lobes_{number}, {source}"):
+    jobs = [(request, source) for request in campaign.lobes for source in sources_of(campaign, request)]
+    for done, (request, of) in enumerate(jobs):
+        source, names, said = of.label, of.names, request.name.replace("_", " ")
+        progress(f"{said}: {source}", done, len(jobs))
+        with attempt(failures, LOBES, f"{request.name}, {source}"):
             check_sources(names, compliances, failures)
+            speeds = _about(request.spindle_speed, campaign.spindle.accuracy) if request.listed else None
+            whole = request if speeds is None else replace(request, spindle_speed=speeds)
             try:
-                limits = limits_of(campaign, request, names, compliances)
+                limits = limits_of(campaign, whole, names, compliances)
                 if len(names) == 1:
-                    limits = _banded(campaign, request, names[0], compliances[names[0]], limits)
+                    limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
                     limits = _with_curves(campaign, request, compliances[names[0]], limits)
             except InputError as error:
-                raise InputError(f"lobes {number}, {source}: {error}" if failures is None else str(error)) from error
+                raise InputError(f"{said}, {source}: {error}" if failures is None else str(error)) from error
             limits = limits.assign_attrs({k: v for k in FIXED if (v := getattr(of, k)) is not None})
-            out.append(_result(campaign, request, f"lobes_{number}", of, limits))
+            out.append(_result(campaign, request, of, limits))
     return out
+
+
+def _about(speeds: Real, accuracy: float) -> Real:
+    """Return speeds with those that a spindle of this accuracy may turn about them, rising [rpm]."""
+    return np.unique(np.concatenate([speeds, *(speeds * (1.0 + share * accuracy) for share in (-1.0, -0.5, 0.5, 1.0))]))
 
 
 def check_sources(names: Sequence[str], compliances: Mapping[str, xr.Dataset], failures: Failures | None) -> None:
@@ -211,7 +224,7 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     """Add the single lobes, where the method has them."""
     assert campaign.tool is not None
     assert campaign.coefficients is not None
-    if request.method != "zero_order" or not campaign.tool.equal_pitch:
+    if request.method != "zero_order" or not campaign.tool.equal_pitch or request.spindle_speed.size < 2:
         return limits
     arc, speeds = engagement(request.cut, request.width_of_cut, campaign.tool.diameter), request.spindle_speed
     compliance = turned(compliance, request.feed_direction)[0] if request.feed_direction else compliance
@@ -221,10 +234,15 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     )
 
 
-def _result(campaign: Campaign, request: LobeRequest, name: str, of: Source, limits: xr.Dataset) -> LobeResult:
+def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dataset) -> LobeResult:
     assert campaign.tool is not None
     source, kind = of.label, kind_of(campaign, of)
-    table = lobe_table(limits, source, campaign.tool, request.width_of_cut, request.feed_per_tooth)
+    origin = Origin(source, request.name, kind, request.method, request.cut)
+    table = lobe_table(limits, origin, campaign.tool, request.width_of_cut, request.feed_per_tooth)
+    near = None
+    if request.listed:
+        at = np.searchsorted(limits["spindle_speed"].values, request.spindle_speed)
+        near, table, limits = table, table.iloc[at].reset_index(drop=True), limits.isel(spindle_speed=at)
     notes = list(limits.attrs.pop("warnings", ()))
     if campaign.missing_coefficients:
         names = " and ".join(campaign.missing_coefficients)
@@ -240,4 +258,4 @@ def _result(campaign: Campaign, request: LobeRequest, name: str, of: Source, lim
         coefficient_uncertainty=campaign.coefficients_known_within,
         feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )
-    return LobeResult(name, source, limits, table, request, kind, in_motion(campaign, of))
+    return LobeResult(request.name, source, limits, table, request, kind, in_motion(campaign, of), near)

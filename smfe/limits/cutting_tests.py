@@ -312,12 +312,12 @@ def predictions(
 def _matching_request(campaign: Campaign, test: CuttingTest) -> str:
     """Return the lobes on whose diagram a test belongs: same cut, width and feed, and a source of its own."""
     feed = None if test.feed is None else feed_of(test.feed)
-    for number, request in enumerate(campaign.lobes, 1):
+    for request in campaign.lobes:
         alike = request.cut == test.cut and math.isclose(request.width_of_cut, test.width_of_cut, rel_tol=1e-6)
         if feed is not None and feed.direction is not None:
             alike &= apart(feed.direction, request.feed_direction) <= ALIKE
         if alike and not all(not_compared(request, s, test) for s in sources_of(campaign, request)):
-            return f"lobes_{number}"
+            return request.name
     return ""
 
 

@@ -10,18 +10,67 @@ import pandas as pd
 
 from smfe.campaign import Campaign
 from smfe.limits.campaign_lobes import LobeResult
-from smfe.limits.recommendation import PRESETS, recommend
+from smfe.limits.recommendation import PRESETS, Recommendation, depths_of, recommend
 from smfe.results import LOBES, Failures, attempt, pack, write_csv, write_groups
 from stability import write_presets, write_table
+from stability.tables.presets import RECOMMENDED
 
-POCKETS = "pockets.csv"
-MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS)
+POCKETS, DEPTHS = "pockets.csv", "depth_table.csv"
+MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS, DEPTHS)
 """Files that lobes make."""
 
 
 def joined(results: Sequence[LobeResult]) -> pd.DataFrame:
     """Return the rows of all tables."""
     return pd.concat([r.table for r in results], ignore_index=True)
+
+
+def depth_table(
+    results: Sequence[LobeResult], campaign: Campaign, answers: Sequence[Recommendation]
+) -> pd.DataFrame | None:
+    """Return depth over speed and width of cut, for the requests with several widths; None without one.
+
+    Parameters
+    ----------
+    results : sequence of LobeResult
+        From `all_lobes`.
+    campaign : Campaign
+        What tool and machine can do.
+    answers : sequence of Recommendation
+        One a request: the source of the best of them is that of the whole table.
+
+    Returns
+    -------
+    pandas.DataFrame or None
+        One row a speed: lobes, source, spindle_speed_rpm, feed_mm_min, ``depth_20mm_mm`` for each width (depth of cut,
+        rounded down, 0 where nothing can be cut), best_width_of_cut_mm and removal_rate_cm3_min, the largest of the
+        row. A request without a safe depth has no rows.
+    """
+    frames = []
+    for name in dict.fromkeys(r.asked.table for r in results):
+        widths = {r.request: r.asked.width_of_cut for r in results if r.asked.table == name}
+        given = [a for a in answers if a.lobes in widths and a.status == RECOMMENDED]
+        if len(widths) < 2 or not given:
+            continue
+        source = max(given, key=lambda a: a.removal_rate_cm3_min or 0.0).source
+        frames.append(_over_widths(name, [r for r in results if r.request in widths and r.source == source], campaign))
+    return pd.concat(frames, ignore_index=True) if frames else None
+
+
+def _over_widths(name: str, results: Sequence[LobeResult], campaign: Campaign) -> pd.DataFrame:
+    """Return the rows of one request for one source, its results one a width."""
+    on = ["spindle_speed_rpm", "feed_mm_min"]
+    depths, rates = {}, {}
+    for r in results:
+        width = round(1e3 * r.asked.width_of_cut, 9)
+        found = depths_of(r, campaign).set_index(on)
+        depths[f"depth_{width:.6g}mm_mm"], rates[width] = found["depth_of_cut_mm"], found["removal_rate_cm3_min"]
+    every = pd.concat(rates, axis=1).fillna(0.0)
+    out = pd.concat(depths, axis=1).fillna(0.0)
+    out = out.assign(best_width_of_cut_mm=every.idxmax(axis=1), removal_rate_cm3_min=every.max(axis=1)).reset_index()
+    out.insert(0, "source", results[0].source)
+    out.insert(0, "lobes", name)
+    return out
 
 
 def write_lobes(
@@ -57,10 +106,13 @@ def write_lobes(
         return
     write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results}, missing)
     write_table(joined(results), folder / "lobe_table.csv")
-    for name in (POCKETS, PRESETS):
+    for name in (POCKETS, PRESETS, DEPTHS):
         (folder / name).unlink(missing_ok=True)
     with attempt(failures, "recommendation"):
         found = recommend(results, campaign, tests)
         document = found.document()
         write_csv(folder / POCKETS, found.pockets)
         write_presets(document, folder / PRESETS)
+        depths = depth_table(results, campaign, found.each)
+        if depths is not None:
+            write_csv(folder / DEPTHS, depths)

@@ -35,7 +35,7 @@ from smfe.limits.campaign_lobes import LobeResult
 from smfe.limits.ceilings import ceilings_of, deepest, fastest
 from smfe.limits.cut_conditions import MODEL
 from stability import best_pockets
-from stability.tables.pockets import DEPTH_STEP
+from stability.tables.pockets import DEPTH_STEP, usable_depths
 from stability.tables.presets import FORMAT, LIMIT_ONLY, NONE, RECOMMENDED, VERSION, check_presets, read_presets
 
 PRESETS = "presets.json"
@@ -222,13 +222,40 @@ def pockets_of(result: LobeResult, campaign: Campaign) -> pd.DataFrame:
     campaign : Campaign
         Spindle, and what tool and machine can do.
     """
-    ceilings, spindle = ceilings_of(campaign, result.asked), fastest(campaign, result.asked)
-    table = result.table
+    return best_pockets(**_rules(result, campaign))
+
+
+def depths_of(result: LobeResult, campaign: Campaign) -> pd.DataFrame:
+    """Return the depth that may be cut at each speed that can be set, by the rules of the recommendation.
+
+    Parameters
+    ----------
+    result, campaign
+        As of `pockets_of`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        From `stability.tables.pockets.usable_depths`.
+    """
+    return usable_depths(**_rules(result, campaign))
+
+
+def _rules(result: LobeResult, campaign: Campaign) -> dict[str, Any]:
+    """Return the table of a result, and what limits its cut, as `best_pockets` takes them."""
+    asked, table = result.asked, result.table if result.near is None else result.near
+    ceilings, spindle = ceilings_of(campaign, asked), fastest(campaign, asked)
     if spindle is None:
-        return best_pockets(table.iloc[:0])
-    if not ceilings:
+        table = table.iloc[:0]
+    elif not ceilings:
         table = table[np.isfinite(table["limit_depth_mm"].to_numpy(float))]
-    return best_pockets(table, spindle=spindle, maximum_depth=lambda speed: deepest(ceilings, speed))
+    speeds = asked.spindle_speed if asked.listed else None
+    return {
+        "table": table,
+        "spindle": spindle,
+        "maximum_depth": lambda speed: deepest(ceilings, speed),
+        "speeds": speeds,
+    }
 
 
 def recommend(results: Sequence[LobeResult], campaign: Campaign, tests: Sequence[Mapping[str, Any]] = ()) -> Answers:
@@ -458,7 +485,7 @@ def _depth_sentence(source: _Candidate, row: pd.Series) -> str:
     within = _within(source.campaign.spindle.accuracy)
     speed = np.array([float(row["spindle_speed_rpm"])])
     for ceiling in ceilings_of(source.campaign, source.result.asked):
-        if 1e3 * ceiling.at(speed)[0] <= float(row["safe_depth_mm"]) * (1.0 + 1e-9):
+        if 1e3 * ceiling.at(speed)[0] < float(row["depth_of_cut_mm"]) + DEPTH_STEP - 1e-9:
             return f"The depth is limited by {ceiling.what}; it is stable with {share:g} % or more{within}."
     return f"The depth is stable with a probability of {share:g} %{within}."
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,11 @@ from process.errors import InputError
 from process.types import Real
 
 LOBE_COLUMNS: tuple[str, ...] = (
+    "lobes",
     "source",
+    "kind",
+    "method",
+    "cut",
     "spindle_speed_rpm",
     "limit_depth_mm",
     "limit_depth_p05_mm",
@@ -33,10 +38,38 @@ LOBE_COLUMNS: tuple[str, ...] = (
 UNLIMITED: tuple[str, ...] = ("limit_depth_mm", "removal_rate_cm3_min")
 """Columns in which an empty field of a file means "no limit as far as the data reach"."""
 
+TEXTS: tuple[str, ...] = ("lobes", "source", "kind", "method", "cut")
+"""Columns that are names."""
+
 SAFE_QUANTILE = 0.05
 
 
-def lobe_table(lobes: xr.Dataset, source: str, tool: Tool, width_of_cut: float, feed_per_tooth: float) -> pd.DataFrame:
+@dataclass(frozen=True)
+class Origin:
+    """Where the rows of a lobe table come from; empty where it is not said.
+
+    Parameters
+    ----------
+    source : str
+        Name of the measurement or model.
+    lobes : str, optional
+        Request, "lobes_1".
+    kind : str, optional
+        How it was measured ("hammer", "sweep", ...), or "model".
+    method, cut : str, optional
+        Stability method, and kind of cut.
+    """
+
+    source: str
+    lobes: str = ""
+    kind: str = ""
+    method: str = ""
+    cut: str = ""
+
+
+def lobe_table(
+    lobes: xr.Dataset, source: str | Origin, tool: Tool, width_of_cut: float, feed_per_tooth: float
+) -> pd.DataFrame:
     """Return lobes as a table with the columns `LOBE_COLUMNS`.
 
     ``feed = f_z N n``; ``removal rate = a_p a_e feed`` at the limit depth. The safe depth is that of the lobes
@@ -48,8 +81,8 @@ def lobe_table(lobes: xr.Dataset, source: str, tool: Tool, width_of_cut: float, 
     lobes : xarray.Dataset
         ``limit_depth(spindle_speed)`` [mm], ``chatter_frequency`` [Hz], ``lobe``; may hold
         ``limit_depth_quantile(quantile, spindle_speed)`` [mm] and ``safe_depth(spindle_speed)`` [mm].
-    source : str
-        Name of the measurement or model behind the lobes.
+    source : str or Origin
+        Name of the measurement or model behind the lobes, or all that is said of where they come from.
     tool : Tool
         Tool of the cut.
     width_of_cut, feed_per_tooth : float
@@ -76,8 +109,9 @@ def lobe_table(lobes: xr.Dataset, source: str, tool: Tool, width_of_cut: float, 
     low, high = _quantile(lobes, SAFE_QUANTILE), _quantile(lobes, 1.0 - SAFE_QUANTILE)
     safe = lobes["safe_depth"].values.astype(float) if "safe_depth" in lobes else low.copy()
     lobe = lobes["lobe"].values
+    origin = source if isinstance(source, Origin) else Origin(source)
     columns = (
-        [source] * speed.size,
+        *([getattr(origin, name)] * speed.size for name in TEXTS),
         speed,
         depth,
         low,
@@ -156,14 +190,15 @@ def read_table(path: str | Path) -> pd.DataFrame:
     file = Path(path)
     if not file.is_file():
         raise InputError(f"there is no file '{file}'")
-    frame = pd.read_csv(file, dtype={"source": str}, keep_default_na=False, na_values=[""])
+    frame = pd.read_csv(file, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
     if tuple(frame.columns) != LOBE_COLUMNS:
         missing = [c for c in LOBE_COLUMNS if c not in frame.columns]
         problem = f"no column {missing[0]}" if missing else "its columns are in another order"
         raise InputError(f"'{file}' is not a lobe table: {problem}; needed are {', '.join(LOBE_COLUMNS)}")
     for name in UNLIMITED:
         frame[name] = frame[name].astype(float).fillna(np.inf)
-    numbers = [c for c in LOBE_COLUMNS if c not in ("source", "lobe")]
+    frame[list(TEXTS)] = frame[list(TEXTS)].fillna("")
+    numbers = [c for c in LOBE_COLUMNS if c not in (*TEXTS, "lobe")]
     frame["lobe"] = frame["lobe"].astype("Int64")
     frame[numbers] = frame[numbers].astype(float)
     return frame

@@ -165,26 +165,92 @@ def _constant(depth: float | None) -> Ceiling:
     return lambda speed: np.full(speed.shape, math.inf if depth is None else depth)
 
 
-def _pockets(
-    cut: pd.DataFrame, count: int, spindle: SpindleRange, ceiling: Ceiling, speeds: Real | None
-) -> pd.DataFrame:
-    """Return the pockets of one source and cut."""
-    cut = cut.sort_values("spindle_speed_rpm", ignore_index=True)
+@dataclass(frozen=True)
+class _Held:
+    """What holds about each speed that can be set.
+
+    Parameters
+    ----------
+    speed : ndarray, shape (speeds,)
+        [rpm].
+    depth : ndarray, shape (speeds,)
+        Smallest depth wherever the spindle may turn, and at most the ceiling [mm].
+    row : ndarray of int, shape (speeds,)
+        Row of the table with that depth.
+    basis : str
+        "safe_depth" or "limit_depth".
+    """
+
+    speed: Real
+    depth: Real
+    row: NDArray[np.int64]
+    basis: str
+
+
+def _held(cut: pd.DataFrame, spindle: SpindleRange, ceiling: Ceiling, speeds: Real | None) -> _Held:
+    """Return what holds about each speed that can be set, from the rows of one cut in rising order of speed."""
     speed = cut["spindle_speed_rpm"].to_numpy(float)
     depth, basis = _depth(cut)
     settable = _covered(spindle.speeds(speed) if speeds is None else spindle.among(speeds), speed, spindle.accuracy)
-    if not settable.size:
-        return pd.DataFrame(columns=list(POCKET_COLUMNS))
-    lowest = np.array([_lowest(speed, depth, n, spindle.accuracy) for n in settable])
-    held = np.minimum(depth[lowest], 1e3 * ceiling(settable))
+    row = np.array([_lowest(speed, depth, n, spindle.accuracy) for n in settable], dtype=np.int64)
+    held = np.minimum(depth[row], 1e3 * ceiling(settable))
     if np.isinf(held).any():
         raise InputError(
             f"the table of '{cut['source'].iloc[0]}' has {int(np.isinf(depth).sum())} speeds without a limit; give a "
             "maximum_depth: the length of the edges or the allowance"
         )
+    return _Held(settable, held, row, basis)
+
+
+def usable_depths(
+    table: pd.DataFrame,
+    spindle: SpindleRange | None = None,
+    maximum_depth: Ceiling | None = None,
+    speeds: Real | None = None,
+) -> pd.DataFrame:
+    """Return the depth that may be cut at each speed that can be set, by the rules of `best_pockets`.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Rows of one source and cut.
+    spindle, maximum_depth, speeds
+        As of `best_pockets`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``spindle_speed_rpm``, ``depth_of_cut_mm`` rounded down, ``feed_mm_min`` and ``removal_rate_cm3_min``; no row
+        where no safe depth is known.
+
+    Raises
+    ------
+    InputError
+        When there is no limit at a speed and no maximum depth.
+    """
+    columns = ["spindle_speed_rpm", "depth_of_cut_mm", "feed_mm_min", "removal_rate_cm3_min"]
+    cut = table.sort_values("spindle_speed_rpm", ignore_index=True)
+    if cut.empty or cut["safe_depth_mm"].isna().all():
+        return pd.DataFrame(columns=columns)
+    found = _held(cut, spindle or SpindleRange(), maximum_depth or _constant(None), speeds)
+    depth = rounded_down(found.depth)
+    feed = found.speed * float(cut["feed_mm_min"].iloc[0]) / float(cut["spindle_speed_rpm"].iloc[0])
+    rate = depth * float(cut["width_of_cut_mm"].iloc[0]) * feed / 1e3
+    return pd.DataFrame(dict(zip(columns, (found.speed, depth, feed, rate), strict=True)))
+
+
+def _pockets(
+    cut: pd.DataFrame, count: int, spindle: SpindleRange, ceiling: Ceiling, speeds: Real | None
+) -> pd.DataFrame:
+    """Return the pockets of one source and cut."""
+    cut = cut.sort_values("spindle_speed_rpm", ignore_index=True)
+    speed, depth = cut["spindle_speed_rpm"].to_numpy(float), _depth(cut)[0]
+    found = _held(cut, spindle, ceiling, speeds)
+    settable, held, safe = found.speed, found.depth, found.basis == "safe_depth"
+    if not settable.size:
+        return pd.DataFrame(columns=list(POCKET_COLUMNS))
     feed = settable * float(cut["feed_mm_min"].iloc[0]) / speed[0]
-    width = float(cut["width_of_cut_mm"].iloc[0])
-    usable = rounded_down(held) if basis == "safe_depth" else held
+    usable = rounded_down(held) if safe else held
     edge = np.zeros(settable.size, dtype=bool)
     if speeds is None:
         chosen = _peaks(np.concatenate([[0.0], held * feed, [0.0]])) - 1
@@ -192,23 +258,24 @@ def _pockets(
         edge[_peaks(held * feed)] = False
     else:
         chosen = np.flatnonzero(held > 0.0)
-    rate = usable * width * feed / 1e3
+    rate = usable * float(cut["width_of_cut_mm"].iloc[0]) * feed / 1e3
     everywhere = min(float(depth.min()), float(held.min()))
-    rows = []
     # Rounding may level two pockets: the deeper before rounding is then the better one.
-    for rank, k in enumerate(
-        chosen[np.lexsort((-held[chosen] * feed[chosen], -rate[chosen], edge[chosen]))][:count], 1
-    ):
+    best = chosen[np.lexsort((-held[chosen] * feed[chosen], -rate[chosen], edge[chosen]))]
+    rows = []
+    for rank, k in enumerate(best[:count], 1):
         within = np.minimum(depth, 1e3 * ceiling(speed)) >= usable[k] * (1.0 - 1e-9)
+        if speeds is not None:  # between two named speeds nothing is known
+            within &= np.abs(speed / settable[k] - 1.0) <= spindle.accuracy * (1.0 + 1e-9)
         low, high = _range(speed, within, float(settable[k]))
-        worst, safe = cut.iloc[lowest[k]], basis == "safe_depth"
+        worst = cut.iloc[int(found.row[k])]
         rows.append(
             {
                 **{name: worst[name] for name in POCKET_COLUMNS if name in worst},
                 "rank": rank,
                 "spindle_speed_rpm": settable[k],
                 "depth_of_cut_mm": usable[k] if safe else math.nan,
-                "basis": basis,
+                "basis": found.basis,
                 "at_edge": bool(edge[k]),
                 "speed_from_rpm": low,
                 "speed_to_rpm": high,
@@ -229,6 +296,8 @@ def _peaks(rate: Real) -> NDArray[np.int64]:
 
 def _covered(settable: Real, speed: Real, accuracy: float) -> Real:
     """Return the speeds about which the table reaches as far as the spindle may turn; all where there is none."""
+    if not settable.size:
+        return settable
     low, high = float(speed[0]) * (1.0 - 1e-9), float(speed[-1]) * (1.0 + 1e-9)
     inside = (settable * (1.0 - accuracy) >= low) & (settable * (1.0 + accuracy) <= high)
     return settable[inside] if inside.any() else settable

@@ -223,6 +223,31 @@ half_order_reference = "30 %"
         speeds = load(folder, text).lobes[0].spindle_speed
         np.testing.assert_allclose(speeds, np.arange(250.0, 750.1, 0.5))
 
+    @pytest.mark.parametrize(
+        ("said", "speeds", "listed"),
+        [
+            ('["1500 rpm", "1800 rpm", "300 rpm"]', [1500.0, 1800.0], False),
+            ('["1200 rpm", "1500 rpm", "100 rpm"]', [1200.0, 1300.0, 1400.0, 1500.0], False),
+            ('"1200 rpm"', [1200.0], True),
+            ('["1200 rpm"]', [1200.0], True),
+            ('{ speeds = ["900 rpm", "710 rpm", "20 Hz"] }', [710.0, 900.0, 1200.0], True),
+            ('["560 rpm", "710 rpm", "900 rpm", "1120 rpm"]', [560.0, 710.0, 900.0, 1120.0], True),
+        ],
+    )
+    def test_speeds_are_a_range_or_named_one_by_one(self, folder: Path, said: str, speeds: list, listed: bool) -> None:
+        request = load(folder, changed('["250 rpm", "750 rpm"]', said)).lobes[0]
+        assert request.spindle_speed.tolist() == speeds
+        assert request.listed is listed
+
+    def test_each_width_is_a_request_of_its_own(self, folder: Path) -> None:
+        one = load(folder, EXAMPLE).lobes
+        several = load(folder, changed('width_of_cut = "100 mm"', 'width_of_cut = ["100 mm", "62.5 mm"]')).lobes
+        assert [(r.name, r.table, r.width_of_cut) for r in several] == [
+            ("lobes_1_62.5mm", "lobes_1", pytest.approx(0.0625)),
+            ("lobes_1_100mm", "lobes_1", pytest.approx(0.1)),
+        ]
+        assert [(r.name, r.table) for r in one] == [("lobes_1", "lobes_1")]
+
     def test_a_partial_matrix_is_legitimate(self, folder: Path) -> None:
         text = """
         [campaign]
@@ -391,7 +416,43 @@ ONE_FAULT = [
     ("{ x = ", "{ u = ", "measurement[1].feed: axis 'u' is none of x, y, z"),
     ('["20 Hz", "80 Hz"]', '["80 Hz", "20 Hz"]', "measurement[1].frequency_range: from 80 Hz to 20 Hz is no range"),
     ('["20 Hz", "80 Hz"]', '"20 Hz"', "measurement[1].frequency_range: '20 Hz' is not a list of 2 quantities"),
-    ('["250 rpm", "750 rpm"]', '["250 rpm"]', "lobes[0].spindle_speed: ['250 rpm'] is not a list of 2 or 3 quantities"),
+    ('["250 rpm", "750 rpm"]', "[]", "lobes[0].spindle_speed: [] names no spindle speed"),
+    (
+        '["250 rpm", "750 rpm"]',
+        '["250 rpm", "750 rpm", "800 rpm"]',
+        "lobes[0].spindle_speed: a step of 800 rpm does not divide 250 rpm to 750 rpm",
+    ),
+    ('["250 rpm", "750 rpm"]', '["250 rpm", "500 rpm", "750 rpm"]', "lobes[0].spindle_speed: a step of 750 rpm"),
+    (
+        '["250 rpm", "750 rpm"]',
+        '["250 rpm", "750 rpm", "5 rpm", "1 rpm"]',
+        "lobes[0].spindle_speed: ['250 rpm', '750 rpm', '5 rpm', '1 rpm'] is neither",
+    ),
+    (
+        '["250 rpm", "750 rpm"]',
+        '{ speeds = ["9 rpm", "9 rpm"] }',
+        "lobes[0].spindle_speed: ['9 rpm', '9 rpm'] names a spindle speed twice",
+    ),
+    (
+        '["250 rpm", "750 rpm"]',
+        '{ from = "250 rpm" }',
+        "lobes[0].spindle_speed: {'from': '250 rpm'} is no list of spindle speeds",
+    ),
+    (
+        'width_of_cut = "100 mm"',
+        'width_of_cut = ["10 mm", "10 mm"]',
+        "lobes[0].width_of_cut: ['10 mm', '10 mm'] names a width twice",
+    ),
+    (
+        'width_of_cut = "100 mm"',
+        'width_of_cut = ["10 mm", "-1 mm"]',
+        "lobes[0].width_of_cut: ['10 mm', '-1 mm'] is not possible; a width",
+    ),
+    (
+        'width_of_cut = "100 mm"',
+        'width_of_cut = ["10 mm", "200 mm"]',
+        "lobes[0].width_of_cut[1]: '200 mm' is wider than the tool of 125 mm",
+    ),
     ('["250 rpm", "750 rpm"]', '["250 rpm", "750 rpm", "0 rpm"]', "lobes[0].spindle_speed: a step of 0 rpm"),
     # tool, material, model
     ("teeth = 8", "teeth = 8.5", "tool.teeth: 8.5: must be a valid integer"),

@@ -16,7 +16,9 @@ from smfe.limits.lobe_files import write_lobes
 from smfe.limits.recommendation import recommend
 from smfe.progress import silent
 
-KNOWN = 'uncertainty = { frequency = "0.5 %", damping = "20 %", stiffness = "5 %" }'
+KNOWN = "uncertainty = { frequency = 0, damping = 0, stiffness = 0 }"
+"""A machine that is known exactly: what the coefficients make of the limit is had in closed form, without sampling."""
+
 TEXT = """
 [campaign]
 name = "limits"
@@ -229,6 +231,67 @@ def test_the_best_of_all_requests_removes_most(classic):
         assert found.best.lobes == "lobes_1"
         assert [r.lobes for r in found.each] == [r.request for r in order]
         assert found.pockets["lobes"][0] == "lobes_1"
+
+
+# --- speeds and widths -----------------------------------------------------------------------------------------------
+
+
+def test_single_speeds_are_candidates_with_the_depth_about_them(tmp_path):
+    speeds = [7000.0, 9300.0, 13900.0]
+    shop = campaign(tmp_path, speed='{ speeds = ["13900 rpm", "7000 rpm", "9300 rpm"] }')
+    (result,) = results_of(shop)
+    assert result.table["spindle_speed_rpm"].tolist() == speeds == result.lobes["spindle_speed"].values.tolist()
+    found = recommend([result], shop)
+    assert set(found.pockets["spindle_speed_rpm"]) == set(speeds)
+    assert not found.pockets["at_edge"].any()
+    # As a fine table has it: the smallest depth within 1 % of the speed.
+    fine = campaign(tmp_path, speed='["6500 rpm", "14500 rpm", "10 rpm"]')
+    table = results_of(fine)[0].table.set_index("spindle_speed_rpm")["limit_depth_mm"]
+    for row in found.pockets.itertuples():
+        near = table[np.abs(table.index / row.spindle_speed_rpm - 1.0) <= 0.01]
+        assert row.limit_depth_mm == pytest.approx(near.min(), rel=0.01)
+        assert row.spindle_speed_rpm * 0.98 < row.speed_from_rpm <= row.speed_to_rpm < row.spindle_speed_rpm * 1.02
+    one = answer(tmp_path, speed='"13900 rpm"')
+    assert one.spindle_speed_rpm == 13900.0
+    assert one.depth_of_cut_mm == found.best.depth_of_cut_mm
+
+
+def test_several_widths_are_requests_of_their_own_with_a_table_over_both(tmp_path):
+    loaded = campaign(tmp_path, lobes='maximum_depth = "6 mm"')
+    text = (tmp_path / "campaign.toml").read_text().replace('"8 mm"', '["8 mm", "4 mm", "1.6 mm"]')
+    (tmp_path / "campaign.toml").write_text(text)
+    single, loaded = loaded, load_campaign(tmp_path / "campaign.toml")
+    results = results_of(loaded)
+    write_lobes(tmp_path, results, loaded)
+    names = ["lobes_1_1.6mm", "lobes_1_4mm", "lobes_1_8mm"]
+    assert [r.request for r in results] == names
+    presets = json.loads((tmp_path / "presets.json").read_text())
+    assert [r["lobes"] for r in presets["recommendations"]] == names
+    best = presets["recommendation"]
+    assert best["removal_rate_cm3_min"] == max(r["removal_rate_cm3_min"] for r in presets["recommendations"])
+    # The same as that width alone.
+    alone = recommend(results_of(single), single).best.as_dict()
+    eight = presets["recommendations"][2]
+    assert {k: v for k, v in eight.items() if k != "lobes"} == {k: v for k, v in alone.items() if k != "lobes"}
+    depths = pd.read_csv(tmp_path / "depth_table.csv")
+    assert list(depths)[4:] == [
+        *(f"depth_{w}mm_mm" for w in ("1.6", "4", "8")),
+        "best_width_of_cut_mm",
+        "removal_rate_cm3_min",
+    ]
+    for answer_of_width, column in zip(presets["recommendations"], list(depths)[4:7], strict=True):
+        row = depths[depths["spindle_speed_rpm"] == answer_of_width["spindle_speed_rpm"]].iloc[0]
+        assert row[column] == answer_of_width["depth_of_cut_mm"]
+    row = depths.iloc[len(depths) // 2]
+    rates = {w: w * row[f"depth_{w:g}mm_mm"] * row["feed_mm_min"] / 1e3 for w in (1.6, 4.0, 8.0)}
+    assert row["removal_rate_cm3_min"] == pytest.approx(max(rates.values()))
+    assert rates[row["best_width_of_cut_mm"]] == pytest.approx(max(rates.values()))
+    table = pd.read_csv(tmp_path / "lobe_table.csv")
+    assert set(table["lobes"]) == set(names)
+    assert (table[["kind", "method", "cut"]].drop_duplicates().to_numpy() == [["model", "zero_order", "down"]]).all()
+    # A second run for one width leaves no table of another.
+    write_lobes(tmp_path, results_of(single), single)
+    assert not (tmp_path / "depth_table.csv").exists()
 
 
 def test_folders_without_a_recommendation(tmp_path):

@@ -8,10 +8,11 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
 from stability import LOBE_COLUMNS, lobe_table, read_table, write_table, zero_order
+from stability.tables.lobe_table import Origin
 
-COLUMNS = (  # design.md, in this order
-    "source,spindle_speed_rpm,limit_depth_mm,limit_depth_p05_mm,limit_depth_p95_mm,safe_depth_mm,width_of_cut_mm,"
-    "feed_per_tooth_mm,feed_mm_min,chatter_frequency_Hz,lobe,removal_rate_cm3_min"
+COLUMNS = (  # what CAM reads, in this order
+    "lobes,source,kind,method,cut,spindle_speed_rpm,limit_depth_mm,limit_depth_p05_mm,limit_depth_p95_mm,safe_depth_mm,"
+    "width_of_cut_mm,feed_per_tooth_mm,feed_mm_min,chatter_frequency_Hz,lobe,removal_rate_cm3_min"
 )
 
 
@@ -23,7 +24,8 @@ def lobes(lab_slot):
 
 @pytest.fixture
 def table(lobes):
-    return lobe_table(lobes, "hammer_idle", Tool(50.8e-3, 4), 50.8e-3, 0.2e-3)
+    origin = Origin("hammer_idle", "lobes_1", "hammer", "zero_order", "down")
+    return lobe_table(lobes, origin, Tool(50.8e-3, 4), 50.8e-3, 0.2e-3)
 
 
 def test_columns_are_those_of_the_design(table):
@@ -60,7 +62,7 @@ def test_a_safe_depth_of_another_probability_goes_into_the_table_as_it_is(lobes)
 def test_no_limit_is_an_empty_field_and_comes_back_as_infinity(table, tmp_path):
     path = write_table(table, tmp_path / "lobe_table.csv")
     last = path.read_text().splitlines()[3]
-    assert last == "hammer_idle,1800,,,,,50.8,0.2,1440,,,"
+    assert last == "lobes_1,hammer_idle,hammer,zero_order,down,1800,,,,,50.8,0.2,1440,,,"
     back = read_table(path)
     assert np.isinf(back["limit_depth_mm"].iloc[2])
     assert back["lobe"].isna().tolist() == [False, False, True]
@@ -99,5 +101,5 @@ def test_what_makes_no_table_is_refused(lobes, tmp_path):
     with pytest.raises(InputError, match="no file"):
         read_table(tmp_path / "t.csv")
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="not a lobe table: no column source"):
+    with pytest.raises(InputError, match="not a lobe table: no column lobes"):
         read_table(tmp_path / "other.csv")
