@@ -396,7 +396,8 @@ def _blocks(table: pd.DataFrame | None) -> list[pd.DataFrame]:
     if table is None or table.empty:
         return []
     filled = table.assign(limit_depth_mm=table["limit_depth_mm"].fillna(np.inf))
-    key = filled.get("lobes", filled["source"]).astype(str) + "\n" + filled["source"].astype(str)
+    said = filled["lobes"].fillna("") if "lobes" in filled else ""
+    key = said + "\n" + filled["source"].astype(str)
     new = (key != key.shift()) | ~(filled["spindle_speed_rpm"].diff() > 0.0)
     return [block.reset_index(drop=True) for _, block in filled.groupby(new.cumsum())]
 
@@ -405,7 +406,8 @@ def _take_block(blocks: list[pd.DataFrame], request: str, source: str, dataset: 
     """Remove and return the rows that belong to these lobes; made from the lobes when there are none."""
     for position, block in enumerate(blocks):
         named = str(block["source"].iloc[0]) in (source, f"{request}/{source}")
-        asked = str(block["lobes"].iloc[0]) == request if "lobes" in block and block["lobes"].iloc[0] else True
+        said = block["lobes"].iloc[0] if "lobes" in block else None
+        asked = not isinstance(said, str) or said == request
         if named and asked and _same_cut(block, dataset):
             return blocks.pop(position)
     return _table_of(source, dataset)
