@@ -55,8 +55,6 @@ class CheckRules:
     harmonics: int = 3  # harmonics of the tooth passing frequency that are instruments
     halves_known: float = 0.03
     """Halves of passes are compared where their difference is known to this share of the compliance."""
-    instrument_floor: float = 0.05
-    """Share of the variance of the instruments that their difference to least squares has at least."""
 
 
 RULES = CheckRules()

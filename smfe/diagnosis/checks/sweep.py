@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
-from scipy import fft
+from scipy import fft, stats
 
 from process.errors import InputError
 from process.labels import sample_interval
@@ -107,10 +107,8 @@ def regeneration_difference(
     solved = {float(f): both for f in frequency if (both := _both(blocks, float(f))) is not None}
     if not solved:
         return None
-    change, covariance, size = (np.stack(x) for x in zip(*solved.values(), strict=True))
-    # Weighted with the transpose of the covariance: noise alone then makes some 15 times the mean of chi^2, so that
-    # the size decides. Weighted with the covariance itself, whose floor is cautious, a bias is not significant.
-    return _compare(np.array(list(solved)), change, covariance.conj(), size)
+    change, noise, spread, size = (np.stack(x) for x in zip(*solved.values(), strict=True))
+    return _unweighted(np.array(list(solved)), change, noise, spread, size)
 
 
 def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> Complex:
@@ -127,8 +125,11 @@ def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> C
 
 def _both(
     blocks: Sequence[tuple[Real, Complex, Complex, Complex, Real]], centre: float
-) -> tuple[Complex, Complex, Real] | None:
-    """Return instruments minus least squares, its covariance a row, and the size of the compliance, at a frequency."""
+) -> tuple[Complex, Complex, Complex, Real] | None:
+    """Return instruments minus least squares, the two factors of its covariance, and the size of the compliance.
+
+    At a frequency; the factors are the covariance of the noise of the responses and that of the columns.
+    """
     half, powers = RULES.half_width, np.arange(RULES.order + 1)
     regressors, instruments, responses = [], [], []
     loss = np.zeros((3 * powers.size, 3 * powers.size))
@@ -160,16 +161,33 @@ def _both(
     # Noise of the force sensor takes from least squares what is expected: E[P] = P (1 - N (U U^H)^-1).
     change = (instrumental - squares - instrumental @ loss @ inverse)[:, :3]
     rest = y - instrumental @ u
-    noise_power = np.sum(np.abs(rest) ** 2, axis=1) / (y.shape[1] - u.shape[0])
-    # Hausman 1978: what least squares shares with the instruments cancels. The floor keeps directions apart in which
-    # the two agree by construction.
-    spread = ((1.0 + RULES.instrument_floor) * through - inverse)[:3, :3]
-    return change, noise_power[:, None, None] * spread.T, np.abs(instrumental[:, :3])
+    noise = rest @ rest.conj().T / (y.shape[1] - u.shape[0])
+    # Hausman 1978: what least squares shares with the instruments cancels.
+    return change, noise, (through - inverse)[:3, :3], np.abs(instrumental[:, :3])
 
 
 def _products(terms: Real, signals: Complex) -> Complex:
     """Every signal times every power of the shift, shape (powers * signals, lines)."""
     return np.asarray((terms[:, None, :] * signals[None, :, :]).reshape(-1, terms.shape[1]))
+
+
+def _unweighted(frequency: Real, change: Complex, noise: Complex, spread: Complex, size: Real) -> Difference:
+    """Compare differences of shape (f, rows, 3) with nothing, by the sum of their squares.
+
+    Instruments and least squares agree in some directions by construction, so that no inverse of the covariance is to
+    be trusted, and none is needed: with ``C = noise x spread`` at each frequency the sum of ``|d|^2`` of circular noise
+    has the mean ``sum tr C`` and the variance ``sum tr C^2``, and is about chi^2 with ``2 (sum tr C)^2/sum tr C^2``
+    degrees of freedom (Satterthwaite, Biometrics 2, 1946).
+    """
+    squares = np.sum(np.abs(change) ** 2, axis=(1, 2))
+    mean = (np.einsum("faa->f", noise) * np.einsum("faa->f", spread)).real
+    variance = (np.einsum("fab,fba->f", noise, noise) * np.einsum("fab,fba->f", spread, spread)).real
+    whole = float(mean.sum())
+    degrees_of_freedom = 2.0 * whole**2 / float(variance.sum())
+    p_value = float(stats.chi2.sf(degrees_of_freedom * float(squares.sum()) / whole, degrees_of_freedom))
+    beyond = max(float(squares.sum()) - whole, 0.0)
+    relative = float(np.sqrt(beyond / max(float(np.sum(size**2)), 1e-300)))
+    return Difference(relative, p_value, float(frequency[int(np.argmax(squares / mean))]), int(frequency.size))
 
 
 def _compare(frequency: Real, change: Complex, covariance: Complex, size: Real) -> Difference | None:

@@ -22,6 +22,9 @@ LOOKS = {MEASURED: ("#000000", "solid", 2.4), SIMULATION: ("#B35C00", "dash", 1.
 MOST = 6
 """Conditions that are drawn, at most: those that were set aside, then those of which the simulation misses most."""
 
+MOST_MARKS = 250
+"""Marks of a line, at most: each is an element of the page."""
+
 
 @dataclass(frozen=True)
 class Line:
@@ -144,6 +147,7 @@ def _drive_forces(curves: xr.Dataset) -> tuple[Block, ...]:
         part = curves.isel(condition=np.flatnonzero(held_out == apart))
         part = part.isel(condition=np.argsort(part["time"].values[:, 0]))
         time, names = _joined(part["time"].values), ("measured", *_models(curves))
+        time = time - np.nanmin(time)
         force = {name: _joined(part[name].values[:, :, 0]) for name in names}
         whole = float(np.sqrt(np.nansum(force["measured"] ** 2)))
         errors = [
@@ -158,7 +162,8 @@ def _drive_forces(curves: xr.Dataset) -> tuple[Block, ...]:
         found.append(Block(title, f"error {' → '.join(errors)}", "time [s]", over_time))
         if "velocity" in part:
             velocity = 6e4 * _joined(part["velocity"].values)
-            marks = tuple(Line(WORDS[n], velocity, y, marks=True) for n, y in left.items())
+            some = slice(None, None, max(1, velocity.size // MOST_MARKS))
+            marks = tuple(Line(WORDS[n], velocity[some], y[some], marks=True) for n, y in left.items())
             panel = Panel("what is left [N]", marks)
             found.append(Block(f"{title}: over the velocity", "", "velocity [mm/min]", (panel,)))
     return tuple(found)

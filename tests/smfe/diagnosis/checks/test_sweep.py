@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import stats
 
 from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
@@ -21,7 +22,13 @@ from process.simulation.machine import simulate_machine
 from process.simulation.milling import MillingCut, Spindle
 from smfe.commands.demo import TOOL as DEMO_TOOL
 from smfe.commands.demo import sweep_passes
-from smfe.diagnosis.checks.sweep import matters, posture_difference, regeneration_difference, sweep_suspects
+from smfe.diagnosis.checks.sweep import (
+    _unweighted,
+    matters,
+    posture_difference,
+    regeneration_difference,
+    sweep_suspects,
+)
 from smfe.identification.sweep.passes import SweepPass
 
 TOOL = Tool(0.08, 4, approach_angle=math.pi / 4.0)
@@ -114,6 +121,32 @@ def test_what_shakes_the_machine_comes_back_through_the_cut() -> None:
         open_loop[c] = record
     quiet = regeneration_difference(passes(open_loop), TOOL.teeth, BAND)
     assert quiet is None or not matters(quiet)
+
+
+def test_the_p_value_of_noise_is_uniform_whatever_rows_and_columns_share() -> None:
+    """Circular noise of a covariance that is nearly singular: the sum of squares needs no inverse of it."""
+    rng, lines, p = np.random.default_rng(3), 40, []
+    left, right = (rng.standard_normal((lines, 3, 3)) + 1j * rng.standard_normal((lines, 3, 3)) for _ in range(2))
+    right[:, 2] = right[:, 0] + 1e-9 * right[:, 2]
+    noise, spread = left @ left.conj().swapaxes(1, 2), right.conj().swapaxes(1, 2) @ right
+    for _ in range(400):
+        white = (rng.standard_normal((lines, 3, 3)) + 1j * rng.standard_normal((lines, 3, 3))) / math.sqrt(2.0)
+        p.append(_unweighted(np.arange(40.0), left @ white @ right, noise, spread, np.ones((lines, 3, 3))).p_value)
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+    louder = _unweighted(np.arange(40.0), 3.0 * left @ white @ right, noise, spread, np.ones((lines, 3, 3)))
+    assert louder.p_value < 1e-20
+
+
+@pytest.mark.slow
+def test_noise_of_the_vibration_alone_has_the_p_values_of_noise() -> None:
+    p = []
+    for seed in range(24):
+        data = passes({c: noisy(swept(c), 100 * seed + k, motion=1e-6) for k, c in enumerate(WIDTHS)})
+        found = regeneration_difference(data, TOOL.teeth, BAND)
+        assert found is not None
+        p.append(found.p_value)
+    assert min(p) > 0.005
+    assert 0.3 < float(np.median(p)) < 0.8
 
 
 def test_noise_of_the_force_sensor_is_not_taken_for_regeneration() -> None:
