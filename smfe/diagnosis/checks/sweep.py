@@ -125,7 +125,7 @@ def _references(record: xr.Dataset, teeth: int, reach: tuple[float, float]) -> C
 
 def _both(
     blocks: Sequence[tuple[Real, Complex, Complex, Complex, Real]], centre: float
-) -> tuple[Complex, Complex, Complex, Real] | None:
+) -> tuple[Complex, Complex, Complex | Real, Real] | None:
     """Return instruments minus least squares, the two factors of its covariance, and the size of the compliance.
 
     At a frequency; the factors are the covariance of the noise of the responses and that of the columns.
@@ -171,7 +171,9 @@ def _products(terms: Real, signals: Complex) -> Complex:
     return np.asarray((terms[:, None, :] * signals[None, :, :]).reshape(-1, terms.shape[1]))
 
 
-def _unweighted(frequency: Real, change: Complex, noise: Complex, spread: Complex, size: Real) -> Difference:
+def _unweighted(
+    frequency: Real, change: Complex, noise: Complex | Real, spread: Complex | Real, size: Real
+) -> Difference:
     """Compare differences of shape (f, rows, 3) with nothing, by the sum of their squares.
 
     Instruments and least squares agree in some directions by construction, so that no inverse of the covariance is to

@@ -198,11 +198,17 @@ class _State:
 
 
 def fit(
-    model: Model, target: Target, causes: Sequence[int], start: Real, slope: Mapping[int, Real] | None = None
+    model: Model,
+    target: Target,
+    causes: Sequence[int],
+    start: Real,
+    slope: Mapping[int, Real] | None = None,
+    most: float = np.inf,
 ) -> Fit:
     """Fit the nuisances and some causes, beginning with slopes of another hypothesis where they are given.
 
-    All other causes stay where `start` has them. A fit that has not converged, and may not be used, says why.
+    All other causes stay where `start` has them. A fit that has not converged, and may not be used, says why. One that
+    stalls, and would not come below `most` with all that a linear step promises, has lost and is followed no further.
     """
     chosen, state = tuple(sorted(causes)), _State.begin(model, target, causes, start)
     if state.residual is None:
@@ -224,6 +230,8 @@ def fit(
         if before - state.chi2 < 0.1 * decrement:
             if decrement < RULES.rough:
                 return state.done(chosen, fresh)
+            if state.chi2 - decrement > most:
+                return replace(state.done(chosen, fresh), provisional=True, promised=decrement)
             _trust_region(state)
         if state.chi2 >= before:
             break

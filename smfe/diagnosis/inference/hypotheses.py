@@ -141,14 +141,14 @@ class Bench:
         trials = []
         for u in self._starts(at, causes, added, thorough):
             own = thorough or self._misfit(u) < RULES.halfway * at.chi2
-            trials.append(self._tried(causes, u, {} if own else known))
-        trials += [self._tried(causes, u, known) for u in self._either_way(at, added, first)]
+            trials.append(self._tried(causes, u, {} if own else known, most))
+        trials += [self._tried(causes, u, known, most) for u in self._either_way(at, added, first)]
         best = min(trials, key=lambda f: f.chi2, default=None)
         if best is not None and best.provisional:
             gained, needed = at.chi2 - best.chi2, at.chi2 - most
             hopeful = not best.converged and gained + RULES.optimism * best.promised > needed
             if gained > 0.0 and (hopeful or (most > explained and RULES.part * needed < gained < needed)):
-                trials.append(fit(self.model, self.target, causes, best.u))
+                trials.append(fit(self.model, self.target, causes, best.u, most=most))
         return min([*found, *trials], key=_order)
 
     def _near(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature], most: float) -> Fit:
@@ -169,13 +169,13 @@ class Bench:
         """Fit with given slopes, and with its own where these do not lead to the end and it may come below `most`."""
         near = approach(self.model, self.target, causes, start, slope, most)
         if near is None:
-            return fit(self.model, self.target, causes, start)
-        return near if near.converged else fit(self.model, self.target, causes, near.u, near.slope)
+            return fit(self.model, self.target, causes, start, most=most)
+        return near if near.converged else fit(self.model, self.target, causes, near.u, near.slope, most)
 
-    def _tried(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real]) -> Fit:
-        """Fit from a start with slopes from elsewhere, where there are any."""
+    def _tried(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real], most: float) -> Fit:
+        """Fit from a start with slopes from elsewhere, where there are any, as far as it may come below `most`."""
         found = approach(self.model, self.target, causes, start, slope) if slope else None
-        return fit(self.model, self.target, causes, start) if found is None else found
+        return fit(self.model, self.target, causes, start, most=most) if found is None else found
 
     def _starts(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], thorough: bool) -> list[Real]:
         """Return the starts that causes name because they act far from their null, without those that lead astray.
