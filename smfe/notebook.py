@@ -90,6 +90,14 @@ class Accessor:
 
         return lobes(self._dataset, tool, material, **cut)
 
+    def recommendation(
+        self, tool: Tool | Mapping[str, Any], material: CuttingCoefficients | Mapping[str, Any], **limits: Any
+    ) -> Recommendation:
+        """Return the cut that lobes, or a compliance, recommend; arguments as of `smfe.recommendation`."""
+        from smfe.arrays.recommendation import recommendation
+
+        return recommendation(self._dataset, tool, material, **limits)
+
     def modes(self, **options: Any) -> ModalFit:
         """Return the modes of a compliance; options as of `smfe.modal`."""
         from smfe.commands.modal import modal

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
+import xarray as xr
+
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.arrays.compliances import Compliance
-from smfe.arrays.requests import Speeds, asked
+from smfe.arrays.compliances import Compliance, several
+from smfe.arrays.requests import Speeds, asked, limits_given
 from smfe.campaign import Campaign
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.recommendation import Recommendation, recommend, recommendation_of
@@ -27,6 +29,17 @@ def recommendation(source: Path | str) -> Recommendation | None: ...
 @overload
 def recommendation(
     source: Sequence[LobeResult], campaign: Campaign, tests: Sequence[Mapping[str, Any]] = ()
+) -> Recommendation: ...
+
+
+@overload
+def recommendation(
+    source: xr.Dataset | Mapping[str, xr.Dataset],
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    *,
+    spindle: Mapping[str, Any] | None = None,
+    machine: Mapping[str, Any] | None = None,
 ) -> Recommendation: ...
 
 
@@ -49,14 +62,14 @@ def recommendation(source: Any, *given: Any, **named: Any) -> Recommendation | N
     """Return the one cut that is recommended: speed, depth, width, feed, removal rate, and how sure it is.
 
     ``recommendation(folder)`` reads what `smfe.run` has written, ``recommendation(lobes, campaign)`` takes what
-    `smfe.lobes` returns of a campaign, ``recommendation(compliance, tool, material, cut=..., width_of_cut=...,
-    spindle_speed=...)`` takes the arguments of `smfe.lobes`.
+    `smfe.lobes` returns of a campaign, ``recommendation(limits, tool, material)`` what it returns of a compliance, and
+    ``recommendation(compliance, tool, material, cut=..., width_of_cut=..., spindle_speed=...)`` its arguments.
 
     Parameters
     ----------
-    source : path, sequence of LobeResult, or as the first argument of `smfe.lobes`
-        Where the recommendation stands, or what it is made of. Of several compliances the source is chosen by the rules
-        of `smfe.limits.recommendation`.
+    source : path, sequence of LobeResult, xarray.Dataset or mapping of them, or as the first argument of `smfe.lobes`
+        Where the recommendation stands, or what it is made of. Of several the source is chosen by the rules of
+        `smfe.limits.recommendation`.
     campaign : Campaign
         With lobes: tool, work material, spindle and machine.
     tests : sequence of mapping, optional
@@ -76,12 +89,16 @@ def recommendation(source: Any, *given: Any, **named: Any) -> Recommendation | N
 
     Examples
     --------
-    >>> smfe.recommendation(frf, tool, steel, cut="down", width_of_cut="40 mm", spindle_speed=(600, 1500))
+    >>> limits = smfe.lobes(frf, tool, steel, cut="down", width_of_cut="40 mm", spindle_speed=(600, 1500))
+    >>> smfe.recommendation(limits, tool, steel, spindle={"maximum": "1400 rpm"})
     """
     if isinstance(source, Path | str):
         return recommendation_of(source, *given, **named)
     if isinstance(source, Sequence):
         return _of_lobes(source, *given, **named)
+    limits = source if several(source) else {str(getattr(source, "attrs", {}).get("source", "lobes")): source}
+    if limits and all(isinstance(one, xr.Dataset) and "limit_depth" in one for one in limits.values()):
+        return _of_limits(limits, *given, **named)
     return _of_compliances(source, *given, **named)
 
 
@@ -91,6 +108,16 @@ def _of_lobes(
     if not lobes:
         raise InputError("there are no lobes to recommend a cut from; give what smfe.lobes(campaign) returns")
     return recommend(lobes, campaign, tests).best
+
+
+def _of_limits(
+    limits: Mapping[str, xr.Dataset],
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    **tables: Any,
+) -> Recommendation:
+    campaign, results = limits_given(limits, tool, material, {k: v for k, v in tables.items() if v is not None})
+    return recommend(results, campaign).best
 
 
 def _of_compliances(

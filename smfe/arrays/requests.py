@@ -19,7 +19,9 @@ from smfe.arrays.tables import material_table, model_table, tool_table
 from smfe.campaign import Campaign, campaign_of_tables
 from smfe.campaign.schema import ConditionsTable
 from smfe.identification.compliances import labelled
+from smfe.limits.campaign_lobes import LobeResult
 from smfe.modes.fit_modes import ModalFit, uncertainty
+from stability import lobe_table
 
 Speeds = Sequence[float | str] | Real
 """From, to and perhaps a step, or an array of speeds; numbers are rpm."""
@@ -65,6 +67,76 @@ def asked(
     if speeds is not None:
         campaign = replace(campaign, lobes=(replace(campaign.lobes[0], spindle_speed=speeds),))
     return campaign, labelled(campaign, {}) | compliances
+
+
+def remembering(result: LobeResult) -> LobeResult:
+    """Return lobes whose dataset says what `limits_given` needs to know of them."""
+    said: dict[str, Any] = {"in_motion": int(result.in_motion)}
+    if result.asked.maximum_depth is not None:
+        said["maximum_depth_mm"] = 1e3 * result.asked.maximum_depth
+    return replace(result, lobes=result.lobes.assign_attrs(said))
+
+
+def limits_given(
+    source: Mapping[str, xr.Dataset],
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    tables: Mapping[str, Any],
+) -> tuple[Campaign, list[LobeResult]]:
+    """Return lobes in memory as those of a campaign that asked for them.
+
+    Parameters
+    ----------
+    source : mapping of str to xarray.Dataset
+        Lobes as `smfe.lobes` returns them, of one cut.
+    tool, material
+        As of `smfe.lobes`.
+    tables : mapping
+        ``spindle`` and ``machine``.
+
+    Raises
+    ------
+    InputError
+        When they are lobes of different cuts, or do not say of which.
+    """
+    cuts = {tuple(one.attrs.get(key) for key in (*_SAID, "maximum_depth_mm")) for one in source.values()}
+    if len(cuts) != 1 or None in (said := cuts.pop())[:-1]:
+        raise InputError("lobes of one cut are needed, as smfe.lobes returns them with their attributes")
+    keys = dict(zip((*_SAID.values(), "maximum_depth"), said, strict=True))
+    for key in ("width_of_cut", "feed_per_tooth", "maximum_depth"):
+        keys[key] = None if keys[key] is None else f"{keys[key]!r} mm"
+    keys["feed_direction"] = f"{keys['feed_direction']!r} deg"
+    record = {"file": "lobes", "response": "x", "excitation": "x"}
+    speeds = next(iter(source.values()))["spindle_speed"].values
+    unknown = set(tables) - set(_TABLES)
+    if unknown:
+        raise InputError(f"{', '.join(sorted(unknown))} is not read here: the lobes have their cut")
+    whole = {
+        **tables,
+        "tool": tool_table(tool),
+        "material": material_table(material),
+        "measurement": [{"name": name, "method": "frf", "records": [record]} for name in source],
+        "lobes": [{"measurements": list(source), **keys, "spindle_speed": _speeds(np.asarray(speeds))[0]}],
+    }
+    campaign = campaign_of_tables(whole, {"lobes": []}, "lobes")
+    assert campaign.tool is not None
+    results = []
+    for name, one in source.items():
+        asked_for = replace(campaign.lobes[0], spindle_speed=one["spindle_speed"].values)
+        table = lobe_table(one, name, campaign.tool, asked_for.width_of_cut, asked_for.feed_per_tooth)
+        kind, moves = str(one.attrs.get("kind", "frf")), bool(one.attrs.get("in_motion", False))
+        results.append(LobeResult("lobes_1", name, one, table, asked_for, kind, moves))
+    return campaign, results
+
+
+_SAID = {
+    "method": "method",
+    "cut": "cut",
+    "width_of_cut_mm": "width_of_cut",
+    "feed_per_tooth_mm": "feed_per_tooth",
+    "feed_direction_deg": "feed_direction",
+}
+"""Attribute of lobes -> key of their request."""
 
 
 def planned(

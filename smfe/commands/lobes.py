@@ -13,7 +13,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.arrays.compliances import Compliance, several
-from smfe.arrays.requests import Speeds, asked
+from smfe.arrays.requests import Speeds, asked, remembering
 from smfe.campaign import Campaign, load_campaign
 from smfe.commands.identify import identify_all
 from smfe.identification.compliances import labelled
@@ -213,6 +213,6 @@ def _of_compliances(
         check_target(path)
     request = {"cut": cut, "width_of_cut": width_of_cut, "feed_per_tooth": feed_per_tooth, "method": method}
     campaign, compliances = asked(source, tool, material, {**request, "spindle_speed": spindle_speed, **more})
-    results = all_lobes(campaign, compliances, progress)
+    results = [remembering(r) for r in all_lobes(campaign, compliances, progress)]
     _write(results, path, table, None)
     return {r.source: r.lobes for r in results}

@@ -68,8 +68,8 @@ def test_one_entry_shows_magnitude_phase_and_coherence_of_the_data(frf: xr.Datas
     assert len(frf.smfe.plot().axes) == 9
 
 
-def test_lobes_are_drawn_with_others_tests_and_the_recommendation(frf: xr.Dataset, limits: xr.Dataset) -> None:
-    advice = smfe.recommendation(frf, TOOL, STEEL, **CUT)
+def test_lobes_are_drawn_with_others_tests_and_the_recommendation(limits: xr.Dataset) -> None:
+    advice = smfe.recommendation(limits, TOOL, STEEL)
     figure = smfe.plot({"hammer": limits, "modes": limits}, tests=[(500, 0.2, "stable")], recommendation=advice)
     for word in ("hammer", "modes", "test: stable"):
         assert word in texts(figure)
@@ -115,18 +115,29 @@ def test_every_returned_number_has_a_unit(frf: xr.Dataset, limits: xr.Dataset, c
         assert not lacking, name
 
 
-def test_results_show_themselves_as_tables_with_units(frf: xr.Dataset, cut: xr.Dataset) -> None:
+def test_results_show_themselves_as_tables_with_units(frf: xr.Dataset, limits: xr.Dataset, cut: xr.Dataset) -> None:
     found = smfe.Identification("hammer", "hammer", frf, warnings=("mind <this>",))
     shown = found._repr_html_()
     assert "largest [µm/N]" in shown
     assert "mind &lt;this&gt;" in shown
     assert ">173</td><td>Hz<" in cut.smfe.verdict(1500, 4)._repr_html_()
     assert "stiffness [N/µm]" in smfe.modal(found)._repr_html_()
-    advice = smfe.recommendation(frf, TOOL, STEEL, **CUT)
+    advice = smfe.recommendation(limits, TOOL, STEEL)
     assert f">{advice.spindle_speed_rpm:.0f}</td><td>rpm<" in advice._repr_html_()
     friction = FoundCause("f", "f", "friction", "joint", (Estimate("force", 12.0, 10.0, 14.0, "N"),), 50.0, 3.0, 0.5)
     finding = Finding("named", "it rests on this", causes=(friction,))._repr_html_()
     assert ">force</td><td>12</td><td>10</td><td>14</td><td>N<" in finding
+
+
+def test_lobes_recommend_what_the_compliance_they_are_of_recommends(frf: xr.Dataset, limits: xr.Dataset) -> None:
+    spindle = {"maximum": "700 rpm"}
+    asked = smfe.recommendation({"hammer": frf}, TOOL, STEEL, **CUT, spindle=spindle)
+    assert limits.smfe.recommendation(TOOL, STEEL, spindle=spindle) == asked
+    assert asked.status == "recommended"
+    with pytest.raises(InputError, match="cut is not read here: the lobes have their cut"):
+        smfe.recommendation(limits, TOOL, STEEL, cut="up")
+    with pytest.raises(InputError, match="lobes of one cut are needed"):
+        smfe.recommendation({"a": limits, "b": limits.assign_attrs(cut="up")}, TOOL, STEEL)
 
 
 def test_a_campaign_shows_what_it_holds(tmp_path: Path) -> None:
