@@ -451,7 +451,7 @@ def _chosen(ranked: Sequence[_Candidate]) -> Recommendation:
         sentences.append(_depth_sentence(source, row))
     if row["at_edge"]:
         sentences.append(
-            "It lies at the end of the speeds that can be set, with no pocket inside: ask for more speeds."
+            "The speed is an end of the range that can be set, and no pocket lies inside: ask for a wider range."
         )
     sentences += _disagreements(source, ranked[1:], row)
     return source.cut(row, status, " ".join(sentences))
