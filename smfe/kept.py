@@ -121,6 +121,11 @@ class Parts:
             self.write()
         return self._parts[name]["value"]
 
+    def forget(self, name: str) -> None:
+        """Forget a part, before what it stands for is changed."""
+        if self._parts.pop(name, None) is not None:
+            self.write()
+
     def write(self) -> None:
         """Write what is kept, so that an interruption loses nothing."""
         if self.path is not None:

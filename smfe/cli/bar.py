@@ -30,11 +30,14 @@ class Estimate:
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self.clock = clock
         self.begun = self.reported = clock()
+        self.first: float | None = None  # when the work began: what is imported before is no work
         self.share = 0.0
 
     def report(self, done: int, of: int) -> float:
         """Take a report and return the share."""
         share = min(done / of, 1.0) if of > 0 else 0.0
+        if self.first is None:
+            self.first = self.clock()
         if share > self.share:
             self.share, self.reported = share, self.clock()
         return self.share
@@ -47,8 +50,8 @@ class Estimate:
     @property
     def left(self) -> float | None:
         """Seconds still; None where nothing can be said yet, or the estimate has run out."""
-        worked = self.reported - self.begun
-        if self.share < 0.03 or worked < 0.5:
+        worked = self.reported - (self.begun if self.first is None else self.first)
+        if self.share < 0.03 or worked < 1.0:
             return None
         left = worked * (1.0 - self.share) / self.share - (self.clock() - self.reported)
         return left if left >= 0.5 else None

@@ -20,6 +20,7 @@ from smfe.cli.verb import DECIDE, CampaignFile, any_files, campaign_files, resul
     "where the first stopped.",
     examples=["smfe run campaign.toml", "smfe run campaign.toml --out results --json"],
     keeps="an older report is as it was, and what was identified is kept in the folder of results",
+    keys="recommendation, recommendations, report, finding",
 )
 def run(
     terminal: Terminal,
@@ -50,6 +51,8 @@ def run(
         'smfe chatter cut.wav --teeth 6 --speed "1656 rpm"',
         "smfe chatter cut.csv --teeth 2 --campaign campaign.toml",
     ],
+    keys="verdict, reason, ratio, chatter_frequency_Hz, tooth_passing_harmonic_Hz, spindle_speed_rpm, "
+    "quantity, axes, cut_s, interval_s, half_order_ratio, try_rpm, notes",
 )
 def chatter(
     terminal: Terminal,
@@ -138,6 +141,7 @@ def chatter(
     "conditions it was not fitted to, and the next experiment; finding.json, which `smfe report` shows.",
     examples=["smfe diagnose campaign.toml -o results/finding.json", "smfe diagnose campaign.toml --held-out pass_3"],
     keeps="nothing was written, and what was identified is kept beside the finding",
+    keys="output, finding",
 )
 def diagnose(
     terminal: Terminal,
@@ -167,13 +171,14 @@ def diagnose(
     faults = [row for row in content.get("data_audit", []) if row.get("level") == "fault"]
     warnings = [f"fault in the data, {row['where']}: {row['evidence']}" for row in faults]
     lines = [*explain(finding).splitlines(), f"written: {output}{then}"]
-    return Outcome(lines, {"output": str(output), **content}, warnings, fault=bool(faults))
+    return Outcome(lines, {"output": str(output), "finding": content}, warnings, fault=bool(faults))
 
 
 @verb(
     DECIDE,
     gives="report.html and figures/*.png, from the files of the folder alone: no record is read.",
     examples=["smfe report results"],
+    keys="report",
 )
 def report(
     terminal: Terminal,

@@ -16,6 +16,7 @@ from smfe.cli.verb import FILES, any_files, campaign_files, result_folders, verb
     gives="channels with units and sizes, the kind of record it seems to be and why; NAME.look.png and a campaign file "
     "to start from, NAME.look.toml.",
     examples=["smfe look hit_x.csv", "smfe look cut.tdms -o first_look"],
+    keys="kind, reason, sample_rate_Hz, samples, columns, notes, picture, campaign",
 )
 def look(
     terminal: Terminal,
@@ -58,6 +59,7 @@ def look(
     FILES,
     gives="the record in SI units with the corrections of its channels; what the other format cannot hold is said.",
     examples=["smfe convert record.tdms record.csv", "smfe convert hit.csv hit.uff --campaign campaign.toml"],
+    keys="written",
 )
 def convert(
     terminal: Terminal,
@@ -96,6 +98,7 @@ def convert(
         "smfe export results -o mill80.fctb --to freecad",
         "smfe export results -o setup.pdf --to sheet",
     ],
+    keys="written, presets",
 )
 def export(
     terminal: Terminal,

@@ -18,6 +18,7 @@ KEPT = "nothing was written, and what was identified is kept beside the results"
     gives="the passes to cut with speeds, depth and feed, the expected error of each compliance; plan.html for the "
     "operator, plan.csv, plan.toml to run afterwards.",
     examples=["smfe plan campaign.toml", "smfe plan campaign.toml -o planned --verify"],
+    keys="page, passes, worst_error, median_error, summary, confirmed",
 )
 def plan(
     terminal: Terminal,
@@ -55,6 +56,7 @@ def plan(
     MEASURE,
     gives="each suspicion with its place, the evidence and what to do; faults first. Exit status 3 where there is one.",
     examples=["smfe check campaign.toml", "smfe check campaign.toml --json"],
+    keys="suspects, counts",
 )
 def check(terminal: Terminal, campaign: CampaignFile) -> Outcome:
     """Audit the data of a campaign, and try in short all that it asks for."""
@@ -68,7 +70,7 @@ def check(terminal: Terminal, campaign: CampaignFile) -> Outcome:
     lines.append(
         f"next: smfe run {campaign}" if not counts["fault"] else "next: correct the faults, or run without them"
     )
-    content = {"suspects": table.to_dict("records"), **{f"{level}s": count for level, count in counts.items()}}
+    content = {"suspects": table.to_dict("records"), "counts": counts}
     return Outcome(lines, content, fault=counts["fault"] > 0)
 
 
@@ -81,6 +83,7 @@ _NOTHING = "nothing suspicious"
     "drives.csv beside it where the campaign has records of drives.",
     examples=["smfe identify campaign.toml -o frf.nc", "smfe compare frf.nc"],
     keeps=KEPT,
+    keys="output, measurements, drives",
 )
 def identify(
     terminal: Terminal,
@@ -110,9 +113,10 @@ def identify(
 @verb(
     MEASURE,
     gives="modal.toml: frequency, damping and stiffness of each mode with its interval, as a [[model]] to paste into a "
-    "campaign; a table and a stabilisation diagram beside it.".replace("[[", "\\[["),
+    "campaign; a table and a stabilisation diagram beside it.",
     examples=["smfe modal campaign.toml", 'smfe modal frf.nc --measurement hammer --band "20 Hz" "80 Hz"'],
     keeps=KEPT,
+    keys="output, modes",
 )
 def modal(
     terminal: Terminal,
@@ -151,6 +155,7 @@ def modal(
     gives="comparison.csv: for each pair of measurements and entry the frequency, damping and amplitude of each peak "
     "and their differences with uncertainty.",
     examples=["smfe compare frf.nc", "smfe compare results/frf.nc -o comparison.csv"],
+    keys="output, rows, pairs",
 )
 def compare(
     terminal: Terminal,
@@ -174,8 +179,9 @@ def compare(
 
 @verb(
     MEASURE,
-    gives="Ktc, Krc, Kac, Kte, Kre, Kae with 95 % intervals, as a \\[material] to paste into a campaign.",
+    gives="Ktc, Krc, Kac, Kte, Kre, Kae with 95 % intervals, as a [material] to paste into a campaign.",
     examples=["smfe coefficients slots.toml -o material.toml"],
+    keys="output, fits",
 )
 def coefficients(
     terminal: Terminal,

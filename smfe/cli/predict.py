@@ -18,6 +18,7 @@ from smfe.cli.verb import PREDICT, CampaignFile, any_files, campaign_files, verb
     "measurement that the campaign asks for.",
     examples=["smfe lobes campaign.toml", "smfe lobes campaign.toml --frf results/frf.nc"],
     keeps="nothing was written, and what was identified is kept beside the results",
+    keys="output, table, limits",
 )
 def lobes(
     terminal: Terminal,
@@ -65,6 +66,7 @@ def lobes(
     PREDICT,
     gives="records as instruments would have written them, the campaign file that reads them, and truth.nc.",
     examples=["smfe simulate scenario.toml -o simulated", "smfe run simulated/campaign.toml"],
+    keys="campaign",
 )
 def simulate(
     terminal: Terminal,
@@ -92,6 +94,7 @@ def simulate(
     gives="a campaign with records under demo/, and its results: open demo/results/report.html.",
     examples=["smfe demo", "smfe demo --out try --seed 1"],
     keeps="records that are complete are kept",
+    keys="recommendation, recommendations, report, finding",
 )
 def demo(
     terminal: Terminal,

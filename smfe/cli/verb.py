@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -44,8 +45,26 @@ app = typer.Typer(
 )
 
 
+@dataclass(frozen=True)
+class About:
+    """What the help and the documentation say of a verb beside its options; see `verb`."""
+
+    group: str
+    summary: str
+    gives: str
+    examples: Sequence[str]
+    keys: Sequence[str]
+
+
+VERBS: dict[str, About] = {}
+"""Name of a verb -> what is said of it."""
+
+COMMON_KEYS = ("warnings", "failures")
+"""Keys that every JSON object has which says what was found."""
+
+
 def verb(
-    group: str, gives: str, examples: Sequence[str], keeps: str = "nothing was written"
+    group: str, gives: str, examples: Sequence[str], keys: str, keeps: str = "nothing was written"
 ) -> Callable[[Callable[..., Outcome]], Callable[..., Outcome]]:
     """Make a function a verb of the command line.
 
@@ -59,6 +78,8 @@ def verb(
         What its user gets.
     examples : sequence of str
         Command lines.
+    keys : str
+        What ``--json`` prints beside the `COMMON_KEYS`: "one, two".
     keeps : str, optional
         What is kept when somebody interrupts it.
     """
@@ -94,8 +115,9 @@ def verb(
         called.__signature__ = inspect.Signature([*own, *shared])  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in (*own, *shared)}
         summary = inspect.cleandoc(function.__doc__ or "")
-        text = f"{summary}\n\n[bold]What you get:[/bold] {gives}"
+        text = f"{summary}\n\n[bold]What you get:[/bold] {escape(gives)}"
         shown = "\n".join(["[bold]Examples[/bold]", *(f"  {escape(line)}" for line in examples)])
+        VERBS[function.__name__] = About(group, summary, gives, examples, (*keys.split(", "), *COMMON_KEYS))
         app.command(function.__name__, help=text, epilog=shown, rich_help_panel=group)(called)
         return function
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from smfe.reporting.content.merging import sentence
 from smfe.reporting.content.results import Results, read_results
 from smfe.reporting.content.style import OUTCOMES, band_text, number, palette, spoken
 from smfe.reporting.figures import draw_matplotlib
+from smfe.reporting.figures.drawn import draw_changed
 from smfe.reporting.sections import (
     answer,
     comparison,
@@ -82,7 +84,7 @@ def write_report(folder: Path, progress: Progress | None = None) -> Path:
     steps = len(pictures) + 1
     draw_matplotlib.remove_stale(folder / "figures", pictures)
     for done, (name, draw) in enumerate(pictures.items(), 1):
-        draw_matplotlib.save(draw(), folder / "figures" / name)
+        draw_changed(folder, name, draw, partial(_save, draw, folder / "figures" / name))
         if progress is not None:
             progress(done, steps)
     text = render(results)
@@ -90,6 +92,10 @@ def write_report(folder: Path, progress: Progress | None = None) -> Path:
     if progress is not None:
         progress(steps, steps)
     return path
+
+
+def _save(draw: draw_matplotlib.Draw, path: Path) -> None:
+    draw_matplotlib.save(draw(), path)
 
 
 def render(results: Results) -> str:

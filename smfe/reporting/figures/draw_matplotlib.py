@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ _MARKERS: dict[str, dict[str, Any]] = {
 
 _STAR: dict[str, Any] = {"marker": "*", "color": ADVICE, "markersize": 15, "markeredgecolor": "black"}
 
-Draw = Callable[[], Figure]
+Draw = partial[Figure]
 
 
 def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:

@@ -1,0 +1,118 @@
+"""Ctrl-C: one line that says how to go on, status 130, no traceback, no half-written file, no process left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from samples.campaigns import HAMMER
+
+SLOW = """
+import sys, time
+from pathlib import Path
+import smfe
+from smfe.results import write_atomically
+
+def run(campaign, folder, fresh, progress, licence):
+    def write(path):
+        path.write_text("half")
+        print("ready", file=sys.stderr, flush=True)
+        time.sleep(60)
+    progress("working", 0, 1)
+    write_atomically(Path(folder) / "report.html", write)
+
+smfe.run = run
+from smfe.cli import app_entry
+sys.argv = ["smfe", *sys.argv[1:]]
+app_entry()
+"""
+"""The command line with a run that writes for a minute: what is tested is how it ends."""
+
+
+def interrupted(
+    words: list[str], code: str, ready: str, folder: Path, group: list[int] | None = None
+) -> tuple[int, str, str]:
+    """Start the command line in a group of its own, press Ctrl-C as a terminal does, and return how it ends."""
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        assert process.stderr is not None
+        if group is not None:
+            group.append(process.pid)
+        said = ""
+        while ready not in said:
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        os.killpg(process.pid, signal.SIGINT)
+        out, rest = process.communicate(timeout=60)
+    return process.returncode, out, said + rest
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals of a terminal")
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_ctrl_c_says_how_to_go_on_and_leaves_nothing_half_written(options: list[str], tmp_path: Path) -> None:
+    (tmp_path / "campaign.toml").write_text(HAMMER)
+    code, out, err = interrupted(["run", "campaign.toml", *options], SLOW, "ready", tmp_path)
+    assert code == 130, err
+    assert "Traceback" not in err
+    assert err.count("interrupted") == 1
+    (line,) = [text for text in err.splitlines() if "interrupted" in text]
+    assert "kept" in line
+    assert "the same command goes on" in line
+    assert not [p for p in tmp_path.rglob("*") if p.name not in ("campaign.toml", "results")]
+    assert ("error" in out) == bool(options)
+
+
+HELPED = """
+import sys, time
+import numpy as np
+import smfe
+from smfe.diagnosis.inference.workers import Helpers
+
+def ask(number, values):
+    print("ready", file=sys.stderr, flush=True)
+    time.sleep(60)
+
+def run(campaign, folder, fresh, progress, licence):
+    with Helpers(2) as helpers:
+        helpers.answers(ask, [(0, np.zeros(1)), (1, np.ones(1))])
+
+smfe.run = run
+from smfe.cli import app_entry
+sys.argv = ["smfe", *sys.argv[1:]]
+app_entry()
+"""
+"""The command line with a run whose predictions are made by two processes for a minute."""
+
+
+def alive(group: int) -> bool:
+    """Return whether a process of a group is left."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are processes on Linux alone")
+def test_workers_end_with_the_command(tmp_path: Path) -> None:
+    (tmp_path / "campaign.toml").write_text(HAMMER)
+    group: list[int] = []
+    code, _, err = interrupted(["run", "campaign.toml"], HELPED, "ready", tmp_path, group)
+    assert code == 130, err
+    assert "Traceback" not in err
+    for _ in range(50):
+        if not alive(group[0]):
+            break
+        time.sleep(0.1)
+    assert not alive(group[0])
