@@ -135,4 +135,5 @@ def plain(value: Any) -> Any:
 
 
 def _say(console: Console, text: str) -> None:
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    # A terminal breaks between words; what is piped on stays one line.
+    console.print(text, markup=False, highlight=False, soft_wrap=not console.is_terminal)

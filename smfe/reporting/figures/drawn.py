@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ import xarray as xr
 from smfe.kept import KEPT, Parts, key_of, state
 
 
-def draw_changed(folder: Path, name: str, draw: partial[object], save: Callable[[], object]) -> None:
+def draw_changed(folder: Path, name: str, draw: partial[Any], save: Callable[[], object]) -> None:
     """Save a picture of a folder of results, unless that is what was saved there before.
 
     Parameters
