@@ -6,7 +6,7 @@ import datetime
 import json
 from typing import Any
 
-from smfe.reporting.content.folder import files, links
+from smfe.reporting.content.folder import files, links, size_text
 from smfe.reporting.figures import draw_matplotlib
 from smfe.reporting.sections.draft import Draft
 
@@ -25,6 +25,7 @@ def section(draft: Draft) -> dict[str, Any]:
     tables = sorted(path.name for path in (folder / "tables").glob("*.csv"))
     return {
         "files": files(folder),
+        "size": size_text(sum((folder / f.name).stat().st_size for f in files(folder))),
         "folders": [
             ("Figures for papers and slides", links(folder / "figures", pictures)),
             ("Every hit, step and pass", links(folder / "tables", tables)),

@@ -53,7 +53,8 @@
     // A finger that moves over a figure scrolls the page.
     if (fingers) layout.dragmode = false;
     div.style.minHeight = "";
-    Plotly.newPlot(div, spec.data, layout, config).then(() => {
+    // A copy: what is zoomed or moved must not become what the figure began with.
+    Plotly.newPlot(div, spec.data, structuredClone(layout), config).then(() => {
       if (!spec.panels) return;
       div.on("plotly_clickannotation", (event) => choose(div, spec.entry ? "" : event.annotation.entry));
       // Nine panels side by side cannot be read on a phone.

@@ -21,7 +21,10 @@
     content.rows.forEach((cells, at) => {
       const row = body.insertRow();
       if (content.css[at]) row.className = content.css[at];
-      cells.forEach((text, k) => cell(row, "td", text, content.numeric[k]));
+      cells.forEach((text, k) => {
+        const made = cell(row, "td", text, content.numeric[k]);
+        if (!content.numeric[k] && text.length < 24) made.className = "short";
+      });
     });
     const scroll = document.createElement("div");
     scroll.className = "scroll";
