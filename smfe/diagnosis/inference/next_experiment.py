@@ -118,7 +118,9 @@ def _stated_minutes(model: Model, row: int) -> float | None:
 def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Sequence[int]) -> Proposal | None:
     """Return the proposal (row) that reveals most of what the measured conditions hide; None where none does."""
     before = _sizes(model, detectable(model, tangent(model, target, null), limit))
-    hidden = {key: size for key, size in before.items() if size > 1.0}
+    # Another form of what was found is not hidden.
+    known = {model.causes[k].id for k in null.causes}
+    hidden = {key: size for key, size in before.items() if size > 1.0 and key[0].partition("/")[0] not in known}
     best: tuple[float, int, dict[tuple[str, str], float]] | None = None
     for row in rows if hidden else ():
         after = _with(model, target, null, limit, row, {key for key, _ in hidden})

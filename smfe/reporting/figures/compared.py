@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from process.types import Complex, Real
+from smfe.diagnosis.story.words import percent
 
 MEASURED, SIMULATION, EXTENDED = "measured", "simulation", "extended model"
 WORDS = {"measured": MEASURED, "baseline": SIMULATION, "extended": EXTENDED}
@@ -82,7 +83,7 @@ def _shown(curves: xr.Dataset) -> list[xr.Dataset]:
 
 
 def _note(one: xr.Dataset) -> str:
-    errors = [f"{100.0 * float(one[f'error_{name}']):.2g} %" for name in _models(one)]
+    errors = [f"{percent(float(one[f'error_{name}']))} %" for name in _models(one)]
     seen = "set aside, " if bool(one["held_out"]) else "left out of the fit, " if bool(one["unseen"]) else ""
     return f"{seen}error {' → '.join(errors)}"
 
@@ -150,10 +151,8 @@ def _drive_forces(curves: xr.Dataset) -> tuple[Block, ...]:
         time = time - np.nanmin(time)
         force = {name: _joined(part[name].values[:, :, 0]) for name in names}
         whole = float(np.sqrt(np.nansum(force["measured"] ** 2)))
-        errors = [
-            f"{100.0 * float(np.sqrt(np.nansum((force[n] - force['measured']) ** 2))) / whole:.2g} %" for n in names[1:]
-        ]
         left = {name: force["measured"] - force[name] for name in names[1:]}
+        errors = [f"{percent(float(np.sqrt(np.nansum(y**2))) / whole)} %" for y in left.values()]
         title = "moves set aside" if apart else "moves that were fitted"
         over_time = (
             Panel("drive force [N]", tuple(Line(WORDS[n], time, y) for n, y in force.items())),
