@@ -173,7 +173,7 @@ def pockets(results: Results, request: str) -> Table | None:
     for row in rows.to_dict("records"):
         text, between = with_range(*(row.get(f"limit_depth{end}_mm") for end in ("", "_p05", "_p95")))
         advised, edge = true(row["recommended"]), true(row["at_edge"])
-        note = "recommended" if advised else "at the end of the speeds" if edge else ""
+        note = "recommended" if advised else "end of the range" if edge else ""
         cells = {**row, "limit_depth_mm": text, "between": between or "not known", "note": note}
         cells["range"] = f"{number(row['speed_from_rpm'])}–{number(row['speed_to_rpm'])}"
         cells["chatter_frequency_Hz"] = number(row["chatter_frequency_Hz"], 3)

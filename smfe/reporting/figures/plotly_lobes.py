@@ -51,7 +51,7 @@ def lobes_figure(
         yaxis=axis_look("depth of cut a<sub>p</sub> [mm]", range=[0.0, shown.top]),
         annotations=[*_words(shown, tests), *_names(shown, looks), *_arrow(shown)],
     )
-    return {"data": data, "layout": layout, "narrow": {"height": 380}}
+    return {"data": data, "layout": layout, "narrow": {"height": 380}, "paper": {"height": 400}}
 
 
 def _regions(shown: Diagram) -> list[Figure]:

@@ -33,13 +33,16 @@
     if (width >= NARROW) return out;
     out.margin = Object.assign({}, layout.margin, { l: 52, r: 10 });
     out.font = Object.assign({}, layout.font, { size: 11 });
-    out.annotations = out.annotations.filter((note) => !note.wide);
+    out.annotations = out.annotations
+      .filter((note) => !note.wide)
+      .map((note) => (note.ax ? Object.assign({}, note, { ax: 0.4 * note.ax, font: { size: 11 } }) : note));
     return Object.assign(out, spec.narrow || {});
   }
   function fit(div, width) {
     const spec = div.smfe;
     if (!spec || !div._fullLayout) return;
     const changes = sizes(spec, width || div.clientWidth);
+    if (width) Object.assign(changes, spec.paper || {});
     changes.annotations = changes.annotations.filter((note) => !spec.hidden.has(note.group));
     if (spec.panels) changes.annotations = smfePanels.notes(spec, changes.annotations);
     return Plotly.relayout(div, changes);

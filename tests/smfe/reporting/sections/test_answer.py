@@ -146,7 +146,7 @@ class TestSources:
     def test_pockets_are_those_of_the_file(self, results: Results) -> None:
         table = advice.pockets(results, "lobes_1")
         assert table is not None
-        assert [row.cells[-1] for row in table.rows] == ["recommended", "at the end of the speeds"]
+        assert [row.cells[-1] for row in table.rows] == ["recommended", "end of the range"]
         assert table.rows[0].cells[2] == number(results.best["depth_of_cut_mm"])
 
     @pytest.mark.parametrize(

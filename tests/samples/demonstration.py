@@ -1,0 +1,12 @@
+"""The demonstration, run once for all tests that read it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import smfe
+
+
+def whole_demo(folder: Path) -> None:
+    """Run it into a folder, for `kept`."""
+    smfe.demo(folder)
