@@ -8,7 +8,6 @@ from typing import Any
 from smfe.reporting.content import advice
 from smfe.reporting.content.audit import audit
 from smfe.reporting.content.results import Lobes
-from smfe.reporting.content.style import spoken
 from smfe.reporting.figures import figure_data
 from smfe.reporting.figures.lobe_data import SAFE
 from smfe.reporting.figures.plotly_lobes import lobes_figure
@@ -19,13 +18,14 @@ def section(draft: Draft) -> dict[str, Any]:
     """Return what the first screen says, one block a request, the recommended one first."""
     results = draft.results
     best = str(results.best.get("lobes", next(iter(results.requests), "")))
-    warnings = audit(results).said
+    # What is taken for granted stands with the recommendation.
+    assumed = {str(a) for found in results.advice.values() for a in found["assumptions"]}
+    warnings = [said for said in audit(results).said if said.whole.removesuffix(".") not in assumed]
     order = sorted(results.requests.items(), key=lambda item: item[0] != best)
     return {
         "attributes": advice.attributes(results.best),
         "blocks": [_block(draft, request, lobes) for request, lobes in order],
         "warnings": warnings,
-        "about": ", ".join(dict.fromkeys(spoken(name) for warning in warnings for name in warning.where)),
         "failed": [f"{f.part} {f.name}".strip() for f in results.failures],
         "failures": draft.failures("other"),
         "lobes_failed": bool(draft.failures("lobes")),
