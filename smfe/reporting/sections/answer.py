@@ -7,6 +7,7 @@ from typing import Any
 
 from smfe.reporting.content import advice
 from smfe.reporting.content.audit import audit
+from smfe.reporting.content.merging import sentence
 from smfe.reporting.content.results import Lobes
 from smfe.reporting.figures import figure_data
 from smfe.reporting.figures.lobe_data import SAFE
@@ -19,8 +20,8 @@ def section(draft: Draft) -> dict[str, Any]:
     results = draft.results
     best = str(results.best.get("lobes", next(iter(results.requests), "")))
     # What is taken for granted stands with the recommendation.
-    assumed = {str(a) for found in results.advice.values() for a in found["assumptions"]}
-    warnings = [said for said in audit(results).said if said.whole.removesuffix(".") not in assumed]
+    assumed = {sentence(str(a)) for found in results.advice.values() for a in found["assumptions"]}
+    warnings = [said for said in audit(results).said if said.whole not in assumed]
     order = sorted(results.requests.items(), key=lambda item: item[0] != best)
     return {
         "attributes": advice.attributes(results.best),

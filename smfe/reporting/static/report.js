@@ -155,22 +155,26 @@
     select.addEventListener("change", () => choose(div, select.value));
     return element("label", { className: "entry" }, ["Entry ", select]);
   }
-  function toolbar(name, buttons) {
-    const bar = element("div", { className: "toolbar" }, buttons);
+  // One stop of the tabulator for all parts of a bar: arrows move within.
+  function rove(bar, parts) {
     bar.setAttribute("role", "toolbar");
-    bar.setAttribute("aria-label", name);
-    buttons.forEach((button, at) => (button.tabIndex = at ? -1 : 0));
+    parts.forEach((part, at) => (part.tabIndex = at ? -1 : 0));
     bar.addEventListener("keydown", (event) => {
-      const at = buttons.indexOf(document.activeElement);
+      const at = parts.indexOf(document.activeElement);
       const steps = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 };
-      let next = steps[event.key] ? (at + steps[event.key] + buttons.length) % buttons.length : -1;
+      let next = steps[event.key] ? (at + steps[event.key] + parts.length) % parts.length : -1;
       if (event.key === "Home") next = 0;
-      if (event.key === "End") next = buttons.length - 1;
+      if (event.key === "End") next = parts.length - 1;
       if (at < 0 || next < 0) return;
       event.preventDefault();
-      buttons.forEach((button, k) => (button.tabIndex = k === next ? 0 : -1));
-      buttons[next].focus();
+      parts.forEach((part, k) => (part.tabIndex = k === next ? 0 : -1));
+      parts[next].focus();
     });
+  }
+  function toolbar(name, buttons) {
+    const bar = element("div", { className: "toolbar" }, buttons);
+    bar.setAttribute("aria-label", name);
+    rove(bar, buttons);
     return bar;
   }
   function wholeRange(div) {
@@ -287,5 +291,6 @@
     });
   });
   window.addEventListener("afterprint", () => drawn().forEach((div) => fit(div)));
+  document.querySelectorAll("nav .links").forEach((bar) => rove(bar, [...bar.children]));
   if (!prepareAll()) ready();
 })();

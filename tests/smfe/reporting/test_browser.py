@@ -130,12 +130,12 @@ class TestKeyboard:
         read_through(page)
         found = stops(page)
         assert len(found) <= MOST_STOPS, found
-        # A toolbar and a group of radio buttons are one stop each; arrows reach the rest.
+        # A bar of buttons or links, the cutting tests, a group of radio buttons: one stop each; arrows reach the rest.
         left = page.evaluate(
             """(interactive) => [...document.querySelectorAll(interactive)].filter((part) => {
                 if (!part.checkVisibility() || window.counted.has(part)) return false;
-                const bar = part.closest("[role=toolbar]");
-                if (bar) return ![...bar.children].some((other) => window.counted.has(other));
+                const bar = part.closest("[role=toolbar], table.cuts");
+                if (bar) return ![...bar.querySelectorAll("*")].some((other) => window.counted.has(other));
                 if (part.type !== "radio") return true;
                 return ![...document.getElementsByName(part.name)].some((other) => window.counted.has(other));
             }).map((part) => part.outerHTML.slice(0, 90))""",

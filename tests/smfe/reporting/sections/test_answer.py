@@ -19,7 +19,6 @@ from smfe.reporting import write_report
 from smfe.reporting.content import advice
 from smfe.reporting.content.audit import audit
 from smfe.reporting.content.headline import score
-from smfe.reporting.content.notices import merged
 from smfe.reporting.content.results import Lobes, Results, read_results
 from smfe.reporting.content.style import number, with_range
 from smfe.reporting.figures.draw_matplotlib import draw_lobes
@@ -95,17 +94,6 @@ class TestWhatIsSaid:
         assert len(found) == len(set(found))
         assert sum("1 of 21 hits is overloaded" in sentence for _, sentence in found) == 1
         assert len(re.findall(rf"<summary>{len(audit(results).said)} warnings", page)) == 1
-
-    def test_what_holds_for_several_records_is_one_warning(self) -> None:
-        same = [("hammer", f"excitation {a}: hits/h_{a}.csv: 85 % of 3 s: removed") for a in "xyz"]
-        other = [("hammer", "excitation x: hits/h_x.csv: 84 % of 3 s: removed"), ("", "a: b")]
-        found = merged([*same, *other])
-        assert [(n.where, n.sentence, len(n.places)) for n in found] == [
-            ("hammer", "85 % of 3 s: removed", 3),
-            ("hammer", "84 % of 3 s: removed", 1),
-            ("", "a: b", 0),
-        ]
-        assert found[0].places[2] == "excitation z, hits/h_z.csv"
 
     def test_a_folder_without_presets_says_what_to_do(self, tmp_path: Path) -> None:
         frame = pd.DataFrame({"source": "a", "spindle_speed_rpm": [100.0, 110.0, 120.0], "limit_depth_mm": np.nan})
