@@ -19,6 +19,7 @@ from process.cut.tool import Tool
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.commands.demo import MACHINE, MATERIAL
 from smfe.records import write_record_netcdf
+from smfe.results import read_groups
 
 PACKAGES = [Path(str(p.__file__)).parent for p in (process, stability, smfe)]
 
@@ -97,7 +98,17 @@ def test_a_sweep_record_passes_few_files_on_its_way_to_the_lobe_table(tmp_path: 
     for needed in ("sweep.py", "local_polynomial.py", "noise.py", "passes.py"):
         assert str(Path("smfe", "identification", "sweep", needed)) in passed
     assert len(passed) <= MOST_FILES, described(passed)
+    # The same passes in memory give the same compliance.
+    passes = []
+    for cut in ("down", "up", "central"):
+        held = smfe.read_record(tmp_path / f"{cut}.nc", {})
+        passes.append(held.assign_attrs(cut=cut, width_of_cut_mm=12.0))
+    settings = {"frequency_range": (25, 45), "resolution": 1.0, "tool": Tool(0.08, 2)}
+    found = smfe.identify(passes, method="sweep", **settings).compliance
+    kept = read_groups(tmp_path / "frf.nc")["sweep"]
+    for name in ("compliance", "compliance_std"):
+        np.testing.assert_allclose(found[name].values, kept[name].values, rtol=1e-12)
 
 
-MOST_FILES = 51
+MOST_FILES = 52
 """Campaign 5, commands 2, records 8, sweep 9, its results 8, cutting forces and vocabulary 5, stability 9, limits 2."""

@@ -143,7 +143,7 @@ def test_compliances_and_modes_by_name_give_lobes_by_name_and_files_only_where_a
 def test_what_a_file_would_be_refused_for_is_refused_by_its_name(wrong: dict[str, object], said: str) -> None:
     given = {"source": MACHINE, "tool": TOOL, "material": STEEL, **CUT, "spindle_speed": (250, 750), **wrong}
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
-        smfe.lobes(given.pop("source"), given.pop("tool"), given.pop("material"), **given)  # type: ignore[call-overload]
+        smfe.lobes(given.pop("source"), given.pop("tool"), given.pop("material"), **given)
 
 
 def test_a_mobility_and_an_accelerance_are_the_compliance_of_the_same_machine() -> None:
@@ -181,7 +181,7 @@ def test_entries_by_name_stand_where_they_belong() -> None:
 )
 def test_arrays_that_make_no_compliance_are_refused(arguments: tuple[object, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        smfe.compliance(*arguments)  # type: ignore[arg-type]
+        smfe.compliance(*arguments)
 
 
 def test_a_record_of_arrays_is_in_si_with_its_units() -> None:
@@ -206,13 +206,13 @@ def test_a_record_of_arrays_is_in_si_with_its_units() -> None:
 )
 def test_arrays_that_make_no_record_are_refused(arguments: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        smfe.record(**arguments)  # type: ignore[arg-type]
+        smfe.record(**arguments)
 
 
 def test_records_without_a_method_or_of_another_one_are_refused() -> None:
     tap = taps("x")
     with pytest.raises(InputError, match='method="hammer", "actuator" or "sweep"'):
-        smfe.identify(tap)  # type: ignore[call-overload]
+        smfe.identify(tap)
     with pytest.raises(InputError, match=r"smfe\.compliance"):
         smfe.identify(tap, method="frf")
     with pytest.raises(InputError, match="by the axis excited, x, y or z, not 'X'"):
@@ -227,7 +227,7 @@ def test_what_must_be_known_is_warned_of_once_at_the_line_of_the_caller_and_kept
         limits = smfe.lobes(frf, TOOL, STEEL, **CUT, spindle_speed=(250, 750, 50))
     (said,) = [w for w in caught if w.category is SmfeWarning]
     assert Path(said.filename) == Path(__file__)
-    assert list(said.message.sentences) == list(dict.fromkeys(json.loads(limits.attrs["warnings"])))  # type: ignore[union-attr]
+    assert list(said.message.sentences) == list(dict.fromkeys(json.loads(limits.attrs["warnings"])))
 
 
 def test_sound_data_warn_of_nothing() -> None:

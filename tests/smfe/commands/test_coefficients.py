@@ -17,7 +17,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import make_record
 from smfe.cli import app
-from smfe.commands.coefficients import CUTTING, EDGE, average_force, mean_force_design
+from smfe.commands.coefficients import CUTTING, EDGE, Coefficients, average_force, mean_force_design
 from smfe.diagnosis.cutting.orders import SteadyCut, rigid_orders
 from smfe.records import write_record_netcdf
 
@@ -92,8 +92,13 @@ def slots(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_coefficients_of_an_independent_generator_come_back(slots: Path) -> None:
-    average, orders = smfe.coefficients(slots / "c.toml", slots / "material.toml")
+@pytest.fixture(scope="module")
+def fits(slots: Path) -> list[Coefficients]:
+    return smfe.coefficients(slots / "c.toml", slots / "material.toml")
+
+
+def test_coefficients_of_an_independent_generator_come_back(slots: Path, fits: list[Coefficients]) -> None:
+    average, orders = fits
     for found in (average, orders):
         for name, true in zip(CUTTING, (780e6, 351e6, 100e6), strict=True):
             assert found.values[name] == pytest.approx(true, abs=0.02 * 780e6)
@@ -131,3 +136,21 @@ def test_the_public_slots_give_the_published_coefficients(tmp_path: Path) -> Non
     average, orders = smfe.coefficients(tmp_path / "c.toml")
     assert [1e-6 * average.values[n] for n in CUTTING] == pytest.approx([959.0, 251.0, 146.0], abs=0.6)
     assert any("prefer the average forces" in w for w in orders.warnings), "resonances of this dynamometer"
+
+
+def test_records_in_memory_give_what_the_campaign_gives(slots: Path, fits: list[Coefficients]) -> None:
+    campaign = smfe.read_campaign(slots / "c.toml")
+    said = {"cut": "down", "width_of_cut": "50.8 mm", "depth_of_cut": "1 mm", "spindle_speed": "1500 rpm"}
+    records = []
+    for test in campaign.cutting_tests:
+        held = smfe.read_record(test.file, test.channels)
+        force = {f"force_{a}": held["force"].sel(axis=a).values for a in "xyz"}
+        records.append(smfe.record(time=held["time"], feed_per_tooth=test.feed_per_tooth, **said, **force))
+    found = smfe.coefficients(records, tool={"diameter": "50.8 mm", "teeth": 2})
+    for one, other in zip(found, fits, strict=True):
+        assert one.values == pytest.approx(other.values, rel=1e-6)
+    assert found[0].cutting_coefficients.Ktc == found[0].values["Ktc"]
+    assert "95 % from" in found[0]._repr_html_()
+    del records[0].attrs["depth_of_cut_mm"]
+    with pytest.raises(InputError, match="depth_of_cut is missing"):
+        smfe.coefficients(records, tool=TOOL)

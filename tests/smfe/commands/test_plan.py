@@ -391,3 +391,13 @@ def test_the_prediction_comes_true(tmp_path: Path) -> None:
     assert checked.condition_ratio == pytest.approx(1.0, abs=0.1)
     assert 0.6 < checked.median_ratio < 1.6
     assert (tmp_path / "verification.csv").is_file()
+
+
+def test_an_estimate_in_memory_gives_the_plan_of_the_campaign(found: tuple[Plan, Path]) -> None:
+    by_path, _ = found
+    tables = tomllib.loads(by_path.task.path.read_text(encoding="utf-8"))
+    limits = {key: value for key, value in tables["plan"].items() if key != "machine"}
+    of = by_path.task
+    given = plan(of.estimate.source, tool=of.tool, material=tables["material"], spindle=tables["spindle"], **limits)
+    assert given.sweep == by_path.sweep
+    assert given.worst == pytest.approx(by_path.worst, rel=1e-12)
