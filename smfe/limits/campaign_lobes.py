@@ -204,9 +204,6 @@ def _banded(
     model = next((m for m in campaign.models if m.name == name), None)
     if (model is None and not carries_errors(compliance)) or (model is not None and model.spread is None):
         return limits
-    if request.feed_direction and model is None:
-        text = "the limits have no band: the errors of a compliance are known in its own axes, not in those of the cut"
-        return _saying(limits, [text])
     assert campaign.tool is not None
     assert campaign.coefficients is not None
     arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
@@ -214,7 +211,11 @@ def _banded(
     spread = replace(own, common=campaign.coefficients_known_within)
     if model is not None and not spread.modal.any() and spread.common == 0.0:
         return with_band(limits, exact_band(limits))
-    of = compliance if model is None else turned_modes(model.modal, request.feed_direction)
+    of: xr.Dataset | ModalModel = compliance
+    if model is not None:
+        of = turned_modes(model.modal, request.feed_direction)
+    elif request.feed_direction:
+        of = turned(compliance, request.feed_direction)[0]
     band = sampled_band(of, campaign.tool, arc, campaign.coefficients, request.spindle_speed, spread)
     notes = [*limits.attrs.get("warnings", ()), *band.attrs.get("warnings", ())]
     return with_band(limits, band).assign_attrs(warnings=list(dict.fromkeys(notes)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -18,6 +19,7 @@ from process.labels import AXES, at_tool, full_matrix, make_compliance, not_meas
 from process.machine.modes import ModalModel
 from process.types import Real
 from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement
+from stability.bands.error_model import carries_errors, entry_covariance
 from stability.problem import partial_warning
 
 SEVERAL = " + "
@@ -179,7 +181,7 @@ def turned(compliance: xr.Dataset, angle: float) -> tuple[xr.Dataset, list[str]]
     Returns
     -------
     compliance : xarray.Dataset
-        Without its errors, whose correlation a rotation would need.
+        With its errors, where they are known: a rotation is linear, ``C' = (R x R) C (R x R)^T`` over all entries.
     warnings : list of str
         Entries that the rotation mixes and that were not measured count as rigid.
     """
@@ -197,10 +199,34 @@ def turned(compliance: xr.Dataset, angle: float) -> tuple[xr.Dataset, list[str]]
     rows, columns = (np.flatnonzero(reached.any(axis=k)).tolist() for k in (1, 0))
     response, excitation = ([AXES[i] for i in at] for at in (rows, columns))
     values = out[:, rows][:, :, columns]
-    turned_compliance = make_compliance(here["frequency"].values, values, response, excitation, attrs=here.attrs)
+    errors = _turned_errors(here, r, rows, columns) if carries_errors(here) else {}
+    f = here["frequency"].values
+    turned_compliance = make_compliance(f, values, response, excitation, errors, attrs=here.attrs)
     if not (needed[reached] > 0).any():
         return turned_compliance, []
     return turned_compliance, partial_warning(here["response"].values, here["excitation"].values, missing)
+
+
+def _turned_errors(
+    here: xr.Dataset, r: Real, rows: Sequence[int], columns: Sequence[int]
+) -> dict[str, tuple[tuple[str, ...], Any]]:
+    """Return standard deviations, covariances and widths of some entries of a compliance seen in other axes."""
+    of, on = ([AXES.index(str(a)) for a in here[d].values] for d in ("response", "excitation"))
+    frequencies = here.sizes["frequency"]
+    whole = np.zeros((frequencies, 3, 3, 3, 3), dtype=complex)
+    whole[np.ix_(range(frequencies), of, on, of, on)] = entry_covariance(here)
+    whole = np.einsum("ia,jb,fabcd,kc,ld->fijkl", r, r, whole, r, r, optimize=True)
+    whole = whole[np.ix_(range(frequencies), rows, columns, rows, columns)]
+    three = ("frequency", "response", "excitation")
+    out: dict[str, tuple[tuple[str, ...], Any]] = {
+        "entry_covariance": ((*three, "other_response", "other_excitation"), whole),
+        "compliance_std": (three, np.sqrt(np.maximum(np.einsum("fijij->fij", whole).real, 0.0))),
+    }
+    if "half_width" in here:
+        width = np.zeros((frequencies, 3))
+        width[:, of] = here["half_width"].transpose("frequency", "response").values
+        out["half_width"] = (three[:2], (width @ (r.T**2))[:, rows])
+    return out
 
 
 def turned_modes(modal: ModalModel, angle: float) -> ModalModel:

@@ -512,8 +512,6 @@ def _remedy(source: _Candidate) -> str:
         return 'say uncertainty = { frequency = "1 %", damping = "20 %", stiffness = "5 %" } in its [[model]]'
     if source.result.asked.method == "operating_point":
         return "an operating point has no band yet; ask for the lobes of one measurement as well"
-    if source.result.asked.feed_direction:
-        return "errors are known in the axes of the measurement; measure in those of the cut"
     return "hit at least three times, or give the coherence and the number of averages"
 
 

@@ -217,7 +217,7 @@ def measured_error(compliance: xr.Dataset, frequency: Real) -> MeasuredError:
     rows = axis_index([str(a) for a in compliance["response"].values])
     columns = axis_index([str(a) for a in compliance["excitation"].values])
     covariance = np.zeros((frequency.size, 3, 3, 3, 3), dtype=complex)
-    covariance[np.ix_(range(frequency.size), rows, columns, rows, columns)] = _covariance(compliance)[at]
+    covariance[np.ix_(range(frequency.size), rows, columns, rows, columns)] = _smoothed_covariance(compliance)[at]
     width = _width(compliance, frequency, at, rows)
     return MeasuredError(frequency, _factors(covariance, width), width)
 
@@ -233,10 +233,16 @@ def _missing(compliance: xr.Dataset) -> float:
     return float((there & ~known).sum()) / max(1, int(there.sum()))
 
 
-def _covariance(compliance: xr.Dataset) -> Complex:
-    """Return the covariance of all entries at every frequency, shape (n, r, e, r, e), smoothed."""
-    three, f = ("frequency", "response", "excitation"), compliance["frequency"].values
-    # What was not measured is taken as rigid, without an error.
+def entry_covariance(compliance: xr.Dataset) -> Complex:
+    """Return the covariance of all entries at every frequency [m2/N2], shape (n, r, e, r, e); NaN where not known.
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset
+        With ``compliance_std`` and, where known, ``compliance_covariance`` or ``entry_covariance``. What was not
+        measured is taken as rigid, without an error.
+    """
+    three = ("frequency", "response", "excitation")
     rigid = not_measured(compliance).transpose(*three[1:]).values
     if "entry_covariance" in compliance:
         five = (*three, "other_response", "other_excitation")
@@ -248,7 +254,12 @@ def _covariance(compliance: xr.Dataset) -> Complex:
             rows = compliance["compliance_covariance"].transpose(*three, "other_excitation").values.astype(complex)
         rows = np.where(rigid[:, :, None] | rigid[:, None, :], 0.0, rows)
         values = np.einsum("frij,rs->frisj", rows, np.eye(rows.shape[1]))
-    values = np.where(rigid[:, :, None, None] | rigid, 0.0, values)
+    return np.asarray(np.where(rigid[:, :, None, None] | rigid, 0.0, values))
+
+
+def _smoothed_covariance(compliance: xr.Dataset) -> Complex:
+    """Return the covariance of all entries, interpolated where it is not known, and smoothed over frequency."""
+    f, values = compliance["frequency"].values, entry_covariance(compliance)
     known = np.isfinite(values).reshape(f.size, -1).all(axis=1)
     flat = values.reshape(f.size, -1)
     for column in flat.T:

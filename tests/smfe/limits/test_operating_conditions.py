@@ -141,6 +141,44 @@ def test_a_quarter_turn_leaves_missing_what_was_not_measured_and_an_oblique_one_
     np.testing.assert_allclose(found[:, 0, 0], math.cos(0.5) ** 2 * LINE["compliance"].values[:, 0, 0])
 
 
+def with_errors(values, std, axes="xyz"):
+    return make_compliance(GRID, values, axes, axes, {"compliance_std": (("frequency", "response", "excitation"), std)})
+
+
+def test_errors_turn_with_the_axes_in_closed_form():
+    generator = np.random.default_rng(4)
+    std = generator.uniform(1e-9, 2e-9, (GRID.size, 3, 3))
+    here = with_errors(machine(direction=(1.0, 0.5, 0.0)).matrix(GRID), std)
+    c, s = math.cos(0.5), math.sin(0.5)
+    found = turned(here, 0.5)[0]
+    # Independent entries: the variance of c^2 xx + c s (xy + yx) + s^2 yy, and of c xz + s yz.
+    square = std**2
+    xx = c**4 * square[:, 0, 0] + (c * s) ** 2 * (square[:, 0, 1] + square[:, 1, 0]) + s**4 * square[:, 1, 1]
+    xz = c**2 * square[:, 0, 2] + s**2 * square[:, 1, 2]
+    np.testing.assert_allclose(found["compliance_std"].values[:, 0, 0] ** 2, xx)
+    np.testing.assert_allclose(found["compliance_std"].values[:, 0, 2] ** 2, xz)
+    back = turned(found, -0.5)[0]
+    np.testing.assert_allclose(back["compliance_std"], std, rtol=1e-9)
+    # A quarter turn moves the errors from entry to entry; what was not measured stays so.
+    two = with_errors(here["compliance"].values[:, :1, :1], std[:, :1, :1], "x")
+    quarter = turned(two, 0.5 * math.pi)[0]
+    np.testing.assert_allclose(quarter["compliance_std"].values, std[:, :1, :1])
+
+
+def test_the_band_of_a_cut_along_y_is_that_of_one_along_x_of_the_turned_machine(tmp_path):
+    values = machine(direction=(1.0, 0.5, 0.0)).matrix(GRID)
+    std = np.full(values.shape, 0.005 * np.abs(values).max()) * np.array([[1.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5] * 3])
+    here = with_errors(values, std)
+    found = {"here": here, "there": turned(here, 0.5 * math.pi)[0]}
+    taps = [measured("here"), measured("there")]
+    requests = [asked(["here"], "zero_order", 0.5 * math.pi), asked(["there"], "zero_order")]
+    one, two = (r.table for r in all_lobes(campaign(tmp_path, taps, requests), found, silent))
+    for name in ("limit_depth_p05_mm", "limit_depth_p95_mm", "safe_depth_mm"):
+        assert one[name].notna().all()
+        np.testing.assert_allclose(one[name], two[name], rtol=1e-6)
+    assert (one["limit_depth_p95_mm"] > 1.05 * one["limit_depth_p05_mm"]).all()
+
+
 def test_motions_that_are_not_that_of_the_cut_are_refused_and_the_other_sense_is_said(tmp_path):
     def joined(*feeds, direction=0.0):
         taps = [measured(f"t{i}", feed=f, level=10.0) for i, f in enumerate(feeds)]
