@@ -255,7 +255,7 @@ def draw_error(found: Plan) -> Figure:
     for axes in panels[2]:
         axes.set_xlabel("frequency [Hz]", fontsize=9)
     for axes in panels[:, 0]:
-        axes.set_ylabel("[um/N]", fontsize=9)
+        axes.set_ylabel("[µm/N]", fontsize=9)
     lines = panels[0, 0].get_lines()
     figure.legend(
         lines,

@@ -23,7 +23,6 @@ STABLE = "#0072B2"
 ADVICE = "#F0E442"
 """The recommended cut: yellow with a black edge, as no line is."""
 AXIS_COLOURS = {"x": "#000000", "y": "#56B4E9", "z": "#8C6D1F"}
-EXCITATION_DASHES = {"": "solid", "x": "solid", "y": "dash", "z": "dot"}
 
 METHODS = {name: method.title for name, method in MEASURED.items()} | {"model": "model, not measured"}
 

@@ -28,22 +28,26 @@ from smfe.reporting.content.style import (
     AXIS_COLOURS,
     CHATTER,
     CURVE_COLOURS,
-    EXCITATION_DASHES,
     RECORD,
     SAFE_DASH,
     STABLE,
     Line,
     literal,
     number,
+    spoken,
 )
 from smfe.reporting.figures import figure_data, spectrograms
 from smfe.reporting.figures.draw_diagnosis import draw_compared, draw_depths, draw_search
 from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
+from smfe.reporting.figures.thinning import columns_of, largest
 from smfe.results import write_atomically
 
 DPI = 150
 MOST_SPECTRA = 24
 """The picture of the spectra holds no more; the HTML file has all."""
+
+SPECTRUM_COLUMNS = 250
+"""Points over the width of a small spectrum, each the largest amplitude of its column."""
 
 NOTHING = "nothing to draw:\nzero or not known"
 """What a panel says that has no positive value for its logarithmic axis."""
@@ -139,7 +143,7 @@ def _new(width: float, height: float) -> Figure:
 
 def _legend(figure: Figure, entries: Sequence[tuple[Artist, str]], top: float) -> None:
     """Put the legend above the panels, where it hides nothing."""
-    handles, names = [h for h, _ in entries], [literal(n) for _, n in entries]
+    handles, names = [h for h, _ in entries], [literal(spoken(n)) for _, n in entries]
     columns = max(1, min(len(names), int(95 / (8 + max(len(n) for n in names)))))
     figure.legend(
         handles,
@@ -348,47 +352,49 @@ def _say_empty(axes: Axes) -> None:
 
 
 def draw_quality(measurements: Sequence[Measurement], looks: Mapping[str, Line]) -> Figure:
-    """Draw coherence by response and the condition number of the forces."""
+    """Draw coherence, a panel an entry where it is known for each force, and the condition number of the forces."""
     measured, responses, conditioned = figure_data.quality_panels(measurements)
-    rows = bool(responses) + bool(conditioned)
+    forces = [e for e in "xyz" if any(e == own for m in measured for r in responses for own, _ in m.coherences(r))]
     shown = [m for m in measured if m in conditioned or any(m.coherences(r) for r in responses)]
-    entries: list[tuple[Artist, str]] = [(Line2D([], [], color=looks[m.name].colour), m.name) for m in shown]
-    if any(e for m in shown for r in responses for e, _ in m.coherences(r)):
-        styles = [(e, _STYLES[EXCITATION_DASHES[e]]) for e in "xyz"]
-        entries += [(Line2D([], [], color="#666666", linestyle=s), f"force {e}") for e, s in styles]
-    height = 2.3 * rows + 0.9
+    entries: list[tuple[Artist, str]] = [(_handle(looks[m.name]), m.name) for m in shown]
+    # Without a force a response has one coherence; three of them stand side by side.
+    cells = (
+        [[(r, e) for e in forces] for r in responses] if forces else [[(r, "") for r in responses]] * bool(responses)
+    )
+    heights = [1.7 if forces else 2.3] * len(cells) + [2.3] * bool(conditioned)
+    height = sum(heights) + 0.9
     top = 1.0 - _legend_height(entries) / height
     figure = _new(7.5, height)
-    grid = figure.add_gridspec(
-        rows,
-        max(1, len(responses)),
-        left=0.09,
-        right=0.985,
-        bottom=0.5 / height,
-        top=top,
-        wspace=0.06,
-        hspace=0.25,
-    )
+    room = {"left": 0.09, "right": 0.985, "bottom": 0.5 / height, "top": top}
+    grid = figure.add_gridspec(len(heights), 1, **room, height_ratios=heights, hspace=0.22)
     span = figure_data.frequency_range(measured)
-    for j, r in enumerate(responses):
-        axes = figure.add_subplot(grid[0, j])
-        _draw_coherence(axes, measured, looks, r)
-        axes.set(xlim=span, ylim=(-0.02, 1.05), ylabel="coherence [1]" if j == 0 else "")
-        axes.tick_params(labelleft=j == 0)
+    for i, row in enumerate(cells):
+        panels = grid[i, 0].subgridspec(1, len(row), wspace=0.06)
+        for j, (r, e) in enumerate(row):
+            axes = figure.add_subplot(panels[0, j])
+            _draw_coherence(axes, measured, looks, r, e)
+            axes.set(xlim=span, ylim=(-0.02, 1.05), ylabel="coherence [1]" if j == 0 else "")
+            axes.tick_params(labelleft=j == 0)
     if conditioned:
-        _draw_condition(figure.add_subplot(grid[rows - 1, :]), conditioned, looks, span)
+        _draw_condition(figure.add_subplot(grid[len(cells), 0]), conditioned, looks, span)
     figure.supxlabel("frequency [Hz]", fontsize=10, y=0.08 / height)
     _legend(figure, entries, top)
     return figure
 
 
-def _draw_coherence(axes: Axes, measured: Sequence[Measurement], looks: Mapping[str, Line], response: str) -> None:
+def _draw_coherence(
+    axes: Axes, measured: Sequence[Measurement], looks: Mapping[str, Line], response: str, force: str
+) -> None:
+    """Draw the coherence of an entry; one of a response alone stands with each of its forces."""
     _plain_axes(axes)
     for m in measured:
         for e, values in m.coherences(response):
-            style = _STYLES[EXCITATION_DASHES[e]]
-            axes.plot(m.frequency, values, color=looks[m.name].colour, linestyle=style, linewidth=0.9)
-    axes.text(0.97, 0.05, f"response {response}", transform=axes.transAxes, ha="right", fontsize=9)
+            if e in ("", force):
+                look = looks[m.name]
+                axes.plot(m.frequency, values, color=look.colour, linestyle=_STYLES[look.dash], linewidth=0.9)
+    said = f"{response}{force}" if force else f"response {response}"
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
+    axes.text(0.97, 0.06, said, transform=axes.transAxes, ha="right", fontsize=9, bbox=box)
 
 
 def _draw_condition(
@@ -396,7 +402,8 @@ def _draw_condition(
 ) -> None:
     _plain_axes(axes)
     for m in conditioned:
-        axes.semilogy(m.frequency, m.condition(), color=looks[m.name].colour, linewidth=1.0)
+        look = looks[m.name]
+        axes.semilogy(m.frequency, m.condition(), color=look.colour, linestyle=_STYLES[look.dash], linewidth=1.0)
         for low, high in figure_data.badly_conditioned(m):
             axes.axvspan(low, high, color=CHATTER, alpha=0.2, linewidth=0)
     axes.axhline(BAD_CONDITION, color=CHATTER, linestyle="--", linewidth=1.0)
@@ -443,10 +450,12 @@ def _draw_spectrum(axes: Axes, dataset: xr.Dataset, end: float) -> None:
     pairs = [(a, b) for a, b in figure_data.harmonic_bands(dataset) if a < end]
     axes.broken_barh([(a, b - a) for a, b in pairs], (1e-3 * floor, 1e3 * top), facecolor="#777777", alpha=0.25)
     frequency = dataset["frequency"].values.astype(float)
-    inside = frequency <= end
+    # The top of each column: what is drawn up and down would hide the axes behind it.
+    columns = columns_of(frequency, (0.0, end), SPECTRUM_COLUMNS, 1)
     for axis in dataset["axis"].values:
-        values = dataset["amplitude"].sel(axis=axis).values[inside]
-        axes.plot(frequency[inside], values, color=AXIS_COLOURS.get(str(axis), "#000000"), linewidth=0.7)
+        values = dataset["amplitude"].sel(axis=axis).values.astype(float)
+        kept = largest(columns, values)
+        axes.plot(frequency[kept], values[kept], color=AXIS_COLOURS.get(str(axis), "#000000"), linewidth=0.7)
     threshold, line = figure_data.chatter_marks(dataset)
     if np.isfinite(line):
         axes.axvline(line, color=CHATTER, linestyle=":", linewidth=1.2)
