@@ -108,7 +108,7 @@ class TestOneFile:
         write_single(tmp_path)
         before = {p.name for p in tmp_path.iterdir()}
         assert write_report(tmp_path) == tmp_path / "report.html"
-        assert {p.name for p in tmp_path.iterdir()} - before == {"report.html", "figures"}
+        assert {p.name for p in tmp_path.iterdir()} - before == {"report.html", "figures", ".kept"}
 
     def test_small_enough_to_mail(self, sample: Path) -> None:
         assert (sample / "report.html").stat().st_size < 6e6
