@@ -127,9 +127,18 @@ def read_presets(path: str | Path) -> dict[str, Any]:
     if not file.is_file():
         raise InputError(f"there is no file '{file}'")
     try:
-        return check_presets(json.loads(file.read_text(encoding="utf-8")))
+        found = json.loads(file.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"'{file}' is not JSON: {error}") from error
+    version = found.get("version") if isinstance(found, dict) else VERSION
+    if version != VERSION:
+        raise InputError(
+            f"'{file}' has the form of version {version}, and {VERSION} is read; `smfe run` writes it again"
+        )
+    try:
+        return check_presets(found)
+    except InputError as error:
+        raise InputError(f"'{file}': {error}") from error
 
 
 def check_presets(document: Any) -> dict[str, Any]:

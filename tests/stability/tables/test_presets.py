@@ -84,5 +84,5 @@ def test_a_file_that_holds_no_presets_is_refused(tmp_path):
     with pytest.raises(InputError, match="is not JSON"):
         read_presets(tmp_path / "bad.json")
     (tmp_path / "old.json").write_text('{"format": "smfe-presets", "version": 1, "presets": []}')
-    with pytest.raises(InputError, match=r"has no 'recommendation'"):
+    with pytest.raises(InputError, match="has the form of version 1, and 2 is read; `smfe run` writes it again"):
         read_presets(tmp_path / "old.json")
