@@ -19,7 +19,7 @@ from smfe.cli.verb import DECIDE, CampaignFile, any_files, campaign_files, resul
     "also in presets.json and pockets.csv, lobe_table.csv, frf.nc, lobes.nc, provenance.json. A second run goes on "
     "where the first stopped.",
     examples=["smfe run campaign.toml", "smfe run campaign.toml --out results --json"],
-    keeps="an older report is as it was, and what was identified is kept in the folder of results",
+    keeps="what is finished is kept in the folder of results, and no file is half written",
     keys="recommendation, recommendations, report, finding",
 )
 def run(

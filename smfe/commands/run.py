@@ -169,9 +169,9 @@ def run(
         with attempt(failures, "comparison", "with the models"):
             errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):
-        results = all_lobes(whole, compliances, of["lobes"], failures)
+        results = all_lobes(whole, compliances, of["lobes"], failures, folder / KEPT)
     with notes.timed("cutting tests"):
-        verdicts = judge_all(whole, compliances, of["cutting tests"], failures)
+        verdicts = judge_all(whole, compliances, of["cutting tests"], failures, folder / KEPT)
     finding = None
     with notes.timed("diagnosis"), attempt(failures, "diagnosis"):
         if loaded.baseline is not None:

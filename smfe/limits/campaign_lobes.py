@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,11 +18,13 @@ from process.labels import UNITS, at_tool
 from process.machine.modes import ModalModel
 from process.types import Real
 from smfe.campaign import Campaign, LobeRequest
+from smfe.kept import key_of
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
 from smfe.limits.operating_conditions import over_conditions
 from smfe.modes.fit_modes import fit_modes, model_error
 from smfe.progress import Progress
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
+from smfe.stored import Store, digest
 from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
 from stability.bands.depth_quantiles import exact_band
 from stability.methods.catalogue import METHODS
@@ -76,6 +80,7 @@ def all_lobes(
     compliances: Mapping[str, xr.Dataset],
     progress: Progress,
     failures: Failures | None = None,
+    kept: Path | None = None,
 ) -> list[LobeResult]:
     """Compute every lobe that a campaign asks for.
 
@@ -90,13 +95,15 @@ def all_lobes(
     failures : list of Failure, optional
         Collects requests that fail, by "lobes_1, SOURCE", and is asked which measurements have failed already. None:
         the first one is raised.
+    kept : Path, optional
+        Where limits are kept, and found again while neither compliance nor request have changed.
 
     Raises
     ------
     InputError
         When a source is not among the compliances, or a limit cannot be computed from it.
     """
-    out = []
+    out, store = [], Store(kept, "limits")
     jobs = [(request, source) for request in campaign.lobes for source in sources_of(campaign, request)]
     for done, (request, of) in enumerate(jobs):
         source, names, said = of.label, of.names, request.name.replace("_", " ")
@@ -105,16 +112,44 @@ def all_lobes(
             check_sources(names, compliances, failures)
             speeds = _about(request.spindle_speed, campaign.spindle.accuracy) if request.listed else None
             whole = request if speeds is None else replace(request, spindle_speed=speeds)
+            used = {name: compliances[name] for name in names}
+            key = "" if kept is None else key_of(digest([_bare(campaign, names), request, whole, used]))
             try:
-                limits = limits_of(campaign, whole, names, compliances)
-                if len(names) == 1:
-                    limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
-                    limits = _with_curves(campaign, request, compliances[names[0]], limits)
+                limits = store.get(key, partial(_limits, campaign, request, whole, names, used))
             except InputError as error:
                 raise InputError(f"{said}, {source}: {error}" if failures is None else str(error)) from error
             limits = limits.assign_attrs({k: v for k in FIXED if (v := getattr(of, k)) is not None})
             out.append(_result(campaign, request, of, limits))
+    store.forget_others()
     return out
+
+
+def _limits(
+    campaign: Campaign,
+    request: LobeRequest,
+    whole: LobeRequest,
+    names: Sequence[str],
+    compliances: Mapping[str, xr.Dataset],
+) -> xr.Dataset:
+    """Return the limits of a request for one source, with their band and the single lobes, at the speeds of `whole`."""
+    limits = limits_of(campaign, whole, names, compliances)
+    if len(names) > 1:
+        return limits
+    limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
+    return _with_curves(campaign, request, compliances[names[0]], limits)
+
+
+def _bare(campaign: Campaign, names: Sequence[str]) -> Campaign:
+    """Return what the limits of a source can depend on of a campaign."""
+    return replace(
+        campaign,
+        measurements=tuple(m for m in campaign.measurements if m.name in names),
+        models=tuple(m for m in campaign.models if m.name in names),
+        lobes=(),
+        cutting_tests=(),
+        baseline=None,
+        plan=None,
+    )
 
 
 def _about(speeds: Real, accuracy: float) -> Real:

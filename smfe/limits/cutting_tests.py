@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,15 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LobeRequest
+from smfe.kept import file_hash, key_of
 from smfe.limits.campaign_lobes import check_sources, limits_of
 from smfe.limits.cut_conditions import ALIKE, FIXED, Source, apart, direction_text, feed_of, sources_of
 from smfe.progress import Progress
 from smfe.records import read_records
 from smfe.results import FAILED, PREDICTION, TEST, Failure, Failures, attempt, failure_of, write_csv, write_groups
+from smfe.stored import Store
 from stability import ChatterVerdict, chatter_verdict
-from stability.chatter.criterion import FREQUENCY_RANGE
+from stability.chatter.criterion import FREQUENCY_RANGE, AxisVerdict
 
 NOT_COMPARED = "not compared"
 """Prediction of a source that belongs to another controller, position or feed than the cut."""
@@ -54,6 +57,7 @@ def judge_all(
     compliances: Mapping[str, xr.Dataset],
     progress: Progress,
     failures: Failures | None = None,
+    kept: Path | None = None,
 ) -> Verdicts:
     """Judge every cutting test, with what each source of lobes predicts for it.
 
@@ -68,8 +72,11 @@ def judge_all(
     failures : list of Failure, optional
         Collects tests that cannot be judged, whose row then has the verdict "failed" and the reason, and sources that
         predict nothing for a test. Tests that are among them already are not judged. None: the first one is raised.
+    kept : Path, optional
+        Where verdicts are kept, and found again while neither record nor settings have changed.
     """
     rows, spectra = [], {}
+    store = Store(kept, "cut", ChatterVerdict, AxisVerdict)
     unpredicted: Failures | None = None if failures is None else []
     for i, test in enumerate(campaign.cutting_tests):
         progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
@@ -79,7 +86,8 @@ def judge_all(
             rows.append(_row(campaign, test, None, gone[0].reason) | predicted)
             continue
         try:
-            verdict = judge(campaign, test)
+            key = "" if kept is None else key_of(test, campaign.tool, file_hash(test.file))
+            verdict = store.get(key, partial(judge, campaign, test))
         except Exception as error:
             if failures is None:
                 raise
@@ -89,6 +97,7 @@ def judge_all(
         rows.append(_row(campaign, test, verdict, verdict.reason) | predicted)
         assert campaign.tool is not None
         spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1])
+    store.forget_others()
     if failures is not None:
         failures += _once(unpredicted or [])
     return Verdicts(rows, spectra, condition_warnings(campaign))
