@@ -110,5 +110,5 @@ def test_a_sweep_record_passes_few_files_on_its_way_to_the_lobe_table(tmp_path: 
         np.testing.assert_allclose(found[name].values, kept[name].values, rtol=1e-12)
 
 
-MOST_FILES = 52
-"""Campaign 5, commands 2, records 8, sweep 9, its results 8, cutting forces and vocabulary 5, stability 9, limits 2."""
+MOST_FILES = 55
+"""Campaign 5, commands 2, records 8, sweep 9, its results 8, kept 2, cut and vocabulary 9, stability 9, limits 3."""

@@ -18,7 +18,7 @@ from process.errors import InputError
 from smfe import cli
 from smfe.campaign import Measurement, load_campaign
 from smfe.commands.demo import DEMO, MACHINE, DemoSize, write_demo
-from smfe.commands.run import Notes, _provenance
+from smfe.commands.run import Notes, _provenance, check_folder
 from smfe.diagnosis import audit
 from smfe.identification import measurement as measurements
 from smfe.identification.errors.result import Identification
@@ -194,7 +194,7 @@ def test_provenance_names_air_cuts(tmp_path: Path, demo: Path) -> None:
     assert text.count('method = "sweep"') > 1
     shutil.copy(next((tmp_path / "demo" / "records").glob("sweep*")), tmp_path / "demo" / "air.csv")
     path.write_text(text.replace('method = "sweep"', 'method = "sweep"\nbackground = "air.csv"', 1), encoding="utf-8")
-    named = {e["file"] for e in _provenance(load_campaign(path), Notes())["inputs"]}
+    named = {e["file"] for e in _provenance(load_campaign(path), Notes(), {})["inputs"]}
     assert "air.csv" in named
 
 
@@ -494,6 +494,25 @@ def test_a_campaign_file_that_is_wrong_leaves_an_older_folder_of_results_as_it_w
     assert contents(out) == before
 
 
+def test_a_folder_of_something_else_is_refused_before_the_work_and_left_as_it_was(tmp_path: Path) -> None:
+    """Results of another campaign, which --fresh replaces, and a folder of the user's that a run would clear."""
+    campaign, out = tmp_path / "campaign.toml", tmp_path / "results"
+    campaign.write_text(HAMMER)
+    (tmp_path / "hit.csv").write_text("no record: whoever reads it fails")
+    (out / "tables").mkdir(parents=True)
+    (out / "tables" / "mine.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"holds a folder 'tables' and no results.*--out"):
+        smfe.run(campaign, out)
+    (out / "provenance.json").write_text('{"campaign": "Large"}')
+    with pytest.raises(InputError, match=r"results of another campaign, 'Large'.*--out.*--fresh"):
+        smfe.run(campaign, out)
+    assert {p.name for p in out.rglob("*")} == {"tables", "mine.csv", "provenance.json"}
+    loaded = load_campaign(campaign)
+    check_folder(out, loaded, fresh=True)
+    (out / "provenance.json").write_text('{"campaign": "Small"}')
+    check_folder(out, loaded)
+
+
 HEAD = HAMMER[: HAMMER.index("[[measurement]]")]
 WITHOUT_MATERIAL = HEAD[: HEAD.index("[material]")] + HEAD[HEAD.index("[channels]") :]
 MODEL = """
@@ -597,11 +616,10 @@ def test_warnings_are_printed_where_the_run_was_started(
     asked = ("run", tmp_path / "campaign.toml", "--out", tmp_path / "results")
     assert command(monkeypatch, *asked) == 0
     said = capsys.readouterr()
-    assert "2 warnings" in said.out
-    assert "partial matrix" in said.out
+    assert "1 warning: lobes_1, hammer: the compliance is a partial matrix" in said.out
     assert "warning, " not in said.err
     assert command(monkeypatch, *asked, "-v") == 0
-    assert capsys.readouterr().err.count("warning, ") == 2
+    assert capsys.readouterr().err.count("warning, ") == 1
 
 
 SWEEPS_LOBES = """
