@@ -616,10 +616,10 @@ def test_warnings_are_printed_where_the_run_was_started(
     asked = ("run", tmp_path / "campaign.toml", "--out", tmp_path / "results")
     assert command(monkeypatch, *asked) == 0
     said = capsys.readouterr()
-    assert "1 warning: lobes_1, hammer: the compliance is a partial matrix" in said.out
+    assert "partial matrix" in next(line for line in said.out.splitlines() if " warning" in line)
     assert "warning, " not in said.err
     assert command(monkeypatch, *asked, "-v") == 0
-    assert capsys.readouterr().err.count("warning, ") == 1
+    assert "warning, lobes_1, hammer: the compliance is a partial matrix" in capsys.readouterr().err
 
 
 SWEEPS_LOBES = """
