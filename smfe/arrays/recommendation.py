@@ -112,27 +112,23 @@ def _of_lobes(
 
 def _of_limits(
     limits: Mapping[str, xr.Dataset],
-    tool: Tool | Mapping[str, Any],
-    material: CuttingCoefficients | Mapping[str, Any],
+    tool: Tool | Mapping[str, Any] | None = None,
+    material: CuttingCoefficients | Mapping[str, Any] | None = None,
     **tables: Any,
 ) -> Recommendation:
+    if tool is None or material is None:
+        raise InputError("tool and material are missing; a recommendation needs those that the lobes are of")
     campaign, results = limits_given(limits, tool, material, {k: v for k, v in tables.items() if v is not None})
     return recommend(results, campaign).best
 
 
 def _of_compliances(
     source: object,
-    tool: Tool | Mapping[str, Any],
-    material: CuttingCoefficients | Mapping[str, Any],
-    *,
-    feed_per_tooth: float | str = "0.1 mm",
-    method: str = "zero_order",
-    **more: Any,
+    tool: Tool | Mapping[str, Any] | None = None,
+    material: CuttingCoefficients | Mapping[str, Any] | None = None,
+    **cut: Any,
 ) -> Recommendation:
-    missing = [name for name in ("cut", "width_of_cut", "spindle_speed") if name not in more]
-    if missing:
-        raise InputError(f'{", ".join(missing)} is missing; a cut is recommended for one, e.g. cut="down"')
-    campaign, compliances = asked(source, tool, material, {"feed_per_tooth": feed_per_tooth, "method": method, **more})
+    campaign, compliances = asked(source, tool, material, cut)
     results = all_lobes(campaign, compliances, silent)
     warn(f"{r.source}: {w}" for r in results for w in unpack_warnings(r.lobes))
     return recommend(results, campaign).best

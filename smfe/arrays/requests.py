@@ -30,10 +30,16 @@ _TABLES = ("spindle", "machine")
 """Tables of a campaign file that say what limits a cut besides the machine's compliance."""
 
 
+USUAL = {"method": "zero_order", "feed_per_tooth": "0.1 mm"}
+"""What is asked for where nothing is said: the feed per tooth sets feed and removal rate, not the limit."""
+
+_NEEDED = ("tool", "material", "cut", "width_of_cut", "spindle_speed")
+
+
 def asked(
     source: object,
-    tool: Tool | Mapping[str, Any],
-    material: CuttingCoefficients | Mapping[str, Any],
+    tool: Tool | Mapping[str, Any] | None,
+    material: CuttingCoefficients | Mapping[str, Any] | None,
     request: Mapping[str, Any],
 ) -> tuple[Campaign, dict[str, xr.Dataset]]:
     """Return a campaign with one request for lobes, and its compliances.
@@ -46,13 +52,19 @@ def asked(
         As of `smfe.lobes`.
     request : mapping
         Keys of ``[[lobes]]`` besides ``measurements``, and mappings ``spindle`` and ``machine``; numbers are SI,
-        spindle speeds rpm.
+        spindle speeds rpm. What it leaves out of `USUAL` is as there.
 
     Raises
     ------
     InputError
-        Where a campaign file would be refused.
+        When tool, material or cut are not given, and where a campaign file would be refused.
     """
+    given = {"tool": tool, "material": material, **request}
+    missing = [name for name in _NEEDED if given.get(name) is None]
+    if tool is None or material is None or missing:
+        example = "tool, material, cut='down', width_of_cut='40 mm', spindle_speed=(600, 1500)"
+        raise InputError(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; give {example}")
+    request = USUAL | dict(request)
     tables, compliances = machines(source)
     tables |= {key: request[key] for key in _TABLES if request.get(key) is not None}
     lobes = {key: value for key, value in request.items() if key not in _TABLES}

@@ -195,24 +195,18 @@ def _write(
 
 def _of_compliances(
     source: object,
-    tool: Tool | Mapping[str, Any],
-    material: CuttingCoefficients | Mapping[str, Any],
+    tool: Tool | Mapping[str, Any] | None = None,
+    material: CuttingCoefficients | Mapping[str, Any] | None = None,
     *,
-    cut: str,
-    width_of_cut: float | str,
-    spindle_speed: Speeds,
-    feed_per_tooth: float | str = "0.1 mm",
-    method: str = "zero_order",
     output: Path | str | None = None,
     table: Path | str | None = None,
     progress: Progress = silent,
-    **more: Any,
+    **cut: Any,
 ) -> dict[str, xr.Dataset]:
     path = None if output is None else Path(output)
     if path is not None:
         check_target(path)
-    request = {"cut": cut, "width_of_cut": width_of_cut, "feed_per_tooth": feed_per_tooth, "method": method}
-    campaign, compliances = asked(source, tool, material, {**request, "spindle_speed": spindle_speed, **more})
+    campaign, compliances = asked(source, tool, material, cut)
     results = [remembering(r) for r in all_lobes(campaign, compliances, progress)]
     _write(results, path, table, None)
     return {r.source: r.lobes for r in results}

@@ -171,7 +171,7 @@ class ChatterVerdict:
         rows: list[tuple[object, ...]] = [
             ("spindle speed", f"{self.spindle_speed_rpm:.5g}", "rpm"),
             ("ratio of the largest line to the tooth passing line", f"{self.ratio:.3g}", "1"),
-            ("judged on", f"{self.quantity}, {', '.join(self.axes)}", ""),
+            ("judged on", ", ".join(dict.fromkeys([self.quantity, *self.axes])), ""),
             ("judged from", f"{self.interval_s[0]:.3g} to {self.interval_s[1]:.3g}", "s"),
         ]
         if math.isfinite(self.chatter_frequency_Hz):

@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 import xarray as xr
 from samples.report import MACHINE, STEEL, TOOL, measured
+from typer.testing import CliRunner
 
 import smfe
 from process.errors import InputError
 from process.machine.modes import ModalModel
+from smfe.cli import app
 from smfe.progress import SmfeWarning
 from smfe.records import write_record_netcdf
 from smfe.results import read_groups
@@ -144,6 +146,29 @@ def test_what_a_file_would_be_refused_for_is_refused_by_its_name(wrong: dict[str
     given = {"source": MACHINE, "tool": TOOL, "material": STEEL, **CUT, "spindle_speed": (250, 750), **wrong}
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
         smfe.lobes(given.pop("source"), given.pop("tool"), given.pop("material"), **given)
+
+
+def test_what_is_left_out_is_named() -> None:
+    with pytest.raises(InputError, match="material, cut, width_of_cut, spindle_speed are missing; give tool, material"):
+        smfe.lobes(MACHINE, TOOL)
+    with pytest.raises(InputError, match="spindle_speed is missing"):
+        smfe.recommendation(MACHINE, TOOL, STEEL, **CUT)
+
+
+def test_the_command_line_says_a_warning_once(tmp_path: Path) -> None:
+    modes = 'modes = [ { frequency = "61 Hz", damping = 0.03, stiffness = "45 N/um", direction = [1, 0, 0] } ]'
+    text = HEAD.replace('Krc = "800 N/mm^2"\n', "") + f'[[model]]\nname = "m"\n{modes}\n{LOBES}'
+    (tmp_path / "c.toml").write_text(text, encoding="utf-8")
+    files = ["-o", str(tmp_path / "l.nc"), "--table", str(tmp_path / "t.csv")]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        done = CliRunner().invoke(app, ["lobes", str(tmp_path / "c.toml"), *files, "--json"])
+    assert done.exit_code == 0
+    said = json.loads(done.stdout)["warnings"]
+    assert sum("[material] gives no Krc" in sentence for sentence in said) == 1
+    assert not [w for w in caught if w.category is SmfeWarning]
+    with pytest.warns(SmfeWarning, match="gives no Krc"):
+        smfe.lobes(tmp_path / "c.toml")
 
 
 def test_a_mobility_and_an_accelerance_are_the_compliance_of_the_same_machine() -> None:
