@@ -6,7 +6,7 @@ What a block of a page is, is said by the text that the reader sees:
 - ``python`` runs in the folder, each block alone.
 - ``toml``, or another language, becomes the file that the paragraph above names last, in code style, before its colon;
   where the last sentence begins with "Add", it is added to the end of that file.
-- ``text`` is to be looked at.
+- ``text`` without such a name is to be looked at.
 
 A comment before a block says otherwise: ``<!-- not run: REASON -->``, or ``<!-- exit status 3: REASON -->``.
 """
@@ -81,7 +81,7 @@ def blocks(page: str) -> list[Block]:
         if comment:
             above = above[: comment.start()].rstrip()
         paragraph = above.rpartition("\n\n")[2]
-        named = None if language in (*RUN, *SHOWN) else NAMED.search(paragraph)
+        named = None if language in RUN else NAMED.search(paragraph)
         out.append(
             Block(
                 line,

@@ -193,8 +193,10 @@ def draw_lobes(
     height = 5.4
     top = 1.0 - _legend_height(entries) / height
     figure = _new(7.5, height)
-    upper = figure.add_axes((0.09, 0.36, 0.76, top - 0.36))
-    lower = figure.add_axes((0.09, 0.09, 0.76, 0.22), sharex=upper)
+    longest = max((min(len(text), LONGEST_NAME) for _, text, *_ in shown.ends(0.05)), default=0)
+    width = 0.76 - 0.009 * max(longest - 10, 0)  # room for the names at the ends of the lines
+    upper = figure.add_axes((0.09, 0.36, width, top - 0.36))
+    lower = figure.add_axes((0.09, 0.09, width, 0.22), sharex=upper)
     _draw_regions(upper, shown, looks[shown.main.source])
     for item in lobes:
         main, line = item is shown.main, looks[item.source]
