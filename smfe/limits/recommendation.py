@@ -310,7 +310,7 @@ class _Candidate:
     @property
     def known(self) -> bool:
         """Whether the uncertainty of the limit is known somewhere."""
-        return bool(np.isfinite(self.result.table["limit_depth_p05_mm"].to_numpy(float)).any())
+        return bool(self.result.table["limit_depth_p05_mm"].notna().any())
 
     @cached_property
     def right(self) -> int:
@@ -520,6 +520,8 @@ def _no_pocket(source: _Candidate) -> str:
     pockets = source.pockets
     if pockets.empty and fastest(source.campaign, source.result.asked) is None:
         return "No speed of the spindle is slow enough for the feed of the machine; take a smaller feed_per_tooth."
+    if np.isinf(source.result.table["limit_depth_mm"].to_numpy(float)).all():
+        return "No limit was found at any speed; say maximum_depth in [[lobes]] or edge_length in [tool]."
     if pockets.empty:
         return "None of its speeds can be set with a depth; ask for speeds that the spindle reaches, or measure again."
     speed, safe = pockets["spindle_speed_rpm"].iloc[0], pockets["safe_depth_mm"].iloc[0]

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -155,6 +156,18 @@ def test_an_end_of_the_range_is_recommended_only_where_there_is_nothing_else_and
     assert "is an end of the range that can be set" in flank.reason
     whole = answer(tmp_path)
     assert "end of the range" not in whole.reason
+
+
+def test_where_nothing_chatters_the_edges_decide_and_without_them_nothing_does(tmp_path):
+    loaded, bounded = campaign(tmp_path, lobes=""), campaign(tmp_path, tool='edge_length = "6 mm"', lobes="")
+    for given, expected in ((loaded, ("none", None)), (bounded, ("recommended", 6.0))):
+        result = results_of(given)[0]
+        depths = ["limit_depth_mm", "limit_depth_p05_mm", "limit_depth_p95_mm", "safe_depth_mm"]
+        free = replace(result, table=result.table.assign(**dict.fromkeys(depths, math.inf)))
+        found = recommend([free], given).best
+        assert (found.status, found.depth_of_cut_mm) == expected
+        assert found.limit_depth_mm is None
+        assert ("No limit was found at any speed" in found.reason) == (given is loaded)
 
 
 # --- which source ----------------------------------------------------------------------------------------------------
