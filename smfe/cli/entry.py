@@ -22,17 +22,20 @@ def _version(asked: bool) -> None:
 app.registered_commands.sort(key=lambda command: GROUPS.index(str(command.rich_help_panel)))
 
 
-@app.callback(epilog=STATUS)
+HELP = (
+    "Machine-tool dynamics: measured records -> compliance -> stability lobes -> chatter verdicts.\n\n"
+    "[bold]How deep may I cut, at which speed, and how sure are you?[/bold] Write what was measured into a campaign "
+    "file, then: smfe run campaign.toml"
+)
+
+
+@app.callback(help=HELP, epilog=STATUS)
 def main(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """Machine-tool dynamics: measured records -> compliance -> stability lobes -> chatter verdicts.
-
-    [bold]How deep may I cut, at which speed, and how sure are you?[/bold] Write what was measured
-    into a campaign file, then: smfe run campaign.toml
-    """
+    """Take the options that stand before a verb."""
 
 
 def app_entry() -> None:
