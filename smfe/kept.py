@@ -198,9 +198,9 @@ def campaign_of(folder: Path) -> Path | None:
 
 
 def _results(folder: Path) -> Iterator[Path]:
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and KEPT not in path.relative_to(folder).parts:
-            yield path
+    """Yield what a run may have written; other folders, of which there are many where it writes beside records, not."""
+    for pattern in ("*.nc", "*.csv", "*.json", "*.html", "figures/*.png", "tables/*.csv"):
+        yield from sorted(path for path in folder.glob(pattern) if path.is_file())
 
 
 def _found(campaign: Path, pattern: str) -> list[str]:
