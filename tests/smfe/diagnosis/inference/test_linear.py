@@ -470,6 +470,22 @@ def test_no_experiment_is_advised_that_would_not_settle_it():
     assert found.next_experiment is None
 
 
+def test_where_all_that_is_wrong_has_a_name_the_next_experiment_shows_what_else_could_be_hidden():
+    """Not another form of what was found: that the gain has another size is no news."""
+    other = replace(cause("gain.as_square"), id="gain", variant="square")
+    family = replace(
+        FAMILY,
+        conditions=grid((6.0, 7.0)),
+        causes=(FRICTION, GAIN, other),
+        effects=FAMILY.effects | {"gain.as_square.0": lambda s: (s["feed"] < 1.0) * BASIS[6]},
+        proposals=tuple(Condition(f"feed {f:g}", {"feed": f, "direction": 1.0, "order": 9.0}) for f in (0.5, 8.0)),
+    )
+    found = diagnose(measured(family, {"gain.0": 2.0}, 1))
+    assert (found.verdict, [c.id for c in found.causes]) == ("named", ["gain"])
+    assert found.next_experiment.name == "feed 0.5"
+    assert [r.title for r in found.next_experiment.reveals] == ["Friction"]
+
+
 def test_where_nothing_is_wrong_the_next_experiment_is_the_one_that_shows_what_is_hidden():
     fast = replace(FAMILY, conditions=grid((6.0, 7.0)), causes=(FRICTION, GAIN))
     slow, faster = (Condition(f"feed {f:g}", {"feed": f, "direction": 1.0, "order": 9.0}) for f in (0.5, 8.0))
