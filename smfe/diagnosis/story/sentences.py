@@ -17,6 +17,7 @@ from smfe.diagnosis.story.words import count_words, in_words, listed, parameter_
 
 _MOST_POWERS = 5
 _REVEALED = 2
+_LITTLE = 0.005  # share of the repeatable error that a sentence calls little
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,10 @@ def _part(finding: Finding) -> str:
     left = finding.remainder
     if finding.verdict == "named" or left is None or not left.beyond_noise:
         return ""
-    if finding.verdict == "unknown" and left.share is not None and left.share >= 0.005:
+    if finding.verdict == "unknown" and left.share is not None and left.share >= _LITTLE:
         return f" Of the error that repeats, {percent(left.share)} % remain unexplained."
+    if left.share is not None:
+        return f" What remains is more than noise, but only {percent(left.share)} % of the error that repeats."
     return " A part of the error that is more than noise remains unexplained."
 
 

@@ -150,10 +150,13 @@ def _drive_forces(curves: xr.Dataset) -> tuple[Block, ...]:
         time, names = _joined(part["time"].values), ("measured", *_models(curves))
         time = time - np.nanmin(time)
         force = {name: _joined(part[name].values[:, :, 0]) for name in names}
-        whole = float(np.sqrt(np.nansum(force["measured"] ** 2)))
+        # Of each move the error is the mean over the ways in which it was left out; one of them is drawn.
+        weight = np.nansum(part["measured"].values[:, :, 0] ** 2, axis=1)
         left = {name: force["measured"] - force[name] for name in names[1:]}
-        errors = [f"{percent(float(np.sqrt(np.nansum(y**2))) / whole)} %" for y in left.values()]
-        title = "moves set aside" if apart else "moves that were fitted"
+        squares = [np.average(part[f"error_{name}"].values ** 2, weights=weight) for name in left]
+        errors = [f"{percent(float(np.sqrt(square)))} %" for square in squares]
+        unseen = bool(part["unseen"].all())
+        title = "moves set aside" if apart else "moves left out of the fit" if unseen else "moves that were fitted"
         over_time = (
             Panel("drive force [N]", tuple(Line(WORDS[n], time, y) for n, y in force.items())),
             Panel("what is left [N]", tuple(Line(WORDS[n], time, y) for n, y in left.items())),

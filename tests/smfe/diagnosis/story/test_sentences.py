@@ -85,6 +85,8 @@ def test_what_remains_is_said_beside_the_gain() -> None:
     left = Remainder(3.0, 1e-9, True, 0.12, ("a move",))
     found = Finding("unknown", "it is", (DELAY,), errors=ERRORS, remainder=left)
     assert say("verdict", found)[0].endswith("Of the error that repeats, 12 % remain unexplained.")
+    little = replace(found, remainder=replace(left, share=0.00037))
+    assert say("verdict", little)[0].endswith("more than noise, but only 0.037 % of the error that repeats.")
     nothing = replace(found, causes=(), reason="no cause of the catalogue explains it")
     assert say("verdict", nothing)[0].startswith("The simulation is wrong, and no known cause explains it (error 31 %)")
     healthy = Finding("consistent", "it is", errors=(ModelError("measurements", 3, "fitted", 0.021, 0.021),))
