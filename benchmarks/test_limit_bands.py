@@ -4,10 +4,10 @@ import time
 
 import numpy as np
 import pytest
+from samples.linear_machine import MACHINE, MATERIAL, TOOL
 
 from process import engagement
 from process.labels import make_compliance
-from smfe.commands.demo import MACHINE, MATERIAL, TOOL
 from stability import floquet_multipliers, zero_order
 from stability.bands.depth_quantiles import linearised_band, sampled_band
 from stability.bands.error_model import Spread

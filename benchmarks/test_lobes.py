@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from samples.linear_machine import MACHINE, MATERIAL, TOOL
 
 from process import directional_matrix, engagement
-from smfe.commands.demo import MACHINE, MATERIAL, TOOL
 from stability import zero_order
 
 ARC = engagement("down", 0.04, 0.08)

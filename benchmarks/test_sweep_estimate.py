@@ -5,12 +5,12 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from samples.linear_machine import TOOL, sweep_passes
 from scipy import fft
 
 from process import engagement
 from process.labels import make_record
 from smfe import LocalPolynomial, Segments, SingleReference, SweepPass, identify_sweep
-from smfe.commands.demo import TOOL, sweep_passes
 from smfe.identification.sweep.order_tracking import Orders
 
 

@@ -83,7 +83,7 @@ def integrate_problem(
     steps = (round(p.run.total * sample_rate) + (2 * RULES.margin if keep > 1 else 0)) * keep
     given, forces = pack_forces(p, h, steps)
     # A mode rings after an impulse with a force of its frequency times that.
-    given = given._replace(peak=max(given.peak, fastest * max(abs(v) for v in p.run.impulse)))
+    given = given._replace(peak=max(given.peak, RULES.least_force, fastest * max(abs(v) for v in p.run.impulse)))
     return system, integrate(prepare(p, system, h, steps), given, forces, keep=keep, accuracy=accuracy)
 
 

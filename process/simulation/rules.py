@@ -39,6 +39,10 @@ class SimulationRules:
     largest_accuracy: float = 1e-2
     """The same, however long the step."""
 
+    least_force: float = 1e-3
+    """Force [N] that errors are compared with where nothing has acted yet: in the air before a cut, rounding is all
+    that a sliding guideway shows."""
+
     halvings: int = 8
     """How often a step may be halved where friction or a joint does not follow a parabola."""
 

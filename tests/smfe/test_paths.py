@@ -10,6 +10,7 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
+from samples.linear_machine import MACHINE, MATERIAL
 
 import process
 import smfe
@@ -17,7 +18,6 @@ import stability
 from process.cut.engagement import engagement
 from process.cut.tool import Tool
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
-from smfe.commands.demo import MACHINE, MATERIAL
 from smfe.records import write_record_netcdf
 from smfe.results import read_groups
 

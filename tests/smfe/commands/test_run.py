@@ -1,4 +1,4 @@
-"""The main job, end to end: the demonstration campaign through the same code as anybody's own campaign."""
+"""The main job, end to end: a campaign on a linear machine through the same code as anybody's own campaign."""
 
 import json
 import shutil
@@ -11,13 +11,13 @@ import pytest
 from kept import kept
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from samples.campaigns import HAMMER
+from samples.linear_machine import DEMO, MACHINE, DemoSize, write_demo
 from scipy.io import savemat
 
 import smfe
 from process.errors import InputError
 from smfe import cli
 from smfe.campaign import Measurement, load_campaign
-from smfe.commands.demo import DEMO, MACHINE, DemoSize, write_demo
 from smfe.commands.run import Notes, _provenance, check_folder
 from smfe.diagnosis import audit
 from smfe.identification import measurement as measurements
@@ -52,7 +52,7 @@ def small_demo(folder: Path, size: DemoSize) -> None:
 
 
 def full_demo(folder: Path) -> None:
-    smfe.demo(folder)
+    small_demo(folder, DEMO)
 
 
 @pytest.fixture(scope="session", params=["small", pytest.param("full", marks=pytest.mark.slow)])

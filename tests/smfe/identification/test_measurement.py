@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.linear_machine import MACHINE, TOOL, sweep_passes
 
 from process.cut.engagement import engagement
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.campaign import load_campaign
-from smfe.commands.demo import MACHINE, TOOL, sweep_passes
 from smfe.identification import measurement as measurements
 from smfe.identification.measurement import sign_warnings, tooth_passing_band
 from smfe.identification.sweep.local_polynomial import BANDS

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from samples.linear_machine import MACHINE, MATERIAL, TOOL
 
 from process import MillingCut, Spindle, engagement, simulate_milling
-from smfe.commands.demo import MACHINE, MATERIAL, TOOL
 from stability import semi_discretization, zero_order
 
 COMPLIANCE = MACHINE.compliance(np.arange(5.0, 150.0, 0.1))

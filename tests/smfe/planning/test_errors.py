@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from samples.linear_machine import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from scipy.integrate import quad
 
 from process.cut.engagement import engagement
@@ -15,7 +16,6 @@ from process.errors import InputError
 from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
-from smfe.commands.demo import MACHINE, MATERIAL, SENSORS, SWEEP_RATE, SWEEP_START, TOOL, sweep_passes
 from smfe.identification.spectra.spectra import BlockSpectra
 from smfe.identification.sweep.least_squares import condition_number
 from smfe.identification.sweep.local_polynomial import BANDS, LocalPolynomial

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from samples.linear_machine import TOOL as DEMO_TOOL
+from samples.linear_machine import sweep_passes
 from scipy import stats
 
 from process.cut.engagement import engagement
@@ -20,8 +22,6 @@ from process.machine.structure import Posture, two_mass_axes
 from process.simulation.excitation import Multisine, all_harmonics
 from process.simulation.machine import simulate_machine
 from process.simulation.milling import MillingCut, Spindle
-from smfe.commands.demo import TOOL as DEMO_TOOL
-from smfe.commands.demo import sweep_passes
 from smfe.diagnosis.checks.sweep import (
     _unweighted,
     matters,

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.linear_machine import MACHINE, MATERIAL
 
 from process.cut.engagement import engagement
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from smfe.campaign import load_campaign
-from smfe.commands.demo import MACHINE, MATERIAL
 from smfe.identification.measurement import identify_measurement, sweep_estimator
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.order_tracking import Orders

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from samples.linear_machine import MATERIAL
 from scipy import stats
 from scipy.signal import resample
 
@@ -18,7 +19,6 @@ from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced, simulate_milling
 from smfe import LocalPolynomial, Segments, SweepPass, identify_sweep
-from smfe.commands.demo import MATERIAL
 from smfe.identification.errors.difference import reciprocity, symmetric
 from smfe.identification.spectra.spindle_angle import force_angle, spindle_angle, tacho_angle
 from smfe.identification.sweep.order_tracking import Orders

@@ -5,6 +5,7 @@ import functools
 import numpy as np
 import pytest
 import xarray as xr
+from samples.linear_machine import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_START, TOOL, sweep_passes
 from scipy.signal import butter, sosfilt
 
 from process.cut.engagement import engagement
@@ -13,7 +14,6 @@ from process.instruments.trials import Sensors, milling_trial
 from process.labels import make_record
 from process.machine.modes import ModalModel
 from process.simulation.milling import MillingCut, Spindle, simulate_forced
-from smfe.commands.demo import MACHINE, MATERIAL, SENSORS, SWEEP_DEPTH, SWEEP_START, TOOL, sweep_passes
 from smfe.identification.errors.result import bands
 from smfe.identification.sweep.local_polynomial import LocalPolynomial
 from smfe.identification.sweep.passes import SweepPass
@@ -155,7 +155,7 @@ def test_a_lightly_damped_machine_keeps_its_peaks_and_its_error_is_stated(
     damping: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine = ModalModel([30.0, 52.0, 60.0], [damping] * 3, 2 * MACHINE.stiffness, MACHINE.direction)
-    monkeypatch.setattr("smfe.commands.demo.MACHINE", machine)
+    monkeypatch.setattr("samples.linear_machine.MACHINE", machine)
     records = sweep_passes(seed=1, sensors=Sensors(acceleration_noise=(2e-3, 2e-3, 2e-3)))
     data = passes(records, dict.fromkeys(records, 0.012))
     found = identify_sweep("s", data, (25.0, 65.0), LocalPolynomial(0.5, (0.25, 0.5, 1.0, 2.0))).compliance
