@@ -1,4 +1,4 @@
-"""A whole measuring campaign on one virtual machine: guideway friction that holds the x axis at rest and not in the cut.
+"""A whole measuring campaign on one virtual machine: friction that holds the x axis at rest and not in the cut.
 
 The machine is the story of Franco et al. 2024 (JMMP 8/5/207) at the size of a small mill. At rest the guideway of x
 sticks: a hammer finds the structure on a carriage that is held. In a cut the carriage slides, friction no longer
@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -46,16 +45,15 @@ SENSORS = Sensors(force_noise=(1.0, 1.0, 1.0), acceleration_noise=(0.005, 0.005,
 HAMMER_SENSORS = Sensors(force_noise=(0.02, 0.02, 0.02), acceleration_noise=(3e-4, 3e-4, 3e-4))
 DEMO_SEED = 20240807
 
-TAP, HIT = 0.018, 0.35
-"""Mean impulse of a hit [N s] along x at rest, which the guideway withstands, and of all others."""
+HITS = 5
+SWEEP_START, SWEEP_RATE, SWEEP_DURATION = 450.0 * RPM, 2.5, 44.0  # rad/s, rad/s2, s: to 1500 rpm
+SWEEP_FEED = 450.0 * MM_MIN
+SWEEP_DEPTH = 1e-3
+SWEEP_PASSES = {"down": 0.056, "up": 0.024, "central": 0.064}
+"""Width of cut [m] of each pass: the force along x is alike in all, so that the guideway slides alike in all."""
 
 FEED_PER_TOOTH = 0.15e-3
 CUT_WIDTH = 0.070
-SWEEP_DEPTH = 1e-3
-SWEEP_PASSES = {"down": 0.056, "up": 0.024, "central": 0.064}
-"""Width of cut [m] of each pass of the sweep."""
-
-SWEEP_FEED = 450.0
 CUTTING_TESTS: tuple[tuple[int, float], ...] = (
     (720, 7.0),
     (900, 1.5),
@@ -86,60 +84,37 @@ def _machine() -> Machine:
 MACHINE = _machine()
 
 
-@dataclass(frozen=True)
-class DemoSize:
-    """How much is measured; the default is the demonstration."""
-
-    sweep_rate: float = 2.5
-    """Acceleration of the spindle in the sweeps [rad/s2]."""
-
-    sweep_duration: float = 44.0
-    """Time in the cut of a sweep [s]: from 450 to 1500 rpm, so that a tooth passes at 22 to 75 Hz."""
-
-    hits: int = 5
-    """Hits a direction."""
-
-    cutting_tests: tuple[tuple[int, float], ...] = CUTTING_TESTS
-    """Spindle speed [rpm] and depth of cut [mm] of each cutting test."""
-
-    lobe_step: int = 5
-    """Step of the spindle speeds from 600 to 1500 rpm at which the lobes are computed [rpm]."""
+Make = Callable[[np.random.Generator], xr.Dataset]
+"""Makes a record; all that is random is drawn from the generator."""
 
 
-DEMO = DemoSize()
-SWEEP_START = 450.0
-
-
-@dataclass(frozen=True)
-class _Job:
-    """One record: what it is called and how it comes about."""
-
-    file: str
-    make: Callable[[np.random.Generator], xr.Dataset]
-
-
-def _sweep(cut: str, size: DemoSize) -> Callable[[np.random.Generator], xr.Dataset]:
+def _sweep(cut: str) -> Make:
     # The feed rate is held while the speed rises, so that one state of the guideway is measured.
-    feed = SWEEP_FEED * MM_MIN
     arc = engagement(cut, SWEEP_PASSES[cut], TOOL.diameter)
-    milling = MillingCut(TOOL, arc, MATERIAL, SWEEP_DEPTH, feed_rate=feed)
-    spindle = Spindle(SWEEP_START * RPM, size.sweep_rate)
-    running = Running({"x": feed})
-    return lambda rng: milling_trial(MACHINE, milling, spindle, size.sweep_duration, SENSORS, rng, running=running)
+    milling = MillingCut(TOOL, arc, MATERIAL, SWEEP_DEPTH, feed_rate=SWEEP_FEED)
+    spindle = Spindle(SWEEP_START, SWEEP_RATE)
+    running = Running({"x": SWEEP_FEED})
+    return lambda rng: milling_trial(MACHINE, milling, spindle, SWEEP_DURATION, SENSORS, rng, running=running)
 
 
-def _hammer(axis: str, feed: float, hits: int) -> Callable[[np.random.Generator], xr.Dataset]:
+def _impulse(axis: str, feed: float) -> float:
+    """Mean impulse of a hit [N s]: at rest so little that the guideway withstands it, which x feels most of all."""
+    if feed > 0.0:
+        return 0.2
+    return 0.018 if axis == "x" else 0.1
+
+
+def _hammer(axis: str, feed: float) -> Make:
     running = Running({"x": feed * MM_MIN})
 
     def make(rng: np.random.Generator) -> xr.Dataset:
-        mean = TAP if axis == "x" and feed == 0.0 else 0.1 if feed == 0.0 else HIT
-        impulses = list(mean * rng.uniform(0.85, 1.15, hits))
+        impulses = list(_impulse(axis, feed) * rng.uniform(0.85, 1.15, HITS))
         return hammer_trial(MACHINE, axis, impulses, HAMMER_SENSORS, rng, interval=2.5, running=running)
 
     return make
 
 
-def _cutting_test(speed: int, depth: float) -> Callable[[np.random.Generator], xr.Dataset]:
+def _cutting_test(speed: int, depth: float) -> Make:
     arc = engagement("central", CUT_WIDTH, TOOL.diameter)
     milling = MillingCut(TOOL, arc, MATERIAL, depth * 1e-3, feed_per_tooth=FEED_PER_TOOTH)
     spindle = Spindle(speed * RPM)
@@ -153,15 +128,16 @@ def _test_file(speed: int, depth: float) -> str:
     return f"records/cut_{speed}rpm_{depth:g}mm.csv"
 
 
-def _jobs(size: DemoSize) -> list[_Job]:
-    jobs = [_Job(f"records/sweep_{cut}.nc", _sweep(cut, size)) for cut in SWEEP_PASSES]
-    jobs += [_Job(_test_file(*test), _cutting_test(*test)) for test in size.cutting_tests]
-    jobs += [_Job(f"records/hammer_{a}.csv", _hammer(a, 0.0, size.hits)) for a in "xyz"]
-    jobs += [_Job(f"records/hammer_600_{a}.csv", _hammer(a, 600.0, size.hits)) for a in "xyz"]
-    return jobs + [_Job(f"records/hammer_{f}_x.csv", _hammer("x", f, size.hits)) for f in (150, 300)]
+def records() -> list[tuple[str, Make]]:
+    """Return the file of each record, in the folder of the campaign, and what makes it."""
+    found = [(f"records/sweep_{cut}.nc", _sweep(cut)) for cut in SWEEP_PASSES]
+    found += [(_test_file(*test), _cutting_test(*test)) for test in CUTTING_TESTS]
+    found += [(f"records/hammer_{a}.csv", _hammer(a, 0.0)) for a in "xyz"]
+    found += [(f"records/hammer_600_{a}.csv", _hammer(a, 600.0)) for a in "xyz"]
+    return found + [(f"records/hammer_{f}_x.csv", _hammer("x", f)) for f in (200, 300)]
 
 
-def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent, size: DemoSize = DEMO) -> Path:
+def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent) -> Path:
     """Simulate the campaign and write its records and campaign file.
 
     Parameters
@@ -172,42 +148,41 @@ def write_demo(folder: Path, seed: int = DEMO_SEED, progress: Progress = silent,
         Seed of hits and sensor noise; each record has its own stream.
     progress : callable, optional
         Called with (what, done, of).
-    size : DemoSize, optional
-        How much is measured.
 
     Returns
     -------
     Path
         The campaign file.
     """
-    jobs = _jobs(size)
-    streams = np.random.SeedSequence(seed).spawn(len(jobs))
+    made = records()
+    streams = np.random.SeedSequence(seed).spawn(len(made))
     writers: Mapping[str, Callable[[xr.Dataset, Path], object]] = {
         ".csv": write_record_csv,
         ".nc": write_record_netcdf,
     }
     (folder / "records").mkdir(parents=True, exist_ok=True)
 
-    def make(job: _Job, stream: np.random.SeedSequence) -> None:
-        path = folder / job.file
-        writers[path.suffix](job.make(np.random.default_rng(stream)), path)
+    def write(number: int) -> str:
+        file, make = made[number]
+        writers[Path(file).suffix](make(np.random.default_rng(streams[number])), folder / file)
+        return file
 
     # The integration lets go of the interpreter: two records are made at once.
     with ThreadPoolExecutor(2) as pool:
-        for done, _ in enumerate(pool.map(make, jobs, streams), 1):
-            progress(f"simulated {jobs[done - 1].file}", done, len(jobs))
-    return write_atomically(folder / "campaign.toml", lambda p: p.write_text(campaign_text(size), encoding="utf-8"))
+        for done, file in enumerate(pool.map(write, range(len(made))), 1):
+            progress(f"simulated {file}", done, len(made))
+    return write_atomically(folder / "campaign.toml", lambda p: p.write_text(campaign_text(), encoding="utf-8"))
 
 
-def campaign_text(size: DemoSize = DEMO) -> str:
+def campaign_text() -> str:
     """Return the campaign file of the demonstration."""
     tests = "".join(
         f'\n[[cutting_test]]\nfile = "{_test_file(speed, depth)}"\nspindle_speed = "{speed} rpm"\n'
         f'depth_of_cut = "{depth:g} mm"\ncut = "central"\nwidth_of_cut = "{CUT_WIDTH * 1e3:g} mm"\n'
         f'feed_per_tooth = "{FEED_PER_TOOTH * 1e3:g} mm"\n'
-        for speed, depth in size.cutting_tests
+        for speed, depth in CUTTING_TESTS
     )
-    return _CAMPAIGN.format(step=size.lobe_step) + tests
+    return _CAMPAIGN + tests
 
 
 def demo(out: Path | str, seed: int = DEMO_SEED, progress: Progress = silent) -> Path:
@@ -223,9 +198,9 @@ def demo(out: Path | str, seed: int = DEMO_SEED, progress: Progress = silent) ->
 _CAMPAIGN = """\
 # A measuring campaign on a virtual milling machine, told as a shop would meet it.
 #
-# At rest the guideway of x sticks: the hammer finds a stiff machine and promises deep cuts. In the cut x moves, friction
-# no longer holds it, and the machine chatters far below. The cutting tests say so, the sweeps predict it, and the
-# diagnosis names what the maker's simulation ([baseline]) leaves out.
+# At rest the guideway of x sticks: the hammer finds a stiff machine and promises deep cuts. In the cut x moves,
+# friction no longer holds it, and the machine chatters far below. The cutting tests say so, the sweeps predict it, and
+# the diagnosis names what the maker's simulation ([baseline]) leaves out.
 [campaign]
 name = "Virtual milling machine with guideway friction"
 
@@ -245,14 +220,14 @@ Kae = "-3.1 N/mm"
 uncertainty = 0.05        # of Ktc, Krc, Kac together: another batch cuts with 5 % more or less force
 
 [channels]                # columns of the records: name and unit
-time = {{ column = "t", unit = "s" }}
-force_x = {{ column = "Fx", unit = "N" }}
-force_y = {{ column = "Fy", unit = "N" }}
-force_z = {{ column = "Fz", unit = "N" }}
-acceleration_x = {{ column = "ax", unit = "m/s^2" }}
-acceleration_y = {{ column = "ay", unit = "m/s^2" }}
-acceleration_z = {{ column = "az", unit = "m/s^2" }}
-spindle_speed = {{ column = "n", unit = "rpm" }}
+time = { column = "t", unit = "s" }
+force_x = { column = "Fx", unit = "N" }
+force_y = { column = "Fy", unit = "N" }
+force_z = { column = "Fz", unit = "N" }
+acceleration_x = { column = "ax", unit = "m/s^2" }
+acceleration_y = { column = "ay", unit = "m/s^2" }
+acceleration_z = { column = "az", unit = "m/s^2" }
+spindle_speed = { column = "n", unit = "rpm" }
 
 # --- What was measured
 
@@ -262,47 +237,47 @@ method = "hammer"
 feed = "0 mm/min"
 frequency_range = ["25 Hz", "150 Hz"]
 records = [
-    {{ file = "records/hammer_x.csv", excitation = "x" }},
-    {{ file = "records/hammer_y.csv", excitation = "y" }},
-    {{ file = "records/hammer_z.csv", excitation = "z" }},
+    { file = "records/hammer_x.csv", excitation = "x" },
+    { file = "records/hammer_y.csv", excitation = "y" },
+    { file = "records/hammer_z.csv", excitation = "z" },
 ]
 
 [[measurement]]           # the same hits while x moves
 name = "hammer_moving"
 method = "hammer"
-feed = {{ x = "600 mm/min" }}
+feed = { x = "600 mm/min" }
 frequency_range = ["25 Hz", "150 Hz"]
 records = [
-    {{ file = "records/hammer_600_x.csv", excitation = "x" }},
-    {{ file = "records/hammer_600_y.csv", excitation = "y" }},
-    {{ file = "records/hammer_600_z.csv", excitation = "z" }},
+    { file = "records/hammer_600_x.csv", excitation = "x" },
+    { file = "records/hammer_600_y.csv", excitation = "y" },
+    { file = "records/hammer_600_z.csv", excitation = "z" },
 ]
 
 [[measurement]]           # x alone at a slow feed: does friction depend on the feed?
 name = "hammer_slow"
 method = "hammer"
-feed = {{ x = "150 mm/min" }}
+feed = { x = "200 mm/min" }
 frequency_range = ["25 Hz", "150 Hz"]
-records = [{{ file = "records/hammer_150_x.csv", excitation = "x" }}]
+records = [{ file = "records/hammer_200_x.csv", excitation = "x" }]
 
 [[measurement]]           # a feed that no fit sees: the diagnosis is examined on it
 name = "hammer_300"
 method = "hammer"
-feed = {{ x = "300 mm/min" }}
+feed = { x = "300 mm/min" }
 frequency_range = ["25 Hz", "150 Hz"]
 held_out = true
-records = [{{ file = "records/hammer_300_x.csv", excitation = "x" }}]
+records = [{ file = "records/hammer_300_x.csv", excitation = "x" }]
 
 [[measurement]]           # milling itself excites: three passes while the spindle speeds up
 name = "sweep"
 method = "sweep"
-feed = {{ x = "450 mm/min" }}
+feed = { x = "450 mm/min" }
 depth_of_cut = "1 mm"
 frequency_range = ["22 Hz", "150 Hz"]
 records = [
-    {{ file = "records/sweep_down.nc", cut = "down", width_of_cut = "56 mm" }},
-    {{ file = "records/sweep_up.nc", cut = "up", width_of_cut = "24 mm" }},
-    {{ file = "records/sweep_central.nc", cut = "central", width_of_cut = "64 mm" }},
+    { file = "records/sweep_down.nc", cut = "down", width_of_cut = "56 mm" },
+    { file = "records/sweep_up.nc", cut = "up", width_of_cut = "24 mm" },
+    { file = "records/sweep_central.nc", cut = "central", width_of_cut = "64 mm" },
 ]
 
 # --- What the maker's simulation says: a carriage and a head, a drive, and friction as a damper
@@ -317,7 +292,7 @@ Kp = "48000 N s/m"        # read from the control
 Ti = "3 ms"
 Kv = "25 1/s"
 delay = "1.8 ms"
-friction = {{ law = "viscous", sigma = "10000 N s/m" }}   # 17 N of drive force at 100 mm/min, taken as viscous
+friction = { law = "viscous", sigma = "10000 N s/m" }   # 17 N of drive force at 100 mm/min, taken as viscous
 
 # --- The cut that is wanted, and the cutting tests
 
@@ -327,5 +302,5 @@ method = "zero_order"
 cut = "central"
 width_of_cut = "70 mm"
 feed_per_tooth = "0.15 mm"
-spindle_speed = ["600 rpm", "1500 rpm", "{step} rpm"]
+spindle_speed = ["600 rpm", "1500 rpm", "5 rpm"]
 """

@@ -1,0 +1,106 @@
+"""The demonstration tells its story: friction that holds an axis at rest, contradicted lobes, a sweep that is right."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from kept import kept
+
+import smfe
+from process.cut.engagement import engagement
+from smfe.commands.demo import (
+    CUT_WIDTH,
+    CUTTING_TESTS,
+    DEMO_SEED,
+    FRICTION,
+    MACHINE,
+    MATERIAL,
+    MM_MIN,
+    TOOL,
+    campaign_text,
+    records,
+)
+from stability import zero_order
+
+SHOP_SPEEDS = [900.0, 1000.0, 1100.0]
+CONTRADICTED = [(900, 4.5), (1000, 4.5), (1100, 5.0)]
+"""Cuts that the machine at rest would make, and that chatter; at 720 rpm and 7 mm it is the other way round."""
+
+
+def full_demo(folder: Path, seed: int) -> None:
+    smfe.demo(folder, seed)
+
+
+@pytest.fixture(scope="module", params=[DEMO_SEED, 1])
+def demo(request: pytest.FixtureRequest) -> Path:
+    """Folder of a demonstration that has been run."""
+    return kept(full_demo, request.param)
+
+
+def limits(feed: float) -> np.ndarray:
+    """Zero-order limit depths [mm] of the simulated machine for small vibration at a feed [mm/min]."""
+    compliance = MACHINE.at({"x": feed * MM_MIN}).compliance(np.arange(5.0, 300.0, 0.5))
+    arc = engagement("central", CUT_WIDTH, TOOL.diameter)
+    return zero_order(compliance, TOOL, arc, MATERIAL, SHOP_SPEEDS)["limit_depth"].values
+
+
+def test_the_guideway_promises_at_rest_more_than_twice_the_depth_that_it_gives_in_motion() -> None:
+    assert (limits(0.0) > 2.0 * limits(450.0)).all()
+    assert limits(250.0) == pytest.approx(limits(600.0), rel=0.1)
+
+
+def test_the_campaign_says_nothing_of_friction_that_is_not_viscous() -> None:
+    assert 'law = "viscous"' in campaign_text()
+    assert "coulomb" not in campaign_text()
+    for value in (FRICTION.coulomb, FRICTION.static):
+        assert f'"{value:g} N"' not in campaign_text()
+
+
+def test_the_same_seed_makes_the_same_record() -> None:
+    hit = {file: make for file, make in records()}["records/hammer_x.csv"]
+    one, same, other = (hit(np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert one.identical(same)
+    assert not np.array_equal(one["acceleration"].values, other["acceleration"].values)
+
+
+@pytest.mark.slow
+def test_friction_is_named_with_its_gain_on_the_measurement_set_aside(demo: Path) -> None:
+    finding = json.loads((demo / "results" / "finding.json").read_text())
+    assert finding["verdict"] == "named"
+    (cause,) = finding["causes"]
+    assert cause["id"] == "guideway_friction"
+    assert cause["gain_db"] > 30.0
+    assert finding["held_out"]["gain_db"] > 20.0
+
+
+@pytest.mark.slow
+def test_depths_before_and_after_are_given_at_the_speeds_of_the_shop(demo: Path) -> None:
+    depths = json.loads((demo / "results" / "finding.json").read_text())["stable_depth"]
+    for rpm, true in zip(SHOP_SPEEDS, limits(450.0), strict=True):
+        (row,) = [d for d in depths if d["where"].startswith(f"cut_{rpm:g}rpm") and "4.5mm" in d["where"] + "4.5mm"][:1]
+        assert row["before_mm"] > 2.0 * row["after_mm"]
+        assert row["after_mm"] == pytest.approx(true, rel=0.25)  # directions other than x are rigid there
+
+
+@pytest.mark.slow
+def test_the_cutting_tests_contradict_the_machine_at_rest_and_confirm_the_sweep(demo: Path) -> None:
+    table = pd.read_csv(demo / "results" / "chatter.csv", keep_default_na=False)
+    assert len(table) == len(CUTTING_TESTS)
+    verdict = {(int(r["spindle_speed_rpm"]), r["depth_of_cut_mm"]): r for _, r in table.iterrows()}
+    for test in CONTRADICTED:
+        assert verdict[test]["verdict"] == "chatter"
+        assert verdict[test]["predicted_hammer"] == "stable"
+    assert verdict[720, 7.0]["verdict"] == "stable"
+    assert verdict[720, 7.0]["predicted_hammer"] == "chatter"
+    assert list(table["predicted_sweep"]) == list(table["verdict"])
+    assert list(table["predicted_hammer_moving"]) == list(table["verdict"])
+
+
+@pytest.mark.slow
+def test_the_recommended_cut_lies_inside_the_range_and_where_the_machine_is_stable(demo: Path) -> None:
+    found = smfe.recommendation(demo / "results")
+    assert found is not None
+    assert found.status == "recommended"
+    assert 700.0 <= found.spindle_speed_rpm <= 800.0
