@@ -291,6 +291,7 @@ def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dat
         feed_per_tooth_mm=request.feed_per_tooth * 1e3,
         method=request.method,
         kind=kind,
+        single_speeds=int(request.listed),
         coefficient_uncertainty=campaign.coefficients_known_within,
         feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )

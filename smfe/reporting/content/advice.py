@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -148,6 +149,28 @@ def _smallest(table: pd.DataFrame, column: str) -> str:
     if not limited.any():
         return "no limit found"
     return number(float(values[limited].min()), 3) if np.isfinite(values[limited]).all() else "not known"
+
+
+_WIDTH = re.compile(r"depth_(.+)mm_mm")
+
+
+def depths(results: Results) -> list[Table]:
+    """Return depth over speed and width of cut, one table a request with several widths, as depth_table.csv has it."""
+    found = results.depths
+    if found is None:
+        return []
+    out = []
+    for _, rows in found.groupby("lobes", sort=False):
+        widths = {c: m[1] for c in map(str, rows) if (m := _WIDTH.fullmatch(c)) and rows[c].notna().any()}
+        columns = {"spindle_speed_rpm": "spindle speed [rpm]", "feed_mm_min": "feed [mm/min]"}
+        columns |= {c: f"{w} mm wide" for c, w in widths.items()}
+        columns |= {"best_width_of_cut_mm": "best width [mm]", "removal_rate_cm3_min": "removal rate [cm³/min]"}
+        cells = [tuple(number(v) for v in row) for row in rows[list(columns)].itertuples(index=False)]
+        best = rows["removal_rate_cm3_min"].to_numpy(dtype=float).argmax()
+        lines = tuple(Row(row, "advised" if k == best else "") for k, row in enumerate(cells))
+        title = f"Depth of cut [mm] over spindle speed and width of cut, from {rows['source'].iloc[0]}"
+        out.append(Table(tuple(columns.values()), (True,) * len(columns), lines, title))
+    return out
 
 
 _POCKETS = {

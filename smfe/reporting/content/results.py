@@ -184,8 +184,8 @@ class Results:
         Content of finding.json, empty when absent.
     presets : mapping
         Content of presets.json, empty when absent.
-    pockets : pandas.DataFrame or None
-        Rows of pockets.csv.
+    pockets, depths : pandas.DataFrame or None
+        Rows of pockets.csv; of depth_table.csv, depth over speed and width of cut.
     curves : xarray.Dataset or None
         What a diagnosis compared, of finding.nc; None when it is absent.
     """
@@ -207,6 +207,7 @@ class Results:
     presets: Mapping[str, Any] = field(default_factory=dict)
     pockets: pd.DataFrame | None = None
     curves: xr.Dataset | None = None
+    depths: pd.DataFrame | None = None
 
     @property
     def title(self) -> str:
@@ -294,6 +295,7 @@ def read_results(folder: Path) -> Results:
         _read_json(folder / "presets.json"),
         _read_csv(folder / "pockets.csv", ("source", "spindle_speed_rpm", "limit_depth_mm")),
         _groups(folder / "finding.nc").get("curves") if (folder / "finding.json").is_file() else None,
+        _read_csv(folder / "depth_table.csv", ("lobes", "source", "spindle_speed_rpm")),
     )
 
 

@@ -201,10 +201,13 @@ def draw_lobes(
     for item in lobes:
         main, line = item is shown.main, looks[item.source]
         style = {"color": line.colour, "linestyle": _STYLES[line.dash], "linewidth": 2.6 if main else 1.3}
+        if shown.single:
+            style = {"color": line.colour, "linestyle": "none", "marker": "D" if main else "s", "markersize": 5}
         upper.plot(_speeds(item), figure_data.finite_depth(item), zorder=2 if main else 3, **style)
         lower.plot(_speeds(item), item.values("chatter_frequency"), ".", color=line.colour, markersize=2.5)
     if shown.safe is not None:
-        upper.plot(*shown.safe, color="black", linestyle=_STYLES[SAFE_DASH], linewidth=1.1, zorder=4)
+        safe = {"marker": "_", "linestyle": "none"} if shown.single else {"linestyle": _STYLES[SAFE_DASH]}
+        upper.plot(*shown.safe, color="black", linewidth=1.1, zorder=4, **safe)
     if tests is not None:
         _draw_tests(upper, lower, tests)
     for axes in (upper, lower):
@@ -227,6 +230,10 @@ def _speeds(item: Lobes) -> Real:
 
 def _draw_regions(axes: Axes, shown: Diagram, look: Line) -> None:
     """Shade where the source of the answer calls the cut stable, and where it says chatter; draw its single lobes."""
+    if shown.single:
+        axes.bar(shown.speed, shown.floor, shown.width, color=STABLE, alpha=0.22)
+        axes.bar(shown.speed, shown.top - shown.limit, shown.width, shown.limit, color=CHATTER, alpha=0.18)
+        return
     axes.fill_between(shown.speed, 0.0, shown.floor, color=STABLE, alpha=0.13, linewidth=0)
     axes.fill_between(shown.speed, shown.limit, shown.top, color=CHATTER, alpha=0.10, linewidth=0)
     band = shown.main.band()

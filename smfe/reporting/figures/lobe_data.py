@@ -58,6 +58,17 @@ class Diagram:
     top: float
 
     @property
+    def single(self) -> bool:
+        """Whether the speeds were named one by one: nothing is said between two of them."""
+        return self.speed.size < 2 or bool(self.main.data.attrs.get("single_speeds", 0))
+
+    @property
+    def width(self) -> float:
+        """Width of a bar at one of single speeds [rpm]."""
+        near = np.diff(self.speed).min(initial=np.inf)
+        return float(0.6 * min(near, 0.12 * (self.span[1] - self.span[0])))
+
+    @property
     def speed(self) -> Real:
         """Spindle speeds of `main` [rpm]."""
         return np.asarray(self.main.data["spindle_speed"].values, dtype=float)
@@ -70,6 +81,8 @@ class Diagram:
         room : float
             Least distance of two labels as a share of the height.
         """
+        if self.single:
+            return []
         found = [(item.source, item.source, _last(item.values("limit_depth"), self.top)) for item in self.lobes]
         if self.safe is not None:
             found.append((self.main.source, SAFE, _last(self.safe[1], self.top)))
@@ -79,6 +92,8 @@ class Diagram:
 
     def places(self, tests: pd.DataFrame | None) -> dict[str, tuple[float, float]]:
         """Return where "stable" and "chatter" are written: where there is most room in each region [rpm, mm]."""
+        if self.single:
+            return {}
         marks = [] if tests is None else list(zip(tests["spindle_speed_rpm"], tests["depth_of_cut_mm"], strict=True))
         marks += [self.point[:2]] if self.point else []
         zero = np.zeros_like(self.floor)
@@ -132,7 +147,11 @@ def diagram(lobes: Sequence[Lobes], tests: pd.DataFrame | None, advice: Mapping[
     limit = np.minimum(np.nan_to_num(main.values("limit_depth"), nan=top, posinf=top), top)
     safe = _safe(main)
     floor = limit if safe is None else np.minimum(np.interp(main.data["spindle_speed"].values, *_known(safe)), limit)
-    return Diagram(lobes, main, safe, floor, limit, point, figure_data.speed_range(lobes), top)
+    first, last = figure_data.speed_range(lobes)
+    if first == last or main.data.attrs.get("single_speeds", 0):
+        margin = 0.08 * (last - first) or 0.1 * first
+        first, last = first - margin, last + margin
+    return Diagram(lobes, main, safe, floor, limit, point, (first, last), top)
 
 
 def _safe(main: Lobes) -> tuple[Real, Real] | None:

@@ -17,6 +17,9 @@ from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice
 from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, filled, packed, plain, polygons, scatter
 
 HEIGHT = 500
+_POINTS = ("square", "diamond", "triangle-down", "triangle-up", "circle")
+"""Marks of sources where they are points, not lines."""
+
 _LABEL = 17
 """Height of a label at the end of a line [px]."""
 
@@ -40,15 +43,21 @@ def lobes_figure(
     data += [_limit_trace(item, looks[item.source], 1.9) for item in lobes if item is not shown.main]
     if shown.safe is not None:
         data.append(_safe_trace(shown.safe))
+    if shown.single:
+        lines = [trace for trace in data if trace["type"] == "scatter" and trace.get("name")]
+        for trace, symbol in zip(lines, _POINTS * len(lines), strict=False):
+            trace["mode"] = "markers"
+            trace["marker"] = {"size": 10, "symbol": symbol, "color": trace.pop("line")["color"]}
     if tests is not None:
         data += _test_traces(tests)
     if shown.point is not None:
         data.append(_advice(shown.point))
     layout = base_layout(
         HEIGHT,
-        margin={"l": 58, "r": 150, "t": 10, "b": 46},
+        margin={"l": 58, "r": 20 if shown.single else 150, "t": 10, "b": 46},
         xaxis=axis_look("spindle speed [rpm]", range=list(shown.span)),
         yaxis=axis_look("depth of cut a<sub>p</sub> [mm]", range=[0.0, shown.top]),
+        barmode="overlay",
         annotations=[*_words(shown, tests), *_names(shown, looks), *_arrow(shown)],
     )
     return {"data": data, "layout": layout, "narrow": {"height": 380}, "paper": {"height": 400}}
@@ -56,6 +65,14 @@ def lobes_figure(
 
 def _regions(shown: Diagram) -> list[Figure]:
     """Return the shading: stable below the safe curve, chatter above the limit, neither between them."""
+    if shown.single:
+        bars = {"type": "bar", "x": packed(shown.speed), "width": shown.width, "hoverinfo": "skip"}
+        stable = {"y": packed(shown.floor), "marker": {"color": translucent(STABLE, 0.22)}, "name": "stable"}
+        chatter = {"y": packed(shown.top - shown.limit), "base": packed(shown.limit), "name": "chatter"}
+        return [
+            {**bars, **stable, "legendgroup": "below"},
+            {**bars, **chatter, "legendgroup": "above", "marker": {"color": translucent(CHATTER, 0.18)}},
+        ]
     speed, zero, top = shown.speed, np.zeros_like(shown.floor), np.full_like(shown.limit, shown.top)
     group = {"legendgroup": shown.main.source}
     return [
@@ -68,6 +85,15 @@ def _main_traces(shown: Diagram, look: Line) -> list[Figure]:
     """Return the source of the answer: band, single lobes and limit."""
     item, out = shown.main, []
     band = item.band()
+    if shown.single:
+        trace = _limit_trace(item, look, 3.4)
+        if band is not None:
+            limit = figure_data.finite_depth(item)
+            trace["error_y"] = {
+                **{"type": "data", "array": packed(band[1] - limit), "arrayminus": packed(limit - band[0])},
+                **{"symmetric": False, "color": look.colour, "thickness": 1.5},
+            }
+        return [trace]
     if band is not None:
         low, high = (np.minimum(v, 1.2 * shown.top) for v in band[:2])
         out.append(filled(polygons(shown.speed, low, high), look.colour, 0.22, {"legendgroup": item.source}))
@@ -162,8 +188,7 @@ def chatter_figure(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Ma
     if ends is None:
         return None
     data: list[Figure] = []
-    symbols = ("circle", "square", "diamond", "triangle-up", "triangle-down")
-    for item, symbol in zip(lobes, symbols * len(lobes), strict=False):
+    for item, symbol in zip(lobes, _POINTS * len(lobes), strict=False):
         data.append(
             {
                 **scatter("markers", item.data["spindle_speed"].values.astype(float), item.values("chatter_frequency")),

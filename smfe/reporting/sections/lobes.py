@@ -36,7 +36,7 @@ def section(draft: Draft) -> dict[str, Any]:
             }
         )
     failures = draft.failures("lobes")
-    return {"requests": out, "failures": failures} if out or failures else {}
+    return {"requests": out, "depths": advice.depths(results), "failures": failures} if out or failures else {}
 
 
 def _unlimited(item: Lobes) -> str:

@@ -10,7 +10,7 @@
   function resolve(part) {
     if (Array.isArray(part)) return part.map(resolve);
     if (part === null || typeof part !== "object") return part;
-    if ("array" in part) return array(part.array);
+    if (typeof part.array === "number") return array(part.array);
     return Object.fromEntries(Object.entries(part).map(([key, value]) => [key, resolve(value)]));
   }
   function element(tag, properties, children) {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from kept import kept
 from samples.report import cutting_tests, write_reported
 
@@ -204,10 +206,46 @@ class TestDiagram:
         speed = np.array([100.0, 110.0, 120.0])
         table = pd.DataFrame({"source": "a", "spindle_speed_rpm": speed, "limit_depth_mm": np.inf})
         nothing = SimpleNamespace(values=lambda name: np.full(3, np.inf), table=table, source="a")
-        nothing.data = {"spindle_speed": SimpleNamespace(values=speed)}
+        nothing.data = xr.Dataset(coords={"spindle_speed": speed})
         shown = diagram([cast(Lobes, nothing)], None, None)
         assert shown.point is None
         np.testing.assert_array_equal(shown.floor, shown.top)
+
+    def test_single_speeds_are_bars_and_points_for_nothing_is_known_between_them(self, results: Results) -> None:
+        whole = results.requests["lobes_1"]
+        at = [20, 60, 110]
+        lobes = [
+            replace(i, data=i.data.isel(spindle_speed=at).assign_attrs(single_speeds=1), table=i.table.iloc[at])
+            for i in whole
+        ]
+        looks = Draft.of(results).looks
+        figure = lobes_figure(lobes, cutting_tests(), looks, results.best)
+        assert [t["name"] for t in figure["data"] if t["type"] == "bar"] == ["stable", "chatter"]
+        assert not [t for t in figure["data"] if t["type"] == "scatter" and t["mode"] == "lines"]
+        symbols = [
+            t["marker"]["symbol"] for t in figure["data"] if t.get("name") in ("sweep", "hammer_idle", "safe depth")
+        ]
+        assert len(set(symbols)) == 3
+        low, high = diagram(lobes, None, results.best).span
+        assert low < lobes[0].table["spindle_speed_rpm"].min()
+        assert high > lobes[0].table["spindle_speed_rpm"].max()
+        assert len(draw_lobes(lobes, None, looks, results.best).axes[0].patches) == 6
+
+    def test_one_speed_alone_has_a_diagram(self, results: Results) -> None:
+        item = results.requests["lobes_1"][1]
+        one = [replace(item, data=item.data.isel(spindle_speed=[7]), table=item.table.iloc[[7]])]
+        low, high = lobes_figure(one, None, Draft.of(results).looks)["layout"]["xaxis"]["range"]
+        assert low < item.table["spindle_speed_rpm"].iloc[7] < high
+
+    def test_depth_over_speed_and_width_is_that_of_the_file(self, tmp_path: Path) -> None:
+        rows = {"lobes": "lobes_1", "source": "sweep", "spindle_speed_rpm": [700, 855], "feed_mm_min": [140, 171]}
+        depths = {"depth_20mm_mm": [3.9, 15.2], "depth_40mm_mm": [3.2, 13.5]}
+        best = {"best_width_of_cut_mm": [40.0, 40.0], "removal_rate_cm3_min": [17.92, 92.34]}
+        write_csv(tmp_path / "depth_table.csv", pd.DataFrame({**rows, **depths, **best}))
+        (table,) = advice.depths(read_results(tmp_path))
+        assert table.headers[2:4] == ("20 mm wide", "40 mm wide")
+        assert [row.cells[2:4] for row in table.rows] == [("3.9", "3.2"), ("15.2", "13.5")]
+        assert [row.css for row in table.rows] == ["", "advised"]
 
     def test_no_lobes_is_said_in_one_sentence(self, tmp_path: Path) -> None:
         found = section(Draft.of(read_results(tmp_path)))
