@@ -32,7 +32,7 @@ def plots(page: str) -> dict[str, Any]:
             return [resolved(value) for value in part]
         if not isinstance(part, dict):
             return part
-        if "array" in part:
+        if isinstance(part.get("array"), int):
             return resolved(content["arrays"][part["array"]])
         return {key: resolved(value) for key, value in part.items()}
 

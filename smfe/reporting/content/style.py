@@ -14,7 +14,7 @@ from smfe.reporting.content.results import Results
 
 # Okabe and Ito's palette for the colour-blind. Vermilion is kept for chatter, sky blue for an axis.
 CURVE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#4D4D4D")
-_DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 SAFE_DASH = "longdashdot"
 """The safe curve's."""
 CHATTER = "#D55E00"
@@ -45,7 +45,7 @@ def palette(results: Results) -> dict[str, Line]:
     for number, name in enumerate(dict.fromkeys(names)):
         turn, colour = divmod(number, len(CURVE_COLOURS))
         # The first five differ in colour and in dash, the next five from them in one of both.
-        looks[name] = Line(CURVE_COLOURS[colour], _DASHES[(number + turn) % len(_DASHES)])
+        looks[name] = Line(CURVE_COLOURS[colour], DASHES[(number + turn) % len(DASHES)])
     return looks
 
 

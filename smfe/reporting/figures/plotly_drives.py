@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from smfe.reporting.content.style import CURVE_COLOURS, RECORD, translucent
+from smfe.reporting.content.style import CURVE_COLOURS, DASHES, RECORD, translucent
 from smfe.reporting.figures import figure_data
 from smfe.reporting.figures.plotly_frame import LEGEND, Figure, axis_look, base_layout, packed, scatter
 
@@ -69,7 +69,7 @@ def loop_figure(dataset: xr.Dataset) -> Figure:
     """Return the interactive figure of one measurement."""
     x = packed(dataset["frequency"].values)
     data = []
-    for name, colour, gain, phase in figure_data.loop_curves(dataset):
+    for at, (name, colour, gain, phase) in enumerate(figure_data.loop_curves(dataset)):
         for y, panel, shown in ((gain, "", True), (phase, "2", False)):
             data.append(
                 {
@@ -80,7 +80,7 @@ def loop_figure(dataset: xr.Dataset) -> Figure:
                     "name": name,
                     "legendgroup": name,
                     "showlegend": shown,
-                    "line": {"width": 1.5, "color": colour},
+                    "line": {"width": 1.5, "color": colour, "dash": DASHES[at % len(DASHES)]},
                     "xaxis": f"x{panel}",
                     "yaxis": f"y{panel}",
                     "hovertemplate": "%{x:.5~g} Hz, %{y:.3~g}",
