@@ -201,6 +201,9 @@ class _Plan:
     wanted: tuple[float, float] | None
 
 
+_NOTHING = 0.005  # share of the motion between the hits that is not worth a word
+
+
 def _without_background(
     columns: Mapping[str, list[xr.Dataset]], hits: Sequence[Hit], background: Background
 ) -> tuple[dict[str, list[xr.Dataset]], dict[str, list[Mapping[str, Tones]]], pd.DataFrame, list[str]]:
@@ -216,6 +219,8 @@ def _without_background(
             cleaned[axis].append(removed.record)
             tones[axis].append(removed.fitted)
             tables.append(removed.tones.assign(excitation=axis, file=here[0].source))
+            if removed.tones.empty and max(removed.share.values()) < _NOTHING:
+                continue
             shares = ", ".join(f"{100.0 * share:.0f} % in {a}" for a, share in removed.share.items())
             notes.append(
                 f"excitation {axis}: {here[0].source}: motion between the hits was removed: {shares} of its power over "

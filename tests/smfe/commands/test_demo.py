@@ -103,8 +103,16 @@ def test_the_cutting_tests_contradict_the_machine_at_rest_and_confirm_the_sweep(
 
 
 @pytest.mark.slow
-def test_the_recommended_cut_lies_inside_the_range_and_where_the_machine_is_stable(demo: Path) -> None:
+def test_the_recommended_cut_lies_in_the_pocket_of_the_machine_in_motion(demo: Path) -> None:
     found = smfe.recommendation(demo / "results")
     assert found is not None
     assert found.status == "recommended"
+    assert found.source in {"hammer_moving", "sweep"}
+    assert found.spindle_speed_rpm is not None
     assert 700.0 <= found.spindle_speed_rpm <= 800.0
+
+
+@pytest.mark.slow
+def test_nothing_is_said_of_a_background_that_is_not_there(demo: Path) -> None:
+    said = json.loads((demo / "results" / "provenance.json").read_text())["warnings"]
+    assert not [w for w in said if "motion between the hits" in w]
