@@ -78,16 +78,16 @@ class AxisBaseline:
     def nuisances(self) -> tuple[Parameter, ...]:
         """Return the parameters that every hypothesis fits anew."""
         d, found = self.drive, []
-        for name, unit, start in (
-            ("moving_mass", "kg", d.moving_mass),
-            ("tip_mass", "kg", d.tip_mass),
-            ("stiffness", "N/m", d.stiffness),
-            ("damping", "N s/m", d.damping),
-            ("viscous", "N s/m", d.sigma),
+        for name, unit, start, shown in (
+            ("moving_mass", "kg", d.moving_mass, 1.0),
+            ("tip_mass", "kg", d.tip_mass, 1.0),
+            ("stiffness", "N/um", d.stiffness, 1e-6),
+            ("damping", "N s/m", d.damping, 1.0),
+            ("viscous", "N s/m", d.sigma, 1.0),
         ):
             size = max(abs(start), 1e-3)
             low, prior = 0.0 if name == "viscous" else 0.05 * start, self.spread[name] * size
-            found.append(Parameter(name, unit, start, 0.1 * size, low, 20.0 * size, prior))
+            found.append(Parameter(name, unit, start, 0.1 * size, low, 20.0 * size, prior, shown))
         return tuple(found)
 
     def causes(self) -> tuple[Cause, ...]:

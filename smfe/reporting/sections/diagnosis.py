@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from smfe.diagnosis.story.words import in_words, parameter_words, unit_text
+from smfe.diagnosis.story.words import in_words, parameter_words, percent, rounded, unit_text, with_interval
 from smfe.reporting.content.style import number
 from smfe.reporting.content.tables import Row, Table
 from smfe.reporting.figures.compared import blocks
@@ -81,14 +82,21 @@ def _conditions(finding: Mapping[str, Any]) -> Table | None:
             (
                 str(c["name"]),
                 "set aside" if c["held_out"] else "left out" if c.get("unseen") else "fitted",
-                *(_n(None if c.get(k) is None else 100.0 * c[k]) for k in ("error_before", "error_after")),
-                *(_n(c[k]) for k in ("before_db", "after_db")),
+                *("–" if c.get(k) is None else percent(c[k]) for k in ("error_before", "error_after")),
+                *("–" if c[k] is None else f"{c[k]:.1f}" for k in ("before_db", "after_db")),
             )
         )
         for c in finding.get("conditions", [])
         if c.get("error_before") is not None
     ]
-    heads = ("condition", "how", "error of the simulation [%]", "of the extended model [%]", "over noise [dB]", "[dB]")
+    heads = (
+        "condition",
+        "how",
+        "error of the simulation [%]",
+        "of the extended model [%]",
+        "simulation over noise [dB]",
+        "extended model over noise [dB]",
+    )
     return _table(heads, (False, False, True, True, True, True), rows, "Error of each condition")
 
 
@@ -106,25 +114,23 @@ def _unit(p: Mapping[str, Any]) -> str:
 
 def _causes(finding: Mapping[str, Any]) -> Table | None:
     rows = [
-        Row(
-            (
-                cause["title"] if i == 0 else "",
-                parameter_words(p["name"]),
-                _n(p["value"]),
-                "not separable from others" if None in (p["low"], p["high"]) else f"{_n(p['low'])} to {_n(p['high'])}",
-                _unit(p),
-            )
-        )
+        Row((cause["title"] if i == 0 else "", parameter_words(p["name"]), _estimate(p)))
         for cause in finding.get("causes", [])
         for i, p in enumerate(cause["parameters"])
     ]
-    heads = ("cause", "parameter", "value", "95 % interval", "unit")
-    return _table(heads, (False, False, True, True, False), rows, "What the extended model adds to the simulation")
+    heads = ("cause", "parameter", "value (95 % interval)")
+    return _table(heads, (False, False, False), rows, "What the extended model adds to the simulation")
+
+
+def _estimate(p: Mapping[str, Any]) -> str:
+    """Return a parameter with its interval; the file has None where that is not finite."""
+    low, high = (math.inf if p[key] is None else float(p[key]) for key in ("low", "high"))
+    return with_interval(float(p["value"]), low, high, str(p["unit"]))
 
 
 def _own(finding: Mapping[str, Any]) -> Table | None:
     rows = [
-        Row((parameter_words(p["name"]), _n(p["given"]), _n(p["fitted"]), _n(p["spread"]), _unit(p)))
+        Row((parameter_words(p["name"]), *(rounded(p[k]) for k in ("given", "fitted", "spread")), _unit(p)))
         for p in finding.get("baseline", [])
     ]
     heads = ("parameter", "given", "fitted", "sd with which it is trusted", "unit")
@@ -157,7 +163,7 @@ def _power(finding: Mapping[str, Any]) -> Table | None:
             (
                 p["title"],
                 parameter_words(p["parameter"]),
-                _n(p["size"]) if p["admissible"] else "not detectable",
+                rounded(p["size"], 2) if p["admissible"] else "not detectable",
                 _unit(p),
             )
         )

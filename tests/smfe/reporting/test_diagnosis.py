@@ -90,8 +90,8 @@ def test_a_baseline_that_the_data_move_beyond_what_is_trusted_is_said_to_be_move
     assert "frequency of mode 1" not in text
     (table,) = shown(found.as_dict())[0]["tables"]
     assert [row.cells[:3] for row in table.rows] == [
-        ("damping of mode 1", "3", "4.99"),
-        ("frequency of mode 1", "62", "62.1"),
+        ("damping of mode 1", "3.00", "4.99"),
+        ("frequency of mode 1", "62.0", "62.1"),
     ]
 
 
