@@ -4,8 +4,9 @@ Rules, in this order, for each request of a campaign:
 
 1. **Which source.** A measurement before a ``[[model]]``, which is taken only where nothing else is there. Then what
    the cutting tests confirm (outcomes known, none chattered where the source predicts a stable cut) before what no test
-   has tried, and last what they contradict. Then what was measured in motion (a feed, or a sweep) before what was
-   measured at rest; then a limit whose uncertainty is known; then the larger share of tests predicted rightly.
+   has tried, and last what they contradict. Then what was measured while cutting (a sweep) before what was measured
+   in motion (a feed) and at rest; then a limit whose uncertainty is known; then the larger share of tests predicted
+   rightly, and the narrower band.
 2. **Which depth.** The safe depth of the lobes, the smallest wherever the spindle may turn about its speed
    (`stability.best_pockets`), at most what `smfe.limits.ceilings` allows, rounded down to 0.1 mm; its removal rate is
    that of the rounded depth. Without a known uncertainty there is no safe depth: the limit is given, and no depth.
@@ -40,6 +41,9 @@ from stability.tables.presets import FORMAT, LIMIT_ONLY, NONE, RECOMMENDED, VERS
 
 PRESETS = "presets.json"
 """File of the recommendation."""
+
+CONDITIONS = CUTTING, IN_MOTION, AT_REST = "while cutting", "in motion", "at rest"
+"""Under what a source was measured: the nearest to the cut that is asked for first."""
 
 APART = 0.05
 """Share of the limit by which two sources must differ before it is said that they do."""
@@ -312,6 +316,21 @@ class _Candidate:
         """Whether the uncertainty of the limit is known somewhere."""
         return bool(self.result.table["limit_depth_p05_mm"].notna().any())
 
+    @property
+    def condition(self) -> str:
+        """Under what it was measured."""
+        if self.result.kind == "sweep":
+            return CUTTING
+        return IN_MOTION if self.result.in_motion else AT_REST
+
+    @property
+    def width_of_band(self) -> float:
+        """Median ratio of the 95 % to the 5 % quantile of the limit; inf where it is not known."""
+        table = self.result.table
+        low, high = (table[f"limit_depth_{end}_mm"].to_numpy(float) for end in ("p05", "p95"))
+        known = np.isfinite(high) & (low > 0.0)
+        return float(np.median(high[known] / low[known])) if known.any() else math.inf
+
     @cached_property
     def right(self) -> int:
         """Tests predicted rightly."""
@@ -350,9 +369,10 @@ class _Candidate:
             float(self.is_model),
             float(self.contradicted > 0),
             tested,
-            float(not self.result.in_motion),
+            float(CONDITIONS.index(self.condition)),
             float(not self.known),
             wrong,
+            self.width_of_band,
         )
 
     def rows(self) -> pd.DataFrame:
@@ -463,7 +483,7 @@ def _source_sentence(source: _Candidate, ranked: Sequence[_Candidate]) -> str:
     if source.is_model:
         what = f"{result.source}, a model: no measurement is asked for beside it"
     else:
-        what = f"{result.source}, measured {'in motion' if result.in_motion else 'at rest'}"
+        what = f"{result.source}, measured {source.condition}"
     total = len(source.counted)
     if total and not source.falsely_stable:
         what += f"; it predicts {source.right} of {total} cutting {'test' if total == 1 else 'tests'} rightly"

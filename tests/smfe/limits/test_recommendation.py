@@ -206,6 +206,11 @@ def test_a_measurement_comes_before_a_model_and_motion_before_rest(classic):
     assert "a model: no measurement" in chosen(classic).reason
     assert chosen(classic, ("idle",)).source == "idle"
     assert chosen(classic, ("idle",), ("moving", "sweep", True)).source == "moving"
+    # While cutting is nearer to the cut than a moved axis that is hit.
+    for order in ([("hit", "hammer", True), ("cut", "sweep", True)], [("cut", "sweep", True), ("hit", "hammer", True)]):
+        assert chosen(classic, *order).source == "cut"
+    assert "From cut, measured while cutting" in chosen(classic, ("cut", "sweep", True)).reason
+    assert "From hit, measured in motion" in chosen(classic, ("hit", "hammer", True)).reason
     known, unknown = {"source": "known"}, {"source": "unknown", "band": False}
     assert chosen(classic, unknown, known).source == "known"
 
