@@ -97,7 +97,7 @@ lint: $(READY)
 
 # Built afresh (-E): a page that Sphinx does not read again gives no warning again.
 docs: $(READY)
-	$(RUN) $(BIN)/sphinx-build -E -W --keep-going -q -b html docs docs/_build/html
+	$(RUN) $(BIN)/sphinx-build -j $(JOBS) -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
 # One page, its examples run: make page PAGE=hammer
