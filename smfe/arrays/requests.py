@@ -23,8 +23,8 @@ from smfe.limits.campaign_lobes import LobeResult
 from smfe.modes.fit_modes import ModalFit, uncertainty
 from stability import lobe_table
 
-Speeds = Sequence[float | str] | Real
-"""From, to and perhaps a step, or an array of speeds; numbers are rpm."""
+Speeds = float | str | Sequence[float | str] | Real
+"""From, to and perhaps a step, one speed, or an array of speeds; numbers are rpm."""
 
 _TABLES = ("spindle", "machine")
 """Tables of a campaign file that say what limits a cut besides the machine's compliance."""
@@ -64,6 +64,8 @@ def asked(
     if tool is None or material is None or missing:
         example = "tool, material, cut='down', width_of_cut='40 mm', spindle_speed=(600, 1500)"
         raise InputError(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; give {example}")
+    if not isinstance(request["width_of_cut"], str) and np.ndim(request["width_of_cut"]):
+        raise InputError("width_of_cut: one width at a time is asked for; call once for each")
     request = USUAL | dict(request)
     tables, compliances = machines(source)
     tables |= {key: request[key] for key in _TABLES if request.get(key) is not None}
@@ -134,7 +136,8 @@ def limits_given(
     assert campaign.tool is not None
     results = []
     for name, one in source.items():
-        asked_for = replace(campaign.lobes[0], spindle_speed=one["spindle_speed"].values)
+        listed = bool(one.attrs.get("single_speeds", False))
+        asked_for = replace(campaign.lobes[0], spindle_speed=one["spindle_speed"].values, listed=listed)
         table = lobe_table(one, name, campaign.tool, asked_for.width_of_cut, asked_for.feed_per_tooth)
         kind, moves = str(one.attrs.get("kind", "frf")), bool(one.attrs.get("in_motion", False))
         results.append(LobeResult("lobes_1", name, one, table, asked_for, kind, moves))
@@ -211,17 +214,17 @@ def _conditions(compliance: xr.Dataset) -> dict[str, Any]:
     return said
 
 
-def _speeds(given: object) -> tuple[list[str], Real | None]:
+def _speeds(given: object) -> tuple[Any, Real | None]:
     """Return speeds as a campaign file has them; of an array its ends, and the array itself [rpm]."""
-    if isinstance(given, np.ndarray | xr.DataArray) or (isinstance(given, Sequence) and len(given) > 3):
+    if isinstance(given, np.ndarray | xr.DataArray):
         speeds = np.asarray(given, dtype=float).ravel()
         if not (speeds.size and np.isfinite(speeds).all() and speeds.min() > 0.0):
             raise InputError("spindle_speed: the speeds must be positive numbers in rpm")
         low = float(speeds.min())
         return _texts([low, max(float(speeds.max()), low * (1.0 + 1e-9))]), speeds
-    if isinstance(given, str) or not isinstance(given, Sequence):
-        raise InputError(f"spindle_speed: {given!r} is no range; give (from, to) in rpm, e.g. (600, 1500)")
-    return _texts(given), None
+    if isinstance(given, str):
+        return given, None
+    return (_texts(given) if isinstance(given, Sequence) else _texts([given])[0]), None
 
 
 def _texts(given: Sequence[Any]) -> list[str]:

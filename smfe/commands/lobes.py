@@ -114,7 +114,8 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     width_of_cut : float or str
         [m].
     spindle_speed : (float or str, float or str), the same with a step, or numpy.ndarray
-        From and to, and the step of the table; or these speeds. Numbers are rpm.
+        From and to, and the step of the table; one speed, or four and more in a list; or a grid as an array. Numbers
+        are rpm.
     feed_per_tooth : float or str, optional
         [m]; sets feed and removal rate, and the limit of an operating point.
     method : str, optional

@@ -131,6 +131,7 @@ def test_compliances_and_modes_by_name_give_lobes_by_name_and_files_only_where_a
     ("wrong", "said"),
     [
         ({"width_of_cut": "130 mm"}, "width_of_cut: '130 mm' is wider than the tool of 125 mm"),
+        ({"width_of_cut": ["20 mm", "40 mm"]}, "width_of_cut: one width at a time"),
         ({"width_of_cut": 100}, "width_of_cut: '100' is wider than the tool"),
         ({"cut": "climb"}, "climb milling is down milling: write 'down'"),
         ({"spindle_speed": (750, 250)}, "the first must be positive and below the second"),
@@ -146,6 +147,12 @@ def test_what_a_file_would_be_refused_for_is_refused_by_its_name(wrong: dict[str
     given = {"source": MACHINE, "tool": TOOL, "material": STEEL, **CUT, "spindle_speed": (250, 750), **wrong}
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
         smfe.lobes(given.pop("source"), given.pop("tool"), given.pop("material"), **given)
+
+
+def test_one_speed_and_a_list_of_speeds_are_those_speeds() -> None:
+    for given, expected in ((500, [500.0]), ("500 rpm", [500.0]), ([250, 400, 500, 750], [250.0, 400.0, 500.0, 750.0])):
+        limits = smfe.lobes(MACHINE, TOOL, STEEL, **CUT, spindle_speed=given)
+        assert limits["spindle_speed"].values == pytest.approx(expected)
 
 
 def test_what_is_left_out_is_named() -> None:
