@@ -144,12 +144,14 @@ class Parts:
 def inputs_of(campaign: Path, files: Iterable[Path]) -> dict[str, Any]:
     """Return what a run reads as it is now: files by size and time, and what each pattern of the campaign finds."""
     text = campaign.read_text(encoding="utf-8")
-    patterns = {t for t in _texts(tomllib.loads(text)) if glob.has_magic(t)}
+    texts = set(_texts(tomllib.loads(text)))
+    patterns = {t for t in texts if glob.has_magic(t)}
     return {
         "campaign": str(campaign.absolute()),
         "files": {str(p.absolute()): list(state(p)) for p in (campaign, *files)},
         "patterns": {pattern: _found(campaign, pattern) for pattern in sorted(patterns)},
-        "data": os.environ.get("SMFE_DATA", ""),
+        # Where public data sets lie matters to a campaign that names one.
+        "data": os.environ.get("SMFE_DATA", "") if any(t.startswith("dataset:") for t in texts) else None,
     }
 
 
@@ -179,7 +181,7 @@ def is_unchanged(campaign: Path, folder: Path) -> bool:
     record = _read(folder / KEPT / RECORD)
     if record.get("code") != code() or record.get("campaign") != str(campaign.absolute()):
         return False
-    if record.get("data") != os.environ.get("SMFE_DATA", ""):
+    if record["data"] not in (None, os.environ.get("SMFE_DATA", "")):
         return False
     if any(list(state(folder / name)) != known for name, known in record["outputs"].items()):
         return False

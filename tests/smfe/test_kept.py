@@ -52,6 +52,19 @@ def test_another_version_of_the_program_counts(run: tuple[Path, Path], monkeypat
     assert not is_unchanged(*run)
 
 
+@pytest.mark.parametrize(("file", "same"), [("cut.csv", True), ("dataset:emps/cut.csv", False)])
+def test_where_data_sets_lie_counts_where_one_is_named(
+    file: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SMFE_DATA", "here")
+    campaign, folder = tmp_path / "campaign.toml", tmp_path / "results"
+    campaign.write_text(f'[[measurement]]\nrecords = [ {{ file = "{file}" }} ]\n')
+    write_record(folder, inputs_of(campaign, []))
+    assert is_unchanged(campaign, folder)
+    monkeypatch.setenv("SMFE_DATA", "there")
+    assert is_unchanged(campaign, folder) == same
+
+
 def test_another_campaign_file_is_another_campaign(run: tuple[Path, Path]) -> None:
     other = run[0].with_name("other.toml")
     other.write_text(CAMPAIGN)
