@@ -25,6 +25,7 @@ from smfe.results import FAILED, PREDICTION, TEST, Failure, Failures, attempt, f
 from smfe.stored import Store
 from stability import ChatterVerdict, chatter_verdict
 from stability.chatter.criterion import FREQUENCY_RANGE, AxisVerdict
+from stability.chatter.rules import RULES
 
 NOT_COMPARED = "not compared"
 """Prediction of a source that belongs to another controller, position or feed than the cut."""
@@ -367,10 +368,9 @@ def _threshold(verdict: ChatterVerdict) -> dict[str, Any]:
     axis = next((a.axis for a in verdict.by_axis if a.ratio == verdict.ratio), None)
     if axis is None:
         return {}
-    frequency, near = verdict.spectrum["frequency"].values, 1.5 * verdict.resolution_Hz
-    height = verdict.spectrum["amplitude"].sel(axis=axis).values
-    order = np.abs(frequency - verdict.tooth_passing_harmonic_Hz) <= near
-    reference = max(float(height[order].max(initial=0.0)), verdict.floor)
+    # As the criterion: the highest order of this axis, a share of the highest of all axes, the floor.
+    orders = verdict.spectrum["amplitude"].where(verdict.spectrum["harmonic"], 0.0).max("frequency")
+    reference = max(float(orders.sel(axis=axis)), RULES.silent * float(orders.max()), verdict.floor)
     return {"threshold_axis": axis, "threshold_amplitude": verdict.threshold * reference}
 
 
