@@ -7,6 +7,6 @@ from pathlib import Path
 import smfe
 
 
-def whole_demo(folder: Path) -> None:
+def full_demo(folder: Path, seed: int) -> None:
     """Run it into a folder, for `kept`."""
-    smfe.demo(folder)
+    smfe.demo(folder, seed)

@@ -60,7 +60,7 @@ def lobes_figure(
         barmode="overlay",
         annotations=[*_words(shown, tests), *_names(shown, looks), *_arrow(shown)],
     )
-    return {"data": data, "layout": layout, "narrow": {"height": 380}, "paper": {"height": 400}}
+    return {"data": data, "layout": layout, "narrow": {"height": 380}, "paper": {"height": 370}}
 
 
 def _regions(shown: Diagram) -> list[Figure]:

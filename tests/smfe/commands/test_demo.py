@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from kept import kept
+from samples.demonstration import full_demo
 
 import smfe
 from process.cut.engagement import engagement
@@ -26,10 +27,6 @@ from stability import zero_order
 
 CONTRADICTED = [(900, 4.5), (950, 4.0), (1100, 5.0)]
 """Cuts that the machine at rest would make, and that chatter; at 720 rpm and 7 mm it is the other way round."""
-
-
-def full_demo(folder: Path, seed: int) -> None:
-    smfe.demo(folder, seed)
 
 
 @pytest.fixture(scope="module", params=[DEMO_SEED, 1])
