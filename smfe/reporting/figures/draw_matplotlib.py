@@ -144,7 +144,7 @@ def _new(width: float, height: float) -> Figure:
 def _legend(figure: Figure, entries: Sequence[tuple[Artist, str]], top: float) -> None:
     """Put the legend above the panels, where it hides nothing."""
     handles, names = [h for h, _ in entries], [literal(spoken(n)) for _, n in entries]
-    columns = max(1, min(len(names), int(95 / (8 + max(len(n) for n in names)))))
+    columns = _columns(entries, figure.get_figwidth())
     figure.legend(
         handles,
         names,
@@ -157,11 +157,15 @@ def _legend(figure: Figure, entries: Sequence[tuple[Artist, str]], top: float) -
     )
 
 
-def _legend_height(entries: Sequence[tuple[Artist, str]]) -> float:
-    """Return the height [inch] that `_legend` needs."""
+def _legend_height(entries: Sequence[tuple[Artist, str]], width: float = 7.5) -> float:
+    """Return the height [inch] that `_legend` needs in a figure of a width [inch]."""
+    return 0.2 * -(-len(entries) // _columns(entries, width)) + 0.12
+
+
+def _columns(entries: Sequence[tuple[Artist, str]], width: float) -> int:
+    """Return how many names stand beside each other: some 13 letters an inch, and a line of 8 letters before each."""
     longest = max(len(n) for _, n in entries)
-    columns = max(1, min(len(entries), int(95 / (8 + longest))))
-    return 0.2 * -(-len(entries) // columns) + 0.12
+    return max(1, min(len(entries), int(95 / 7.5 * width / (8 + longest))))
 
 
 def _handle(look: Line) -> Line2D:
@@ -298,7 +302,7 @@ def draw_compliance(measurements: Sequence[Measurement], looks: Mapping[str, Lin
     low, high = figure_data.magnitude_range(measurements, span)
     entries: list[tuple[Artist, str]] = [(_handle(looks[m.name]), m.name) for m in measurements]
     width, height = (7.5, 2.0 * len(responses) + 0.9) if len(excitations) > 1 else (6.0, 4.2)
-    top = 1.0 - _legend_height(entries) / height
+    top = 1.0 - _legend_height(entries, width) / height
     figure = _new(width, height)
     grid = figure.add_gridspec(
         len(responses),
@@ -436,7 +440,7 @@ def draw_spectra(spectra: Sequence[xr.Dataset]) -> Figure:
         entries.append((Line2D([], [], color=CHATTER, linestyle="--"), "threshold"))
     width, height = (2.6 * columns + 0.6 if columns > 1 else 5.5), 2.2 * rows + 0.9
     note = 0.22 if len(spectra) > len(shown) else 0.0
-    top = 1.0 - (_legend_height(entries) + 0.25 + note) / height
+    top = 1.0 - (_legend_height(entries, width) + 0.25 + note) / height
     figure = _new(width, height)
     grid = figure.add_gridspec(
         rows, columns, left=0.75 / width, right=0.985, bottom=0.5 / height, top=top, wspace=0.28, hspace=0.42
