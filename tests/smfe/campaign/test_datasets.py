@@ -139,9 +139,8 @@ class TestFetching:
             records = [{ file = "dataset:bench/hit.csv", excitation = "x" }]
             """
         )
-        with pytest.raises(
-            InputError, match=r"measurement\[0\]\.records\[0\]\.file: 'dataset:bench/hit\.csv' is not on this machine"
-        ):
+        said = r"line 10: measurement 'hit', records\[0\]\.file: 'dataset:bench/hit\.csv' is not on this machine"
+        with pytest.raises(InputError, match=said):
             load_campaign(tmp_path / "campaign.toml")
         campaign = load_campaign(tmp_path / "campaign.toml", show=lambda text: None)
         assert campaign.files == (own_cache / "bench" / "hit.csv",)

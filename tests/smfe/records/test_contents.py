@@ -140,7 +140,7 @@ class TestConversionLeavesNothingOutInSilence:
         (back,) = read_records(written, {})
         np.testing.assert_allclose(back["force"].sel(axis="x"), 1000.0 * FX, atol=1e-12)
         (tmp_path / "d.toml").write_text(channels + 'force_q = { column = "Fx", unit = "kN" }\n')
-        with pytest.raises(InputError, match=r"d\.toml: channels.* 'force_q' is not known"):
+        with pytest.raises(InputError, match=r"d\.toml, line 3: channels.* 'force_q' is not known"):
             convert(tmp_path / "r.csv", tmp_path / "r.nc", tmp_path / "d.toml")
         (tmp_path / "e.toml").write_text('[campaign]\nname = "empty"\n')
         with pytest.raises(InputError, match=r"e\.toml: it declares no \[channels\]"):
