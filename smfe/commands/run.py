@@ -59,6 +59,7 @@ from smfe.kept import (
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
 from smfe.limits.lobe_files import write_lobes
+from smfe.limits.ranking import ranked, write_ranking
 from smfe.limits.recommendation import coefficients_assumption
 from smfe.progress import Progress, part, parts, silent, warn
 from smfe.results import (
@@ -201,6 +202,7 @@ def run(
     write_csv(folder / "model_error.csv", errors)
     write_lobes(folder, results, loaded, verdicts.rows, failures)
     write_verdicts(folder, verdicts)
+    write_ranking(folder, ranked(whole, verdicts.rows))
     if finding is None:
         for name in ("finding.json", "finding.nc"):
             (folder / name).unlink(missing_ok=True)

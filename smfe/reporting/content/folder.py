@@ -18,6 +18,8 @@ KNOWN: dict[str, tuple[str, str]] = {
     "lobe_table.csv": ("Limit depth, its interval and safe depth over spindle speed", _SHEET),
     "lobes.nc": ("Stability lobes with quantiles and single lobes", _ARRAYS),
     "chatter.csv": ("Cutting tests: verdict, chatter frequency, what was predicted", _SHEET),
+    "ranking.csv": ("Methods by the share of cutting tests that they predict rightly", _SHEET),
+    "ranking_differences.csv": ("Which of their differences are more than chance", _SHEET),
     "spectra.nc": ("Spectra and spectrograms of the cutting tests", _ARRAYS),
     "frf.nc": ("Compliances with uncertainty and coherence, one group a measurement", _ARRAYS),
     "conditions.nc": ("Compliances over force level and feed", _ARRAYS),

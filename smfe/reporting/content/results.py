@@ -26,7 +26,7 @@ _TEXT_COLUMNS = (
     *("source", "request", "lobes", "measurement", "model", "measurement_a", "measurement_b", "a", "b"),
     *("lowest", "highest", "categories", "aliased_with"),
     *("response", "excitation", "entry", "file", "verdict", "observed", "reason"),
-    *("controller", "position", "not_compared"),
+    *("controller", "position", "not_compared", "method", "method_a", "method_b"),
 )
 """Columns that are names: a source called "1" stays text."""
 
@@ -186,6 +186,8 @@ class Results:
         Content of presets.json, empty when absent.
     pockets, depths : pandas.DataFrame or None
         Rows of pockets.csv; of depth_table.csv, depth over speed and width of cut.
+    ranking, differences : pandas.DataFrame or None
+        Rows of ranking.csv and ranking_differences.csv: methods by what they predict.
     curves : xarray.Dataset or None
         What a diagnosis compared, of finding.nc; None when it is absent.
     """
@@ -208,6 +210,8 @@ class Results:
     pockets: pd.DataFrame | None = None
     curves: xr.Dataset | None = None
     depths: pd.DataFrame | None = None
+    ranking: pd.DataFrame | None = None
+    differences: pd.DataFrame | None = None
 
     @property
     def title(self) -> str:
@@ -296,6 +300,8 @@ def read_results(folder: Path) -> Results:
         _read_csv(folder / "pockets.csv", ("source", "spindle_speed_rpm", "limit_depth_mm")),
         _groups(folder / "finding.nc").get("curves") if (folder / "finding.json").is_file() else None,
         _read_csv(folder / "depth_table.csv", ("lobes", "source", "spindle_speed_rpm")),
+        _read_csv(folder / "ranking.csv", ("method", "controller", "spindle_speed_rpm", "tests", "right")),
+        _read_csv(folder / "ranking_differences.csv", ("method_a", "method_b", "controller", "tests", "significant")),
     )
 
 

@@ -22,6 +22,7 @@ from matplotlib.patches import Patch
 from process.types import Real
 from smfe.reporting.content.conditions import cubes
 from smfe.reporting.content.headline import outcomes
+from smfe.reporting.content.ranking import grid
 from smfe.reporting.content.results import BAD_CONDITION, Lobes, Measurement, Results
 from smfe.reporting.content.style import (
     ADVICE,
@@ -38,6 +39,7 @@ from smfe.reporting.content.style import (
 )
 from smfe.reporting.figures import figure_data, spectrograms
 from smfe.reporting.figures.draw_diagnosis import draw_compared, draw_depths, draw_search
+from smfe.reporting.figures.draw_ranking import draw_ranking
 from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.reporting.figures.thinning import columns_of, largest
 from smfe.results import write_atomically
@@ -101,6 +103,8 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
     with_picture = spectrograms.pictured(list(results.spectra.values()))
     if with_picture:
         out["spectrograms.png"] = partial(spectrograms.draw, with_picture)
+    if results.ranking is not None and grid(results.ranking):
+        out["ranking.png"] = partial(draw_ranking, results.ranking)
     if results.curves is not None:
         out["diagnosis.png"] = partial(draw_compared, results.curves)
     if figure_data.stable_depths(results.finding):
@@ -121,6 +125,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
         "condition.png",
         "spectra.png",
         "spectrograms.png",
+        "ranking.png",
         "diagnosis*.png",
     ):
         for path in folder.glob(pattern):

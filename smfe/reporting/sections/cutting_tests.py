@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from smfe.reporting.content import ranking
 from smfe.reporting.content.cuts import counted, cuts, scores
 from smfe.reporting.content.results import Results
 from smfe.reporting.figures import figure_data, spectrograms
@@ -40,6 +41,11 @@ def section(draft: Draft) -> dict[str, Any]:
         "cuts": found,
         "counted": counted(found) if found else "",
         "scores": scores(found),
+        "ranking": ranking.grid(results.ranking),
+        "ranking_speeds": [] if results.ranking is None else ranking.speeds(results.ranking),
+        "differences": ranking.sentences(results.differences),
+        "in_cell": ranking.in_cell,
+        "marks": [f"{ranking.MARKS[kind]} {words}" for kind, words in ranking.WORDS.items()],
         "sources": [p.source for p in found[0].predictions] if found else [],
         "observed": any(cut.observed for cut in found),
         "frequency": any(cut.frequency > 0.0 for cut in found),

@@ -97,6 +97,11 @@ def test_the_cutting_tests_contradict_the_machine_at_rest_and_confirm_the_sweep(
     assert verdict[720, 7.0]["predicted_hammer"] == "chatter"
     assert list(table["predicted_sweep"]) == list(table["verdict"])
     assert list(table["predicted_hammer_moving"]) == list(table["verdict"])
+    ranking = pd.read_csv(demo / "results" / "ranking.csv").query("controller == 'all'")
+    assert list(ranking["method"]) == ["hammer in motion", "sweep", "hammer at rest"]
+    assert list(ranking["right"]) == [6, 6, 2]
+    page = (demo / "results" / "report.html").read_text(encoding="utf-8")
+    assert "No difference between the methods is more than chance" in page
 
 
 @pytest.mark.slow
