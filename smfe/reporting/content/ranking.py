@@ -104,11 +104,11 @@ def _tests(count: object) -> str:
 
 def _difference(row: dict[object, object]) -> str:
     under = f" under {row['controller']}" if row["controller"] not in (ALL, "") else ""
-    p = float(str(row["p_value_of_all"]))
+    p, alone, other = float(str(row["p_value_of_all"])), row["only_a_right"], row["only_b_right"]
     said = "p below 0.001" if p < 1e-3 else f"p = {number(p, 2)}"
     return (
         f"{str(row['method_a']).capitalize()} predicts better than {row['method_b']}{under}, and not by chance: of "
-        f"{row['tests']} tests it alone has {row['only_a_right']} right, the other alone {row['only_b_right']} ({said})."
+        f"{row['tests']} tests it alone has {alone} right, the other alone {other} ({said})."
     )
 
 
