@@ -153,6 +153,11 @@ def numbers_are_si() -> Iterator[None]:
         _NUMBERS.reset(token)
 
 
+def numbers_count() -> bool:
+    """Whether `parse` takes plain numbers here, as SI."""
+    return _NUMBERS.get()
+
+
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*[^\d\s,]*\s*$")
 
 

@@ -21,12 +21,14 @@ from process.drive.servo import Servo
 from process.errors import InputError
 from process.friction.laws import FrictionLaw, MemoryLaw
 from process.labels import RECORD_SCALARS
+from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.notebook import html_table
 from process.types import Real
 from smfe.campaign import schema
 from smfe.campaign.checks import channel_complaints, check, complaints, merge, path
 from smfe.campaign.datasets import Show
+from smfe.campaign.machine import MACHINE
 from smfe.campaign.places import Loc, line_of, lines_of, place, syntax_advice
 from smfe.campaign.schema import PlanTable
 from smfe.records.dynamometer import Dynamometer
@@ -500,6 +502,9 @@ class Campaign:
         As the shop calls them; where it does not say, by diameter and teeth, and by the name of the campaign.
     machine_limits : MachineLimits
         What tool and machine can do.
+    machine_model : Machine, ModalModel or None
+        What ``[machine]`` is made of, where the campaign says it: with axes, joints or postures a machine that
+        `Machine.at` linearises at a feed, controller and position; of modes alone also one of `models`, "machine".
     """
 
     path: Path
@@ -520,6 +525,7 @@ class Campaign:
     tool_name: str = ""
     machine: str = ""
     machine_limits: MachineLimits = field(default_factory=MachineLimits)
+    machine_model: Machine | ModalModel | None = None
 
     @property
     def coefficients_known_within(self) -> float:
@@ -546,6 +552,8 @@ class Campaign:
             count = sum(len(r.files) + len(r.held) for r in m.records)
             rows.append(("measurement", m.name, f"{m.method}, {count} {'record' if count == 1 else 'records'}"))
         rows += [("model", m.name, f"{m.modal.frequency.size} modes") for m in self.models]
+        if isinstance(self.machine_model, Machine):
+            rows.append(("machine", self.machine, f"axes {', '.join(self.machine_model.axes) or 'none'}"))
         for number, r in enumerate(self.lobes, 1):
             speeds = f"{r.spindle_speed[0]:g} to {r.spindle_speed[-1]:g} rpm"
             rows.append((f"lobes_{number}", ", ".join(r.measurements), f"{r.cut}, {r.method}, {speeds}"))
@@ -728,6 +736,8 @@ def report(file: Path, found: list[tuple[Loc, str]]) -> str:
 
 def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
     base = _declared(file.channels)
+    machine = file.machine.build() if file.machine else None
+    own = (Model(MACHINE, machine),) if isinstance(machine, ModalModel) else ()
     return Campaign(
         path=file_path,
         name=file.campaign.name,
@@ -736,7 +746,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         material=file.material.name if file.material else None,
         channels=_channels("cutting", base),
         measurements=tuple(_measurement(table, base) for table in file.measurement),
-        models=tuple(_model(table) for table in file.model),
+        models=(*(_model(table) for table in file.model), *own),
         lobes=tuple(r for number, table in enumerate(file.lobes, 1) for r in _lobes(number, table)),
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
         baseline=_baseline(file.baseline) if file.baseline else None,
@@ -752,6 +762,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
             file.spindle.torque if file.spindle else None,
             file.machine.maximum_feed if file.machine else None,
         ),
+        machine_model=machine,
     )
 
 

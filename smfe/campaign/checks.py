@@ -17,6 +17,7 @@ from pydantic_core import ErrorDetails
 from process import units
 from process.errors import InputError
 from process.labels import AXES
+from smfe.campaign.machine import MACHINE, is_model
 from smfe.campaign.methods import METHODS, needed_by, readers_of
 from smfe.campaign.schema import CampaignFile
 from smfe.records.formats.channels import (
@@ -78,11 +79,18 @@ def _quantity(table: Any, key: str, dimension: str) -> float | None:
 
 def _names_of(raw: Raw) -> list[tuple[Loc, str]]:
     found = [(where, table.get("name")) for key in ("measurement", "model") for where, table in _tables(raw, key)]
-    return [(where, name) for where, name in found if isinstance(name, str)]
+    own = [(("machine",), MACHINE)] if _machine(raw) else []
+    return own + [(where, name) for where, name in found if isinstance(name, str)]
+
+
+def _machine(raw: Raw) -> Raw | None:
+    """Return ``[machine]`` where it says what the machine is made of."""
+    table = raw.get("machine")
+    return table if isinstance(table, dict) and is_model(table) else None
 
 
 def _something_to_do(raw: Raw) -> Iterator[Complaint]:
-    if not any(key in raw for key in ("measurement", "model", "cutting_test", "plan")):
+    if not any(key in raw for key in ("measurement", "model", "cutting_test", "plan")) and not _machine(raw):
         yield (), "nothing to work with; add a [[measurement]], a [[model]] or a [[cutting_test]]"
 
 
@@ -90,7 +98,8 @@ def _names(raw: Raw) -> Iterator[Complaint]:
     first: dict[str, Loc] = {}
     for where, name in _names_of(raw):
         if name in first:
-            yield (*where, "name"), f"'{name}' is already the name of {path(first[name])}; give each its own"
+            own = "[machine]" if first[name] == ("machine",) else path(first[name])
+            yield (*where, "name"), f"'{name}' is already the name of {own}; give each its own"
         first.setdefault(name, where)
     for name in _level_names(raw):
         if name in first:
@@ -220,7 +229,7 @@ def _lobes(raw: Raw) -> Iterator[Complaint]:
         yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
         names = table.get("measurements")
         for i, name in enumerate(names if isinstance(names, list) else []):
-            yield from _named(raw, (*where, "measurements", i), name)
+            yield from _named(raw, (*where, "measurements", i), name, anywhere=True)
 
 
 def _cutting_tests(raw: Raw) -> Iterator[Complaint]:
@@ -297,11 +306,18 @@ def _plan(raw: Raw) -> Iterator[Complaint]:
         yield from _fits(diameter, ("plan", *place), _quantity(entry, "width_of_cut", "length"), entry)
 
 
-def _named(raw: Raw, where: Loc, name: Any) -> Iterator[Complaint]:
+def _named(raw: Raw, where: Loc, name: Any, anywhere: bool = False) -> Iterator[Complaint]:
+    """Refuse a name that nothing has; `anywhere` allows a machine whose compliance depends on feed and controller."""
     known = [known for _, known in _names_of(raw)]
     if name not in [*known, *_level_names(raw)]:
         near = did_you_mean(str(name), known)
         yield where, f"'{name}' is neither a measurement nor a model{near}; there are {listed(known)}"
+    elif name == MACHINE and not anywhere and set(_machine(raw) or ()) & {"axis", "joint", "posture"}:
+        yield (
+            where,
+            "the machine of [machine] has a compliance for each feed, controller and position, of which [[lobes]] "
+            f"take that of the cut; name a measurement or a [[model]]: {listed([k for k in known if k != MACHINE])}",
+        )
 
 
 def _level_names(raw: Raw) -> Iterator[str]:

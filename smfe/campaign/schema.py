@@ -3,118 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Mapping
+from dataclasses import fields
 from datetime import date, datetime
 from typing import Annotated, Any, Generic, TypeVar
 
-import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictInt, StrictStr, model_validator
+from pydantic import BeforeValidator, Field, StrictBool, StrictInt, StrictStr, model_validator
 
-from process import units
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction.laws import (
-    Andersson,
-    Coulomb,
-    CoulombViscous,
-    FrictionLaw,
-    GeneralisedMaxwellSlip,
-    LuGre,
-    MemoryLaw,
-    Viscous,
-)
 from process.machine.modes import ModalModel
 from smfe.campaign import quantities as q
+from smfe.campaign.machine import FrictionTable, MachineTable, ModeTable, ServoTable, modal_model
 from smfe.campaign.methods import AVERAGES, METHODS, SWEEP_ESTIMATORS
+from smfe.campaign.tables import (
+    Delay,
+    Lengths,
+    PositiveMass,
+    PositiveTime,
+    Speeds,
+    Table,
+    Triple,
+    Viscosity,
+    triple,
+)
 from smfe.records.dynamometer import Dynamometer
-from smfe.records.formats.channels import check_channel_name, listed
+from smfe.records.formats.channels import check_channel_name
 from stability import SpindleRange
 from stability.chatter.criterion import QUANTITIES
-
-
-class Table(BaseModel):
-    """A table of the file: unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-# --- Kinds of values that several tables hold.
-
-Triple = tuple[float, float, float]
-
-
-def many(value: Any) -> Any:
-    """One value or a list of them -> list."""
-    if value == []:
-        raise InputError("is empty; at least one entry is needed")
-    return value if isinstance(value, list) else [value]
-
-
-def values(dimension: str, above: float = -math.inf) -> BeforeValidator:
-    """One quantity or a list of them -> tuple in SI, each more than `above`."""
-
-    def parse(value: Any) -> tuple[float, ...]:
-        numbers = tuple(units.parse(item, dimension) for item in many(value))
-        for number, item in zip(numbers, many(value), strict=True):
-            if not number > above:
-                raise InputError(f"'{item}' is not possible; it must be positive")
-        return numbers
-
-    return BeforeValidator(parse)
-
-
-def number(value: Any) -> float:
-    """A number without unit, written as such or as a text with "%" -> float."""
-    if isinstance(value, str):
-        return units.parse(value, "dimensionless")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{value!r} is not a number; write 0.02 or '2 %'")
-    return float(value)
-
-
-def triple(dimension: str, low: float = -math.inf) -> BeforeValidator:
-    """One quantity for all axes, or a list of three -> triple in SI, each at least `low`."""
-
-    def parse(value: Any) -> Triple:
-        items = value if isinstance(value, list) else [value] * 3
-        if len(items) != 3:
-            raise InputError(f"{value!r} has {len(items)} values; give one for all axes, or one each for x, y and z")
-        x, y, z = (number(item) if dimension == "dimensionless" else units.parse(item, dimension) for item in items)
-        if min(x, y, z) < low:
-            raise InputError(f"{value!r} is not possible; noise is zero or more")
-        return x, y, z
-
-    return BeforeValidator(parse)
-
-
-def _span(dimension: str, example: str) -> BeforeValidator:
-    """[from, to], or one quantity for both -> (low, high) in SI, positive."""
-
-    def parse(value: Any) -> tuple[float, float]:
-        items = value if isinstance(value, list) else [value, value]
-        if len(items) != 2:
-            raise InputError(f"{value!r} is no range; write [from, to] or one value, e.g. {example}")
-        low, high = (units.parse(item, dimension) for item in items)
-        if not 0.0 < low <= high < math.inf:
-            raise InputError(f"{value!r} is no range; both must be positive, the first not above the second")
-        return low, high
-
-    return BeforeValidator(parse)
-
-
-PositiveMass = Annotated[float, q.quantity("mass", above=0.0)]
-PositiveTime = Annotated[float, q.quantity("time", above=0.0)]
-Delay = Annotated[float, q.quantity("time", low=0.0)]
-Viscosity = Annotated[float, q.quantity("viscosity", low=0.0)]
-Speed = Annotated[float, q.quantity("speed", above=0.0)]
-
-
-Lengths = Annotated[tuple[float, float], _span("length", '["0.05 mm", "0.2 mm"]')]
-Speeds = Annotated[tuple[float, float], _span("speed", '["500 mm/min", "2000 mm/min"]')]
-
 
 # --- What was used: tool, material, spindle, channels.
 
@@ -167,13 +85,6 @@ class MaterialTable(Table):
     def build(self) -> CuttingCoefficients:
         """Return the cutting coefficients."""
         return CuttingCoefficients(self.Ktc, self.Krc or 0.0, self.Kac or 0.0, self.Kte, self.Kre, self.Kae)
-
-
-class MachineTable(Table):
-    """``[machine]``: what it is called and how fast it feeds."""
-
-    name: q.Name | None = None
-    maximum_feed: Annotated[float, q.quantity("speed", above=0.0)] | None = None
 
 
 class SpindleTable(Table):
@@ -342,15 +253,6 @@ class CuttingTestTable(Table):
 # --- What is known of the machine: models and the baseline of a diagnosis.
 
 
-class ModeTable(Table):
-    """One entry of ``modes``."""
-
-    frequency: q.PositiveFrequency
-    damping: q.DampingRatio
-    stiffness: q.Stiffness
-    direction: tuple[float, float, float]
-
-
 class UncertaintyTable(Table):
     """``uncertainty`` of a model: relative standard deviations that hold for all its modes."""
 
@@ -373,73 +275,7 @@ class ModelTable(Table):
 
     def build(self) -> ModalModel:
         """Return the modal model."""
-        return ModalModel(
-            frequency=np.array([mode.frequency for mode in self.modes]),
-            damping=np.array([mode.damping for mode in self.modes]),
-            stiffness=np.array([mode.stiffness for mode in self.modes]),
-            direction=np.array([mode.direction for mode in self.modes]),
-        )
-
-
-LAWS: dict[str, type[FrictionLaw | MemoryLaw]] = {
-    "viscous": Viscous,
-    "coulomb": Coulomb,
-    "coulomb_viscous": CoulombViscous,
-    "andersson": Andersson,
-    "lugre": LuGre,
-    "gms": GeneralisedMaxwellSlip,
-}
-"""Friction laws by the name that a file uses."""
-
-
-class ServoTable(Table):
-    """One controller of an axis."""
-
-    Kp: Annotated[float, q.quantity("viscosity", above=0.0)]
-    Ti: PositiveTime
-    Kv: q.PositiveFrequency
-    delay: Delay = 0.0
-    feed_forward: q.Ratio = 1.0
-
-    def build(self) -> Servo:
-        """Return the servo."""
-        return Servo(**dict(self))
-
-
-class FrictionTable(Table):
-    """``friction`` of an axis: the law by name and its parameters."""
-
-    law: Annotated[str, q.one_of(tuple(LAWS), "law")]
-    coulomb: q.Force | None = None
-    static: q.Force | None = None
-    stribeck_speed: Speed | None = None
-    sigma: Viscosity | None = None
-    kt: Annotated[float, q.quantity("steepness", above=0.0)] | None = None
-    delta: q.Ratio | None = None
-    bristle_stiffness: q.Stiffness | None = None
-    bristle_damping: Viscosity | None = None
-    element_stiffness: Annotated[tuple[float, ...], values("stiffness", above=0.0)] | None = None
-    share: tuple[q.Ratio, ...] | None = None
-    attraction: Annotated[float, q.quantity("force_rate", above=0.0)] | None = None
-
-    def build(self) -> FrictionLaw | MemoryLaw:
-        """Return the law."""
-        law: FrictionLaw | MemoryLaw = made(
-            "friction law", self.law, LAWS[self.law], self.model_dump(exclude_unset=True, exclude={"law"})
-        )
-        return law
-
-
-def made(what: str, name: str, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
-    """Build a law from exactly the parameters it has."""
-    fields = getattr(make, "__dataclass_fields__", {})
-    wanted = {f.name for f in fields.values() if f.init}
-    needed = {f.name for f in fields.values() if f.init and f.default is MISSING}
-    missing, extra = sorted(needed - set(given)), sorted(set(given) - wanted)
-    if missing or extra:
-        wrong = [f"{listed(missing)} missing"] * bool(missing) + [f"{listed(extra)} not read"] * bool(extra)
-        raise InputError(f"{what} '{name}': {' and '.join(wrong)}; it has {listed(sorted(wanted))}")
-    return make(**given)
+        return modal_model(self.modes)
 
 
 class AxisBaseline(Table):

@@ -18,6 +18,7 @@ from process.labels import UNITS, at_tool
 from process.machine.modes import ModalModel
 from process.types import Real
 from smfe.campaign import Campaign, LobeRequest
+from smfe.campaign.machine import MACHINE
 from smfe.kept import key_of
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
 from smfe.limits.operating_conditions import over_conditions
@@ -163,6 +164,11 @@ def check_sources(names: Sequence[str], compliances: Mapping[str, xr.Dataset], f
     for name in names:
         if name in failed:
             raise InputError(f"measurement '{name}' failed; its own reason says what to do")
+        if name == MACHINE and name not in compliances:
+            raise InputError(
+                "the machine of [machine] has axes, joints or postures, and a compliance for each feed, controller and "
+                "position; name measurements made in motion, or compute its lobes from machine_model.at(feed, ...)"
+            )
         if name not in compliances:
             raise InputError(f"'{name}' is asked for, and the compliances do not hold it: {', '.join(compliances)}")
 

@@ -267,7 +267,7 @@ def _estimate(campaign: Campaign, limits: PlanTable, raw: Mapping[str, Any], pro
     measured = {m.name: m for m in with_levels(campaign).measurements if m.method in COMPLIANCE_METHODS}
     name = limits.machine or next(iter([*models, *measured]), None)
     if name in models:
-        table = next(t for t in raw["model"] if t["name"] == name)
+        table = next((t for t in raw.get("model", ()) if t["name"] == name), raw.get("machine", {}))
         return Estimate(name, models[name], {"modes": table["modes"]})
     if name is None or name not in measured:
         wanted = "no machine" if name is None else f"'{name}', which gives no compliance"

@@ -27,6 +27,7 @@ from process.machine.modes import ModalModel
 from process.machine.structure import Posture
 from process.simulation.problem import SampledControl
 from process.units import show as quantity
+from smfe.campaign.machine import MACHINE
 from smfe.campaign.toml import table
 from smfe.progress import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
@@ -176,13 +177,31 @@ def campaign_text(scenario: Scenario, records: Sequence[Sequence[Written]], noti
     parts.append(table("[campaign]", {"name": scenario.file.scenario.name}))
     parts += [table(f"[{name}]", scenario.raw[name]) for name in ("tool", "material") if name in scenario.raw]
     parts.append(table("[channels]", _declared(common)))
-    if isinstance(scenario.machine, ModalModel):
-        parts.append(table("[[model]]", {"name": "machine", "modes": scenario.raw["machine"]["modes"]}))
+    parts += _machine(scenario)
     for entry, one, columns in zip(scenario.entries, records, used, strict=True):
         own = {name: channel for name, channel in columns.items() if name not in common}
         parts.append(_cutting_test(entry, one[0].file, own) if entry.method == "cut" else _measurement(entry, one, own))
     parts += [table("[[lobes]]", lobes) for lobes in scenario.raw.get("lobes", ())]
     return "\n".join(parts)
+
+
+def _machine(scenario: Scenario) -> list[str]:
+    """Return what the campaign says of the machine.
+
+    Its name and feed; its modes, where it has modes alone, as a model; axes, joints and postures only where the lobes
+    ask for them: a campaign that measures a machine does not know it.
+    """
+    raw = scenario.raw["machine"]
+    asked = any(MACHINE in lobes["measurements"] for lobes in scenario.raw.get("lobes", ()))
+    if isinstance(scenario.machine, ModalModel):
+        known = {key: raw[key] for key in ("name", "maximum_feed") if key in raw}
+        head = [table("[machine]", known)] if known else []
+        return [*head, table("[[model]]", {"name": MACHINE, "modes": raw["modes"]})]
+    known = {key: value for key, value in raw.items() if asked or key in ("name", "maximum_feed")}
+    tables = {f"[machine.axis.{axis}]": values for axis, values in known.pop("axis", {}).items()}
+    tables |= {f"[machine.{key}]": known.pop(key) for key in list(known) if isinstance(known[key], Mapping)}
+    head = [table("[machine]", known)] if known or tables else []
+    return head + [table(name, values) for name, values in tables.items()]
 
 
 def _common(entries: Sequence[Entry], used: Sequence[Columns]) -> Columns:

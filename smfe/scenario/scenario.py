@@ -16,10 +16,11 @@ from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from smfe.campaign.campaign import read_toml, report
 from smfe.campaign.checks import Complaint, check, complaint
+from smfe.campaign.machine import MACHINE, build_machine
 from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.scenario import schema
-from smfe.scenario.build import build_machine, build_sensors, loaded_machine
+from smfe.scenario.build import build_sensors, loaded_machine
 from smfe.scenario.jobs import Entry, Stand, entries
 
 T = TypeVar("T")
@@ -78,7 +79,7 @@ def load_scenario(path: str | Path) -> Scenario:
         stand = Stand(file, machine, loaded_machine(machine, file.sensors), sensors, i)
         planned += _collected(found, ("trial", i), partial(entries, stand)) or []
     found += _clashes(planned)
-    found += [] if found else _refused(raw, machine, planned)
+    found += [] if found else _refused(raw, planned)
     if found:
         raise InputError(report(path, found))
     return Scenario(path, raw, file, machine, tuple(planned))
@@ -119,42 +120,35 @@ def _complaints(error: ValidationError) -> Iterator[Complaint]:
 
 
 def _clashes(planned: list[Entry]) -> Iterator[Complaint]:
-    seen: set[str] = {"machine"}
+    seen: set[str] = {MACHINE}
     for entry in planned:
         if entry.name in seen:
             yield ("trial", entry.trial, "name"), f"'{entry.name}' is already taken; give each trial a name of its own"
         seen.add(entry.name)
 
 
-def _refused(raw: Mapping[str, Any], machine: Machine | ModalModel, planned: list[Entry]) -> Iterator[Complaint]:
+def _refused(raw: Mapping[str, Any], planned: list[Entry]) -> Iterator[Complaint]:
     """Return why the campaign that would be written could not be run: too few passes of a sweep, lobes of nothing."""
     measured = [entry for entry in planned if entry.method != "cut"]
-    draft = {key: raw[key] for key in ("tool", "material", "lobes") if key in raw}
+    draft = {key: raw[key] for key in ("machine", "tool", "material", "lobes") if key in raw}
     draft["measurement"] = [
         {"name": entry.name, "method": entry.method, "records": [dict(job.says) for job in entry.jobs]}
         for entry in measured
     ]
-    draft["model"] = [{"name": "machine"}] if isinstance(machine, ModalModel) else []
     seen: set[tuple[str | int, ...]] = set()
-    for where, text in itertools.chain(_no_compliance(raw, machine, measured), check(draft)):
+    for where, text in itertools.chain(_no_compliance(raw, measured), check(draft)):
         place = ("trial", measured[int(where[1])].trial, "passes") if where[0] == "measurement" else where
         if place not in seen:
             seen.add(place)
             yield place, text
 
 
-def _no_compliance(raw: Mapping[str, Any], machine: Machine | ModalModel, measured: list[Entry]) -> Iterator[Complaint]:
-    """Lobes of what has none: a machine with axes is no list of modes, a drive or silent trial measures none."""
+def _no_compliance(raw: Mapping[str, Any], measured: list[Entry]) -> Iterator[Complaint]:
+    """Lobes of what has none: a drive or silent trial measures no compliance."""
     methods = {entry.name: entry.method for entry in measured}
     usable = listed(name for name, method in methods.items() if method in COMPLIANCE_METHODS)
     for i, lobes in enumerate(raw.get("lobes", ())):
         for k, name in enumerate(lobes["measurements"]):
-            place = ("lobes", i, "measurements", k)
-            if name == "machine" and not isinstance(machine, ModalModel):
-                yield (
-                    place,
-                    "a machine with axes, joints or postures has no single compliance that a campaign can hold as "
-                    f"modes; name measurements: {usable}, or compute its lobes in Python from machine.at(feed, ...)",
-                )
-            elif methods.get(name, "hammer") not in COMPLIANCE_METHODS:
-                yield place, f"'{name}' is a {methods[name]} trial and gives no compliance; there are {usable}"
+            if methods.get(name, "hammer") not in COMPLIANCE_METHODS:
+                where = ("lobes", i, "measurements", k)
+                yield where, f"'{name}' is a {methods[name]} trial and gives no compliance; there are {usable}"

@@ -11,33 +11,9 @@ from process.errors import InputError
 from process.instruments.trials import DEFAULT_SAMPLE_RATE
 from process.labels import AXES
 from smfe.campaign import quantities as q
-from smfe.campaign.schema import (
-    Delay,
-    FrictionTable,
-    LobesTable,
-    MaterialTable,
-    ModeTable,
-    PassTable,
-    PositiveMass,
-    PositiveTime,
-    ServoTable,
-    Table,
-    ToolTable,
-    Triple,
-    Viscosity,
-    many,
-    number,
-    triple,
-    values,
-)
-
-
-def _kilograms(value: Any) -> Any:
-    """The mass of a machine without a unit: kilograms are meant, and asked for."""
-    text = str(value).strip()
-    if not isinstance(value, bool) and text.replace(".", "", 1).isdigit():
-        raise InputError(f'{value!r} has no unit; write it as text with a unit, "{text} kg"')
-    return value
+from smfe.campaign.machine import MachineTable
+from smfe.campaign.schema import LobesTable, MaterialTable, PassTable, ToolTable
+from smfe.campaign.tables import Delay, PositiveTime, Table, Triple, many, number, triple, values
 
 
 def _range(dimension: str, steps: bool) -> BeforeValidator:
@@ -56,9 +32,7 @@ def _range(dimension: str, steps: bool) -> BeforeValidator:
 
 
 Axis = q.Axis
-MachineMass = Annotated[PositiveMass, BeforeValidator(_kilograms)]
 Directions = Annotated[tuple[Axis, ...], q.NotEmpty]
-PositiveForce = Annotated[float, q.quantity("force", above=0.0)]
 Ratios = Annotated[Triple, triple("dimensionless")]
 Matrix = Annotated[tuple[Ratios, Ratios, Ratios], q.NotEmpty]
 
@@ -69,56 +43,6 @@ class ScenarioTable(Table):
     name: q.Name
     seed: Annotated[StrictInt, Field(ge=0)] = 0
     sample_rate: q.PositiveFrequency = DEFAULT_SAMPLE_RATE
-
-
-# --- machine ------------------------------------------------------------------------------------------------
-
-
-class AxisTable(Table):
-    """``[machine.axis.x]``."""
-
-    moving_mass: MachineMass
-    tip_mass: MachineMass | None = None
-    stiffness: q.Stiffness | None = None
-    damping: Viscosity | None = None
-    controllers: Annotated[dict[StrictStr, ServoTable], Field(default_factory=dict)]
-    friction: FrictionTable | None = None
-
-
-class JointTable(Table):
-    """``[[machine.joint]]``."""
-
-    law: Annotated[str, q.one_of(("jenkins", "iwan", "cubic", "gap"), "law")]
-    stiffness: q.Stiffness
-    slip_force: PositiveForce | None = None
-    cubic: Annotated[float, q.quantity("cubic_stiffness")] | None = None
-    gap: q.PositiveLength | None = None
-    participation: tuple[q.Ratio, ...] | None = None
-    axis: Axis | None = None
-
-
-class PostureEntry(Table):
-    """One entry of ``at`` of a posture."""
-
-    position: q.Length
-    modes: Annotated[tuple[ModeTable, ...], q.NotEmpty]
-
-
-class PostureTable(Table):
-    """``[machine.posture]``."""
-
-    axis: Axis
-    at: Annotated[tuple[PostureEntry, ...], q.NotEmpty]
-
-
-class MachineTable(Table):
-    """``[machine]``."""
-
-    modes: tuple[ModeTable, ...] = ()
-    tip_mass: MachineMass | None = None
-    axis: Annotated[dict[Axis, AxisTable], Field(default_factory=dict)]
-    joint: tuple[JointTable, ...] = ()
-    posture: PostureTable | None = None
 
 
 # --- sensors ------------------------------------------------------------------------------------------------
@@ -158,7 +82,7 @@ class ForceSensorTable(SensorTable):
     mass: q.Mass = 0.0
     drift: Annotated[Triple, triple("force_rate")] = (0.0, 0.0, 0.0)
     noise: Annotated[Triple, triple("force")] = (0.0, 0.0, 0.0)
-    range: PositiveForce | None = None
+    range: q.PositiveForce | None = None
 
 
 class EncoderTable(Table):

@@ -420,7 +420,6 @@ spindle_speed = ["600 rpm", "1500 rpm"]
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (TWO_AXES + LOBES.format("machine"), r"lobes\[0\].measurements\[0\]: a machine with axes, joints or postures"),
         (HEAD + CUTTING + OTHERS + LOBES.format("silent"), r"'silent' is a silent trial and gives no compliance"),
         (HEAD + CUTTING + OTHERS + LOBES.format("swep"), r"'swep' is neither .* \(did you mean 'sweep'\?\)"),
         (HEAD + HAMMER + LOBES.format("hammer"), r"lobes\[0\]: a stability limit needs the table \[tool\]"),

@@ -1,0 +1,178 @@
+"""Claims about ``[machine]``: a campaign takes the tables of a scenario as they are, and builds the same machine."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import DATASETS
+
+from process.drive.axis import Drive
+from process.drive.servo import Servo
+from process.errors import InputError
+from process.friction.laws import Andersson
+from process.machine.machine import Machine
+from process.machine.modes import ModalModel
+from smfe.campaign import campaign_of_tables, load_campaign
+from smfe.scenario.run import Written, campaign_text
+from smfe.scenario.scenario import Scenario, load_scenario
+
+CAMPAIGN = """
+[campaign]
+name = "Bench"
+
+[tool]
+diameter = "40 mm"
+teeth = 4
+
+[material]
+Ktc = "780 N/mm^2"
+Krc = "351 N/mm^2"
+
+[[lobes]]
+measurements = ["machine"]
+method = "zero_order"
+cut = "down"
+width_of_cut = "40 mm"
+feed_per_tooth = "0.2 mm"
+spindle_speed = ["800 rpm", "2500 rpm"]
+"""
+BENCH = """
+[machine]
+name = "Bench of one axis"
+maximum_feed = "8000 mm/min"
+
+[machine.axis.x]
+moving_mass = "23.1 kg"
+tip_mass = "11.3 kg"
+stiffness = "1.68 N/um"
+damping = "104 N s/m"
+friction = { law = "andersson", coulomb = "44.2 N", static = "84 N", stribeck_speed = "6.457 mm/s", \
+sigma = "168 N s/m", kt = "15000 s/m" }
+controllers.K2 = { Kp = "6268 N s/m", Ti = "10.97 ms", Kv = "45.55 1/s", delay = "0.75 ms" }
+controllers.K3 = { Kp = "10590 N s/m", Ti = "6.49 ms", Kv = "76.96 1/s" }
+"""
+MODES = """
+[machine]
+modes = [ { frequency = "61.4 Hz", damping = 0.012, stiffness = "1.68 N/um", direction = [1, 0, 0] } ]
+"""
+TRIAL = """
+[scenario]
+name = "Bench"
+
+[[trial]]
+method = "hammer"
+impulse = "0.1 N s"
+directions = ["x"]
+feed = "1500 mm/min"
+controller = "K3"
+"""
+
+
+def write(folder: Path, text: str, name: str = "campaign.toml") -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def refused(folder: Path, text: str) -> str:
+    with pytest.raises(InputError) as caught:
+        load_campaign(write(folder, text))
+    return str(caught.value)
+
+
+def test_the_machine_of_a_campaign_is_the_axis_of_its_tables(tmp_path: Path) -> None:
+    campaign = load_campaign(write(tmp_path, CAMPAIGN + BENCH))
+    assert (campaign.machine, campaign.machine_limits.feed) == ("Bench of one axis", pytest.approx(8.0 / 60.0))
+    assert isinstance(campaign.machine_model, Machine)
+    assert campaign.models == ()
+    law = Andersson(44.2, 84.0, 6.457e-3, 168.0, 15000.0)
+    drive = Drive(23.1, 11.3, 1.68e6, 104.0, Servo(6268.0, 10.97e-3, 45.55, 0.75e-3))
+    direct = Machine.of_axis(drive, law).at(0.01)
+    f = np.linspace(5.0, 120.0, 24)
+    found = campaign.machine_model.at({"x": 0.01}, "K2").matrix(f)
+    assert np.allclose(found, direct.matrix(f), rtol=1e-12, atol=0.0)
+
+
+@pytest.mark.parametrize("path", sorted((DATASETS / "scenarios").glob("*.toml")), ids=lambda path: path.stem)
+def test_the_tables_of_a_scenario_are_taken_as_they_are(tmp_path: Path, path: Path) -> None:
+    raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    one = campaign_of_tables({"machine": raw["machine"]}).machine_model
+    other = load_scenario(path).machine
+    f = np.linspace(5.0, 120.0, 24)
+    if isinstance(one, ModalModel) and isinstance(other, ModalModel):
+        assert np.array_equal(one.compliance(f)["compliance"], other.compliance(f)["compliance"])
+        return
+    assert isinstance(one, Machine)
+    assert isinstance(other, Machine)
+    for name in next(iter(raw["machine"]["axis"].values()))["controllers"]:
+        assert np.array_equal(one.at(0.02, name).matrix(f), other.at(0.02, name).matrix(f))
+
+
+def test_modes_alone_are_a_model_of_that_name(tmp_path: Path) -> None:
+    campaign = load_campaign(write(tmp_path, CAMPAIGN + MODES))
+    (model,) = campaign.models
+    assert model.name == "machine"
+    assert model.modal is campaign.machine_model
+    assert model.spread is None
+    static = campaign.models[0].modal.compliance([1e-6])["compliance"].values[0, 0, 0]
+    assert static == pytest.approx(1.0 / 1.68e6)
+
+
+def test_plain_numbers_of_a_program_are_si() -> None:
+    tables = tomllib.loads(BENCH)
+    in_si = {"moving_mass": 23.1, "tip_mass": 11.3, "stiffness": 1.68e6, "damping": 104}
+    one = campaign_of_tables({"machine": {"axis": {"x": in_si}}}).machine_model
+    axis = {key: tables["machine"]["axis"]["x"][key] for key in in_si}
+    other = campaign_of_tables({"machine": {"axis": {"x": axis}}}).machine_model
+    assert isinstance(one, Machine)
+    assert isinstance(other, Machine)
+    assert np.array_equal(one.at().matrix([50.0]), other.at().matrix([50.0]))
+
+
+JOINT = """
+[[machine.joint]]
+law = "gap"
+stiffness = "9 N/um"
+gap = "5 um"
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (BENCH.replace('"23.1 kg"', "23.1"), "line 26: machine.axis.x.moving_mass: 23.1 has no unit; write it as text"),
+        (BENCH.replace("tip_mass", "tip_mas"), "line 27: machine.axis.x.tip_mas: this key is not known (did you mean"),
+        (BENCH.replace('tip_mass = "11.3 kg"', ""), "line 21: machine: axis.x: tip_mass missing; an axis without"),
+        (BENCH.replace('law = "andersson"', 'law = "coulomb"'), "line 21: machine: axis.x: friction law 'coulomb': "),
+        (BENCH.replace('"15000 s/m"', '"15000 s"'), "line 30: machine.axis.x.friction.kt: unit 's' is not a unit of"),
+        (BENCH.replace("axis.x", "axis.u"), "line 25: machine.axis.u: axis 'u' is not known; available: x, y, z"),
+        (BENCH + JOINT, "line 21: machine: joint[0]: a joint of two masses needs the axis"),
+        ('\n[machine]\ntip_mass = "3 kg"\n', "line 21: machine: no modes and no axis; give modes"),
+        (MODES.replace("[1, 0, 0]", "[0, 0, 0]"), "line 21: machine: modes[0].direction must not be zero"),
+        (
+            MODES + MODES.replace("[machine]", "[[model]]\nname = 'machine'"),
+            "'machine' is already the name of [machine]",
+        ),
+        (
+            BENCH + '[plan]\nmachine = "machine"\n',
+            "line 34: plan.machine: the machine of [machine] has a compliance for",
+        ),
+        ("\n[machine]\nname = 'Bench'\n", "line 14: lobes[0].measurements[0]: 'machine' is neither a measurement nor"),
+        (BENCH.replace("[machine]", "[machin]"), "line 21: machin: this key is not known (did you mean 'machine'?)"),
+    ],
+)
+def test_what_is_no_machine_is_said_with_line_and_table(tmp_path: Path, text: str, said: str) -> None:
+    assert said in refused(tmp_path, CAMPAIGN + text)
+
+
+def test_a_simulated_campaign_knows_its_machine_only_where_its_lobes_ask_for_it(tmp_path: Path) -> None:
+    lobes = CAMPAIGN[CAMPAIGN.index("[tool]") :]
+    asked = load_scenario(write(tmp_path, TRIAL + lobes + BENCH, "asked.toml"))
+    unasked = load_scenario(write(tmp_path, TRIAL + lobes.replace('"machine"', '"hammer"') + BENCH, "unasked.toml"))
+
+    def machine(scenario: Scenario) -> dict:
+        return tomllib.loads(campaign_text(scenario, [[Written("records/hammer_x.csv", {})]]))["machine"]
+
+    written = tomllib.loads(BENCH)["machine"]
+    assert machine(asked) == written
+    assert machine(unasked) == {key: written[key] for key in ("name", "maximum_feed")}
