@@ -522,7 +522,7 @@ BAD_AXIS = [
         ('Ti = "15 ms", Kv = "50 1/s"', 'Ti = "1 ms", Kv = "900 1/s"'),
         "trial[0], actuator_f500_K2_20N: uniform motion is unstable",
     ),
-    (('law = "andersson"', 'law = "viscous"'), "machine: friction law 'viscous': 'coulomb'"),
+    (('law = "andersson"', 'law = "viscous"'), "machine: axis.x: friction law 'viscous': 'coulomb'"),
     (('{ x = "2000 mm/min" }', '{ y = "2000 mm/min" }'), "feed of axis y; this machine moves x"),
     (('controller = "K1"\n', 'controller = "K1"\nposition = "3 mm"\n'), "trial[1]: gives a position"),
 ]
