@@ -243,7 +243,13 @@ def sample_interval(record: xr.Dataset) -> float:
     steps = np.diff(t)
     if not np.all(np.isfinite(t)) or np.any(steps <= 0.0):
         where = int(np.argmax(~(steps > 0.0)))
-        raise InputError(f"time does not rise at sample {where + 1}: {t[where]:.9g} s, then {t[where + 1]:.9g} s")
+        said = f"time does not rise at sample {where + 1}: {t[where]:.9g} s, then {t[where + 1]:.9g} s"
+        if (rate := restarting_rate(t)) is not None:
+            said += (
+                "; it begins anew there, as in blocks of a triggered recorder one after another: save each block as a "
+                f'file, or, where each has come to rest, declare time = {{ sample_rate = "{rate:.10g} Hz" }}'
+            )
+        raise InputError(said)
     mean = float((t[-1] - t[0]) / (t.size - 1))
     # Text files carry few digits: the *accumulated* departure from a uniform clock is what matters.
     drift = float(np.max(np.abs(t - t[0] - mean * np.arange(t.size))))
@@ -253,6 +259,36 @@ def sample_interval(record: xr.Dataset) -> float:
             "resample the record or repair its time column"
         )
     return mean
+
+
+def restarting_rate(time: Real) -> float | None:
+    """Return the sample rate of blocks that stand one after another.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Times [s].
+
+    Returns
+    -------
+    float or None
+        Samples a second, where the time falls and each time to where it began, and rises in even steps between: so
+        does the time since the trigger. None for every other time.
+    """
+    steps = np.diff(time)
+    falls = np.flatnonzero(steps <= 0.0)
+    if falls.size == 0 or falls[0] < 7 or not np.all(np.isfinite(time)):
+        return None
+    rising = steps[steps > 0.0]
+    mean = float(np.mean(rising))
+    begins = np.abs(time[falls + 1] - time[0])
+    # Few digits of a text make single steps uneven by as much as the last digit.
+    even = np.max(np.abs(rising - mean)) < 0.5 * mean and np.max(begins) < 0.5 * mean
+    if not even:
+        return None
+    # The roundest rate that departs by less than a fiftieth of a step in a block: times are written with few digits.
+    rates = (float(f"{1.0 / mean:.{digits}g}") for digits in range(2, 17))
+    return next((rate for rate in rates if abs(rate * mean - 1.0) * falls[0] < 0.02), 1.0 / mean)
 
 
 def axis_present(record: xr.Dataset, channel: str) -> list[str]:

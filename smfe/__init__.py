@@ -67,12 +67,13 @@ if TYPE_CHECKING:
     from smfe.modes.fit_modes import ModalFit, fit_modes
     from smfe.notebook import plot
     from smfe.progress import SmfeWarning
-    from smfe.records import read_blocks, read_record, read_records, read_reduced
+    from smfe.records import Channel, read_blocks, read_record, read_records, read_reduced
     from smfe.records.look import Look
 
 
 __all__ = [
     "Campaign",
+    "Channel",
     "Coefficients",
     "CuttingCoefficients",
     "Identification",
@@ -174,7 +175,7 @@ _HOMES = {
     "smfe.modes.fit_modes": "ModalFit, fit_modes",
     "smfe.notebook": "plot",
     "smfe.progress": "SmfeWarning",
-    "smfe.records": "read_blocks, read_record, read_records, read_reduced",
+    "smfe.records": "Channel, read_blocks, read_record, read_records, read_reduced",
     "smfe.records.look": "Look",
 }
 """Module -> the names that it gives; `__all__` and the imports for the type checker say the same."""

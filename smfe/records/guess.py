@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from process.errors import InputError
-from process.labels import AXES
+from process.labels import AXES, restarting_rate
 from process.types import Real
 from process.units import known
 from smfe.records.contents import (
@@ -106,7 +106,9 @@ def guess_channels(found: Contents) -> tuple[list[Guess], Mapping[Column, str]]:
             out.append(Guess("time", column, unit if fits and unit else "s", not fits))
             continue
         channel = _channel_of(column, unit, len(found.columns))
-        if channel is None:
+        if channel is None and restarting_clock(found) == column:
+            left[column] = "it begins anew with each block"
+        elif channel is None:
             left[column] = "its name says nothing" if unit is None else f"no channel of a record is in '{unit}'"
         elif not np.all(np.isfinite(values)):
             left[column] = f"{int(np.sum(~np.isfinite(values)))} of its values are missing"
@@ -129,6 +131,15 @@ def time_column(found: Contents) -> Column | None:
     # A column whose name says another thing is no clock: a position at constant feed rises evenly, too.
     unnamed = [c for c in rising if isinstance(c, int) and found.sample_rate is None]
     return unnamed[0] if unnamed and unnamed[0] == next(iter(found.columns)) else None
+
+
+def restarting_clock(found: Contents) -> Column | None:
+    """Return the column of times that begin anew with each block of a triggered recorder; None without."""
+    for column, values in found.columns.items():
+        called = _TIME.match(without_unit(_plain(column))[0].rpartition("/")[2]) or _timed(found, column)
+        if called and restarting_rate(values) is not None:
+            return column
+    return None
 
 
 def frequency_column(found: Contents) -> Column | None:

@@ -14,13 +14,13 @@ import pandas as pd
 import xarray as xr
 
 from process.errors import InputError
-from process.labels import check_record
+from process.labels import check_record, restarting_rate
 from process.types import Real
-from process.units import factor
+from process.units import factor, known
 from smfe.records import names_itself, read_records
 from smfe.records.contents import Contents, contents
 from smfe.records.formats.table import Column
-from smfe.records.guess import Guess, frequency_column, guess_channels
+from smfe.records.guess import Guess, frequency_column, guess_channels, restarting_clock
 from smfe.records.kind import Kind, kind_of
 from smfe.records.write import OWN_COLUMNS
 
@@ -100,6 +100,11 @@ def examine(path: str | Path | xr.Dataset | pd.DataFrame, folder: str | Path | N
     notes = [*found.notes]
     if len(segments) > 1:
         notes.append(f"{len(segments)} segments; each is a record of its own, and what is said is of the first")
+    if not frf and (blocks := restarting_clock(found)) is not None and math.isfinite(rate):
+        notes.append(
+            f"'{blocks}' begins anew with each block of a triggered recorder; the blocks are taken one after another, "
+            "which is right for hits that have rung out by the end of their block"
+        )
     if not frf and not math.isfinite(rate):
         notes.append("no clock: the file states no sample rate and no column rises in even steps")
     notes += [f"'{column}' is not read: {why}" for column, why in list(found.unread.items())[:6]]
@@ -203,14 +208,24 @@ def _rises_in_hertz(values: Real) -> bool:
 def _rate(found: Contents, guesses: Sequence[Guess]) -> float:
     clock = next((g for g in guesses if g.channel == "time"), None)
     if clock is None:
-        return found.sample_rate or math.nan
+        return found.sample_rate or _rate_of_blocks(found)
     values = found.columns[clock.column]
     span = float(values[-1] - values[0]) * factor(clock.unit, "time")
     return (values.size - 1) / span if span > 0.0 else math.nan
 
 
+def _rate_of_blocks(found: Contents) -> float:
+    """Return the rate of blocks that stand one after another [Hz]; NaN where there is no such clock."""
+    column = restarting_clock(found)
+    if column is None:
+        return math.nan
+    unit = found.units.get(column, "s")
+    rate = restarting_rate(found.columns[column] * (factor(unit, "time") if known(unit, "time") else 1.0))
+    return math.nan if rate is None else rate
+
+
 def _unnamed(found: Contents, guesses: list[Guess], rate: float) -> list[Guess]:
-    """Take columns without a name for a force and motions where one is a series of hits; a WAV file for sound."""
+    """Take columns without a name for a force and motions where one is a series of hits; other WAV files for sound."""
     if found.source.split(",")[0].lower().endswith(".xml") and len(found.columns) == 2 and not guesses:
         # The setpoint of a control's measurement is a sequence of few levels.
         setpoint, actual = sorted(found.columns, key=lambda c: np.unique(found.columns[c]).size)
@@ -218,14 +233,19 @@ def _unnamed(found: Contents, guesses: list[Guess], rate: float) -> list[Guess]:
     free = [c for c in found.columns if isinstance(c, int) and all(g.column != c for g in guesses)]
     if not free or not math.isfinite(rate) or any(g.channel != "time" for g in guesses):
         return guesses
-    if found.source.split(",")[0].lower().endswith(".wav"):
-        return [*guesses, Guess("sound", free[0], "Pa", True)]
+    wav = _is_wav(found)
     hit = [c for c in free if kind_of({"force_x": found.columns[c]}, rate).name == "impact test"]
+    if wav and (len(hit) != 1 or len(free) < 2):
+        return [*guesses, Guess("sound", free[0], "Pa", True)]
     if len(hit) != 1:
         return guesses
     motions = [c for c in free if c != hit[0]][:3]
     taken = [Guess(f"acceleration_{a}", c, "m/s^2", True) for a, c in zip("xyz", motions, strict=False)]
     return [*guesses, Guess("force_x", hit[0], "N", True), *taken]
+
+
+def _is_wav(found: Contents) -> bool:
+    return found.source.split(",")[0].lower().endswith(".wav")
 
 
 def _kind(
@@ -315,6 +335,7 @@ _WANTED: Mapping[str, Sequence[str]] = {
     "drive stroke": ("encoder_position", "drive_force", "reference_position"),
     "loop trace": ("reference_speed", "encoder_speed", "reference_position", "encoder_position"),
     "vibration without a force": _MOTION,
+    "unknown": ("force", *_MOTION),
 }
 """Kind of record -> channels that its measurement reads."""
 
@@ -348,12 +369,15 @@ def _channel_lines(used: Sequence[Guess], found: Contents, rate: float, kind: Ki
         )
         if guess.channel.startswith("drive_force") and guess.assumed:
             remark += "; scale = newtons for each of its units"
+        if _is_wav(found) and guess.channel != "sound":
+            remark += f"; scale = {guess.unit} at full scale"
         if kind.name in ("unknown", "vibration without a force") and guess.assumed:
             remark += ", and so is the channel"
         lines.append(f"{guess.channel} = {{ column = {_column(guess.column)}{unit} }}{remark}")
     if not any(g.channel == "time" for g in used) and found.sample_rate is None:
-        known = rate if math.isfinite(rate) else 1000.0
-        lines.insert(0, f'time = {{ sample_rate = "{known:.10g} Hz" }}  {_CHANGE}: the file has no clock')
+        hertz = rate if math.isfinite(rate) else 1000.0
+        why = "the file has no clock" if restarting_clock(found) is None else "its clock begins anew with each block"
+        lines.insert(0, f'time = {{ sample_rate = "{hertz:.10g} Hz" }}  {_CHANGE}: {why}')
     rest = [c for c in found.columns if all(g.column != c for g in used)]
     lines += [f"# not used: {_text(c)}" for c in rest[:20]]
     return lines

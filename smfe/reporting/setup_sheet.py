@@ -127,7 +127,7 @@ def _say_answer(figure: Figure, answer: Mapping[str, Any]) -> None:
         f"Stable with {100.0 * answer['probability']:g} % from {answer['speed_from_rpm']:.0f} to "
         f"{answer['speed_to_rpm']:.0f} rpm. Outside, and deeper, it may chatter."
     )
-    figure.text(0.07, 0.740, sure, fontsize=12, weight="bold", color=_SAFE, va="top")
+    figure.text(0.07, 0.740, sure, fontsize=11, weight="bold", color=_SAFE, va="top")
 
 
 def _table(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -147,6 +147,8 @@ def _draw_lobes(axes: Axes, lobes: Lobes, answer: Mapping[str, Any]) -> None:
     limit = figure_data.finite_depth(lobes)
     safe = lobes.values("safe_depth") if "safe_depth" in lobes.data else None
     top = figure_data.highest_depth([lobes], None)
+    if answer["status"] == "recommended":
+        top = max(top, 1.15 * answer["depth_of_cut_mm"])
     lower = limit if safe is None else np.where(np.isfinite(safe), safe, 0.0)
     axes.fill_between(speed, np.minimum(limit, top), top, color=CHATTER, alpha=0.16, linewidth=0)
     axes.fill_between(speed, 0.0, np.minimum(lower, top), color=_SAFE, alpha=0.14, linewidth=0)

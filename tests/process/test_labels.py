@@ -13,6 +13,7 @@ from process.labels import (
     full_matrix,
     make_compliance,
     make_record,
+    restarting_rate,
     sample_interval,
 )
 
@@ -58,6 +59,14 @@ def test_time_must_rise_and_be_uniform() -> None:
     with pytest.raises(InputError, match="not uniform"):
         record(time=t + 1e-2 * (np.arange(100) > 50))
     assert sample_interval(record(time=np.round(t, 3))) == pytest.approx(1e-3)
+
+
+def test_a_clock_that_begins_anew_with_each_block_says_its_rate() -> None:
+    block = np.round((np.arange(400) - 20) / 25600, 6)
+    with pytest.raises(InputError, match=r'sample 400: .* begins anew .* sample_rate = "25600 Hz"'):
+        sample_interval(xr.Dataset(coords={"time": np.tile(block, 3)}))
+    for time in (block, np.append(block, block[50:]), np.append(block[::-1], block), np.array([0.0, 1.0, 0.0])):
+        assert restarting_rate(time) is None
 
 
 def test_an_empty_record_is_refused() -> None:

@@ -114,6 +114,41 @@ class TestStart:
         assert channels["time"] == {"sample_rate": "1000 Hz"}
         check(tmp_path / "x.csv.look.toml")
 
+    def test_blocks_of_a_trigger_one_after_another_are_hits(self, tmp_path: Path) -> None:
+        block = np.round((np.arange(2000) - 100) / 25600, 6)
+        pulse = 300 * np.exp(-0.5 * ((block - 2e-4) / 6e-5) ** 2)
+        ringing = np.where(block > 0, np.exp(-90 * block) * np.sin(4500 * block), 0)
+        columns = {"Time [s]": block, "Force [N]": pulse, "Acc [m/s^2]": 40 * ringing}
+        path = tmp_path / "blocks.csv"
+        pd.DataFrame({name: np.tile(values, 3) for name, values in columns.items()}).to_csv(path, index=False)
+        found = start(path)
+        assert found.kind.name == "impact test"
+        assert found.sample_rate == 25600
+        assert any("begins anew with each block" in note for note in found.notes)
+        (only,) = smfe.load_campaign(tmp_path / "blocks.csv.look.toml").measurements[0].records
+        record = smfe.read_record(path, only.channels)
+        np.testing.assert_allclose(np.diff(record["time"]), 1 / 25600)
+        np.testing.assert_allclose(record["force"].sel(axis="x"), np.tile(pulse, 3), atol=1e-9)
+
+    def test_two_channels_of_a_wav_file_of_which_one_is_hits_are_a_hammer(self, tmp_path: Path) -> None:
+        t = np.arange(16000) / 8000
+        hit = np.where((t > 0.2) & (t < 0.2005), 0.5, 0.0)
+        ringing = np.where(t > 0.2, 0.3 * np.exp(-30 * (t - 0.2)) * np.sin(3000 * (t - 0.2)), 0.0)
+        wavfile.write(tmp_path / "tap.wav", 8000, np.column_stack([ringing, hit]).astype(np.float32))
+        found = start(tmp_path / "tap.wav")
+        assert found.kind.name == "impact test"
+        assert {g.channel: g.column for g in found.channels} == {"force_x": 2, "acceleration_x": 1}
+        assert "scale = N at full scale" in found.campaign
+        smfe.load_campaign(tmp_path / "tap.wav.look.toml")
+
+    def test_a_file_without_a_clock_keeps_the_channels_that_it_names(self, tmp_path: Path) -> None:
+        path = tmp_path / "x.csv"
+        rng = np.random.default_rng(2)
+        pd.DataFrame({"Force [N]": rng.random(4000), "Acc [g]": rng.random(4000)}).to_csv(path, index=False)
+        channels = tomllib.loads(start(path).campaign)["channels"]
+        assert channels["force_x"] == {"column": "Force [N]", "unit": "N"}
+        assert channels["acceleration_x"] == {"column": "Acc [g]", "unit": "g"}
+
     def test_the_command_keeps_a_campaign_file_that_is_there(self, tmp_path: Path) -> None:
         table("impact test", 1).to_csv(tmp_path / "r.csv", index=False)
         arguments = ["look", str(tmp_path / "r.csv"), "-o", str(tmp_path)]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from typer.testing import CliRunner
 
 import smfe
@@ -15,6 +16,8 @@ from smfe.cli import app
 from smfe.limits.campaign_lobes import all_lobes
 from smfe.limits.lobe_files import write_lobes
 from smfe.progress import silent
+from smfe.reporting.content.results import read_results
+from smfe.reporting.setup_sheet import draw_sheet
 
 CAMPAIGN = """
 [campaign]
@@ -99,6 +102,19 @@ def test_the_setup_sheet_is_one_page_with_the_answer(sure: Path, tmp_path: Path)
     for value in (f"{found.spindle_speed_rpm:.0f}", f"{found.depth_of_cut_mm:.1f}", "Bench & mill <1>", "aluminium"):
         assert value in text
     assert (float(page.mediabox.width), float(page.mediabox.height)) == pytest.approx((595.4, 841.7), abs=0.5)
+
+
+def test_all_of_the_setup_sheet_lies_within_its_margins_and_the_cut_within_the_diagram(sure: Path) -> None:
+    document = json.loads((sure / "presets.json").read_text())
+    figure = draw_sheet(read_results(sure), document)
+    drawn = FigureCanvasAgg(figure).get_renderer()
+    width = figure.bbox.width
+    for text in figure.texts:
+        box = text.get_window_extent(drawn)
+        assert 0.05 * width < box.x0 < box.x1 < 0.95 * width, text.get_text()
+    lobes = next(axes for axes in figure.axes if axes.get_ylabel())
+    (depth,) = next(line for line in lobes.lines if line.get_label() == "cut here").get_ydata()
+    assert 0.0 < depth < 0.95 * lobes.get_ylim()[1]
 
 
 def test_a_limit_without_uncertainty_goes_to_no_program(unsure: Path, tmp_path: Path) -> None:
