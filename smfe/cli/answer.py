@@ -52,12 +52,21 @@ def recommended(found: Mapping[str, Any] | None) -> str:
     why = f": {found['reason']}" if found.get("reason") else ""
     match found.get("status"):
         case "recommended":
-            sure = found.get("probability")
-            known = f", stable with {100 * sure:.0f} %" if sure is not None else ""
-            return f"recommended: {speed:g} rpm, {found['depth_of_cut_mm']:g} mm deep{known}{why}"
+            parts = [f"{speed:g} rpm, {found['depth_of_cut_mm']:g} mm deep", *_cut(found)]
+            if (sure := found.get("probability")) is not None:
+                parts.append(f"stable with {100 * sure:.0f} %")
+            return f"recommended: {', '.join(parts)}{why}"
         case "limit_only" if speed is not None and limit is not None:
-            return f"limit, uncertainty unknown: {limit:.3g} mm at {speed:g} rpm; no safe depth is given{why}"
+            kind = "limit, uncertainty unknown" if found.get("limit_depth_p05_mm") is None else "limit alone"
+            parts = [f"{limit:.3g} mm at {speed:g} rpm", *_cut(found)]
+            return f"{kind}: {', '.join(parts)}; no safe depth is given{why}"
     return f"no recommendation{why}"
+
+
+def _cut(found: Mapping[str, Any]) -> list[str]:
+    """Return width, feed and removal rate, as far as they are known."""
+    units = {"width_of_cut_mm": "mm wide", "feed_mm_min": "mm/min", "removal_rate_cm3_min": "cm³/min"}
+    return [f"{found[key]:.4g} {unit}" for key, unit in units.items() if found.get(key) is not None]
 
 
 def tested(file: Path) -> str:
@@ -78,7 +87,7 @@ def tested(file: Path) -> str:
         predicted = [(h, r[f"predicted_{source}"]) for h, r in known]
         predicted = [(h, p) for h, p in predicted if p in ("stable", "chatter")]
         if predicted:
-            shares.append(f"{source} {sum(h == p for h, p in predicted)} of {len(predicted)}")
+            shares.append(f"{source.replace('_', ' ')} {sum(h == p for h, p in predicted)} of {len(predicted)}")
     return said + (f"; predicted rightly: {', '.join(shares)}" if shares else "")
 
 

@@ -61,7 +61,7 @@ def ceilings_of(campaign: Campaign, request: LobeRequest) -> tuple[DepthCeiling,
     assert campaign.coefficients is not None
     tool, can, out = campaign.tool, campaign.machine_limits, []
     if request.maximum_depth is not None:
-        out.append(DepthCeiling("the maximum_depth that is asked for", request.maximum_depth))
+        out.append(DepthCeiling("the greatest depth that is asked for", request.maximum_depth))
     if can.edge_length is not None:
         out.append(DepthCeiling("the length of the cutting edges", can.edge_length * math.sin(tool.approach_angle)))
     arc = engagement(request.cut, request.width_of_cut, tool.diameter)

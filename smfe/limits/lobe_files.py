@@ -104,7 +104,9 @@ def write_lobes(
         if missing:
             write_groups(folder / "lobes.nc", {}, missing)
         return
-    write_groups(folder / "lobes.nc", {f"{r.request}/{r.source}": r.lobes for r in results}, missing)
+    accuracy = campaign.spindle.accuracy
+    groups = {f"{r.request}/{r.source}": r.lobes.assign_attrs(spindle_accuracy=accuracy) for r in results}
+    write_groups(folder / "lobes.nc", groups, missing)
     write_table(joined(results), folder / "lobe_table.csv")
     for name in (POCKETS, PRESETS, DEPTHS):
         (folder / name).unlink(missing_ok=True)

@@ -36,7 +36,7 @@ from smfe.limits.campaign_lobes import LobeResult
 from smfe.limits.ceilings import ceilings_of, deepest, fastest
 from smfe.limits.cut_conditions import MODEL
 from stability import best_pockets
-from stability.tables.pockets import DEPTH_STEP, usable_depths
+from stability.tables.pockets import DEPTH_STEP, lowest_about, usable_depths
 from stability.tables.presets import FORMAT, LIMIT_ONLY, NONE, RECOMMENDED, VERSION, check_presets, read_presets
 
 PRESETS = "presets.json"
@@ -479,20 +479,41 @@ def _chosen(ranked: Sequence[_Candidate]) -> Recommendation:
 
 def _source_sentence(source: _Candidate, ranked: Sequence[_Candidate]) -> str:
     """Say why this source."""
-    result = source.result
     if source.is_model:
-        what = f"{result.source}, a model: no measurement is asked for beside it"
+        what = f"{_spoken(source)}, a model: no measurement is asked for beside it"
     else:
-        what = f"{result.source}, measured {source.condition}"
+        what = f"{_spoken(source)}, measured {source.condition}"
     total = len(source.counted)
     if total and not source.falsely_stable:
         what += f"; it predicts {source.right} of {total} cutting {'test' if total == 1 else 'tests'} rightly"
     elif total:
         what += f"; {_tests(source.falsely_stable)} chattered where it predicts a stable cut"
-    others = [c for c in ranked[1:] if c.falsely_stable and not source.falsely_stable]
-    for other in others:
-        what += f"; {other.result.source} is set aside: {_tests(other.falsely_stable)} chattered where it predicts none"
+    aside = [c for c in ranked[1:] if _set_aside(c, source)]
+    if aside:
+        what += f"; {_aside(aside)}"
     return f"From {what}."
+
+
+def _aside(sources: Sequence[_Candidate]) -> str:
+    """Say which sources the cutting tests speak against."""
+    names, counts = _listed([_spoken(c) for c in sources]), _listed([str(c.falsely_stable) for c in sources])
+    if len(sources) > 1:
+        return f"{names} are set aside: {counts} cuts that they call stable chattered"
+    return f"{names} is set aside: {counts} {'cut' if counts == '1' else 'cuts'} that it calls stable chattered"
+
+
+def _set_aside(other: _Candidate, source: _Candidate) -> bool:
+    """Whether the cutting tests speak against another source, and not against this one."""
+    return other.falsely_stable > 0 and not source.falsely_stable
+
+
+def _spoken(source: _Candidate) -> str:
+    """Return the name of a source as it stands in a sentence."""
+    return source.result.source.replace("_", " ")
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
 
 
 def _tests(count: int) -> str:
@@ -500,18 +521,12 @@ def _tests(count: int) -> str:
 
 
 def _depth_sentence(source: _Candidate, row: pd.Series) -> str:
-    """Say what limits the depth, and how sure it is."""
-    share = 100.0 * float(source.result.lobes.attrs["safe_probability"])
-    within = _within(source.campaign.spindle.accuracy)
+    """Say what limits the depth."""
     speed = np.array([float(row["spindle_speed_rpm"])])
     for ceiling in ceilings_of(source.campaign, source.result.asked):
         if 1e3 * ceiling.at(speed)[0] < float(row["depth_of_cut_mm"]) + DEPTH_STEP - 1e-9:
-            return f"The depth is limited by {ceiling.what}; it is stable with {share:g} % or more{within}."
-    return f"The depth is stable with a probability of {share:g} %{within}."
-
-
-def _within(accuracy: float) -> str:
-    return f" wherever the spindle turns within {100.0 * accuracy:g} % of its speed" if accuracy else ""
+            return f"The depth is limited by {ceiling.what}."
+    return "The depth is limited by chatter."
 
 
 def _no_depth(source: _Candidate) -> str:
@@ -519,12 +534,21 @@ def _no_depth(source: _Candidate) -> str:
     if source.contradicted:
         return (
             f"This is the limit alone: {_tests(source.contradicted)} chattered at a depth that it calls safe, so no "
-            "depth is recommended; measure in motion, or correct the model."
+            f"depth is recommended; {_correction(source)}."
         )
     what = (
         "a model whose uncertainty is not stated" if source.is_model else "a compliance whose uncertainty is not known"
     )
     return f"This is the limit of {what}: no depth is called safe; {_remedy(source)}."
+
+
+def _correction(source: _Candidate) -> str:
+    """Say what to do about a source that a cutting test has refuted."""
+    if source.is_model:
+        return "correct the model, or measure"
+    if source.condition == AT_REST:
+        return "measure in motion"
+    return "look at what the diagram shows there, or measure again in the state in which the test was cut"
 
 
 def _remedy(source: _Candidate) -> str:
@@ -552,36 +576,44 @@ def _no_pocket(source: _Candidate) -> str:
 
 
 def _disagreements(source: _Candidate, others: Sequence[_Candidate], row: pd.Series) -> list[str]:
-    """Say which other measurements give another limit at this speed than the uncertainties explain."""
-    own = _limit_at(source, float(row["spindle_speed_rpm"]))
-    out = []
+    """Say which other measurements give another limit at this speed than the uncertainties explain.
+
+    Those that the cutting tests have set aside are named before.
+    """
+    speed = float(row["spindle_speed_rpm"])
+    own = _limit_about(source, speed)
+    said: dict[bool, list[str]] = {True: [], False: []}
     for other in others:
-        if other.is_model or own is None:
-            continue
-        found = _limit_at(other, float(row["spindle_speed_rpm"]))
-        if found is None:
+        found = None if other.is_model or _set_aside(other, source) else _limit_about(other, speed)
+        if own is None or found is None:
             continue
         difference = math.log(found[0] / own[0])
         spread = math.hypot(own[1], found[1])
         if abs(difference) > math.log1p(APART) and not abs(difference) <= UNEXPLAINED * spread:
-            more = "more" if difference > 0.0 else "less"
-            why = "more than their uncertainties explain" if math.isfinite(spread) else "uncertainty unknown"
-            share = 100.0 * abs(math.expm1(difference))
-            out.append(f"{other.result.source} has a limit of {found[0]:.3g} mm there, {share:.0f} % {more}, {why}.")
+            share = f"{100.0 * abs(math.expm1(difference)):.0f} % {'higher' if difference > 0.0 else 'lower'}"
+            said[math.isfinite(spread)].append(f"{_spoken(other)} {share}")
+    out = []
+    if said[True]:
+        out.append(f"Limits that differ at this speed by more than the uncertainties explain: {_listed(said[True])}.")
+    if said[False]:
+        out.append(f"Limits of unknown uncertainty that differ at this speed: {_listed(said[False])}.")
     return out
 
 
-def _limit_at(source: _Candidate, speed: float) -> tuple[float, float] | None:
-    """Return the limit [mm] nearest a speed and its relative standard deviation without that of the coefficients."""
-    table = source.result.table
-    row = table.iloc[int(np.abs(table["spindle_speed_rpm"].to_numpy(float) - speed).argmin())]
+def _limit_about(source: _Candidate, speed: float) -> tuple[float, float] | None:
+    """Return the smallest limit [mm] within the accuracy of the spindle about a speed and its relative deviation.
+
+    The standard deviation is that without the coefficients, which are the same for all sources: what they add explains
+    no difference.
+    """
+    table = source.result.table if source.result.near is None else source.result.near
+    row = lowest_about(table, "limit_depth_mm", speed, source.campaign.spindle.accuracy)
     limit = float(row["limit_depth_mm"])
     if not (math.isfinite(limit) and limit > 0.0):
         return None
     low, high = float(row["limit_depth_p05_mm"]), float(row["limit_depth_p95_mm"])
     if not (0.0 < low <= high < math.inf):
         return limit, math.nan
-    # The coefficients are the same for all sources: what they add explains no difference.
     whole = math.log(high / low) / _WIDTH_OF_BAND
     return limit, math.sqrt(max(whole**2 - source.campaign.coefficients_known_within**2, 0.0))
 
@@ -589,6 +621,8 @@ def _limit_at(source: _Candidate, speed: float) -> tuple[float, float] | None:
 def assumptions_of(campaign: Campaign, result: LobeResult) -> tuple[str, ...]:
     """Return what a recommendation takes for granted, a sentence each."""
     out = [coefficients_assumption(campaign)]
+    if accuracy := campaign.spindle.accuracy:
+        out.append(f"the spindle keeps its speed within {100.0 * accuracy:g} %: the lowest depth and limit there count")
     if campaign.missing_coefficients:
         names = " and ".join(campaign.missing_coefficients)
         out.append(f"[material] gives no {names}: taken as zero")

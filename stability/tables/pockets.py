@@ -319,6 +319,30 @@ def _lowest(speed: Real, depth: Real, at: float, accuracy: float) -> int:
     return low + int(depth[low : high + 1].argmin())
 
 
+def lowest_about(table: pd.DataFrame, column: str, speed: float, accuracy: float) -> pd.Series:
+    """Return the row in which a depth is smallest wherever the spindle may turn about a speed.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Rows of one source and cut.
+    column : str
+        The depth, e.g. "limit_depth_mm".
+    speed : float
+        What is set [rpm].
+    accuracy : float
+        How far the speed departs from it, as a share.
+
+    Returns
+    -------
+    pandas.Series
+        From the row of the table at or below the range of speeds to that at or above it, as in `best_pockets`.
+    """
+    cut = table.sort_values("spindle_speed_rpm", ignore_index=True)
+    depth = np.nan_to_num(cut[column].to_numpy(float), nan=math.inf, posinf=math.inf)
+    return cut.iloc[_lowest(cut["spindle_speed_rpm"].to_numpy(float), depth, speed, accuracy)]
+
+
 def _range(speed: Real, enough: NDArray[np.bool_], at: float) -> tuple[float, float]:
     """Return the range of the table about a speed in which the depth is enough."""
     k = int(np.abs(speed - at).argmin())

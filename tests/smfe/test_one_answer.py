@@ -124,9 +124,9 @@ def write(folder: Path, campaign: Campaign, compliances: dict, tests: list = ())
 @pytest.mark.parametrize(
     ("make", "status", "said"),
     [
-        (methods_beside_each_other, "recommended", "hammer is set aside: a cutting test chattered"),
+        (methods_beside_each_other, "recommended", "hammer is set aside: 1 cut that it calls stable chattered"),
         (two_taps_without_coherence, "limit_only", "whose uncertainty is not known"),
-        (several_widths_up_to_a_greatest_depth, "recommended", "limited by the maximum_depth"),
+        (several_widths_up_to_a_greatest_depth, "recommended", "limited by the greatest depth"),
         (nothing_but_an_edge, "recommended", "is an end of the range that can be set, and no pocket lies inside"),
     ],
 )
@@ -160,15 +160,21 @@ def test_all_six_places_say_the_same(make, status: str, said: str, capsys: pytes
         value = pockets[key][0]
         assert value == best[key] if isinstance(value, str) else value == pytest.approx(best[key], rel=1e-5)
     assert f"{found.spindle_speed_rpm:g} rpm" in line
+    assert f" {found.width_of_cut_mm:g} mm wide, {found.feed_mm_min:.4g} mm/min" in line
     assert f"Spindle speed {found.spindle_speed_rpm:g} rpm" in text
     if status == "recommended":
         assert pockets["recommended"].tolist() == [True] + [False] * (len(pockets) - 1)
         assert pockets["depth_of_cut_mm"][0] == found.depth_of_cut_mm
         assert f"{found.depth_of_cut_mm:g} mm deep" in line
+        assert f" {found.removal_rate_cm3_min:.4g} cm³/min" in line
+        assert f"Removal rate {found.removal_rate_cm3_min:.4g} cm³/min" in text
         assert f"Depth of cut {found.depth_of_cut_mm:g} mm" in text
     else:
         assert not pockets["recommended"].any()
         assert pockets[["depth_of_cut_mm", "safe_depth_mm"]].isna().all(axis=None)
         assert "data-depth-of-cut-mm" not in tag[0]
         assert "no safe depth is given" in line
+        # The same digits everywhere: more than three are not known of a limit without an uncertainty.
+        assert f" {found.limit_depth_mm:.3g} mm at" in line
+        assert f"Limit depth {found.limit_depth_mm:.3g} mm" in text
         assert "Depth of cut" not in text.partition("Every source and pocket")[0]

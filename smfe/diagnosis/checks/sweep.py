@@ -36,7 +36,7 @@ def sweep_suspects(
             "regeneration_bias",
             name,
             f"with the passing of the teeth as instrument the compliance differs by {100.0 * biased.size:.2g} % "
-            f"(p = {biased.p_value:.1e}, most at {biased.worst:.4g} Hz): part of the forces answers to vibration that "
+            f"({_chance(biased.p_value)}, most at {biased.worst:.4g} Hz): part of the forces answers to vibration that "
             "other forces cause",
             "cut less deep and away from chatter, find what shakes the machine, or use the instrument",
         )
@@ -46,7 +46,7 @@ def sweep_suspects(
             "posture",
             name,
             f"the first and the second half of the passes give compliances that differ by {100.0 * halves.size:.2g} % "
-            f"(p = {halves.p_value:.1e}, most at {halves.worst:.4g} Hz)",
+            f"({_chance(halves.p_value)}, most at {halves.worst:.4g} Hz)",
             "sweep over a shorter way, or from other positions; feed and level change along a pass, too",
         )
 
@@ -203,3 +203,8 @@ def _compare(frequency: Real, change: Complex, covariance: Complex, size: Real) 
     whole[:, np.arange(rows), :, np.arange(rows)] = c.swapaxes(0, 1)
     n = rows * columns
     return compare(frequency[usable], d.reshape(lines, n), whole.reshape(lines, n, n), size[usable], rows=rows)
+
+
+def _chance(p_value: float) -> str:
+    """Return a probability as far as a test can tell it."""
+    return f"p = {p_value:.1e}" if p_value >= 1e-16 else "p < 1e-16"

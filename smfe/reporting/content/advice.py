@@ -13,8 +13,9 @@ import pandas as pd
 
 from smfe.reporting.content.headline import score
 from smfe.reporting.content.results import Lobes, Results
-from smfe.reporting.content.style import METHODS, number, with_range
+from smfe.reporting.content.style import METHODS, number, spoken, with_range
 from smfe.reporting.content.tables import Row, Table, true
+from stability.tables.pockets import lowest_about
 
 Advice = Mapping[str, Any]
 
@@ -71,10 +72,10 @@ def tiles(advice: Advice) -> list[Tile]:
     if advice["spindle_speed_rpm"] is None:
         return []
     sure = advice["status"] == RECOMMENDED
-    depth = advice["depth_of_cut_mm"] if sure else advice["limit_depth_mm"]
+    depth = number(advice["depth_of_cut_mm"]) if sure else number(advice["limit_depth_mm"], 3)
     return [
         Tile("Spindle speed", number(advice["spindle_speed_rpm"]), "rpm"),
-        Tile("Depth of cut" if sure else "Limit depth", number(depth), "mm"),
+        Tile("Depth of cut" if sure else "Limit depth", depth, "mm"),
         Tile("Feed", number(advice["feed_mm_min"]), "mm/min"),
         Tile("Width of cut", number(advice["width_of_cut_mm"]), "mm"),
     ]
@@ -101,10 +102,13 @@ def details(advice: Advice) -> list[tuple[str, str]]:
         out.append(("Holds from", f"{number(advice['speed_from_rpm'])} to {number(advice['speed_to_rpm'])} rpm"))
     if advice["limit_depth_mm"] is not None:
         value, between = with_range(*(advice[f"limit_depth{end}_mm"] for end in ("", "_p05", "_p95")))
-        out.append(("Limit depth", f"{value} mm" + (f", 5 % to 95 %: {between} mm" if between else "")))
+        # A limit without a depth stands above in large type.
+        said = [f"{value} mm"] if advice["status"] == RECOMMENDED else []
+        said += [f"5 % to 95 %: {between} mm"] if between else []
+        out += [("Limit depth", ", ".join(said))] if said else []
     if advice["chatter_frequency_Hz"] is not None:
         out.append(("Chatter beyond it", f"at {number(advice['chatter_frequency_Hz'], 3)} Hz"))
-    out.append(("Source", f"{advice['source']}, {str(advice['method']).replace('_', ' ')} lobes"))
+    out.append(("Source", f"{spoken(advice['source'])}, {str(advice['method']).replace('_', ' ')} lobes"))
     return out
 
 
@@ -112,15 +116,16 @@ def sources(results: Results, lobes: Sequence[Lobes], advice: Advice | None) -> 
     """Return the table of the sources of a request: the limit at the recommended speed and at any, tests foretold."""
     speed = advice.get("spindle_speed_rpm") if advice else None
     kinds = {m.name: METHODS.get(m.method, m.method) for m in results.measurements}
-    heads = ["source", "how", *([f"limit at {number(speed)} rpm [mm]", "5 % to 95 % [mm]"] if speed else [])]
-    heads += ["limit at every speed [mm]", "safe at every speed [mm]", "cutting tests foretold"]
+    accuracy = max((float(item.data.attrs.get("spindle_accuracy", 0.0)) for item in lobes), default=0.0)
+    about = f"within {100.0 * accuracy:g} % of" if accuracy else "at"
+    heads = ["source", "how", *([f"limit {about} {number(speed)} rpm [mm]", "5 % to 95 % [mm]"] if speed else [])]
+    heads += ["smallest limit [mm]", "smallest safe depth [mm]", "cutting tests foretold"]
     rows = []
     for item in lobes:
         table = item.table
-        cells = [item.source, kinds.get(item.source) or "–"]
+        cells = [spoken(item.source), kinds.get(item.source) or "–"]
         if speed:
-            at = int((table["spindle_speed_rpm"] - speed).abs().to_numpy().argmin())
-            cells += _limit(table, at)
+            cells += _limit(lowest_about(table, "limit_depth_mm", speed, accuracy))
         cells += [_smallest(table, "limit_depth_mm"), _smallest(table, "safe_depth_mm")]
         found = score(results.chatter, item.request, item.source)
         cells.append("–" if found is None else f"{found.right} of {found.of}")
@@ -131,13 +136,13 @@ def sources(results: Results, lobes: Sequence[Lobes], advice: Advice | None) -> 
     return Table(tuple(heads), numeric, tuple(rows), "Sources")
 
 
-def _limit(table: pd.DataFrame, row: int) -> tuple[str, str]:
+def _limit(row: pd.Series) -> tuple[str, str]:
     value, low, high = (
-        float(table[n].iloc[row]) if n in table else float("nan")
+        float(row[n]) if n in row else float("nan")
         for n in ("limit_depth_mm", "limit_depth_p05_mm", "limit_depth_p95_mm")
     )
     text, between = with_range(value, low, high)
-    return "no limit found" if np.isinf(value) else text, between or "not known"
+    return "no limit found" if np.isinf(value) else text if between else number(value, 3), between or "not known"
 
 
 def _smallest(table: pd.DataFrame, column: str) -> str:
@@ -197,7 +202,9 @@ def pockets(results: Results, request: str) -> Table | None:
         text, between = with_range(*(row.get(f"limit_depth{end}_mm") for end in ("", "_p05", "_p95")))
         advised, edge = true(row["recommended"]), true(row["at_edge"])
         note = "recommended" if advised else "end of the range" if edge else ""
+        text = text if between else number(row.get("limit_depth_mm"), 3)
         cells = {**row, "limit_depth_mm": text, "between": between or "not known", "note": note}
+        cells["source"] = spoken(str(row["source"]))
         cells["range"] = f"{number(row['speed_from_rpm'])}–{number(row['speed_to_rpm'])}"
         cells["chatter_frequency_Hz"] = number(row["chatter_frequency_Hz"], 3)
         out.append(Row(tuple(number(cells[name]) for name in _POCKETS), "advised" if advised else ""))

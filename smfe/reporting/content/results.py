@@ -264,8 +264,11 @@ class Results:
     def warnings(self) -> list[tuple[str, str]]:
         """(where, sentence) of every warning, once each."""
         own = [(m.name, w) for m in self.measurements for w in m.warnings]
-        own += [(f"{item.request}, {item.source}", w) for item in self.lobes for w in item.warnings]
-        known = {sentence for where, w in own for sentence in (w, f"{where}: {w}")}
+        of_lobes = [(f"{item.request}, {item.source}", w) for item in self.lobes for w in item.warnings]
+        known = {sentence for where, w in own + of_lobes for sentence in (w, f"{where}: {w}")}
+        if len(self.requests) == 1:
+            of_lobes = [(f"lobes of {item.source}", w) for item in self.lobes for w in item.warnings]
+        own += of_lobes
         general = [("", str(w)) for w in self.provenance.get("warnings", []) if str(w) not in known]
         return list(dict.fromkeys(own + general))
 

@@ -190,9 +190,9 @@ def draw_lobes(
 ) -> Figure:
     """Draw limit depth and chatter frequency over spindle speed, as the page does; the recommended cut is marked."""
     shown = diagram(lobes, tests, advice)
-    entries: list[tuple[Artist, str]] = [(_handle(looks[item.source]), item.source) for item in lobes]
+    entries: list[tuple[Artist, str]] = [(_handle(looks[item.source]), spoken(item.source)) for item in lobes]
     if shown.safe is not None:
-        entries.append((_handle(Line("#000000", SAFE_DASH)), f"{SAFE} of {shown.main.source}"))
+        entries.append((_handle(Line("#000000", SAFE_DASH)), f"{SAFE} of {spoken(shown.main.source)}"))
     happened = outcomes(tests) if tests is not None else pd.Series(dtype=str)
     for outcome, look in _MARKERS.items():
         if (happened == outcome).any():

@@ -11,7 +11,7 @@ import pandas as pd
 
 from process.types import Real
 from smfe.reporting.content.results import Lobes
-from smfe.reporting.content.style import number
+from smfe.reporting.content.style import number, spoken
 from smfe.reporting.figures import figure_data
 
 SAFE = "safe depth"
@@ -83,7 +83,7 @@ class Diagram:
         """
         if self.single:
             return []
-        found = [(item.source, item.source, _last(item.values("limit_depth"), self.top)) for item in self.lobes]
+        found = [(item.source, spoken(item.source), _last(item.values("limit_depth"), self.top)) for item in self.lobes]
         if self.safe is not None:
             found.append((self.main.source, SAFE, _last(self.safe[1], self.top)))
         found.sort(key=lambda end: end[2])
@@ -139,13 +139,14 @@ def diagram(lobes: Sequence[Lobes], tests: pd.DataFrame | None, advice: Mapping[
     speed = advice.get("spindle_speed_rpm")
     point = None
     if speed is not None and depth is not None:
-        text = f"{number(speed)} rpm, {number(depth)} mm"
+        text = f"{number(speed)} rpm, {number(depth, 3 if limit_only else 4)} mm"
         point = (float(speed), float(depth), f"limit: {text}" if limit_only else text)
     top = figure_data.highest_depth(lobes, tests)
     if point is not None:
         top = max(top, 1.12 * point[1])
     limit = np.minimum(np.nan_to_num(main.values("limit_depth"), nan=top, posinf=top), top)
-    safe = _safe(main)
+    # Where a cutting test has refuted the safe depth, or nobody knows it, none is drawn.
+    safe = None if advice and advice.get("status") != "recommended" else _safe(main)
     floor = limit if safe is None else np.minimum(np.interp(main.data["spindle_speed"].values, *_known(safe)), limit)
     first, last = figure_data.speed_range(lobes)
     if first == last or main.data.attrs.get("single_speeds", 0):

@@ -11,7 +11,7 @@ import pandas as pd
 from process.types import Real
 from smfe.reporting.content.headline import outcomes
 from smfe.reporting.content.results import Lobes
-from smfe.reporting.content.style import ADVICE, CHATTER, SAFE_DASH, STABLE, Line, number, translucent
+from smfe.reporting.content.style import ADVICE, CHATTER, SAFE_DASH, STABLE, Line, number, spoken, translucent
 from smfe.reporting.figures import figure_data
 from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, filled, packed, plain, polygons, scatter
@@ -120,7 +120,7 @@ def _limit_trace(item: Lobes, look: Line, width: float) -> Figure:
     frequency = item.values("chatter_frequency")
     return {
         **scatter("lines", item.data["spindle_speed"].values.astype(float), finite),
-        "name": plain(item.source),
+        "name": plain(spoken(item.source)),
         "legendgroup": item.source,
         "customdata": packed(np.column_stack([frequency, np.where(lobe >= 0, lobe, np.nan)])),
         "hovertemplate": "%{x:.5~g} rpm<br>limit depth %{y:.4~g} mm<br>"
@@ -176,7 +176,7 @@ def _names(shown: Diagram, looks: Mapping[str, Line]) -> list[Figure]:
                     "arrowcolor": "#000" if text == SAFE else looks[source].colour,
                     "font": {"size": 12, "color": "#222"},
                 },
-                **{"wide": True, "group": source if text == source else text},
+                **{"wide": True, "group": text if text == SAFE else source},
             }
         )
     return out
@@ -192,7 +192,7 @@ def chatter_figure(lobes: Sequence[Lobes], tests: pd.DataFrame | None, looks: Ma
         data.append(
             {
                 **scatter("markers", item.data["spindle_speed"].values.astype(float), item.values("chatter_frequency")),
-                "name": plain(item.source),
+                "name": plain(spoken(item.source)),
                 "marker": {"size": 5, "symbol": symbol, "color": looks[item.source].colour},
                 "hovertemplate": "%{x:.5~g} rpm: %{y:.4~g} Hz",
             }

@@ -22,6 +22,9 @@ def section(draft: Draft) -> dict[str, Any]:
     # What is taken for granted stands with the recommendation.
     assumed = {sentence(str(a)) for found in results.advice.values() for a in found["assumptions"]}
     warnings = [said for said in audit(results).said if said.whole not in assumed]
+    # As in the terminal, what is said of the recommended source comes first.
+    source = str(results.best.get("source", ""))
+    warnings.sort(key=lambda said: not any(where.split()[-1] == source for where in said.where if where))
     order = sorted(results.requests.items(), key=lambda item: item[0] != best)
     return {
         "attributes": advice.attributes(results.best),

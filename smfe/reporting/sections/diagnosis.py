@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from smfe.diagnosis.story.words import in_words, parameter_words, percent, rounded, unit_text, with_interval
-from smfe.reporting.content.style import number
+from smfe.reporting.content.style import number, spoken
 from smfe.reporting.content.tables import Row, Table
 from smfe.reporting.figures.compared import blocks
 from smfe.reporting.figures.plotly_diagnosis import compared_figure, condition_figure, stable_depth_figure
@@ -69,21 +69,25 @@ def _ladder(finding: Mapping[str, Any]) -> Table | None:
     kept = [step for step in finding.get("ladder", []) if step["accepted"]]
     if before is None or not kept:
         return None
-    rows = [Row(("simulation", f"{before:.1f}", ""))]
+    rows = [Row(("simulation", _tenths(before), ""))]
     for step in kept:
-        gain = "" if step["gain_db"] is None else f"{step['gain_db']:.1f}"
-        rows.append(Row((str(step.get("words") or step["change"]), f"{step['misfit_db']:.1f}", gain)))
+        gain = "" if step["gain_db"] is None else _tenths(step["gain_db"])
+        rows.append(Row((str(step.get("words") or step["change"]), _tenths(step["misfit_db"]), gain)))
     return _table(("step", "error over noise [dB]", "gain where it was left out [dB]"), (False, True, True), rows, "")
+
+
+def _tenths(value: float) -> str:
+    return f"{value:.1f}".replace("-", "−")
 
 
 def _conditions(finding: Mapping[str, Any]) -> Table | None:
     rows = [
         Row(
             (
-                str(c["name"]),
+                spoken(str(c["name"])),
                 "set aside" if c["held_out"] else "left out" if c.get("unseen") else "fitted",
                 *("–" if c.get(k) is None else percent(c[k]) for k in ("error_before", "error_after")),
-                *("–" if c[k] is None else f"{c[k]:.1f}" for k in ("before_db", "after_db")),
+                *("–" if c[k] is None else _tenths(c[k]) for k in ("before_db", "after_db")),
             )
         )
         for c in finding.get("conditions", [])

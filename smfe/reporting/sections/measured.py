@@ -27,6 +27,6 @@ def section(draft: Draft) -> dict[str, Any]:
         "tables": [
             tables.hits(frame, f"{spoken(name)}: {kind}")
             for (name, kind), frame in draft.results.tables.items()
-            if not is_friction(kind)
+            if not is_friction(kind) and len(frame)
         ],
     }

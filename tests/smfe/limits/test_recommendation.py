@@ -112,7 +112,7 @@ def test_a_limit_of_unknown_uncertainty_is_no_depth_in_any_file(tmp_path):
 @pytest.mark.parametrize(
     ("parts", "depth", "what"),
     [
-        ({"lobes": 'maximum_depth = "1.55 mm"'}, 1.5, "the maximum_depth"),
+        ({"lobes": 'maximum_depth = "1.55 mm"'}, 1.5, "the greatest depth that is asked for"),
         ({"tool": 'edge_length = "2 mm"\napproach_angle = "30 deg"'}, 1.0, "the length of the cutting edges"),
     ],
 )
@@ -220,7 +220,7 @@ def test_the_cutting_tests_decide_before_motion_does(classic):
     found = chosen(classic, ("idle",), ("moving", "sweep", True), tests=tests)
     assert found.source == "idle"
     assert "it predicts 1 of 1 cutting test rightly" in found.reason
-    assert "moving is set aside: a cutting test chattered where it predicts none" in found.reason
+    assert "moving is set aside: 1 cut that it calls stable chattered" in found.reason
 
 
 def test_what_chattered_at_a_safe_depth_is_no_longer_called_safe(classic):
@@ -235,9 +235,29 @@ def test_what_chattered_at_a_safe_depth_is_no_longer_called_safe(classic):
 
 def test_sources_that_disagree_beyond_their_uncertainty_are_named(classic):
     found = chosen(classic, ("idle", "hammer", False, 2.0), ("moving", "sweep", True))
-    assert "idle has a limit of" in found.reason
-    assert "100 % more, more than their uncertainties explain" in found.reason
-    assert "idle has" not in chosen(classic, ("idle", "hammer", False, 1.03), ("moving", "sweep", True)).reason
+    assert "differ at this speed by more than the uncertainties explain: idle 100 % higher." in found.reason
+    assert "idle" not in chosen(classic, ("idle", "hammer", False, 1.03), ("moving", "sweep", True)).reason
+
+
+def test_limits_are_compared_where_the_recommended_one_is_read(classic):
+    """Within the accuracy of the spindle: what differs at one speed in the middle of it changes no lowest limit."""
+    loaded, model = classic
+    best = chosen(classic, ("idle",)).spindle_speed_rpm
+    moved = stand_in(model, "moving", "sweep", True)
+    at = int(np.abs(moved.table["spindle_speed_rpm"].to_numpy(float) - best).argmin())
+    columns = ["limit_depth_mm", "limit_depth_p05_mm", "limit_depth_p95_mm", "safe_depth_mm"]
+    table = moved.table.copy()
+    table.loc[table.index[at], columns] *= 3.0
+    found = recommend([stand_in(model, "idle"), replace(moved, table=table)], loaded).best
+    assert "differ at this speed" not in found.reason
+
+
+def test_what_the_tests_set_aside_is_named_once(classic):
+    tests = [cutting_test(classic[1], 2.0, "chatter", idle_x=2.5, hit=2.6, moving=1.5)]
+    found = chosen(classic, ("idle_x",), ("hit",), ("moving", "sweep", True, 0.5), tests=tests)
+    assert found.source == "moving"
+    assert "idle x and hit are set aside: 1 and 1 cuts that they call stable chattered" in found.reason
+    assert found.reason.count("idle") == found.reason.count("hit") == 1
 
 
 def test_the_best_of_all_requests_removes_most(classic):

@@ -223,7 +223,7 @@ class TestDiagram:
         assert [t["name"] for t in figure["data"] if t["type"] == "bar"] == ["stable", "chatter"]
         assert not [t for t in figure["data"] if t["type"] == "scatter" and t["mode"] == "lines"]
         symbols = [
-            t["marker"]["symbol"] for t in figure["data"] if t.get("name") in ("sweep", "hammer_idle", "safe depth")
+            t["marker"]["symbol"] for t in figure["data"] if t.get("name") in ("sweep", "hammer idle", "safe depth")
         ]
         assert len(set(symbols)) == 3
         low, high = diagram(lobes, None, results.best).span
