@@ -112,8 +112,8 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]
             yield warning(
                 "sensor_axis",
                 where,
-                f"the two entries differ by {100.0 * share:.0f} % beyond noise; a linear machine is reciprocal. Their ratio is "
-                f"{abs(ratio):.3g} at {np.degrees(np.angle(ratio)):.0f} deg",
+                f"the two entries differ by {100.0 * share:.0f} % beyond noise; a linear machine is reciprocal. "
+                f"Their ratio is {abs(ratio):.3g} at {np.degrees(np.angle(ratio)):.0f} deg",
                 "check axes, signs and gains of both sensors; friction and servo break reciprocity only when the level "
                 "differs",
             )
