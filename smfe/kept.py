@@ -79,8 +79,10 @@ def file_hash(path: Path) -> str:
 
 def read_hashes(kept: Path) -> None:
     """Remember the hashes that an earlier run has kept, so that long records are not read for them again."""
-    for name, (size, time, digest) in _read(kept / _HASHES).items():
-        _known.setdefault((name, (size, time)), digest)
+    for name, row in _read(kept / _HASHES).items():
+        match row:
+            case [int(size), int(time), str(digest)]:
+                _known.setdefault((name, (size, time)), digest)
 
 
 def write_hashes(kept: Path, files: Iterable[Path]) -> None:
@@ -143,7 +145,7 @@ class Parts:
 
 def inputs_of(campaign: Path, files: Iterable[Path]) -> dict[str, Any]:
     """Return what a run reads as it is now: files by size and time, and what each pattern of the campaign finds."""
-    text = campaign.read_text(encoding="utf-8")
+    text = campaign.read_text(encoding="utf-8-sig")
     texts = set(_texts(tomllib.loads(text)))
     patterns = {t for t in texts if glob.has_magic(t)}
     return {
@@ -181,7 +183,9 @@ def is_unchanged(campaign: Path, folder: Path) -> bool:
     record = _read(folder / KEPT / RECORD)
     if record.get("code") != code() or record.get("campaign") != str(campaign.absolute()):
         return False
-    if record["data"] not in (None, os.environ.get("SMFE_DATA", "")):
+    if not all(isinstance(record.get(part), dict) for part in ("files", "outputs", "patterns")):
+        return False
+    if record.get("data") not in (None, os.environ.get("SMFE_DATA", "")):
         return False
     if any(list(state(folder / name)) != known for name, known in record["outputs"].items()):
         return False

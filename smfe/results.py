@@ -156,10 +156,11 @@ def attempt(failures: Failures | None, part: str, name: str = "") -> Iterator[No
 
 def failure_of(part: str, name: str, error: Exception) -> Failure:
     """Return what an error makes of a part; its reason does not say once more which part it was."""
-    return Failure(part, name, _reason(error).removeprefix(f"{part} '{name}': "))
+    return Failure(part, name, reason_of(error).removeprefix(f"{part} '{name}': "))
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
+    """Return what went wrong as a sentence; what is neither wrong input nor the system is said to be our mistake."""
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, OSError):

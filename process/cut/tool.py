@@ -13,6 +13,9 @@ from process.notebook import html_table
 from process.types import Real
 from process.units import check_diameter, si
 
+MOST_TEETH = 1000
+"""More teeth than any milling tool or saw has."""
+
 
 @dataclass(frozen=True, init=False)
 class Tool:
@@ -73,8 +76,12 @@ class Tool:
         if not (self.diameter > 0.0 and math.isfinite(self.diameter)):
             raise InputError(f"the tool diameter is {self.diameter:g} m; it must be positive and finite")
         check_diameter(self.diameter)
+        if not isinstance(self.teeth, int | float | np.number):
+            raise InputError(f"the tool has {self.teeth!r} teeth; a whole number, at least one, is needed")
         if self.teeth < 1 or self.teeth != int(self.teeth):
             raise InputError(f"the tool has {self.teeth:g} teeth; a whole number, at least one, is needed")
+        if self.teeth > MOST_TEETH:
+            raise InputError(f"the tool has {self.teeth:g} teeth, more than any milling tool ({MOST_TEETH})")
         if not 0.0 < self.approach_angle <= math.pi / 2 + 1e-12:
             raise InputError(
                 f"the approach angle is {math.degrees(self.approach_angle):g} deg; it must be above 0 and at most 90"

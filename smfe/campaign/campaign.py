@@ -586,6 +586,10 @@ def load_campaign(path: str | Path | Campaign, show: Show | None = None) -> Camp
     """
     if isinstance(path, Campaign):
         return path
+    if not isinstance(path, Path | str):
+        raise InputError(
+            f"{type(path).__name__} is no campaign; give the path of its file, or what smfe.read_campaign returns"
+        )
     path = Path(path).absolute()
     raw = read_toml(path)
     if "scenario" in raw and "campaign" not in raw:
@@ -698,7 +702,7 @@ def read_toml(file: Path, kind: str = "campaign") -> dict[str, object]:
     """Read a TOML file; `kind` names what it should have been."""
     text = ""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")  # some editors begin a file with a mark
         return tomllib.loads(text)
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}){_nearest(file)}; name a {kind} file") from error
@@ -720,7 +724,7 @@ def _nearest(file: Path) -> str:
 
 def report(file: Path, found: list[tuple[Loc, str]]) -> str:
     """Return all complaints about a file as one message, each with its line and the name of its table."""
-    text = file.read_text(encoding="utf-8")
+    text = file.read_text(encoding="utf-8-sig")  # some editors begin a file with a mark
     raw, known = tomllib.loads(text), lines_of(text)
     lines = [(line_of(known, where), f"{place(where, raw)}: {said}" if where else said) for where, said in found]
     if len(lines) == 1:

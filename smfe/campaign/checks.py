@@ -506,9 +506,30 @@ def complaint(details: ErrorDetails, root: type[BaseModel]) -> Complaint:
         return where, f"this key is not known{near}; known here: {', '.join(sorted(known))}"
     if details["type"] == "missing":
         return where, "is missing; add it"
-    message = details["msg"].replace("Input should be", "must be")
+    message = _NEEDED.get(details["type"]) or details["msg"].replace("Input should be", "must be")
     shown = repr(details["input"])
     return where, f"{shown if len(shown) < 60 else shown[:57] + '...'}: {message}"
+
+
+_TABLE = "must be a table, { key = ... } or [key] on a line of its own"
+
+_NEEDED = {
+    "model_type": _TABLE,
+    "model_attributes_type": _TABLE,
+    "dict_type": _TABLE,
+    "list_type": "must be a list, [ ... ], and of tables [[ ... ]] on a line of its own",
+    "tuple_type": "must be a list, [ ... ]",
+    "string_type": 'must be a text in quotes, "..."',
+    "int_type": "must be a whole number without quotes",
+    "int_parsing": "must be a whole number without quotes",
+    "int_from_float": "must be a whole number",
+    "finite_number": "must be a finite number",
+    "float_type": "must be a number without quotes",
+    "float_parsing": "must be a number without quotes",
+    "bool_type": "must be true or false, without quotes",
+    "bool_parsing": "must be true or false, without quotes",
+}
+"""Kind of an error, as pydantic calls it -> what the file must hold, in the words of TOML."""
 
 
 def keys_at(where: Loc, root: type[BaseModel] = CampaignFile) -> list[str]:

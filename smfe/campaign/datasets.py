@@ -133,7 +133,7 @@ def read_registry(path: Path) -> dict[str, DataSet]:
         When it is no TOML, or an entry is not complete.
     """
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         return {name: DataSet.model_validate(table) for name, table in tables.items()}
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a TOML file: {error}") from error

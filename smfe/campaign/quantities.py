@@ -423,8 +423,10 @@ Sign = Annotated[float, BeforeValidator(_sign)]
 
 
 def _name(value: Any) -> str:
-    if not isinstance(value, str) or not value.strip() or "/" in value:
-        raise InputError(f"{value!r} is no name; a text without '/' is needed, since results are stored under it")
+    if not isinstance(value, str) or not value.strip() or "/" in value or not value.isprintable():
+        raise InputError(
+            f"{value!r} is no name; one line of text without '/' is needed, since results are stored under it"
+        )
     return value
 
 

@@ -1,16 +1,17 @@
-"""Where the command line begins and how it ends."""
+"""The options that stand before a verb, and all verbs in the order of the help."""
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated
 
 import typer
 
 from smfe._version import __version__
 from smfe.cli import decide, files, measure, predict  # noqa: F401  (each registers its verbs)
-from smfe.cli.terminal import DONE, errors, out
+from smfe.cli.terminal import DONE, out
 from smfe.cli.verb import GROUPS, STATUS, app
+
+__all__ = ["app"]
 
 
 def _version(asked: bool) -> None:
@@ -36,13 +37,3 @@ def main(
     ] = False,
 ) -> None:
     """Take the options that stand before a verb."""
-
-
-def app_entry() -> None:
-    """Run the command line: the exit status says how it ended, see `smfe --help`."""
-    try:
-        app()
-    except KeyboardInterrupt:
-        # Before a verb began or after it ended; a verb says itself what it keeps.
-        errors.print("smfe: interrupted", highlight=False)
-        sys.exit(130)

@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from smfe.cli.bar import bar, lines
+from smfe.cli.interrupt import answer
 from smfe.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -75,13 +76,13 @@ class Terminal:
     def bar(self) -> Iterator[Progress]:
         """Show how far the work is while the block runs: a bar on a terminal, else a line now and then."""
         if self.quiet:
-            yield silent
+            yield _answering(silent)
         elif errors.is_terminal:
             with bar(errors, self.verbose) as progress:
-                yield progress
+                yield _answering(progress)
         else:
             with lines(errors, self.verbose) as progress:
-                yield progress
+                yield _answering(progress)
 
     def show(self, text: str) -> None:
         """Show the licence of a public data set that is about to be fetched, also where all else is silent."""
@@ -117,6 +118,16 @@ class Terminal:
     def print_json(self, content: Mapping[str, Any]) -> None:
         """Print one JSON object; numbers that JSON does not have become null."""
         typer.echo(json.dumps(plain(content), indent=2, ensure_ascii=False))
+
+
+def _answering(progress: Progress) -> Progress:
+    """Return the same progress, at each step of which a Ctrl-C that was dropped on the way ends the work."""
+
+    def report(step: str, done: int, of: int) -> None:
+        answer()
+        progress(step, done, of)
+
+    return report
 
 
 def plain(value: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ import typer
 from rich.markup import escape
 
 from process.errors import InputError
+from smfe.cli.interrupt import listening
 from smfe.cli.terminal import INTERRUPTED, WRONG, Outcome, Terminal
 from smfe.progress import SmfeWarning
 
@@ -88,7 +90,7 @@ def verb(
         def called(as_json: bool, verbose: bool, quiet: bool, **arguments: Any) -> None:
             terminal = Terminal(as_json, verbose, quiet)
             try:
-                with warnings.catch_warnings():
+                with listening(), warnings.catch_warnings():
                     # What must be known of the result stands in the outcome, and is said there.
                     warnings.simplefilter("ignore", SmfeWarning)
                     outcome = function(terminal, **arguments)
@@ -103,6 +105,15 @@ def verb(
                 raise
             except OSError as error:
                 terminal.refuse(f"{error.strerror or error}: {error.filename or ''}")
+                raise typer.Exit(WRONG) from None
+            except typer.Exit:
+                raise
+            except Exception as error:
+                from smfe.results import reason_of
+
+                if verbose:  # for whoever mends it
+                    traceback.print_exc()
+                terminal.refuse(reason_of(error))
                 raise typer.Exit(WRONG) from None
 
         hints = get_type_hints(function, include_extras=True)

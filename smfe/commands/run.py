@@ -230,6 +230,12 @@ def check_folder(folder: Path, campaign: Campaign, fresh: bool = False) -> None:
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not os.access(there, os.W_OK | os.X_OK):
         raise InputError(f"'{there}' cannot be written by you; name another folder with --out")
+    for inside in (KEPT, "figures", "tables"):
+        if (folder / inside).is_file():
+            raise InputError(f"'{folder / inside}' is a file where a folder is needed; move it away")
+    for pattern in ("*.nc", "*.csv", "*.json"):
+        for result in folder.glob(pattern):
+            check_target(result)
     kept = folder / "provenance.json"
     if not kept.is_file():
         if (folder / "tables").exists():

@@ -13,6 +13,7 @@ import xarray as xr
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
+from process.notebook import html_table
 from process.types import Real
 from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.identification.sweep.sweep import check_independent
@@ -59,6 +60,20 @@ class Plan:
     rejected: pd.DataFrame
     examined: int
     warnings: tuple[str, ...] = ()
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: what to cut, how well it will do, and what else `summary` says."""
+        cut = self.sweep
+        slow, fast = (w * 30.0 / math.pi for w in (cut.start, cut.end))
+        rows = [
+            ("passes", ", ".join(f"{p.cut} {1e3 * p.width:g}" for p in cut.passes), "mm wide"),
+            ("each pass", str(cut.repeats), "times"),
+            ("spindle speed", f"{slow:.5g} to {fast:.5g}", "rpm"),
+            ("depth of cut", f"{1e3 * cut.depth:.3g}", "mm"),
+            ("feed", f"{6e4 * cut.feed_rate:.4g}", "mm/min"),
+            ("largest expected error", f"{100.0 * self.worst:.2g}", "% of the rms compliance"),
+        ]
+        return html_table("Planned sweep", rows, ("", "value", "unit"), [summary(self), *self.warnings])
 
     @property
     def worst(self) -> float:

@@ -15,6 +15,7 @@ import xarray as xr
 
 from process.errors import InputError
 from process.labels import check_record, restarting_rate
+from process.notebook import html_table
 from process.types import Real
 from process.units import factor, known
 from smfe.records import names_itself, read_records
@@ -63,6 +64,12 @@ class Look:
     campaign: str
     notes: tuple[str, ...]
     found: Contents
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: what was found in each column, and what kind of record it seems to be."""
+        names = [name for name in self.columns.columns if name != "remark"]
+        rows = [[row[name] for name in names] for row in self.columns.to_dict("records")]
+        return html_table(f"{self.path.name}: {self.kind.name}", rows, names, [self.kind.reason, *self.notes])
 
     @property
     def duration(self) -> float:

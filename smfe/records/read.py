@@ -81,6 +81,8 @@ def read_record(path: str | Path, channels: Mapping[str, Channel]) -> xr.Dataset
 def format_of(path: Path) -> Format:
     """Return the format of a file, by its suffix."""
     if not path.is_file():
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; name one of its files")
         raise InputError(f"{path}: no such file")
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"{path.name}: files with suffix '{path.suffix}' are not read; known are {', '.join(FORMATS)}")
@@ -107,6 +109,10 @@ def columns_of(source: str, channels: Mapping[str, Channel]) -> list[Column]:
     return columns
 
 
+LARGEST = 1e15
+"""What no channel reaches in its SI unit; the squares of larger numbers may be none."""
+
+
 def values_of(source: str, name: str, channel: Channel, table: Table, before: int = 0) -> Real:
     """Return a channel in the unit of its label, all finite; `before` samples came before this block of it."""
     assert channel.column is not None
@@ -119,6 +125,12 @@ def values_of(source: str, name: str, channel: Channel, table: Table, before: in
         )
     with named(source):
         values = channel.to_si(name, numbers)
+    if values.size and max(values.max(), -values.min()) > LARGEST:
+        at = int(np.argmax(np.abs(values)))
+        raise InputError(
+            f"{source}: channel {name} (column '{channel.column}') is {numbers[at]:.3g} at sample {before + at} "
+            "(counted from 0), more than any sensor measures; repair or cut the record, or check its unit and scale"
+        )
     return np.unwrap(values) if name == "spindle_angle" else values
 
 

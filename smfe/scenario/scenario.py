@@ -59,6 +59,8 @@ def load_scenario(path: str | Path) -> Scenario:
     InputError
         With every error of the file at once, each with its place.
     """
+    if not isinstance(path, Path | str):
+        raise InputError(f"{type(path).__name__} is no scenario; give the path of a scenario file")
     path = Path(path).absolute()
     raw = read_toml(path, "scenario")
     if "campaign" in raw and "scenario" not in raw:

@@ -38,7 +38,18 @@ CHANGES = {
     "report": lambda c, f: (f / "report.html").write_text("edited"),
     "figure gone": lambda c, f: (f / "figures" / "lobes_1.png").unlink(),
     "record of the run damaged": lambda c, f: (f / KEPT / "run.json").write_text("{"),
+    "record of the run emptied": lambda c, f: (f / KEPT / "run.json").write_text(
+        json.dumps({"code": kept.code(), "campaign": str(c.absolute()), "files": [1]})
+    ),
 }
+
+
+@pytest.mark.parametrize("damage", ['{"a": 1}', '{"a": [1, 2]}', '{"a": ["x", 2, 3]}', "[]", "{"])
+def test_damaged_hashes_are_as_good_as_none(damage: str, run: tuple[Path, Path]) -> None:
+    campaign, folder = run
+    (folder / KEPT / "hashes.json").write_text(damage)
+    read_hashes(folder / KEPT)
+    assert is_unchanged(campaign, folder)
 
 
 @pytest.mark.parametrize("change", CHANGES)

@@ -125,6 +125,9 @@ def test_results_show_themselves_as_tables_with_units(frf: xr.Dataset, limits: x
     advice = smfe.recommendation(limits, TOOL, STEEL)
     assert f">{advice.spindle_speed_rpm:.0f}</td><td>rpm<" in advice._repr_html_()
     friction = FoundCause("f", "f", "friction", "joint", (Estimate("force", 12.0, 10.0, 14.0, "N"),), 50.0, 3.0, 0.5)
+    looked = smfe.look(cut)._repr_html_()
+    assert ">unit<" in looked
+    assert smfe.look(cut).kind.reason in looked
     finding = Finding("named", "it rests on this", causes=(friction,))._repr_html_()
     assert ">force</td><td>12</td><td>10</td><td>14</td><td>N<" in finding
 

@@ -78,7 +78,7 @@ class TestBaseline:
             (DRIVE + "Kp = '8557 N s/m'\n" + MOVED, "baseline: needs Kp and Kv for the control law, or neither"),
             (DRIVE + "Ti = '10 ms'\n" + MOVED, "baseline.Ti: this key is not known"),
             (DRIVE + MOVED + "held_out = true\n", "nothing to be compared with; all of them are held out"),
-            (DRIVE + MOVED + "held_out = 'yes'\n", "measurement 'moved', held_out: 'yes': must be a valid boolean"),
+            (DRIVE + MOVED + "held_out = 'yes'\n", "measurement 'moved', held_out: 'yes': must be true or false"),
             ("[baseline]\nforces = 'mechanistic'\n", "a mechanistic force needs the table [material]; add it"),
             ("[baseline]\nforces = 'mechanistic'\n", "nothing to be compared with; add a [[cutting_test]]"),
         ],

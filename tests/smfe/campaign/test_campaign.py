@@ -455,7 +455,9 @@ ONE_FAULT = [
     ),
     ('["250 rpm", "750 rpm"]', '["250 rpm", "750 rpm", "0 rpm"]', "lobes[0].spindle_speed: a step of 0 rpm"),
     # tool, material, model
-    ("teeth = 8", "teeth = 8.5", "tool.teeth: 8.5: must be a valid integer"),
+    ("teeth = 8", "teeth = 8.5", "tool.teeth: 8.5: must be a whole number"),
+    ("teeth = 8", "teeth = 8000000", "tool: the tool has 8e+06 teeth, more than any milling tool (1000)"),
+    ("force_x   ", 'force_y = "Fy"\nforce_x   ', "channels.force_y: 'Fy': must be a table, { key = ... }"),
     ("teeth = 8", 'teeth = 8\npitch_angles = ["90 deg"]', "tool: pitch_angles has 1 values for 8 teeth"),
     ('Ktc = "1900 N/mm^2"', "", "material.Ktc: is missing"),
     (
@@ -488,7 +490,8 @@ ONE_FAULT = [
         "measurement[1].name: 'hammer_idle_K2' is already the name of measurement[0]",
     ),
     ('"paper_bench_idle"', '"hammer_idle_K2"', "model[0].name: 'hammer_idle_K2' is already the name of measurement[0]"),
-    ('"sweep_2mm_K2"', '"a/b"', "measurement[1].name: 'a/b' is no name; a text without '/'"),
+    ('"sweep_2mm_K2"', '"a/b"', "measurement[1].name: 'a/b' is no name; one line of text without '/'"),
+    ('"sweep_2mm_K2"', '"a\\tb"', "measurement[1].name: 'a\\tb' is no name; one line of text without '/'"),
     (
         '"hammer"',
         '"hamer"',

@@ -187,3 +187,13 @@ def test_a_syntax_error_without_a_line_is_passed_on() -> None:
         tomllib.loads("a = [1,")
     line, advice = syntax_advice("a = [1,", caught.value)
     assert (line, advice.startswith("not TOML: ")) == (None, True)
+
+
+def test_the_mark_that_some_editors_put_before_a_file_is_no_error(tmp_path: Path) -> None:
+    (tmp_path / "hit.csv").write_text("t,Fx,ax\n0,0,0\n")
+    file = tmp_path / "campaign.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + HAMMER.lstrip().replace("\n", "\r\n").encode())
+    assert load_campaign(file).name == "Small"
+    file.write_bytes(file.read_bytes().replace(b"teeth", b"teeths"))
+    with pytest.raises(InputError, match=r"campaign.toml: 2 errors[^$]*line 3: tool.teeth: is missing"):
+        load_campaign(file)

@@ -6,6 +6,7 @@ from pathlib import Path
 import commands_page
 import pytest
 import typer
+from samples.campaigns import HAMMER
 from typer.testing import CliRunner, Result
 
 import smfe
@@ -154,6 +155,17 @@ def test_wrong_input_is_one_message_and_status_1(problem: Exception, monkeypatch
     assert json.loads(done.stdout) == {"error": line.removeprefix("smfe: ")}
 
 
+def test_a_mistake_of_ours_is_a_sentence_and_its_traceback_is_shown_to_whoever_asks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    outcome("check", monkeypatch, ZeroDivisionError("a case that nobody thought of"))
+    done = invoked("check", "campaign.toml", "--json")
+    assert done.exit_code == 1
+    assert "a mistake in smfe (ZeroDivisionError in test_commands.py, line" in json.loads(done.stdout)["error"]
+    assert "Traceback" not in done.stderr
+    assert "Traceback" in invoked("check", "campaign.toml", "-v").stderr
+
+
 def test_wrong_usage_is_status_2_and_says_nothing_on_stdout() -> None:
     for words in (["run"], ["fly"], ["run", "c.toml", "--speed"]):
         done = invoked(*words)
@@ -211,3 +223,25 @@ def test_shells_complete_campaign_files_and_folders(tmp_path: Path, monkeypatch:
 def test_the_keys_of_all_verbs_are_said_once() -> None:
     assert set(SHARED) == {"as_json", "verbose", "quiet"}
     assert all(set(COMMON_KEYS) <= set(about.keys) for about in VERBS.values())
+
+
+def test_a_file_in_the_place_of_a_folder_of_results_is_refused_before_work(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(HAMMER)
+    (tmp_path / "hit.csv").write_text("t,Fx,ax\n0,0,0\n1,0,0\n")
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / ".kept").write_text("x")
+    done = invoked("run", tmp_path / "c.toml", "--out", tmp_path / "results")
+    assert done.exit_code == 1
+    assert ".kept' is a file where a folder is needed" in done.stderr.replace("\n", " ")
+    (tmp_path / "results" / ".kept").unlink()
+    (tmp_path / "results" / "pockets.csv").mkdir()
+    done = invoked("run", tmp_path / "c.toml", "--out", tmp_path / "results")
+    assert done.exit_code == 1
+    assert [path.name for path in (tmp_path / "results").iterdir()] == ["pockets.csv"]
+
+
+@pytest.mark.parametrize("verb", ["run", "check", "diagnose", "simulate"])
+def test_what_is_no_campaign_is_refused_in_a_sentence(verb: str) -> None:
+    more = ("results",) if verb in ("run", "simulate") else ()
+    with pytest.raises(InputError, match=r"int is no (campaign|scenario); give the path"):
+        getattr(smfe, verb)(5, *more)

@@ -20,7 +20,8 @@ def run(campaign, folder, fresh, progress, licence):
     def write(path):
         path.write_text("half")
         print("ready", file=sys.stderr, flush=True)
-        time.sleep(60)
+        for _ in range(10 * 60):
+            time.sleep(0.1)  # a signal just before a long one would wait for its end
     progress("working", 0, 1)
     write_atomically(Path(folder) / "report.html", write)
 
@@ -72,6 +73,67 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_nothing_half_written(options: list[
     assert ("error" in out) == bool(options)
 
 
+DROPPED = """
+import ctypes, sys, time
+import smfe
+
+def wait():
+    print("ready", file=sys.stderr, flush=True)
+    for _ in range(10 * 30):
+        time.sleep(0.1)  # a signal just before a long one would wait for its end
+
+def run(campaign, folder, fresh, progress, licence):
+    if campaign.stem == "in_a_callback":
+        ctypes.CFUNCTYPE(None)(wait)()
+    else:
+        try:
+            wait()
+        except BaseException:
+            pass
+        progress("next step", 1, 2)
+    for _ in range(10 * 30):
+        time.sleep(0.1)  # a signal just before a long one would wait for its end
+
+smfe.run = run
+from smfe.cli import app_entry
+sys.argv = ["smfe", *sys.argv[1:]]
+app_entry()
+"""
+"""The command line with a run that drops the first Ctrl-C, as a compiler's callback does, and works on."""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals of a terminal")
+@pytest.mark.parametrize("where", ["in_a_callback", "in_a_library"])
+def test_a_ctrl_c_that_a_library_drops_is_not_lost(where: str, tmp_path: Path) -> None:
+    (tmp_path / f"{where}.toml").write_text(HAMMER)
+    code, _, err = interrupted(["run", f"{where}.toml"], DROPPED, "ready", tmp_path)
+    assert code == 130, err
+    assert err.count("interrupted") == 1
+    assert "Traceback" not in err
+
+
+EARLY = """
+import sys, time
+import smfe.cli
+class Slow:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            print("ready", file=sys.stderr, flush=True)
+            for _ in range(10 * 60):
+                time.sleep(0.1)  # a signal just before a long one would wait for its end
+sys.meta_path.insert(0, Slow())
+smfe.cli.app_entry()
+"""
+"""The command line while its own libraries are imported."""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals of a terminal")
+def test_ctrl_c_before_a_verb_begins_is_a_line_as_well(tmp_path: Path) -> None:
+    code, _, err = interrupted(["--help"], EARLY, "ready", tmp_path)
+    assert (code, err.splitlines()[-1]) == (130, "smfe: interrupted")
+    assert "Traceback" not in err
+
+
 HELPED = """
 import sys, time
 import numpy as np
@@ -80,7 +142,8 @@ from smfe.diagnosis.inference.workers import Helpers
 
 def ask(number, values):
     print("ready", file=sys.stderr, flush=True)
-    time.sleep(60)
+    for _ in range(10 * 60):
+        time.sleep(0.1)  # a signal just before a long one would wait for its end
 
 def run(campaign, folder, fresh, progress, licence):
     with Helpers(2) as helpers:

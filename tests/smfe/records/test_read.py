@@ -282,6 +282,10 @@ class TestText:
                 "t,Fx,ax\n0,1,2\n1,,3\n2,3,4\n",
                 r"channel force_x \(column 'Fx'\) is empty, NaN .* in 1 samples, .* sample 1 ",
             ),
+            (
+                "t,Fx,ax\n0,1,2\n1,-1e300,3\n2,3,4\n",
+                "force_x .* is -1e.300 at sample 1 .*, more than any sensor",
+            ),
             ("t,Fx,ax\n0,1,2\n1,nan,3\n2,3,4\n", "channel force_x .* first at sample 1 "),
             ("t,Fx,ax\n0,1,2\n1,2,3\n2,3\n", r"the last row \(3\) is incomplete; the file is truncated"),
             ("t,Fx,ax\n0,1,2\n1,2,3,4\n2,3,4\n", "Expected 3 fields in line 3, saw 4"),
