@@ -533,7 +533,7 @@ def _no_depth(source: _Candidate) -> str:
     """Say why no depth is given with a limit."""
     if source.contradicted:
         return (
-            f"This is the limit alone: {_tests(source.contradicted)} chattered at a depth that it calls safe, so no "
+            f"{_tests(source.contradicted).capitalize()} chattered at a depth that it calls safe, so no "
             f"depth is recommended; {_correction(source)}."
         )
     what = (
