@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from process.machine.machine import FeedAxis, Machine, MountedJoint, released_compliance
     from process.machine.modes import ModalModel
     from process.machine.operating_point import OperatingPoint
-    from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+    from process.machine.structure import Host, Posture, Structure, free_modes, hosted, released_modes, two_mass_axes
     from process.simulation.excitation import (
         Chirp,
         HalfSine,
@@ -64,6 +64,7 @@ __all__ = [
     "GeneralisedMaxwellSlip",
     "HalfSine",
     "HammerHits",
+    "Host",
     "InputError",
     "Iwan",
     "Jenkins",
@@ -101,6 +102,7 @@ __all__ = [
     "force_harmonics",
     "free_modes",
     "hammer_trial",
+    "hosted",
     "invariant_feed",
     "linearised",
     "make_compliance",
@@ -140,7 +142,7 @@ _HOMES = {
     "process.machine.machine": "FeedAxis, Machine, MountedJoint, released_compliance",
     "process.machine.modes": "ModalModel",
     "process.machine.operating_point": "OperatingPoint",
-    "process.machine.structure": "Posture, Structure, free_modes, released_modes, two_mass_axes",
+    "process.machine.structure": "Host, Posture, Structure, free_modes, hosted, released_modes, two_mass_axes",
     "process.simulation.excitation": (
         "Chirp, HalfSine, HammerHits, LogarithmicChirp, Multisine, PseudoRandom, SteppedSine, Sum"
     ),

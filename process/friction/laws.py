@@ -176,6 +176,18 @@ class Andersson(FrictionLaw):
         if self.negative is not None and self.negative.negative is not None:
             raise InputError("the law for negative velocity has itself one for negative velocity; give it without")
 
+    def slope(self, velocity: ArrayLike) -> Real:
+        """Return the local damping ``d force / d velocity`` [N s/m] at velocities [m/s] of any shape.
+
+        At rest, where the sides differ, it is their mean: that acts on the fundamental of a small vibration.
+        """
+        v = np.asarray(velocity, dtype=float)
+        forth = super().slope(v)
+        if self.negative is None or not np.any(v == 0.0):
+            return forth
+        back = float(self.negative.slope(0.0))
+        return np.where(v == 0.0, 0.5 * (forth + back), forth)
+
     def _one_way(self) -> list[float]:
         return [self.coulomb, self.static, self.stribeck_speed, self.sigma, self.kt, self.delta]
 

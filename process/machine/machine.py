@@ -7,7 +7,7 @@ space. `simulation.machine` moves it in time, `harmonic_balance.quasi_frf` gives
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -151,6 +151,31 @@ class Machine:
                 "put the viscous part into the law and leave sigma 0"
             )
         return cls(two_mass_axes({axis: replace(drive, sigma=0.0)}), {axis: FeedAxis(drive.servo, friction)})
+
+    def braked(self, axes: Collection[str] | None = None) -> Machine:
+        """Return the machine whose brakes hold the slides of some axes, by default all: drives and friction do nothing.
+
+        Raises
+        ------
+        InputError
+            When it has no such axis, or nothing can move then.
+        """
+        held = list(self.axes) if axes is None else list(axes)
+        unknown = [a for a in held if a not in self.axes]
+        if unknown:
+            raise InputError(
+                f"brakes hold axis {', '.join(unknown)}, and this machine moves along {', '.join(self.axes) or 'none'}"
+            )
+        if not held:
+            return self
+        every = self.structure.structures if isinstance(self.structure, Posture) else (self.structure,)
+        free = every[0].held_directions(held)
+        structures = tuple(one.locked(held) for one in every)
+        return Machine(
+            replace(self.structure, structures=structures) if isinstance(self.structure, Posture) else structures[0],
+            {name: axis for name, axis in self.axes.items() if name not in held},
+            tuple(replace(joint, participation=joint.participation @ free) for joint in self.joints),
+        )
 
     def structure_at(self, position: float | None = None) -> Structure:
         """Return the structure at a position [m] of the axis that the posture depends on."""

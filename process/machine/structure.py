@@ -6,11 +6,12 @@ force F on the tool and force f_a of drive and guideway on the slide. Displaceme
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from process.drive.axis import Drive
 from process.errors import InputError
@@ -88,21 +89,34 @@ class Structure:
         """Return the participation of all slides, shape (axes, n), in the order of `slides`."""
         return np.array(list(self.slides.values())).reshape(len(self.slides), self.size)
 
-    def locked(self) -> Structure:
-        """Return the structure with every slide held: coordinates restricted to those that move no slide."""
-        rows = self.slide_rows()
-        if not rows.size:
+    def locked(self, axes: Collection[str] | None = None) -> Structure:
+        """Return the structure with the slides of some axes held, by default all; the others stay slides."""
+        held = list(self.slides) if axes is None else [a for a in self.slides if a in axes]
+        if not held:
             return self
-        _, singular, vectors = np.linalg.svd(rows)
-        free = vectors[int(np.sum(singular > 1e-12 * singular.max())) :].T
-        if not free.size:
-            raise InputError("with its slides held nothing of this structure can move; give it at least one mode")
+        free = self.held_directions(held)
 
         def cut(matrix: Real) -> Real:
             small = free.T @ matrix @ free
             return np.asarray(0.5 * (small + small.T))
 
-        return Structure(cut(self.mass), cut(self.damping), cut(self.stiffness), self.tool @ free)
+        slides = {axis: row @ free for axis, row in self.slides.items() if axis not in held}
+        return Structure(cut(self.mass), cut(self.damping), cut(self.stiffness), self.tool @ free, slides)
+
+    def held_directions(self, axes: Collection[str]) -> Real:
+        """Return an orthonormal basis (n, m) of the coordinates that move no slide of these axes.
+
+        Raises
+        ------
+        InputError
+            When nothing can move then.
+        """
+        rows = np.array([self.slides[axis] for axis in axes])
+        _, singular, vectors = np.linalg.svd(rows)
+        free = vectors[int(np.sum(singular > 1e-12 * singular.max())) :].T
+        if not free.size:
+            raise InputError("with its slides held nothing of this structure can move; give it at least one mode")
+        return np.asarray(free)
 
 
 def two_mass_axes(drives: Mapping[str, Drive]) -> Structure:
@@ -127,11 +141,81 @@ def two_mass_axes(drives: Mapping[str, Drive]) -> Structure:
     return Structure(mass, damping, stiffness, tool, slides)
 
 
+@dataclass(frozen=True)
+class Host:
+    """What an axis stands on: a bed that moves along the axis as one mass on a spring.
+
+    Parameters
+    ----------
+    mass : float
+        m_h [kg], without what the axis moves.
+    frequency : float
+        f_h [Hz] of the host alone: its spring is ``k_h = m_h (2 pi f_h)^2``.
+    damping : float, optional
+        Damping ratio of the host alone [1].
+    """
+
+    mass: float
+    frequency: float
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a host without mass or spring."""
+        if not (0.0 < self.mass < np.inf and 0.0 < self.frequency < np.inf and 0.0 <= self.damping < np.inf):
+            raise InputError(
+                f"a host of {self.mass:g} kg at {self.frequency:g} Hz with a damping ratio of {self.damping:g}; mass "
+                "and frequency must be positive, the damping not negative"
+            )
+
+
+def hosted(structure: Structure, hosts: Mapping[str, Host]) -> Structure:
+    """Return the structure whose axes stand on flexible hosts.
+
+    Each host adds a coordinate h behind the others; the slide moves against it, ``S_a q - h``, so that drive and
+    guideway push the carriage one way and the host the other. With a carriage m_m that friction holds on its host, and
+    a tip m_t on the spring k, the tool has an antiresonance where ``w^2 = (k_h + k)/(m_h + m_m)``, and its resonances
+    are the roots of ``(k_h + k - (m_h + m_m) w^2)(k - m_t w^2) = k^2``.
+
+    Parameters
+    ----------
+    structure : Structure
+        Its coordinates are displacements in space, as those of `two_mass_axes` and `released_modes` are.
+    hosts : mapping
+        Axis name -> its host.
+
+    Raises
+    ------
+    InputError
+        When an axis has no slide.
+    """
+    unknown = [axis for axis in hosts if axis not in structure.slides]
+    if unknown:
+        raise InputError(
+            f"a host under axis {', '.join(unknown)}, which does not move; the structure moves along "
+            f"{', '.join(structure.slides) or 'no axis'}"
+        )
+    w = np.array([2.0 * np.pi * host.frequency for host in hosts.values()])
+    mass = np.array([host.mass for host in hosts.values()])
+    ratio = np.array([host.damping for host in hosts.values()])
+
+    def below(matrix: Real, added: Real) -> Real:
+        return linalg.block_diag(matrix, np.diag(added))
+
+    on = {axis: -(np.array(list(hosts)) == axis).astype(float) for axis in structure.slides}
+    return Structure(
+        below(structure.mass, mass),
+        below(structure.damping, 2.0 * ratio * w * mass),
+        below(structure.stiffness, mass * w**2),
+        np.hstack([structure.tool, np.zeros((3, mass.size))]),
+        {axis: np.concatenate([row, on[axis]]) for axis, row in structure.slides.items()},
+    )
+
+
 def released_modes(
     idle: ModalModel,
     moving_mass: Mapping[str, float],
     tip_mass: float | None = None,
-    coupling: ArrayLike | None = None,
+    coupling: ArrayLike | Mapping[str, ArrayLike] | None = None,
 ) -> Structure:
     """Return the structure whose slides, when held, give the idle modes, and that moves as a whole along its axes.
 
@@ -147,13 +231,13 @@ def released_modes(
         Axis name -> all mass that moves with the axis [kg], tip included. Other axes have no slide.
     tip_mass : float, optional
         Mass at the tool [kg]; default that of each mode, ``m_r/|u_r|^2``.
-    coupling : array_like, shape (axes, modes), optional
-        L itself [kg], in the order of `moving_mass`.
+    coupling : array_like, shape (axes, modes), or mapping, optional
+        L itself [kg], in the order of `moving_mass`; or axis name -> its row, shape (modes,), for some of them.
 
     Raises
     ------
     InputError
-        When a mass is not positive, or modes would carry more mass than their axis.
+        When a mass is not positive, modes would carry more mass than their axis, or a row has another length.
     """
     for axis, mass in moving_mass.items():
         if not (np.isfinite(mass) and mass > 0.0):
@@ -162,9 +246,17 @@ def released_modes(
         raise InputError(f"the tip mass is {tip_mass:g} kg; it must be positive")
     rows = axis_index(list(moving_mass))
     shapes, a = idle.direction, len(rows)
-    if coupling is None:
+    if coupling is None or isinstance(coupling, Mapping):
         at_tool = idle.mass / np.sum(shapes**2, axis=1) if tip_mass is None else np.full(idle.mass.size, tip_mass)
         momentum = (shapes * at_tool[:, None]).T[rows]
+        for axis, row in (coupling or {}).items():
+            given = np.atleast_1d(np.asarray(row, dtype=float))
+            if axis not in moving_mass or given.shape != (idle.mass.size,):
+                raise InputError(
+                    f"the coupling of axis {axis} has {given.size} values; give {idle.mass.size}, the momentum of "
+                    f"each mode, for the axes {', '.join(moving_mass)}"
+                )
+            momentum[list(moving_mass).index(axis)] = given
     else:
         momentum = np.asarray(coupling, dtype=float).reshape(a, idle.mass.size)
     total = np.diag(np.array(list(moving_mass.values()), dtype=float))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING
+from dataclasses import MISSING, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,7 +27,15 @@ from process.friction.laws import (
 from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.modes import ModalModel
-from process.machine.structure import Posture, Structure, free_modes, released_modes, two_mass_axes
+from process.machine.structure import (
+    Host,
+    Posture,
+    Structure,
+    free_modes,
+    hosted,
+    released_modes,
+    two_mass_axes,
+)
 from smfe.campaign import quantities as q
 from smfe.campaign.tables import Delay, PositiveMass, PositiveTime, Speed, Table, Viscosity, values
 from smfe.records.formats.channels import listed
@@ -59,6 +67,15 @@ def _kilograms(value: Any) -> Any:
     return value
 
 
+@contextmanager
+def placed(where: str) -> Iterator[None]:
+    """Say of which table an error is."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
 MachineMass = Annotated[PositiveMass, BeforeValidator(_kilograms)]
 
 
@@ -88,10 +105,9 @@ class ServoTable(Table):
         return Servo(**dict(self))
 
 
-class FrictionTable(Table):
-    """``friction`` of an axis: the law by name and its parameters."""
+class FrictionParameters(Table):
+    """Parameters of friction in one direction; each law has some of them."""
 
-    law: Annotated[str, q.one_of(tuple(LAWS), "law")]
     coulomb: q.Force | None = None
     static: q.Force | None = None
     stribeck_speed: Speed | None = None
@@ -104,12 +120,43 @@ class FrictionTable(Table):
     share: tuple[q.Ratio, ...] | None = None
     attraction: Annotated[float, q.quantity("force_rate", above=0.0)] | None = None
 
+
+class FrictionTable(FrictionParameters):
+    """``friction`` of an axis: the law by name, its parameters, and those for negative velocity that differ."""
+
+    law: Annotated[str, q.one_of(tuple(LAWS), "law")]
+    negative: FrictionParameters | None = None
+
     def build(self) -> FrictionLaw | MemoryLaw:
-        """Return the law."""
-        law: FrictionLaw | MemoryLaw = made(
-            "friction law", self.law, LAWS[self.law], self.model_dump(exclude_unset=True, exclude={"law"})
-        )
+        """Return the law; which of two sets of parameters counts follows from the sign of the velocity."""
+        forth = self.model_dump(exclude_unset=True, exclude={"law", "negative"})
+        law: FrictionLaw | MemoryLaw = made("friction law", self.law, LAWS[self.law], forth)
+        if self.negative is None:
+            return law
+        back = {**forth, **self.negative.model_dump(exclude_unset=True)}
+        with placed("friction.negative"):
+            return _two_ways(law, made("friction law", self.law, LAWS[self.law], back))
+
+
+def _two_ways(forth: FrictionLaw | MemoryLaw, back: FrictionLaw | MemoryLaw) -> FrictionLaw | MemoryLaw:
+    """Return one law from those of both directions."""
+    if isinstance(forth, LuGre) and isinstance(back, LuGre):
+        return replace(forth, negative=back)
+    if isinstance(forth, FrictionLaw) and isinstance(back, FrictionLaw):
+        return replace(_stribeck(forth), negative=_stribeck(back))
+    raise InputError(
+        "the law 'gms' has the same parameters in both directions; take 'lugre' or 'andersson' for two sets"
+    )
+
+
+def _stribeck(law: FrictionLaw) -> Andersson:
+    """Return a law without memory as the Stribeck curve that it is, with nothing that falls."""
+    if isinstance(law, Andersson):
         return law
+    if isinstance(law, Coulomb | CoulombViscous):
+        return Andersson(law.coulomb, law.coulomb, 1.0, law.sigma, law.kt)
+    assert isinstance(law, Viscous)
+    return Andersson(0.0, 0.0, 1.0, law.sigma, 1.0)
 
 
 def made(what: str, name: str, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
@@ -124,6 +171,18 @@ def made(what: str, name: str, make: Callable[..., Any], given: Mapping[str, Any
     return make(**given)
 
 
+class HostTable(Table):
+    """``host`` of an axis: the bed that it stands on, one mass on a spring."""
+
+    mass: MachineMass
+    frequency: q.PositiveFrequency
+    damping: q.DampingRatio
+
+    def build(self) -> Host:
+        """Return the host."""
+        return Host(self.mass, self.frequency, self.damping)
+
+
 class AxisTable(Table):
     """``[machine.axis.x]``."""
 
@@ -131,6 +190,8 @@ class AxisTable(Table):
     tip_mass: MachineMass | None = None
     stiffness: q.Stiffness | None = None
     damping: Viscosity | None = None
+    coupling: Annotated[tuple[float, ...], values("mass")] | None = None
+    host: HostTable | None = None
     controllers: Annotated[dict[StrictStr, ServoTable], Field(default_factory=dict)]
     friction: FrictionTable | None = None
 
@@ -236,6 +297,7 @@ def _modal(modes: Sequence[ModeTable], where: str = "") -> ModalModel:
 
 
 def _structure(table: MachineTable, modes: Sequence[ModeTable], where: str = "") -> Structure:
+    hosts = {name: axis.host.build() for name, axis in table.axis.items() if axis.host is not None}
     if modes:
         springs = [name for name, axis in table.axis.items() if axis.stiffness is not None]
         if springs:
@@ -246,8 +308,15 @@ def _structure(table: MachineTable, modes: Sequence[ModeTable], where: str = "")
         modal = _modal(modes, where)
         if not table.axis:
             return free_modes(modal.frequency, modal.damping, modal.mass, modal.direction, {})
-        return released_modes(modal, {name: axis.moving_mass for name, axis in table.axis.items()}, table.tip_mass)
-    return two_mass_axes({name: _two_masses(name, axis) for name, axis in table.axis.items()})
+        masses = {name: axis.moving_mass for name, axis in table.axis.items()}
+        coupling = {name: axis.coupling for name, axis in table.axis.items() if axis.coupling is not None}
+        return hosted(released_modes(modal, masses, table.tip_mass, coupling), hosts)
+    coupled = [name for name, axis in table.axis.items() if axis.coupling is not None]
+    if coupled:
+        raise InputError(
+            f"axis.{coupled[0]}.coupling is the momentum of modes along the axis, and there are no modes; leave it out"
+        )
+    return hosted(two_mass_axes({name: _two_masses(name, axis) for name, axis in table.axis.items()}), hosts)
 
 
 def _two_masses(name: str, axis: AxisTable) -> Drive:
@@ -263,31 +332,23 @@ def _feed_axis(name: str, axis: AxisTable) -> FeedAxis:
     servo = {called: table.build() for called, table in axis.controllers.items()} or None
     if axis.friction is None:
         return FeedAxis(servo)
-    with _placed(f"axis.{name}"):
+    with placed(f"axis.{name}"):
         return FeedAxis(servo, axis.friction.build())
-
-
-@contextmanager
-def _placed(where: str) -> Iterator[None]:
-    """Say of which table an error is."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
 
 
 def _joint(table: MachineTable, number: int, joint: JointTable) -> MountedJoint:
     given = joint.model_dump(exclude_unset=True, exclude={"law", "participation", "axis"})
-    with _placed(f"joint[{number}]"):
+    on_hosts = [0.0 for axis in table.axis.values() if axis.host is not None]
+    with placed(f"joint[{number}]"):
         law: Joint = made("joint", joint.law, JOINTS[joint.law], given)
         if table.modes or table.posture is not None:
             count = len(table.modes) if table.posture is None else len(table.posture.at[0].modes)
             if joint.participation is None or len(joint.participation) != count:
                 raise InputError(f"a joint needs a participation of {count} numbers, its displacement in each mode")
-            return MountedJoint(law, np.array([0.0] * len(table.axis) + list(joint.participation)))
+            return MountedJoint(law, np.array([0.0] * len(table.axis) + list(joint.participation) + on_hosts))
         if joint.axis not in table.axis:
             raise InputError('a joint of two masses needs the axis it lies in, axis = "x"')
-        row = np.zeros(2 * len(table.axis))
+        row = np.zeros(2 * len(table.axis) + len(on_hosts))
         at = 2 * list(table.axis).index(joint.axis)
         row[at : at + 2] = 1.0, -1.0
         return MountedJoint(law, row)

@@ -34,6 +34,8 @@ from process.units import UNITS, factor, from_si, parse, show
         ("1 lbf/in", "stiffness", 175.126835246476),
         ("1 in/lbf", "compliance", 1.0 / 175.126835246476),
         ("1 hp", "power", 745.69987158227),
+        ("0.0028 N min/mm", "viscosity", 168.0),
+        ("0.25 min/mm", "steepness", 15000.0),
     ],
 )
 def test_field_units_become_si(text: str, dimension: str, value: float) -> None:

@@ -8,7 +8,7 @@ from scipy.special import ive
 
 from process.errors import InputError
 from process.friction.laws import Andersson, Coulomb, CoulombViscous, Viscous
-from process.friction.linearised import DampingCurve, equivalent_damping, invariant_feed
+from process.friction.linearised import DampingCurve, equivalent_damping, invariant_feed, linearised
 
 MM_MIN = 1.0 / 60e3
 BENCH = Andersson(44.2, 84.0, 387.4 * MM_MIN, 168.0, 15000.0)  # Table 1 of the paper, positive direction
@@ -170,3 +170,16 @@ def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
         DampingCurve(BENCH, 0.0, lowest=1.0, highest=0.5)
     with pytest.raises(InputError, match="must be positive"):
         invariant_feed(BENCH, 0.0, 1.0)
+
+
+def test_at_rest_a_law_of_two_sides_damps_with_their_mean() -> None:
+    # The limit of the describing function about rest, and the derivative from each side by differences.
+    small = float(equivalent_damping(BOTH, 0.0, 1e-9))
+    step = 1e-9
+    sides = [float(BOTH.force(v)) / v for v in (step, -step)]
+    assert float(BOTH.slope(0.0)) == pytest.approx(small, rel=1e-3)
+    assert float(BOTH.slope(0.0)) == pytest.approx(np.mean(sides), rel=1e-3)
+    assert float(BOTH.slope(0.0)) == linearised(BOTH, 0.0).direct
+    assert float(BENCH.slope(0.0)) == pytest.approx(sides[0], rel=1e-3)
+    moving = BOTH.slope(np.array([0.01, 0.0, -0.01]))
+    assert np.allclose(moving[[0, 2]], [BENCH.slope(0.01), BACKWARDS.slope(0.01)], rtol=1e-12)

@@ -10,9 +10,11 @@ from places import DATASETS
 from process.drive.axis import Drive
 from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction.laws import Andersson
-from process.machine.machine import Machine
+from process.friction.laws import Andersson, LuGre
+from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
+from process.machine.structure import Host, hosted, two_mass_axes
+from process.simulation.machine import simulate_machine
 from smfe.campaign import campaign_of_tables, load_campaign
 from smfe.scenario.run import Written, campaign_text
 from smfe.scenario.scenario import Scenario, load_scenario
@@ -127,6 +129,99 @@ def test_plain_numbers_of_a_program_are_si() -> None:
     assert isinstance(one, Machine)
     assert isinstance(other, Machine)
     assert np.array_equal(one.at().matrix([50.0]), other.at().matrix([50.0]))
+
+
+def machine_of(**axis: object) -> Machine:
+    made = campaign_of_tables({"machine": {"axis": {"x": {**tomllib.loads(BENCH)["machine"]["axis"]["x"], **axis}}}})
+    assert isinstance(made.machine_model, Machine)
+    return made.machine_model
+
+
+TABLE_1 = {
+    "law": "andersson",
+    **{"coulomb": "44.2 N", "static": "84 N", "stribeck_speed": "387.4 mm/min", "sigma": "0.0028 N min/mm"},
+    **{"kt": "0.25 min/mm", "negative": {"coulomb": "38.7 N", "static": "88 N", "stribeck_speed": "421 mm/min"}},
+}
+TABLE_1["negative"] |= {"sigma": "0.0025 N min/mm"}  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("feed", "fc", "fs", "vs", "sigma"), [(500.0, 44.2, 84.0, 387.4, 168.0), (-500.0, 38.7, 88.0, 421.0, 150.0)]
+)
+def test_the_direction_of_the_feed_decides_which_friction_acts(
+    feed: float, fc: float, fs: float, vs: float, sigma: float
+) -> None:
+    machine, v = machine_of(friction=TABLE_1), feed / 6e4
+    force = np.sign(v) * (fc + (fs - fc) * np.exp(-abs(feed) / vs)) + sigma * v
+    slope = sigma - (fs - fc) / (vs / 6e4) * np.exp(-abs(feed) / vs)
+    quiet = simulate_machine(machine, duration=0.1, feed=v, controller="K3")
+    assert np.allclose(quiet["drive_force"].sel(axis="x"), force, rtol=1e-6)
+    assert machine.at(v, "K3").slides[0].friction.direct == pytest.approx(slope, rel=1e-9)
+
+
+def test_each_law_of_friction_may_differ_with_the_direction() -> None:
+    for law, given in (
+        ("viscous", {"sigma": "150 N s/m"}),
+        ("coulomb", {"coulomb": "40 N", "kt": "0.25 min/mm"}),
+        ("coulomb_viscous", {"coulomb": "40 N", "sigma": "150 N s/m", "kt": "0.25 min/mm"}),
+        (
+            "lugre",
+            {"bristle_stiffness": "20 N/um", "bristle_damping": "1e3 N s/m", "coulomb": "40 N", "static": "80 N"},
+        ),
+    ):
+        more = {"stribeck_speed": "7 mm/s", "sigma": "150 N s/m"} if law == "lugre" else {}
+        other = {"sigma": "100 N s/m"} if law == "viscous" else {"coulomb": "30 N"}
+        one, back, both = (
+            machine_of(friction={"law": law, **given, **more, **change}).axes["x"].friction
+            for change in ({}, other, {"negative": other})
+        )
+        for v in (0.02, -0.02):
+            wanted = one if v > 0.0 else back
+            forces = [law.steady_force(v) if isinstance(law, LuGre) else law.force(v) for law in (both, wanted)]
+            assert float(forces[0]) == pytest.approx(float(forces[1]), rel=1e-12)
+
+
+def test_a_host_and_a_coupling_are_those_of_their_tables() -> None:
+    f = np.linspace(5.0, 100.0, 20)
+    found = machine_of(host={"mass": "300 kg", "frequency": "48.5 Hz", "damping": "2 %"})
+    direct = hosted(two_mass_axes({"x": Drive(23.1, 11.3, 1.68e6, 104.0)}), {"x": Host(300.0, 48.5, 0.02)})
+    law = found.axes["x"].friction
+    servo = Servo(6268.0, 10.97e-3, 45.55, 0.75e-3)
+    assert np.array_equal(
+        found.at(0.02, "K2").matrix(f), Machine(direct, {"x": FeedAxis(servo, law)}).at(0.02).matrix(f)
+    )
+    modes = [
+        {"frequency": f"{v} Hz", "damping": 0.02, "stiffness": "40 N/um", "direction": [1, v / 100, 0]}
+        for v in (24, 33)
+    ]
+    axes = {"x": {"moving_mass": "9000 kg", "coupling": ["300 kg", "-50 kg"]}, "y": {"moving_mass": "6000 kg"}}
+    made = campaign_of_tables({"machine": {"modes": modes, "axis": axes}}).machine_model
+    assert isinstance(made, Machine)
+    momentum = made.structure_at().mass @ np.array([0.0, 0.0, 1.0, 1.0])
+    assert momentum[0] == pytest.approx(250.0)
+    at_tool = sum(4e7 / (2 * np.pi * v) ** 2 / (1 + (v / 100) ** 2) * v / 100 for v in (24, 33))
+    assert momentum[1] == pytest.approx(at_tool)
+
+
+@pytest.mark.parametrize(
+    ("axis", "said"),
+    [
+        ({"coupling": ["3 kg"]}, "axis.x.coupling is the momentum of modes along the axis, and there are no modes"),
+        ({"host": {"mass": "300 kg", "damping": 0.02}}, "machine.axis.x.host.frequency: is missing"),
+        (
+            {"friction": {**TABLE_1, "negative": {"delta": 1, "share": [1]}}},
+            "friction.negative: friction law 'andersson'",
+        ),
+        (
+            {"friction": {**TABLE_1, "negative": {"static": "20 N"}}},
+            "axis.x: friction.negative: the static force of 20 N",
+        ),
+    ],
+)
+def test_what_an_axis_cannot_be_is_said(axis: dict, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        machine_of(**axis)
+    assert said in str(caught.value)
 
 
 JOINT = """
