@@ -27,7 +27,7 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo kernels test one page figure slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo kernels test one page paper figure slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
@@ -35,6 +35,7 @@ help:
 	@echo "make kernels compile what numba compiles, once (two minutes); kept in .cache by content"
 	@echo "make one     one file of tests: T=tests/process/cut/test_force.py"
 	@echo "make page    one page of the documentation: PAGE=hammer"
+	@echo "make paper   the pages that remake the paper's figures, every number checked"
 	@echo "make figure  figures of a folder of results: RESULTS=demo/results NAME=lobes"
 	@echo "make slow    the slow tests"
 	@echo "make calibrations  tests that count over many seeds"
@@ -104,6 +105,11 @@ docs: $(READY)
 page: $(READY)
 	$(RUN) SMFE_PAGE=$(PAGE) $(BIN)/sphinx-build -q -b html docs docs/_build/page
 	@echo "docs/_build/page/$(PAGE).html"
+
+# The pages that remake the paper, every number checked against what is computed.
+paper: $(READY)
+	$(RUN) SMFE_PAGE="paper/*" $(BIN)/sphinx-build -j $(JOBS) -E -q -b html docs docs/_build/page
+	@echo "docs/_build/page/paper/index.html"
 
 # The figures of a folder of results, drawn again: make figure RESULTS=demo/results NAME=lobes
 RESULTS = demo/results
