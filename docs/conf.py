@@ -27,6 +27,9 @@ html_title = f"smfe {release}"
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
+# Figures of examples stand on the page: a backend that the caller has set for tests would swallow them.
+os.environ.pop("MPLBACKEND", None)
+
 # Every example runs at every build, and one that fails, fails the build.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True

@@ -1,9 +1,9 @@
 """The pages that remake the paper: every number of the column "ours" is checked against what the page computes.
 
-A page of `docs/paper` holds one table ``| what | paper | ours | why different |``. Its last cell calls `check` with a value,
-or several, for each row by the words of its first column, in the order in which the column "ours" shows them. A number
-that is written with d decimals must be the computed one to half of the last of them. A row without a number is checked
-against no number.
+A page of `docs/paper` holds one table ``| what | paper | ours | why different |``. Its last cell calls `check` with a
+value, or several, for each row by the words of its first column, in the order in which the column "ours" shows them. A
+number that is written with d decimals must be the computed one to half of the last of them. A row without a number is
+checked against no number.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(paper, "PAPER", tmp_path)
     text = (
         "| what | paper | ours | why different |\n|---|---|---|---|\n"
-        "| resonance [Hz] | 75 | 74.97 | - |\n| peaks | 2 | −1.5, 2e-3 in `K1`, 12 | a reason |\n| shape | flat | flat | - |\n"
+        "| resonance [Hz] | 75 | 74.97 | - |\n| peaks | 2 | −1.5, 2e-3 in `K1`, 12 | a reason |\n"
+        "| shape | flat | flat | - |\n"
     )
     (tmp_path / "one.md").write_text(text, encoding="utf-8")
     return tmp_path / "one.md"
