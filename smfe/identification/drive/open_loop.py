@@ -22,6 +22,9 @@ from process.types import Complex, Real
 from smfe.identification.drive.rules import RULES
 from smfe.identification.spectra.periods import error, noise_power, periods_of, response
 
+ORDERS = (2, 3, 4, 5)
+"""Powers of the vibration velocity with which a friction law bends about the feed."""
+
 
 def open_loop_response(
     record: xr.Dataset,
@@ -69,8 +72,11 @@ def open_loop_response(
     xarray.Dataset
         Over ``frequency`` [Hz], the excited lines: ``response`` [m/N]; ``std`` [m/N], the root mean square of its
         complex error, of noise and distortion; ``noise_std`` [m/N], of noise alone, from the scatter ``X_p - H F_p``
-        of the P periods, its power averaged over nine lines; ``coherence`` [1] over the periods. `fit_open_loop` takes
-        the first three. Attribute ``periods``: P.
+        of the P periods, its power averaged over nine lines; ``coherence`` [1] over the periods; ``bend(frequency,
+        order)``: what a curved friction law adds to the drive force, over that force, ``-V_n/(n! F)`` with V_n the
+        lines of the n-th power of the vibration velocity, n = 2 and 3, [(m/s)^n/N], less what acts like a slope.
+        Attributes ``periods``: P; ``feed``: the mean velocity [m/s]; ``velocity``: root mean square of the vibration
+        velocity in the band [m/s].
 
     Raises
     ------
@@ -104,6 +110,7 @@ def open_loop_response(
     width = min(RULES.open_loop_neighbours, scatter.size)
     std = np.sqrt(ndimage.uniform_filter1d(scatter, width, mode="nearest")) / np.abs(f)
     distortion = _distortion(frequency, h, np.abs(f), std)
+    vibration = _vibration(position, period)
     cross = np.abs(np.sum(x_p * np.conj(f_p), axis=1)) ** 2
     coherence = cross / (np.sum(np.abs(x_p) ** 2, axis=1) * np.sum(np.abs(f_p) ** 2, axis=1))
     data = {
@@ -111,8 +118,37 @@ def open_loop_response(
         "std": ("frequency", np.hypot(std, distortion), {"units": "m/N"}),
         "noise_std": ("frequency", std, {"units": "m/N"}),
         "coherence": ("frequency", coherence, {"units": "1"}),
+        "bend": (("frequency", "order"), _bend(vibration, lines[used]) / f[:, None], {"units": "(m/s)^order/N"}),
     }
-    return label(xr.Dataset(data, coords={"frequency": frequency}, attrs={"axis": axis, "periods": count}))
+    attrs = {"axis": axis, "periods": count, "feed": feed, "velocity": float(np.std(vibration))}
+    return label(xr.Dataset(data, coords={"frequency": frequency, "order": list(ORDERS)}, attrs=attrs))
+
+
+def _vibration(position: Real, period: float) -> Real:
+    """Return the velocity [m/s] of a period, from positions (periods, n), of the lines that stand above noise."""
+    count, n = position.shape
+    frequency = np.arange(n // 2 + 1) / period
+    spectra = np.fft.rfft(position, axis=1)
+    mean = spectra.mean(axis=0)
+    noise = np.sum(np.abs(spectra - mean) ** 2, axis=0) / (count - 1) / count
+    noise = ndimage.uniform_filter1d(noise, min(RULES.open_loop_neighbours, noise.size), mode="nearest")
+    clear = (np.abs(mean) ** 2 > RULES.clear_line * noise) & (frequency < RULES.unfiltered * n / period)
+    return np.asarray(np.fft.irfft(np.where(clear, mean * 2j * np.pi * frequency, 0.0), n))
+
+
+def _bend(velocity: Real, lines: NDArray[np.intp]) -> Complex:
+    """Return ``-V_n/n!`` at the lines for a period of velocities (n,), shape (lines, orders).
+
+    Odd powers less their part along v: what acts like a slope of the friction belongs to ``sigma``.
+    """
+    power = max(float(velocity @ velocity), 1e-300)
+    columns = []
+    for order in ORDERS:
+        curved = velocity**order
+        if order % 2:
+            curved = curved - velocity * (float(curved @ velocity) / power)
+        columns.append(-np.fft.rfft(curved)[lines] / math.factorial(order))
+    return np.stack(columns, axis=1)
 
 
 def _distortion(frequency: Real, response: Complex, force: Real, noise: Real) -> Real:
@@ -215,15 +251,21 @@ class OpenLoopFit:
 
 
 def fit_open_loop(
-    frequency: ArrayLike, response: ArrayLike, std: ArrayLike | None = None, start: Drive | None = None
+    frequency: ArrayLike,
+    response: ArrayLike,
+    std: ArrayLike | None = None,
+    start: Drive | None = None,
+    bend: ArrayLike | None = None,
 ) -> OpenLoopFit:
     """Fit Eq. (2) to a measured response of carriage position to drive force.
 
     Least squares of ``(model - response)/std``, or of the complex ``ln(model/response)`` where no std is given: for
     noise in proportion to the response that is unbiased, which ``model/response - 1`` is not. Masses, stiffness and
     damping are fitted as logarithms, so they stay positive. The uncertainty is ``s^2 (J^T J)^-1`` with s^2 from the
-    residual, 2 n - 6 degrees of freedom. A misfit above `DriveRules.largest_misfit` is refused, and so are masses or a
-    stiffness that the response does not determine.
+    residual, 2 n - 6 degrees of freedom. A friction law that is curved where the axis runs distorts the response; with
+    `bend` its derivatives at the feed are found as well, ``H (exp(-j w tau) + sum_n f_n bend_n)``, and what they add is
+    taken away. A misfit above `DriveRules.largest_misfit` is refused, and so are masses or a stiffness that the
+    response does not determine.
 
     Parameters
     ----------
@@ -236,6 +278,8 @@ def fit_open_loop(
         to its magnitude, of unknown size.
     start : Drive, optional
         First guess; default read off the anti-resonance, the resonance and the low-frequency mass line.
+    bend : array_like of complex, shape (n, 2), optional
+        That of `open_loop_response`.
 
     Returns
     -------
@@ -260,6 +304,11 @@ def fit_open_loop(
     # Logarithms for what is positive; the other two in units that make them of order one.
     theta0 = np.array([*np.log([first.moving_mass, first.tip_mass, first.stiffness, first.damping]), 0.0, 0.0])
     unit = np.array([1.0, 1.0, 1.0, 1.0, 2.0 * np.pi * f.min() * (first.moving_mass + first.tip_mass), 1e-3])
+    bent = np.zeros((f.size, 0)) if bend is None else np.asarray(bend, dtype=np.complex128)
+    if bent.shape[0] != f.size:
+        raise InputError(f"{f.size} frequencies and a bend of shape {bent.shape}; give that of the response")
+    bent = bent / np.maximum(np.sqrt(np.mean(np.abs(bent) ** 2, axis=0)), 1e-300)
+    theta0 = np.concatenate([theta0, np.zeros(bent.shape[1])])
 
     def model(theta: Real) -> tuple[Drive, float]:
         mm, mt, k, c = np.exp(np.clip(theta[:4], -50.0, 50.0))
@@ -267,7 +316,8 @@ def fit_open_loop(
 
     def residual(theta: Real) -> Real:
         drive, delay = model(theta)
-        x = drive.open_loop(f, delay)
+        # The bend acts at the carriage, after the dead time.
+        x = drive.open_loop(f, delay) + drive.open_loop(f, 0.0) * (bent @ theta[6:])
         r = np.log(x / h) if weight is None else (x - h) * weight
         return np.concatenate([r.real, r.imag])
 
@@ -307,12 +357,12 @@ def _require_sound(fit: OpenLoopFit, frequency: Real, weighted: bool) -> None:
 
 
 def _with_uncertainty(drive: Drive, delay: float, jacobian: Real, residual: Real, unit: Real) -> OpenLoopFit:
-    variance = float(residual @ residual) / max(1, residual.size - len(PARAMETERS))
+    variance = float(residual @ residual) / max(1, residual.size - jacobian.shape[1])
     # d parameter/d theta: a logarithm's is the parameter itself. A direction that changes nothing is uncertain without
     # end, which a pseudo-inverse would call certain.
     norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-100)
     _, values, right = np.linalg.svd(jacobian / norm, full_matrices=False)
-    root = right.T / np.maximum(values, 1e-15 * values[0]) / norm[:, None]
+    root = (right.T / np.maximum(values, 1e-15 * values[0]) / norm[:, None])[: len(PARAMETERS)]
     scale = np.array([drive.moving_mass, drive.tip_mass, drive.stiffness, drive.damping, *unit[4:]])
     with np.errstate(over="ignore", invalid="ignore"):
         covariance = np.asarray(variance * (root @ root.T) * np.outer(scale, scale), dtype=float)

@@ -51,6 +51,7 @@ from smfe.identification.drive.motion import (
 from smfe.identification.drive.results import DriveFit, DriveParameter, Estimate, positive
 from smfe.identification.drive.ripple import ripple_columns, waves_of
 from smfe.identification.drive.rules import RULES
+from smfe.identification.drive.steady import SteadyFit, fit_steady, steady_runs
 from smfe.identification.drive.stribeck import Allowed, Curve, Grid, allowed, drawn, grid_of, refined, speed_interval
 
 Name = tuple[str, str]
@@ -102,6 +103,9 @@ def identify_drive(
             f"moving_mass is a{'n' * (not rotary)} {known[1]}, but the records are those of a "
             f"{'rotary' if rotary else 'linear'} drive: give it in {units['inertia']}"
         )
+    runs = steady_runs(traces, None if known is None else known[0])
+    if runs is not None and runs.alone:
+        return _of_steady(fit_steady(runs, units), axis, rotary, known)
     band = band_of(traces, highest)
     balance, kept = balance_of(traces, band)
     found = _fit(balance, kept, band, None if known is None else known[0])
@@ -111,6 +115,16 @@ def identify_drive(
         raise InputError(f"measurement '{name}': the records determine nothing of the drive of axis {axis} ({reasons})")
     notes = tuple(_notes(found, balance, units))
     return DriveFit(axis, rotary, tuple(rows), band, found.remaining, notes, _friction(found, balance, traces))
+
+
+def _of_steady(found: SteadyFit, axis: str, rotary: bool, known: tuple[float, str] | None) -> DriveFit:
+    """Return what records of one run at constant velocity each say: friction, and no inertia."""
+    rows = list(found.rows)
+    if known is None:
+        nothing = Estimate(math.nan, math.nan, 0.0, math.inf)
+        why = "not determined; the axis runs at constant velocity: measure a step or a stroke as well"
+        rows.insert(0, DriveParameter.of("inertia", "both", nothing, KINDS[rotary][3]["inertia"], why))
+    return DriveFit(axis, rotary, tuple(rows), 0.0, found.remaining, found.notes, found.friction)
 
 
 class _Component(NamedTuple):

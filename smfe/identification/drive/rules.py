@@ -75,6 +75,12 @@ class DriveRules:
     distortion_lines: int = 41
     """Lines over which the distortion is a median."""
 
+    clear_line: float = 16.0
+    """Power of a line of the vibration velocity, of that of its noise, from which friction is told what it does."""
+
+    unfiltered: float = 0.4
+    """Highest frequency of that velocity, of the sampling rate."""
+
     stopped: float = 0.01
     """Share of the time at a velocity near zero from which an axis counts as stopped."""
 
@@ -164,6 +170,33 @@ class DriveRules:
 
     faded: float = 1e-3
     """Largest value of a curve that has faded before the slowest motion."""
+
+    block: float = 0.05
+    """Shortest block of a run at constant velocity [s]."""
+
+    most_blocks: int = 60
+    """Blocks of a run, at most."""
+
+    least_blocks: int = 4
+    """Blocks of a run, at least."""
+
+    steady_share: float = 0.8
+    """Share of the time at constant velocity from which records are runs at constant velocity."""
+
+    least_feeds: int = 4
+    """Different speeds of a direction that a friction curve needs."""
+
+    borrowed: float = 4.0
+    """Degrees of freedom of the noise of all runs that the noise of each one borrows."""
+
+    below_slowest: float = 0.3
+    """Least Stribeck speed that is looked for, of the slowest run."""
+
+    steady_speeds: int = 40
+    """Speeds of a grid of Stribeck curves for runs at constant velocity."""
+
+    steady_turns: int = 3
+    """Turns in which curves and scatter from run to run are found."""
 
 
 RULES = DriveRules()
