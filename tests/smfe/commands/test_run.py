@@ -537,7 +537,7 @@ LOBES = {"lobes.nc", "lobe_table.csv", "pockets.csv", "presets.json"}
     [
         pytest.param(HEAD + MODEL, LOBES, marks=pytest.mark.slow),
         (WITHOUT_MATERIAL + CUTTING_TEST, {"chatter.csv", "spectra.nc"}),
-        (HEAD + MODEL + CUTTING_TEST, LOBES | {"chatter.csv", "spectra.nc"}),
+        (HEAD + MODEL + CUTTING_TEST, LOBES | {"chatter.csv", "ranking.csv", "spectra.nc"}),
     ],
     ids=["model and lobes", "cutting test without material", "model, lobes, cutting test"],
 )
