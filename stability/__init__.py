@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from stability.boundary import Axis, Boundary, find_boundary, pointwise
     from stability.chatter.criterion import ChatterVerdict, chatter_verdict
     from stability.methods.multi_frequency import multi_frequency
-    from stability.methods.operating_point import operating_point
     from stability.methods.semi_discretization import (
         BAND_COLUMNS,
         LimitDepth,
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
         zero_order,
         zero_order_from_matrix,
     )
+    from stability.operating.operating_point import operating_point
     from stability.pitch_design import PitchDesign, design_pitch
     from stability.problem import Cut
     from stability.tables.lobe_table import LOBE_COLUMNS, lobe_table, read_table, write_table
@@ -108,7 +108,6 @@ _HOMES = {
     "stability.boundary": "Axis, Boundary, find_boundary, pointwise",
     "stability.chatter.criterion": "ChatterVerdict, chatter_verdict",
     "stability.methods.multi_frequency": "multi_frequency",
-    "stability.methods.operating_point": "operating_point",
     "stability.methods.semi_discretization": (
         "BAND_COLUMNS, LimitDepth, floquet_multipliers, limit_depth, semi_discretization, stability_bands"
     ),
@@ -116,6 +115,7 @@ _HOMES = {
     "stability.methods.zero_order": (
         "CriticalDepth, critical_depth, critical_depth_from_matrix, lobe_curves, zero_order, zero_order_from_matrix"
     ),
+    "stability.operating.operating_point": "operating_point",
     "stability.pitch_design": "PitchDesign, design_pitch",
     "stability.problem": "Cut",
     "stability.tables.lobe_table": "LOBE_COLUMNS, lobe_table, read_table, write_table",

@@ -250,12 +250,20 @@ def unstable_multipliers(network: Network, balance: Balance, order: int = 8) -> 
         slope[i, :, 0] = 0.0
         at, admittance = _tabulated(network, mean, 0.9e-3 * f[i], (order + 0.5) * f[i])
         turns = kernels.hill_turns(f[i], slope[i], grid.step, order, at, admittance)
-        out[line] = _unstable_with(network, mean) - round(turns)
+        out[line] = unstable_with(network, mean) - round(turns)
     return out
 
 
-def _unstable_with(network: Network, mean: Real) -> int:
-    """Count the unstable poles of the linear machine whose elements have constant slopes (P,) (Nyquist)."""
+def unstable_with(network: Network, mean: Real) -> int:
+    """Count the unstable poles of the linear machine whose elements have constant slopes (Nyquist).
+
+    Parameters
+    ----------
+    network : Network
+        Linear machine and its nonlinear elements.
+    mean : ndarray, shape (P,)
+        Slope of each element less its reference, [N s/m] or [N/m].
+    """
     t = network.directions
 
     def determinant(f: Real) -> Complex:

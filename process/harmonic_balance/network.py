@@ -15,6 +15,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -341,27 +342,32 @@ class Network:
 
     def grid(self, highest: int) -> kernels.Grid:
         """Return harmonics up to `highest` and the nodes to integrate over; odd ones and half a period if symmetric."""
-        odd = self.symmetric
-        orders = np.arange(1, highest + 1, 2) if odd else np.arange(0 if self.displaced.any() else 1, highest + 1)
-        step, span = (2, 0.5) if odd else (1, 1.0)
-        panels = math.ceil(span * (6.0 * highest + 48.0) / RULES.nodes)
-        nodes, share = np.polynomial.legendre.leggauss(RULES.nodes)
-        nodes, share = 0.5 * (1.0 + nodes), 0.5 * share
-        t = 2.0 * np.pi * span / panels * (np.arange(panels)[:, None] + nodes).reshape(-1, 1)
-        lags = np.arange(0, 2 * highest + 1, step)
-        waves = [np.ascontiguousarray(w) for w in (np.cos(t * orders), np.sin(t * orders))]
-        return kernels.Grid(
-            orders.astype(np.int64),
-            step,
-            span,
-            nodes,
-            share,
-            panels,
-            waves[0],
-            waves[1],
-            np.cos(t * lags),
-            np.sin(t * lags),
-        )
+        return _grid(highest, self.symmetric, bool(self.displaced.any()))
+
+
+@lru_cache(maxsize=32)
+def _grid(highest: int, odd: bool, mean: bool) -> kernels.Grid:
+    """Return the grid of a network that is symmetric (odd) or not, whose mean may move or not."""
+    orders = np.arange(1, highest + 1, 2) if odd else np.arange(0 if mean else 1, highest + 1)
+    step, span = (2, 0.5) if odd else (1, 1.0)
+    panels = math.ceil(span * (6.0 * highest + 48.0) / RULES.nodes)
+    nodes, share = np.polynomial.legendre.leggauss(RULES.nodes)
+    nodes, share = 0.5 * (1.0 + nodes), 0.5 * share
+    t = 2.0 * np.pi * span / panels * (np.arange(panels)[:, None] + nodes).reshape(-1, 1)
+    lags = np.arange(0, 2 * highest + 1, step)
+    waves = [np.ascontiguousarray(w) for w in (np.cos(t * orders), np.sin(t * orders))]
+    return kernels.Grid(
+        orders.astype(np.int64),
+        step,
+        span,
+        nodes,
+        share,
+        panels,
+        waves[0],
+        waves[1],
+        np.cos(t * lags),
+        np.sin(t * lags),
+    )
 
 
 def checked(force: float, frequency: ArrayLike) -> Real:

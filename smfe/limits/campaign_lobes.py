@@ -276,14 +276,26 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     )
 
 
+def _known(limits: xr.Dataset) -> xr.Dataset:
+    """Return limits at the speeds at which they are known: an empty depth in a file means that there is no limit."""
+    known = ~np.isnan(limits["limit_depth"].values)
+    if known.all():
+        return limits
+    if not known.any():
+        raise InputError("; ".join(w for w in limits.attrs["warnings"] if "not known" in w))
+    return limits.isel(spindle_speed=known)
+
+
 def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dataset) -> LobeResult:
     assert campaign.tool is not None
     source, kind = of.label, kind_of(campaign, of)
+    limits = _known(limits)
     origin = Origin(source, request.name, kind, request.method, request.cut)
     table = lobe_table(limits, origin, campaign.tool, request.width_of_cut, request.feed_per_tooth)
     near = None
     if request.listed:
-        at = np.searchsorted(limits["spindle_speed"].values, request.spindle_speed)
+        asked = request.spindle_speed[np.isin(request.spindle_speed, limits["spindle_speed"].values)]
+        at = np.searchsorted(limits["spindle_speed"].values, asked)
         near, table, limits = table, table.iloc[at].reset_index(drop=True), limits.isel(spindle_speed=at)
     notes = list(limits.attrs.pop("warnings", ()))
     if campaign.missing_coefficients:

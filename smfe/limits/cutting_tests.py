@@ -313,6 +313,18 @@ def predictions(
                 check_sources(names, compliances, known)
                 found = limits_of(campaign, here, names, compliances)
                 limit = float(found["limit_depth"].values[0])
+                if (
+                    math.isnan(limit)
+                    and "stable_to" in found
+                    and test.depth_of_cut * 1e3 <= float(found["stable_to"][0])
+                ):
+                    row[f"predicted_{source}"] = "stable"
+                    continue
+                if math.isnan(limit):
+                    row[f"predicted_{source}"] = NOT_COMPARED
+                    why = "; ".join(w for w in found.attrs["warnings"] if "not known" in w)
+                    row["not_compared"] = "; ".join(filter(None, [row["not_compared"], f"{source}: {why}"]))
+                    continue
                 row[f"limit_{source}_mm"] = limit
                 row[f"predicted_{source}"] = "chatter" if test.depth_of_cut * 1e3 > limit else "stable"
                 row[f"frequency_{source}_Hz"] = float(found["chatter_frequency"].values[0])

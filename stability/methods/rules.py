@@ -37,12 +37,6 @@ class MethodRules:
     spare_nodes: int = 8
     """Gauss nodes on an arc beyond those."""
 
-    # operating_point.py
-    pieces_of_a_level: int = 4
-    """Pieces of each interval between measured levels in the search for roots."""
-    kept_conditions: int = 64
-    """Conditions whose eigenvalues are kept for the next speed."""
-
     # period_mesh.py
     fewest_nodes: int = 4
     """Smallest number of nodes in an element."""

@@ -18,21 +18,26 @@ NO_MODE = 0
 
 def modal_samples(modes: Modes) -> Samples:
     """Return the compliance of a machine on a grid that is as fine about each pole as the pole is sharp."""
-    pole = modes.rate[modes.rate.imag > 0.0] / (2.0 * math.pi)
+    frequency = frequencies_about(modes.rate)
+    return Samples(frequency, modes.matrix(frequency), np.ones(frequency.size - 1, dtype=bool), ())
+
+
+def frequencies_about(
+    poles: Complex, reach: float = RULES.reach_of_samples, density: float = RULES.density_of_samples
+) -> Real:
+    """Return frequencies [Hz] that are as fine about each pole [rad/s] as the pole is sharp."""
+    pole = poles[poles.imag > 0.0] / (2.0 * math.pi)
     if pole.size == 0:
-        pole = modes.rate / (2.0 * math.pi)
-    centre, width = np.abs(pole), np.maximum(-pole.real, 1e-6 * np.abs(pole))
-    low, high = float(centre.min()) / RULES.reach_of_samples, float(centre.max()) * RULES.reach_of_samples
+        pole = poles / (2.0 * math.pi)
+    centre, width = np.abs(pole), np.maximum(np.abs(pole.real), 1e-6 * np.abs(pole))
+    low, high = float(centre.min()) / reach, float(centre.max()) * reach
     spread = np.sinh(np.linspace(-20.0, 20.0, 2001))
     every = (centre[:, None] + width[:, None] * spread).ravel()
     every = np.unique(np.concatenate([[low, high], np.geomspace(low, high, 500), every]))
     every = every[(every >= low) & (every <= high)]
     count = np.arcsinh((every[:, None] - centre) / width).sum(axis=1) + np.log(every)
-    even = np.linspace(
-        count[0], count[-1], math.ceil(RULES.density_of_samples * (count[-1] - count[0]) / math.log(2.0)) + 1
-    )
-    frequency = np.unique(np.interp(even, count, every))
-    return Samples(frequency, modes.matrix(frequency), np.ones(frequency.size - 1, dtype=bool), ())
+    even = np.linspace(count[0], count[-1], math.ceil(density * (count[-1] - count[0]) / math.log(2.0)) + 1)
+    return np.unique(np.interp(even, count, every))
 
 
 def vibration(

@@ -1,7 +1,7 @@
 """Campaigns over controllers, positions, feeds and levels, with the limit of each group by brute force.
 
 No code of the package: two modes in the plane whose frequency, damping and stiffness change with controller, position,
-feed and force; forces of straight teeth integrated over the turn; the limit by trying depths one after the other.
+feed and force; forces of straight teeth integrated over the turn; the limits by trying levels one after the other.
 """
 
 from __future__ import annotations
@@ -91,23 +91,29 @@ def cut_forces(d):
 
 
 def limit(d, taps, speed):
-    """Return the smallest depth [m] at which the cut at a speed [rpm] is unstable with the compliance of that depth."""
-    matrix, first = cut_forces(d)
+    """Return the limits [m] at a speed [rpm]: of the weakest vibration that was measured, and the least of all.
+
+    NaN where the feed lies outside the measured ones.
+    """
+    matrix, _ = cut_forces(d)
     turn = np.array([[math.cos(d.direction), math.sin(d.direction)], [-math.sin(d.direction), math.cos(d.direction)]])
     matrix = turn.T @ matrix @ turn  # in the axes of the machine
     delay = 1.0 - np.exp(-2j * math.pi * d.frequency * 60.0 / (d.teeth * speed))
     feed = 1e3 * d.feed_per_tooth * d.teeth * speed
     feeds = sorted({t.feed for t in taps})
+    if feeds != [0.0] and not feeds[0] <= feed <= feeds[-1]:
+        return math.nan, math.nan
+    weights = [np.interp(feed, feeds, np.eye(len(feeds))[j]) for j in range(len(feeds))]
+    about = [v for w, v in zip(weights, feeds, strict=True) if w > 0.0]
 
     def at_level(v, level):
         own = sorted((t.level, i) for i, t in enumerate(taps) if t.feed == v)
         weights = [np.interp(level, [x for x, _ in own], np.eye(len(own))[j]) for j in range(len(own))]
         return sum(w * taps[i].compliance for w, (_, i) in zip(weights, own, strict=True))
 
-    def smallest(depth):
-        """Return the limit of the machine as it is at a depth."""
-        weights = [np.interp(feed, feeds, np.eye(len(feeds))[j]) for j in range(len(feeds))]
-        phi = sum(w * at_level(v, first * depth) for w, v in zip(weights, feeds, strict=True) if w > 0.0)
+    def smallest(level):
+        """Return the limit of the machine as it is at a level."""
+        phi = sum(w * at_level(v, level) for w, v in zip(weights, feeds, strict=True) if w > 0.0)
         loop = matrix @ phi
         half, product = 0.5 * np.trace(loop, axis1=1, axis2=2), np.linalg.det(loop)
         root = np.sqrt(half**2 - product)
@@ -121,12 +127,9 @@ def limit(d, taps, speed):
             best = min([best, *(1.0 / real[real > 0.0])])
         return best
 
-    top = smallest(0.0)
-    depths = np.geomspace(0.05 * top, 20.0 * top, 150)
-    before, known = smallest(depths[0]) - depths[0], depths[0]
-    for depth in depths[1:]:
-        margin = smallest(depth) - depth
-        if margin <= 0.0 and math.isfinite(before):
-            return float(known + (depth - known) * before / (before - margin))
-        before, known = margin, depth
-    return math.inf
+    ends = [sorted(t.level for t in taps if t.feed == v) for v in about]
+    low, high = max(own[0] for own in ends), min(own[-1] for own in ends)
+    small = smallest(0.0)  # each feed at its own lowest level
+    if low > high:
+        return small, math.nan
+    return small, min(small, *(smallest(level) for level in np.linspace(low, high, 60)))
