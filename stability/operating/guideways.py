@@ -9,8 +9,8 @@ Where a guideway comes to rest within a cycle its motion is no sine: the harmoni
 (`process.harmonic_balance.imposed_motion`), with the cut closed at each of them, and c becomes complex. One harmonic
 alone puts the cycles of the bench of Franco et al. 2024 at amplitudes that are up to 60 % too small.
 
-The *kick* is the impulse at the tool that leads onto the cycle, :eq:`kick`: with c held, the critical pair of poles takes
-the share ``l . d/(l M'(s) r)`` of a unit impulse along d, ``M = 1 - B Phi``, l and r its null vectors.
+The *kick* is the impulse at the tool that leads onto the cycle, :eq:`kick`: with c held, the critical pair of poles
+takes the share ``l . d/(l M'(s) r)`` of a unit impulse along d, ``M = 1 - B Phi``, l and r its null vectors.
 """
 
 from __future__ import annotations
