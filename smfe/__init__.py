@@ -1,10 +1,10 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
-`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `simulate`, `convert`, `report`, `export`. They take
-paths, or objects in memory, which `record`, `compliance`, `Tool` and `CuttingCoefficients` make of arrays. What a
-folder of results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`, `read_records`,
-`read_blocks`, `read_reduced`. The methods alone, from records to a compliance with its uncertainty, are
+`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `tune`, `simulate`, `convert`, `report`, `export`.
+They take paths, or objects in memory, which `record`, `compliance`, `Tool` and `CuttingCoefficients` make of arrays.
+What a folder of results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`,
+`read_records`, `read_blocks`, `read_reduced`. The methods alone, from records to a compliance with its uncertainty, are
 `hammer_compliance`, `actuator_compliance`, `sweep_compliance`.
 
 `load_campaign`, `identify_hammer`, `identify_actuator` and `identify_sweep` are the former names of `read_campaign` and
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from smfe.commands.report import report
     from smfe.commands.run import run
     from smfe.commands.simulate import simulate
+    from smfe.commands.tune import tune
     from smfe.identification.actuator.stepped_sine import identify_actuator
     from smfe.identification.actuator.stepped_sine import identify_actuator as actuator_compliance
     from smfe.identification.drive.friction import (
@@ -131,6 +132,7 @@ __all__ = [
     "run",
     "simulate",
     "sweep_compliance",
+    "tune",
 ]
 
 _HOMES = {
@@ -158,6 +160,7 @@ _HOMES = {
     "smfe.commands.report": "report",
     "smfe.commands.run": "run",
     "smfe.commands.simulate": "simulate",
+    "smfe.commands.tune": "tune",
     "smfe.identification.actuator.stepped_sine": "identify_actuator, identify_actuator as actuator_compliance",
     "smfe.identification.drive.friction": (
         "constant_force, fit_coulomb_curve, fit_friction_curve, fit_friction_record, friction_runs"

@@ -110,6 +110,20 @@ def friction() -> None:
         quasi_compliance(Machine(structure, axes, joints), frequency, 50.0, 2e-3, excitation=["x"], tolerance=tolerance)
 
 
+def tuning() -> None:
+    """Loops of many gains, for one axis and for several."""
+    import numpy as np
+
+    from process import Drive, Machine, two_mass_axes
+    from smfe.tuning.depths import Oriented
+    from smfe.tuning.loops import close
+    from smfe.tuning.plants import ModelSource
+
+    point = Machine(two_mass_axes({"x": Drive(23.1, 11.3, 1.68e6, 104.0)})).at()
+    plant = ModelSource(point, ("x",), (1e-3,)).plant(np.geomspace(1.0, 500.0, 20))
+    close(plant, Oriented.of(np.eye(3), plant.directions), np.array([[[6e3, 1e-2, 40.0]]]))
+
+
 def axis_oracle() -> None:
     """The independent simulator of an axis."""
     import numpy as np
@@ -138,6 +152,7 @@ GROUPS = {
     "machine": (machine, ("process",)),
     "friction": (friction, ("process",)),
     "cuts": (cuts, ("process", "stability")),
+    "tuning": (tuning, ("smfe",)),
     "axis_oracle": (axis_oracle, ("truth",)),
     "other_oracles": (other_oracles, ("truth",)),
 }

@@ -31,6 +31,7 @@ from smfe.campaign.datasets import Show
 from smfe.campaign.machine import MACHINE
 from smfe.campaign.places import Loc, line_of, lines_of, place, syntax_advice
 from smfe.campaign.schema import PlanTable
+from smfe.campaign.tune import TuneTable
 from smfe.records.dynamometer import Dynamometer
 from smfe.records.formats.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel, did_you_mean
 from stability import SpindleRange, Spread
@@ -498,6 +499,8 @@ class Campaign:
         The simulation to be tested, where the campaign gives one.
     plan : PlanTable or None
         What a sweep may use, for `smfe plan`.
+    tune : TuneTable or None
+        Which gains `smfe tune` is to find.
     tool_name, machine : str
         As the shop calls them; where it does not say, by diameter and teeth, and by the name of the campaign.
     machine_limits : MachineLimits
@@ -522,6 +525,7 @@ class Campaign:
     missing_coefficients: tuple[str, ...] = ()
     spindle: SpindleRange = field(default_factory=SpindleRange)
     plan: PlanTable | None = None
+    tune: TuneTable | None = None
     tool_name: str = ""
     machine: str = ""
     machine_limits: MachineLimits = field(default_factory=MachineLimits)
@@ -758,6 +762,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         missing_coefficients=tuple(n for n in ("Krc", "Kac") if file.material and getattr(file.material, n) is None),
         spindle=file.spindle.build() if file.spindle else SpindleRange(),
         plan=file.plan,
+        tune=file.tune,
         tool_name=_tool_name(file.tool) if file.tool else "",
         machine=(file.machine and file.machine.name) or file.campaign.name,
         machine_limits=MachineLimits(

@@ -56,6 +56,7 @@ def check(raw: Raw) -> list[Complaint]:
         _baseline,
         _held_out,
         _plan,
+        _tune,
         _channels,
     )
     return [complaint for rule in rules for complaint in rule(raw)]
@@ -90,7 +91,7 @@ def _machine(raw: Raw) -> Raw | None:
 
 
 def _something_to_do(raw: Raw) -> Iterator[Complaint]:
-    if not any(key in raw for key in ("measurement", "model", "cutting_test", "plan")) and not _machine(raw):
+    if not any(key in raw for key in ("measurement", "model", "cutting_test", "plan", "tune")) and not _machine(raw):
         yield (), "nothing to work with; add a [[measurement]], a [[model]] or a [[cutting_test]]"
 
 
@@ -304,6 +305,18 @@ def _plan(raw: Raw) -> Iterator[Complaint]:
     diameter = _quantity(raw.get("tool"), "diameter", "length")
     for place, entry in _tables(table, "passes"):
         yield from _fits(diameter, ("plan", *place), _quantity(entry, "width_of_cut", "length"), entry)
+
+
+def _tune(raw: Raw) -> Iterator[Complaint]:
+    table = raw.get("tune")
+    if not isinstance(table, dict):
+        return
+    yield from _needs(raw, ("tune",), ("tool", "material"), "a search for gains")
+    width = _quantity(table, "width_of_cut", "length")
+    yield from _fits(_quantity(raw.get("tool"), "diameter", "length"), ("tune",), width, table)
+    measured = table.get("measured")
+    if isinstance(measured, dict) and "at_rest" in measured:
+        yield from _named(raw, ("tune", "measured", "at_rest"), measured["at_rest"])
 
 
 def _named(raw: Raw, where: Loc, name: Any, anywhere: bool = False) -> Iterator[Complaint]:

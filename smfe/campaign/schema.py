@@ -29,6 +29,7 @@ from smfe.campaign.tables import (
     Viscosity,
     triple,
 )
+from smfe.campaign.tune import TuneTable
 from smfe.records.dynamometer import Dynamometer
 from smfe.records.formats.channels import check_channel_name
 from stability import SpindleRange
@@ -448,6 +449,7 @@ class CampaignFile(Table, Generic[B]):
     lobes: tuple[LobesTable, ...] = ()
     cutting_test: tuple[CuttingTestTable, ...] = ()
     plan: PlanTable | None = None
+    tune: TuneTable | None = None
 
 
 def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:

@@ -1,4 +1,4 @@
-"""Verbs that predict: `lobes`, `simulate`, `demo`."""
+"""Verbs that predict: `lobes`, `tune`, `simulate`, `demo`."""
 
 from __future__ import annotations
 
@@ -60,6 +60,42 @@ def lobes(
         warnings += [f"{r.request}, {r.source}: {warning}" for warning in unpack_warnings(r.lobes)]
     lines.append(f"written: {output}, {table}; next: smfe run {campaign} recommends a speed and a depth")
     return Outcome(lines, {"output": str(output), "table": str(table), "limits": content}, warnings, failures)
+
+
+@verb(
+    PREDICT,
+    gives="gains.toml with the controllers found, tuning.csv with the present ones beside them and the compromises "
+    "with tracking, tuning.nc with lobes and loops, figures/tuning.png.",
+    examples=["smfe tune campaign.toml", "smfe tune campaign.toml -o tuned --json"],
+    keys="output, gains, goal, worst, nominal, unit, tracking_error_um, values, sets, summary",
+)
+def tune(
+    terminal: Terminal,
+    campaign: CampaignFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the gains.")] = Path("tuned"),
+) -> Outcome:
+    """Find the gains of the feed drives with which a cut is most stable, within limits of commissioning."""
+    import smfe
+    from smfe.tuning import words
+
+    with terminal.bar() as progress:
+        found = smfe.tune(campaign, output, progress, terminal.show)
+    lines = [*words.summary(found), f"written: {output / 'gains.toml'}; next: set them, and cut a test"]
+    rate = found.task.goal.kind == "removal_rate"
+    factor = 6e7 if rate else 1e3
+    content = {
+        "output": str(output),
+        "gains": {axis: dict(vars(v)) for axis, v in found.servos.items()},
+        "goal": found.task.goal.words,
+        "worst": factor * found.best.goal,
+        "nominal": factor * found.best.nominal,
+        "unit": "cm3/min" if rate else "mm",
+        "tracking_error_um": 1e6 * found.best.tracking_error,
+        "values": dict(found.best.values),
+        "sets": found.table().to_dict("records"),
+        "summary": lines[:-1],
+    }
+    return Outcome(lines, content, found.warnings)
 
 
 @verb(

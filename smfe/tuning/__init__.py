@@ -1,0 +1,1 @@
+"""Gains of the feed drives for the most stable cut."""
