@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from process.friction.laws import Andersson, Coulomb, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous
     from process.friction.linearised import FrictionImpedance, equivalent_damping, invariant_feed, linearised
     from process.harmonic_balance.quasi_frf import compliance_map, quasi_compliance
+    from process.instruments.actuator import MovingCoil
     from process.instruments.sensors import Sensors, with_added_mass
     from process.instruments.trials import (
         Running,
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
         hammer_trial,
         milling_trial,
         moving_trial,
+        shaker_trial,
         silent_trial,
     )
     from process.labels import make_compliance, make_record
@@ -77,6 +79,7 @@ __all__ = [
     "MillingCut",
     "ModalModel",
     "MountedJoint",
+    "MovingCoil",
     "Multisine",
     "OperatingPoint",
     "Posture",
@@ -113,6 +116,7 @@ __all__ = [
     "quasi_compliance",
     "released_compliance",
     "released_modes",
+    "shaker_trial",
     "show",
     "silent_trial",
     "simulate_forced",
@@ -135,8 +139,10 @@ _HOMES = {
     "process.friction.laws": "Andersson, Coulomb, CoulombViscous, GeneralisedMaxwellSlip, LuGre, Viscous",
     "process.friction.linearised": "FrictionImpedance, equivalent_damping, invariant_feed, linearised",
     "process.harmonic_balance.quasi_frf": "compliance_map, quasi_compliance",
+    "process.instruments.actuator": "MovingCoil",
     "process.instruments.sensors": "Sensors, with_added_mass",
-    "process.instruments.trials": "Running, actuator_trial, hammer_trial, milling_trial, moving_trial, silent_trial",
+    "process.instruments.trials": "Running, actuator_trial, hammer_trial, milling_trial, moving_trial, shaker_trial, "
+    "silent_trial",
     "process.labels": "make_compliance, make_record",
     "process.machine.joints": "CubicSpring, DoublePinion, Gap, Iwan, Jenkins",
     "process.machine.machine": "FeedAxis, Machine, MountedJoint, released_compliance",

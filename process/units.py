@@ -51,6 +51,8 @@ UNITS: dict[str, dict[str, float]] = {
     "rotation_rate": {"rad/s^2": 1.0, "rpm/s": _REVOLUTION / 60.0},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0, "rev": _REVOLUTION},
     "force": {"N": 1.0, "kN": 1e3, "lbf": _POUND_FORCE},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "force_constant": {"N/A": 1.0},
     "impulse": {"N s": 1.0, "Ns": 1.0},
     "force_rate": {"N/s": 1.0},
     "power": {"W": 1.0, "kW": 1e3, "hp": 745.69987158227022},

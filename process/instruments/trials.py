@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from process.errors import InputError
+from process.instruments.actuator import MovingCoil
 from process.instruments.sensors import Sensors
 from process.labels import AXES, axis_index
 from process.machine.machine import Machine
@@ -106,6 +107,7 @@ def actuator_trial(
     dwell: float = 1.5,
     sample_rate: float = DEFAULT_SAMPLE_RATE,
     running: Running = AT_REST,
+    coil: MovingCoil | None = None,
 ) -> xr.Dataset:
     """Return the record of a constant-force stepped sine along `axis`.
 
@@ -129,10 +131,58 @@ def actuator_trial(
         Samples a second [Hz].
     running : Running, optional
         Feed, controller, position.
+    coil : MovingCoil, optional
+        The actuator, on the tool: the force is then what is commanded, and the record holds what acts. Default: the
+        force acts as it is.
     """
     steps = tuple(float(f) for f in np.atleast_1d(np.asarray(frequencies, dtype=float)))
     sine = SteppedSine(steps, force_amplitude, dwell, start=0.0)
-    return _excited(machine, axis, sine, sine.end, sensors, rng, sample_rate, running)
+    return shaker_trial(machine, axis, sine, sine.end, sensors, rng, sample_rate, running, coil)
+
+
+def shaker_trial(
+    machine: ModalModel | Machine,
+    axis: str,
+    excitation: Excitation,
+    duration: float,
+    sensors: Sensors,
+    rng: np.random.Generator,
+    sample_rate: float = DEFAULT_SAMPLE_RATE,
+    running: Running = AT_REST,
+    coil: MovingCoil | None = None,
+) -> xr.Dataset:
+    """Return the record of any force along `axis`, at the tool.
+
+    Parameters
+    ----------
+    machine : ModalModel or Machine
+        The machine.
+    axis : {"x", "y", "z"}
+        Direction of the force.
+    excitation : Excitation
+        The force; of a coil, what is commanded.
+    duration : float
+        Of the record [s].
+    sensors : Sensors
+        Measuring chain.
+    rng : numpy.random.Generator
+        Seeded by the caller.
+    sample_rate : float, optional
+        Samples a second [Hz].
+    running : Running, optional
+        Feed, controller, position.
+    coil : MovingCoil, optional
+        As of `actuator_trial`.
+    """
+    if coil is None:
+        return _excited(machine, axis, excitation, duration, sensors, rng, sample_rate, running)
+    fine = sensors.oversampling
+    force = coil.on_floor(excitation)
+    true = _simulated(coil.mounted(machine, axis), duration, sample_rate * fine, running, forces={axis: force})
+    moved = true["acceleration"].sel(axis=axis).values
+    acting = true["force"].copy()
+    acting.loc[{"axis": axis}] += coil.reaction(moved, sample_rate * fine)
+    return sensors.measure(true.assign(force=acting), rng, axis, fine)
 
 
 def _excited(
@@ -181,6 +231,7 @@ def moving_trial(
     drive_forces: Mapping[str, Excitation] | None = None,
     sample_rate: float = DEFAULT_SAMPLE_RATE,
     running: Running = AT_REST,
+    commanded: bool = False,
 ) -> xr.Dataset:
     """Return the record of axes that move under their drives, without a force on the tool.
 
@@ -202,9 +253,11 @@ def moving_trial(
         Samples a second [Hz].
     running : Running, optional
         Feed, controller, position.
+    commanded : bool, optional
+        The drive force of the record is what the controllers command, before the dead time, and forces add to it.
     """
     fine = sensors.oversampling
-    true = _simulated(machine, duration, sample_rate * fine, running, drive_forces=drive_forces)
+    true = _simulated(machine, duration, sample_rate * fine, running, drive_forces=drive_forces, commanded=commanded)
     return sensors.measure(true, rng, keep=fine)
 
 

@@ -1,4 +1,4 @@
-"""Forces over time that excite an axis: hammer hits, stepped sines, sweeps, multisines, binary sequences, sums."""
+"""Forces over time that excite an axis: hits, stepped sines, sweeps, multisines, binary sequences, sums, late ones."""
 
 from __future__ import annotations
 
@@ -238,6 +238,46 @@ class Sum(Excitation):
     def end(self) -> float:
         """End of the last part [s]."""
         return max(part.end for part in self.parts)
+
+
+@dataclass(frozen=True)
+class Late(Excitation):
+    """An excitation that acts some time after it was asked for: behind a dead time.
+
+    Parameters
+    ----------
+    asked : Excitation
+        As it was asked for.
+    delay : float
+        [s].
+    """
+
+    asked: Excitation
+    delay: float
+
+    def __post_init__(self) -> None:
+        """Refuse what would come too early."""
+        if not 0.0 <= self.delay < math.inf:
+            raise InputError(f"a force comes {self.delay:g} s late; give zero or more")
+
+    def force(self, time: Real) -> Real:
+        """Return the force [N] at times [s]."""
+        return self.asked.force(np.asarray(time, dtype=float) - self.delay)
+
+    def jumps(self) -> tuple[Real, Real]:
+        """Return the times [s] of the jumps, and their heights [N]."""
+        times, heights = self.asked.jumps()
+        return times + self.delay, heights
+
+    @property
+    def shortest(self) -> float:
+        """Shortest event [s]."""
+        return self.asked.shortest
+
+    @property
+    def end(self) -> float:
+        """When the last of it has come [s]."""
+        return self.asked.end + self.delay
 
 
 def _total(parts: Sequence[Excitation], time: Real) -> Real:

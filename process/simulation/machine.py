@@ -81,6 +81,7 @@ def integrate_problem(
     h = 1.0 / (sample_rate * keep)
     # The low-pass looks ahead: integrate beyond the end of the record.
     steps = (round(p.run.total * sample_rate) + (2 * RULES.margin if keep > 1 else 0)) * keep
+    steps += max([math.ceil(p.lateness(axis) / h - 1e-6) for axis in p.machine.axes], default=0)
     given, forces = pack_forces(p, h, steps)
     # A mode rings after an impulse with a force of its frequency times that.
     given = given._replace(peak=max(given.peak, RULES.least_force, fastest * max(abs(v) for v in p.run.impulse)))
@@ -102,6 +103,7 @@ def simulate_machine(
     tail: float = 0.0,
     impulse: tuple[float, float, float] = (0.0, 0.0, 0.0),
     control: SampledControl | None = None,
+    commanded: bool = False,
     sample_rate: float = 2000.0,
     step: float | None = None,
 ) -> xr.Dataset:
@@ -144,6 +146,9 @@ def simulate_machine(
         Impulse on the tool at entry [N s], to disturb a cut on purpose.
     control : SampledControl, optional
         The servos work on samples; they must have no delay of their own.
+    commanded : bool, optional
+        Drive forces are added to what the controllers command, before the dead time, and ``drive_force`` is that,
+        as a controller logs it; the force that acts is the same, a dead time later.
     sample_rate : float, optional
         Samples a second [Hz]; above it every channel is low-passed alike.
     step : float, optional
@@ -185,6 +190,7 @@ def simulate_machine(
         tail,
         impulse,
         control,
+        commanded,
     )
     p = resolve(machine, run)
     system, states = integrate_problem(p, sample_rate, step)

@@ -17,7 +17,7 @@ from process.friction._kernels import friction_step
 from process.friction.laws import FrictionLaw
 from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins, Joint
 from process.simulation import _machine_arrays as arrays
-from process.simulation.excitation import Excitation
+from process.simulation.excitation import Excitation, Late
 from process.simulation.milling import MillingCut, Spindle, flat_surfaces, pack_motion, pack_teeth
 from process.simulation.problem import Problem, SlideFriction
 from process.simulation.rules import RULES
@@ -220,8 +220,14 @@ def pack_forces(p: Problem, step: float, steps: int) -> tuple[arrays.Given, list
     """Pack the forces over time, first those on the tool; also return them as sampled."""
     tools, axes = p.run.tool_axes, list(p.machine.axes)
     target = [tools.index(a) for a in p.run.forces] + [len(tools) + axes.index(a) for a in p.run.drive_forces]
-    sampled = [_sampled(e, step, steps) for e in p.run.excitations]
+    late = [Late(e, lag) if (lag := p.lateness(axis)) else e for axis, e in p.run.drive_forces.items()]
+    sampled = [_sampled(e, step, steps) for e in (*p.run.forces.values(), *late)]
     return _given(sampled, target), sampled
+
+
+def commanded_forces(p: Problem, step: float, steps: int) -> list[Sampled]:
+    """Sample the drive forces as they were commanded, before the dead time."""
+    return [_sampled(e, step, steps) for e in p.run.drive_forces.values()]
 
 
 @lru_cache(maxsize=512)

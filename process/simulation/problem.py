@@ -104,6 +104,9 @@ class MachineRun:
         Impulse on the tool at entry [N s].
     control : SampledControl, optional
         The servos work on samples.
+    commanded : bool, optional
+        Drive forces are added to what the controllers command, before the dead time, and the record holds the command.
+        Else they act at once, and the record holds what acts.
 
     Raises
     ------
@@ -123,6 +126,7 @@ class MachineRun:
     tail: float = 0.0
     impulse: tuple[float, float, float] = (0.0, 0.0, 0.0)
     control: SampledControl | None = None
+    commanded: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
@@ -178,6 +182,14 @@ class Problem(NamedTuple):
     def feeds(self) -> list[float]:
         """Feed of each axis [m/s]."""
         return [r.feed for r in self.friction]
+
+    def lateness(self, axis: str) -> float:
+        """Return the time [s] from what the controller of an axis commands to the force that acts."""
+        servo = self.servos[list(self.machine.axes).index(axis)]
+        if servo is None or not self.run.commanded:
+            return 0.0
+        control = self.run.control
+        return servo.delay if control is None else control.lag * control.period
 
     @property
     def delays(self) -> list[float]:

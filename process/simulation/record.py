@@ -16,7 +16,16 @@ from process.labels import AXES, UNITS, axis_index
 from process.machine.structure import Structure
 from process.simulation import _machine_arrays as arrays
 from process.simulation import _machine_kernels as kernels
-from process.simulation.packing import Sampled, pack_cut, pack_elements, pack_linear, pack_servos, scratch, stairs
+from process.simulation.packing import (
+    Sampled,
+    commanded_forces,
+    pack_cut,
+    pack_elements,
+    pack_linear,
+    pack_servos,
+    scratch,
+    stairs,
+)
 from process.simulation.problem import Problem
 from process.simulation.rules import RULES
 from process.simulation.step_maps import System, gains, reach
@@ -186,8 +195,10 @@ def _slide_rows(p: Problem, system: System, structure: Structure, axes: list[int
     rows[3 * count :, n : 2 * n] = structure.tool[axes]
     held = gains(p, system, structure)
     for i in range(count):
-        rows[count + i, system.size + len(p.run.tool_axes) + i] = 1.0
-        if i in system.prompt:
+        commanded = p.run.commanded and p.run.control is None and i in held
+        if not commanded:
+            rows[count + i, system.size + len(p.run.tool_axes) + i] = 1.0
+        if commanded or i in system.prompt:
             rows[count + i, : system.size] = -held[i]
     return rows
 
@@ -207,11 +218,11 @@ def _shares(places: Real, points: int) -> list[Real]:
     return [np.clip(1.0 - np.abs(places - k), 0.0, 1.0) for k in range(points)]
 
 
-def _pushes(run: Run, samples: int) -> Real:
+def _pushes(run: Run, forces: list[Sampled], samples: int) -> Real:
     """Forces over time as the record has them, (forces, samples)."""
     parts = 1 if run.keep == 1 else RULES.parts
-    out = np.zeros((len(run.forces), samples))
-    for row, (_, force) in zip(out, run.forces, strict=True):
+    out = np.zeros((len(forces), samples))
+    for row, force in zip(out, forces, strict=True):
         plain = force.smooth[:: RULES.parts // parts]
         if force.at.size:
             plain = plain + stairs(force.at * parts, force.height, plain.size)
@@ -225,11 +236,15 @@ def _add_pushes(p: Problem, run: Run, axes: list[int], slow: Real, force: Real) 
     slow: displacement and acceleration of the tool along axes, positions and drive forces of the slides.
     """
     m, tools, samples = len(axes), len(p.run.tool_axes), force.shape[1]
-    targets, pushes = [target for target, _ in run.forces], _pushes(run, samples)
+    targets = [target for target, _ in run.forces]
     if not targets:
         return
+    pushes = shown = _pushes(run, [one for _, one in run.forces], samples)
+    if p.run.commanded:
+        drives = _pushes(run, commanded_forces(p, run.step, run.states.shape[0]), samples)
+        shown = np.vstack([pushes[: len(p.run.forces)], drives])
     rows = axis_index(p.run.tool_axes)
-    for target, push in zip(targets, pushes, strict=True):
+    for target, push in zip(targets, shown, strict=True):
         if target < tools:
             force[rows[target]] += push
         elif slow.shape[0] > 2 * m:
@@ -273,6 +288,11 @@ def as_record(p: Problem, system: System, run: Run, sample_rate: float, poles: i
     every, m, count = _channels(run, rows), len(axes), len(p.servos)
     if p.run.control is not None and run.keep > 1:
         _hold(every[2 * m + count : 2 * (m + count)], max(1, round(p.run.control.period / run.step)))
+    if p.run.control is not None and p.run.commanded:
+        # What is held now was commanded some periods ago.
+        for k, axis in enumerate(p.machine.axes):
+            row, ahead = every[2 * m + count + k], round(p.lateness(axis) / run.step)
+            row[: row.size - ahead] = row[ahead:]
     slow, force = _slow(every[: 2 * (m + count)], run.keep, samples), _cutting_force(p, run, samples)
     _add_pushes(p, run, axes, slow, force)
     record = _labelled(p, sample_rate, axes, force[axes], slow)

@@ -102,7 +102,7 @@ def tune(
     PREDICT,
     gives="records as instruments would have written them, the campaign file that reads them, and truth.nc.",
     examples=["smfe simulate scenario.toml -o simulated", "smfe run simulated/campaign.toml"],
-    keys="campaign",
+    keys="campaign, left_out",
 )
 def simulate(
     terminal: Terminal,
@@ -118,11 +118,18 @@ def simulate(
 ) -> Outcome:
     """Simulate the trials of a scenario; write their records and the campaign file that reads them."""
     import smfe
+    from smfe.results import Failures
+    from smfe.scenario.run import NothingLeft
 
     notes: list[str] = []
-    with terminal.bar() as progress:
-        campaign = smfe.simulate(scenario, output, workers, progress, notes.append)
-    return Outcome([f"written: {campaign}; next: smfe run {campaign}"], {"campaign": str(campaign)}, notes)
+    failures: Failures = []
+    try:
+        with terminal.bar() as progress:
+            campaign = smfe.simulate(scenario, output, workers, progress, notes.append, failures)
+    except NothingLeft:
+        return Outcome(["nothing written: no condition is left"], {"campaign": None}, notes, failures)
+    content = {"campaign": str(campaign), "left_out": [{"name": f.name, "reason": f.reason} for f in failures]}
+    return Outcome([f"written: {campaign}; next: smfe run {campaign}"], content, notes)
 
 
 @verb(

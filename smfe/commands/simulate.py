@@ -16,8 +16,8 @@ from smfe._version import __version__
 from smfe.campaign.datasets import Show
 from smfe.progress import Progress, silent
 from smfe.records.formats.channels import listed
-from smfe.results import write_groups
-from smfe.scenario.run import campaign_text, standing_axes, truths, write_records
+from smfe.results import Failures, write_groups
+from smfe.scenario.run import NothingLeft, campaign_text, standing_axes, truths, write_records
 from smfe.scenario.scenario import Scenario, load_scenario
 
 
@@ -32,6 +32,7 @@ def simulate(
     workers: int | None = None,
     progress: Progress = silent,
     show: Show = _to_stderr,
+    failures: Failures | None = None,
 ) -> Path:
     """Simulate the trials of a scenario and write their records with the campaign file that reads them.
 
@@ -49,8 +50,10 @@ def simulate(
     progress : callable, optional
         Called with (record that is finished, done, of).
     show : callable, optional
-        Called with each notice: axes that stand still in a cut, records of an earlier scenario in `out`; default:
-        printed to stderr.
+        Called with each notice: conditions that are left out, axes that stand still in a cut, records of an earlier
+        scenario in `out`; default: printed to stderr.
+    failures : list of Failure, optional
+        Collects the conditions that are left out, because the machine is not stable in them or cannot be simulated.
 
     Returns
     -------
@@ -60,15 +63,23 @@ def simulate(
     Raises
     ------
     InputError
-        When the scenario is wrong; nothing is then written.
+        When the scenario is wrong, or no condition is left; nothing is then written.
     """
     loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    true = truths(loaded)
+    out_of_it: Failures = [] if failures is None else failures
+    true = truths(loaded, out_of_it)
     notices = standing_axes(loaded)
     for notice in notices:
         show(notice)
     with _made_aside(Path(out)) as folder:
-        records = write_records(loaded, folder, workers, progress)
+        records = write_records(loaded, folder, workers, progress, out_of_it)
+        missing = [f"left out, {failure.name}: {failure.reason}" for failure in out_of_it]
+        if not any(records):
+            raise NothingLeft("\n  ".join([f"{loaded.path.name}: the machine cannot be measured", *missing]))
+        for notice in missing:
+            show(notice)
+        notices = [*notices, *missing]
+        true = {e.name: true[e.name] for e, one in zip(loaded.entries, records, strict=True) if one and e.name in true}
         write_groups(folder / "truth.nc", true)
         (folder / "scenario.toml").write_text(_with_versions(loaded), encoding="utf-8")
         text = campaign_text(loaded, records, notices)

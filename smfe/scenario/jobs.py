@@ -23,12 +23,13 @@ from process.instruments.trials import (
     hammer_trial,
     milling_trial,
     moving_trial,
+    shaker_trial,
     silent_trial,
 )
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import Posture
-from process.simulation.excitation import Chirp
+from process.simulation.excitation import Chirp, Excitation, Multisine, PseudoRandom, all_harmonics
 from process.simulation.milling import MillingCut, Spindle
 from process.simulation.problem import SampledControl
 from process.units import show
@@ -36,6 +37,18 @@ from smfe.records.formats.channels import did_you_mean, listed
 from smfe.scenario import schema
 
 Make = Callable[..., xr.Dataset]
+
+BRAKES = "brakes"
+"""What the campaign calls the controller where brakes hold all axes."""
+
+DWELL = 1.5
+"""Time a step of a sine in steps [s], where a trial gives none."""
+
+TAPER = 0.01
+"""Share of its time in which a sine that sweeps rises, and falls, as half a cosine."""
+
+DECAY = 2.0
+"""Time after a sine that sweeps in which the machine comes to rest [s]."""
 
 SAMPLES_A_PULSE = 4
 """Fewest samples of a record in a hammer's pulse: with less its peak and its double hits are not seen."""
@@ -55,6 +68,8 @@ class Stand:
         Measuring chain of the method.
     trial : int
         Number of the trial in the file.
+    held : tuple of str
+        Axes that brakes hold.
     """
 
     file: schema.ScenarioFile
@@ -62,6 +77,7 @@ class Stand:
     loaded: Machine | ModalModel
     sensors: Sensors
     trial: int
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,6 +107,8 @@ class Entry:
         Conditions as the machine takes them.
     jobs : tuple of Job
         Its records.
+    held : tuple of str
+        Axes that brakes hold.
     """
 
     name: str
@@ -99,6 +117,7 @@ class Entry:
     says: Mapping[str, Any]
     running: Running
     jobs: tuple[Job, ...]
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -128,9 +147,37 @@ def entries(stand: Stand) -> list[Entry]:
         "drive": _drive,
         "silent": _silent,
     }
+    if trial.brakes:
+        stand = _braked(stand, trial)
     _check_machine(stand.machine, trial)
     combined = list(_combinations(stand.machine, trial))
     return [entry for chosen in combined for entry in makers[trial.method](stand, trial, chosen)]
+
+
+def _braked(stand: Stand, trial: schema.Trial) -> Stand:
+    """Return the stand whose brakes hold the axes that a trial names, or all that there are."""
+    machine, loaded = stand.machine, stand.loaded
+    if not isinstance(machine, Machine) or not isinstance(loaded, Machine) or not machine.axes:
+        raise InputError("its brakes need axes, and the machine has none; add [machine.axis.x]")
+    held = brakes_of(machine, trial)
+    if not held:
+        unknown = listed(trial.brakes or ())
+        raise InputError(f"brakes hold {unknown}, and the machine moves along {listed(machine.axes)}")
+    left = [axis for axis in machine.axes if axis not in held]
+    fed = {a for feed in trial.feed or () if len(set(feed.values())) > 1 for a, v in feed.items() if v and a in held}
+    if fed or (not left and any(any(feed.values()) for feed in trial.feed or ())):
+        raise InputError(f"feeds axis {listed(fed or held)}, which its brakes hold; leave out the feed or the brakes")
+    if not left and (trial.controller is not None or trial.control is not None):
+        raise InputError("brakes hold all axes, so that no controller acts; leave controller and control out")
+    if isinstance(trial, schema.DriveTrial) and trial.axis in held:
+        raise InputError(f"brakes hold axis {trial.axis}; a drive cannot move it")
+    return replace(stand, machine=machine.braked(held), loaded=loaded.braked(held), held=held)
+
+
+def brakes_of(machine: Machine, trial: schema.Trial) -> tuple[str, ...]:
+    """Return the axes of a machine that the brakes hold in a trial."""
+    wanted = trial.brakes or ()
+    return tuple(axis for axis in machine.axes if axis in wanted)
 
 
 # --- conditions ---------------------------------------------------------------------------------------------
@@ -194,15 +241,19 @@ def _combinations(machine: Machine | ModalModel, trial: schema.Trial) -> Iterato
         if isinstance(machine, Machine):
             control = None if trial.control is None else _control(trial.control)
             running = Running(_feed(machine, chosen["feed"]), chosen["controller"], chosen["position"], control)
+            machine.feeds(running.feed)
+            machine.structure_at(running.position)
         if chosen["feed"] is not None:
             says["feed"] = _said_feed(running.feed)
         if chosen["controller"] is not None:
             says["controller"] = chosen["controller"]
+        elif trial.brakes and isinstance(machine, Machine) and not machine.axes:
+            says["controller"] = BRAKES
         if chosen["position"] is not None:
             says["position"] = show(chosen["position"], "mm", "length")
         if trial.repeats > 1:
             says["repeat"] = chosen["repeat"]
-        name = "_".join([base, *(_label(trial.method, key, value) for key, value in varied.items())])
+        name = "_".join([base, *(_label(trial.method, key, value, _unit(trial)) for key, value in varied.items())])
         yield Combination(name, running, says, chosen["level"])
 
 
@@ -218,11 +269,18 @@ def _levels(trial: schema.Trial) -> tuple[float, ...]:
     if isinstance(trial, schema.SweepTrial | schema.CutTrial):
         return trial.depth_of_cut
     if isinstance(trial, schema.ActuatorTrial):
-        return trial.force
+        return trial.force or trial.current or ()
     return (trial.force or (0.0,)) if isinstance(trial, schema.DriveTrial) else (0.0,)
 
 
-def _label(method: str, key: str, value: Any) -> str:
+def _unit(trial: schema.Trial) -> str:
+    """Return the unit of the strength of a trial in names."""
+    if isinstance(trial, schema.ActuatorTrial) and trial.current is not None:
+        return "A"
+    return "Ns" if trial.method == "hammer" else "N"
+
+
+def _label(method: str, key: str, value: Any, unit: str) -> str:
     if key == "feed":
         moving = [f"{axis}{v * 6e4:g}" for axis, v in value.items() if v]
         same = len(set(value.values())) == 1
@@ -230,7 +288,7 @@ def _label(method: str, key: str, value: Any) -> str:
     if key == "position":
         return f"p{value * 1e3:g}"
     if key == "level":
-        return f"{value * 1e3:g}mm" if method in ("sweep", "cut") else f"{value:g}N" + "s" * (method == "hammer")
+        return f"{value * 1e3:g}mm" if method in ("sweep", "cut") else f"{value:g}{unit}"
     return f"r{value}" if key == "repeat" else str(value)
 
 
@@ -256,7 +314,8 @@ def _entry(stand: Stand, chosen: Combination, says: Mapping[str, Any], jobs: lis
     trial = stand.file.trial[stand.trial]
     mounted = stand.file.sensors.accelerometer.mass
     added = {"added_mass": show(mounted, "kg", "mass")} if mounted and trial.method != "cut" else {}
-    return Entry(chosen.name, trial.method, stand.trial, {**chosen.says, **says, **added}, chosen.running, tuple(jobs))
+    said = {**chosen.says, **says, **added}
+    return Entry(chosen.name, trial.method, stand.trial, said, chosen.running, tuple(jobs), stand.held)
 
 
 def _common(stand: Stand, chosen: Combination) -> dict[str, Any]:
@@ -300,21 +359,29 @@ def _scattered(
 
 
 def _actuator(stand: Stand, trial: schema.ActuatorTrial, chosen: Combination) -> Iterator[Entry]:
-    low, high, step = trial.frequencies
-    rate = stand.file.scenario.sample_rate
-    _check_rate(high, rate, "the highest frequency")
-    steps = low + step * np.arange(int((high - low) / step * (1.0 + 1e-9)) + 1)
+    table = stand.file.actuator
+    _check_rate(trial.frequencies[1], stand.file.scenario.sample_rate, "the highest frequency")
+    coil, amplitude = None if table is None else table.build(), chosen.level
+    if trial.current is not None:
+        if table is None or table.force_constant is None:
+            raise InputError('a current needs an [actuator] with its force_constant, e.g. "40 N/A"; or give a force')
+        amplitude *= table.force_constant
+    common = {**_common(stand, chosen), "coil": coil}
     jobs = [
-        Job(
-            f"{chosen.name}_{axis}",
-            partial(
-                actuator_trial, stand.loaded, axis, steps, chosen.level, dwell=trial.dwell, **_common(stand, chosen)
-            ),
-            {"excitation": axis},
-        )
+        Job(f"{chosen.name}_{axis}", _shaken(stand, trial, axis, amplitude, common), {"excitation": axis})
         for axis in trial.directions
     ]
-    yield _entry(stand, chosen, {"force_level": show(chosen.level, "N", "force")}, jobs)
+    yield _entry(stand, chosen, {"force_level": show(amplitude, "N", "force")}, jobs)
+
+
+def _shaken(stand: Stand, trial: schema.ActuatorTrial, axis: str, amplitude: float, common: Mapping[str, Any]) -> Make:
+    """Return the record of a sine in steps, or of one that sweeps."""
+    low, high, *step = trial.frequencies
+    if trial.sweep_time is None:
+        steps = low + step[0] * np.arange(int((high - low) / step[0] * (1.0 + 1e-9)) + 1)
+        return partial(actuator_trial, stand.loaded, axis, steps, amplitude, dwell=trial.dwell or DWELL, **common)
+    sweep = Chirp(low, high, amplitude, trial.sweep_time, TAPER * trial.sweep_time, start=0.0)
+    return partial(shaker_trial, stand.loaded, axis, sweep, trial.sweep_time + DECAY, **common)
 
 
 def _check_rate(frequency: float, rate: float, what: str) -> None:
@@ -399,19 +466,47 @@ def _cuts(stand: Stand, trial: schema.CutTrial, chosen: Combination) -> Iterator
             "feed_per_tooth": show(trial.feed_per_tooth, "mm", "length"),
             **{key: chosen.says[key] for key in ("controller", "position", "feed") if key in chosen.says},
         }
-        yield Entry(name, "cut", stand.trial, says, running, (Job(name, make, {}),))
+        yield Entry(name, "cut", stand.trial, says, running, (Job(name, make, {}),), stand.held)
 
 
 def _drive(stand: Stand, trial: schema.DriveTrial, chosen: Combination) -> Iterator[Entry]:
-    forces = None
-    if trial.frequency_range is not None:
-        low, high = trial.frequency_range
-        _check_rate(high, stand.file.scenario.sample_rate, "the highest frequency")
-        forces = {trial.axis: Chirp(low, high, chosen.level, 0.9 * trial.duration, 0.05 * trial.duration)}
-    make = partial(_without_force, moving_trial, stand.loaded, trial.duration, drive_forces=forces)
+    force, duration = _drive_force(stand, trial, chosen.level)
+    forces = None if force is None else {trial.axis: force}
+    make = partial(_without_force, moving_trial, stand.loaded, duration, drive_forces=forces, commanded=True)
     says = {} if forces is None else {"force_level": show(chosen.level, "N", "force")}
     job = Job(chosen.name, partial(make, **_common(stand, chosen)), {})
     yield _entry(stand, chosen, says, [job])
+
+
+def _drive_force(stand: Stand, trial: schema.DriveTrial, level: float) -> tuple[Excitation | None, float]:
+    """Return the force that is added to the command, and the duration of the record [s]."""
+    rate = stand.file.scenario.sample_rate
+    if trial.force is None:
+        return None, trial.duration or 0.0
+    highest = trial.clock if trial.frequency_range is None else trial.frequency_range[1]
+    assert highest is not None
+    if trial.signal == "chirp":
+        assert trial.frequency_range is not None
+        assert trial.duration is not None
+        _check_rate(highest, rate, "the highest frequency")
+        chirp = Chirp(*trial.frequency_range, level, 0.9 * trial.duration, 0.05 * trial.duration)
+        return chirp, trial.duration
+    period, periods = trial.period or 0.0, trial.periods or 1
+    samples = period * rate
+    if abs(samples - round(samples)) > 1e-6 * samples:
+        raise InputError(
+            f"its period of {period:.6g} s holds {samples:.6g} samples at {rate:g} Hz; to average periods, "
+            f"give a sample_rate that is a multiple of {'the clock' if trial.signal == 'prbs' else 'the resolution'}"
+        )
+    if trial.signal == "prbs":
+        if highest > rate:
+            raise InputError(f"a clock of {highest:g} Hz, sampled at {rate:g} Hz; sample at the clock or faster")
+        return PseudoRandom(level, highest, trial.bits or 10, periods, start=0.0), periods * period
+    _check_rate(highest, rate, "the highest frequency")
+    assert trial.frequency_range is not None
+    lines = [round(f * period + off) for f, off in zip(trial.frequency_range, (0.4999, -0.4999), strict=True)]
+    tones = all_harmonics(max(lines[0], 1), max(lines[1], 0))
+    return Multisine(1.0 / period, tones, level, periods, stand.file.scenario.seed, start=0.0), periods * period
 
 
 def _silent(stand: Stand, trial: schema.SilentTrial, chosen: Combination) -> Iterator[Entry]:

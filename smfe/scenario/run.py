@@ -31,6 +31,7 @@ from smfe.campaign.machine import MACHINE
 from smfe.campaign.toml import table
 from smfe.progress import Progress, silent
 from smfe.records import Channel, record_columns, write_record_csv, write_record_netcdf
+from smfe.results import Failure, Failures
 from smfe.scenario.jobs import Entry, Job
 from smfe.scenario.scenario import Scenario
 
@@ -52,6 +53,14 @@ _LEAST_DAMPING = 1e-3
 """Damping ratio below which the true compliance is not sampled more finely."""
 
 
+CONDITION = "condition"
+"""What a failure calls a condition that cannot be simulated."""
+
+
+class NothingLeft(InputError):
+    """No condition of a scenario can be simulated."""
+
+
 def standing_axes(scenario: Scenario) -> list[str]:
     """Return a sentence for each sweep or cut that pushes an axis which stands still on friction that is not viscous.
 
@@ -65,7 +74,8 @@ def standing_axes(scenario: Scenario) -> list[str]:
         if entry.method not in ("sweep", "cut"):
             continue
         feeds = machine.feeds(entry.running.feed)
-        sliding = [a for a, axis in machine.axes.items() if not isinstance(axis.friction, Viscous)]
+        free = {a: axis for a, axis in machine.axes.items() if a not in entry.held}
+        sliding = [a for a, axis in free.items() if not isinstance(axis.friction, Viscous)]
         standing = [a for a in sliding if feeds[a] == 0.0]
         if standing:
             found.setdefault((entry.trial, "".join(standing)), f"trial[{entry.trial}]: {_standing(standing, feeds)}")
@@ -90,22 +100,56 @@ class Written:
 
 
 def write_records(
-    scenario: Scenario, folder: Path, workers: int | None = None, progress: Progress = silent
+    scenario: Scenario,
+    folder: Path,
+    workers: int | None = None,
+    progress: Progress = silent,
+    failures: Failures | None = None,
 ) -> list[list[Written]]:
     """Simulate the records of a scenario and write them to ``folder/records``; return those of each entry.
 
     Each record has a stream of noise of its own, from the seed of the scenario: the numbers do not depend on `workers`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What is simulated.
+    folder : Path
+        Gets the folder ``records``.
+    workers, progress
+        As of `run_all`.
+    failures : list of Failure, optional
+        Entries that it names are left out, and those of which a record cannot be simulated are added: they have no
+        records in the result. None: the first error is raised.
     """
     (folder / "records").mkdir()
-    jobs = [job for entry in scenario.entries for job in entry.jobs]
+    jobs = [(entry.name, job) for entry in scenario.entries for job in entry.jobs]
     seeds = np.random.SeedSequence(scenario.file.scenario.seed).spawn(len(jobs))
+    out = {failure.name for failure in failures or () if failure.part == CONDITION}
+    wrong: dict[str, str] = {}
 
-    def record(task: tuple[Job, np.random.SeedSequence]) -> Written:
-        return _write_record(*task, folder / "records")
+    def record(task: tuple[str, Job, np.random.SeedSequence]) -> Written | None:
+        name, job, seed = task
+        try:
+            return _write_record(job, seed, folder / "records")
+        except InputError as error:
+            if failures is None:
+                raise
+            wrong.setdefault(name, str(error))
+            return None
 
-    tasks = list(zip(jobs, seeds, strict=True))
-    written = iter(run_all(record, tasks, workers, progress, lambda task: f"record {task[0].file}"))
-    return [[next(written) for _ in entry.jobs] for entry in scenario.entries]
+    tasks = [(name, job, seed) for (name, job), seed in zip(jobs, seeds, strict=True) if name not in out]
+    written = iter(run_all(record, tasks, workers, progress, lambda task: f"record {task[1].file}"))
+    found = {e.name: [] if e.name in out else [next(written) for _ in e.jobs] for e in scenario.entries}
+    for entry in scenario.entries:
+        if entry.name in wrong:
+            for one in found[entry.name]:
+                if one is not None:
+                    (folder / one.file).unlink()
+            found[entry.name] = []
+            assert failures is not None
+            failures.append(Failure(CONDITION, entry.name, wrong[entry.name]))
+    return [[one for one in found[entry.name] if one is not None] for entry in scenario.entries]
 
 
 def _write_record(job: Job, seed: np.random.SeedSequence, folder: Path) -> Written:
@@ -166,22 +210,26 @@ def campaign_text(scenario: Scenario, records: Sequence[Sequence[Written]], noti
     scenario : Scenario
         What was simulated.
     records : sequence
-        For each entry of the scenario its records.
+        For each entry of the scenario its records; one without any is left out, also of the lobes.
     notices : sequence of str, optional
         What its reader must know; written as comments.
     """
-    used = [_union(record.channels for record in one) for one in records]
-    common = _common(scenario.entries, used)
+    left = [(entry, one) for entry, one in zip(scenario.entries, records, strict=True) if one]
+    used = [_union(record.channels for record in one) for _, one in left]
+    common = _common([entry for entry, _ in left], used)
     head = [f"Simulated from {scenario.path.name}, seed {scenario.file.scenario.seed}.", *notices]
-    parts = ["".join(f"# {line}\n" for line in head)]
+    parts = ["".join("# " + " ".join(line.split()) + "\n" for line in head)]
     parts.append(table("[campaign]", {"name": scenario.file.scenario.name}))
     parts += [table(f"[{name}]", scenario.raw[name]) for name in ("tool", "material") if name in scenario.raw]
     parts.append(table("[channels]", _declared(common)))
     parts += _machine(scenario)
-    for entry, one, columns in zip(scenario.entries, records, used, strict=True):
+    for (entry, one), columns in zip(left, used, strict=True):
         own = {name: channel for name, channel in columns.items() if name not in common}
         parts.append(_cutting_test(entry, one[0].file, own) if entry.method == "cut" else _measurement(entry, one, own))
-    parts += [table("[[lobes]]", lobes) for lobes in scenario.raw.get("lobes", ())]
+    gone = {entry.name for entry in scenario.entries} - {entry.name for entry, _ in left}
+    for lobes in scenario.raw.get("lobes", ()):
+        names = [name for name in lobes["measurements"] if name not in gone]
+        parts += [table("[[lobes]]", {**lobes, "measurements": names})] if names else []
     return "\n".join(parts)
 
 
@@ -237,10 +285,18 @@ def _channels(above: str, own: Columns) -> str:
     return table(f"[{above}.channels]", _declared(own)) if own else ""
 
 
-def truths(scenario: Scenario) -> dict[str, xr.Dataset]:
+def truths(scenario: Scenario, failures: Failures | None = None) -> dict[str, xr.Dataset]:
     """Return the true compliance of the bare machine for each entry of the campaign, for small vibration.
 
     Friction and joints are linearised; sampled servos act continuously, equal up to the second order of their period.
+    A machine that vibrates by itself has none; a record that nothing excites shows just that, and needs none.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What is simulated.
+    failures : list of Failure, optional
+        Collects the entries in which the machine is not stable. None: they are an error.
 
     Raises
     ------
@@ -252,18 +308,25 @@ def truths(scenario: Scenario) -> dict[str, xr.Dataset]:
     known: dict[str, xr.Dataset] = {}
     frequency = _frequencies(scenario.machine)
     for entry in scenario.entries:
-        key = repr(entry.running)
+        key = repr((entry.running, entry.held))
         try:
             if key not in known:
-                known[key] = _true(scenario.machine, entry.running, frequency)
+                known[key] = _true(_braked(scenario.machine, entry.held), entry.running, frequency)
         except InputError as error:
-            wrong[f"trial[{entry.trial}], {entry.name}"] = str(error)
+            if failures is not None and entry.method != "silent":
+                failures.append(Failure(CONDITION, entry.name, str(error)))
+            elif failures is None:
+                wrong[f"trial[{entry.trial}], {entry.name}"] = str(error)
             continue
         out[entry.name] = known[key].assign_attrs(method="truth", truth=_meaning(scenario.machine), **_flat(entry))
     if wrong:
         lines = [f"{name}: {text}" for name, text in wrong.items()]
         raise InputError("\n  ".join([f"{scenario.path.name}: the machine cannot be measured", *lines]))
     return out
+
+
+def _braked(machine: Machine | ModalModel, held: Sequence[str]) -> Machine | ModalModel:
+    return machine.braked(held) if isinstance(machine, Machine) and held else machine
 
 
 def _meaning(machine: Machine | ModalModel) -> str:

@@ -2,33 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, StrictInt, StrictStr, model_validator
 
 from process import units
 from process.errors import InputError
+from process.instruments.actuator import MovingCoil
 from process.instruments.trials import DEFAULT_SAMPLE_RATE
 from process.labels import AXES
 from smfe.campaign import quantities as q
-from smfe.campaign.machine import MachineTable
+from smfe.campaign.machine import MachineMass, MachineTable
 from smfe.campaign.schema import LobesTable, MaterialTable, PassTable, ToolTable
 from smfe.campaign.tables import Delay, PositiveTime, Table, Triple, many, number, triple, values
+from smfe.records.formats.channels import listed
 
 
 def _range(dimension: str, steps: bool) -> BeforeValidator:
     """[from, to] or [from, to, step] -> tuple in SI, rising."""
+    return BeforeValidator(lambda value: _rising(value, dimension, steps))
 
-    def parse(value: Any) -> tuple[float, ...]:
-        wanted = "[from, to, step]" if steps else "[from, to]"
-        if not isinstance(value, list) or len(value) != (3 if steps else 2):
-            raise InputError(f"{value!r} is no range; write {wanted}, each with its unit")
-        numbers = tuple(units.parse(item, dimension) for item in value)
-        if not 0.0 < numbers[0] < numbers[1] or (steps and not 0.0 < numbers[2] <= numbers[1] - numbers[0]):
-            raise InputError(f"{value!r} is no range; write {wanted} with positive, rising values")
-        return numbers
 
-    return BeforeValidator(parse)
+def _rising(value: Any, dimension: str, steps: bool) -> tuple[float, ...]:
+    wanted = "[from, to, step]" if steps else "[from, to]"
+    if not isinstance(value, list) or len(value) != (3 if steps else 2):
+        raise InputError(f"{value!r} is no range; write {wanted}, each with its unit")
+    numbers = tuple(units.parse(item, dimension) for item in value)
+    if not 0.0 < numbers[0] < numbers[1] or (steps and not 0.0 < numbers[2] <= numbers[1] - numbers[0]):
+        raise InputError(f"{value!r} is no range; write {wanted} with positive, rising values")
+    return numbers
+
+
+def _frequencies(value: Any) -> tuple[float, ...]:
+    """[from, to], or [from, to, step] -> tuple in SI, rising."""
+    return _rising(value, "frequency", steps=isinstance(value, list) and len(value) == 3)
 
 
 Axis = q.Axis
@@ -129,6 +137,21 @@ class SensorsTable(Table):
     clock: tuple[ClockTable, ...] = ()
 
 
+class CoilTable(Table):
+    """``[actuator]``: a moving coil on the tool, with dynamics of its own."""
+
+    mass: MachineMass
+    frequency: q.PositiveFrequency
+    damping: q.DampingRatio
+    force_constant: Annotated[float, q.quantity("force_constant", above=0.0)] | None = None
+    bandwidth: q.PositiveFrequency = math.inf
+    housing: q.Mass = 0.0
+
+    def build(self) -> MovingCoil:
+        """Return the actuator."""
+        return MovingCoil(self.mass, self.frequency, self.damping, self.bandwidth, self.housing)
+
+
 # --- trials -------------------------------------------------------------------------------------------------
 
 
@@ -140,6 +163,13 @@ class ControlTable(Table):
     encoder_resolution: Annotated[float, q.quantity("length", low=0.0)] = 0.0
 
 
+def _braked(value: Any) -> Any:
+    """`true` for all axes, or a list of some."""
+    if isinstance(value, bool):
+        return list(AXES) if value else []
+    return many(value)
+
+
 class TrialBase(Table):
     """What all trials have in common; a list makes one record of each combination."""
 
@@ -149,6 +179,7 @@ class TrialBase(Table):
     position: Annotated[tuple[float, ...], values("length")] | None = None
     repeats: Annotated[StrictInt, Field(ge=1, le=1000)] = 1
     control: ControlTable | None = None
+    brakes: Annotated[tuple[Axis, ...], BeforeValidator(_braked)] | None = None
 
 
 class HammerTrial(TrialBase):
@@ -174,13 +205,25 @@ class HammerTrial(TrialBase):
 
 
 class ActuatorTrial(TrialBase):
-    """``method = "actuator"``."""
+    """``method = "actuator"``: a sine in steps, or one that sweeps."""
 
     method: Literal["actuator"]
     directions: Directions = AXES
-    force: Annotated[tuple[float, ...], values("force", above=0.0)]
-    frequencies: Annotated[tuple[float, float, float], _range("frequency", steps=True)]
-    dwell: PositiveTime = 1.5
+    force: Annotated[tuple[float, ...], values("force", above=0.0)] | None = None
+    current: Annotated[tuple[float, ...], values("current", above=0.0)] | None = None
+    frequencies: Annotated[tuple[float, ...], BeforeValidator(_frequencies)]
+    dwell: PositiveTime | None = None
+    sweep_time: PositiveTime | None = None
+
+    @model_validator(mode="after")
+    def _one_sine(self) -> ActuatorTrial:
+        if (self.force is None) == (self.current is None):
+            raise InputError("an actuator trial needs a force, or the current of an [actuator], one of them")
+        if self.sweep_time is None and len(self.frequencies) != 3:
+            raise InputError("a sine in steps needs frequencies = [from, to, step]; one that sweeps, a sweep_time")
+        if self.sweep_time is not None and (len(self.frequencies) != 2 or self.dwell is not None):
+            raise InputError("a sine that sweeps needs frequencies = [from, to], and no dwell")
+        return self
 
 
 class CuttingTrial(TrialBase):
@@ -218,19 +261,45 @@ class CutTrial(CuttingTrial):
 
 
 class DriveTrial(TrialBase):
-    """``method = "drive"``: a sweep of force added to the drive of one axis, or nothing."""
+    """``method = "drive"``: a force added to what the controller of one axis commands, or nothing."""
 
     method: Literal["drive"]
     axis: Axis
-    duration: PositiveTime
+    signal: Annotated[str, q.one_of(("chirp", "prbs", "multisine"), "signal")] = "chirp"
     force: Annotated[tuple[float, ...], values("force", above=0.0)] | None = None
+    duration: PositiveTime | None = None
     frequency_range: q.FrequencyRange | None = None
+    resolution: q.PositiveFrequency | None = None
+    clock: q.PositiveFrequency | None = None
+    bits: Annotated[StrictInt, Field(ge=2, le=20)] | None = None
+    periods: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
 
     @model_validator(mode="after")
-    def _both(self) -> DriveTrial:
-        if (self.force is None) != (self.frequency_range is None):
-            raise InputError("give force and frequency_range, or neither")
+    def _complete(self) -> DriveTrial:
+        """Each signal has keys of its own."""
+        if self.force is None:
+            needed: tuple[str, ...] = ("duration",)
+        else:
+            needed = {
+                "chirp": ("duration", "frequency_range"),
+                "prbs": ("clock", "bits", "periods"),
+                "multisine": ("frequency_range", "resolution", "periods"),
+            }[self.signal]
+        keys = ("duration", "frequency_range", "resolution", "clock", "bits", "periods")
+        missing = [key for key in needed if getattr(self, key) is None]
+        extra = [key for key in keys if key not in needed and getattr(self, key) is not None]
+        if missing or extra:
+            what = f"signal '{self.signal}'" if self.force is not None else "a drive trial without force"
+            wrong = [f"{listed(missing)} missing"] * bool(missing) + [f"{listed(extra)} not read"] * bool(extra)
+            raise InputError(f"{what}: {' and '.join(wrong)}; it has {listed(needed)}")
         return self
+
+    @property
+    def period(self) -> float | None:
+        """Period of the force [s]; None where it has none."""
+        if self.clock is not None and self.bits is not None:
+            return (2.0**self.bits - 1.0) / self.clock
+        return None if self.resolution is None else 1.0 / self.resolution
 
 
 class SilentTrial(TrialBase):
@@ -261,5 +330,6 @@ class ScenarioFile(Table):
     tool: ToolTable | None = None
     material: MaterialTable | None = None
     sensors: SensorsTable = SensorsTable()
+    actuator: CoilTable | None = None
     trial: Annotated[tuple[Annotated[Trial, Field(discriminator="method")], ...], q.NotEmpty]
     lobes: tuple[LobesTable, ...] = ()

@@ -1,5 +1,7 @@
 """Virtual trials: what the instruments record is the machine plus the stated noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.drive.axis import Drive
-from process.drive.servo import Servo
+from process.drive.servo import Servo, tune
 from process.errors import InputError
 from process.friction.laws import Viscous
 from process.instruments.sensors import AntiAlias, Resonance, Sensors, with_added_mass
@@ -16,8 +18,9 @@ from process.labels import axis_present
 from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import two_mass_axes
-from process.simulation.excitation import Chirp, HalfSine, SteppedSine
+from process.simulation.excitation import Chirp, HalfSine, Multisine, PseudoRandom, SteppedSine, all_harmonics
 from process.simulation.milling import MillingCut, Spindle
+from process.simulation.problem import SampledControl
 
 MACHINE = ModalModel([40.0], [0.03], [2e7], [(0.6, 0.8, 0.0)])
 QUIET = Sensors()
@@ -132,3 +135,40 @@ def test_a_machine_of_modes_and_one_of_matrices_make_the_same_cut() -> None:
     for name in ("force", "acceleration"):
         size = np.abs(one[name].values).max()
         np.testing.assert_allclose(two[name].values, one[name].values, atol=0.02 * size)
+
+
+@pytest.mark.parametrize(
+    ("delay", "control", "dead"),
+    [(0.75e-3, None, 0.75e-3), (0.0, SampledControl(0.5e-3, 2), 1e-3), (0.0, None, 0.0)],
+    ids=["dead time", "sampled", "prompt"],
+)
+@pytest.mark.parametrize("binary", [True, False], ids=["prbs", "multisine"])
+def test_the_commanded_force_shows_the_open_loop_with_its_dead_time(
+    delay: float, control: SampledControl | None, dead: float, binary: bool
+) -> None:
+    plain = Drive(23.1, 11.3, 1.68e6, 104.0)
+    axis = FeedAxis(tune(29.0, 34.4, delay=delay), Viscous(168.0))
+    machine, rate, skip = Machine(two_mass_axes({"x": plain}), {"x": axis}), 4000.0, 6
+    sequence = PseudoRandom(5.0, 1000.0, 9, periods=8, start=0.0)
+    tones = Multisine(1.0 / sequence.period, all_harmonics(4, 150), 3.0, periods=8, start=0.0)
+    record = moving_trial(
+        machine,
+        8 * sequence.period,
+        Sensors(),
+        np.random.default_rng(0),
+        {"x": sequence if binary else tones},
+        rate,
+        Running({"x": 500.0 / 6e4}, control=control),
+        commanded=True,
+    )
+    count = round(sequence.period * rate)
+    moved = record["encoder_position"] - record["reference_position"]
+    lines = [np.fft.rfft(v.sel(axis="x").values[skip * count :])[::2] for v in (moved, record["drive_force"])]
+    f = np.arange(lines[0].size) / sequence.period
+    band = (f > 10.0) & (f < 250.0)
+    found = lines[0][band] / lines[1][band]
+    true = replace(plain, sigma=168.0).open_loop(f[band], dead)
+    assert np.abs(found / true - 1.0).max() < 0.01
+    # The phase at 200 Hz knows the dead time to microseconds.
+    late = np.angle(found / replace(plain, sigma=168.0).open_loop(f[band], 0.0)) / (-2.0 * np.pi * f[band])
+    assert np.median(late[f[band] > 100.0]) == pytest.approx(dead, abs=5e-6)

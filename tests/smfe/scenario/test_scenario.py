@@ -1,6 +1,7 @@
 """Scenario to campaign to compliance: what is simulated is found again, and what is wrong is said before."""
 
 import itertools
+import json
 import re
 import sys
 import tomllib
@@ -360,6 +361,92 @@ def test_each_position_has_its_record_and_its_truth(tmp_path: Path) -> None:
     assert float(np.abs(far["compliance"]).max()) > 1.2 * float(np.abs(near["compliance"]).max())
 
 
+CONDITIONS = (
+    AXES.replace('"200000 N s/m", Ti = "30 ms", Kv = "25 1/s"', '"80000 N s/m", Ti = "100 ms", Kv = "10 1/s"')
+    + CUTTING
+    + """
+[[trial]]
+name = "still"
+method = "hammer"
+directions = ["x"]
+hits = 1
+interval = "0.5 s"
+impulse = "1 N s"
+brakes = true
+
+[[trial]]
+method = "hammer"
+directions = ["x"]
+hits = 1
+interval = "0.5 s"
+impulse = "1 N s"
+feed = ["0 mm/min", "40 mm/min", "2000 mm/min"]
+controller = "K1"
+
+[[lobes]]
+measurements = ["hammer_f40", "hammer_f2000"]
+method = "zero_order"
+cut = "down"
+width_of_cut = "40 mm"
+feed_per_tooth = "0.1 mm"
+spindle_speed = ["600 rpm", "1500 rpm"]
+"""
+)
+
+
+def test_what_one_condition_cannot_stand_costs_that_condition_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scenario = write(tmp_path, CONDITIONS)
+    assert command(monkeypatch, "simulate", scenario, "-o", tmp_path / "out", "--json") == 0
+    said = json.loads(capfd.readouterr().out)
+    ((name, reason),) = [(left["name"], left["reason"]) for left in said["left_out"]]
+    assert name == "hammer_f40"
+    assert "uniform motion is unstable" in reason
+    assert "stick-slip" in reason
+    assert said["warnings"] == [f"left out, hammer_f40: {reason}"]
+    text = (tmp_path / "out" / "campaign.toml").read_text()
+    assert f"# left out, hammer_f40: {reason}" in text
+    campaign = load_campaign(tmp_path / "out" / "campaign.toml")
+    assert [m.name for m in campaign.measurements] == ["still", "hammer_f0", "hammer_f2000"]
+    assert [r.measurements for r in campaign.lobes] == [("hammer_f2000",)]
+    # What is left is what it would have been: noise and motion of a record do not depend on the others.
+    stable = CONDITIONS.replace('"40 mm/min"', '"3000 mm/min"').replace("hammer_f40", "hammer_f3000")
+    other = simulate(write(tmp_path, stable), tmp_path / "other", show=lambda text: None).parent
+    for file in ("still_x.csv", "hammer_f0_x.csv", "hammer_f2000_x.csv"):
+        assert (tmp_path / "out" / "records" / file).read_bytes() == (other / "records" / file).read_bytes()
+    # The lobes that are left without a measurement are left out, too.
+    none = CONDITIONS.replace('["hammer_f40", "hammer_f2000"]', '["hammer_f40"]')
+    simulate(write(tmp_path, none), tmp_path / "none", show=lambda text: None)
+    assert load_campaign(tmp_path / "none" / "campaign.toml").lobes == ()
+
+
+def test_nothing_is_written_where_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    still, fed = CONDITIONS.index("[[trial]]"), CONDITIONS.rindex("[[trial]]")
+    text = CONDITIONS[:still] + CONDITIONS[fed : CONDITIONS.index("[[lobes]]")]
+    scenario = write(tmp_path, text.replace('["0 mm/min", "40 mm/min", "2000 mm/min"]', '"40 mm/min"'))
+    assert command(monkeypatch, "simulate", scenario, "-o", tmp_path / "out") == 3
+    assert "failed, condition hammer: uniform motion is unstable" in capfd.readouterr().err
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match="the machine cannot be measured\n  left out, hammer: uniform motion"):
+        simulate(scenario, tmp_path / "out", show=lambda text: None)
+
+
+def test_brakes_hold_the_slides_of_one_trial(tmp_path: Path) -> None:
+    out = simulate(write(tmp_path, CONDITIONS), tmp_path / "out", show=lambda text: None).parent
+    true = read_groups(out / "truth.nc")
+    f = true["still"]["frequency"].values
+    held, rest, moving = (true[n]["compliance"].values[:, 0, 0] for n in ("still", "hammer_f0", "hammer_f2000"))
+    s = 2j * np.pi * f
+    assert np.allclose(held, 1.0 / (300.0 * s**2 + 5000.0 * s + 4e7), rtol=1e-9)  # the tip alone on its spring
+    assert abs(np.abs(held).max() / np.abs(rest).max() - 1.0) < 0.2  # held by friction, which creeps
+    assert np.abs(moving[np.abs(held).argmax()]) < 0.7 * np.abs(held).max()
+    (still, *_) = load_campaign(out / "campaign.toml").measurements
+    assert still.controller == "brakes"
+
+
 TWO_AXES = (
     AXES
     + AXES[AXES.index("[machine.axis.x]") :].replace("axis.x", "axis.y")
@@ -489,6 +576,7 @@ BAD = [
     (("hits = 2", 'controller = "K1"'), "trial[0]: its 'controller' need axes, and the machine has modes alone"),
     (("hits = 2", 'duration = "1 ms"'), "trial[0]: a pulse of 1 ms has 2 samples at 2000 Hz; at least 4 are needed"),
     (("hits = 2", 'peak_force = "1 kN"'), "trial[0]: a hammer trial needs an impulse or a peak_force, one of them"),
+    (("hits = 2", "brakes = true"), "trial[0]: its brakes need axes, and the machine has none; add [machine.axis.x]"),
     (("order = 6", "order = 60"), "sensors: an anti-alias filter of order 60"),
     (("damping = 0.06", "damping = 6.0"), "damping: 6.0 is no damping ratio of a mode; write one above 0 and below 1"),
     (("[1.0, 0.0, 0.01]", "[0, 0, 0]"), "machine: modes[2].direction must not be zero"),
@@ -518,13 +606,26 @@ BAD_AXIS = [
         "trial[0]: must name a controller: axis x has 'K1', 'K2'; add controller = \"K1\"",
     ),
     (('Kv = "50 1/s" }', 'Kv = "50 1/s", delay = "9 ms" }'), "trial[1]: its control has a period and a lag"),
-    (
-        ('Ti = "15 ms", Kv = "50 1/s"', 'Ti = "1 ms", Kv = "900 1/s"'),
-        "trial[0], actuator_f500_K2_20N: uniform motion is unstable",
-    ),
     (('law = "andersson"', 'law = "viscous"'), "machine: axis.x: friction law 'viscous': 'coulomb'"),
-    (('{ x = "2000 mm/min" }', '{ y = "2000 mm/min" }'), "feed of axis y; this machine moves x"),
+    (('{ x = "2000 mm/min" }', '{ y = "2000 mm/min" }'), "trial[0]: feed of axis y; this machine moves x"),
     (('controller = "K1"\n', 'controller = "K1"\nposition = "3 mm"\n'), "trial[1]: gives a position"),
+]
+BAD_AXIS += [
+    (
+        ('force = ["20 N", "40 N"]', 'current = "1 A"'),
+        "trial[0]: a current needs an [actuator] with its force_constant",
+    ),
+    (('force = ["20 N", "40 N"]', ""), "trial[0]: an actuator trial needs a force, or the current of an [actuator]"),
+    (('"60 Hz", "20 Hz"]', '"60 Hz"]'), "trial[0]: a sine in steps needs frequencies = [from, to, step]"),
+    (('dwell = "0.3 s"', 'sweep_time = "8 s"'), "trial[0]: a sine that sweeps needs frequencies = [from, to], and no"),
+    (
+        ('force = "500 N"', 'signal = "prbs"\nforce = "500 N"'),
+        "trial[1]: signal 'prbs': 'clock', 'bits', 'periods' mis",
+    ),
+    (('force = "500 N"', 'signal = "prbz"'), "trial[1].signal: signal 'prbz' is not known (did you mean 'prbs'?)"),
+    (('force = "500 N"\n', ""), "trial[1]: a drive trial without force: 'frequency_range' not read; it has 'duration'"),
+    (('dwell = "0.3 s"', "brakes = true"), "trial[0]: feeds axis 'x', which its brakes hold; leave out the feed or"),
+    (('axis = "x"', 'axis = "x"\nbrakes = ["y"]'), "trial[1]: brakes hold 'y', and the machine moves along 'x'"),
 ]
 SHORT = HEAD + SENSORS + HAMMER.replace("scatter", "hits = 2\nscatter")
 
@@ -590,3 +691,50 @@ def test_an_error_within_a_trial_leaves_an_earlier_result_alone(
         simulate(scenario, tmp_path / "out", workers=1)
     assert {path: path.read_bytes() for path in campaign.parent.rglob("*") if path.is_file()} == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "scenario.toml"]
+
+
+COIL = """
+[actuator]
+mass = "8 kg"
+frequency = "4 Hz"
+damping = 0.5
+force_constant = "20 N/A"
+bandwidth = "400 Hz"
+
+[[trial]]
+method = "actuator"
+directions = ["x"]
+current = "2 A"
+frequencies = ["45 Hz", "75 Hz"]
+sweep_time = "12 s"
+"""
+
+
+def test_a_sine_that_sweeps_from_a_coil_finds_the_bare_machine(tmp_path: Path) -> None:
+    campaign = simulate(write(tmp_path, HEAD + COIL), tmp_path / "out")
+    (measurement,) = load_campaign(campaign).measurements
+    assert measurement.force_level == pytest.approx(40.0)
+    found = smfe.identify(campaign, tmp_path / "frf.nc")["actuator"].compliance["compliance"]
+    found = found.sel(response="x", excitation="x").sel(frequency=slice(50.0, 70.0)).dropna("frequency")
+    true = read_groups(tmp_path / "out" / "truth.nc")["actuator"]["compliance"].sel(response="x", excitation="x")
+    # 2.5 Hz a second through a mode of 59 Hz and 3 %: its neighbourhood bends within the band of an estimate.
+    assert found.sizes["frequency"] > 100
+    assert float(np.abs(found - true.interp(frequency=found["frequency"])).max()) < 0.02 * float(np.abs(true).max())
+
+
+def test_periodic_drive_forces_are_recorded_in_whole_periods_with_feed_and_controller(tmp_path: Path) -> None:
+    prbs = '\n[[trial]]\nmethod = "drive"\naxis = "x"\nname = "prbs"\nsignal = "prbs"\nforce = "500 N"\n'
+    prbs += 'clock = "500 Hz"\nbits = 7\nperiods = 3\nfeed = { x = "1000 mm/min" }\ncontroller = "K1"\n'
+    tones = prbs.replace('clock = "500 Hz"\nbits = 7', 'frequency_range = ["5 Hz", "100 Hz"]\nresolution = "2.5 Hz"')
+    tones = tones.replace('"prbs"', '"multisine"')
+    campaign = load_campaign(simulate(write(tmp_path, AXES + prbs + tones), tmp_path / "out"))
+    for one, period in zip(campaign.measurements, (127 / 500.0, 0.4), strict=True):
+        assert (one.method, one.controller, one.force_level) == ("drive", "K1", 500.0)
+        assert one.feed is not None
+        assert one.feed["x"] == pytest.approx(1.0 / 60.0)
+        (record,) = read_records(one.records[0].files[0], one.records[0].channels)
+        assert record.sizes["time"] == round(3 * period * 1000.0)
+        assert {"encoder_position", "drive_force"} <= set(record)
+        assert "force" not in record
+    with pytest.raises(InputError, match=r"trial .multisine.: its period of 0\.363636 s holds 363\.636 samples"):
+        load_scenario(write(tmp_path, AXES + tones.replace('"2.5 Hz"', '"2.75 Hz"')))
