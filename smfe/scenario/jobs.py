@@ -466,6 +466,8 @@ def _cuts(stand: Stand, trial: schema.CutTrial, chosen: Combination) -> Iterator
             "feed_per_tooth": show(trial.feed_per_tooth, "mm", "length"),
             **{key: chosen.says[key] for key in ("controller", "position", "feed") if key in chosen.says},
         }
+        if running != chosen.running:
+            says["feed"] = _said_feed(running.feed)
         yield Entry(name, "cut", stand.trial, says, running, (Job(name, make, {}),), stand.held)
 
 
