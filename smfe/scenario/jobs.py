@@ -44,6 +44,9 @@ BRAKES = "brakes"
 DWELL = 1.5
 """Time a step of a sine in steps [s], where a trial gives none."""
 
+MOST_STEPS = 10_000
+"""Steps of a sine."""
+
 TAPER = 0.01
 """Share of its time in which a sine that sweeps rises, and falls, as half a cosine."""
 
@@ -378,7 +381,12 @@ def _shaken(stand: Stand, trial: schema.ActuatorTrial, axis: str, amplitude: flo
     """Return the record of a sine in steps, or of one that sweeps."""
     low, high, *step = trial.frequencies
     if trial.sweep_time is None:
-        steps = low + step[0] * np.arange(int((high - low) / step[0] * (1.0 + 1e-9)) + 1)
+        count = int((high - low) / step[0] * (1.0 + 1e-9)) + 1
+        if count > MOST_STEPS:
+            raise InputError(
+                f"{count} steps of {step[0]:g} Hz; give a wider step, of which at most {MOST_STEPS} fit in"
+            )
+        steps = low + step[0] * np.arange(count)
         return partial(actuator_trial, stand.loaded, axis, steps, amplitude, dwell=trial.dwell or DWELL, **common)
     sweep = Chirp(low, high, amplitude, trial.sweep_time, TAPER * trial.sweep_time, start=0.0)
     return partial(shaker_trial, stand.loaded, axis, sweep, trial.sweep_time + DECAY, **common)

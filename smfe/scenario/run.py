@@ -306,7 +306,7 @@ def truths(scenario: Scenario, failures: Failures | None = None) -> dict[str, xr
     out: dict[str, xr.Dataset] = {}
     wrong: dict[str, str] = {}
     known: dict[str, xr.Dataset] = {}
-    frequency = _frequencies(scenario.machine)
+    frequency = _frequencies([_braked(scenario.machine, held) for held in {(): None, **_brakes(scenario)}])
     for entry in scenario.entries:
         key = repr((entry.running, entry.held))
         try:
@@ -368,14 +368,17 @@ def _continuous(machine: Machine, control: SampledControl) -> Machine:
     return replace(machine, axes={n: slower(a) if a.servo is not None else a for n, a in machine.axes.items()})
 
 
-def _frequencies(machine: Machine | ModalModel) -> Any:
-    """Return 1 Hz to three times the last mode, ten lines in the narrowest half-power band."""
-    if isinstance(machine, ModalModel):
-        frequency, damping = machine.frequency, machine.damping
-    else:
-        frequency, damping = _elastic_modes(machine)
-    step = min(_TRUE_STEP, float(np.min(2.0 * damping * frequency)) / 10.0)
-    return np.arange(1.0, max(3.0 * float(frequency.max()), _LEAST_BAND), step)
+def _brakes(scenario: Scenario) -> dict[tuple[str, ...], None]:
+    """Return which axes brakes hold in one condition or another."""
+    return dict.fromkeys(entry.held for entry in scenario.entries)
+
+
+def _frequencies(machines: Iterable[Machine | ModalModel]) -> Any:
+    """Return 1 Hz to three times the last mode, ten lines in the narrowest half-power band of all machines."""
+    modes = [(m.frequency, m.damping) if isinstance(m, ModalModel) else _elastic_modes(m) for m in machines]
+    step = min(_TRUE_STEP, *(float(np.min(2.0 * zeta * f, initial=np.inf)) / 10.0 for f, zeta in modes))
+    last = max(float(f.max(initial=0.0)) for f, _ in modes)
+    return np.arange(1.0, max(3.0 * last, _LEAST_BAND), step)
 
 
 def _elastic_modes(machine: Machine) -> tuple[Any, Any]:

@@ -100,7 +100,7 @@ def _methods(raw: Mapping[str, Any]) -> Iterator[Complaint]:
     trials = raw.get("trial")
     for i, trial in enumerate(trials if isinstance(trials, list) else []):
         method = trial.get("method") if isinstance(trial, dict) else None
-        if method is not None and method not in schema.TRIALS:
+        if method is not None and not (isinstance(method, str) and method in schema.TRIALS):
             near = did_you_mean(str(method), schema.TRIALS)
             yield ("trial", i, "method"), f"method {method!r} is not known{near}; available: {', '.join(schema.TRIALS)}"
 

@@ -434,6 +434,29 @@ def test_nothing_is_written_where_nothing_is_left(
         simulate(scenario, tmp_path / "out", show=lambda text: None)
 
 
+def test_a_machine_that_vibrates_by_itself_is_recorded_in_silence(tmp_path: Path) -> None:
+    text = CONDITIONS[: CONDITIONS.index("[[trial]]")]
+    text += '[[trial]]\nmethod = "silent"\nduration = "2 s"\nfeed = "40 mm/min"\ncontroller = "K1"\n'
+    campaign = simulate(write(tmp_path, text), tmp_path / "out")
+    (measurement,) = load_campaign(campaign).measurements
+    (record,) = read_records(measurement.records[0].files[0], measurement.channels)
+    assert record.sizes["time"] == 2000
+    assert read_groups(tmp_path / "out" / "truth.nc") == {}
+
+
+def test_a_record_that_cannot_be_simulated_is_left_out_alone(tmp_path: Path) -> None:
+    # A hit of 200 kN s throws the tool out of the range of 1 m.
+    text = CONDITIONS.replace('impulse = "1 N s"\nbrakes', 'impulse = ["1 N s", "200000 N s"]\nbrakes')
+    notices: list[str] = []
+    campaign = simulate(write(tmp_path, text), tmp_path / "out", show=notices.append)
+    names = [m.name for m in load_campaign(campaign).measurements]
+    assert names == ["still_1Ns", "hammer_f0", "hammer_f2000"]
+    assert any(
+        n.startswith("left out, still_200000Ns: record 'still_200000Ns_x': the tool left the range") for n in notices
+    )
+    assert sorted(read_groups(tmp_path / "out" / "truth.nc")) == sorted(names)
+
+
 def test_brakes_hold_the_slides_of_one_trial(tmp_path: Path) -> None:
     out = simulate(write(tmp_path, CONDITIONS), tmp_path / "out", show=lambda text: None).parent
     true = read_groups(out / "truth.nc")
@@ -572,6 +595,7 @@ BAD = [
         "trial[0].method: method 'hamer' is not known (did you mean 'hammer'?)",
     ),
     (('method = "hammer"', ""), "trial[0].method: is missing"),
+    (('method = "hammer"', "method = []"), "trial[0].method: method [] is not known; available: hammer"),
     (("hits = 2", 'directions = ["u"]'), "trial[0].directions[0]: axis 'u' is not known"),
     (("hits = 2", 'controller = "K1"'), "trial[0]: its 'controller' need axes, and the machine has modes alone"),
     (("hits = 2", 'duration = "1 ms"'), "trial[0]: a pulse of 1 ms has 2 samples at 2000 Hz; at least 4 are needed"),
@@ -624,6 +648,7 @@ BAD_AXIS += [
     ),
     (('force = "500 N"', 'signal = "prbz"'), "trial[1].signal: signal 'prbz' is not known (did you mean 'prbs'?)"),
     (('force = "500 N"\n', ""), "trial[1]: a drive trial without force: 'frequency_range' not read; it has 'duration'"),
+    (('"20 Hz"]\ndwell', '"0.001 Hz"]\ndwell'), "trial[0]: 40001 steps of 0.001 Hz; give a wider step"),
     (('dwell = "0.3 s"', "brakes = true"), "trial[0]: feeds axis 'x', which its brakes hold; leave out the feed or"),
     (('axis = "x"', 'axis = "x"\nbrakes = ["y"]'), "trial[1]: brakes hold 'y', and the machine moves along 'x'"),
 ]
