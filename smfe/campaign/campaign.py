@@ -169,9 +169,12 @@ class Processing:
     frame_mass : float, optional
         Between force sensor and tool, taken off [kg] (actuator).
     period : float, optional
-        Of a force or setpoint that repeats itself [s] (actuator, loop). None: a stepped sine; found (loop).
+        Of a force or setpoint that repeats itself [s] (actuator, loop, open_loop). None: a stepped sine; found
+        (loop, open_loop).
     settling : float, optional
-        Dropped at the beginning of each step, or of a periodic record [s] (actuator, loop).
+        Dropped at the beginning of each step, or of a periodic record [s] (actuator, loop, open_loop).
+    hold : float, optional
+        Time for which a value of the recorded drive force acts unchanged [s] (open_loop). None: it is measured.
     averages : int, optional
         Independent averages behind a response and its coherence (frf).
     conjugate : bool, optional
@@ -190,6 +193,7 @@ class Processing:
     frame_mass: float | None = None
     period: float | None = None
     settling: float | None = None
+    hold: float | None = None
     averages: int | None = None
     conjugate: bool | None = None
     moving_mass: tuple[float, str] | None = None
@@ -204,7 +208,7 @@ class Measurement(Conditions, Processing):
     name : str
         Unique among measurements and models.
     method : str
-        "hammer", "actuator", "sweep", "frf", "drive", "loop" or "silent".
+        "hammer", "actuator", "sweep", "frf", "drive", "open_loop", "loop" or "silent".
     records : tuple of RecordEntry
         At least one.
     channels : mapping of str to Channel
@@ -843,8 +847,8 @@ def _for_method(method: str, base: Declared) -> Declared:
 
     Other records have no spindle channels, and none of the records that nothing excites has a force.
     """
-    spindle = RECORD_SCALARS if method in ("hammer", "actuator", "drive", "loop", "silent") else ()
-    quiet = method in ("drive", "loop", "silent")
+    spindle = RECORD_SCALARS if method in ("hammer", "actuator", "drive", "open_loop", "loop", "silent") else ()
+    quiet = method in ("drive", "open_loop", "loop", "silent")
     return {n: entry for n, entry in base.items() if n not in spindle and not (quiet and n.startswith("force_"))}
 
 

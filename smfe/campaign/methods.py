@@ -63,6 +63,7 @@ METHODS = {
     ),
     "frf": MeasuringMethod("compliance from a file", ("averages", "conjugate"), ("excitation", "response")),
     "drive": MeasuringMethod("axis in motion", ("moving_mass",), compliance=False),
+    "open_loop": MeasuringMethod("force added to a drive", ("period", "settling", "hold"), compliance=False),
     "loop": MeasuringMethod("excited setpoint of a control", ("period", "settling"), compliance=False),
     "silent": MeasuringMethod("machine at rest", compliance=False),
 }  # fmt: skip

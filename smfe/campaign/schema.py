@@ -159,6 +159,7 @@ class ProcessingTable(ConditionsTable):
     frame_mass: PositiveMass | None = None
     period: PositiveTime | None = None
     settling: q.NoTime | None = None
+    hold: q.NoTime | None = None
     averages: Annotated[StrictInt, Field(ge=1)] | None = None
     conjugate: StrictBool | None = None
     moving_mass: q.Inertia | None = None

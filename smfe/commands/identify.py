@@ -16,7 +16,17 @@ from smfe.campaign import Campaign, Measurement, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.identification.compliances import labelled
-from smfe.identification.drive.drives import DRIVE_FILE, LOOP_FILE, drives_of, loops_of, write_drives, write_loops
+from smfe.identification.drive.drives import (
+    DRIVE_FILE,
+    LOOP_FILE,
+    OPEN_LOOP_FILE,
+    drives_of,
+    loops_of,
+    open_loops_of,
+    write_drives,
+    write_loops,
+    write_open_loops,
+)
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import belongs, condition_cubes, level_cubes, with_levels
 from smfe.identification.measurement import (
@@ -81,8 +91,8 @@ def identify(
 
     Of a campaign the compliances go to one NetCDF file. A sweep at several depths of cut is identified at each of them,
     too. As after `run`, `conditions.nc` beside the file holds what was measured at several levels or feeds,
-    ``loops.nc`` the responses of drive loops and ``drives.csv`` the inertia and friction of drives, which are no
-    compliances; where the campaign has none, such a file of an earlier run is taken away.
+    ``loops.nc`` and ``open_loops.nc`` the responses of drives and ``drives.csv`` their inertia, friction and open loop,
+    which are no compliances; where the campaign has none, such a file of an earlier run is taken away.
 
     Parameters
     ----------
@@ -160,7 +170,7 @@ def _of_campaign(
     failures: Failures | None,
 ) -> dict[str, Identification]:
     path = None if output is None else Path(output)
-    if path is not None and path.name in (CONDITIONS, LOOP_FILE, DRIVE_FILE):
+    if path is not None and path.name in (CONDITIONS, LOOP_FILE, OPEN_LOOP_FILE, DRIVE_FILE):
         raise InputError(f"{path.name} is what another file beside the compliances is called; write to frf.nc")
     loaded = load_campaign(campaign, licence)
     if path is None:
@@ -168,13 +178,15 @@ def _of_campaign(
         return found
     check_target(path)
     found, levels = identify_all(loaded, path.parent / KEPT, part(progress, 0.0, 0.9), failures)
-    loops, drives = loops_of(loaded, failures), drives_of(loaded, failures, part(progress, 0.9, 1.0))
+    loops, open_loops = loops_of(loaded, failures), open_loops_of(loaded, failures)
+    drives = drives_of(loaded, failures, part(progress, 0.9, 1.0))
     compliances = labelled(with_levels(loaded), found)
     cubes, _ = conditions_of(loaded, compliances, levels, path.parent / KEPT, failures)
-    require_something([*found, *loops, *drives], failures)
+    require_something([*found, *loops, *open_loops, *drives], failures)
     write_groups(path, with_warnings(compliances, found), pack(failures or ()))
     write_loops(path.with_name(LOOP_FILE), loops)
-    write_drives(path.with_name(DRIVE_FILE), drives)
+    write_open_loops(path.with_name(OPEN_LOOP_FILE), open_loops)
+    write_drives(path.with_name(DRIVE_FILE), drives, None, open_loops)
     write_conditions(path.with_name(CONDITIONS), cubes)
     return found
 
@@ -231,6 +243,8 @@ def left_out(measurement: Measurement) -> str:
         return f"{measurement.name}: a loop gives no compliance; its response stands in {LOOP_FILE}"
     if measurement.method == "drive":
         return f"{measurement.name}: a drive gives no compliance; its inertia and friction stand in {DRIVE_FILE}"
+    if measurement.method == "open_loop":
+        return f"{measurement.name}: an open loop gives no compliance of the tool; it stands in {DRIVE_FILE}"
     return f"{measurement.name}: method '{measurement.method}' gives no compliance; only a diagnosis reads it"
 
 

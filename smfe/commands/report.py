@@ -10,7 +10,7 @@ from smfe.progress import Progress, silent
 SHOWN = (
     *("frf.nc", "lobes.nc", "conditions.nc", "loops.nc", "spectra.nc", "chatter.csv", "drives.csv", "comparison.csv"),
     *("explained.csv", "model_error.csv", "lobe_table.csv", "pockets.csv", "presets.json", "finding.json"),
-    "provenance.json",
+    *("open_loops.nc", "provenance.json"),
 )
 """Files of results that a report shows; one of them is enough."""
 

@@ -37,11 +37,14 @@ from smfe.identification.compliances import labelled
 from smfe.identification.drive.drives import (
     DRIVE_FILE,
     LOOP_FILE,
+    OPEN_LOOP_FILE,
     drives_of,
     loops_of,
     notes_of,
+    open_loops_of,
     write_drives,
     write_loops,
+    write_open_loops,
 )
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
@@ -154,7 +157,7 @@ def run(
         notes.check = suspect_rows(checked.suspects)
     with notes.timed("identify"):
         found, levels = identify_all(loaded, folder / KEPT, of["identify"], failures)
-        loops = loops_of(loaded, failures)
+        loops, open_loops = loops_of(loaded, failures), open_loops_of(loaded, failures)
         drives = drives_of(loaded, failures, part(of["identify"], 0.9, 1.0))
     whole = with_levels(loaded)
     compliances = labelled(whole, found)
@@ -179,8 +182,10 @@ def run(
             happened = {r["file"]: str(r.get("observed") or r["verdict"]) for r in verdicts.rows}
             finding = finding_of(loaded, found, checked.suspects, of["diagnosis"], folder / KEPT, happened)
     gone = {f.name for f in failures if f.part == MEASUREMENT}
-    notes.warnings += [left_out(m) for m in loaded.measurements if m.name not in {*found, *loops, *drives, *gone}]
+    told = {*found, *loops, *open_loops, *drives, *gone}
+    notes.warnings += [left_out(m) for m in loaded.measurements if m.name not in told]
     notes.warnings += [f"{name}: {note}" for name, loop in loops.items() for note in loop.notes]
+    notes.warnings += [f"{name}: {note}" for name, one in open_loops.items() for note in one.notes]
     notes.warnings += notes_of(drives)
     notes.warnings += _warnings(found, results, verdicts)
     if results and not loaded.coefficient_spread:  # a default, or declared to be exact: either way it is said
@@ -195,7 +200,8 @@ def run(
     forget_record(folder)
     _write_identifications(folder, compliances, found, failures)
     write_loops(folder / LOOP_FILE, loops, folder / "tables")
-    write_drives(folder / DRIVE_FILE, drives, folder / "tables")
+    write_open_loops(folder / OPEN_LOOP_FILE, open_loops)
+    write_drives(folder / DRIVE_FILE, drives, folder / "tables", open_loops)
     write_conditions(folder / CONDITIONS, cubes)
     write_csv(folder / "comparison.csv", comparison)
     write_csv(folder / "explained.csv", explained)

@@ -29,7 +29,7 @@ from smfe.diagnosis.checks.hammer import hit_suspects
 from smfe.diagnosis.checks.same_data import Seen, same_suspects, seen
 from smfe.diagnosis.checks.suspect import Part, Suspect, fault, note, warning
 from smfe.diagnosis.checks.sweep import sweep_suspects
-from smfe.identification.drive.drives import drive_of, loop_of, notes_of
+from smfe.identification.drive.drives import drive_of, loop_of, notes_of, open_loop_of
 from smfe.identification.drive.loop import summary
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import levels_of, with_levels
@@ -188,6 +188,9 @@ def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> No
         out.suspects += [note("loop_response", name, text, advice) for text in summary(loop)]
         advice = "record several periods, not their average"
         out.suspects += [note("loop_response", name, text, advice) for text in loop.notes]
+    if method == "open_loop":
+        advice = "see drives.csv for the masses, stiffness and dead time, with their intervals"
+        out.suspects += [note("drive", name, text, advice) for text in open_loop_of(measurement).notes]
     if method == "drive":
         out.suspects += _drive_suspects(campaign, measurement)
     if found is not None:

@@ -42,7 +42,7 @@ SECTIONS: dict[str, tuple[str, str, Section]] = {
     "measured": ("Measured", "What was measured, and what the audit says", measured.section),
     "compliances": ("Compliances", "Compliances", compliances.section),
     "loops": ("Drive loops", "Drive loops", loops.section),
-    "drives": ("Drives", "Drives: inertia and friction", drives.section),
+    "drives": ("Drives", "Drives: inertia, friction, open loop", drives.section),
     "comparison": ("Comparison", "Comparison of the measurements", comparison.section),
     "diagnosis": ("Diagnosis", "What the simulation gets wrong", diagnosis.section),
     "files": ("Files", "Files to download, and where they come from", files.section),

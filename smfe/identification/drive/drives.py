@@ -1,6 +1,7 @@
 """The drives and the drive loops of a campaign: identified, written beside the compliances, and put into sentences.
 
-Drives give inertia and friction (``drives.csv``), loops a frequency response (``loops.nc``); neither is a compliance.
+Drives give inertia and friction (``drives.csv``), open loops masses and stiffness beside a response of the carriage
+(``open_loops.nc``), loops a frequency response (``loops.nc``); none is a compliance of the tool.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from process.errors import InputError
 from smfe.campaign import Campaign, Measurement
 from smfe.identification.drive.loop import LoopResponse, identify_loop, summary
 from smfe.identification.drive.motion import KINDS, drives_in, moves
+from smfe.identification.drive.open_loop_runs import OpenLoop, identify_open_loop
 from smfe.identification.drive.parameters import identify_drive
 from smfe.identification.drive.results import DriveFit
 from smfe.identification.measurement import records_of
@@ -26,6 +28,8 @@ from smfe.results import MEASUREMENT, Failures, attempt, pack_warnings, read_gro
 DRIVE_FILE = "drives.csv"
 
 LOOP_FILE = "loops.nc"
+
+OPEN_LOOP_FILE = "open_loops.nc"
 
 COLUMNS = ("measurement", "axis", "parameter", "direction", "value", "std", "low", "high", "unit", "note")
 """Columns of the table; low and high are the 95 % interval, and a value that was not determined is empty."""
@@ -78,23 +82,25 @@ def drive_of(m: Measurement) -> list[DriveFit]:
         raise InputError(text if m.name in text else f"measurement '{m.name}': {text}") from error
 
 
-def as_table(drives: Drives) -> pd.DataFrame:
+def as_table(drives: Drives, open_loops: Mapping[str, OpenLoop] | None = None) -> pd.DataFrame:
     """Return a row a parameter, with the columns `COLUMNS`."""
     rows = []
-    for name, fits in drives.items():
-        for fit in fits:
-            for p in fit.parameters:
-                row = asdict(p) | {"measurement": name, "axis": fit.axis, "parameter": p.name}
-                rows.append({column: row[column] for column in COLUMNS})
+    everything: list[tuple[str, DriveFit | OpenLoop]] = [(name, fit) for name, fits in drives.items() for fit in fits]
+    for name, fit in everything + list((open_loops or {}).items()):
+        for p in fit.parameters:
+            row = asdict(p) | {"measurement": name, "axis": fit.axis, "parameter": p.name}
+            rows.append({column: row[column] for column in COLUMNS})
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def write_drives(path: Path, drives: Drives, tables: Path | None = None) -> None:
+def write_drives(
+    path: Path, drives: Drives, tables: Path | None = None, open_loops: Mapping[str, OpenLoop] | None = None
+) -> None:
     """Write the table, and beside it friction over velocity of each axis; without any drive, take an old file away."""
-    if not drives:
+    if not drives and not open_loops:
         path.unlink(missing_ok=True)
         return
-    write_csv(path, as_table(drives))
+    write_csv(path, as_table(drives, open_loops))
     for name, fits in drives.items() if tables is not None else ():
         for fit in fits:
             units = KINDS[fit.rotary][3]
@@ -134,6 +140,63 @@ def notes_of(drives: Drives) -> list[str]:
             out += [f"{where}: {note}" for note in fit.notes]
             out += [f"{where}: {p.name} {p.note}" for p in fit.parameters if p.name == "inertia" and p.note]
     return out
+
+
+# --- open loops -------------------------------------------------------------------------------------------------------
+
+
+def open_loops_of(campaign: Campaign, failures: Failures | None = None) -> dict[str, OpenLoop]:
+    """Identify every measurement of method "open_loop".
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    failures : list of Failure, optional
+        Collects measurements whose records do not allow it. None: the first one is raised.
+
+    Raises
+    ------
+    InputError
+        With the measurement's name, when its records do not allow it.
+    """
+    out = {}
+    gone = {f.name for f in failures or () if f.part == MEASUREMENT}
+    for m in campaign.measurements:
+        if m.method == "open_loop" and m.name not in gone:
+            with attempt(failures, MEASUREMENT, m.name):
+                out[m.name] = open_loop_of(m)
+    return out
+
+
+def open_loop_of(m: Measurement) -> OpenLoop:
+    """Identify one measurement of method "open_loop"; see `open_loops_of`."""
+    try:
+        records = [record for entry in m.records for record in records_of(entry)]
+        return identify_open_loop(
+            m.name,
+            records,
+            period=m.period,
+            settling=m.settling,
+            frequency_range=m.frequency_range,
+            hold=m.hold or 0.0,
+        )
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if m.name in text else f"measurement '{m.name}': {text}") from error
+
+
+def write_open_loops(path: Path, open_loops: Mapping[str, OpenLoop]) -> None:
+    """Write the responses as groups ``measurement/direction`` of one file; without any, take an old file away."""
+    if not open_loops:
+        path.unlink(missing_ok=True)
+        return
+    groups = {
+        f"{name}/{way}": pack_warnings(data, found.notes)
+        for name, found in open_loops.items()
+        for way, data in found.response.items()
+    }
+    write_groups(path, groups)
 
 
 # --- drive loops ------------------------------------------------------------------------------------------------------

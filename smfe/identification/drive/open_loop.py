@@ -277,7 +277,7 @@ def fit_open_loop(
         Root mean square of the complex error of the response [m/N], that of `open_loop_response`; default in proportion
         to its magnitude, of unknown size.
     start : Drive, optional
-        First guess; default read off the anti-resonance, the resonance and the low-frequency mass line.
+        First guess; default one that is read off the response and one that is scanned, of which the better counts.
     bend : array_like of complex, shape (n, 2), optional
         That of `open_loop_response`.
 
@@ -300,15 +300,14 @@ def fit_open_loop(
     if not np.all((scatter > 0.0) & np.isfinite(scatter)):
         raise InputError("a standard deviation of the response is not a positive number; give that of each line [m/N]")
     weight = None if std is None else 1.0 / scatter
-    first = _first_guess(f, h) if start is None else start
+    relative = np.abs(h) if std is None else scatter
+    guesses = (_by_mobility(f, h), _by_scan(f, h, relative)) if start is None else (start,)
     # Logarithms for what is positive; the other two in units that make them of order one.
-    theta0 = np.array([*np.log([first.moving_mass, first.tip_mass, first.stiffness, first.damping]), 0.0, 0.0])
-    unit = np.array([1.0, 1.0, 1.0, 1.0, 2.0 * np.pi * f.min() * (first.moving_mass + first.tip_mass), 1e-3])
+    unit = np.array([1.0, 1.0, 1.0, 1.0, 2.0 * np.pi * f.min() * (guesses[0].moving_mass + guesses[0].tip_mass), 1e-3])
     bent = np.zeros((f.size, 0)) if bend is None else np.asarray(bend, dtype=np.complex128)
     if bent.shape[0] != f.size:
         raise InputError(f"{f.size} frequencies and a bend of shape {bent.shape}; give that of the response")
     bent = bent / np.maximum(np.sqrt(np.mean(np.abs(bent) ** 2, axis=0)), 1e-300)
-    theta0 = np.concatenate([theta0, np.zeros(bent.shape[1])])
 
     def model(theta: Real) -> tuple[Drive, float]:
         mm, mt, k, c = np.exp(np.clip(theta[:4], -50.0, 50.0))
@@ -321,7 +320,12 @@ def fit_open_loop(
         r = np.log(x / h) if weight is None else (x - h) * weight
         return np.concatenate([r.real, r.imag])
 
-    found = optimize.least_squares(residual, theta0, x_scale="jac", max_nfev=500, ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    def solve(first: Drive) -> optimize.OptimizeResult:
+        theta0 = np.log([first.moving_mass, first.tip_mass, first.stiffness, first.damping])
+        theta0 = np.concatenate([theta0, np.zeros(2 + bent.shape[1])])
+        return optimize.least_squares(residual, theta0, x_scale="jac", max_nfev=500, ftol=1e-14, xtol=1e-14, gtol=1e-14)
+
+    found = min((solve(first) for first in guesses), key=lambda one: (not one.success, one.cost))
     if not found.success:
         raise InputError("the fit of Eq. (2) did not converge; check the band, or give a start")
     drive, delay = model(found.x)
@@ -361,17 +365,50 @@ def _with_uncertainty(drive: Drive, delay: float, jacobian: Real, residual: Real
     # d parameter/d theta: a logarithm's is the parameter itself. A direction that changes nothing is uncertain without
     # end, which a pseudo-inverse would call certain.
     norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-100)
-    _, values, right = np.linalg.svd(jacobian / norm, full_matrices=False)
+    left, values, right = np.linalg.svd(jacobian / norm, full_matrices=False)
     root = (right.T / np.maximum(values, 1e-15 * values[0]) / norm[:, None])[: len(PARAMETERS)]
     scale = np.array([drive.moving_mass, drive.tip_mass, drive.stiffness, drive.damping, *unit[4:]])
+    # Weights are estimates, and wrong where noise changes within a few lines: what each line leaves counts where it is
+    # more (MacKinnon and White 1985, HC3).
+    score = left * (residual / np.maximum(1.0 - np.sum(left**2, axis=1), 0.1))[:, None]
+    score = score.reshape(2, -1, score.shape[1]).sum(axis=0)
     with np.errstate(over="ignore", invalid="ignore"):
-        covariance = np.asarray(variance * (root @ root.T) * np.outer(scale, scale), dtype=float)
+        alike = variance * (root @ root.T)
+        robust = root @ (score.T @ score) @ root.T
+        more = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(alike), 1e-300), 1.0))
+        covariance = np.asarray(alike * np.outer(more * scale, more * scale), dtype=float)
     std = dict(zip(PARAMETERS, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     misfit = math.sqrt(2.0 * float(residual @ residual) / residual.size)
     return OpenLoopFit(drive, delay, std, covariance, misfit)
 
 
-def _first_guess(f: Real, h: Complex) -> Drive:
+def _by_scan(f: Real, h: Complex, std: Real) -> Drive:
+    """Try anti-resonances and dead times: for each, masses and friction slope are linear in ``1/H`` (z = 2 %).
+
+    ``exp(-s tau)/H = m_m s^2 + m_t s^2 (1 + 2 z s/w_t)/(1 + 2 z s/w_t + (s/w_t)^2) + sigma s``
+    """
+    s = 2j * np.pi * f
+    # A line counts by its relative error, none of them for more than a twentieth would say.
+    weight = np.abs(h) / np.maximum(std / np.abs(h), RULES.guess_error)
+    best, least = _by_mobility(f, h), math.inf
+    for delay in RULES.guess_delays:
+        y = weight * np.exp(-s * delay) / h
+        for at in np.geomspace(f[0], f[-1], math.ceil(math.log(f[-1] / f[0]) / 0.02) + 1):
+            x = s / (2.0 * np.pi * at)
+            tip = s**2 * (1.0 + 0.04 * x) / (1.0 + 0.04 * x + x**2)
+            columns = weight[:, None] * np.column_stack([s**2, tip, s])
+            columns, right = np.vstack([columns.real, columns.imag]), np.concatenate([y.real, y.imag])
+            scale = np.linalg.norm(columns, axis=0)
+            value, *_ = np.linalg.lstsq(columns / scale, right, rcond=None)
+            left = float(np.sum((right - columns / scale @ value) ** 2))
+            mm, mt = (float(v) for v in (value / scale)[:2])
+            if left < least and mm > 0.0 and mt > 0.0:
+                stiffness = mt * (2.0 * np.pi * at) ** 2
+                best, least = Drive(mm, mt, stiffness, 0.04 * math.sqrt(stiffness * mt)), left
+    return best
+
+
+def _by_mobility(f: Real, h: Complex) -> Drive:
     """Read ``|w^2 H|``: 1/(m_m + m_t) at low frequency, its least at f_t, its greatest at f_t sqrt(1 + m_t/m_m)."""
     mobility = np.abs(h) * (2.0 * np.pi * f) ** 2
     low = int(np.argmin(mobility[: max(3, int(np.argmax(mobility)))]))

@@ -81,6 +81,27 @@ class DriveRules:
     unfiltered: float = 0.4
     """Highest frequency of that velocity, of the sampling rate."""
 
+    distorted: float = 1.5
+    """Misfit over noise from which the distortion between neighbouring lines counts as well."""
+
+    changed: float = 0.3
+    """Correlation of the changes of a force with themselves below which it has changed."""
+
+    repeats: float = 0.3
+    """Correlation of the changes of a force from which it repeats itself: noise of four times their power."""
+
+    nearly: float = 0.85
+    """Correlation, of the greatest, from which a lag may be the period: later ones are its multiples."""
+
+    widths: tuple[int, ...] = (1, 4, 16)
+    """Samples over which changes of a force are taken to find its period, one after the other."""
+
+    guess_error: float = 0.05
+    """Relative error of a line that a first guess takes for exact."""
+
+    guess_delays: tuple[float, ...] = (0.0, 0.3e-3, 0.8e-3, 1.6e-3)
+    """Dead times that a first guess tries [s]."""
+
     stopped: float = 0.01
     """Share of the time at a velocity near zero from which an axis counts as stopped."""
 

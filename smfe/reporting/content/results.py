@@ -212,6 +212,7 @@ class Results:
     depths: pd.DataFrame | None = None
     ranking: pd.DataFrame | None = None
     differences: pd.DataFrame | None = None
+    open_loops: Mapping[str, xr.Dataset] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -231,6 +232,7 @@ class Results:
             self.provenance,
             self.conditions,
             self.loops,
+            self.open_loops,
         )
         return bool(self.finding) and not any(others) and all(frame is None for frame in frames)
 
@@ -305,6 +307,7 @@ def read_results(folder: Path) -> Results:
         _read_csv(folder / "depth_table.csv", ("lobes", "source", "spindle_speed_rpm")),
         _read_csv(folder / "ranking.csv", ("method", "controller", "spindle_speed_rpm", "tests", "right")),
         _read_csv(folder / "ranking_differences.csv", ("method_a", "method_b", "controller", "tests", "significant")),
+        _read_open_loops(folder / "open_loops.nc"),
     )
 
 
@@ -373,6 +376,15 @@ def _read_conditions(path: Path) -> dict[str, xr.Dataset]:
         further = [str(d) for d in dims if d not in ("frequency", "response", "excitation")]
         if not further or any(d not in UNITS for d in further):
             raise InputError(f"{path}, group '{name}' has no compliance over a force level or feed; write it again")
+    return groups
+
+
+def _read_open_loops(path: Path) -> dict[str, xr.Dataset]:
+    """Read open_loops.nc: measurement and direction -> response of the carriage to the drive force."""
+    groups = _groups(path)
+    for name, dataset in groups.items():
+        over = ("frequency",)
+        _require(path, name, dataset, {"open_loop": over, "open_loop_std": over, "open_loop_fitted": over})
     return groups
 
 

@@ -96,6 +96,9 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         out[f"loop_{position}.png"] = partial(draw_loop, dataset)
     for position, frame in enumerate(figure_data.frictions(results.tables).values(), 1):
         out[f"drive_{position}.png"] = partial(draw_drive, frame)
+    for position, (name, curves) in enumerate(figure_data.open_loops(results.open_loops).items(), 1):
+        marks = figure_data.open_loop_marks(results.open_loops, name)
+        out[f"open_loop_{position}.png"] = partial(draw_open_loop, curves, marks)
     if any(figure_data.quality_panels(shown)[1:]):
         out["condition.png"] = partial(draw_quality, shown, looks)
     if results.spectra:
@@ -121,6 +124,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
         "conditions_*.png",
         "drive_*.png",
         "loop_*.png",
+        "open_loop_*.png",
         "compliance.png",
         "condition.png",
         "spectra.png",
@@ -521,6 +525,38 @@ def draw_drive(frame: pd.DataFrame) -> Figure:
     axes.set(xlabel=velocity, ylabel=force)
     axes.legend(frameon=False, fontsize=9)
     axes.grid(True, color="#dddddd", linewidth=0.5)
+    return picture
+
+
+def draw_open_loop(curves: Sequence[figure_data.OpenLoopCurve], marks: Mapping[str, float]) -> Figure:
+    """Draw an open loop: magnitude and phase, measured with its 95 % band, and Eq. (2)."""
+    picture = Figure(figsize=(6.0, 4.8), dpi=150, layout="constrained")
+    upper, lower = picture.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    for c in curves:
+        size = np.abs(c.measured)
+        low = np.maximum(size - c.half, 1e-3 * size)
+        upper.fill_between(c.frequency, low, size + c.half, color=c.colour, alpha=0.25, linewidth=0.0)
+        upper.loglog(c.frequency, size, ".", color=c.colour, markersize=2.5, label=f"{c.name}, measured")
+        upper.loglog(c.frequency, np.abs(c.fitted), color="#222222", linewidth=1.0, label=f"{c.name}, Eq. (2)")
+        lower.semilogx(c.frequency, figure_data.falling_phase(c.measured), ".", color=c.colour, markersize=2.5)
+        lower.semilogx(c.frequency, figure_data.falling_phase(c.fitted), color="#222222", linewidth=1.0)
+    for (name, frequency), side in zip(marks.items(), ("right", "left"), strict=True):
+        for axes in (upper, lower):
+            axes.axvline(frequency, color="#888888", linewidth=0.7, linestyle=":")
+        end = 0.99 if side == "right" else 1.01
+        upper.annotate(
+            f"{name} {frequency:.4g} Hz",
+            (frequency * end, 1.0),
+            xycoords=("data", "axes fraction"),
+            ha=side,
+            va="bottom",
+            fontsize=8,
+        )
+    upper.set_ylabel(figure_data.OPEN_LOOP)
+    upper.legend(frameon=False, fontsize=8)
+    lower.set(ylabel=figure_data.PHASE, xlabel=figure_data.FREQUENCY)
+    for axes in (upper, lower):
+        axes.grid(True, color="#dddddd", linewidth=0.5)
     return picture
 
 

@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -278,6 +279,55 @@ def loop_curves(dataset: xr.Dataset) -> list[tuple[str, str, Any, Any]]:
         gain = 20.0 * np.log10(np.maximum(np.abs(response), 1e-12))
         out.append((f"{number(feed)} mm/min", CURVE_COLOURS[k % 5], gain, np.degrees(np.angle(response))))
     return out
+
+
+OPEN_LOOP = "carriage over drive force [µm/N]"
+
+
+class OpenLoopCurve(NamedTuple):
+    """One direction: name, colour, frequency [Hz], measured and fitted response [µm/N] and half its 95 % interval."""
+
+    name: str
+    colour: str
+    frequency: Any
+    measured: Any
+    fitted: Any
+    half: Any
+
+
+def open_loops(groups: Mapping[str, xr.Dataset]) -> dict[str, list[OpenLoopCurve]]:
+    """Return measurement -> its directions, from groups called ``measurement/direction``."""
+    out: dict[str, list[OpenLoopCurve]] = {}
+    for key, data in groups.items():
+        name, _, way = key.rpartition("/")
+        curves = out.setdefault(name, [])
+        feed = number(abs(float(data.attrs["feed_mm_min"])))
+        # The standard deviation is that of the complex error; along the response acts a part smaller by a root of two.
+        half = 1e6 * 1.96 / math.sqrt(2.0) * data["open_loop_std"].values
+        measured, fitted = (1e6 * data[n].values for n in ("open_loop", "open_loop_fitted"))
+        curves.append(
+            OpenLoopCurve(
+                f"{way}, {feed} mm/min",
+                CURVE_COLOURS[len(curves) % 5],
+                data["frequency"].values,
+                measured,
+                fitted,
+                half,
+            )
+        )
+    return out
+
+
+def falling_phase(response: Complex) -> Real:
+    """Return the phase [deg] between -360 and 0: that of a mass with dead time falls below -180."""
+    phase = np.degrees(np.angle(response))
+    return np.asarray(np.where(phase > 90.0, phase - 360.0, phase))
+
+
+def open_loop_marks(groups: Mapping[str, xr.Dataset], name: str) -> dict[str, float]:
+    """Return the anti-resonance and the resonance [Hz] of the first direction of a measurement."""
+    first = next(data for key, data in groups.items() if key.rpartition("/")[0] == name)
+    return {word: float(first.attrs[f"{word.replace('-', '_')}_Hz"]) for word in ("anti-resonance", "resonance")}
 
 
 # --- diagnosis -------------------------------------------------------------------------------------------------------

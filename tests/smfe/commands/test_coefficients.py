@@ -19,7 +19,7 @@ from process.labels import make_record
 from smfe.cli import app
 from smfe.commands.coefficients import CUTTING, EDGE, Coefficients, average_force, mean_force_design
 from smfe.diagnosis.cutting.orders import SteadyCut, rigid_orders
-from smfe.records import write_record_netcdf
+from smfe.records import read_records, write_record_netcdf
 
 TRUE = {"Ktc": 1.8e9, "Krc": 7e8, "Kac": 2e8, "Kte": 30e3, "Kre": 40e3, "Kae": 5e3}
 TOOL = Tool(0.05, 4, approach_angle=math.radians(70.0))
@@ -154,3 +154,74 @@ def test_records_in_memory_give_what_the_campaign_gives(slots: Path, fits: list[
     del records[0].attrs["depth_of_cut_mm"]
     with pytest.raises(InputError, match="depth_of_cut is missing"):
         smfe.coefficients(records, tool=TOOL)
+
+
+def test_air_before_and_after_the_cut_and_the_zero_of_the_dynamometer_change_nothing(slots: Path) -> None:
+    """A second of air at both ends takes a third off the mean, and 20 N of zero would be edge forces."""
+    rng = np.random.default_rng(3)
+    plain, padded = CAMPAIGN, CAMPAIGN
+    offset = np.array([20.0, -10.0, 5.0])
+    for k, feed in enumerate(FEEDS):
+        record = read_records(slots / f"{k}.nc", {})[0]
+        dt = float(record["time"].values[1] - record["time"].values[0])
+        force = record["force"].sel(axis=["x", "y", "z"]).transpose("axis", "time").values
+        air = rng.standard_normal((2, 3, round(1.0 / dt)))
+        whole = np.hstack([air[0], force, air[1]]) + offset[:, None]
+        data = {"force": dict(zip("xyz", whole, strict=True))}
+        write_record_netcdf(make_record(dt * np.arange(whole.shape[1]), data), slots / f"air_{k}.nc")
+        rest = 'spindle_speed = "1500 rpm"\ndepth_of_cut = "1 mm"\ncut = "down"\nwidth_of_cut = "50.8 mm"\n'
+        rest += f'feed_per_tooth = "{1e3 * feed.feed_per_tooth:g} mm"\n'
+        plain += f'[[cutting_test]]\nfile = "{k}.nc"\n{rest}'
+        padded += f'[[cutting_test]]\nfile = "air_{k}.nc"\n{rest}'
+    (slots / "plain.toml").write_text(plain)
+    (slots / "padded.toml").write_text(padded)
+    one, other = (smfe.coefficients(slots / name)[0] for name in ("plain.toml", "padded.toml"))
+    for name in (*CUTTING, *EDGE):
+        scale = 780e6 if name in CUTTING else 30e3
+        assert other.values[name] == pytest.approx(one.values[name], abs=0.01 * scale), name
+
+
+BENCH = """
+[scenario]
+name = "slots on the bench"
+seed = 5
+[machine.axis.x]
+moving_mass = "23.1 kg"
+tip_mass = "11.3 kg"
+stiffness = "1.68 N/um"
+damping = "104 N s/m"
+controllers.K3 = { Kp = "10590 N s/m", Ti = "6.4 ms", Kv = "77 1/s" }
+[machine.axis.x.friction]
+law = "andersson"
+coulomb = "44.2 N"
+static = "84 N"
+stribeck_speed = "387.4 mm/min"
+sigma = "168 N s/m"
+kt = "15000 s/m"
+[tool]
+diameter = "16 mm"
+teeth = 2
+[material]
+Ktc = "780 N/mm^2"
+Krc = "351 N/mm^2"
+[sensors]
+dynamometer = { mass = "4 kg", noise = "2 N" }
+"""
+
+
+@pytest.mark.slow
+def test_the_coefficients_of_the_bench_come_back_from_simulated_slots(tmp_path: Path) -> None:
+    """780 and 351 N/mm^2 of Franco et al. 2024, 2400 rpm, 1 mm, four feeds, in motion under K3; seed 5."""
+    text = BENCH
+    for feed in (0.05, 0.1, 0.15, 0.2):
+        text += f'[[trial]]\nname = "slot_{feed:g}"\nmethod = "cut"\nspindle_speed = "2400 rpm"\n'
+        text += f'depth_of_cut = "1 mm"\nfeed_per_tooth = "{feed:g} mm"\ncut = "down"\nwidth_of_cut = "16 mm"\n'
+        text += 'duration = "1 s"\ncontroller = "K3"\n'
+    (tmp_path / "bench.toml").write_text(text)
+    smfe.simulate(tmp_path / "bench.toml", tmp_path / "campaign")
+    found = smfe.coefficients(tmp_path / "campaign" / "campaign.toml")[0]
+    assert found.method == "average force"
+    for name, true in (("Ktc", 780e6), ("Krc", 351e6), ("Kac", 0.0), ("Kte", 0.0), ("Kre", 0.0), ("Kae", 0.0)):
+        low, high = found.intervals[name]
+        assert low < true < high, name
+    assert found.intervals["Ktc"][1] - found.intervals["Ktc"][0] < 0.03 * 780e6
