@@ -180,8 +180,8 @@ def period_of(force: Real, dt: float) -> int:
         When nothing repeats itself, or not after a whole number of samples.
     """
     nothing = (
-        f"the drive force does not repeat itself within {0.5 * force.size * dt:.4g} s: record two periods or more of a "
-        "binary sequence or a multisine, from its beginning, or give the measurement its period"
+        f"the drive force does not repeat itself within the {force.size * dt:.4g} s of the record: take two periods "
+        "or more of a binary sequence or a multisine, from its beginning, or give the measurement its period"
     )
     # What the servo makes of the steps of the encoder changes from sample to sample, the added force more slowly.
     for width in RULES.widths:
@@ -195,16 +195,16 @@ def period_of(force: Real, dt: float) -> int:
 
 
 def _correlation(u: Real) -> Real:
-    """Return the correlation of a signal (n,) with itself, at lags up to half of it, of the parts that overlap."""
+    """Return the correlation of a signal (n,) with itself, at lags up to two thirds of it, where both overlap."""
     u = u - u.mean()
     n = u.size
     power = float(u @ u)
     if n < 32 or not power > 0.0:
         return np.zeros(2)
     size = fft.next_fast_len(2 * n, real=True)
-    correlation = fft.irfft(np.abs(fft.rfft(u, size)) ** 2, size)[: n // 2 + 1]
+    correlation = fft.irfft(np.abs(fft.rfft(u, size)) ** 2, size)[: 2 * n // 3 + 1]
     energy = np.concatenate([[0.0], np.cumsum(u**2)])
-    lags = np.arange(n // 2 + 1)
+    lags = np.arange(2 * n // 3 + 1)
     overlap = np.sqrt(energy[n - lags] * (energy[n] - energy[lags]))
     return np.asarray(correlation / np.maximum(overlap, 1e-12 * power))
 

@@ -216,7 +216,7 @@ def test_the_coefficients_of_the_bench_come_back_from_simulated_slots(tmp_path: 
     for feed in (0.05, 0.1, 0.15, 0.2):
         text += f'[[trial]]\nname = "slot_{feed:g}"\nmethod = "cut"\nspindle_speed = "2400 rpm"\n'
         text += f'depth_of_cut = "1 mm"\nfeed_per_tooth = "{feed:g} mm"\ncut = "down"\nwidth_of_cut = "16 mm"\n'
-        text += 'duration = "1 s"\ncontroller = "K3"\n'
+        text += 'duration = "1.5 s"\ncontroller = "K3"\n'
     (tmp_path / "bench.toml").write_text(text)
     smfe.simulate(tmp_path / "bench.toml", tmp_path / "campaign")
     found = smfe.coefficients(tmp_path / "campaign" / "campaign.toml")[0]
