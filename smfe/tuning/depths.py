@@ -54,15 +54,16 @@ class Oriented:
         """Return effects of forces on the tool, shape (f, a, 3), as the cut exerts them, (f, a, r)."""
         return np.ascontiguousarray(back[:, :, list(self.directions)] @ self.left)
 
-    def branches(self, matrix: Complex) -> Complex:
-        """Return mu [1/m], shape (c, r, f), each row a branch, of matrices that the cut sees, (c, f, r, r)."""
-        rank = matrix.shape[-1]
-        if rank == 1:
-            return np.ascontiguousarray(matrix[..., 0, 0][:, None])
-        if rank == 2:
-            return _two(matrix)
-        flat = kernels.eigenvalues(matrix.reshape(-1, rank, rank))
-        return np.ascontiguousarray(np.moveaxis(flat.reshape(*matrix.shape[:2], rank), 2, 1))
+
+def branches(matrix: Complex) -> Complex:
+    """Return mu [1/m], shape (c, r, f), each row a branch, of matrices that a cut sees, (c, f, r, r)."""
+    rank = matrix.shape[-1]
+    if rank == 1:
+        return np.ascontiguousarray(matrix[..., 0, 0][:, None])
+    if rank == 2:
+        return _two(matrix)
+    flat = kernels.eigenvalues(np.ascontiguousarray(matrix).reshape(-1, rank, rank))
+    return np.ascontiguousarray(np.moveaxis(flat.reshape(*matrix.shape[:2], rank), 2, 1))
 
 
 def _two(m: Complex) -> Complex:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from process.types import Real
-from smfe.tuning.depths import Oriented, least_depth, limits
+from process.types import Complex, Real
+from smfe.tuning.depths import Oriented, branches, least_depth, limits
 from smfe.tuning.loops import Closed, bandwidth, close, largest_feed_forward, margins, peak_dB
 from smfe.tuning.plants import Plant, grid_of
 from smfe.tuning.rules import RULES
@@ -72,20 +72,34 @@ class Judge:
         self.plants: tuple[Plant, ...] = tuple(task.source.plant(grid, change) for change in task.changes)
         self.oriented = Oriented.of(task.directional, self.plants[0].directions)
 
-    def __call__(self, gains: Real) -> Judged:
-        """Return what gains, shape (c, a, 3), are worth."""
-        closed = [close(plant, self.oriented, gains) for plant in self.plants]
+    def __call__(self, gains: Real, beyond: bool = False) -> Judged:
+        """Return what gains, shape (c, a, 3), are worth; nothing beyond the limits, unless that is asked for."""
+        closed = [self._spared(close(plant, self.oriented, gains), gains) for plant in self.plants]
         forward, first = self._feed_forward(closed, gains), closed[0]
         follows = first.position + forward[..., None] * first.ahead
         error = self.task.move.error(first.frequency, follows, gains[..., 2], forward)
-        values = [self._values(one, gains, forward) for one in closed]
+        values = [self._values(one, forward) for one in closed]
         unstable = np.any([one.unstable > 0 for one in closed], axis=0)
         worst = {
             name: (np.max if name.endswith("peak") else np.min)([v[name] for v in values], axis=0) for name in values[0]
         }
         worst["tracking_error"] = error
-        goals = [np.where(unstable, 0.0, self._goal(one)) for one in closed]
-        return Judged(np.min(goals, axis=0), goals[0], worst, self._missed(worst, unstable), error, forward, unstable)
+        missed = self._missed(worst, unstable)
+        worth = ~unstable if beyond else missed == 0.0
+        goals = np.zeros((len(closed), len(gains)))
+        if worth.any():
+            goals[:, worth] = [self._goal(one.frequency, branches(one.cut[worth])) for one in closed]
+        return Judged(goals.min(axis=0), goals[0], worst, missed, error, forward, unstable)
+
+    def _spared(self, closed: Closed, gains: Real) -> Closed:
+        """Return closed loops that are higher by what is spared."""
+        if self.spare == 0.0:
+            return closed
+        # A closed loop begins at 0 dB: what is spared vanishes there faster than the loop can fall.
+        slow = (2.0 * np.pi * closed.frequency / gains[..., 2:]) ** 2
+        more = 10.0 ** (self.spare / 20.0 * slow / (1.0 + slow))
+        velocity, position, ahead = closed.velocity * more, closed.position * more, closed.ahead * more
+        return replace(closed, velocity=velocity, position=position, ahead=ahead)
 
     def _feed_forward(self, closed: Sequence[Closed], gains: Real) -> Real:
         """Return the feed-forward, shape (c, a): as asked, or the largest that all of the moved modes allow."""
@@ -96,29 +110,21 @@ class Judge:
             return np.ones(gains.shape[:2])
         return np.asarray(np.min([largest_feed_forward(one, most - _ROUNDING) for one in closed], axis=0))
 
-    def _goal(self, closed: Closed) -> Real:
-        task, mu = self.task, closed.eigenvalue
+    def _goal(self, frequency: Real, mu: Complex) -> Real:
+        task = self.task
         if task.goal.kind == "least_depth":
             high, low = task.periods
-            return least_depth(closed.frequency, mu, (float(low), float(high)))
+            return least_depth(frequency, mu, (float(low), float(high)))
         if task.goal.kind == "depths":
-            return np.asarray(limits(closed.frequency, mu, task.periods).min(axis=1))
+            return np.asarray(limits(frequency, mu, task.periods).min(axis=1))
         speed = np.geomspace(min(task.goal.speeds), max(task.goal.speeds), SPEEDS)
-        return np.asarray(
-            task.removal_rate(speed, limits(closed.frequency, mu, 60.0 / (task.tool.teeth * speed))).max(axis=1)
-        )
+        return np.asarray(task.removal_rate(speed, limits(frequency, mu, 60.0 / (task.tool.teeth * speed))).max(axis=1))
 
-    def _values(self, closed: Closed, gains: Real, forward: Real) -> dict[str, Real]:
+    def _values(self, closed: Closed, forward: Real) -> dict[str, Real]:
         """Return the worst value over the axes of what may be limited, shape (c,) each."""
         asked, f = self.task.limits, closed.frequency
         position = closed.position + forward[..., None] * closed.ahead
-        # A closed loop begins at 0 dB: what is spared vanishes there faster than the loop can fall.
-        slow = (2.0 * np.pi * f / gains[..., 2:]) ** 2
-        spare = 10.0 ** (self.spare / 20.0 * slow / (1.0 + slow))
-        out = {
-            "velocity_peak": peak_dB(closed.velocity * spare).max(axis=1),
-            "position_peak": peak_dB(position * spare).max(axis=1),
-        }
+        out = {"velocity_peak": peak_dB(closed.velocity).max(axis=1), "position_peak": peak_dB(position).max(axis=1)}
         if asked.gain_margin is not None or asked.phase_margin is not None:
             both = [margins(f, loop) for loop in (closed.velocity_open, closed.position_open)]
             out["gain_margin"] = np.min([g.min(axis=1) for g, _ in both], axis=0)

@@ -20,7 +20,7 @@ import numpy as np
 from process.drive.servo import Servo
 from process.types import Complex, Real
 from smfe.tuning import _loop_kernels as kernels
-from smfe.tuning.depths import Oriented
+from smfe.tuning.depths import Oriented, branches
 from smfe.tuning.plants import Plant
 
 
@@ -37,8 +37,8 @@ class Closed:
     ----------
     frequency : ndarray, shape (f,)
         [Hz].
-    eigenvalue : ndarray of complex, shape (c, r, f)
-        Branches of ``A0 Phi`` [1/m].
+    cut : ndarray of complex, shape (c, f, r, r)
+        Compliance of the tool as the cut sees it: its eigenvalues are those of ``A0 Phi`` [1/m].
     velocity, position, ahead : ndarray of complex, shape (c, a, f)
         Closed velocity loop; closed position loop without feed-forward, and what a feed-forward of 1 adds to it [1].
     velocity_open, position_open : ndarray of complex, shape (c, a, f)
@@ -48,13 +48,18 @@ class Closed:
     """
 
     frequency: Real
-    eigenvalue: Complex
+    cut: Complex
     velocity: Complex
     position: Complex
     ahead: Complex
     velocity_open: Complex
     position_open: Complex
     unstable: Real
+
+    @property
+    def eigenvalue(self) -> Complex:
+        """Branches of ``A0 Phi`` [1/m], shape (c, r, f)."""
+        return branches(self.cut)
 
 
 def close(plant: Plant, oriented: Oriented, gains: Real) -> Closed:
@@ -86,7 +91,7 @@ def close(plant: Plant, oriented: Oriented, gains: Real) -> Closed:
     velocity, position, ahead, velocity_open, position_open = loops
     return Closed(
         plant.frequency,
-        oriented.branches(tool),
+        tool,
         velocity,
         position,
         ahead,

@@ -16,8 +16,8 @@ from process.types import Complex, Real
 from smfe.limits.cut_conditions import rotation
 from smfe.progress import Progress, part, silent
 from smfe.tuning.confirm import confirmed, constant_factor, with_servos
-from smfe.tuning.judge import Judge, Judged, gains_at
-from smfe.tuning.loops import close
+from smfe.tuning.judge import Judge, Judged, gains_at, shares_of
+from smfe.tuning.loops import close, gains_of
 from smfe.tuning.plants import ModelSource, Plant
 from smfe.tuning.rules import RULES
 from smfe.tuning.search import frontier, polished, rule_gains, search_globally
@@ -153,13 +153,14 @@ def tuned(task: Task, progress: Progress = silent) -> Tuning:
     final = Judge(task, 2 * RULES.fine)
     if missed > 0.0:
         raise InputError(_impossible(task, final, start))
-    best, _ = polished(task, start[None], archive, part(progress, 0.4, 0.7))
+    rule = _rule(task, final)
+    known = [rule] if rule else []
+    starts = np.concatenate([start[None], *(shares_of(task, _gains(one)[None]) for one in known)])
+    best, _ = polished(task, np.clip(starts, 0.0, 1.0), archive, part(progress, 0.4, 0.7))
     fronts = frontier(task, best, archive, FRONTIER, part(progress, 0.7, 0.95))
     progress("lobes and loops", 19, 20)
     answer = _sets(task, final, ["tuned"], gains_at(task, best[None]))[0]
-    known = list(task.present)
-    present = _given(task, final, known)
-    rule = _rule(task, final)
+    present = _given(task, final, list(task.present))
     compromises = _sets(
         task,
         final,
@@ -197,7 +198,7 @@ def tuned(task: Task, progress: Progress = silent) -> Tuning:
 def _sets(task: Task, judge: Judge, names: Sequence[str], gains: Real) -> list[GainSet]:
     if not len(gains):
         return []
-    judged, own = judge(gains), task.source
+    judged, own = judge(gains, beyond=True), task.source
     out = []
     for i, name in enumerate(names):
         servos = {
@@ -238,7 +239,7 @@ def _misses(task: Task, values: Mapping[str, float]) -> tuple[str, ...]:
 
 def _given(task: Task, judge: Judge, names: Sequence[str]) -> list[GainSet]:
     """Judge the present controllers, each with its own feed-forward where the task leaves that open."""
-    gains = [np.array([[v.Kp, v.Ti, v.Kv] for v in task.present[name]]) for name in names]
+    gains = [gains_of(list(task.present[name])) for name in names]
     return _sets(task, judge, names, np.array(gains)) if names else []
 
 
@@ -304,8 +305,13 @@ def _lobes(task: Task, plant: Plant, shown: Sequence[GainSet]) -> tuple[xr.Datas
     return xr.Dataset(data, coords), warnings
 
 
+def _gains(one: GainSet) -> Real:
+    """Return Kp, Ti, Kv, shape (a, 3)."""
+    return gains_of(list(one.servos.values()))
+
+
 def _loops(judge: Judge, shown: Sequence[GainSet]) -> xr.Dataset:
-    gains = np.array([[[v.Kp, v.Ti, v.Kv] for v in one.servos.values()] for one in shown])
+    gains = np.array([_gains(one) for one in shown])
     forward = np.array([[v.feed_forward for v in one.servos.values()] for one in shown])
     plant = judge.plants[0]
     closed = close(plant, judge.oriented, gains)
@@ -336,7 +342,7 @@ def _impossible(task: Task, judge: Judge, share: Real) -> str:
 
 def _doubts(task: Task, answer: GainSet, share: Real) -> list[str]:
     """Say what speaks against an answer: an edge of what is tried, an exact count of poles, no limit at all."""
-    out = []
+    out = [f"the answer misses a limit on the finest grid: {missed}" for missed in answer.misses]
     at_edge = (share < 1e-3) | (share > 1.0 - 1e-3)
     if at_edge.any():
         names = [f"{g} of {axis}" for axis in task.source.axes for g in ("Kp", "Ti", "Kv")]

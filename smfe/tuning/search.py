@@ -165,10 +165,13 @@ def refine(
 
 
 def polished(task: Task, start: Real, archive: Archive, progress: Progress = silent) -> tuple[Real, float]:
-    """Return the best place and its cost: refined on the coarse grid, then on the fine one with the limits kept."""
+    """Return the best place and its cost: refined on the coarse grid, then on the fine one with the limits kept.
+
+    The search begins at `start`, shape (n, 3 a), and at the best of the archive.
+    """
     coarse = Judge(task, RULES.coarse)
     good = archive.share[np.argsort(-archive.goal)[:8]] if archive.goal.size else start
-    best, _ = refine(coarse, np.concatenate([np.atleast_2d(start), good]), 0.05, archive, RULES.clouds, task.seed)
+    best, _ = refine(coarse, np.concatenate([start, good]), 0.05, archive, RULES.clouds, task.seed)
     fine = Judge(task, RULES.fine, RULES.spare)
     near = [best]
     for number in range(RULES.fine_parts):

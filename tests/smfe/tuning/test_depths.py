@@ -8,7 +8,7 @@ from process.errors import InputError
 from process.labels import AXES, make_compliance
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
-from smfe.tuning.depths import Oriented, least_depth, limits
+from smfe.tuning.depths import Oriented, branches, least_depth, limits
 from smfe.tuning.loops import close, gains_of
 from smfe.tuning.plants import ModelSource, grid_of
 from smfe.tuning.tracking import Move
@@ -47,7 +47,7 @@ def test_three_directions_have_the_limits_of_the_zero_order_method(angle: float)
     f = np.arange(2.0, 150.0, 0.02)
     phi = modes.matrix(f)
     oriented = Oriented.of(Cut(tool, arc, steel).directional_matrix(), (0, 1, 2))
-    mu = oriented.branches(oriented.both(phi)[None])
+    mu = branches(oriented.both(phi)[None])
     assert mu.shape[1] == (2 if angle == 90.0 else 3)
     speed = np.linspace(300.0, 700.0, 101)
     expected = zero_order(make_compliance(f, phi, AXES, AXES), tool, arc, steel, speed)["limit_depth"].values
