@@ -15,6 +15,7 @@ from smfe.reporting.figures.draw_matplotlib import DPI, save
 from smfe.tuning.result import GainSet, Tuning
 
 _DASHES = ("-", "--", ":")
+_DASH_WORDS = ("solid", "dashed", "dotted")
 _GREY = "#9A9A9A"
 
 
@@ -70,7 +71,7 @@ def _loop(ax: Axes, found: Tuning, which: str, limit: float | None, colours: dic
             f"limit {limit:g} dB", (0.01, limit), xycoords=("axes fraction", "data"), color=CHATTER, va="bottom"
         )
     kind = which.removesuffix("_loop")
-    many = f" ({', '.join(f'{a} {d}' for a, d in zip(loops['axis'].values, _DASHES, strict=False))})"
+    many = f" ({', '.join(f'{a} {d}' for a, d in zip(loops['axis'].values, _DASH_WORDS, strict=False))})"
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel(f"closed {kind} loop [dB]" + (many if loops.sizes["axis"] > 1 else ""))
     ax.grid(visible=True, which="both", lw=0.3)
@@ -95,7 +96,8 @@ def _lobes(ax: Axes, found: Tuning, colours: dict[str, str]) -> None:
             found.confirmed["spindle_speed"], found.confirmed["limit_depth"], "o", color="k", ms=5, label="confirmed"
         )
     best = lobes.sel(gains=found.best.name).values
-    ax.set_ylim(0.0, 2.5 * float(np.nanmedian(best[np.isfinite(best)])) if np.isfinite(best).any() else 1.0)
+    known = best[np.isfinite(best)]
+    ax.set_ylim(0.0, min(2.5 * float(np.median(known)), 1.3 * float(known.max())) if known.size else 1.0)
     ax.set_xlabel("spindle speed [rpm]")
     ax.set_ylabel("limit depth [mm]")
     ax.grid(visible=True, lw=0.3)
@@ -116,7 +118,7 @@ def _compromise(ax: Axes, found: Tuning, colours: dict[str, str]) -> None:
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel(f"{found.task.move.words} [um]")
-    worst = f", worst of modes moved by {100 * found.task.robust:g} %" if found.task.robust else ""
+    worst = f", modes +-{100 * found.task.robust:g} %" if found.task.robust else ""
     what = "removal rate [cm$^3$/min]" if rate else "least depth [mm]"
     ax.set_ylabel(what + worst)
     ax.grid(visible=True, which="both", lw=0.3)

@@ -1,6 +1,5 @@
 """The search for gains: against a dumb grid, against limits checked in plain numpy, and what it refuses."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from process import Andersson, Drive, FeedAxis, Machine, ModalModel, Servo, Tool
 from process.errors import InputError
 from process.labels import make_compliance
 from process.types import Complex, Real
-from smfe.tuning import judge, plants, result, rules, search
+from smfe.tuning import result
 from smfe.tuning.result import Tuning
 from stability import semi_discretization
 
@@ -121,17 +120,6 @@ def test_no_point_of_a_fine_grid_is_better(found: tuple[Tuning, float]) -> None:
 
 
 # --- What is quick: a search that ends early must say the truth about what it has.
-
-
-@pytest.fixture
-def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search that hardly searches."""
-    less = replace(
-        rules.RULES, generations=12, population=20, clouds=8, cloud=20, fine_parts=1, fine=800, even_points=1500
-    )
-    for module in (search, judge, result, plants):
-        monkeypatch.setattr(module, "RULES", less)
-    monkeypatch.setattr(result, "FRONTIER", 3)
 
 
 @pytest.mark.usefixtures("hurried")

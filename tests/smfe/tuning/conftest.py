@@ -1,0 +1,18 @@
+"""A search in a hurry, for what does not depend on how good its answer is."""
+
+from dataclasses import replace
+
+import pytest
+
+from smfe.tuning import judge, plants, result, rules, search
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that hardly searches."""
+    less = replace(
+        rules.RULES, generations=12, population=20, clouds=8, cloud=20, fine_parts=1, fine=800, even_points=1500
+    )
+    for module in (search, judge, result, plants):
+        monkeypatch.setattr(module, "RULES", less)
+    monkeypatch.setattr(result, "FRONTIER", 3)
