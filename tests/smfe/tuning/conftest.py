@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from smfe.tuning import judge, plants, result, rules, search
+from smfe.tuning import confirm, judge, plants, result, rules, search
 
 
 @pytest.fixture
@@ -16,3 +16,4 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (search, judge, result, plants):
         monkeypatch.setattr(module, "RULES", less)
     monkeypatch.setattr(result, "FRONTIER", 3)
+    monkeypatch.setattr(confirm, "SPEEDS", 2)
