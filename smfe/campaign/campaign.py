@@ -363,6 +363,10 @@ class LobeRequest:
         Greatest depth that can be cut [m].
     feed_direction : float
         Direction in which the cut is fed [rad], from +x of the measurements towards +y.
+    feed : float or None
+        Feed of an operating point [m/s]; None: feed per tooth times teeth times speed.
+    controller, position : str or None
+        Of an operating point: the only ones that are asked for; None: each by itself.
     name, table : str
         What it is called in every output, "lobes_1", or "lobes_1_20mm" where its table has several widths; and what
         all widths of the table are called together, "lobes_1".
@@ -378,6 +382,9 @@ class LobeRequest:
     spindle_speed: Real = field(repr=False)
     maximum_depth: float | None = None
     feed_direction: float = 0.0
+    feed: float | None = None
+    controller: str | None = None
+    position: str | None = None
     name: str = "lobes_1"
     table: str = "lobes_1"
     listed: bool = False
@@ -509,6 +516,8 @@ class Campaign:
         As the shop calls them; where it does not say, by diameter and teeth, and by the name of the campaign.
     machine_limits : MachineLimits
         What tool and machine can do.
+    machine_spread : mapping of str to float, optional
+        Relative standard deviations of the machine of ``[machine]``: friction, mass, damping, stiffness.
     machine_model : Machine, ModalModel or None
         What ``[machine]`` is made of, where the campaign says it: with axes, joints or postures a machine that
         `Machine.at` linearises at a feed, controller and position; of modes alone also one of `models`, "machine".
@@ -534,6 +543,7 @@ class Campaign:
     machine: str = ""
     machine_limits: MachineLimits = field(default_factory=MachineLimits)
     machine_model: Machine | ModalModel | None = None
+    machine_spread: Mapping[str, float] | None = None
 
     @property
     def coefficients_known_within(self) -> float:
@@ -776,6 +786,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
             file.machine.maximum_feed if file.machine else None,
         ),
         machine_model=machine,
+        machine_spread=file.machine.spread() if file.machine else None,
     )
 
 
@@ -870,6 +881,9 @@ def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
             np.asarray(table.spindle_speed.values),
             table.maximum_depth,
             table.feed_direction,
+            table.feed,
+            table.controller,
+            table.position,
             name=name if len(table.width_of_cut) == 1 else f"{name}_{1e3 * width:.6g}mm",
             table=name,
             listed=table.spindle_speed.listed,

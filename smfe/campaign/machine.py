@@ -222,6 +222,15 @@ class PostureTable(Table):
     at: Annotated[tuple[PostureEntry, ...], q.NotEmpty]
 
 
+class SpreadTable(Table):
+    """``uncertainty`` of a machine: relative standard deviations, each of one factor; friction of each parameter."""
+
+    friction: q.Share = 0.0
+    mass: q.Share = 0.0
+    damping: q.Share = 0.0
+    stiffness: q.Share = 0.0
+
+
 class MachineTable(Table):
     """``[machine]``: what it is called, how fast it feeds, and what it is made of.
 
@@ -235,11 +244,16 @@ class MachineTable(Table):
     axis: Annotated[dict[q.Axis, AxisTable], Field(default_factory=dict)]
     joint: tuple[JointTable, ...] = ()
     posture: PostureTable | None = None
+    uncertainty: SpreadTable | None = None
 
     @model_validator(mode="after")
     def _possible(self) -> MachineTable:
         self.build()
         return self
+
+    def spread(self) -> dict[str, float] | None:
+        """Return the relative standard deviations that are stated; None: nothing is."""
+        return None if self.uncertainty is None else dict(self.uncertainty)
 
     def build(self) -> Machine | ModalModel | None:
         """Return the machine, or None where nothing but its name and feed are given."""
@@ -248,7 +262,7 @@ class MachineTable(Table):
 
 def is_model(keys: Iterable[str]) -> bool:
     """Return whether the keys of a ``[machine]`` say what it is made of, and not its name and feed alone."""
-    return bool(set(keys) & (set(MachineTable.model_fields) - {"name", "maximum_feed"}))
+    return bool(set(keys) & (set(MachineTable.model_fields) - {"name", "maximum_feed", "uncertainty"}))
 
 
 # --- From the tables to the machine.

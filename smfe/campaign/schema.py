@@ -364,7 +364,20 @@ class LobesTable(Table):
     feed_per_tooth: q.PositiveLength
     spindle_speed: q.LobeSpeeds
     feed_direction: q.FeedDirection = 0.0
+    feed: Annotated[float, q.quantity("speed", above=0.0)] | None = None
+    controller: StrictStr | None = None
+    position: StrictStr | None = None
     maximum_depth: q.PositiveLength | None = None
+
+    @model_validator(mode="after")
+    def _of_one_condition(self) -> LobesTable:
+        for key in ("feed", "controller", "position"):
+            if getattr(self, key) is not None and self.method != "operating_point":
+                raise InputError(
+                    f'gives a {key}, which method = "operating_point" alone asks for; another method takes a '
+                    "measurement as it was made: leave it out, and name the measurement"
+                )
+        return self
 
 
 class PassTable(Table):

@@ -47,6 +47,13 @@ def lobes(
             f"{r.request}, {r.source}: limit {depth[low]:.3g} mm at {speed[low]:g} rpm (smallest) to "
             f"{depth[high]:.3g} mm at {speed[high]:g} rpm (largest)"
         )
+        lower = r.lobes.get("lower_limit_depth")
+        if lower is not None and bool((lower < r.lobes["limit_depth"]).any()):
+            at = int((lower / r.lobes["limit_depth"]).values.argmin())
+            lines.append(
+                f"{r.request}, {r.source}: a kick of {float(r.lobes['kick'][at]):.2g} N s lowers it to "
+                f"{float(lower[at]):.3g} mm at {speed[at]:g} rpm, where that takes most"
+            )
         content.append(
             {
                 "lobes": r.request,

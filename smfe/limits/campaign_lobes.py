@@ -12,9 +12,11 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from process import units
 from process.cut.engagement import engagement
 from process.errors import InputError
 from process.labels import UNITS, at_tool
+from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.types import Real
 from smfe.campaign import Campaign, LobeRequest
@@ -110,10 +112,12 @@ def all_lobes(
         source, names, said = of.label, of.names, request.name.replace("_", " ")
         progress(f"{said}: {source}", done, len(jobs))
         with attempt(failures, LOBES, f"{request.name}, {source}"):
-            check_sources(names, compliances, failures)
+            if not is_machine(campaign, request, names):
+                check_sources(names, compliances, failures)
             speeds = _about(request.spindle_speed, campaign.spindle.accuracy) if request.listed else None
             whole = request if speeds is None else replace(request, spindle_speed=speeds)
-            used = {name: compliances[name] for name in names}
+            whole = replace(whole, controller=of.controller, position=of.position)
+            used = {name: compliances[name] for name in names if name in compliances}
             key = "" if kept is None else key_of(digest([_bare(campaign, names), request, whole, used]))
             try:
                 limits = store.get(key, partial(_limits, campaign, request, whole, names, used))
@@ -134,7 +138,7 @@ def _limits(
 ) -> xr.Dataset:
     """Return the limits of a request for one source, with their band and the single lobes, at the speeds of `whole`."""
     limits = limits_of(campaign, whole, names, compliances)
-    if len(names) > 1:
+    if request.method == "operating_point":
         return limits
     limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
     return _with_curves(campaign, request, compliances[names[0]], limits)
@@ -150,7 +154,14 @@ def _bare(campaign: Campaign, names: Sequence[str]) -> Campaign:
         cutting_tests=(),
         baseline=None,
         plan=None,
+        machine_model=campaign.machine_model if MACHINE in names else None,
     )
+
+
+def is_machine(campaign: Campaign, request: LobeRequest, names: Sequence[str]) -> bool:
+    """Return whether a source is the machine of ``[machine]`` at the operating point of each cut."""
+    whole = request.method == "operating_point" and isinstance(campaign.machine_model, Machine)
+    return whole and tuple(names) == (MACHINE,)
 
 
 def _about(speeds: Real, accuracy: float) -> Real:
@@ -167,7 +178,7 @@ def check_sources(names: Sequence[str], compliances: Mapping[str, xr.Dataset], f
         if name == MACHINE and name not in compliances:
             raise InputError(
                 "the machine of [machine] has axes, joints or postures, and a compliance for each feed, controller and "
-                "position; name measurements made in motion, or compute its lobes from machine_model.at(feed, ...)"
+                'position; its lobes are those of method = "operating_point". Else name measurements made in motion'
             )
         if name not in compliances:
             raise InputError(f"'{name}' is asked for, and the compliances do not hold it: {', '.join(compliances)}")
@@ -193,9 +204,26 @@ def limits_of(
     assert campaign.coefficients is not None
     tool, work, speeds = campaign.tool, campaign.coefficients, request.spindle_speed
     arc = engagement(request.cut, request.width_of_cut, tool.diameter)
+    if is_machine(campaign, request, names):
+        assert isinstance(campaign.machine_model, Machine)
+        return operating_point(
+            campaign.machine_model,
+            tool,
+            arc,
+            work,
+            speeds,
+            request.feed_per_tooth,
+            feed=request.feed,
+            feed_direction=request.feed_direction,
+            controller=request.controller,
+            position=None if request.position is None else _place(request.position),
+            uncertainty=campaign.machine_spread and {**campaign.machine_spread, **_known_within(campaign)},
+        )
     if request.method == "operating_point":
         together, notes = over_conditions(campaign, {n: compliances[n] for n in names}, request.feed_direction)
-        return _saying(operating_point(together, tool, arc, work, speeds, request.feed_per_tooth), notes)
+        cut = (tool, arc, work, speeds, request.feed_per_tooth)
+        found = operating_point(together, *cut, feed=request.feed, uncertainty=_known_within(campaign))
+        return _saying(found, notes)
     compliance, modal, notes = compliances[names[0]], _modal(campaign, names[0]), []
     if request.feed_direction:
         modal = modal and turned_modes(modal, request.feed_direction)
@@ -207,6 +235,20 @@ def limits_of(
     else:
         found = method.limits(machine, tool, arc, work, speeds)
     return _saying(found, notes)
+
+
+def _known_within(campaign: Campaign) -> dict[str, float]:
+    return {"coefficients": campaign.coefficients_known_within}
+
+
+def _place(text: str) -> float:
+    """Return the position [m] of an axis."""
+    try:
+        return units.parse(text, "length")
+    except InputError as error:
+        raise InputError(
+            f'position {text!r} of [[lobes]]: the machine takes a length, e.g. "300 mm" ({error})'
+        ) from error
 
 
 def _saying(limits: xr.Dataset, notes: Sequence[str]) -> xr.Dataset:

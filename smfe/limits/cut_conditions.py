@@ -16,9 +16,11 @@ import numpy as np
 import xarray as xr
 
 from process.labels import AXES, at_tool, full_matrix, make_compliance, not_measured
+from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.types import Real
 from smfe.campaign import Campaign, CuttingTest, LobeRequest, Measurement
+from smfe.campaign.machine import MACHINE
 from stability.bands.error_model import carries_errors, entry_covariance
 from stability.problem import partial_warning
 
@@ -73,15 +75,37 @@ def sources_of(campaign: Campaign, request: LobeRequest) -> list[Source]:
     conditions = {name: tuple(stated(at[name], key) for key in FIXED) for name in request.measurements if name in at}
     if request.method != "operating_point":
         return [Source((n,), n, *conditions.get(n, ())) for n in request.measurements]
+    own = _machine_sources(campaign, request)
+    names = [n for n in request.measurements if not own or n != MACHINE]
+    asked = (request.controller, request.position)
+    conditions = {
+        n: kind for n, kind in conditions.items() if all(a is None or a == k for a, k in zip(asked, kind, strict=True))
+    }
+    models = tuple(name for name in names if name not in at)
+    if not conditions and not models:
+        return own or [Source(tuple(names), SEVERAL.join(names), *asked)]
     kinds = list(dict.fromkeys(conditions.values())) or [(None, None)]
-    models = tuple(name for name in request.measurements if name not in at)
-    out = []
+    out = own
     for kind in kinds:
-        names = tuple(n for n in request.measurements if conditions.get(n) == kind) + models
+        members = tuple(n for n in names if conditions.get(n) == kind) + models
         said = [f"{key} {value or 'not stated'}" for key, value in zip(FIXED, kind, strict=True) if _varies(key, kinds)]
-        label = ", ".join([SEVERAL.join(n for n in request.measurements if n in names), *said])
-        out.append(Source(names, label.replace("/", " per "), *kind))
+        label = ", ".join([SEVERAL.join(n for n in names if n in members), *said])
+        out.append(Source(members, label.replace("/", " per "), *kind))
     return out
+
+
+def _machine_sources(campaign: Campaign, request: LobeRequest) -> list[Source]:
+    """Return an operating point of the machine of ``[machine]`` for each of its controllers, where one is asked for."""
+    machine = campaign.machine_model
+    if MACHINE not in request.measurements or not isinstance(machine, Machine):
+        return []
+    named = [axis.servo for axis in machine.axes.values() if isinstance(axis.servo, Mapping)]
+    every = list(dict.fromkeys(name for servos in named for name in servos))
+    if request.controller is not None:
+        every = [request.controller]
+    if len(every) < 2:
+        return [Source((MACHINE,), MACHINE, every[0] if every else None, request.position)]
+    return [Source((MACHINE,), f"{MACHINE}, controller {c}".replace("/", " per "), c, request.position) for c in every]
 
 
 def kind_of(campaign: Campaign, source: Source) -> str:
@@ -92,6 +116,8 @@ def kind_of(campaign: Campaign, source: Source) -> str:
 
 def in_motion(campaign: Campaign, source: Source) -> bool:
     """Return whether an axis moved while a source was measured: it states a feed, or was measured by cutting."""
+    if MACHINE in source.names and isinstance(campaign.machine_model, Machine):
+        return True
     for m in campaign.measurements:
         if m.name in source.names:
             feeds = [m.feed, *(entry.feed for entry in m.records)]

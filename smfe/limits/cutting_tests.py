@@ -17,7 +17,7 @@ import xarray as xr
 from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LobeRequest
 from smfe.kept import file_hash, key_of
-from smfe.limits.campaign_lobes import check_sources, limits_of
+from smfe.limits.campaign_lobes import check_sources, is_machine, limits_of
 from smfe.limits.cut_conditions import ALIKE, FIXED, Source, apart, direction_text, feed_of, sources_of
 from smfe.progress import Progress
 from smfe.records import read_records
@@ -296,6 +296,7 @@ def predictions(
             feed_per_tooth=test.stated_feed_per_tooth,
             spindle_speed=np.array([test.spindle_speed]),
             feed_direction=request.feed_direction if own is None else own,
+            feed=request.feed if request.feed is None or not test.feed else _speed(test.feed),
         )
         for of in sources_of(campaign, request):
             source, names = of.label, of.names
@@ -307,11 +308,14 @@ def predictions(
                 row[f"predicted_{source}"] = NOT_COMPARED
                 row["not_compared"] = "; ".join(filter(None, [row["not_compared"], f"{source}: {reason}"]))
                 continue
-            if known is not None and not set(names) <= set(compliances):
+            missing = not set(names) <= set(compliances) and not is_machine(campaign, here, names)
+            if known is not None and missing:
                 continue  # said by the lobes of this source
             with attempt(failures, PREDICTION, f"{source}\n{test.file.name}"):
-                check_sources(names, compliances, known)
-                found = limits_of(campaign, here, names, compliances)
+                if not is_machine(campaign, here, names):
+                    check_sources(names, compliances, known)
+                at = replace(here, controller=of.controller, position=of.position)
+                found = limits_of(campaign, at, names, compliances)
                 limit = float(found["limit_depth"].values[0])
                 if (
                     math.isnan(limit)

@@ -100,7 +100,8 @@ def operating_point(
         ``crossing_depth(spindle_speed, crossing)`` [mm]: all depths at which stability changes, lost at the first, won
         at the second and so on, the level itself, and where no limit is known ``stable_to`` [mm], the depth to which
         the cut is stable. With an uncertainty
-        ``limit_depth_quantile(quantile, spindle_speed)``, ``safe_depth`` and ``lower_limit_depth_quantile`` [mm].
+        ``limit_depth_quantile(quantile, spindle_speed)``, ``lower_limit_depth_quantile`` and ``safe_depth`` [mm], the
+        lower one of their 5 % quantiles.
         A limit that is not known is NaN: outside the feeds and levels that were measured, or where uniform motion is
         itself unstable; ``attrs["warnings"]`` says why.
 
@@ -390,4 +391,6 @@ def _with_band(out: xr.Dataset, found: Sequence[Limits], errors: Real, known: Un
     if "lower_limit_depth" in out:
         lower = out["lower_limit_depth"].values * np.exp(factors[:, None] * whole[:, 1])
         out["lower_limit_depth_quantile"] = (("quantile", "spindle_speed"), lower, {"units": "mm"})
+        # Whoever cuts at a safe depth does not want to know of kicks.
+        out["safe_depth"] = ("spindle_speed", np.fmin(quantiles[0], lower[0]), {"units": "mm"})
     return out.assign_coords(quantile=names).assign_attrs(safe_probability=SAFE)

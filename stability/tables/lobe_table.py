@@ -32,8 +32,13 @@ LOBE_COLUMNS: tuple[str, ...] = (
     "chatter_frequency_Hz",
     "lobe",
     "removal_rate_cm3_min",
+    "lower_limit_depth_mm",
+    "kick_Ns",
 )
 """Columns of ``lobe_table.csv``, in order."""
+
+_LATER = ("lower_limit_depth_mm", "kick_Ns")
+"""Columns that a table of an earlier version does not have."""
 
 UNLIMITED: tuple[str, ...] = ("limit_depth_mm", "removal_rate_cm3_min")
 """Columns in which an empty field of a file means "no limit as far as the data reach"."""
@@ -72,15 +77,16 @@ def lobe_table(
 ) -> pd.DataFrame:
     """Return lobes as a table with the columns `LOBE_COLUMNS`.
 
-    ``feed = f_z N n``; ``removal rate = a_p a_e feed`` at the limit depth. The safe depth is that of the lobes
-    (``safe_depth``, for the probability they name), else the 5 % quantile of the limit depth; without either it
-    stays NaN, because an unmeasured margin would be invented.
+    ``feed = f_z N n``, or that of the lobes; ``removal rate = a_p a_e feed`` at the limit depth. The safe depth is that
+    of the lobes (``safe_depth``, for the probability they name), else the 5 % quantile of the limit depth; without
+    either it stays NaN, because an unmeasured margin would be invented.
 
     Parameters
     ----------
     lobes : xarray.Dataset
         ``limit_depth(spindle_speed)`` [mm], ``chatter_frequency`` [Hz], ``lobe``; may hold
-        ``limit_depth_quantile(quantile, spindle_speed)`` [mm] and ``safe_depth(spindle_speed)`` [mm].
+        ``limit_depth_quantile(quantile, spindle_speed)`` [mm] and ``safe_depth(spindle_speed)`` [mm], and of an
+        operating point ``feed`` [mm/min], ``lower_limit_depth`` [mm] and ``kick`` [N s].
     source : str or Origin
         Name of the measurement or model behind the lobes, or all that is said of where they come from.
     tool : Tool
@@ -106,6 +112,8 @@ def lobe_table(
             raise InputError(f"the {name} is {value * 1e3:g} mm; it must be positive")
     speed = lobes["spindle_speed"].values.astype(float)
     feed = feed_per_tooth * 1e3 * tool.teeth * speed
+    if "feed" in lobes and lobes["feed"].dims == ("spindle_speed",):
+        feed = lobes["feed"].values.astype(float)
     low, high = _quantile(lobes, SAFE_QUANTILE), _quantile(lobes, 1.0 - SAFE_QUANTILE)
     safe = lobes["safe_depth"].values.astype(float) if "safe_depth" in lobes else low.copy()
     lobe = lobes["lobe"].values
@@ -123,6 +131,7 @@ def lobe_table(
         lobes["chatter_frequency"].values.astype(float),
         pd.array([int(k) if k >= 0 else None for k in lobe], dtype="Int64"),
         depth * width_of_cut * feed,
+        *(_of_speed(lobes, name) for name in ("lower_limit_depth", "kick")),
     )
     return pd.DataFrame(dict(zip(LOBE_COLUMNS, columns, strict=True)))
 
@@ -191,6 +200,8 @@ def read_table(path: str | Path) -> pd.DataFrame:
     if not file.is_file():
         raise InputError(f"there is no file '{file}'")
     frame = pd.read_csv(file, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
+    if tuple(frame.columns) == LOBE_COLUMNS[: -len(_LATER)]:
+        frame[list(_LATER)] = np.nan
     if tuple(frame.columns) != LOBE_COLUMNS:
         missing = [c for c in LOBE_COLUMNS if c not in frame.columns]
         problem = f"no column {missing[0]}" if missing else "its columns are in another order"
@@ -202,6 +213,11 @@ def read_table(path: str | Path) -> pd.DataFrame:
     frame["lobe"] = frame["lobe"].astype("Int64")
     frame[numbers] = frame[numbers].astype(float)
     return frame
+
+
+def _of_speed(lobes: xr.Dataset, name: str) -> Real:
+    """Return a variable of an operating point, NaN where the lobes have none."""
+    return lobes[name].values.astype(float) if name in lobes else np.full(lobes.sizes["spindle_speed"], np.nan)
 
 
 def _limit_depth(lobes: xr.Dataset) -> Real:

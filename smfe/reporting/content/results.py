@@ -145,6 +145,13 @@ class Lobes:
         label = f"{100 * levels[0]:.3g} % to {100 * levels[-1]:.3g} %"
         return np.asarray(array.values[0], dtype=float), np.asarray(array.values[-1], dtype=float), label
 
+    def lower(self) -> Real | None:
+        """Return the limit depth after a kick [mm], NaN where it is not known; None where it is nowhere lower."""
+        if "lower_limit_depth" not in self.data:
+            return None
+        lower = self.values("lower_limit_depth")
+        return np.where(np.isfinite(lower), lower, np.nan) if np.any(lower < self.values("limit_depth")) else None
+
     def curves(self) -> tuple[Real, Real, Real] | None:
         """Return speed [rpm], depth [mm], chatter frequency [Hz] of the single lobes, NaN between two."""
         names = ("curve_spindle_speed", "curve_limit_depth", "curve_chatter_frequency")

@@ -40,7 +40,7 @@ from smfe.reporting.content.style import (
 from smfe.reporting.figures import figure_data, spectrograms
 from smfe.reporting.figures.draw_diagnosis import draw_compared, draw_depths, draw_search
 from smfe.reporting.figures.draw_ranking import draw_ranking
-from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
+from smfe.reporting.figures.lobe_data import KICKED, LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.reporting.figures.thinning import columns_of, largest
 from smfe.results import write_atomically
 
@@ -195,6 +195,8 @@ def draw_lobes(
     """Draw limit depth and chatter frequency over spindle speed, as the page does; the recommended cut is marked."""
     shown = diagram(lobes, tests, advice)
     entries: list[tuple[Artist, str]] = [(_handle(looks[item.source]), spoken(item.source)) for item in lobes]
+    kicked = [] if shown.single else [(i, kick) for i in lobes if (kick := i.lower()) is not None]
+    entries += [(Line2D([], [], **_kicked(looks[i.source])), f"{spoken(i.source)}: {KICKED}") for i, _ in kicked]
     if shown.safe is not None:
         entries.append((_handle(Line("#000000", SAFE_DASH)), f"{SAFE} of {spoken(shown.main.source)}"))
     happened = outcomes(tests) if tests is not None else pd.Series(dtype=str)
@@ -218,6 +220,8 @@ def draw_lobes(
             style = {"color": line.colour, "linestyle": "none", "marker": "D" if main else "s", "markersize": 5}
         upper.plot(_speeds(item), figure_data.finite_depth(item), zorder=2 if main else 3, **style)
         lower.plot(_speeds(item), item.values("chatter_frequency"), ".", color=line.colour, markersize=2.5)
+    for item, kick in kicked:
+        upper.plot(_speeds(item), kick, markevery=max(1, kick.size // 12), **_kicked(looks[item.source]))
     if shown.safe is not None:
         safe = {"marker": "_", "linestyle": "none"} if shown.single else {"linestyle": _STYLES[SAFE_DASH]}
         upper.plot(*shown.safe, color="black", linewidth=1.1, zorder=4, **safe)
@@ -235,6 +239,12 @@ def draw_lobes(
     lower.set_ylabel("chatter\nfrequency [Hz]")
     _legend(figure, entries, top)
     return figure
+
+
+def _kicked(look: Line) -> dict[str, Any]:
+    """Return how a limit after a kick is drawn: a source may be dashed itself, and a few rings tell the two."""
+    ring = {"marker": "o", "markersize": 3.5, "markerfacecolor": "none", "markeredgewidth": 0.8}
+    return {"color": look.colour, "linestyle": _STYLES["dash"], "linewidth": 1.0, **ring}
 
 
 def _speeds(item: Lobes) -> Real:

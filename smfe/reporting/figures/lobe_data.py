@@ -17,6 +17,9 @@ from smfe.reporting.figures import figure_data
 SAFE = "safe depth"
 """What the safe curve is called."""
 
+KICKED = "limit after a kick"
+"""What the lower limit of an operating point is called."""
+
 LONGEST_NAME = 19
 """A longer one is cut off at the end of its line; the legend has it whole."""
 
@@ -147,7 +150,10 @@ def diagram(lobes: Sequence[Lobes], tests: pd.DataFrame | None, advice: Mapping[
     limit = np.minimum(np.nan_to_num(main.values("limit_depth"), nan=top, posinf=top), top)
     # Where a cutting test has refuted the safe depth, or nobody knows it, none is drawn.
     safe = None if advice and advice.get("status") != "recommended" else _safe(main)
-    floor = limit if safe is None else np.minimum(np.interp(main.data["spindle_speed"].values, *_known(safe)), limit)
+    lower = main.lower()
+    floor = limit if lower is None else np.fmin(limit, lower)
+    if safe is not None:
+        floor = np.minimum(np.interp(main.data["spindle_speed"].values, *_known(safe)), limit)
     first, last = figure_data.speed_range(lobes)
     if first == last or main.data.attrs.get("single_speeds", 0):
         margin = 0.08 * (last - first) or 0.1 * first

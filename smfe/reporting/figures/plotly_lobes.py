@@ -13,7 +13,7 @@ from smfe.reporting.content.headline import outcomes
 from smfe.reporting.content.results import Lobes
 from smfe.reporting.content.style import ADVICE, CHATTER, SAFE_DASH, STABLE, Line, number, spoken, translucent
 from smfe.reporting.figures import figure_data
-from smfe.reporting.figures.lobe_data import LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
+from smfe.reporting.figures.lobe_data import KICKED, LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, filled, packed, plain, polygons, scatter
 
 HEIGHT = 500
@@ -41,6 +41,9 @@ def lobes_figure(
     data = [*_regions(shown), *_main_traces(shown, looks[shown.main.source])]
     # Thinner and on top: where sources agree, the broken lines are seen on the thick one.
     data += [_limit_trace(item, looks[item.source], 1.9) for item in lobes if item is not shown.main]
+    if not shown.single:
+        pairs = [(item, item.lower()) for item in lobes]
+        data += [_kicked_trace(item, lower, looks[item.source]) for item, lower in pairs if lower is not None]
     if shown.safe is not None:
         data.append(_safe_trace(shown.safe))
     if shown.single:
@@ -112,6 +115,20 @@ def _safe_trace(curve: tuple[Real, Real]) -> Figure:
         "legendgroup": SAFE,
         "line": {"width": 1.5, "color": "#000", "dash": SAFE_DASH},
         "hovertemplate": "%{x:.5~g} rpm<br>safe depth %{y:.4~g} mm",
+    }
+
+
+def _kicked_trace(item: Lobes, lower: Real, look: Line) -> Figure:
+    """Return the lower limit of an operating point, with the kick that leads to it."""
+    return {
+        **scatter("lines+markers", item.data["spindle_speed"].values.astype(float), lower),
+        "name": plain(f"{spoken(item.source)}: {KICKED}"),
+        "legendgroup": f"{item.source}: {KICKED}",
+        "customdata": packed(item.values("kick")),
+        "hovertemplate": f"%{{x:.5~g}} rpm<br>{KICKED} %{{y:.4~g}} mm<br>kick %{{customdata:.3~g}} N s",
+        # A source may be dashed itself: a few rings tell the two.
+        "marker": {"symbol": "circle-open", "size": 6, "color": look.colour, "maxdisplayed": 12},
+        "line": {"width": 1.5, "color": look.colour, "dash": "dash"},
     }
 
 

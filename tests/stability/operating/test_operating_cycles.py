@@ -212,7 +212,8 @@ def test_the_band_holds_coefficients_in_closed_form_and_friction_by_trial():
             found[f"{name}_quantile"].values[:, 0] / float(found[name][0]),
             np.exp(0.1 * np.array([-1.644854, 0, 1.644854])),
         )
-    np.testing.assert_array_equal(found.safe_depth, found["limit_depth_quantile"].values[0])
+    np.testing.assert_array_equal(found.safe_depth, found["lower_limit_depth_quantile"].values[0])
+    assert float(found.safe_depth[0]) < float(found["limit_depth_quantile"].values[0, 0])
     width = {}
     for friction in (0.1, 0.2):
         band = operating_point(machine, *SLOT, [1500.0], CHIP, uncertainty={"friction": friction})
