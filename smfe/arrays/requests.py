@@ -12,11 +12,13 @@ import xarray as xr
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.types import Real
 from smfe.arrays.compliances import conditions_of, dataset_of, name_of, several
 from smfe.arrays.tables import material_table, model_table, tool_table
 from smfe.campaign import Campaign, campaign_of_tables
+from smfe.campaign.machine import MACHINE
 from smfe.campaign.schema import ConditionsTable
 from smfe.identification.compliances import labelled
 from smfe.limits.campaign_lobes import LobeResult
@@ -46,7 +48,7 @@ def asked(
 
     Parameters
     ----------
-    source : xarray.Dataset, Identification, ModalModel, ModalFit, or mapping of str to these
+    source : xarray.Dataset, Identification, ModalModel, ModalFit, Machine, or mapping of str to the first four
         What the lobes are computed from.
     tool, material
         As of `smfe.lobes`.
@@ -67,6 +69,8 @@ def asked(
     if not isinstance(request["width_of_cut"], str) and np.ndim(request["width_of_cut"]):
         raise InputError("width_of_cut: one width at a time is asked for; call once for each")
     request = USUAL | dict(request)
+    if isinstance(source, Machine):
+        return _of_machine(source, tool, material, request), {}
     tables, compliances = machines(source)
     tables |= {key: request[key] for key in _TABLES if request.get(key) is not None}
     lobes = {key: value for key, value in request.items() if key not in _TABLES}
@@ -81,6 +85,24 @@ def asked(
     if speeds is not None:
         campaign = replace(campaign, lobes=(replace(campaign.lobes[0], spindle_speed=speeds),))
     return campaign, labelled(campaign, {}) | compliances
+
+
+def _of_machine(
+    machine: Machine,
+    tool: Tool | Mapping[str, Any],
+    material: CuttingCoefficients | Mapping[str, Any],
+    request: Mapping[str, Any],
+) -> Campaign:
+    """Return a campaign that asks for the operating points of a machine."""
+    if request["method"] != "operating_point":
+        raise InputError(
+            f"method: a machine has a compliance for each feed, and {request['method']} takes one; give "
+            'method="operating_point", or a compliance, machine.at(feed).compliance(frequencies)'
+        )
+    # The tables of a file are checked with a mode in its place.
+    place = ModalModel(np.ones(1), np.full(1, 0.5), np.ones(1), np.eye(1, 3))
+    campaign, _ = asked({MACHINE: place}, tool, material, request)
+    return replace(campaign, models=(), machine_model=machine)
 
 
 def remembering(result: LobeResult) -> LobeResult:

@@ -11,6 +11,7 @@ import xarray as xr
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from smfe.arrays.compliances import Compliance, several
 from smfe.arrays.requests import Speeds, asked, remembering
@@ -34,7 +35,7 @@ from smfe.results import (
 )
 from stability import write_table
 
-Lobes = Compliance | ModalModel | ModalFit
+Lobes = Compliance | ModalModel | ModalFit | Machine
 """What lobes are computed from."""
 
 
@@ -94,8 +95,9 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
 
     Parameters
     ----------
-    source : path, Campaign, xarray.Dataset, Identification, ModalModel, ModalFit, or mapping of str to the latter
-        Campaign, or what the lobes are computed from; of several, by name, those of each.
+    source : path, Campaign, xarray.Dataset, Identification, ModalModel, ModalFit, Machine, or mapping of str to some
+        Campaign, or what the lobes are computed from; of several, by name, those of each. A machine model for itself,
+        with method="operating_point".
     output : path, optional
         NetCDF file of the lobes. None: nothing is written.
     table : path, optional
@@ -123,7 +125,8 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     progress : callable, optional
         Called with (what, done, of).
     **more
-        Further keys of ``[[lobes]]`` (feed_direction, maximum_depth), and ``spindle`` or ``machine``, mappings with the
+        Further keys of ``[[lobes]]`` (feed_direction, maximum_depth; of an operating point feed, controller,
+        position), and ``spindle`` or ``machine``, mappings with the
         keys of those tables.
 
     Returns

@@ -234,7 +234,7 @@ def usable_depths(
         return pd.DataFrame(columns=columns)
     found = _held(cut, spindle or SpindleRange(), maximum_depth or _constant(None), speeds)
     depth = rounded_down(found.depth)
-    feed = found.speed * float(cut["feed_mm_min"].iloc[0]) / float(cut["spindle_speed_rpm"].iloc[0])
+    feed = _feed(cut, found.speed)
     rate = depth * float(cut["width_of_cut_mm"].iloc[0]) * feed / 1e3
     return pd.DataFrame(dict(zip(columns, (found.speed, depth, feed, rate), strict=True)))
 
@@ -249,7 +249,7 @@ def _pockets(
     settable, held, safe = found.speed, found.depth, found.basis == "safe_depth"
     if not settable.size:
         return pd.DataFrame(columns=list(POCKET_COLUMNS))
-    feed = settable * float(cut["feed_mm_min"].iloc[0]) / speed[0]
+    feed = _feed(cut, settable)
     usable = rounded_down(held) if safe else held
     edge = np.zeros(settable.size, dtype=bool)
     if speeds is None:
@@ -286,6 +286,13 @@ def _pockets(
             }
         )
     return pd.DataFrame(rows, columns=list(POCKET_COLUMNS))
+
+
+def _feed(cut: pd.DataFrame, speed: Real) -> Real:
+    """Return the feed at spindle speeds [rpm]: in proportion, or as it was given apart from the chip."""
+    own, feed = (cut[name].to_numpy(dtype=float) for name in ("spindle_speed_rpm", "feed_mm_min"))
+    chip = feed / own
+    return np.asarray(speed * chip[0] if np.ptp(chip) <= 1e-6 * chip.max() else np.interp(speed, own, feed))
 
 
 def _peaks(rate: Real) -> NDArray[np.int64]:

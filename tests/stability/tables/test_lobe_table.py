@@ -12,7 +12,8 @@ from stability.tables.lobe_table import Origin
 
 COLUMNS = (  # what CAM reads, in this order
     "lobes,source,kind,method,cut,spindle_speed_rpm,limit_depth_mm,limit_depth_p05_mm,limit_depth_p95_mm,safe_depth_mm,"
-    "width_of_cut_mm,feed_per_tooth_mm,feed_mm_min,chatter_frequency_Hz,lobe,removal_rate_cm3_min"
+    "width_of_cut_mm,feed_per_tooth_mm,feed_mm_min,chatter_frequency_Hz,lobe,removal_rate_cm3_min,"
+    "lower_limit_depth_mm,kick_Ns"
 )
 
 
@@ -62,7 +63,7 @@ def test_a_safe_depth_of_another_probability_goes_into_the_table_as_it_is(lobes)
 def test_no_limit_is_an_empty_field_and_comes_back_as_infinity(table, tmp_path):
     path = write_table(table, tmp_path / "lobe_table.csv")
     last = path.read_text().splitlines()[3]
-    assert last == "lobes_1,hammer_idle,hammer,zero_order,down,1800,,,,,50.8,0.2,1440,,,"
+    assert last == "lobes_1,hammer_idle,hammer,zero_order,down,1800,,,,,50.8,0.2,1440,,,,,"
     back = read_table(path)
     assert np.isinf(back["limit_depth_mm"].iloc[2])
     assert back["lobe"].isna().tolist() == [False, False, True]
