@@ -205,7 +205,7 @@ class TestDiagram:
     def test_without_a_limit_everything_is_stable(self) -> None:
         speed = np.array([100.0, 110.0, 120.0])
         table = pd.DataFrame({"source": "a", "spindle_speed_rpm": speed, "limit_depth_mm": np.inf})
-        nothing = SimpleNamespace(values=lambda name: np.full(3, np.inf), table=table, source="a")
+        nothing = SimpleNamespace(values=lambda name: np.full(3, np.inf), lower=lambda: None, table=table, source="a")
         nothing.data = xr.Dataset(coords={"spindle_speed": speed})
         shown = diagram([cast(Lobes, nothing)], None, None)
         assert shown.point is None
