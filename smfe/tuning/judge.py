@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -20,6 +20,9 @@ SPEEDS = 81
 _SCALE = {"gain_margin": 1.0, "phase_margin": 5.0, "velocity_peak": 1.0, "position_peak": 1.0}
 """By how much a limit must be missed to count as one; others in shares of themselves."""
 
+
+_AT_ONCE = 40
+"""Candidates whose arrays are in memory together: more of them do not fit into the cache."""
 
 _ROUNDING = 1e-6
 """By how much a feed-forward on the limit stays below it [dB]."""
@@ -55,6 +58,15 @@ class Judged:
     feed_forward: Real
     unstable: Real
 
+    @classmethod
+    def joined(cls, parts: Sequence[Judged]) -> Judged:
+        """Return candidates that were judged in parts, one after another."""
+        arrays = {
+            f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls) if f.name != "values"
+        }
+        values = {name: np.concatenate([part.values[name] for part in parts]) for name in parts[0].values}
+        return cls(values=values, **arrays)
+
     @property
     def cost(self) -> Real:
         """What a search minimises: any candidate within the limits beats any that is not."""
@@ -74,6 +86,10 @@ class Judge:
 
     def __call__(self, gains: Real, beyond: bool = False) -> Judged:
         """Return what gains, shape (c, a, 3), are worth; nothing beyond the limits, unless that is asked for."""
+        parts = [self._judged(gains[i : i + _AT_ONCE], beyond) for i in range(0, len(gains), _AT_ONCE)]
+        return parts[0] if len(parts) == 1 else Judged.joined(parts)
+
+    def _judged(self, gains: Real, beyond: bool) -> Judged:
         closed = [self._spared(close(plant, self.oriented, gains), gains) for plant in self.plants]
         forward, first = self._feed_forward(closed, gains), closed[0]
         follows = first.position + forward[..., None] * first.ahead

@@ -7,6 +7,7 @@ two of them are equal, and the best gains usually lie there and on a limit: noth
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,7 +61,21 @@ def search_globally(task: Task, progress: Progress = silent) -> tuple[Real, floa
     everywhere: the least miss comes back, and above zero.
     """
     judge, size = Judge(task, RULES.coarse), 3 * len(task.source.axes)
-    archive, generation = Archive.empty(size), [0]
+    archive = Archive.empty(size)
+    generations = RULES.generations
+
+    def told(generation: int) -> None:
+        progress("searching gains", min(generation, generations), generations)
+
+    best, cost = _evolved(judge, _starts(task, size), generations, archive, told)
+    return best, max(cost - 1.0, 0.0) if cost > 0.0 else 0.0, archive
+
+
+def _evolved(
+    judge: Judge, start: Real, generations: int, archive: Archive, told: Callable[[int], None] = lambda _: None
+) -> tuple[Real, float]:
+    """Return the best place and its cost after some generations from a first one, shape (n, 3 a)."""
+    task, generation = judge.task, [0]
 
     def cost(places: Any, /) -> Any:
         share = np.atleast_2d(places.T)
@@ -68,17 +83,16 @@ def search_globally(task: Task, progress: Progress = silent) -> tuple[Real, floa
         archive.add(share, judged)
         return judged.cost
 
-    def told(intermediate_result: Any) -> Any:
+    def after(intermediate_result: Any) -> Any:
         generation[0] += 1
-        progress("searching gains", min(generation[0], RULES.generations), RULES.generations)
+        told(generation[0])
         return _settled(intermediate_result)
 
-    start = _starts(task, size)
     found = optimize.differential_evolution(
         cost,
-        optimize.Bounds(np.zeros(size), np.ones(size)),
+        optimize.Bounds(np.zeros(start.shape[1]), np.ones(start.shape[1])),
         init=start,
-        maxiter=RULES.generations,
+        maxiter=generations,
         tol=0.0,
         mutation=(0.4, 0.9),
         recombination=0.8,
@@ -86,9 +100,9 @@ def search_globally(task: Task, progress: Progress = silent) -> tuple[Real, floa
         polish=False,
         vectorized=True,
         updating="deferred",
-        callback=told,
+        callback=after,
     )
-    return np.asarray(found.x), max(float(found.fun) - 1.0, 0.0) if found.fun > 0.0 else 0.0, archive
+    return np.asarray(found.x), float(found.fun)
 
 
 def _settled(state: object) -> bool:
@@ -188,21 +202,25 @@ def frontier(
 ) -> list[tuple[Real, float]]:
     """Return places and goals with the best depth at a given tracking error, from the least error to that of `best`.
 
-    Each begins at the best of the archive within its error and is refined with the error as one limit more.
+    Each is a search of its own, with the error as one limit more: the gains change their kind along the curve. It
+    begins at the best that the archive has about its error, and at random.
     """
     judge = Judge(task, RULES.coarse)
     top = float(judge(gains_at(task, best[None])).error[0])
     within = archive.error[archive.goal > RULES.worth * archive.goal.max()]
     low, high = float(within.min()), max(top, float(within.min()) * 1.0001)
     levels = np.geomspace(low, high, points) if low > 0.0 else np.linspace(low, high, points)
+    half, generator = RULES.population * (best.size // 3) // 2, np.random.default_rng(task.seed)
     out: list[tuple[Real, float]] = []
     for number, level in enumerate(levels[::-1]):
         progress("weighing depth against tracking", number, points)
-        asked = Judge(task, RULES.coarse, RULES.spare, level)
-        inside = np.flatnonzero(archive.error <= level)
-        start = archive.share[inside[np.argsort(-archive.goal[inside])[:6]]]
-        start = np.concatenate([start, best[None], *([out[-1][0][None]] if out else [])])
-        found, cost = refine(asked, start, 0.08, archive, 3 * RULES.clouds // 4, number)
+        asked = Judge(task, RULES.coarse, RULES.spare, float(level))
+        near = np.flatnonzero(archive.error <= 1.2 * level)
+        near = near[np.argsort(-archive.goal[near])][: 10 * half : 10]
+        known = np.concatenate([archive.share[near], best[None], *([out[-1][0][None]] if out else [])])
+        start = np.concatenate([known, generator.uniform(size=(half, best.size))])
+        found, _ = _evolved(asked, start, RULES.generations // 3, archive)
+        found, cost = refine(asked, np.concatenate([found[None], known]), 0.03, archive, RULES.clouds // 2, number)
         if cost < 0.0:
             out.append((found, -cost))
     # What is shallower at a larger error is no compromise.

@@ -53,7 +53,7 @@ def _beside(found: Tuning, one: GainSet) -> str:
     if one.goal == 0.0:
         return f"{what}: {'; '.join(one.misses) or 'nothing is stable'}"
     short = 100.0 * found.shortfall(one)
-    by = f"falls short by {short:.0f} %" if short >= 0.0 else f"goes beyond by {-short:.0f} %"
+    by = f"falls short by {short:.0f} %" if short >= -0.5 else "more than the answer"
     missed = f", but misses: {'; '.join(one.misses)}" if one.misses else ""
     error = f"tracking error {1e6 * one.tracking_error:.4g} um"
     return f"{what}: {amount(found.task, one.goal)}, {by}; {error}{missed}"

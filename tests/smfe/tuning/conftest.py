@@ -11,7 +11,15 @@ from smfe.tuning import confirm, judge, plants, result, rules, search
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that hardly searches."""
     less = replace(
-        rules.RULES, generations=12, population=20, clouds=8, cloud=20, fine_parts=1, fine=800, even_points=1500
+        rules.RULES,
+        generations=10,
+        population=20,
+        clouds=8,
+        cloud=20,
+        fine_parts=1,
+        coarse=350,
+        fine=600,
+        even_points=1200,
     )
     for module in (search, judge, result, plants):
         monkeypatch.setattr(module, "RULES", less)
