@@ -310,6 +310,17 @@ class FedMachine:
             swing=swing,
         )
 
+    def shaken(self, frequency: Real, force: Complex) -> Real:
+        """Return the largest speed [m/s] at which forces at the tool shake each guideway and joint, (P,).
+
+        frequency : of the forces [Hz], (n,); force : their amplitudes [N], (n, 3). To a small vibration.
+        """
+        c = self.coefficients(np.zeros(len(self.network.elements)))
+        moved = self.with_elements(self.compliance(frequency), frequency, c)[1]
+        speed = np.abs(np.einsum("npi,ni->np", moved, force))
+        scale = np.where(self.network.displaced, 2.0 * np.pi * frequency[:, None], 1.0)
+        return np.asarray((speed * scale).sum(axis=0))
+
     def amplitudes(self) -> Real:
         """Return amplitudes [m/s] at which the coefficients of the elements change, rising."""
         out = []

@@ -23,9 +23,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from process.cut.engagement import AnyEngagement
-from process.cut.force import CuttingCoefficients
+from process.cut.force import CuttingCoefficients, force_harmonics
 from process.cut.tool import Tool
 from process.errors import InputError
+from process.harmonic_balance.network import FrictionElement
 from process.labels import AXES, label
 from process.machine.machine import Machine
 from process.types import Real
@@ -129,6 +130,7 @@ def operating_point(
         errors = _errors_of_model(moving, found, speed, rate, known)
         out = _labelled(found, speed, rate, moving.frequency, [*cut.warnings])
         out.attrs["warnings"] += _said_of_model(moving, found)
+        out.attrs["warnings"] += _shaken(moving, found, cut, speed, rate)
     else:
         if feed_direction or controller is not None or position is not None:
             raise InputError(
@@ -228,6 +230,30 @@ def _said_of_model(moving: MovingMachine, found: Sequence[Limits]) -> list[str]:
             "forces of the cut itself, which may break it loose, are not counted"
         )
     return out
+
+
+def _shaken(moving: MovingMachine, found: Sequence[Limits], cut: Cut, speed: Real, rate: Real) -> list[str]:
+    """Say where the forces of the stable cut alone shake a guideway as fast as it is fed: then its friction differs."""
+    round_tool, orders = replace(cut.tool, runout=None, pitch_angles=None), [1, 2, 3, 4]
+    count = 0
+    for one, n, v in zip(found, speed, rate, strict=True):
+        depth = one.small.depth
+        if one.why or not (0.0 < depth < math.inf):
+            continue
+        fed = moving.at(float(v))
+        force = force_harmonics(round_tool, cut.arc, cut.coefficients, depth, moving.loop.chip, orders)
+        if np.linalg.norm(force) < 1e-9 * np.linalg.norm(cut.directional_matrix()) * depth * moving.loop.chip:
+            continue
+        frequency = np.array(orders) * cut.tool.teeth * float(n) / 60.0
+        shaken = fed.shaken(frequency, np.asarray(force).reshape(len(orders), 3))
+        feeds = [abs(e.feed) if isinstance(e, FrictionElement) else math.inf for e in fed.network.elements]
+        count += any(s > RULES.shaken * f > 0.0 for s, f in zip(shaken, feeds, strict=True))
+    if not count:
+        return []
+    return [
+        f"at {count} of {len(found)} speeds the tooth passing forces alone shake a guideway faster than it is fed: its "
+        "friction then is that of this vibration, which these limits do not count; simulate such cuts in time"
+    ]
 
 
 # --- from a measured compliance --------------------------------------------------------------------------------------

@@ -47,6 +47,8 @@ class OperatingRules:
     """Measured conditions whose eigenvalues are kept for the next speed."""
     same_limit: float = 1e-9
     """The same for a measured compliance, which is not searched but read."""
+    shaken: float = 1.0
+    """Speed of the forced vibration of a guideway over its feed above which it comes to rest in every tooth period."""
     free_of_friction: float = 10.0
     """Feed [m/s] at which only the viscous friction is left."""
     lowest_frequency: float = 0.5

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 from truth import slot
 
-from process import Andersson, CuttingCoefficients, InputError, LuGre, Servo, Tool, Viscous, engagement
+from process import Andersson, CuttingCoefficients, InputError, LuGre, Servo, Tool, Viscous, compliance_map, engagement
 from process.drive.axis import Drive
 from process.machine.joints import CubicSpring
 from process.machine.machine import FeedAxis, Machine, MountedJoint
@@ -226,6 +226,36 @@ def test_the_band_holds_coefficients_in_closed_form_and_friction_by_trial():
         law = Andersson(44.2 * f[0], 84.0 * f[1], LAW.stribeck_speed * f[2], 168.0 * f[3], 15000.0)
         depths.append(fed(bench("K2", law), 1200 * MM_MIN).cycle(0.0, 1500.0).depth)
     assert width[0.1] / 1.645 == pytest.approx(float(np.std(np.log(depths))), rel=0.35)
+
+
+def test_a_cut_whose_own_forces_stop_a_guideway_is_said():
+    # Half a slot with two teeth has a first harmonic; the full slot with four has none.
+    tool, half = Tool(0.0508, 2), engagement("down", 0.0254, 0.0508)
+    text = "the tooth passing forces alone shake a guideway faster than it is fed"
+    slow = operating_point(bench("K3"), tool, half, SLOT[2], [1500.0], CHIP, feed=25 * MM_MIN)
+    assert any(text in w for w in slow.attrs["warnings"])
+    fast = operating_point(bench("K3"), tool, half, SLOT[2], [1500.0], CHIP, feed=20000 * MM_MIN)
+    full = operating_point(bench("K3"), *SLOT, [1500.0], CHIP, feed=25 * MM_MIN)
+    assert not any(text in w for one in (fast, full) for w in one.attrs["warnings"])
+
+
+def test_a_library_of_sines_has_the_limits_of_the_machine_that_it_was_measured_on():
+    machine, feeds = bench("K2"), np.array([500.0, 1000.0, 2000.0])
+    library = compliance_map(machine, np.arange(8.0, 250.0, 0.5), feeds=(feeds * MM_MIN).tolist())
+    speeds = [800.0, 1000.0, 1200.0, 1500.0, 2000.0]
+    found, true = (operating_point(m, *SLOT, speeds, CHIP) for m in (library, machine))
+    off = np.abs(found.limit_depth / true.limit_depth - 1.0).values
+    assert off.max() < 0.012
+    assert off.max() < found.attrs["interpolation_error"] < 0.06
+    # At levels of force: both limits and the kick, from what stepped sines measure.
+    machine, feed = bench("K3"), 250.0 * MM_MIN
+    levels = [1.0, 15.0, 25.0, 35.0, 42.0, 50.0, 80.0]
+    library = compliance_map(machine, np.arange(40.0, 120.0, 1.0), feeds=[feed], force_levels=levels)
+    library = library.expand_dims(feed=[250.0]) if "feed" not in library.dims else library
+    found, true = (operating_point(m, *SLOT, [1500.0, 1800.0], CHIP, feed=feed) for m in (library, machine))
+    np.testing.assert_allclose(found.limit_depth, true.limit_depth, rtol=2e-3)
+    np.testing.assert_allclose(found.lower_limit_depth, true.lower_limit_depth, rtol=0.15)
+    np.testing.assert_allclose(found.kick, true.kick, rtol=0.35)
 
 
 def test_a_tooth_that_leaves_the_cut_cuts_less():
