@@ -168,7 +168,9 @@ def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> No
             for s in channel_suspects(record, where, pulsed=method == "hammer"):
                 # A hit that is cut off is left out by itself, and said so.
                 handled = method == "hammer" and s.cause == "saturation" and found is not None
-                out.suspects.append(_excluding(s, part, handled and "all " not in s.evidence))
+                # A drive is read from its encoder and its force: accelerometers that are not there are none of its.
+                if method not in ("drive", "open_loop", "loop") or "acceleration" not in f"{s.where} {s.evidence}":
+                    out.suspects.append(_excluding(s, part, handled and "all " not in s.evidence))
             if method == "silent":
                 out.suspects += tone_suspects(record, where)
             if entry.cut is not None:

@@ -101,7 +101,7 @@ class Entry:
     name : str
         Unique.
     method : str
-        Of the trial.
+        Of the trial; "open_loop" where a periodic force is added to a drive.
     trial : int
         Its number in the file.
     says : mapping
@@ -485,7 +485,8 @@ def _drive(stand: Stand, trial: schema.DriveTrial, chosen: Combination) -> Itera
     make = partial(_without_force, moving_trial, stand.loaded, duration, drive_forces=forces, commanded=True)
     says = {} if forces is None else {"force_level": show(chosen.level, "N", "force")}
     job = Job(chosen.name, partial(make, **_common(stand, chosen)), {})
-    yield _entry(stand, chosen, says, [job])
+    entry = _entry(stand, chosen, says, [job])
+    yield replace(entry, method="open_loop") if force is not None and trial.signal != "chirp" else entry
 
 
 def _drive_force(stand: Stand, trial: schema.DriveTrial, level: float) -> tuple[Excitation | None, float]:

@@ -223,8 +223,13 @@ def campaign_text(scenario: Scenario, records: Sequence[Sequence[Written]], noti
     parts += [table(f"[{name}]", scenario.raw[name]) for name in ("tool", "material") if name in scenario.raw]
     parts.append(table("[channels]", _declared(common)))
     parts += _machine(scenario)
+    runs = _runs(scenario, [entry for entry, _ in left])
     for (entry, one), columns in zip(left, used, strict=True):
         own = {name: channel for name, channel in columns.items() if name not in common}
+        if entry.name in runs:
+            together = [(e, files) for e, files in left if runs.get(e.name) == runs[entry.name]]
+            parts += [_steady_runs(runs[entry.name], together, own)] if together[0][0] is entry else []
+            continue
         parts.append(_cutting_test(entry, one[0].file, own) if entry.method == "cut" else _measurement(entry, one, own))
     gone = {entry.name for entry in scenario.entries} - {entry.name for entry, _ in left}
     for lobes in scenario.raw.get("lobes", ()):
@@ -274,6 +279,31 @@ def _declared(columns: Columns) -> dict[str, Any]:
 def _measurement(entry: Entry, records: Sequence[Written], own: Columns) -> str:
     values: dict[str, Any] = {"name": entry.name, "method": entry.method, **entry.says}
     values["records"] = [{"file": record.file, **job.says} for record, job in zip(records, entry.jobs, strict=True)]
+    return table("[[measurement]]", values) + _channels("measurement", own)
+
+
+def _runs(scenario: Scenario, entries: Sequence[Entry]) -> dict[str, str]:
+    """Return entry -> measurement for drives without a force at several feeds: together they give a friction curve."""
+    groups: dict[tuple[int, str], list[Entry]] = {}
+    for entry in entries:
+        if entry.method == "drive" and "force_level" not in entry.says:
+            rest = {key: value for key, value in entry.says.items() if key != "feed"}
+            groups.setdefault((entry.trial, repr(rest)), []).append(entry)
+    out: dict[str, str] = {}
+    for (trial, _), members in groups.items():
+        alone = sum(key[0] == trial for key in groups) == 1
+        first, base = members[0], scenario.file.trial[trial].name or members[0].method
+        name = base if alone else "_".join([base, *(str(v) for k, v in first.says.items() if k != "feed")])
+        if len(members) > 1:
+            out |= dict.fromkeys((entry.name for entry in members), name)
+    return out
+
+
+def _steady_runs(name: str, runs: Sequence[tuple[Entry, Sequence[Written]]], own: Columns) -> str:
+    """Return the measurement of runs at several feeds, each record with its own."""
+    first = runs[0][0]
+    values = {"name": name, "method": first.method, **{k: v for k, v in first.says.items() if k != "feed"}}
+    values["records"] = [{"file": files[0].file, "feed": entry.says["feed"]} for entry, files in runs]
     return table("[[measurement]]", values) + _channels("measurement", own)
 
 

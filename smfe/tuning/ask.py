@@ -187,10 +187,10 @@ def _measured(campaign: Campaign, table: MeasuredTable, progress: Progress) -> M
     loops = {}
     for axis, one in table.axis.items():
         record = by_name.get(one.open_loop)
-        if record is None or record.method != "drive":
+        if record is None or record.method not in ("open_loop", "drive"):
             raise InputError(
                 f"{where}: the open loop of axis {axis} is '{one.open_loop}', which is no measurement with method "
-                '= "drive" and a periodic drive force; name one'
+                '= "open_loop", or "drive" and a periodic drive force; name one'
             )
         records = [r for entry in record.records for r in records_of(entry)]
         loops[axis] = open_loop_response(records[0], axis, one.period)

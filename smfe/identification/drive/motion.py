@@ -111,8 +111,11 @@ def moves(record: xr.Dataset, rotary: bool, axis: str) -> bool:
     return bool(np.ptp(motion) > 20.0 * np.mean(np.abs(np.diff(motion))) and np.ptp(force) > 0.0)
 
 
-def trace_of(record: xr.Dataset, rotary: bool, axis: str) -> Trace:
-    """Take the channels of one axis from a record; refuse gaps, and an axis that does not move."""
+def trace_of(record: xr.Dataset, rotary: bool, axis: str, steady: bool = False) -> Trace:
+    """Take the channels of one axis from a record; refuse gaps, and an axis that does not move.
+
+    A force that never changes is refused, too, unless the record may be a `steady` run, free of noise.
+    """
     place, speed, load, units = KINDS[rotary]
     is_velocity = not _has(record, place, axis)
     motion, force = (record[n].sel(axis=axis).values.astype(float) for n in (speed if is_velocity else place, load))
@@ -122,7 +125,8 @@ def trace_of(record: xr.Dataset, rotary: bool, axis: str) -> Trace:
     ):
         if not np.all(np.isfinite(values)):
             raise InputError(f"{what}_{axis} has gaps; a drive is identified from records without")
-        if np.ptp(values) == 0.0 and not (is_velocity and values[0] != 0.0):
+        alike = np.ptp(values) == 0.0
+        if alike and not (values[0] != 0.0 and ((is_velocity and what == speed) or (steady and what == load))):
             raise InputError(
                 f"{what}_{axis} is {values[0]:g} {unit} in all samples; take a record of an axis that moves"
             )

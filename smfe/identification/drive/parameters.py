@@ -96,7 +96,7 @@ def identify_drive(
         When channels are missing, nothing moves, the drive would give out energy, or no parameter is determined.
     """
     rotary, axis = which_drive(records, axis)
-    traces = [trace_of(record, rotary, axis) for record in records]
+    traces = [trace_of(record, rotary, axis, steady=True) for record in records]
     units = KINDS[rotary][3]
     if known is not None and known[1] != ("inertia" if rotary else "mass"):
         raise InputError(
@@ -106,6 +106,7 @@ def identify_drive(
     runs = steady_runs(traces, None if known is None else known[0])
     if runs is not None and runs.alone:
         return _of_steady(fit_steady(runs, units), axis, rotary, known)
+    traces = [trace_of(record, rotary, axis) for record in records]
     band = band_of(traces, highest)
     balance, kept = balance_of(traces, band)
     found = _fit(balance, kept, band, None if known is None else known[0])

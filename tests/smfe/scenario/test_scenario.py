@@ -754,7 +754,7 @@ def test_periodic_drive_forces_are_recorded_in_whole_periods_with_feed_and_contr
     tones = tones.replace('"prbs"', '"multisine"')
     campaign = load_campaign(simulate(write(tmp_path, AXES + prbs + tones), tmp_path / "out"))
     for one, period in zip(campaign.measurements, (127 / 500.0, 0.4), strict=True):
-        assert (one.method, one.controller, one.force_level) == ("drive", "K1", 500.0)
+        assert (one.method, one.controller, one.force_level) == ("open_loop", "K1", 500.0)
         assert one.feed is not None
         assert one.feed["x"] == pytest.approx(1.0 / 60.0)
         (record,) = read_records(one.records[0].files[0], one.records[0].channels)
