@@ -98,7 +98,7 @@ def tune(
         "nominal": factor * found.best.nominal,
         "unit": "cm3/min" if rate else "mm",
         "tracking_error_um": 1e6 * found.best.tracking_error,
-        "values": dict(found.best.values),
+        "values": words.values(found.best),
         "sets": found.table().to_dict("records"),
         "summary": lines[:-1],
     }

@@ -12,6 +12,11 @@ def amount(task: Task, value: float) -> str:
     return f"{6e7 * value:.4g} cm3/min" if task.goal.kind == "removal_rate" else f"{1e3 * value:.4g} mm"
 
 
+def values(one: GainSet) -> dict[str, float]:
+    """Return what may be limited by its name and unit, in that unit."""
+    return {f"{name}_{LIMIT_WORDS[name][2]}": LIMIT_WORDS[name][3] * value for name, value in one.values.items()}
+
+
 def gains(v: Servo) -> str:
     """Return the gains of an axis."""
     ahead = f", feed-forward {v.feed_forward:.3g}" if v.feed_forward else ""
