@@ -73,7 +73,8 @@ def test_a_machine_of_the_paper_fits_on_two_pages_and_says_what_is_chosen(path: 
 
 
 def test_the_robot_loses_half_when_brakes_are_released_and_three_quarters_in_motion() -> None:
-    braked = size(machine("robot").idle_compliance(FREQUENCY), "zz")
+    at_rest = machine("robot").braked().at()
+    braked = size(at_rest.matrix(FREQUENCY), "zz")
     energised, moving = size(compliance("robot", 0.0), "zz"), size(compliance("robot", 10.0), "zz")
     assert energised[1] / braked[1] - 1.0 == pytest.approx(-0.50, rel=0.05)
     assert moving[1] / braked[1] - 1.0 == pytest.approx(-0.77, rel=0.05)
