@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -80,7 +81,7 @@ def task_of(campaign: Campaign, given: Machine | Measured | None = None, progres
         tool,
         engagement(table.cut, table.width_of_cut, tool.diameter),
         material,
-        Goal(table.goal, tuple(speeds), table.maximum_depth or np.inf),
+        Goal(table.goal, tuple(speeds), _deepest(campaign, table)),
         limits_of(table),
         Move(table.move.kind, table.move.feed, table.move.radius),
         table.feed_forward,
@@ -91,6 +92,15 @@ def task_of(campaign: Campaign, given: Machine | Measured | None = None, progres
         table.feed_direction,
         table.seed,
     )
+
+
+def _deepest(campaign: Campaign, table: TuneTable) -> float:
+    """Return the depth that is allowed at most [m], by the task or the length of the cutting edges."""
+    known = [] if table.maximum_depth is None else [table.maximum_depth]
+    edge = campaign.machine_limits.edge_length
+    if edge is not None and campaign.tool is not None:
+        known.append(edge * math.sin(campaign.tool.approach_angle))
+    return min(known, default=math.inf)
 
 
 def limits_of(table: TuneTable) -> Limits:

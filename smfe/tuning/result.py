@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -352,6 +353,11 @@ def _doubts(task: Task, answer: GainSet, share: Real) -> list[str]:
         count = with_servos(task.source, tuple(answer.servos.values())).unstable_poles()
         if count:
             out.append(f"the exact count finds {count} pole(s) in the right half plane; do not use these gains")
-    if answer.goal >= RULES.deepest and task.goal.kind != "removal_rate":
+    if task.goal.kind == "removal_rate" and math.isinf(task.goal.deepest):
+        out.append(
+            "no largest depth is stated: a removal rate then counts the deepest pocket as deep as it is stable; give "
+            "maximum_depth, or edge_length of the tool"
+        )
+    elif answer.goal >= RULES.deepest:
         out.append("no depth is unstable with these gains as far as the machine is known; the goal does not decide")
     return out

@@ -185,6 +185,17 @@ def test_a_limit_more_costs_depth_and_is_kept() -> None:
     assert not held.best.misses
 
 
+@pytest.mark.usefixtures("hurried")
+def test_a_removal_rate_counts_no_deeper_than_the_edges_and_says_so_where_they_are_not_known() -> None:
+    asked = {**ASKED, "goal": "removal_rate", "feed_per_tooth": 2e-4, "robust": 0.0}
+    edges = {**TOOL, "edge_length": "2 mm"}
+    held = smfe.tune(bench(), tool=edges, material=ALUMINIUM, **asked)
+    assert held.best.goal == pytest.approx(2e-3 * 0.0508 * 2e-4 * 4 * 2500.0 / 60.0, rel=1e-6)
+    with pytest.warns(smfe.SmfeWarning, match="no largest depth is stated"):
+        free = smfe.tune(bench(), tool=TOOL, material=ALUMINIUM, **asked)
+    assert free.best.goal > held.best.goal
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("hurried")
 def test_two_axes_are_tuned_together_and_confirmed_by_semi_discretisation() -> None:
