@@ -39,6 +39,20 @@ class TestChannels:
         )
         assert not list(channel_suspects(moved, "here"))
 
+    def test_axes_fed_together_share_their_ramp_and_are_not_one_channel(self) -> None:
+        record, rng = noisy_record(), np.random.default_rng(3)
+        t = record["time"].values
+        ramp = 560.0 / 60e3 * t
+        shaken = {axis: ramp + 1e-7 * rng.standard_normal(t.size) for axis in "xy"}
+        acceleration = {a: record["acceleration"].sel(axis=a).values for a in "xyz"}
+        # z moves without any vibration: its ramp is no signal of its own.
+        fed = make_record(t, {"acceleration": acceleration, "encoder_position": {**shaken, "z": ramp}})
+        assert np.corrcoef(shaken["x"], shaken["y"])[0, 1] > 0.999999
+        assert not list(channel_suspects(fed, "here"))
+        same = make_record(t, {"acceleration": acceleration, "encoder_position": {**shaken, "z": shaken["x"]}})
+        (found,) = channel_suspects(same, "here")
+        assert found.where == "here, encoder_position_x and encoder_position_z"
+
     def test_a_cut_off_channel_is_named_with_its_side(self) -> None:
         t = np.arange(16000) / RATE
         clipped = np.clip(3.0 * np.sin(2 * np.pi * 7.3 * t), -10.0, 2.0)
