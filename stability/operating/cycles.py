@@ -74,6 +74,8 @@ class Limits:
         Why there is no limit, and what was asked; empty where there is one.
     stable_to : float
         Where there is no limit: the depth [m] to which a small disturbance is known to decay; NaN: not known either.
+    lost : int
+        Sizes of vibration at which none was found.
     """
 
     small: Cycle
@@ -83,6 +85,7 @@ class Limits:
     why: str = ""
     where: str = ""
     stable_to: float = math.nan
+    lost: int = 0
 
     @classmethod
     def unknown(cls, why: str, where: str, stable_to: float = math.nan) -> Limits:

@@ -197,6 +197,13 @@ class FedMachine:
             return self._finished(c, depth, chatter, lobe, speed, amplitude)
         return self._with_harmonics(amplitude, shape, (depth, chatter, lobe), speed, before.motion)
 
+    def cycle_beside(self, amplitude: float, speed: float, before: Cycle) -> Cycle:
+        """Return the vibration of an amplitude [m/s] whose guideways share the motion nearly as in another one."""
+        if not isinstance(before.motion, ImposedMotion):
+            return self.cycle(amplitude, speed, before)
+        near = (before.depth, before.chatter, before.lobe)
+        return self._with_harmonics(amplitude, before.elements, near, speed, before.motion)
+
     def _reverses(self, amplitude: Real) -> bool:
         """Return whether a guideway comes near to rest within a cycle, or a joint moves: then harmonics matter."""
         for element, v in zip(self.network.elements, amplitude, strict=True):
@@ -214,7 +221,7 @@ class FedMachine:
         depth, chatter, lobe = first
         motion = start if isinstance(start, ImposedMotion) else None
         c, near, settled = np.zeros(shape.size, dtype=complex), False, False
-        for round_ in range(RULES.rounds):
+        for round_ in range(RULES.rounds if shape.size == 1 else RULES.shares):
             motion = self.imposed(amplitude * shape, depth, chatter, speed, motion)
             old, c = c, motion.coefficient
             if not motion.converged or not np.isfinite(c).all():
@@ -229,7 +236,11 @@ class FedMachine:
                 depth, chatter, lobe = self.limit(c, speed)
             if not (0.0 < depth < math.inf):
                 break
-            shape = self._shape(c, depth, chatter, speed) if shape.size > 1 else self._scaled(shape, chatter)
+            if shape.size > 1:
+                new = self._shape(c, depth, chatter, speed)
+                new = new * np.exp(-1j * np.angle(np.vdot(shape, new)))
+                shape = 0.5 * (shape + new)
+            shape = self._scaled(shape, chatter)
         if not settled and math.isfinite(depth):
             return Cycle(amplitude, math.nan, elements=shape)
         cycle = self._finished(c, depth, chatter, lobe, speed, amplitude)

@@ -169,10 +169,15 @@ def _of_model(moving: MovingMachine, speed: float, feed: float) -> Limits:
         if one.swing > RULES.largest_swing:
             break
         last = one if 0.0 < one.depth < math.inf else last
+    # From the other side: where guideways share the motion anew, it is followed from a larger vibration.
+    for i in reversed(range(1, len(nodes) - 1)):
+        if math.isnan(nodes[i].depth) and 0.0 < nodes[i + 1].depth < math.inf:
+            nodes[i] = fed.cycle_beside(nodes[i].amplitude, speed, nodes[i + 1])
+    lost = sum(math.isnan(c.depth) for c in nodes)
     least, cycles = lowest(nodes, lambda amplitude, near: fed.cycle(amplitude, speed, near))
     if least.depth > small.depth * (1.0 - RULES.no_lower):
         least = small
-    return Limits(small, least, cycles, [small.depth])
+    return Limits(small, least, cycles, [small.depth], lost=lost)
 
 
 def _errors_of_model(
@@ -209,8 +214,8 @@ def _change(other: Cycle, one: Cycle) -> float:
 
 def _said_of_model(moving: MovingMachine, found: Sequence[Limits]) -> list[str]:
     out = []
-    lost = sum(math.isnan(c.depth) for one in found for c in one.cycles)
-    every = sum(len(one.cycles) for one in found)
+    lost = sum(one.lost for one in found)
+    every = sum(len(one.cycles) for one in found) + lost
     started = sum(one.least is not None and one.least.unsteady for one in found)
     if started:
         out.append(

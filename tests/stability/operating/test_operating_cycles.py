@@ -178,6 +178,9 @@ def test_two_guideways_share_the_motion_of_the_mode():
     assert cycle.depth < small.depth
     assert c.shape == (2,)
     assert math.isfinite(cycle.kick)
+    # In the isotropic slot both axes are alike: the curve over the amplitude has no gap.
+    found = operating_point(two, *SLOT, [speed], CHIP, feed=feed * math.sqrt(2.0), feed_direction=0.25 * math.pi)
+    assert 0.0 < float(found.lower_limit_depth[0]) < float(found.limit_depth[0])
 
 
 def test_a_hardening_joint_has_the_stiffness_of_its_amplitude():
