@@ -7,7 +7,8 @@ undecided. Of k right ones among n decided the share has the exact interval of t
 
 Two methods are compared on the tests that both predicted: of b tests that only the one had right and c that only the
 other had, the difference is chance with the p-value of the exact test of McNemar (1947), two-sided:
-``p = min(1, 2 P(B <= min(b, c)))``, B binomial of b + c with 1/2. All pairs together are held to 5 % by Holm (1979).
+``p = min(1, 2 P(B <= min(b, c)))``, B binomial of b + c with 1/2. All pairs of methods together are held to 5 % by Holm
+(1979); those under one controller, again, for themselves.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from smfe.results import write_csv
 RANKING, DIFFERENCES = "ranking.csv", "ranking_differences.csv"
 
 CONFIDENCE = 0.95
-"""Of the intervals; 1 less it is the error that all differences together are held to."""
+"""Of the intervals; 1 less it is the error that all differences under one controller, or over all, are held to."""
 
 RIGHT, FALSELY_STABLE, FALSELY_UNSTABLE, UNDECIDED = "right", "falsely_stable", "falsely_unstable", "undecided"
 OUTCOMES = (RIGHT, FALSELY_STABLE, FALSELY_UNSTABLE, UNDECIDED)
@@ -115,7 +116,9 @@ def _predicted(campaign: Campaign, test: CuttingTest, row: Mapping[str, Any]) ->
             outcome = RIGHT
         else:
             outcome = FALSELY_STABLE if predicted == "stable" else FALSELY_UNSTABLE
-        yield name, test.controller or source.controller or "", round(test.spindle_speed, 6), outcome
+        controller = test.controller or source.controller or ""
+        # A controller that is called "all" is no sum.
+        yield name, f"{ALL} (controller)" if controller == ALL else controller, round(test.spindle_speed, 6), outcome
 
 
 def method_names(campaign: Campaign) -> dict[str, tuple[Source, str]]:

@@ -68,8 +68,9 @@ def task_of(campaign: Campaign, given: Machine | Measured | None = None, progres
             f"{where}: [tune] has no {'goal' if table.goal is None else 'spindle_speed'}; say what the gains are for, "
             'e.g. goal = "least_depth" (or "removal_rate", "depths") with spindle_speed = ["800 rpm", "2500 rpm"]'
         )
-    source, present = _source(campaign, table, given, progress)
     speeds = table.spindle_speed.values
+    _check_spindle(campaign, speeds)
+    source, present = _source(campaign, table, given, progress)
     if table.goal != "depths":
         speeds = (speeds[0], speeds[-1])
         if speeds[0] == speeds[1]:
@@ -101,6 +102,17 @@ def _deepest(campaign: Campaign, table: TuneTable) -> float:
     if edge is not None and campaign.tool is not None:
         known.append(edge * math.sin(campaign.tool.approach_angle))
     return min(known, default=math.inf)
+
+
+def _check_spindle(campaign: Campaign, speeds: Sequence[float]) -> None:
+    low, high = campaign.spindle.minimum, campaign.spindle.maximum
+    beyond = [f"{v:g}" for v in speeds if not low <= v <= high]
+    if beyond:
+        most = f"to {high:g} rpm" if math.isfinite(high) else "rpm and more"
+        raise InputError(
+            f"{campaign.path.name}: [tune] asks for {', '.join(beyond)} rpm, which the [spindle] cannot turn: it has "
+            f"{low:g} {most}; give spindle_speed within that"
+        )
 
 
 def limits_of(table: TuneTable) -> Limits:
@@ -141,6 +153,8 @@ def _model(where: str, machine: Machine, table: TuneTable) -> tuple[ModelSource,
     unknown = [a for a in axes if a not in machine.axes]
     if unknown:
         raise InputError(f"{where}: axis {', '.join(unknown)} is none of the machine's, {', '.join(machine.axes)}")
+    if len(set(axes)) < len(axes):
+        raise InputError(f"{where}: [tune] names axes {', '.join(axes)}; name each axis once")
     dry = [a for a, axis in machine.axes.items() if not isinstance(axis.friction, Viscous)]
     if dry and table.feed is None:
         raise InputError(

@@ -76,12 +76,19 @@ class Judged:
 class Judge:
     """Judges gains on one grid of frequencies."""
 
-    def __init__(self, task: Task, points: int, spare: float = 0.0, tracking_error: float | None = None) -> None:
-        """Prepare the plants; `spare` [dB] is kept to the limits of the peaks."""
+    def __init__(
+        self,
+        task: Task,
+        points: int,
+        spare: float = 0.0,
+        tracking_error: float | None = None,
+        changes: tuple[float, ...] | None = None,
+    ) -> None:
+        """Prepare the plants, of the task's changes of the modes by default; `spare` [dB] is kept to the peaks."""
         self.task, self.spare = task, spare
         self.tracking_error = task.limits.tracking_error if tracking_error is None else tracking_error
         grid = grid_of(task.source, fastest_of(task), points, task.move.frequency)
-        self.plants: tuple[Plant, ...] = tuple(task.source.plant(grid, change) for change in task.changes)
+        self.plants: tuple[Plant, ...] = tuple(task.source.plant(grid, change) for change in changes or task.changes)
         self.oriented = Oriented.of(task.directional, self.plants[0].directions)
 
     def __call__(self, gains: Real, beyond: bool = False) -> Judged:

@@ -311,6 +311,8 @@ def grid_of(source: Source, fastest: float, points: int, extra: tuple[float, ...
     middle = np.geomspace(max(0.25 * modes[:, 0].min(), low), min(3.0 * modes[:, 0].max(), high), points // 4)
     near = max(4, points // (4 * len(modes)))
     offset = np.sinh(np.linspace(-4.0, 4.0, near)) / math.sinh(4.0)
+    # At a mode without damping the compliance has no value: the points about it lie a little beside it.
+    modes = np.column_stack([modes[:, 0] * np.where(np.abs(modes[:, 1]) < 1e-6, 1.0 + 1e-5, 1.0), modes[:, 1]])
     close = [f + max(0.15 * f, 20.0 * zeta * f) * offset for f, zeta in modes]
     close += [f * (1.0 + 0.1 * np.linspace(-1.0, 1.0, near)) for f, _ in modes]
     inside = np.concatenate([even, middle, *close])

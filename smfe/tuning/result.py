@@ -66,8 +66,8 @@ class GainSet:
         unit, factor = ("cm3_min", 6e7) if kind == "removal_rate" else ("mm", 1e3)
         out: dict[str, object] = {
             "gains": self.name,
-            f"worst_{unit}": factor * self.goal,
-            f"nominal_{unit}": factor * self.nominal,
+            f"worst_{unit}": factor * _unlimited(kind, self.goal),
+            f"nominal_{unit}": factor * _unlimited(kind, self.nominal),
             "tracking_error_um": 1e6 * self.tracking_error,
         }
         for axis, v in self.servos.items():
@@ -142,6 +142,11 @@ class Tuning:
         return pd.DataFrame(rows)
 
 
+def _unlimited(kind: str, goal: float) -> float:
+    """Return infinity for a depth that counts as without limit."""
+    return math.inf if kind != "removal_rate" and goal >= RULES.deepest else goal
+
+
 def tuned(task: Task, progress: Progress = silent) -> Tuning:
     """Search the gains of a task.
 
@@ -151,7 +156,7 @@ def tuned(task: Task, progress: Progress = silent) -> Tuning:
         When no gains within the search keep all limits, with those that come nearest.
     """
     start, missed, archive = search_globally(task, part(progress, 0.0, 0.4))
-    final = Judge(task, 2 * RULES.fine)
+    final = Judge(task, 2 * RULES.fine, changes=task.changes_between)
     if missed > 0.0:
         raise InputError(_impossible(task, final, start))
     rule = _rule(task, final)
@@ -348,7 +353,10 @@ def _doubts(task: Task, answer: GainSet, share: Real) -> list[str]:
     if at_edge.any():
         names = [f"{g} of {axis}" for axis in task.source.axes for g in ("Kp", "Ti", "Kv")]
         listed = ", ".join(n for n, edge in zip(names, at_edge, strict=True) if edge)
-        out.append(f"{listed} lies at an edge of what is tried: no limit holds it back; state one (bandwidth, margins)")
+        verb = "lie" if at_edge.sum() > 1 else "lies"
+        out.append(
+            f"{listed} {verb} at an edge of what is tried: no limit holds it back; state one (bandwidth, margins)"
+        )
     if isinstance(task.source, ModelSource):
         count = with_servos(task.source, tuple(answer.servos.values())).unstable_poles()
         if count:

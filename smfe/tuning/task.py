@@ -173,6 +173,12 @@ class Task:
         """Shares by which the modes are moved, the nominal machine first."""
         return (0.0, -self.robust, self.robust) if self.robust else (0.0,)
 
+    @property
+    def changes_between(self) -> tuple[float, ...]:
+        """Shares from lower to higher modes, the nominal machine first: at one speed the worst may lie between."""
+        even = np.linspace(-self.robust, self.robust, 9)
+        return (0.0, *(float(v) for v in even if abs(v) > 1e-12)) if self.robust else (0.0,)
+
     def removal_rate(self, speed: Real, depth: Real) -> Real:
         """Return the removal rate [m^3/s] at speeds [rpm] and depths [m]."""
         area = self.width_of_cut * self.feed_per_tooth * self.tool.teeth

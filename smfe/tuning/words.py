@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from process.drive.servo import Servo
 from smfe.tuning.result import GainSet, Tuning
+from smfe.tuning.rules import RULES
 from smfe.tuning.task import LIMIT_WORDS, Task
 
 
 def amount(task: Task, value: float) -> str:
     """Return what is maximised, with its unit."""
-    return f"{6e7 * value:.4g} cm3/min" if task.goal.kind == "removal_rate" else f"{1e3 * value:.4g} mm"
+    if task.goal.kind == "removal_rate":
+        return f"{6e7 * value:.4g} cm3/min"
+    return f"{1e3 * value:.4g} mm" if value < RULES.deepest else "no limit"
 
 
 def values(one: GainSet) -> dict[str, float]:

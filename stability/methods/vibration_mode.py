@@ -81,7 +81,9 @@ def vibration(
     r = (phi @ force[at][:, :, None])[:, :, 0]
     largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)
     r = r * np.exp(-1j * np.angle(largest))
-    moved[at] = r / np.linalg.norm(r, axis=1)[:, None]
+    # Where a force only acts in directions of unknown compliance, no motion is known of it.
+    size = np.linalg.norm(r, axis=1)[:, None]
+    moved[at] = np.divide(r, size, out=np.full_like(r, np.nan), where=size > 0.0)
     return force, moved
 
 

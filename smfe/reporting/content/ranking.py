@@ -98,6 +98,11 @@ def sentences(differences: pd.DataFrame | None) -> list[str]:
     ]
 
 
+def _begun(name: str) -> str:
+    """Return a name as a sentence begins; the rest of it, e.g. the name of a model, stays as it is written."""
+    return name[:1].upper() + name[1:]
+
+
 def _tests(count: object) -> str:
     return f"{count} test{'' if count == 1 else 's'}"
 
@@ -107,7 +112,7 @@ def _difference(row: dict[object, object]) -> str:
     p, alone, other = float(str(row["p_value_of_all"])), row["only_a_right"], row["only_b_right"]
     said = "p below 0.001" if p < 1e-3 else f"p = {number(p, 2)}"
     return (
-        f"{str(row['method_a']).capitalize()} predicts better than {row['method_b']}{under}, and not by chance: of "
+        f"{_begun(str(row['method_a']))} predicts better than {row['method_b']}{under}, and not by chance: of "
         f"{row['tests']} tests it alone has {alone} right, the other alone {other} ({said})."
     )
 

@@ -145,3 +145,19 @@ def test_the_picture_has_a_mark_for_every_test(tmp_path):
     picture = draw_ranking(found.table)
     assert sum(len(line.get_xdata()) == 1 for line in picture.axes[0].lines) == 16
     assert [r.share for r in grid(found.table)] == ["7 of 7 (59 to 100 %)", "0 of 7 (0 to 41 %)"]
+
+
+def test_a_controller_called_all_is_counted_like_any_other_and_names_keep_their_capitals(tmp_path):
+    sources = [
+        measured(f"{n}_{k}", feed=f, controller=k) for k in ("all", "K2") for n, f in (("i", REST), ("m", MOVING))
+    ]
+    rows = [
+        row("stable", **{f"i_{k}": "chatter", f"m_{k}": "stable"}) for k in ("all", "K2") for _ in range(8)
+    ]  # fmt: skip
+    found = ranked(campaign(tmp_path, sources, [(600.0, k) for k in ("all", "K2") for _ in range(8)]), rows)
+    whole = found.table[found.table["controller"] == ALL]
+    assert whole["tests"].tolist() == [16, 16]
+    assert [one.controller for one in grid(found.table)] == ["K2", "all (controller)"] * 2
+    assert (found.differences["controller"] == ALL).sum() == 1
+    named = found.differences.assign(method_a="FE model K2")
+    assert sentences(named)[0].startswith("FE model K2 predicts better than hammer at rest")
