@@ -223,6 +223,11 @@ class ActuatorTrial(TrialBase):
             raise InputError("a sine in steps needs frequencies = [from, to, step]; one that sweeps, a sweep_time")
         if self.sweep_time is not None and (len(self.frequencies) != 2 or self.dwell is not None):
             raise InputError("a sine that sweeps needs frequencies = [from, to], and no dwell")
+        if self.sweep_time is not None and self.sweep_time * self.frequencies[0] < 1.0:
+            raise InputError(
+                f"a sine that sweeps in {self.sweep_time:g} s has no period of {self.frequencies[0]:g} Hz; give a "
+                "longer sweep_time"
+            )
         return self
 
 

@@ -643,6 +643,13 @@ BAD_AXIS += [
     (('"60 Hz", "20 Hz"]', '"60 Hz"]'), "trial[0]: a sine in steps needs frequencies = [from, to, step]"),
     (('dwell = "0.3 s"', 'sweep_time = "8 s"'), "trial[0]: a sine that sweeps needs frequencies = [from, to], and no"),
     (
+        (
+            'frequencies = ["20 Hz", "60 Hz", "20 Hz"]\ndwell = "0.3 s"',
+            'frequencies = ["20 Hz", "60 Hz"]\nsweep_time = "1 ms"',
+        ),
+        "trial[0]: a sine that sweeps in 0.001 s has no period of 20 Hz; give a longer sweep_time",
+    ),
+    (
         ('force = "500 N"', 'signal = "prbs"\nforce = "500 N"'),
         "trial[1]: signal 'prbs': 'clock', 'bits', 'periods' mis",
     ),
