@@ -28,11 +28,13 @@ def rows(page: str) -> dict[str, tuple[str, str, str]]:
         Text of the page.
     """
     out: dict[str, tuple[str, str, str]] = {}
+    inside = False  # other tables of the page are its own
     for line in page.splitlines():
         cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
-        if not line.startswith("|") or len(cells) != len(COLUMNS) or set("".join(cells)) <= set("-: "):
+        if tuple(cells) == COLUMNS or not line.startswith("|"):
+            inside = tuple(cells) == COLUMNS
             continue
-        if tuple(cells) == COLUMNS:
+        if not inside or len(cells) != len(COLUMNS) or set("".join(cells)) <= set("-: "):
             continue
         if cells[0] in out:
             raise ValueError(f"two rows are called {cells[0]!r}; a row is found by its first column")
