@@ -18,8 +18,9 @@ from process.labels import axis_present, sample_interval
 from process.types import Real
 from smfe.diagnosis.checks.rules import RULES
 from smfe.diagnosis.checks.suspect import Part, Suspect, fault, warning
+from smfe.identification.spectra.spectra import hann
 from smfe.identification.spectra.spindle_angle import spindle_angle
-from smfe.identification.sweep.passes import SweepPass, in_cut, prepare
+from smfe.identification.sweep.passes import PreparedPass, SweepPass, in_cut, prepare
 from smfe.identification.sweep.rules import RULES as SWEEP_RULES
 from smfe.identification.sweep.spindle_clock import ADVICE, compare_speeds
 
@@ -27,12 +28,35 @@ _EQUAL_TEETH = CuttingCoefficients(1.0, 0.3, 0.0)  # the spectrum of a tooth cha
 
 
 def clock_suspects(record: xr.Dataset, where: str, teeth: int | None) -> Iterator[Suspect]:
-    """Compare the passing of the teeth with all channels of the speed, steady or not: clocks, teeth, pulses."""
-    for found in compare_speeds(prepare(SweepPass(record, where)), teeth):
-        if found.real:
+    """Compare the passing of the teeth with all channels of the speed, steady or not: clocks, teeth, pulses.
+
+    A wrong clock moves all lines. Where a steady cut has a line at the stated tooth passing frequency and a larger one
+    beside it, the larger one is chatter, and says nothing of the clock.
+    """
+    cut = prepare(SweepPass(record, where))
+    for found in compare_speeds(cut, teeth):
+        if found.real and not _line_at(cut, found.tooth_passing, found.difference):
             refused = found.source == "spindle_speed" and abs(found.difference) > SWEEP_RULES.refused_speed
             said = f"{where}, {found.source}", found.in_words(), ADVICE[found.source]
             yield (fault if refused else warning)("time_skew", *said)
+
+
+def _line_at(cut: PreparedPass, stated: tuple[float, float], difference: float) -> bool:
+    """Whether the force of a steady cut has a line at the stated frequency [Hz], apart from one moved by `difference`.
+
+    The largest of the three bins about it (Hann, all axes) stands `CheckRules.line` times above the median of those
+    around, further off than the window is wide.
+    """
+    if cut.cut_piece is None or abs(stated[1] / stated[0] - 1.0) > RULES.steady:
+        return False
+    force = cut.record["force"].sel(axis=cut.force_axes).transpose("axis", "time").values[:, cut.cut_piece]
+    window, step = hann(force.shape[1]), 1.0 / (force.shape[1] * sample_interval(cut.record))
+    size = np.linalg.norm(np.fft.rfft((force - force.mean(axis=1, keepdims=True)) * window), axis=0)
+    at = round(stated[0] / step)
+    if abs(difference) * stated[0] < RULES.apart * step or not 4 * RULES.apart < at < size.size - 4 * RULES.apart:
+        return False
+    around = np.r_[size[at - 4 * RULES.apart : at - 3], size[at + 4 : at + 4 * RULES.apart + 1]]
+    return float(size[at - 1 : at + 2].max()) > RULES.line * float(np.median(around))
 
 
 def speed_suspects(record: xr.Dataset, where: str, stated: float | None, part: Part) -> Iterator[Suspect]:

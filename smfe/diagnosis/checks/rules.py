@@ -42,6 +42,8 @@ class CheckRules:
     speeds_agree: float = 0.02
     """Relative difference between two statements of one speed that slip and the load of a cut explain."""
     steady: float = 0.02  # relative range of the speed within which the orders of a cut are lines
+    apart: int = 5  # bins of a spectrum between two lines that are not one
+    line: float = 8.0  # times the median about it from which a bin holds a line
     strongest_order: float = 5.0
     """Amplitude over the largest at a multiple of the number of teeth from which another order is the teeth's."""
     runout: float = 3.0  # largest run-out that is taken for one: of the chips of single teeth, over their mean

@@ -81,3 +81,17 @@ def test_a_clock_that_runs_fast_moves_the_tooth_passing_line() -> None:
         record = make_record(t, channels)
         record["spindle_speed"] = ("time", np.full(16000, 1200.0), {"units": "rpm"})
         assert {s.cause for s in clock_suspects(record, "cut", 4)} == expected
+
+
+def test_a_chatter_line_beside_the_teeth_says_nothing_of_the_clock() -> None:
+    # Four teeth at 600 rpm; chatter at 38.3 Hz, its multiples of the spindle order about the teeth, six times as large.
+    rng, rate = np.random.default_rng(3), 2000.0
+    t = np.arange(16000) / rate
+    for clock, chatter, expected in ((1.0, 60.0, set()), (0.957, 0.0, {"time_skew"})):
+        force = 2.0 * rng.standard_normal((3, t.size))
+        for h in (1, 2, 3):
+            force[0] += 20.0 / h * np.cos(2 * np.pi * 40.0 * h * clock * t + h)
+            force[1] += chatter / h * np.cos(2 * np.pi * 38.3 * h * clock * t + 2 * h)
+        record = make_record(t, {"force": dict(zip("xyz", force, strict=True))})
+        record["spindle_speed"] = ("time", np.full(t.size, 600.0), {"units": "rpm"})
+        assert {s.cause for s in clock_suspects(record, "cut", 4)} == expected, (clock, chatter)
