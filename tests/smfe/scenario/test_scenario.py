@@ -742,6 +742,7 @@ sweep_time = "12 s"
 """
 
 
+@pytest.mark.slow
 def test_a_sine_that_sweeps_from_a_coil_finds_the_bare_machine(tmp_path: Path) -> None:
     campaign = simulate(write(tmp_path, HEAD + COIL), tmp_path / "out")
     (measurement,) = load_campaign(campaign).measurements
