@@ -253,7 +253,9 @@ def condition_warnings(campaign: Campaign) -> tuple[str, ...]:
             feed = 1e3 * test.feed_per_tooth * campaign.tool.teeth * test.spindle_speed
             if abs(stated - feed) > FEED_APART * feed:
                 text = f"states a feed of {stated:.4g} mm/min, and its speed, teeth and feed_per_tooth make {feed:.4g}"
-                warnings.setdefault(f"{text}; predictions take the latter", []).append(test.file.name)
+                own_feed = any(request.feed is not None for request in campaign.lobes)
+                which = "that of their [[lobes]] where one is given, else the latter" if own_feed else "the latter"
+                warnings.setdefault(f"{text}; predictions take {which}", []).append(test.file.name)
     return tuple(
         f"{files[0] if len(files) == 1 else f'{len(files)} cutting tests ({files[0]}, ...)'}: {text}"
         for text, files in warnings.items()

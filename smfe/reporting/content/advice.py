@@ -67,6 +67,16 @@ def cut_text(advice: Advice) -> str:
     return f"{advice['cut']} milling, {width} mm wide, {feed} mm per tooth"
 
 
+def cut_name(results: Results, request: str) -> str:
+    """Return the cut of a request in words; where another request has the same (its feed is another), its name too."""
+    found = results.advice.get(request)
+    if not found:
+        return request
+    text = cut_text(found)
+    alike = [name for name, other in results.advice.items() if cut_text(other) == text]
+    return text if len(alike) == 1 else f"{text} ({spoken(request)})"
+
+
 def tiles(advice: Advice) -> list[Tile]:
     """Return the numbers that are typed into the machine."""
     if advice["spindle_speed_rpm"] is None:

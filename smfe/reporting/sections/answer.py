@@ -44,7 +44,7 @@ def _block(draft: Draft, request: str, lobes: Sequence[Lobes]) -> dict[str, Any]
     draft.plots[name] = lobes_figure(lobes, tests, draft.looks, found)
     return {
         "request": request,
-        "cut": advice.cut_text(found) if found else request,
+        "cut": advice.cut_name(results, request),
         "advice": found,
         "headline": advice.headline(found) if found else "",
         "tiles": advice.tiles(found) if found else [],

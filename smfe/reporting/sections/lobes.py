@@ -28,7 +28,7 @@ def section(draft: Draft) -> dict[str, Any]:
             {
                 "request": request,
                 "shown": request == best,
-                "cut": advice.cut_text(found) if found else request,
+                "cut": advice.cut_name(results, request),
                 "sources": advice.sources(results, lobes, found),
                 "pockets": advice.pockets(results, request),
                 "plot": "" if figure is None else name,

@@ -112,6 +112,16 @@ class TestWhatIsSaid:
         assert blocks == [("lobes_1", ""), ("lobes_2", " hidden")]
 
 
+def test_two_requests_of_one_cut_have_names_of_their_own(results: Results) -> None:
+    advised = results.presets["recommendation"]
+    both = [{**advised, "lobes": name} for name in ("lobes_1", "lobes_2")]
+    same = replace(results, presets={"recommendation": both[0], "recommendations": both})
+    names = [advice.cut_name(same, name) for name in ("lobes_1", "lobes_2")]
+    assert len(set(names)) == 2
+    assert all(name.startswith(advice.cut_text(advised)) for name in names)
+    assert advice.cut_name(same, "lobes_3") == "lobes_3"
+
+
 class TestSources:
     def test_score_counts_what_was_observed_before_the_verdict(self) -> None:
         tests = cutting_tests()
