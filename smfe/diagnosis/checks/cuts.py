@@ -35,17 +35,18 @@ def clock_suspects(record: xr.Dataset, where: str, teeth: int | None) -> Iterato
     """
     cut = prepare(SweepPass(record, where))
     for found in compare_speeds(cut, teeth):
-        if found.real and not _line_at(cut, found.tooth_passing, found.difference):
+        if found.real and not _line_at(cut, found.tooth_passing, found.difference, teeth):
             refused = found.source == "spindle_speed" and abs(found.difference) > SWEEP_RULES.refused_speed
             said = f"{where}, {found.source}", found.in_words(), ADVICE[found.source]
             yield (fault if refused else warning)("time_skew", *said)
 
 
-def _line_at(cut: PreparedPass, stated: tuple[float, float], difference: float) -> bool:
+def _line_at(cut: PreparedPass, stated: tuple[float, float], difference: float, teeth: int | None) -> bool:
     """Whether the force of a steady cut has a line at the stated frequency [Hz], apart from one moved by `difference`.
 
     The largest of the three bins about it (Hann, all axes) stands `CheckRules.line` times above the median of those
-    around, further off than the window is wide.
+    around, further off than the window is wide. It must not be an order of a spindle that turns faster by `difference`,
+    where run-out has a line of its own.
     """
     if cut.cut_piece is None or abs(stated[1] / stated[0] - 1.0) > RULES.steady:
         return False
@@ -53,6 +54,9 @@ def _line_at(cut: PreparedPass, stated: tuple[float, float], difference: float) 
     window, step = hann(force.shape[1]), 1.0 / (force.shape[1] * sample_interval(cut.record))
     size = np.linalg.norm(np.fft.rfft((force - force.mean(axis=1, keepdims=True)) * window), axis=0)
     at = round(stated[0] / step)
+    order = (teeth or 1) / (1.0 + difference)
+    if abs(order - round(order)) * stated[0] * (1.0 + difference) / (teeth or 1) < RULES.apart * step:
+        return False
     if abs(difference) * stated[0] < RULES.apart * step or not 4 * RULES.apart < at < size.size - 4 * RULES.apart:
         return False
     around = np.r_[size[at - 4 * RULES.apart : at - 3], size[at + 4 : at + 4 * RULES.apart + 1]]

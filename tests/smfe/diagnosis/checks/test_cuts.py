@@ -95,3 +95,15 @@ def test_a_chatter_line_beside_the_teeth_says_nothing_of_the_clock() -> None:
         record = make_record(t, {"force": dict(zip("xyz", force, strict=True))})
         record["spindle_speed"] = ("time", np.full(t.size, 600.0), {"units": "rpm"})
         assert {s.cause for s in clock_suspects(record, "cut", 4)} == expected, (clock, chatter)
+
+
+def test_run_out_where_the_teeth_should_pass_does_not_excuse_a_wrong_clock() -> None:
+    # Twenty teeth that pass at 80 20/21 Hz where 80 are stated: run-out has its order 21 at 80 Hz.
+    rng, rate = np.random.default_rng(4), 2000.0
+    t, turns = np.arange(32000) / rate, 80.0 / 21.0
+    force = 2.0 * rng.standard_normal((3, t.size))
+    for order, size in ((1, 5.0), (20, 60.0), (21, 8.0), (40, 30.0), (60, 15.0)):
+        force[0] += size * np.cos(2 * np.pi * turns * order * t + order)
+    record = make_record(t, {"force": dict(zip("xyz", force, strict=True))})
+    record["spindle_speed"] = ("time", np.full(t.size, 240.0), {"units": "rpm"})
+    assert {s.cause for s in clock_suspects(record, "cut", 20)} == {"time_skew"}
