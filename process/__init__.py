@@ -27,7 +27,8 @@ if TYPE_CHECKING:
         silent_trial,
     )
     from process.labels import make_compliance, make_record
-    from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins
+    from process.machine.jointed_mode import JointedMode
+    from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins, PowerIwan
     from process.machine.machine import FeedAxis, Machine, MountedJoint, released_compliance
     from process.machine.modes import ModalModel
     from process.machine.operating_point import OperatingPoint
@@ -70,6 +71,7 @@ __all__ = [
     "InputError",
     "Iwan",
     "Jenkins",
+    "JointedMode",
     "LogarithmicChirp",
     "Loop",
     "LuGre",
@@ -83,6 +85,7 @@ __all__ = [
     "Multisine",
     "OperatingPoint",
     "Posture",
+    "PowerIwan",
     "ProcessDamping",
     "PseudoRandom",
     "Running",
@@ -144,7 +147,8 @@ _HOMES = {
     "process.instruments.trials": "Running, actuator_trial, hammer_trial, milling_trial, moving_trial, shaker_trial, "
     "silent_trial",
     "process.labels": "make_compliance, make_record",
-    "process.machine.joints": "CubicSpring, DoublePinion, Gap, Iwan, Jenkins",
+    "process.machine.jointed_mode": "JointedMode",
+    "process.machine.joints": "CubicSpring, DoublePinion, Gap, Iwan, Jenkins, PowerIwan",
     "process.machine.machine": "FeedAxis, Machine, MountedJoint, released_compliance",
     "process.machine.modes": "ModalModel",
     "process.machine.operating_point": "OperatingPoint",

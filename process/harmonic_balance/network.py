@@ -25,7 +25,7 @@ from process.friction import _kernels as friction_kernels
 from process.friction.laws import Andersson, FrictionLaw
 from process.friction.linearised import DampingCurve, equivalent_damping, steepness
 from process.harmonic_balance import _kernels as kernels
-from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint
+from process.machine.joints import CubicSpring, Gap, Iwan, Jenkins, Joint, PowerIwan
 from process.types import Complex, Real
 
 Compliance = Callable[[Real], Complex]
@@ -201,7 +201,7 @@ class JointElement(NonlinearElement):
     Parameters
     ----------
     joint : Joint
-        Jenkins, Iwan, CubicSpring or Gap.
+        Jenkins, Iwan, PowerIwan, CubicSpring or Gap.
     reference : float, optional
         Stiffness that belongs to the linear machine [N/m].
     """
@@ -240,10 +240,10 @@ class JointElement(NonlinearElement):
         if isinstance(j, Jenkins):
             elements = np.array([j.stiffness]), np.array([j.slip_force])
             return kernels.SLIDERS, np.empty(0), 0.0, elements, 0.0
-        if isinstance(j, Iwan):
+        if isinstance(j, Iwan | PowerIwan):
             return kernels.SLIDERS, np.empty(0), 0.0, j.packed(), 0.0
         raise InputError(
-            f"the joint is a {type(j).__name__}; harmonic balance takes Jenkins, Iwan, CubicSpring and Gap"
+            f"the joint is a {type(j).__name__}; harmonic balance takes Jenkins, Iwan, PowerIwan, CubicSpring and Gap"
         )
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import optimize
+from scipy import optimize, special
 
 from process.errors import InputError
 from process.friction import _kernels as kernels
@@ -147,6 +147,130 @@ class Iwan(Joint):
         x, d = _amplitude(amplitude), self.slip_displacement
         gross = 4.0 * (0.5 * x * d - d**2 / 3.0) / (np.pi * x**2)
         return np.asarray(self.stiffness * np.where(x <= d, 2.0 * x / (3.0 * np.pi * d), gross))
+
+
+@dataclass(frozen=True)
+class PowerIwan(Joint):
+    """Micro-slip whose strength follows a power law: the four-parameter Iwan joint of a bolted lap (Segalman 2005).
+
+    Parallel Jenkins elements of density ``rho(d) = R d^chi`` over slip displacements d from 0 to D, and ``S`` at D
+    itself, with ``K_T = R D^(chi + 1) (1 + beta)/(chi + 1)``, ``F_S = K_T D (beta + (chi + 1)/(chi + 2))/(1 + beta)``
+    and ``beta = S (chi + 1)/(R D^(chi + 1))``. With ``r = min(1, D/X)``, ``q = arccos(1 - 2 r)`` and Euler's incomplete
+    beta function B,
+
+    ``K = K_T (q - sin(2 q)/2)/pi - 8 R X^(chi + 1) B(r; chi + 5/2, 3/2)/(pi (chi + 1))``,
+    ``H = 4/(pi X^2) [R (X s^(chi + 2)/(chi + 2) - s^(chi + 3)/(chi + 3)) + S D max(0, X - D)]``, ``s = min(X, D)``.
+
+    Below D the energy of a cycle is ``4 R X^(chi + 3)/((chi + 2)(chi + 3))``: a straight line of slope chi + 3 in
+    logarithms, between 2 and 3 for bolted joints. The first loading curve is that of `force`. chi = beta = 0 is `Iwan`.
+    Source: D. J. Segalman, A four-parameter Iwan model for lap-type joints, J. Appl. Mech. 72 (2005) 752-760; K follows
+    from its density by the fundamental of a Jenkins element and integration by parts.
+
+    Parameters
+    ----------
+    stiffness : float
+        Stiffness K_T for small motion [N/m].
+    slip_force : float
+        Force F_S at which the whole joint slips [N].
+    chi : float
+        Exponent of the density, above -1; of measured joints between -1 and 0.
+    beta : float
+        Share of the elements that slip all at once over those that slip one after the other, 0 or more.
+    elements : int, optional
+        Number of Jenkins elements that stand for the continuous density in `force`.
+    """
+
+    stiffness: float
+    slip_force: float
+    chi: float
+    beta: float = 0.0
+    elements: int = 100
+
+    def __post_init__(self) -> None:
+        """Refuse parameters without meaning."""
+        _positive(stiffness=self.stiffness, slip_force=self.slip_force, elements=self.elements)
+        if not (-1.0 < self.chi < math.inf and 0.0 <= self.beta < math.inf):
+            raise InputError(
+                f"chi is {self.chi:g} and beta {self.beta:g}; give chi above -1 (bolted joints: between -1 and 0), "
+                "beta zero or positive"
+            )
+
+    @property
+    def slip_displacement(self) -> float:
+        """Displacement D at which the whole joint slips [m]."""
+        share = (self.beta + (self.chi + 1.0) / (self.chi + 2.0)) / (1.0 + self.beta)
+        return self.slip_force / (self.stiffness * share)
+
+    @property
+    def density(self) -> float:
+        """Density R of the elements [N/m^(chi + 2)]: alone with chi it says how the joint slips below D."""
+        p = self.chi + 1.0
+        return float(self.stiffness * p / ((1.0 + self.beta) * self.slip_displacement**p))
+
+    def packed(self) -> tuple[Real, Real]:
+        """Return stiffness [N/m] and slip force [N] of each element: equal parts, and that which slips all at once."""
+        n, d, p = self.elements, self.slip_displacement, self.chi + 1.0
+        edges = d * np.linspace(0.0, 1.0, n + 1) ** (1.0 / p)
+        each = np.full(n, self.stiffness / (1.0 + self.beta) / n)
+        # A part of the density slips where its mean does, so that the force of the whole joint is right.
+        limit = p / (p + 1.0) * np.diff(edges ** (p + 1.0)) / np.diff(edges**p)
+        last = self.stiffness * self.beta / (1.0 + self.beta)
+        if last == 0.0:
+            return each, each * limit
+        return np.append(each, last), np.append(each * limit, last * d)
+
+    def force(self, displacement: ArrayLike) -> Real:
+        """Return the force [N] along a history of displacements [m], shape (n,), from the relaxed state."""
+        return _history(*self.packed(), displacement)
+
+    def equivalent_stiffness(self, amplitude: ArrayLike) -> Real:
+        """Return the stiffness K [N/m] at amplitude X [m]."""
+        x, p = _amplitude(amplitude), self.chi + 1.0
+        share = np.minimum(self.slip_displacement / x, 1.0)
+        q = _slip_angle(self.slip_displacement, x)
+        slipped = special.betainc(p + 1.5, 1.5, share) * special.beta(p + 1.5, 1.5)
+        stuck = self.stiffness * (q - 0.5 * np.sin(2.0 * q)) / np.pi
+        # R X^(chi + 1)/(chi + 1), written so that it does not overflow.
+        lost = self.stiffness / (1.0 + self.beta) * (x / self.slip_displacement) ** p
+        return np.asarray(stuck - 8.0 / np.pi * lost * slipped)
+
+    def loss_stiffness(self, amplitude: ArrayLike) -> Real:
+        """Return the loss stiffness H [N/m] at amplitude X [m]."""
+        x, d, p = _amplitude(amplitude), self.slip_displacement, self.chi + 1.0
+        s = np.minimum(x, d)
+        spread = self.stiffness * p / (1.0 + self.beta) * (s / d) ** p * s * (x / (p + 1.0) - s / (p + 2.0))
+        at_once = self.stiffness * self.beta / (1.0 + self.beta) * d * np.clip(x - d, 0.0, None)
+        return np.asarray(4.0 * (spread + at_once) / (np.pi * x**2))
+
+
+@dataclass(frozen=True)
+class ParallelJoints(Joint):
+    """Joints across the same displacement, such as the edge and the middle of a lap: their forces add.
+
+    Parameters
+    ----------
+    joints : tuple of Joint
+        One or more.
+    """
+
+    joints: tuple[Joint, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse no joint at all."""
+        if not self.joints:
+            raise InputError("no joint was given; parallel joints need one or more")
+
+    def force(self, displacement: ArrayLike) -> Real:
+        """Return the force [N] along a history of displacements [m], shape (n,), from the relaxed state."""
+        return np.asarray(sum(j.force(displacement) for j in self.joints))
+
+    def equivalent_stiffness(self, amplitude: ArrayLike) -> Real:
+        """Return the stiffness K [N/m] at amplitude X [m]."""
+        return np.asarray(sum(j.equivalent_stiffness(amplitude) for j in self.joints))
+
+    def loss_stiffness(self, amplitude: ArrayLike) -> Real:
+        """Return the loss stiffness H [N/m] at amplitude X [m]."""
+        return np.asarray(sum(j.loss_stiffness(amplitude) for j in self.joints))
 
 
 def _history(stiffness: Real, slip: Real, displacement: ArrayLike) -> Real:

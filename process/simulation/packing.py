@@ -15,7 +15,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.friction._kernels import friction_step
 from process.friction.laws import FrictionLaw
-from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins, Joint
+from process.machine.joints import CubicSpring, DoublePinion, Gap, Iwan, Jenkins, Joint, PowerIwan
 from process.simulation import _machine_arrays as arrays
 from process.simulation.excitation import Excitation, Late
 from process.simulation.milling import MillingCut, Spindle, flat_surfaces, pack_motion, pack_teeth
@@ -37,7 +37,7 @@ def _joint_kind(joint: Joint) -> tuple[int, Real]:
         return arrays.FLANKS, np.array([k, 1.0, g, k, -1.0, g])
     if isinstance(joint, DoublePinion):
         return arrays.FLANKS, np.array(joint.flanks).ravel()
-    if isinstance(joint, Iwan):
+    if isinstance(joint, Iwan | PowerIwan):
         return arrays.SLIDERS, np.concatenate(joint.packed())
     if isinstance(joint, Jenkins):
         return arrays.SLIDERS, np.array([joint.stiffness, joint.slip_force])

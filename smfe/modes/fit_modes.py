@@ -32,6 +32,9 @@ from smfe.modes.stabilisation import Stabilisation, StabilityRules, stabilisatio
 from smfe.modes.state_space import StateSpace, energy_given, place_matrix, state_space
 from smfe.modes.unexplained import resolution, unexplained
 
+Row = tuple[float, float, float, Real]
+"""Frequency [Hz], damping ratio, stiffness [N/m] and direction of a mode."""
+
 INTERVAL = 1.96
 """Standard deviations to either side of a 95 % interval."""
 
@@ -132,8 +135,15 @@ class ModalFit:
         size = np.linalg.norm(matrix, axis=(1, 2))
         return float(np.max(energy_given(matrix)[size > 0.1 * size.max()]))
 
-    def modal_model(self) -> ModalModel:
+    def modal_model(self, whole: bool = False) -> ModalModel:
         """Return the modes of the tool tip in x, y and z as a modal model, the upper remainder as stiff modes above.
+
+        Parameters
+        ----------
+        whole : bool, optional
+            With whatever else the fit needed for more than a hundredth of the median compliance: poles too
+            broad or outside the band for modes of it, and the lower remainder, masses on their mounts, as soft modes
+            far below. They are no modes of the machine, but without them the model does not give its compliance.
 
         Raises
         ------
@@ -147,7 +157,10 @@ class ModalFit:
                 "tool "
                 "tip along x, y and z: name responses and excitations so"
             )
-        rows = [*_mode_rows(shapes, _modes_of_band(shapes)), *_upper_rows(shapes)]
+        rows = _mode_rows(shapes, _modes_of_band(shapes))
+        if whole:
+            rows += _needed(shapes, [*_mode_rows(shapes, ~_modes_of_band(shapes)), *_lower_rows(shapes)])
+        rows += _upper_rows(shapes)
         return ModalModel(*(np.array([row[k] for row in rows]) for k in range(4)))
 
     def _require_shapes(self) -> ShapeFit:
@@ -286,7 +299,7 @@ def _at_tool(curves: Curves) -> NDArray[np.bool_]:
     return np.array([place in AXES for place in curves.places])
 
 
-def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[tuple[float, float, float, Real]]:
+def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[Row]:
     """Return frequency, damping, stiffness, direction of each mode; places that nothing connects are modes apart."""
     out = []
     parts = components(shapes.curves)
@@ -304,23 +317,52 @@ def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[tuple[float, f
     return out
 
 
-def _upper_rows(shapes: ShapeFit) -> list[tuple[float, float, float, Real]]:
+def _upper_rows(shapes: ShapeFit) -> list[Row]:
     """Return the upper remainder as modes of real shape far above the band, those of negative stiffness left out."""
-    if not shapes.remainders.upper:
+    largest = RULES.upper_share * float(np.abs(shapes.curves.values).max())
+    return [row for row in _remainder_rows(shapes, "upper") if 1.0 / row[2] > largest]
+
+
+def _lower_rows(shapes: ShapeFit) -> list[Row]:
+    """Return the lower remainder as masses on soft mounts, those of negative mass left out.
+
+    Their frequency is a tenth of the lowest line, where the mounts change the compliance by a hundredth.
+    """
+    soft = RULES.mount_share * float(shapes.curves.frequency[0])
+    return [
+        (soft, RULES.mount_damping, stiffness * (soft / natural) ** 2, direction)
+        for natural, _, stiffness, direction in _remainder_rows(shapes, "lower")
+    ]
+
+
+def _remainder_rows(shapes: ShapeFit, which: str) -> list[Row]:
+    """Return a remainder as modes of real shape, those of negative stiffness left out."""
+    if not getattr(shapes.remainders, which):
         return []
-    curves, (_, (natural, damping)) = shapes.curves, remainder_modes(shapes.curves.frequency)
+    curves = shapes.curves
+    column, (natural, damping) = (0, -1)[which == "upper"], remainder_modes(curves.frequency)[which == "upper"]
     places = curves.places
     matrix = np.zeros((len(places),) * 2)
-    for value, (r, e) in zip(shapes.coefficient[:, -1], curves.pairs, strict=True):
+    for value, (r, e) in zip(shapes.coefficient[:, column], curves.pairs, strict=True):
         matrix[places.index(r), places.index(e)] = matrix[places.index(e), places.index(r)] = value
     there = _at_tool(curves)
     size, vectors = np.linalg.eigh(np.where(np.outer(there, there), matrix, 0.0))
-    largest = float(np.abs(curves.values).max())
     return [
-        (natural, damping, 1.0 / float(s), _in_axes(curves, v))
-        for s, v in zip(size, vectors.T, strict=True)
-        if s > RULES.upper_share * largest
+        (natural, damping, 1.0 / float(s), _in_axes(curves, v)) for s, v in zip(size, vectors.T, strict=True) if s > 0.0
     ]
+
+
+def _needed(shapes: ShapeFit, rows: list[Row]) -> list[Row]:
+    """Return the rows that are more than a small share of the median compliance somewhere in the band."""
+    f, least = shapes.curves.frequency, RULES.upper_share * float(np.median(np.abs(shapes.curves.values)))
+    found = []
+    for row in rows:
+        natural, damping, stiffness, direction = row
+        ratio = f / natural
+        size = float(np.max(1.0 / np.abs(1.0 - ratio**2 + 2j * damping * ratio))) / stiffness
+        if size * float(np.max(direction**2)) > least:
+            found.append(row)
+    return found
 
 
 def _orders(fit: ModalFit, natural: float, damping: float) -> int:

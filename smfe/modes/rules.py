@@ -115,7 +115,11 @@ class FitRules:
 
     # What is reported.
     upper_share: float = 0.01
-    """The upper remainder goes into the modal model where it is more than this share of the largest compliance."""
+    """What is no mode of the band goes into a modal model from this share of the largest (or median) compliance on."""
+    mount_share: float = 0.1
+    """Frequency over the lowest line of the masses on soft mounts that stand for the lower remainder in a model."""
+    mount_damping: float = 0.01
+    """Their damping ratio."""
     active: float = 0.05
     """A model that gives more energy than this share of its size is called active."""
     coarse: float = 3.0
