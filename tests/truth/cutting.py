@@ -36,8 +36,9 @@ class Mill:
     """Tool, work and dynamometer.
 
     cutting (t, r, a) [N/m2], edge [N/m]; runout [m] towards `runout_angle` from tooth 0; size_effect: exponent;
-    dull: extra edge force of tooth 0 [N/m]. dynamometer: frequencies along x, y, z [Hz], infinite: rigid.
-    exchange: x and y are swapped; gain: of all channels; unbalance: force that turns with the spindle [N];
+    dull: extra edge force of tooth 0 [N/m]; set_back: what its radius is smaller [m]. dynamometer: frequencies along x,
+    y, z [Hz], infinite: rigid. exchange: x and y are swapped; gain: of all channels; unbalance: force that turns with
+    the spindle [N];
     tone [N] at `mains` Hz; noise [N] rms, coloured; wander: relative slow change of the speed.
     """
 
@@ -53,6 +54,7 @@ class Mill:
     runout: float = 0.0
     runout_angle: float = 0.0
     dull: float = 0.0
+    set_back: float = 0.0
     dynamometer: tuple[float, float, float] = (math.inf, math.inf, math.inf)
     ratio: float = 0.03
     exchange: bool = False
@@ -95,6 +97,7 @@ def chip(mill: Mill, tooth: int, phi: np.ndarray, feed_per_tooth: float) -> np.n
     """Thickness along the ray [m] at angles phi [rad] of one tooth; zero where it cuts air."""
     pitch = 2.0 * math.pi / mill.teeth
     radius = 0.5 * mill.diameter + mill.runout * np.cos(pitch * np.arange(mill.teeth) + mill.runout_angle)
+    radius[0] -= mill.set_back
     left = np.full(phi.shape, -np.inf)
     for m in range(1, mill.teeth + 1):
         r = radius[(tooth - m) % mill.teeth]

@@ -1,0 +1,49 @@
+"""Claims: a campaign follows from its seed, what is hidden matters, and smfe can read every family's file."""
+
+from pathlib import Path
+
+import pytest
+
+from smfe.campaign import load_campaign
+from truth.imperfect.bench import MATERIAL
+from truth.imperfect.families import FAMILIES, draw, hidden_of
+
+
+def text(folder: Path) -> str:
+    return (folder / "campaign.toml").read_text()
+
+
+@pytest.mark.parametrize("family", ["cutting", "drive"])
+def test_a_campaign_follows_from_its_seed_and_can_be_read(family: str, tmp_path: Path) -> None:
+    answers = [draw(family, seed, "healthy", tmp_path / str(k)) for k, seed in enumerate((1, 1, 2))]
+    assert answers[0] == answers[1] != answers[2]
+    assert answers[0].hidden == {}
+    assert text(tmp_path / "0") == text(tmp_path / "1") != text(tmp_path / "2")
+    one, two = (load_campaign(tmp_path / k / "campaign.toml") for k in "01")
+    assert one.baseline is not None
+    assert [f.name for f in one.files] == [f.name for f in two.files]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ["modal", "axis", "limits"])
+def test_a_campaign_of_compliances_or_limits_can_be_read(family: str, tmp_path: Path) -> None:
+    assert draw(family, 3, "healthy", tmp_path).hidden == {}
+    assert load_campaign(tmp_path / "campaign.toml").baseline is not None
+
+
+@pytest.mark.parametrize(("family", "name"), [("cutting", "runout"), ("drive", "delay")])
+def test_what_is_hidden_costs_at_least_what_matters(family: str, name: str, tmp_path: Path) -> None:
+    answer = draw(family, 4, name, tmp_path)
+    assert answer.cost >= MATERIAL
+    assert answer.causes[name] == FAMILIES[family].EFFECTS[name].causes
+    assert set(answer.hidden) in ({name}, {name, "friction"})
+
+
+def test_a_word_stands_for_effects_of_the_family() -> None:
+    for family, module in FAMILIES.items():
+        assert hidden_of(family, 5, "healthy") == ()
+        assert set(hidden_of(family, 5, "effect")) <= set(module.EFFECTS)
+        assert hidden_of(family, 5, "pair") in module.PAIRS
+        assert set(hidden_of(family, 5, "outside")) <= set(module.OUTSIDE)
+        with pytest.raises(ValueError, match="has no effect 'ghosts'"):
+            hidden_of(family, 5, "ghosts")
