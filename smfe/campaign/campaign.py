@@ -28,9 +28,10 @@ from process.types import Real
 from smfe.campaign import schema
 from smfe.campaign.checks import channel_complaints, check, complaints, merge, path
 from smfe.campaign.datasets import Show
-from smfe.campaign.machine import MACHINE
+from smfe.campaign.machine import MACHINE, GivenAxis
 from smfe.campaign.places import Loc, line_of, lines_of, place, syntax_advice
 from smfe.campaign.schema import PlanTable
+from smfe.campaign.tolerances import Tolerances, TolerancesTable
 from smfe.campaign.tune import TuneTable
 from smfe.records.dynamometer import Dynamometer
 from smfe.records.formats.channels import COMPLIANCE_CHANNELS, RECORD_CHANNELS, Channel, did_you_mean
@@ -181,6 +182,12 @@ class Processing:
         Whether the response was written with ``exp(-j w t)`` (frf).
     moving_mass : tuple of (float, str), optional
         What a drive moves, where it is known: a "mass" [kg] or an "inertia" [kg m^2] (drive).
+    spindle_speed : float, optional
+        Of the spindle that turns in air [rad/s] (hammer, actuator).
+    sensor : str, optional
+        "accelerometer", "laser" or "two" accelerometers (hammer, actuator).
+    free_mass : float, optional
+        On soft springs in the machine's place, to calibrate [kg] (hammer, actuator).
     """
 
     estimator: str | None = None
@@ -197,6 +204,9 @@ class Processing:
     averages: int | None = None
     conjugate: bool | None = None
     moving_mass: tuple[float, str] | None = None
+    spindle_speed: float | None = None
+    sensor: str | None = None
+    free_mass: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,9 +331,12 @@ class ModesOf:
     ----------
     source : str
         Name of the measurement or model.
+    axes : mapping of str to GivenAxis, optional
+        Feed axes that carry these modes, as ``[machine.axis.x]`` describes them; none: the modes alone.
     """
 
     source: str
+    axes: Mapping[str, GivenAxis] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -521,6 +534,10 @@ class Campaign:
     machine_model : Machine, ModalModel or None
         What ``[machine]`` is made of, where the campaign says it: with axes, joints or postures a machine that
         `Machine.at` linearises at a feed, controller and position; of modes alone also one of `models`, "machine".
+    tolerances : Tolerances
+        How well it was measured and declared, and what is too small to matter.
+    known : mapping
+        Causes that belong to the baseline: key -> parameter -> value with its unit, as ``finding.json`` has them.
     """
 
     path: Path
@@ -544,6 +561,8 @@ class Campaign:
     machine_limits: MachineLimits = field(default_factory=MachineLimits)
     machine_model: Machine | ModalModel | None = None
     machine_spread: Mapping[str, float] | None = None
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    known: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def coefficients_known_within(self) -> float:
@@ -771,7 +790,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         models=(*(_model(table) for table in file.model), *own),
         lobes=tuple(r for number, table in enumerate(file.lobes, 1) for r in _lobes(number, table)),
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
-        baseline=_baseline(file.baseline) if file.baseline else None,
+        baseline=_baseline(file.baseline, file.machine) if file.baseline else None,
         coefficient_spread=None if file.material is None else file.material.uncertainty,
         missing_coefficients=tuple(n for n in ("Krc", "Kac") if file.material and getattr(file.material, n) is None),
         spindle=file.spindle.build() if file.spindle else SpindleRange(),
@@ -787,7 +806,14 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         ),
         machine_model=machine,
         machine_spread=file.machine.spread() if file.machine else None,
+        tolerances=_tolerances(file),
+        known=(file.baseline.known or {}) if file.baseline else {},
     )
+
+
+def _tolerances(file: schema.CampaignFile[Any]) -> Tolerances:
+    stated = None if file.material is None else file.material.uncertainty
+    return (file.tolerances or TolerancesTable()).build(COEFFICIENT_SPREAD if stated is None else stated)
 
 
 def _model(table: schema.ModelTable) -> Model:
@@ -799,7 +825,7 @@ def _tool_name(table: schema.ToolTable) -> str:
     return table.name or f"{1e3 * table.diameter:g} mm, {table.teeth} {'tooth' if table.teeth == 1 else 'teeth'}"
 
 
-def _baseline(table: Any) -> Baseline:
+def _baseline(table: Any, machine: Any) -> Baseline:
     if isinstance(table, schema.AxisBaseline):
         drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
         return AxisModel(table.axis, drive, table.servos(), table.friction.build())
@@ -807,7 +833,9 @@ def _baseline(table: Any) -> Baseline:
         return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay)
     if isinstance(table, schema.LimitsBaseline):
         return LimitsOf(table.limits)
-    return ModesOf(table.source) if isinstance(table, schema.ModesBaseline) else MechanisticForces()
+    if isinstance(table, schema.ModesBaseline):
+        return ModesOf(table.source, machine.axes() if machine else {})
+    return MechanisticForces()
 
 
 Declared = dict[str, Mapping[str, Any]]

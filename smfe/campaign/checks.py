@@ -239,7 +239,17 @@ def _cutting_tests(raw: Raw) -> Iterator[Complaint]:
         yield from _needs(raw, where, ("tool",), "a cutting test")
         if "feed_per_tooth" not in table and (what := _feed_needed(raw)):
             yield (*where, "feed_per_tooth"), f'is missing; {what} need the feed per tooth, feed_per_tooth = "0.1 mm"'
+        if _quantity(table, "depth_of_cut", "length") == 0.0 and not _tests_forces(raw):
+            yield (
+                (*where, "depth_of_cut"),
+                f"'{table['depth_of_cut']}' cuts nothing; only a [baseline] with forces reads the spindle in air: give "
+                "a depth above zero",
+            )
         yield from _fits(diameter, where, _quantity(table, "width_of_cut", "length"), table)
+
+
+def _tests_forces(raw: Raw) -> bool:
+    return isinstance(raw.get("baseline"), dict) and "forces" in raw["baseline"]
 
 
 def _feed_needed(raw: Raw) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, replace
+from dataclasses import MISSING, dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -258,6 +258,77 @@ class MachineTable(Table):
     def build(self) -> Machine | ModalModel | None:
         """Return the machine, or None where nothing but its name and feed are given."""
         return build_machine(self) if is_model(self.model_fields_set) else None
+
+
+class OpenServoTable(Table):
+    """One controller of an axis whose gains need not all be known."""
+
+    Kp: Annotated[float, q.quantity("viscosity", above=0.0)] | None = None
+    Ti: PositiveTime | None = None
+    Kv: q.PositiveFrequency | None = None
+    delay: Delay | None = None
+    feed_forward: q.Ratio = 1.0
+
+    def build(self) -> Servo:
+        """Return the servo, where all of it is known."""
+        missing = [name for name in ("Kp", "Ti", "Kv") if getattr(self, name) is None]
+        if missing:
+            raise InputError(f"{listed(missing)} missing; only a diagnosis of measured modes finds a gain by itself")
+        return Servo(self.Kp, self.Ti, self.Kv, self.delay or 0.0, self.feed_forward)  # type: ignore[arg-type]
+
+
+class OpenAxisTable(AxisTable):
+    """``[machine.axis.x]`` beside a baseline whose modes are measured."""
+
+    controllers: Annotated[dict[StrictStr, OpenServoTable], Field(default_factory=dict)]  # type: ignore[assignment]
+
+    def given(self) -> GivenAxis:
+        """Return what the table says."""
+        law = None if self.friction is None else self.friction.build()
+        servos = {name: (servo.Kp, servo.Ti, servo.Kv, servo.delay) for name, servo in self.controllers.items()}
+        return GivenAxis(self.moving_mass, servos, law, self.coupling)
+
+
+@dataclass(frozen=True)
+class GivenAxis:
+    """A feed axis whose modes are measured: what the campaign says of it (SI).
+
+    Parameters
+    ----------
+    moving_mass : float
+        All that moves with it [kg].
+    controllers : mapping
+        Name -> Kp [N s/m], Ti [s], Kv [1/s], dead time [s]; None where it is not known.
+    friction : FrictionLaw or MemoryLaw, optional
+        Of guideway and drive.
+    coupling : tuple of float, optional
+        Momentum of each mode along it [kg].
+    """
+
+    moving_mass: float
+    controllers: Mapping[str, tuple[float | None, float | None, float | None, float | None]]
+    friction: FrictionLaw | MemoryLaw | None = None
+    coupling: tuple[float, ...] | None = None
+
+
+class OpenMachineTable(MachineTable):
+    """``[machine]`` beside a baseline whose modes are measured: its axes may stand alone."""
+
+    axis: Annotated[dict[q.Axis, OpenAxisTable], Field(default_factory=dict)]  # type: ignore[assignment]
+
+    def build(self) -> Machine | ModalModel | None:
+        """Return the machine, or None where its modes are those of the baseline."""
+        of_two_masses = any(axis.stiffness is not None for axis in self.axis.values())
+        if self.axis and not (self.modes or self.posture or self.joint or of_two_masses):
+            for name, axis in self.axis.items():
+                with placed(f"axis.{name}"):
+                    axis.given()
+            return None
+        return super().build()
+
+    def axes(self) -> dict[str, GivenAxis]:
+        """Return the axes that carry the modes of the baseline; none where the machine has modes of its own."""
+        return {name: axis.given() for name, axis in self.axis.items()} if self.build() is None else {}
 
 
 def is_model(keys: Iterable[str]) -> bool:

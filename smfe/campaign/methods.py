@@ -40,17 +40,22 @@ AVERAGES = ("H1", "H2", "Hv")
 SWEEP_ESTIMATORS = ("local_polynomial", "bands", "segments", "orders", "single_reference")
 """How the records of a sweep become a compliance."""
 
+SENSORS = ("accelerometer", "laser", "two")
+"""What measures the motion of a tool that is hit or shaken; two accelerometers weigh twice as much."""
+
+_SETTING = ("spindle_speed", "sensor", "free_mass")
+
 METHODS = {
     "hammer": MeasuringMethod(
         "impact hammer",
         ("estimator", "force_window", "exponential_window", "remove_background", "split_levels", "full_scale",
-         "accelerometer_mass"),
+         "accelerometer_mass", *_SETTING),
         ("excitation",),
         AVERAGES,
     ),
     "actuator": MeasuringMethod(
         "actuator",
-        ("estimator", "accelerometer_mass", "frame_mass", "period", "settling"),
+        ("estimator", "accelerometer_mass", "frame_mass", "period", "settling", *_SETTING),
         ("excitation",),
         (*AVERAGES, "local_polynomial"),
     ),

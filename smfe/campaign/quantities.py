@@ -63,6 +63,7 @@ def one_of(names: Sequence[str], what: str) -> BeforeValidator:
 
 
 PositiveLength = Annotated[float, quantity("length", above=0.0)]
+NoLength = Annotated[float, quantity("length", low=0.0)]
 Length = Annotated[float, quantity("length")]
 Time = Annotated[float, quantity("time")]
 NoTime = Annotated[float, quantity("time", low=0.0)]

@@ -16,8 +16,8 @@ from process.drive.servo import Servo
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.campaign import quantities as q
-from smfe.campaign.machine import FrictionTable, MachineTable, ModeTable, ServoTable, modal_model
-from smfe.campaign.methods import AVERAGES, METHODS, SWEEP_ESTIMATORS
+from smfe.campaign.machine import FrictionTable, MachineTable, ModeTable, OpenMachineTable, ServoTable, modal_model
+from smfe.campaign.methods import AVERAGES, METHODS, SENSORS, SWEEP_ESTIMATORS
 from smfe.campaign.tables import (
     Delay,
     Lengths,
@@ -29,6 +29,7 @@ from smfe.campaign.tables import (
     Viscosity,
     triple,
 )
+from smfe.campaign.tolerances import TolerancesTable
 from smfe.campaign.tune import TuneTable
 from smfe.records.dynamometer import Dynamometer
 from smfe.records.formats.channels import check_channel_name
@@ -163,6 +164,9 @@ class ProcessingTable(ConditionsTable):
     averages: Annotated[StrictInt, Field(ge=1)] | None = None
     conjugate: StrictBool | None = None
     moving_mass: q.Inertia | None = None
+    spindle_speed: q.Rotation | None = None
+    sensor: Annotated[str, q.one_of(SENSORS, "sensor")] | None = None
+    free_mass: PositiveMass | None = None
 
 
 class OtherRecorderTable(Table):
@@ -234,7 +238,7 @@ class CuttingTestTable(Table):
 
     file: q.OneFile
     spindle_speed: q.Rotation
-    depth_of_cut: q.PositiveLength
+    depth_of_cut: q.NoLength
     cut: q.CutName
     width_of_cut: q.PositiveLength
     feed_per_tooth: q.PositiveLength | None = None
@@ -294,6 +298,7 @@ class AxisBaseline(Table):
     delay: Delay = 0.0
     controllers: dict[StrictStr, ServoTable] | None = None
     friction: FrictionTable
+    known: dict[StrictStr, dict[StrictStr, StrictStr]] | None = None
 
     @model_validator(mode="after")
     def _one_servo(self) -> AxisBaseline:
@@ -325,6 +330,7 @@ class DriveBaseline(Table):
     Kp: Annotated[float, q.quantity("viscosity", above=0.0)] | None = None
     Kv: q.PositiveFrequency | None = None
     delay: Delay = 0.0
+    known: dict[StrictStr, dict[StrictStr, StrictStr]] | None = None
 
     @model_validator(mode="after")
     def _both_gains(self) -> DriveBaseline:
@@ -337,18 +343,21 @@ class ForcesBaseline(Table):
     """``[baseline]`` that predicts the forces of the cutting tests: ``[tool]`` and ``[material]``, nothing else."""
 
     forces: Annotated[str, q.one_of(("mechanistic",), "forces")]
+    known: dict[StrictStr, dict[StrictStr, StrictStr]] | None = None
 
 
 class ModesBaseline(Table):
     """``[baseline]`` that predicts compliances from those of one measurement or model."""
 
     source: StrictStr = Field(alias="from")
+    known: dict[StrictStr, dict[StrictStr, StrictStr]] | None = None
 
 
 class LimitsBaseline(Table):
     """``[baseline]`` that predicts the limits that cutting tests found: a model, ``[tool]`` and ``[material]``."""
 
     limits: StrictStr
+    known: dict[StrictStr, dict[StrictStr, StrictStr]] | None = None
 
 
 # --- What is asked for.
@@ -464,6 +473,13 @@ class CampaignFile(Table, Generic[B]):
     cutting_test: tuple[CuttingTestTable, ...] = ()
     plan: PlanTable | None = None
     tune: TuneTable | None = None
+    tolerances: TolerancesTable | None = None
+
+
+class ModesFile(CampaignFile[ModesBaseline]):
+    """The whole file where the baseline has modes: the axes of its machine may carry them."""
+
+    machine: OpenMachineTable | None = None
 
 
 def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:
@@ -475,4 +491,4 @@ def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:
         return CampaignFile[ForcesBaseline]
     if "limits" in keys:
         return CampaignFile[LimitsBaseline]
-    return CampaignFile[ModesBaseline] if "from" in keys else CampaignFile[AxisBaseline]
+    return ModesFile if "from" in keys else CampaignFile[AxisBaseline]

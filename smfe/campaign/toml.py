@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from datetime import date
 from typing import Any
 
 
@@ -15,6 +16,8 @@ def inline(value: Any) -> str:
         return "[" + ", ".join(map(inline, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, date):  # a datetime is one, too
+        return value.isoformat()
     # A TOML basic string escapes as JSON does.
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
 
@@ -33,3 +36,14 @@ def table(head: str, values: Mapping[str, Any]) -> str:
 def _key(name: str) -> str:
     plain = name.replace("_", "").replace("-", "")
     return name if plain.isascii() and plain.isalnum() else json.dumps(name, ensure_ascii=False)
+
+
+def document(tables: Mapping[str, Any]) -> str:
+    """Return a whole file: each table under its head, lists of tables one by one."""
+    parts = []
+    for name, value in tables.items():
+        if isinstance(value, Mapping):
+            parts.append(table(f"[{_key(name)}]", value))
+        elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
+            parts += [table(f"[[{_key(name)}]]", v) for v in value]
+    return "\n".join(parts)

@@ -92,8 +92,9 @@ def tested(file: Path) -> str:
 
 
 def diagnosed(finding: Mapping[str, Any]) -> str:
-    """Return the first sentence of a finding, "" where there is none."""
-    summary = finding.get("summary") or []
+    """Return the sentence of a finding that is its verdict, "" where there is none."""
+    told = [p["text"] for p in finding.get("passages") or [] if p.get("about") == "verdict"]
+    summary = told or finding.get("summary") or []
     return f"diagnosis: {summary[0]}" if summary else ""
 
 

@@ -168,10 +168,13 @@ def diagnose(
     # `smfe report` looks for this name.
     then = f"; next: smfe report {output.parent}" if output.name == "finding.json" else ""
     content = json.loads(output.read_text(encoding="utf-8"))
+    if name := (content.get("extended") or {}).get("file"):
+        then = f"; the extended model as a campaign: {output.with_name(name)}{then}"
     faults = [row for row in content.get("data_audit", []) if row.get("level") == "fault"]
-    warnings = [f"fault in the data, {row['where']}: {row['evidence']}" for row in faults]
-    lines = [*explain(finding).splitlines(), f"written: {output}{then}"]
-    return Outcome(lines, {"output": str(output), "finding": content}, warnings, fault=bool(faults))
+    block = finding.next_experiment.block if finding.next_experiment is not None else ""
+    more = ["to add to the campaign file when it is measured:", *block.splitlines()] if block else []
+    lines = [*explain(finding).splitlines(), *more, f"written: {output}{then}"]
+    return Outcome(lines, {"output": str(output), "finding": content}, fault=bool(faults))
 
 
 @verb(

@@ -21,21 +21,32 @@ from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.diagnosis.audit import Audit, audited
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.compliances import case_of
-from smfe.diagnosis.checks.suspect import Suspect
-from smfe.diagnosis.consequences import with_consequences
-from smfe.diagnosis.inference.diagnose import diagnose as diagnose_family
-from smfe.diagnosis.inference.finding import Finding
+from smfe.diagnosis.cases.known import settled
+from smfe.diagnosis.checks.suspect import Suspect, as_rows
+from smfe.diagnosis.consequences import with_consequences, worth_of
+from smfe.diagnosis.judgement.diagnose import diagnose as diagnose_family
+from smfe.diagnosis.judgement.finding import Finding
+from smfe.diagnosis.story.extended import HEAD, NAME, extended_campaign
 from smfe.identification.errors.result import Identification
 from smfe.identification.levels import with_levels
 from smfe.kept import KEPT, file_hash
 from smfe.progress import Progress, part, silent, warn
 from smfe.reporting.figures.draw_diagnosis import Picture, draw_compared
-from smfe.results import MEASUREMENT, TEST, Failures, check_target, read_groups, write_groups, write_json
+from smfe.results import (
+    MEASUREMENT,
+    TEST,
+    Failures,
+    check_target,
+    read_groups,
+    write_atomically,
+    write_groups,
+    write_json,
+)
 
 CURVES = ".nc"
 """Suffix of the file beside ``finding.json`` that holds the curves."""
 
-FORM = 1
+FORM = 2
 """Number of the form in which findings are kept."""
 
 
@@ -56,10 +67,13 @@ class Diagnosis(Finding):
         return draw_compared(self.curves)
 
     def _repr_html_(self) -> str:
-        """Return the sentences, the verdict first and the notes left out."""
-        first, *others = [p for p in self.passages if p.about != "note"]
-        said = "".join(f"<p>{html.escape(p.text)}</p>" for p in others)
-        return f"<p><strong>{html.escape(first.text)}</strong></p>{said}"
+        """Return the sentences, the verdict in bold and the notes left out."""
+        shown = [p for p in self.passages if p.about != "note"]
+        said = [html.escape(p.text) for p in shown]
+        return "".join(
+            f"<p><strong>{text}</strong></p>" if p.about == "verdict" else f"<p>{text}</p>"
+            for p, text in zip(shown, said, strict=True)
+        )
 
 
 def diagnose(
@@ -116,21 +130,36 @@ def diagnose(
     checked = audited(loaded, part(progress, 0.0, 0.3), None if path is None else path.parent / KEPT)
     suspects = checked.suspects
     case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), part(progress, 0.3, 0.4))
-    finding, content = _tested(loaded, case, suspects, seed, part(progress, 0.4, 1.0), held_out, workers)
+    how = part(progress, 0.4, 1.0), held_out, workers, None, checked.identified, path
+    finding, content = _tested(loaded, case, suspects, seed, *how)
     if path is not None:
         write_finding(path, content, finding.curves)
     warn(f"{s.where}: {s.evidence}; {s.advice}" for s in suspects if s.level == "fault")
     return finding
 
 
-def write_finding(path: Path, content: Mapping[str, Any], curves: xr.Dataset | None) -> None:
-    """Write the JSON file of a finding and, beside it, its curves with the suffix ``.nc``; remove those of another."""
+def write_finding(path: Path, content: Mapping[str, Any], curves: xr.Dataset | None, extended_too: bool = True) -> None:
+    """Write the JSON file of a finding and, beside it, its curves and its campaign; remove curves of another."""
     write_json(path, content)
+    extended = content.get("extended") or {}
+    if extended_too and extended.get("file"):
+        text = str(extended["text"])
+        write_atomically(path.with_name(extended["file"]), lambda p: p.write_text(text, encoding="utf-8"))
     beside = path.with_suffix(CURVES)
     if curves is None:
         beside.unlink(missing_ok=True)
     else:
         write_groups(beside, {"curves": curves})
+
+
+def extended_file(campaign: Campaign, path: Path) -> Path:
+    """Return where the extended model of a finding is written: beside it, and never over a campaign that is not one."""
+    beside = path.with_suffix(".toml")
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        same = beside.exists() and campaign.path.exists() and beside.samefile(campaign.path)
+        if same or not beside.read_text(encoding="utf-8").startswith(HEAD):
+            return path.with_name(f"{path.stem}_{NAME}.toml")
+    return beside
 
 
 def finding_of(
@@ -147,6 +176,7 @@ def finding_of(
     `kept`. `happened` says of the file of each cutting test whether it was "stable" or "chatter".
     """
     path = None if kept is None else kept / f"finding-{_key(campaign, suspects, happened)}.json"
+    out = None if kept is None else kept.parent / "finding.json"
     if path is not None and path.is_file():
         with contextlib.suppress(InputError, OSError, ValueError):
             beside = path.with_suffix(CURVES)
@@ -154,11 +184,11 @@ def finding_of(
                 read_groups(beside)["curves"] if beside.is_file() else None
             )
     case = case_of(*_usable(campaign, Audit(list(suspects)).excluded, found), part(progress, 0.0, 0.1))
-    finding, content = _tested(campaign, case, suspects, 0, part(progress, 0.1, 1.0), (), None, happened)
+    finding, content = _tested(campaign, case, suspects, 0, part(progress, 0.1, 1.0), (), None, happened, found, out)
     if path is not None:
         for old in (*path.parent.glob("finding-*.json"), *path.parent.glob(f"finding-*{CURVES}")):
             old.unlink()
-        write_finding(path, content, finding.curves)
+        write_finding(path, content, finding.curves, extended_too=False)
     return content, finding.curves
 
 
@@ -189,17 +219,25 @@ def _tested(
     held_out: Sequence[str],
     workers: int | None = None,
     happened: Mapping[str, str] | None = None,
+    measured: Mapping[str, Identification] | None = None,
+    path: Path | None = None,
 ) -> tuple[Diagnosis, dict[str, Any]]:
     left_out = case.held_out_conditions(held_out)
-    finding = diagnose_family(case.family, seed, progress, left_out, workers)
-    finding = with_consequences(campaign, case.family, finding, left_out, happened)
+    compliances = {name: item.compliance for name, item in (measured or {}).items()}
+    worth = worth_of(campaign, case.family)
+    finding = diagnose_family(settled(case.family, campaign.known), seed, progress, left_out, workers, worth)
+    faults = [s for s in suspects if s.level == "fault"]
+    finding = with_consequences(campaign, case.family, finding, left_out, happened, compliances, faults)
     said = Diagnosis(**{f.name: getattr(finding, f.name) for f in fields(finding)})
-    return said, {"campaign": campaign.name, **as_dict(finding, [*suspects, *case.suspects])}
+    made = extended_campaign(campaign, case.family, finding, Path.cwd() if path is None else path.parent)
+    file = "" if path is None else extended_file(campaign, path).name
+    content = {"campaign": campaign.name, **as_dict(finding, [*suspects, *case.suspects])}
+    return said, {**content, "extended": {"file": file, "left_out": list(made.left_out), "text": made.text}}
 
 
 def as_dict(finding: Finding, suspects: Sequence[Suspect]) -> dict[str, Any]:
     """Return what ``finding.json`` holds."""
-    audited = [{"cause": s.cause, "level": s.level, "where": s.where, "evidence": s.evidence} for s in suspects]
+    audited = as_rows(suspects)
     summary = list(finding.sentences)
     return {**finding.as_dict(), "story": summary, "summary": summary, "data_audit": audited}
 

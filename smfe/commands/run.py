@@ -210,7 +210,7 @@ def run(
     write_verdicts(folder, verdicts)
     write_ranking(folder, ranked(whole, verdicts.rows))
     if finding is None:
-        for name in ("finding.json", "finding.nc"):
+        for name in ("finding.json", "finding.nc", "finding.toml"):
             (folder / name).unlink(missing_ok=True)
     else:
         write_finding(folder / "finding.json", *finding)

@@ -20,6 +20,7 @@ from smfe.diagnosis.checks.channels import channel_suspects, silence_suspects, t
 from smfe.diagnosis.checks.compliances import (
     factor_suspects,
     model_suspects,
+    mounting_suspects,
     reciprocity_suspects,
     skew_suspects,
     stiffness_suspects,
@@ -235,7 +236,7 @@ def _cutting_test(campaign: Campaign, test: CuttingTest, where: str, part: Part,
         wrong = list(speed_suspects(record, where, test.spindle_speed, part))
         out.suspects += wrong or clock_suspects(record, where, tool.teeth if tool else None)
         out.seen.append(seen(record, part, said))
-        if tool is not None and not wrong:
+        if tool is not None and not wrong and test.depth_of_cut > 0.0:
             arc = engagement(test.cut, test.width_of_cut, tool.diameter)
             out.suspects += tooth_suspects(record, where, test.spindle_speed, tool, arc)
             out.suspects += _force_size(campaign, test, record, where)
@@ -244,12 +245,19 @@ def _cutting_test(campaign: Campaign, test: CuttingTest, where: str, part: Part,
 def _compliance_suspects(campaign: Campaign, name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
     # Lobes of a machine that gives out energy mean nothing; its compliance, of two places perhaps, may still be read.
     part = ((MEASUREMENT, name),) if _is_source(campaign, name) else ()
-    signs = sign_warnings(compliance)
+    mounted = list(mounting_suspects(name, compliance, *part))
+    yield from mounted
+    signs = () if mounted else sign_warnings(compliance)
     for text in signs:
-        yield fault("sensor_gain", name, text, "declare sign = -1 on the channel that is turned round", *part)
-    if not signs:
-        yield from skew_suspects(name, compliance)
-    yield from reciprocity_suspects(name, compliance)
+        advice = (
+            "hit and measure at the same point, and declare sign = -1 on force or motion if one of them is turned "
+            "round; where two axes may be exchanged, knock on the tool along x, y and z, one at a time"
+        )
+        yield fault("sensor_gain", name, text, advice, *part)
+    if not signs and not mounted:
+        yield from skew_suspects(name, compliance, campaign.tolerances)
+    if not mounted:
+        yield from reciprocity_suspects(name, compliance, campaign.tolerances)
     yield from stiffness_suspects(name, compliance)
 
 

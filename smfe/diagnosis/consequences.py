@@ -6,32 +6,55 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
+import xarray as xr
 
-from process.cut.engagement import engagement
 from process.errors import InputError
-from process.labels import make_compliance
 from process.units import implausible
 from smfe.campaign import Campaign, CuttingTest
-from smfe.diagnosis.cutting.forces import CuttingForces
-from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
+from smfe.diagnosis.cases.known import known_values
+from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.cutting.limits import CuttingLimits
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.frf.axis import MachineFrfs
-from smfe.diagnosis.frf.axis_baseline import AxisBaseline
 from smfe.diagnosis.frf.modes import ModalFrfs
-from smfe.diagnosis.inference.finding import BaselineParameter, Finding, ForceError, ForetoldCut, StableDepth
-from smfe.diagnosis.inference.problem import Condition, Family, Values
+from smfe.diagnosis.inference.problem import Condition, Family
+from smfe.diagnosis.judgement.finding import (
+    BaselineParameter,
+    Finding,
+    ForceError,
+    ForetoldCut,
+    GivenParameter,
+    StableDepth,
+)
+from smfe.diagnosis.judgement.materiality import Worth, no_cut
+from smfe.diagnosis.judgement.next_experiment import Proposal
+from smfe.diagnosis.story.blocks import block_of, repeated
 from smfe.diagnosis.story.causes import Friction
 from smfe.diagnosis.story.curves import with_curves
 from smfe.diagnosis.story.experiments import instruction
+from smfe.diagnosis.story.facts import facts_of
+from smfe.diagnosis.story.millimetres import (
+    FEW_SPEEDS,
+    Depths,
+    cost_of,
+    depths_of,
+    given_values,
+    largest_change,
+    pockets,
+    stable_depths,
+)
 from smfe.diagnosis.story.sentences import Setting, told
+from smfe.diagnosis.story.to_do import action
 from smfe.limits.cutting_tests import judge
-from stability import zero_order
 
-SPEEDS = 41
-"""Spindle speeds of a request at which the depth is computed, at most."""
 
-_STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
+def worth_of(campaign: Campaign, family: Family) -> Worth:
+    """Return what is large enough to matter: in limit depth where the campaign asks for one that the family predicts.
+
+    Of drive and cutting forces a depth is one thing among others: run-out changes none, and matters.
+    """
+    has_depth = isinstance(family, MachineFrfs | ModalFrfs | CuttingLimits)
+    return Worth(campaign.tolerances.material, cost_of(campaign, family) if has_depth else no_cut)
 
 
 def with_consequences(
@@ -40,26 +63,90 @@ def with_consequences(
     finding: Finding,
     held_out: Sequence[str],
     happened: Mapping[str, str] | None = None,
+    compliances: Mapping[str, xr.Dataset] | None = None,
+    faults: Sequence[Suspect] = (),
 ) -> Finding:
     """Return a finding as it is told: what became of the baseline, errors and curves, depths, sentences.
 
     `happened` says of each cutting test, by the name of its file, whether it was "stable" or "chatter"; without it they
-    are judged here.
+    are judged here. `compliances` are those of measurements that lobes are asked of, `faults` those of the data.
     """
+    before = {**given_values(family), **known_values(family, campaign.known)} if campaign.known else None
     finding = _plausible(replace(finding, baseline=tuple(_baseline(family, finding))))
     finding = with_curves(family, finding)
+    depths, why = depths_of(campaign, family, compliances)
+    if depths is not None and finding.given:
+        finding = replace(finding, given=tuple(_costs(campaign, family, finding, depths)))
     if finding.causes:
         if isinstance(family, DriveRecordFamily):
             finding = replace(finding, force_error=tuple(_force_errors(family, finding, held_out)))
-        depths, why = _stable_depths(campaign, family, finding)
-        tested = tuple(_tested(campaign, depths, happened)) if depths else ()
-        finding = replace(finding, stable_depth=depths, no_depth=why, tested_depth=tested)
-    if finding.next_experiment is not None:
-        proposed = [c for c in family.proposals if c.name == finding.next_experiment.name]
-        if proposed:
-            do = instruction(family, proposed[0])
-            finding = replace(finding, next_experiment=replace(finding.next_experiment, do=do))
-    return replace(finding, passages=told(finding, Setting(_friction(family, finding))))
+        rows = () if depths is None else stable_depths(campaign, depths, finding.values, before)
+        tested = tuple(_tested(campaign, rows, happened)) if rows else ()
+        best = pockets(campaign, rows)
+        finding = replace(finding, stable_depth=rows, no_depth=why, tested_depth=tested, pockets=best)
+    finding = replace(finding, next_experiment=_next(campaign, family, finding))
+    facts = facts_of(family, finding.values)
+    finding = replace(finding, to_do=tuple(action(c, facts) for c in finding.causes))
+    return replace(finding, passages=told(finding, Setting(_friction(family, finding), faults)))
+
+
+def _next(campaign: Campaign, family: Family, finding: Finding) -> Proposal | None:
+    """Return the next experiment, whatever the verdict, with what to do and what to append to the campaign file.
+
+    Where the search has none: a measurement that carries what is not explained, made once more, tells whether it
+    repeats; else the first thing that can be done and was not.
+    """
+    found, carriers = finding.next_experiment, () if finding.remainder is None else finding.remainder.carriers
+    if found is None and (carriers or not family.proposals):
+        name = _made_of(campaign, family, [*carriers, *(c.name for c in family.conditions)])
+        block = repeated(campaign, name)
+        if not block:
+            return None
+        expected = "whether what is left is there again tells the machine from noise and drift"
+        do = f"Make {name.replace('_', ' ')} once more, at the end of the session"
+        return Proposal(name, math.nan, math.nan, expected, None, do=do, block=block)
+    if found is None:
+        first = family.proposals[0]
+        said = first.settings.get("minutes")
+        minutes = None if said is None else float(said)
+        expected = (
+            "it settles the question best of all that is known here, but hardly alone"
+            if finding.verdict == "ambiguous"
+            else "what is said here predicts it: a test of the whole"
+        )
+        found = Proposal(first.name, math.nan, math.nan, expected, minutes)
+    proposed = [c for c in family.proposals if c.name == found.name]
+    if not proposed:
+        return found
+    block = block_of(campaign, family, proposed[0], finding.values or given_values(family))
+    return replace(found, do=instruction(family, proposed[0]), block=block)
+
+
+def _made_of(campaign: Campaign, family: Family, conditions: Sequence[str]) -> str:
+    """Return the measurement, or the file of the cutting test, that the first of some conditions belongs to."""
+    names = [*(m.name for m in campaign.measurements), *(t.file.name for t in campaign.cutting_tests)]
+    for condition in conditions:
+        for name in sorted(names, key=len, reverse=True):
+            if name in condition:
+                return name
+    return names[-1] if names else ""
+
+
+def _costs(campaign: Campaign, family: Family, finding: Finding, depths: Depths) -> Iterator[GivenParameter]:
+    """Say of each declared parameter what its difference is worth in depth, the others as they were found."""
+    shown = {p.name: p for p in family.nuisances}
+    for g in finding.given:
+        p = shown.get(g.name)
+        if g.cost_mm is None and p is not None and g.found != g.given and math.isfinite(g.found):
+            try:
+                as_given = {**finding.values, g.name: p.start}
+                rows = stable_depths(campaign, depths, finding.values, as_given, FEW_SPEEDS)
+            except InputError:  # no machine has these values
+                yield g
+                continue
+            if (change := largest_change(rows)) is not None:
+                g = replace(g, cost=change[0] if g.cost is None else g.cost, cost_mm=change[1])
+        yield g
 
 
 def _friction(family: Family, finding: Finding) -> Friction | None:
@@ -71,51 +158,6 @@ def _friction(family: Family, finding: Finding) -> Friction | None:
     fastest = max(feeds, default=0.0)
     side = baseline.effective(finding.values, {}, fastest).friction[0]
     return Friction(baseline.axis, side.force(0.0), 6e4 * fastest, side.force(fastest))
-
-
-def _stable_depths(campaign: Campaign, family: Family, finding: Finding) -> tuple[tuple[StableDepth, ...], str]:
-    """Return the stable depths before and after, or why none is given."""
-    if isinstance(family, DriveRecordFamily | CuttingForces):
-        what = "drive force" if isinstance(family, DriveRecordFamily) else "cutting force"
-        return (), f"No depth in millimetres: the {what} alone says nothing of how far the tool gives way."
-    lost = [
-        name
-        for name, there in (
-            ("[tool]", campaign.tool is not None),
-            ("[material]", campaign.coefficients is not None),
-            ("[[lobes]] or cutting tests with their feed", any(True for _ in _asked(campaign))),
-        )
-        if not there
-    ]
-    if lost:
-        return (), f"No depth in millimetres: the campaign has no {', no '.join(lost)}."
-    if isinstance(family, MachineFrfs):
-        return stable_depths(campaign, family.baseline, finding.values), ""
-    if isinstance(family, CuttingLimits):
-        return tuple(_limits(campaign, family, finding)), ""
-    if isinstance(family, ModalFrfs):
-        return tuple(_of_modes(campaign, family, finding.values)), ""
-    return (), ""
-
-
-def _of_modes(campaign: Campaign, family: ModalFrfs, values: Values) -> Iterator[StableDepth]:
-    """Limit depths of modes as the campaign gives them, and as the extended model has them, by the zero-order method.
-
-    The tool carries no sensor; the spindle turns as it does in the cut.
-    """
-    assert campaign.tool is not None
-    assert campaign.coefficients is not None
-    given = {p.name: p.start for p in (*family.nuisances, *(p for c in family.causes for p in c.parameters))}
-    f = family.fine_frequency()
-    for where, cut, width, feed_per_tooth, speeds in _asked(campaign):
-        arc = engagement(cut, width, campaign.tool.diameter)
-        for rpm in speeds:
-            depths = []
-            for v in (given, values):
-                phi = make_compliance(f, family.in_the_cut(v, rpm, f))
-                found = zero_order(phi, campaign.tool, arc, campaign.coefficients, [rpm])
-                depths.append(float(found["limit_depth"].values[0]))
-            yield StableDepth(where, rpm, feed_per_tooth * campaign.tool.teeth * rpm * 1e3, *depths)
 
 
 def _tested(
@@ -164,74 +206,9 @@ def _baseline(family: Family, finding: Finding) -> Iterator[BaselineParameter]:
             yield BaselineParameter(p.name, p.start * p.shown, fitted * p.shown, p.prior * p.shown, p.unit)
 
 
-def _limits(campaign: Campaign, family: CuttingLimits, finding: Finding) -> Iterator[StableDepth]:
-    """Limit depths of what a campaign asks for, by the zero-order method, before and after."""
-    assert campaign.tool is not None
-    for where, cut, width, feed_per_tooth, speeds in _asked(campaign):
-        arc = engagement(cut, width, campaign.tool.diameter)
-        for rpm in speeds:
-            limit = Limit(rpm, feed_per_tooth=feed_per_tooth, arc=arc)
-            depths = (family.limits_at(limit, v)[0] for v in ({}, finding.values))
-            before, after = (1e3 * float(d[0]) if d.size else math.inf for d in depths)
-            yield StableDepth(where, rpm, feed_per_tooth * campaign.tool.teeth * rpm * 1e3, before, after)
-
-
 def _force_errors(family: DriveRecordFamily, finding: Finding, held_out: Sequence[str]) -> Iterator[ForceError]:
     for apart in (False, True):
         part: list[Condition] = [c for c in family.conditions if (c.name in held_out) == apart]
         if part:
             errors = (family.force_error(v, part) for v in (finding.values_before, finding.values))
             yield ForceError(apart, *errors)
-
-
-def stable_depths(campaign: Campaign, baseline: AxisBaseline, values: Values) -> tuple[StableDepth, ...]:
-    """Return the zero-order limit depths at the speeds of the lobes and cutting tests that a campaign asks for.
-
-    The machine is linearised for small vibration about the feed of the cut, ``feed_per_tooth teeth n``; directions
-    other than the axis are rigid. `values` are those of the extended model (SI). Without tool, work material, lobes and
-    cutting tests nothing is returned.
-    """
-    given: Mapping[str, float] = {
-        p.name: p.start for p in (*baseline.nuisances(), *(p for c in baseline.causes() for p in c.parameters))
-    }
-    if campaign.tool is None or campaign.coefficients is None:
-        return ()
-    out = []
-    for where, cut, width, feed_per_tooth, speeds in _asked(campaign):
-        for rpm in speeds:
-            feed = feed_per_tooth * campaign.tool.teeth * rpm / 60.0
-            depths = [_limit(campaign, baseline, v, cut, width, feed, rpm) for v in (given, values)]
-            out.append(StableDepth(where, rpm, feed * 6e4, *depths))
-    return tuple(out)
-
-
-def _asked(campaign: Campaign) -> Iterator[tuple[str, str, float, float, Sequence[float]]]:
-    """Yield what it is for, kind and width of cut, feed per tooth, and speeds [rpm]."""
-    for request in campaign.lobes:
-        pick = np.unique(np.linspace(0, request.spindle_speed.size - 1, SPEEDS).round().astype(int))
-        speeds = request.spindle_speed[pick].tolist()
-        yield request.name, request.cut, request.width_of_cut, request.feed_per_tooth, speeds
-    for test in (t for t in campaign.cutting_tests if t.feed_per_tooth is not None):
-        yield test.file.name, test.cut, test.width_of_cut, test.stated_feed_per_tooth, [test.spindle_speed]
-
-
-def _limit(
-    campaign: Campaign, baseline: AxisBaseline, values: Values, cut: str, width: float, feed: float, rpm: float
-) -> float:
-    """Limit depth [mm]; infinite without a limit, zero where the axis vibrates without any cut."""
-    assert campaign.tool is not None
-    assert campaign.coefficients is not None
-    axis, high = baseline.axis, _REACH * baseline.drive.locked_frequency
-    machine = baseline.machine(baseline.effective(values, {}, feed))
-    point = machine.at({axis: feed}, _controller(campaign, baseline))
-    if point.unstable_poles() > 0:
-        return 0.0
-    phi = point.compliance(np.arange(_LOWEST, high, _STEP), [axis], [axis])
-    arc = engagement(cut, width, campaign.tool.diameter)
-    return float(zero_order(phi, campaign.tool, arc, campaign.coefficients, [rpm])["limit_depth"].values[0])
-
-
-def _controller(campaign: Campaign, baseline: AxisBaseline) -> str:
-    """Return the controller of the first measurement that has one of the baseline's."""
-    named = [m.controller for m in campaign.measurements if m.controller in baseline.servos]
-    return named[0] if named and named[0] is not None else next(iter(baseline.servos))

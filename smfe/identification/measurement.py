@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from process.cut.engagement import Engagement, engagement
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import axis_present, sample_interval
+from process.types import Real
 from smfe._version import __version__
 from smfe.campaign import Campaign, Measurement, RecordEntry
 from smfe.identification.actuator.excitation_kind import identify_shaken
@@ -101,7 +102,8 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
 
     With ``exp(+j w t)`` a passive machine has ``Im Phi_ii < 0`` at its driving point. A force or a motion of the wrong
     sign turns it round; a dynamometer under the work, which measures the reaction, is the usual reason. Lines count
-    where the imaginary part is above three standard deviations and a tenth of the magnitude.
+    where the imaginary part is above three standard deviations and a tenth of the magnitude, and of the other direct
+    compliances, too: hits that lean and sensors that are turned bring so much of those along.
     """
     out = []
     array = compliance["compliance"]
@@ -110,11 +112,13 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
         if compliance.attrs.get("method") == "frf" and rising_phase(compliance["frequency"].values, phi):
             out.append(turned_text([axis + axis]))
             continue
-        clear = np.abs(phi.imag) > 0.1 * np.abs(phi)
+        largest = np.nanmax([np.abs(phi), *_other_direct(array, axis)], axis=0)
+        clear = np.abs(phi.imag) > 0.1 * largest
         if "compliance_std" in compliance:
             std = compliance["compliance_std"].sel(response=axis, excitation=axis).values
             clear &= ~(np.abs(phi.imag) <= 3.0 * np.nan_to_num(std))
-        wrong = float(np.mean(phi.imag[clear] > 0.0)) if clear.any() else 0.0
+        enough = clear.any() and int(clear.sum()) >= min(_FEWEST_CLEAR, 0.2 * phi.size)
+        wrong = float(np.mean(phi.imag[clear] > 0.0)) if enough else 0.0
         if wrong > 0.5:
             out.append(
                 f"the direct compliance {axis}{axis} gives out energy (positive imaginary part) at {100 * wrong:.0f} % "
@@ -123,6 +127,17 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
                 "channels. Lobes from this measurement are wrong"
             )
     return tuple(out)
+
+
+_FEWEST_CLEAR = 10
+"""Lines of a direct compliance that must be clear before its sign is judged: of a few noise makes any sign."""
+
+
+def _other_direct(array: xr.DataArray, axis: str) -> Iterator[Real]:
+    """Yield the magnitudes of the other direct compliances."""
+    for other in array["response"].values:
+        if other != axis and other in array["excitation"].values:
+            yield np.abs(array.sel(response=other, excitation=other).values)
 
 
 def records_of(entry: RecordEntry, only_force: str | None = None) -> list[xr.Dataset]:

@@ -82,6 +82,10 @@ def judge_all(
     for i, test in enumerate(campaign.cutting_tests):
         progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
         predicted = predictions(campaign, test, compliances, unpredicted, failures)
+        if test.depth_of_cut == 0.0:
+            air = _row(campaign, test, None, "the spindle turns in air: nothing is cut")
+            rows.append(air | predicted | {"verdict": "undecided"})
+            continue
         gone = [f for f in failures or () if (f.part, f.name) == (TEST, test.file.name)]
         if gone:
             rows.append(_row(campaign, test, None, gone[0].reason) | predicted)

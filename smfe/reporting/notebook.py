@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from process.errors import InputError
 from process.labels import RECORD_SCALARS, RECORD_VECTORS, axis_present
 from process.machine.modes import ModalModel
-from smfe.diagnosis.inference.finding import Finding
+from smfe.diagnosis.judgement.finding import Finding
 from smfe.identification.compliances import of_model
 from smfe.identification.errors.result import Identification
 from smfe.limits.campaign_lobes import LobeResult

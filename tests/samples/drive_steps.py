@@ -9,9 +9,9 @@ from smfe.diagnosis.drive import noise
 from smfe.diagnosis.drive.balance import Channels, kind_of
 from smfe.diagnosis.drive.filters import motion
 from smfe.diagnosis.drive.noise import noise_draws
-from smfe.diagnosis.inference.fit import Target
-from smfe.diagnosis.inference.hypotheses import Bench
+from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.progress import silent
 
 
@@ -26,15 +26,27 @@ class ForceStep:
 
 
 def force_steps(family, causes, held_out=()):
-    """Fit the baseline and then one cause more at a time, everything anew each time."""
-    model = Model(family, family.conditions)
-    keys = [c.key for c in model.causes]
-    observed = {r: c.observed for r, c in enumerate(model.conditions)}
-    bench = Bench(model, Target(observed, model.null()), 0, silent)
-    at, steps = bench.null(), []
+    """Fit the baseline as it is declared and then one cause more at a time, everything anew each time.
+
+    A cause may be the id of declared parameters (`Parameter.given`), which are then released.
+    """
+    given = {p.given for p in family.nuisances if p.given}
+    released, taken, at, steps = [], [], None, []
     for cause in ("", *causes):
-        if cause:
-            at = bench.confirmed(bench.extend(at, [keys.index(cause)]))
+        if cause in given:
+            released.append(cause)
+        model = Model(family, family.conditions, None, released, given - set(released))
+        target = Target({r: c.observed for r, c in enumerate(model.conditions)}, model.null())
+        bench = Bench(model, target, 0, silent)
+        if at is None:
+            at = bench.null()
+        else:
+            at = fit(model, target, tuple(taken), at.u)
+            bench.fits[at.causes] = at
+        if cause and cause not in given:
+            taken.append([c.key for c in model.causes].index(cause))
+            taken.sort()
+            at = bench.confirmed(bench.extend(at, [k for k in taken if k not in at.causes]))
         assert at.converged, (cause, at.reason)
         values = model.values(at.u)
         others = tuple(other.force_error(values) for other in held_out)

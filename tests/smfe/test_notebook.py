@@ -12,7 +12,7 @@ from samples.report import MACHINE, STEEL, TOOL, measured
 import smfe
 from process._lazy import lazy
 from process.errors import InputError
-from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause
+from smfe.diagnosis.judgement.finding import Estimate, Finding, FoundCause
 from smfe.limits.cutting_tests import spectrum_of
 
 CUT = {"cut": "down", "width_of_cut": "100 mm", "spindle_speed": (250, 750, 50)}

@@ -48,8 +48,12 @@ class NamedModes:
     """What a ``[[model]]`` states as its ``uncertainty``, relative; empty where it states none."""
 
 
-def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification]) -> NamedModes:
-    """Return the modes of a model, or fit those of a measurement, by its name."""
+def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification], whole: bool = False) -> NamedModes:
+    """Return the modes of a model, or fit those of a measurement, by its name.
+
+    With `whole` the model has all that the compliance was fitted with (`ModalFit.modal_model`); `band` is that of the
+    modes alone.
+    """
     for model in campaign.models:
         if model.name == name:
             low, high = float(model.modal.frequency.min()), float(model.modal.frequency.max())
@@ -59,7 +63,7 @@ def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identificatio
         raise InputError(f"baseline: measurement '{name}' is no compliance, so it has no modes; name one that is")
     try:
         fit = fit_modes(at_tool(found[name].compliance))
-        modal = fit.modal_model()
+        modes, modal = fit.modal_model(), fit.modal_model(whole)
     except InputError as error:
         raise InputError(
             f"baseline: measurement '{name}' does not give the modes of a simulation ({error}); declare them as a "
@@ -67,7 +71,7 @@ def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identificatio
         ) from error
     # Stiff modes above the measured band stand for what is not seen of the machine.
     top = float(found[name].compliance["frequency"].max())
-    inside = modal.frequency[modal.frequency <= top]
+    inside = modes.frequency[modes.frequency <= top]
     advice = "see the modes with smfe modal; declare better ones as a [[model]]"
     suspects = tuple(Suspect("missing_mode", "note", name, warning, advice) for warning in fit.warnings)
     return NamedModes(modal, (float(inside.min()), float(inside.max())), suspects)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -14,34 +15,46 @@ from process import units
 from process.errors import InputError
 from process.friction.laws import Andersson, Coulomb, CoulombViscous, Viscous
 from process.labels import AXES
+from process.machine.modes import ModalModel
+from process.types import Complex
 from smfe.campaign import AxisModel, Campaign, LimitsOf, Measurement, MechanisticForces, ModesOf, RigidDrive
+from smfe.campaign.machine import GivenAxis
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.cases.case import Case, NamedModes, modes_named
 from smfe.diagnosis.cases.cutting import cutting_case, limit_case
 from smfe.diagnosis.cases.drive import drive_case
 from smfe.diagnosis.cases.experiments import proposed_experiments, proposed_modal_experiments
+from smfe.diagnosis.cases.machine import band_of, machine_family
 from smfe.diagnosis.checks.suspect import Suspect, warning
 from smfe.diagnosis.frf.axis import MachineFrfs, as_hit
-from smfe.diagnosis.frf.axis_baseline import AxisBaseline
+from smfe.diagnosis.frf.axis_baseline import SPREAD as SHEET
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Sides
 from smfe.diagnosis.frf.modes import SPREAD, ModalFrfs
-from smfe.diagnosis.frf.noise import compared, condition_of, degrees_of_freedom_of, excitation_of
+from smfe.diagnosis.frf.noise import Excited, compared, condition_of, degrees_of_freedom_of, excitation_of
 from smfe.diagnosis.frf.rules import RULES
+from smfe.diagnosis.frf.workshop import near_mains, runs, with_single_hits
 from smfe.diagnosis.inference.problem import Condition
 from smfe.identification.errors.result import Identification
 from smfe.progress import Progress, silent
 
 
-def axis_baseline(baseline: AxisModel) -> AxisBaseline:
-    """Return the baseline of a campaign as one that can be tested."""
+def axis_baseline(baseline: AxisModel, tolerances: Tolerances | None = None) -> AxisBaseline:
+    """Return the baseline of a campaign as one that can be tested; default tolerances: those of a workshop."""
     law, names = baseline.friction, ("coulomb", "static", "stribeck_speed")
-    one_sided = not isinstance(law, Andersson) or law.negative is None
-    if not (isinstance(law, Viscous | Coulomb | CoulombViscous | Andersson) and one_sided):
+    if not isinstance(law, Viscous | Coulomb | CoulombViscous | Andersson):
         raise InputError(
             f"baseline.friction: a {type(law).__name__} law cannot be tested; give viscous, coulomb, "
             "coulomb_viscous or andersson"
         )
-    known = {name: float(getattr(law, name)) for name in names if hasattr(law, name)}
+    known: dict[str, float | Sides] = {n: float(getattr(law, n)) for n in names if hasattr(law, n)}
     drive = replace(baseline.drive, sigma=law.sigma)
-    return AxisBaseline(drive, dict(baseline.servos), baseline.axis, known)
+    if isinstance(law, Andersson) and (back := law.negative) is not None:
+        known = {n: (float(getattr(law, n)), float(getattr(back, n))) for n in names}
+        known["viscous"] = (law.sigma, back.sigma) if law.sigma + back.sigma > 0.0 else 1.0
+        drive = replace(baseline.drive, sigma=0.5 * (law.sigma + back.sigma))
+    t = Tolerances() if tolerances is None else tolerances
+    spread = SHEET | {"moving_mass": t.declared_mass, "tip_mass": t.declared_mass}
+    return AxisBaseline(drive, dict(baseline.servos), baseline.axis, known, spread, t)
 
 
 def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent) -> Case:
@@ -66,10 +79,10 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: P
         return limit_case(campaign, baseline, found, progress)
     family: MachineFrfs | ModalFrfs
     if isinstance(baseline, ModesOf):
-        modes = modes_named(campaign, baseline.source, found)
-        family, suspects = _modal_family(campaign, modes, found), modes.suspects
+        modes = modes_named(campaign, baseline.source, found, whole=not baseline.axes)
+        family, suspects = _modal_family(campaign, modes, found, baseline.axes), modes.suspects
     else:
-        family, suspects = _axis_family(campaign, axis_baseline(baseline), found)
+        family, suspects = _axis_family(campaign, axis_baseline(baseline, campaign.tolerances), found)
     names = [c.name for c in family.conditions]
     held_out = tuple(m.name for m in campaign.measurements if m.held_out and m.name in names)
     return Case(family, {n: (n,) for n in names}, held_out, suspects)
@@ -82,7 +95,7 @@ def _axis_family(
     axis, band = baseline.axis, (RULES.lowest, RULES.reach * baseline.drive.locked_frequency)
     conditions, few = [], []
     for m, order in _ordered(campaign):
-        if not _known(found.get(m.name), axis):
+        if m.free_mass is not None or not _known(found.get(m.name), axis):
             continue
         hits = _fewest_hits(m, found[m.name], (axis,))
         if m.method == "hammer" and hits < RULES.fewest_hits:
@@ -108,20 +121,56 @@ def _axis_family(
     return replace(family, proposals=proposed_experiments(family)), tuple(few)
 
 
-def _modal_family(campaign: Campaign, modes: NamedModes, found: Mapping[str, Identification]) -> ModalFrfs:
-    """Every hammer and actuator measurement, for a baseline that is a modal model."""
-    band, conditions = (0.5 * modes.band[0], 2.0 * modes.band[1]), []
+def _modal_family(
+    campaign: Campaign, modes: NamedModes, found: Mapping[str, Identification], driven: Mapping[str, GivenAxis]
+) -> ModalFrfs:
+    """Every hammer and actuator measurement, for a baseline that is a modal model, alone or on its feed axes."""
+    band, conditions = band_of(modes) if driven else (0.5 * modes.band[0], 2.0 * modes.band[1]), []
+    source = found.get(campaign.baseline.source) if isinstance(campaign.baseline, ModesOf) else None
+    left = None if source is None or driven else partial(left_by_fit, modes.modal, source.compliance)
     for m, order in _ordered(campaign):
         axes = tuple(a for a in AXES if _known(found.get(m.name), a))
         if axes:
-            conditions.append(_condition(m, found[m.name], axes, band, order, m.controller))
+            hum = campaign.tolerances.hum
+            conditions.append(_condition(m, found[m.name], axes, band, order, m.controller, hum=hum, left=left))
     if not conditions:
         raise InputError(
             "no hammer or actuator measurement has an uncertainty (three hits or more); the baseline has nothing to be "
             "compared with"
         )
+    if driven:
+        return machine_family(campaign, driven, modes, tuple(conditions))
     spread = {**SPREAD, **modes.spread}
-    return ModalFrfs(modes.modal, tuple(conditions), proposed_modal_experiments(conditions), spread=spread)
+    family = ModalFrfs(
+        modes.modal,
+        tuple(conditions),
+        proposed_modal_experiments(conditions),
+        spread=spread,
+        stated=tuple(modes.spread),
+        tolerances=campaign.tolerances,
+    )
+    return family.with_errors()
+
+
+def left_by_fit(modal: ModalModel, source: xr.Dataset, excited: Excited) -> Complex:
+    """Return what a modal model leaves of the compliance that it was fitted to [m/N], shape (1, f, entries).
+
+    Damping that is not in proportion, or a mode in the noise, is in every measurement alike: an error of the form of
+    the model, which all lines share (`Excited.shared`), and no evidence of a cause. Zero where the source has no lines.
+    """
+    f = source["frequency"].values
+    out = np.zeros((1, excited.frequency.size, len(excited.entries)), dtype=complex)
+    for k, (response, excitation) in enumerate(excited.entries):
+        if response in source["response"] and excitation in source["excitation"]:
+            measured = source["compliance"].sel(response=response, excitation=excitation).values
+            known = np.isfinite(measured)
+            if known.any():
+                away = measured[known] - modal.matrix(f[known])[:, AXES.index(response), AXES.index(excitation)]
+                real, imaginary = (
+                    np.interp(excited.frequency, f[known], part, left=0.0, right=0.0) for part in (away.real, away.imag)
+                )
+                out[0, :, k] = real + 1j * imaginary
+    return out
 
 
 def _ordered(campaign: Campaign) -> list[tuple[Measurement, float]]:
@@ -166,12 +215,15 @@ def _condition(
     order: float,
     controller: str | None,
     single_hits: bool = False,
+    hum: float = 0.0,
+    left: Callable[[Excited], Complex] | None = None,
 ) -> Condition:
     compliance = found.compliance.sel(response=list(axes), excitation=list(axes))
     if measurement.method == "hammer":
         compliance = steadied(compliance)
+    compliance = hummed(compliance, hum)
     level, duration = np.mean([_level(measurement, found, a) for a in axes], axis=0).tolist()
-    feed = {a: float(v) for a, v in (measurement.feed or {}).items() if a in axes}
+    feed = {a: float(v) for a, v in (measurement.feed or {}).items()}
     settings: dict[str, float | str] = {
         "method": measurement.method,
         "feed": feed.get(axes[0], 0.0),
@@ -180,6 +232,9 @@ def _condition(
         "controller": controller or "",
         "added_mass": measurement.added_mass or 0.0,
     }
+    for key in ("spindle_speed", "sensor", "free_mass"):
+        if (value := getattr(measurement, key)) is not None:
+            settings[key] = value
     if measurement.position is not None:  # a length counts; the name of a place only says which are the same
         try:
             settings["position"] = units.parse(measurement.position, "length")
@@ -189,9 +244,17 @@ def _condition(
     excited = excitation_of(compliance, measurement.method, level, band, **how)
     hits = _fewest_hits(measurement, found, axes)
     if hits > 1:
-        excited = replace(excited, degrees_of_freedom=degrees_of_freedom_of(hits, excited.std.size))
-    if single_hits:
+        known = degrees_of_freedom_of(hits, excited.std.size)
+        excited = replace(excited, degrees_of_freedom=known, repeats=hits)
+    if not single_hits:
+        excited = with_single_hits(excited, found.compliance, found.hits)
+    else:
         excited = compared(excited, found.compliance, found.hits.get(axes[0]))
+    if left is not None:
+        shared = left(excited)
+        excited = replace(
+            excited, shared=shared if excited.shared is None else np.concatenate([excited.shared, shared])
+        )
     return condition_of(measurement.name, compliance, excited, settings, measurement.name)
 
 
@@ -199,16 +262,32 @@ def steadied(compliance: xr.Dataset) -> xr.Dataset:
     """Return a compliance whose standard deviation is the root mean square over neighbouring lines.
 
     That of a line by itself comes from a few hits: over it, residuals of noise alone have a mean square of
-    (n - 1)/(n - 2) for n hits, 1.5 for four, and tails that no threshold allows for. Noise is smooth over frequency.
+    (n - 1)/(n - 2) for n hits, 1.5 for four, and tails that no threshold allows for. Noise is smooth over frequency but
+    for hum: lines near the mains' harmonics do not count for their neighbours, and have the largest scatter among them.
     """
     std = compliance["compliance_std"].transpose("frequency", ...)
+    hum = near_mains(compliance["frequency"].values).reshape(-1, *(1,) * (std.ndim - 1))
     known = np.isfinite(std.values)
     squares = np.where(known, std.values**2, 0.0)
-    square, count = (
-        convolve1d(x, np.ones(RULES.smooth_lines), axis=0, mode="constant") for x in (squares, 1.0 * known)
+    own, all_ = (
+        [convolve1d(x, np.ones(RULES.smooth_lines), axis=0, mode="constant") for x in (squares * counts, counts)]
+        for counts in (1.0 * (known & ~hum), 1.0 * known)
     )
-    smooth = np.where(known, np.sqrt(square / np.maximum(count, 1.0)), np.nan)
-    return compliance.assign(compliance_std=(std.dims, smooth, std.attrs))
+    square, count = (np.where(own[1] > 0.5, a, b) for a, b in zip(own, all_, strict=True))
+    smooth = np.sqrt(square / np.maximum(count, 1.0))
+    for lines in runs(hum.ravel()):
+        smooth[lines] = np.maximum(smooth[lines], np.sqrt(squares[lines].max(axis=0)))
+    return compliance.assign(compliance_std=(std.dims, np.where(known, smooth, np.nan), std.attrs))
+
+
+def hummed(compliance: xr.Dataset, hum: float) -> xr.Dataset:
+    """Return a compliance whose standard deviation allows for hum: a share of the rms of its lines, near the mains'."""
+    std = compliance["compliance_std"].transpose("frequency", ...)
+    phi = compliance["compliance"].transpose(*std.dims).values
+    count = np.maximum(np.isfinite(phi).sum(axis=0), 1)
+    rms = np.sqrt(np.where(np.isfinite(phi), np.abs(phi) ** 2, 0.0).sum(axis=0) / count)
+    near = near_mains(compliance["frequency"].values).reshape(-1, *(1,) * (std.ndim - 1))
+    return compliance.assign(compliance_std=(std.dims, np.hypot(std.values, hum * rms * near), std.attrs))
 
 
 def _level(measurement: Measurement, found: Identification, axis: str) -> tuple[float, float]:

@@ -62,6 +62,9 @@ def cutting_case(campaign: Campaign) -> Case:
         (material.Ktc, material.Krc, material.Kac),
         {_words(cut): cut for cut in further},
         edge=(material.Kte, material.Kre, material.Kae),
+        tolerances=campaign.tolerances,
+        missing=campaign.missing_coefficients,
+        stated=campaign.coefficient_spread is not None,
     )
     proposals = tuple(replace(p, settings={**p.settings, "minutes": PROPOSALS.cut}) for p in family.proposals)
     return Case(replace(family, proposals=proposals), groups, _held_out(campaign, groups), family.suspects)
@@ -116,7 +119,19 @@ def limit_case(
     # How well the modes are known: as the campaign says of a model, else the default.
     given = [m.spread for m in campaign.models if m.name == baseline.source and m.spread is not None]
     known = {n: s for n in ("frequency", "damping", "stiffness") for g in given[:1] if (s := getattr(g, n))}
-    family = limit_family(limits, modes.modal, tool, arcs[0], material, spread=replace(Spread(), **known))
+    spread = replace(Spread(), **known)
+    stated = ["modal_scale"] if given else []
+    stated += ["force_coefficients"] if campaign.coefficient_spread is not None else []
+    family = limit_family(
+        limits,
+        modes.modal,
+        tool,
+        arcs[0],
+        material,
+        spread=spread,
+        tolerances=campaign.tolerances,
+        stated=stated,
+    )
     return Case(family, groups, _held_out(campaign, groups), tuple(suspects))
 
 

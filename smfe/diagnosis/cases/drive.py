@@ -12,6 +12,7 @@ from process.errors import InputError
 from process.labels import axis_present, sample_interval
 from smfe.campaign import Campaign, Measurement, RigidDrive
 from smfe.diagnosis.cases.case import Case
+from smfe.diagnosis.cases.experiments import proposed_moves
 from smfe.diagnosis.checks.suspect import Suspect, warning
 from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive.record import DriveRecordFamily
@@ -36,21 +37,31 @@ def drive_case(campaign: Campaign, baseline: RigidDrive) -> Case:
     if not reads or reads[0].measurement.held_out:
         raise InputError("no measurement with method = 'drive' is left to be fitted; add one that is not held out")
     stated = baseline.moving_mass
-    mass = None if stated is None else (stated, 0.1 * stated)  # with the standard deviation of a data sheet
+    tolerances = campaign.tolerances
+    mass = None if stated is None else (stated, tolerances.declared_mass * stated)
+    gains = None if baseline.Kp is None or baseline.Kv is None else Gains(baseline.Kv, baseline.Kp)
     families: list[DriveRecordFamily] = []
     groups: dict[str, tuple[str, ...]] = {}
     for read in reads:
         like, name = (families[0] if families else None), read.measurement.name
         try:
             family = DriveRecordFamily.from_record(
-                read.record, baseline.axis, mass=mass, delay=baseline.delay, like=like, name=f"{read.name},"
+                read.record,
+                baseline.axis,
+                mass=mass,
+                gains=gains,
+                delay=baseline.delay,
+                tolerances=tolerances,
+                like=like,
+                name=f"{read.name},",
             )
         except InputError as error:
             raise InputError(f"measurement '{read.name}': {error}") from error
         families.append(family)
         groups[name] = (*groups.get(name, ()), *(c.name for c in family.conditions))
     held_out = tuple(dict.fromkeys(r.measurement.name for r in reads if r.measurement.held_out))
-    return Case(replace(families[0], conditions=tuple(c for f in families for c in f.conditions)), groups, held_out)
+    family = replace(families[0], conditions=tuple(c for f in families for c in f.conditions))
+    return Case(replace(family, proposals=proposed_moves(family)), groups, held_out)
 
 
 def _records(campaign: Campaign) -> list[_Read]:
@@ -79,7 +90,7 @@ def unlogged_suspects(campaign: Campaign, baseline: RigidDrive) -> Iterator[Susp
         x, q, f = (np.asarray(read.record[n].sel(axis=axis).values, dtype=float) for n in names)
         step = sample_interval(read.record)
         law = law or fit_control_law(x, q, f, step, Gains(baseline.Kv, baseline.Kp))
-        pulses = unlogged_command(law, x, q, f, step)[1]
+        pulses = unlogged_command(law, x, q, f, step, campaign.tolerances.material)[1]
         if pulses:
             height, length = np.median([(p.height, p.end - p.begin) for p in pulses], axis=0)
             yield warning(

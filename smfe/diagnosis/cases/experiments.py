@@ -1,7 +1,7 @@
 """Experiments that a machine could do next, from those it has done: one thing changed at a time, and its price.
 
 Each is a condition without data, worded as a repetition: "as hammer_500, but at 100 mm/min". The inference predicts it
-with the hypotheses that are left and ranks it (`smfe.diagnosis.inference.next_experiment`).
+with the hypotheses that are left and ranks it (`smfe.diagnosis.judgement.next_experiment`).
 """
 
 from __future__ import annotations
@@ -13,6 +13,10 @@ from itertools import product
 
 import numpy as np
 
+from smfe.diagnosis.drive.balance import ANY
+from smfe.diagnosis.drive.filters import motion
+from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
+from smfe.diagnosis.drive.rules import RULES as DRIVE_RULES
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.causes import AXES
 from smfe.diagnosis.frf.noise import Excited, excited_of
@@ -35,6 +39,11 @@ class ProposalRules:
     mass_share: float = 0.1  # mass that is clamped to the tip, over the mass of the tip
     free_mass: float = 20.0  # mass on soft springs that a calibration takes [kg]
     accurate: float = 0.005  # relative error of the compliance of a free mass
+    moves: float = 2.0  # time of further moves of an axis [min]
+    slow: float = 0.2  # their speed, over the slowest that was measured
+    fast: float = 2.0  # ... and over the fastest
+    gentle: float = 0.25  # their acceleration, over the largest that was measured
+    longest: float = 20.0  # what they take of a record [s]
     speed: float = 300.0  # speed of a spindle that has not been turned yet [rad/s]
 
 
@@ -104,7 +113,7 @@ def _proposal(base: Condition, words: str, key: str, value: float | str, axis: s
         hits=None,
     )
     settings["minutes"] = PROPOSALS.minutes.get(str(settings["method"]), 8.0) + PROPOSALS.minutes.get(key, 0.0)
-    return Condition(f"as {base.name}, but {words}", settings, None, "", data)
+    return Condition(f"as {base.name}, but {words}", settings, None, base.name, data)
 
 
 def _same(one: Condition, other: Condition) -> bool:
@@ -162,4 +171,79 @@ def proposed_modal_experiments(conditions: Sequence[Condition]) -> tuple[Conditi
     found.append((f"position {place + 0.5 * far:.3g} m, at the end", later | {"position": place + 0.5 * far}, excited))
     if known["spindle_speed"] <= {None, 0.0}:
         found.append(("a turning spindle", later | {"spindle_speed": PROPOSALS.speed}, excited))
-    return tuple(Condition(name, settings, None, "", data) for name, settings, data in found)
+    return tuple(Condition(name, settings, None, first.name, data) for name, settings, data in found)
+
+
+# --- An axis that moves.
+
+
+def proposed_moves(family: DriveRecordFamily) -> tuple[Condition, ...]:
+    """Return moves that a record of an axis has not, as a family compares them, without data.
+
+    Slower and faster, the other direction where one is all there is, on another part of the stroke, with gentle ramps.
+    Each goes to and fro, or over and over in the direction that is missing.
+    """
+    measured = [(c, c.data) for c in family.conditions if isinstance(c.data, ForceData)]
+    if not measured:
+        return ()
+    place = [(float(d.motion.position.min()), float(d.motion.position.max())) for _, d in measured]
+    low, high = min(p[0] for p in place), max(p[1] for p in place)
+    speeds = [float(np.percentile(np.abs(d.motion.velocity), 90.0)) for _, d in measured]
+    steep = max(float(np.abs(d.motion.acceleration).max()) for _, d in measured)
+    ways = {str(c.settings.get("direction", "")) for c, _ in measured}
+    end = max(float(d.motion.time[-1]) for _, d in measured)
+    slow, fast, usual = PROPOSALS.slow * min(speeds), PROPOSALS.fast * max(speeds), max(speeds)
+    softly = PROPOSALS.gentle * steep
+    soft = min(usual, 0.9 * math.sqrt(softly * (high - low)))  # what it reaches within the stroke
+    half = 0.5 * (high - low)
+    asked = [
+        (f"at {_two(1e3 * slow)} mm/s", "speed", slow, steep, low),
+        (f"at {_two(1e3 * fast)} mm/s", "speed", fast, steep, low),
+        (f"with ramps of {_two(softly)} m/s2", "ramp", soft, softly, low),
+        (f"from {round(1e3 * (low + half))} to {round(1e3 * (high + half))} mm", "position", usual, steep, low + half),
+    ]
+    found = []
+    for words, what, speed, ramp, begin in asked:
+        if speed**2 / ramp <= high - low:  # else the stroke is too short to reach the speed
+            found.append(_moves(family, f"moves {words}", what, speed, ramp, begin, high - low, end))
+    if len(ways) == 1:
+        words = "moves in the other direction" + (", backward" if ways == {"forward"} else ", forward")
+        found.append(_moves(family, words, "direction", usual, steep, low, high - low, end))
+    return tuple(found)
+
+
+def _two(value: float) -> str:
+    """Return a number with two digits, never as a power of ten."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _moves(
+    family: DriveRecordFamily,
+    name: str,
+    what: str,
+    speed: float,
+    ramp: float,
+    begin: float,
+    stroke: float,
+    end: float,
+) -> Condition:
+    """Return moves from rest to rest over a stroke [m] from a place on [m], later than the record [s]."""
+    model = family.model
+    step, order = model.resampler.step, model.whitener.order
+    there = min(stroke / speed + speed / ramp, 0.5 * PROPOSALS.longest)
+    rest = max(0.3, (model.resampler.margin + order * model.resampler.every) * step)
+    t = np.arange(0.0, 2.0 * (there + rest) + rest, step)
+    pace = np.zeros_like(t)
+    for k, sign in enumerate((1.0, -1.0)):
+        own = t - rest - k * (there + rest)
+        pace += sign * np.clip(np.minimum(ramp * own, ramp * (there - own)), 0.0, speed)
+    moving = motion(begin + step * np.cumsum(pace), step, 2.0 * model.resampler.cutoff)
+    moving = replace(moving, time=moving.time - moving.time[0] + end)
+    silent = np.zeros_like(t)
+    turning = model.resampler(np.where(moving.standing, 0.0, 1.0))[order:] >= DRIVE_RULES.least_moving
+    data = ForceData(moving, model.resampler(silent), model.noise[ANY], silent, turning)
+    settings: dict[str, float | str] = {"direction": "forward", "speed": float(f"{speed:.1g}"), "quarter": 3.0}
+    if what == "direction":
+        settings["direction"] = "backward" if "backward" in name else "forward"
+    settings |= {"minutes": PROPOSALS.moves, "stroke_from": begin, "stroke_to": begin + stroke}
+    return Condition(name, settings, None, "", data)

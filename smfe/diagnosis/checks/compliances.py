@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import combinations
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations, product
 
 import numpy as np
 import xarray as xr
 
 from process.types import Complex, Real
 from smfe.campaign import Model
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.checks.rules import RULES
-from smfe.diagnosis.checks.suspect import Suspect, fault, warning
+from smfe.diagnosis.checks.suspect import Part, Suspect, fault, note, warning
 from smfe.results import MEASUREMENT
 
 FACTORS: dict[str, float] = {
@@ -51,12 +53,13 @@ def known_factor(size: float, within: float = 0.1) -> str:
     return next(near, "")
 
 
-def skew_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
+def skew_suspects(name: str, compliance: xr.Dataset, tolerances: Tolerances | None = None) -> Iterator[Suspect]:
     """Look for a time skew between force and motion: a driving point that gives out energy, and not if it is shifted.
 
     A passive driving point has ``Im Phi < 0``; a motion that is recorded tau late turns it to
     ``Im(Phi exp(-j w tau))``. The shift that leaves the least energy given out is reported when it leaves less than a
-    fifth. Energy that no shift explains means another sign, axis or place, and is not called a skew.
+    fifth, and is more than clocks differ by anyhow. Energy that no shift explains means another sign,
+    axis or place, and is not called a skew.
     """
     for axis in driving_points(compliance):
         f, phi, std = _clear(compliance, axis)
@@ -69,7 +72,8 @@ def skew_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
         before, *shares = (float(np.mean(imaginary > passive)) for imaginary in turned)
         good = np.flatnonzero(np.array(shares) <= min(shares) + 0.01)  # of these the smallest shift
         best = int(good[np.argmin(np.abs(shifts[good]))])
-        if before > RULES.active and shares[best] < 0.2 * before:
+        usual = 1.5 * (tolerances or Tolerances()).clock
+        if before > RULES.active and shares[best] < 0.2 * before and abs(shifts[best]) > usual:
             yield warning(
                 "time_skew",
                 f"{name}, {axis}{axis}",
@@ -80,11 +84,32 @@ def skew_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
             )
 
 
-def reciprocity_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]:
+@dataclass(frozen=True)
+class _Pair:
+    """Two entries that must be equal on the lines that count, their noise, and what angles put into them."""
+
+    one: Complex  # Phi_ij
+    two: Complex  # Phi_ji
+    variance: tuple[Real, Real]  # of each
+    direct: tuple[Real, Real]  # |Phi_ii|^2, |Phi_jj|^2
+    angle: float  # variance of the angles, of both entries together
+
+    def apart(self, factor: complex = 1.0) -> float:
+        """Difference over size beyond noise and angles, the column of the first entry divided by a factor."""
+        column, size = self.one / factor, abs(factor) ** 2
+        noise = self.variance[0] / size + self.variance[1]
+        allowed = RULES.oblique * self.angle * (self.direct[0] + self.direct[1] / size)
+        beyond = float(np.sum(np.abs(column - self.two) ** 2 - noise - allowed))
+        return math.sqrt(max(beyond, 0.0) / float(np.sum(np.abs(column) * np.abs(self.two))))
+
+
+def reciprocity_suspects(name: str, compliance: xr.Dataset, tolerances: Tolerances | None = None) -> Iterator[Suspect]:
     """Compare ``Phi_ij`` with ``Phi_ji`` where both were measured: difference beyond noise, over their size.
 
-    A line counts where its mean, weighted by the inverse variances, is known to 20 %: lines picked by the size of a
-    noisy entry would be those where noise made it large. The difference must be beyond noise at the median line, too.
+    A line counts where its mean, weighted by the inverse variances, is known to 20 %, or each entry is: lines picked by
+    the size of a noisy entry would be those where noise made it large. The difference must be beyond noise at the
+    median line, too, and beyond what hits that lean and sensors that are turned or talk across put of the direct
+    entries into the cross terms: an angle theta puts ``theta (Phi_ii + Phi_jj)`` into them.
     """
     for a, b in combinations(driving_points(compliance), 2):
         one, std_one = entry(compliance, a, b)
@@ -92,15 +117,18 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]
         variance = std_one**2 + std_two**2
         weight = np.divide(std_two**2, variance, out=np.full(variance.shape, 0.5), where=variance > 0.0)
         mean, square = weight * one + (1.0 - weight) * two, np.abs(one - two) ** 2
-        clear = np.isfinite(mean) & (np.sqrt(variance) < RULES.known * np.abs(mean))
+        known = np.sqrt(variance) < RULES.known * np.abs(mean)
+        known |= (std_one < RULES.known * np.abs(one)) & (std_two < RULES.known * np.abs(two))
+        clear = np.isfinite(mean) & known
         if np.count_nonzero(clear) < 5 or np.median((square - RULES.clear * variance)[clear]) < 0.0:
             continue
-        one, two, beyond = one[clear], two[clear], float(np.sum(square[clear] - variance[clear]))
-        share = math.sqrt(max(beyond, 0.0) / float(np.sum(np.abs(one) * np.abs(two))))
-        if share <= 0.2:
-            continue
-        ratio, where = complex(np.vdot(two, one) / np.vdot(two, two)), f"{name}, {a}{b} and {b}{a}"
-        if unit := known_factor(abs(ratio)):
+        direct = [np.nan_to_num(np.abs(entry(compliance, x, x)[0][clear]) ** 2) for x in (a, b)]
+        noise, angle = (std_one[clear] ** 2, std_two[clear] ** 2), 2.0 * _oblique(tolerances or Tolerances()) ** 2
+        pair = _Pair(one[clear], two[clear], noise, (direct[0], direct[1]), angle)
+        ratio = complex(np.vdot(pair.two, pair.one) / np.vdot(pair.two, pair.two))
+        where, unit = f"{name}, {a}{b} and {b}{a}", known_factor(abs(ratio))
+        # A column of another unit is mended by its factor: what is then left is that of any machine.
+        if unit and pair.apart(ratio) <= RULES.apart_entries < replace(pair, direct=_less(pair, ratio)).apart():
             yield fault(
                 "unit_error",
                 where,
@@ -108,15 +136,113 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]
                 "correct the unit of the channel in [channels]",
                 (MEASUREMENT, name),
             )
-        else:
-            yield warning(
+        elif (size := pair.apart()) > RULES.apart_entries:
+            # Beside the direct entries a weak cross term changes no limit, whatever leans.
+            beside = np.sum(np.abs(pair.one - pair.two) ** 2) / np.sum(np.sqrt(pair.direct[0] * pair.direct[1]))
+            yield (warning if beside > RULES.beside**2 else note)(
                 "sensor_axis",
                 where,
-                f"the two entries differ by {100.0 * share:.0f} % beyond noise; a linear machine is reciprocal. "
-                f"Their ratio is {abs(ratio):.3g} at {np.degrees(np.angle(ratio)):.0f} deg",
+                f"the two entries differ by {100.0 * size:.0f} % beyond noise and what leaning hits and turned sensors "
+                f"explain; a linear machine is reciprocal. Their ratio is {abs(ratio):.3g} at "
+                f"{np.degrees(np.angle(ratio)):.0f} deg",
                 "check axes, signs and gains of both sensors; friction and servo break reciprocity only when the level "
                 "differs",
             )
+
+
+def _less(pair: _Pair, ratio: complex) -> tuple[Real, Real]:
+    """Return the direct entries as they are if the column of the first entry is too large by a factor."""
+    return pair.direct[0], pair.direct[1] / abs(ratio) ** 2
+
+
+def _oblique(tolerances: Tolerances) -> float:
+    """Standard deviation of what a direct entry puts into a cross term, relative [1]."""
+    angles = tolerances.setup_direction, tolerances.hit_direction, tolerances.mounting_angle
+    return math.sqrt(sum(a**2 for a in angles) + tolerances.cross_talk**2)
+
+
+# --- Channels of another sign, or exchanged.
+
+
+def mounting_suspects(name: str, compliance: xr.Dataset, *excludes: Part) -> Iterator[Suspect]:
+    """Say which sign, or which exchange of two channels, mends a compliance whose driving points give out energy.
+
+    A passive driving point has ``Im Phi_ii < 0``, and a linear machine is reciprocal. Of all that can be wrong with the
+    channels of the motion (each with another sign, any two exchanged, and both) that is named which leaves least of the
+    energy given out and of the asymmetry, where it is clearly least. The same fault in the channels of the force looks
+    alike.
+    """
+    axes = driving_points(compliance)
+    seen = _matrix(compliance, axes)
+    if not axes or seen.shape[0] < 20:
+        return
+    before = _impossible(seen)
+    if before < RULES.impossible:
+        return
+    tried: dict[tuple[tuple[int, ...], tuple[int, ...]], float] = {}
+    for order in permutations(range(len(axes))):
+        if sum(i != k for k, i in enumerate(order)) > 2:
+            continue  # two are exchanged, not three
+        for signs in product((1, -1), repeat=len(axes)):
+            mended = np.array(signs)[None, :, None] * seen[:, list(order), :]
+            tried[order, signs] = _impossible(mended)
+    plain = tuple(range(len(axes))), (1,) * len(axes)
+    ranked = sorted(
+        tried, key=lambda t: tried[t] + 0.02 * (sum(x < 0 for x in t[1]) + sum(i != k for k, i in enumerate(t[0])))
+    )
+    best = ranked[0]
+    if best == plain or tried[best] > RULES.mended * before:
+        return
+    order, signs = best
+    swapped = [axes[k] for k, i in enumerate(order) if i != k]
+    turned = [axes[k] for k, x in enumerate(signs) if x < 0]
+    evidence = (
+        f"driving points give out energy, or entries that must be equal differ ({100.0 * before:.0f} % of the whole)"
+    )
+    said, do = [], []
+    if swapped:
+        said.append(f"with the motions along {swapped[0]} and {swapped[1]} exchanged")
+        do.append(
+            f"exchange the columns of acceleration_{swapped[0]} and acceleration_{swapped[1]} in [channels] (or the "
+            "excitation of the records, if the hits were called by the wrong axis)"
+        )
+    if len(turned) == len(axes) > 1:
+        said.append("with the sign of all forces turned round")
+        do.append(
+            "declare sign = -1 on the force channels: forces act on the tool, and a dynamometer under the work reads "
+            "the reaction"
+        )
+    elif turned:
+        said.append(f"with the sign of {' and '.join(turned)} turned round")
+        do.append(f"declare sign = -1 on {' and '.join(f'acceleration_{a}' for a in turned)} (or on the force there)")
+    yield fault(
+        "sensor_axis" if swapped else "sensor_gain",
+        name,
+        f"{evidence}; {' and '.join(said)} {100.0 * tried[best]:.0f} % are left",
+        "; ".join(do),
+        *excludes,
+    )
+
+
+def _matrix(compliance: xr.Dataset, axes: Sequence[str]) -> Complex:
+    """Return the square compliance of some axes where the machine answers above its noise, (f, n, n)."""
+    pairs = [[entry(compliance, a, b) for b in axes] for a in axes]
+    phi = np.array([[p[0] for p in row] for row in pairs]).transpose(2, 0, 1) if axes else np.zeros((0, 0, 0), complex)
+    std = np.array([[p[1] for p in row] for row in pairs]).transpose(2, 0, 1) if axes else np.zeros((0, 0, 0))
+    size = np.abs(phi).max(axis=(1, 2), initial=0.0)
+    clear = np.isfinite(phi).all(axis=(1, 2)) & (size > RULES.clear * std.max(axis=(1, 2), initial=0.0))
+    if not clear.any():
+        return np.asarray(phi[clear])
+    # Elsewhere a small imaginary part decides.
+    return np.asarray(phi[clear & (size >= RULES.answering * np.median(size[clear]))])
+
+
+def _impossible(phi: Complex) -> float:
+    """Return the share of a compliance that no passive, reciprocal machine has, (f, n, n) -> 0 to about 1."""
+    direct = np.einsum("faa->fa", phi)
+    given_out = float(np.sum(np.maximum(direct.imag, 0.0) ** 2)) / max(float(np.sum(direct.imag**2)), 1e-300)
+    apart = float(np.sum(np.abs(phi - phi.swapaxes(1, 2)) ** 2)) / max(2.0 * float(np.sum(np.abs(phi) ** 2)), 1e-300)
+    return math.sqrt(0.5 * (given_out + apart))
 
 
 def stiffness_suspects(name: str, compliance: xr.Dataset) -> Iterator[Suspect]:

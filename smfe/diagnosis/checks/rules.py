@@ -27,6 +27,13 @@ class CheckRules:
     active: float = 0.05  # share of lines that give out energy above which a driving point is not passive
     slack: float = 0.02
     """Share of the magnitude, a degree of phase, up to which a line does not count as giving out energy."""
+    apart_entries: float = 0.2  # difference of two reciprocal entries over their size from which it is said
+    beside: float = 0.3  # ... and over the direct entries from which that is a warning
+    oblique: float = 10.0  # times the variance of all angles that cross terms may differ by: three deviations and more
+    impossible: float = 0.4
+    """Share of a compliance that no passive, reciprocal machine has above which another sign or order is tried."""
+    mended: float = 0.35  # ... and share of that which the right sign or order may leave
+    answering: float = 1.0  # times the median size of a line from which on a machine answers
     flat: float = 0.05  # misfit below which the ratio of two compliances is a constant factor
     dynamic_stiffness: tuple[float, float] = (1e3, 1e11)
     """Range at the largest resonance [N/m]: a slender boring bar has 1e5 at rest, a hundredth of it in resonance."""
@@ -37,6 +44,7 @@ class CheckRules:
     of_force: float = 12.0
     """Ratio of measured and predicted cutting force that is not credible: coefficients and wear give 4, a kN 1000."""
     hit_scatter: float = 0.1  # standard deviation of a compliance at its peak, relative, above which hits do not repeat
+    wild_scatter: float = 0.5  # ... and from which that is a warning
     clear_hits: float = 3.0  # standard deviations above which a line counts as part of that peak
     hit_levels: float = 3.0  # ratio of the largest to the smallest peak force of hits that are averaged
     speeds_agree: float = 0.02

@@ -6,19 +6,21 @@ The angle at which a record starts is not known: a prediction is turned to the a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
 
 from process.cut.tool import Tool
 from process.errors import InputError
-from process.labels import AXES
 from process.types import Complex, Real
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.checks.suspect import Suspect
-from smfe.diagnosis.cutting.orders import CuttingOrders, SteadyCut, cutting_orders, hidden_orders, rigid_orders
+from smfe.diagnosis.cutting.orders import CuttingOrders, SteadyCut, beside_mains, cutting_orders
+from smfe.diagnosis.cutting.rigid import rigid_orders
 from smfe.diagnosis.cutting.rules import RULES
+from smfe.diagnosis.cutting.sensor import sensor_causes, sensor_nuisances, through_sensor
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 
@@ -32,32 +34,85 @@ class KnownForce:
 
 @dataclass(frozen=True)
 class CuttingForces(Abilities):
-    """A family for `smfe.diagnosis.inference.diagnose`: steady cuts with one tool; see `cutting_family`."""
+    """A family for `smfe.diagnosis.judgement.diagnose`: steady cuts with one tool; see `cutting_family`."""
 
-    tool: Tool  # diameter, teeth, approach angle, helix
-    coefficients: tuple[float, float, float]  # handbook Ktc, Krc, Kac [N/m2]; fitted anew under every hypothesis
+    tool: Tool  # diameter, teeth, approach angle, helix, run-out as declared
+    coefficients: tuple[float, float, float]  # Ktc, Krc, Kac [N/m2] as given
     conditions: tuple[Condition, ...]  # what was measured
     proposals: tuple[Condition, ...] = ()  # what could be measured next
-    spread: float = RULES.lot_scatter  # prior standard deviation of the coefficients over the largest of them
+    tolerances: Tolerances = field(default_factory=Tolerances)
     suspects: tuple[Suspect, ...] = ()  # measurement faults that were found and left out beforehand
-    edge: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Kte, Kre, Kae [N/m] that the baseline has
+    edge: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Kte, Kre, Kae [N/m] as given
+    missing: tuple[str, ...] = ()  # coefficients that nobody gave
+    stated: bool = False  # whether the coefficients were given with their uncertainty
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Cutting coefficients, and the helix angle that smooths the orders."""
-        largest = max(abs(c) for c in self.coefficients)
-        out = [
-            Parameter(name, "N/mm^2", value, 0.1 * largest, low * largest, 10.0 * largest, self.spread * largest, 1e-6)
-            for name, value, low in zip(("Ktc", "Krc", "Kac"), self.coefficients, (0.0, -3.0, -3.0), strict=True)
-        ]
+        """What is known within tolerances: coefficients, edge forces, the force sensor; and the helix that smooths."""
         start = min(self.tool.helix_angle, 1.2)
-        return (*out, Parameter("helix", "deg", start, 0.1, 0.0, 1.2, 0.35, 180.0 / math.pi))
+        helix = Parameter("helix", "deg", start, 0.1, 0.0, 1.2, 0.35, 180.0 / math.pi)
+        return (*self._coefficients(), *self._edges(), *sensor_nuisances(self.tolerances), helix)
+
+    def _coefficients(self) -> Iterator[Parameter]:
+        largest = max(abs(c) for c in self.coefficients)
+        share = max(self.tolerances.coefficients, RULES.exact)
+        for n, value, low in zip("tra", self.coefficients, (0.0, -3.0, -3.0), strict=True):
+            given = f"K{n}c" not in self.missing
+            sd = share * max(abs(value), RULES.least_coefficient * largest) if given else RULES.undeclared * largest
+            yield Parameter(
+                f"K{n}c",
+                "N/mm^2",
+                value,
+                0.1 * largest,
+                low * largest,
+                10.0 * largest,
+                sd,
+                1e-6,
+                given="force_coefficients" if given else "",
+                stated=self.stated,
+                said=f"cutting coefficient K{n}c",
+            )
+
+    def _edges(self) -> Iterator[Parameter]:
+        """Edge forces that are given, as well known as their material says; where none is they are a cause."""
+        largest = max(abs(e) for e in self.edge)
+        share = max(self.tolerances.coefficients, RULES.exact) if self.stated else RULES.edge_scatter
+        if largest == 0.0:
+            return
+        for n, value in zip("tra", self.edge, strict=True):
+            sd = share * max(abs(value), RULES.least_coefficient * largest)
+            low = -_MOST_EDGE if n == "a" else min(0.0, value)
+            yield Parameter(
+                f"K{n}e",
+                "N/mm",
+                value,
+                5e3,
+                low,
+                _MOST_EDGE + largest,
+                sd,
+                1e-3,
+                given="edge_forces",
+                said=f"edge force K{n}e",
+            )
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """What a mechanistic model without run-out and edge forces lacks."""
-        largest = max(abs(c) for c in self.coefficients)
-        return (*_process_causes(self.tool, largest, self.edge), *_sensor_causes(self._highest()))
+        """What such forces lack, and what may be wrong with their sensor."""
+        fastest = max((c.cut.rotation for c in self._cuts()), default=100.0)
+        return (*_process_causes(self.tool, any(self.edge)), *sensor_causes(self._highest(), fastest))
+
+    def squared_size(self, condition: Condition, misfit: Real) -> float:
+        """Return the square of the error of a force over the force, rms over rms of all axes, for a whitened misfit.
+
+        In air it is over the largest force of a cut.
+        """
+        if isinstance(condition.data, KnownForce):
+            known = condition.data
+            return float(np.sum((known.std * misfit) ** 2)) / float(np.sum(np.square(known.force)))
+        found = condition.data
+        assert isinstance(found, CuttingOrders)
+        cuts = [found] if found.cut.depth > 0.0 else [c for c in self._cuts() if c.cut.depth > 0.0]
+        return found.squared_force(misfit) / max(float(np.sum(c.rms**2)) for c in cuts)
 
     def _cuts(self) -> list[CuttingOrders]:
         return [c.data for c in self.conditions if isinstance(c.data, CuttingOrders)]
@@ -70,7 +125,7 @@ class CuttingForces(Abilities):
         """Return what a set of values predicts, whitened like the data."""
         if isinstance(condition.data, KnownForce):
             known = np.array([condition.data.force], dtype=complex)
-            return np.asarray(_through_sensor(known, 0.0, values)[0].real / condition.data.std)
+            return np.asarray(through_sensor(known, 0.0, values)[0].real / condition.data.std)
         found = condition.data
         assert isinstance(found, CuttingOrders)
         orders = self.orders(found, values)
@@ -79,7 +134,7 @@ class CuttingForces(Abilities):
     def orders(self, found: CuttingOrders, values: Values) -> Complex:
         """Return the orders of a cut that a set of values predicts [N], shape (orders, 3), at any spindle angle."""
         orders = rigid_orders(self.tool, found.cut, found.value.shape[0], values)
-        return _through_sensor(orders, found.cut.rotation, values)
+        return through_sensor(orders, found.cut.rotation, values)
 
 
 def cutting_family(
@@ -89,31 +144,55 @@ def cutting_family(
     proposals: Mapping[str, SteadyCut | KnownForce] | None = None,
     known_forces: Mapping[str, tuple[Sequence[float], KnownForce]] | None = None,
     floor: float = RULES.force_floor,
-    crosstalk: float = RULES.crosstalk,
+    leak: float = RULES.leak,
     edge: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    tolerances: Tolerances | None = None,
+    missing: Sequence[str] = (),
+    stated: bool = False,
 ) -> CuttingForces:
     """Build the family of a campaign of steady cuts; `InputError` without a cut, or for a record that holds none.
 
-    `records` are forces along x, y, z and the setting of the cut by name, `coefficients` and `edge` the handbook's Ktc,
-    Krc, Kac [N/m2] and the Kte, Kre, Kae [N/m] of the baseline, `proposals` cuts or known forces that could be measured
-    next, `known_forces` readings [N] and the forces that caused them. `floor` and `crosstalk` are what a model is not
-    expected to reach (`smfe.diagnosis.cutting.orders`).
+    Parameters
+    ----------
+    records : mapping
+        Name -> forces along x, y, z and the setting of the cut.
+    tool : Tool
+        Its run-out is that of the baseline.
+    coefficients, edge : tuple of float
+        Ktc, Krc, Kac [N/m2] and Kte, Kre, Kae [N/m] as given. Edge forces that are all zero are not given.
+    proposals : mapping, optional
+        Name -> cut or known force that could be measured next.
+    known_forces : mapping, optional
+        Name -> readings [N] and the force that caused them.
+    floor : float, optional
+        Share of the alternating force along an axis that a model is not expected to reach.
+    leak : float, optional
+        Share of the alternating force along all axes that it may miss along each.
+    tolerances : Tolerances, optional
+        How well coefficients and sensor are known; default those of a workshop.
+    missing : sequence of str, optional
+        Which of the coefficients nobody gave.
+    stated : bool, optional
+        Whether the coefficients were given with their uncertainty; else less than it may matter too.
     """
-    found = {name: cutting_orders(record, tool, cut, floor, crosstalk) for name, (record, cut) in records.items()}
+    known = tolerances or Tolerances()
+    found = {name: cutting_orders(record, tool, cut, floor, leak) for name, (record, cut) in records.items()}
     if not any(c.cut.depth > 0.0 for c in found.values()):
         raise InputError("no record of a cut was given; a model of cutting forces needs at least one")
-    found, suspects = hidden_orders(found)
+    found, suspects = beside_mains(found, known.hum, known.material)
     conditions = [_condition(name, c, measured=True) for name, c in found.items()]
-    for name, (reading, known) in (known_forces or {}).items():
-        observed = np.asarray(reading, dtype=float) / known.std
-        conditions.append(Condition(name, {"experiment": "known force"}, observed, "", known))
-    first = CuttingForces(tool, coefficients, tuple(conditions), suspects=suspects, edge=edge)
+    for name, (reading, force) in (known_forces or {}).items():
+        observed = np.asarray(reading, dtype=float) / force.std
+        conditions.append(Condition(name, {"experiment": "known force"}, observed, "", force))
+    first = CuttingForces(
+        tool, coefficients, tuple(conditions), (), known, suspects, edge, missing=tuple(missing), stated=stated
+    )
     proposed = []
     for name, p in (proposals or {}).items():
         if isinstance(p, KnownForce):
             proposed.append(Condition(name, {"experiment": "known force"}, None, "", p))
         else:
-            proposed.append(_condition(name, _expected(first, p, floor, crosstalk), measured=False))
+            proposed.append(_condition(name, _expected(first, p, floor, leak), measured=False))
     return replace(first, proposals=tuple(proposed))
 
 
@@ -128,104 +207,65 @@ def _condition(name: str, found: CuttingOrders, measured: bool) -> Condition:
     return Condition(name, settings, found.whitened(found.value) if measured else None, "", found)
 
 
-def _expected(family: CuttingForces, cut: SteadyCut, floor: float, crosstalk: float) -> CuttingOrders:
-    """Orders of a cut that has not been made, from the handbook, with the noise of those that have."""
+def _expected(family: CuttingForces, cut: SteadyCut, floor: float, leak: float) -> CuttingOrders:
+    """Orders of a cut that has not been made, as given, with the noise of those that have."""
     noise = np.median([c.std for c in family._cuts()], axis=(0, 1)) if cut.depth == 0.0 else np.zeros(3)
     count = family._cuts()[0].value.shape[0]
     known = dict(zip(("Kte", "Kre", "Kae"), family.edge, strict=True))
     value = rigid_orders(family.tool, cut, count, {**{p.name: p.start for p in family.nuisances}, **known})
     power = 0.5 * np.sum(np.abs(value[1:]) ** 2, axis=0)
-    std = np.sqrt(noise**2 + floor**2 * power + crosstalk**2 * power.sum() + 1e-12)
-    return CuttingOrders(cut, value, np.tile(std, (count, 1)), {})
+    std = np.sqrt(noise**2 + floor**2 * power + leak**2 * power.sum() + 1e-12)
+    depth_std = RULES.depth / cut.depth if cut.depth > 0.0 else 0.0
+    return CuttingOrders(cut, value, np.tile(std, (count, 1)), {}, depth_std)
 
 
-def _process_causes(tool: Tool, largest: float, known: tuple[float, float, float]) -> list[Cause]:
+_MOST_EDGE = 2e5  # N/m
+
+
+def _process_causes(tool: Tool, edges_given: bool) -> list[Cause]:
     """Causes in tool and work."""
-    bounds = zip("tra", known, (0.0, 0.0, -2e5), strict=True)
     edge = tuple(
-        Parameter(f"K{n}e", "N/mm", start, 5e3, min(low, start), 2e5 + start, shown=1e-3) for n, start, low in bounds
+        Parameter(f"K{n}e", "N/mm", 0.0, 5e3, low, _MOST_EDGE, shown=1e-3)
+        for n, low in zip("tra", (0.0, 0.0, -_MOST_EDGE), strict=True)
     )
     size = tuple(Parameter(f"size_effect_{n}", "1", 0.0, 0.1, -0.9, 0.9) for n in "tra")
-    other = tuple(
-        Parameter(f"other_K{n}c", "N/mm^2", 0.0, 0.1 * largest, -10.0 * largest, 10.0 * largest, shown=1e-6)
-        for n in "tra"
-    )
-    runout = [Parameter("runout", "um", 0.0, 5e-6, 0.0, 5e-4, shown=1e6)]
-    starts: list[tuple[float, ...]] = [(5e-6,), (2e-5,)]
-    if tool.teeth > 2:  # with two teeth only their difference counts
-        runout.append(Parameter("runout_angle", "deg", 0.5, 0.3, -2.0 * math.pi, 2.0 * math.pi, shown=180.0 / math.pi))
-        starts = [(2e-5, a) for a in np.linspace(-math.pi, math.pi, 8, endpoint=False)]
     causes = [
-        Cause("edge_forces", "other edge forces" if any(known) else "edge forces", edge, starts=((2e4, 2e4, 0.0),)),
         Cause("force_coefficients", "coefficients that depend on the chip thickness", size, "size_effect"),
-        Cause("force_coefficients", "a material that cuts unlike the handbook's", other, "material"),
-        Cause("runout", "run-out of the tool", tuple(runout), starts=tuple(starts)),
+        *_runout(tool),
     ]
-    return causes[: 4 if tool.teeth > 1 else 3]
+    if edges_given:
+        return causes
+    return [Cause("edge_forces", "edge forces", edge, starts=((2e4, 2e4, 0.0),)), *causes]
 
 
-def _sensor_causes(highest: float) -> list[Cause]:
-    """Causes in the force sensor, for orders up to a frequency [Hz]."""
-    exchange = Parameter("exchange", "1", 0.0, 0.2, -0.5, 1.5)
-    turn = Parameter("turned", "deg", 0.0, 0.2, -3.5, 3.5, shown=180.0 / math.pi)
-    gains = tuple(Parameter(f"gain_{a}", "%", 0.0, 0.05, -12.0, 12.0, shown=100.0) for a in AXES)
-    offsets = tuple(Parameter(f"offset_{a}", "N", 0.0, 5.0, -1e3, 1e3) for a in AXES)
-    resonances = tuple(
-        p
-        for a in AXES
-        for p in (
-            Parameter(f"dynamometer_{a}", "1/kHz^2", 0.0, 0.1 / highest**2, 0.0, 100.0 / highest**2, shown=1e6),
-            Parameter(f"dynamometer_lag_{a}", "ms", 0.0, 0.05 / highest, 0.0, 10.0 / highest, shown=1e3),
-        )
-    )
-    ratios = [r / highest for r in (0.65, 0.9, 1.5)]
-    rotating = (
-        Parameter("turning_force", "N", 0.0, 2.0, 0.0, 1e3),
-        Parameter("turning_force_angle", "deg", 0.5, 0.3, -2.0 * math.pi, 2.0 * math.pi, shown=180.0 / math.pi),
-    )
-    around = tuple((5.0, a) for a in np.linspace(-math.pi, math.pi, 6, endpoint=False))
-    causes = [
-        Cause("sensor_axis", "x and y of the force sensor are exchanged", (exchange,), "exchange", starts=((1.0,),)),
-        Cause(
-            "sensor_axis",
-            "the force sensor is turned about z",
-            (turn,),
-            "turned",
-            starts=((0.5 * math.pi,), (-0.5 * math.pi,), (3.0,)),
-        ),
-        Cause("sensor_gain", "gains of the force sensor", gains, starts=((-2.0, -2.0, -2.0), (4.0, 4.0, 4.0))),
-        Cause("sensor_offset", "offsets of the force sensor", offsets),
-        Cause(
-            "dynamometer_dynamics",
-            "dynamics of the dynamometer",
-            resonances,
-            starts=tuple((p**2, 0.1 * p, p**2, 0.1 * p, 0.5 * p**2, 0.05 * p) for p in ratios),
-        ),
-        Cause(
-            "background_tone", "a force that turns with the spindle without cutting", rotating, "spindle", starts=around
-        ),
-    ]
-    return [Cause(c.id, c.title, c.parameters, c.variant, "measurement", c.starts) for c in causes]
+def _runout(tool: Tool) -> Iterator[Cause]:
+    """Teeth that do not run true: the axis of the tool is off, one insert stands out, or each sits as it likes.
 
-
-def _through_sensor(orders: Complex, rotation: float, values: Values) -> Complex:
-    """Force that turns, dynamometer, mounting, gains and offsets, in this order."""
-    out = orders.copy()
-    force = values.get("turning_force", 0.0)
-    if orders.shape[0] > 1 and force:
-        phase = force * np.exp(-1j * values.get("turning_force_angle", 0.0))
-        out[1, :2] += np.array([-1j * phase, phase])
-    mix, turn = values.get("exchange", 0.0), values.get("turned", 0.0)
-    x, y = out[:, 0].copy(), out[:, 1].copy()
-    x, y = (1.0 - mix) * x + mix * y, (1.0 - mix) * y + mix * x
-    out[:, 0], out[:, 1] = math.cos(turn) * x + math.sin(turn) * y, math.cos(turn) * y - math.sin(turn) * x
-    frequency = np.arange(orders.shape[0]) * rotation / (2.0 * math.pi)
-    for i, axis in enumerate(AXES):
-        square, lag = values.get(f"dynamometer_{axis}", 0.0), values.get(f"dynamometer_lag_{axis}", 0.0)
-        out[:, i] /= 1.0 - frequency**2 * square + 1j * frequency * lag
-        out[:, i] *= 1.0 + values.get(f"gain_{axis}", 0.0)
-        out[0, i] += values.get(f"offset_{axis}", 0.0)
-    return out
+    Up to three teeth a tool axis that is off gives every difference of radii. Of equal teeth any may be the first.
+    """
+    if tool.teeth == 1:
+        return
+    size = Parameter("runout", "um", 0.0, 5e-6, 0.0, 5e-4, shown=1e6)
+    if tool.teeth == 2:  # only their difference counts
+        yield Cause("runout", "run-out of the tool", (size,), starts=((5e-6,), (2e-5,)))
+        return
+    turn = 2.0 * math.pi
+    angle = Parameter("runout_angle", "deg", 0.5, 0.3, -turn, turn, shown=180.0 / math.pi, secondary=True)
+    around = np.linspace(-math.pi, math.pi, 8, endpoint=False)
+    yield Cause("runout", "run-out of the tool", (size, angle), starts=tuple((2e-5, float(a)) for a in around))
+    if tool.teeth == 3:
+        return
+    out = Parameter("insert", "um", 0.0, 5e-6, -5e-4, 5e-4, shown=1e6)
+    if tool.equal_pitch and tool.equal_radius:
+        yield Cause("runout", "one insert that stands out", (out,), "insert", starts=((2e-5,), (-2e-5,)))
+    names = [f"radius_{j}" for j in range(2, tool.teeth + 1)]
+    each = tuple(Parameter(n, "um", 0.0, 5e-6, -5e-4, 5e-4, shown=1e6) for n in names)
+    places = tool.tooth_angles()
+    axes = [2e-5 * (np.cos(places + a) - math.cos(a))[1:] for a in around[::2]]
+    single = [x * np.eye(tool.teeth - 1)[0] for x in (2e-5, -2e-5)]
+    starts = tuple(tuple(s.tolist()) for s in (*axes, *single))
+    if tool.teeth <= RULES.most_free_teeth:
+        yield Cause("runout", "inserts that do not sit alike", each, "inserts", starts=starts)
 
 
 def turned(orders: Complex, found: CuttingOrders) -> Complex:
@@ -233,15 +273,15 @@ def turned(orders: Complex, found: CuttingOrders) -> Complex:
 
     The correlation over all angles is one inverse transform of its orders; Newton's steps refine its maximum.
     """
-    product = np.sum(orders.conj() * found.value / found.std**2, axis=1)
+    product = np.sum(orders.conj() * found.weighted, axis=1)
     product[0] = 0.0
     n = np.arange(orders.shape[0])
     grid = 2.0 * math.pi / RULES.angles
-    angle = grid * int(np.argmax(np.fft.irfft(product, RULES.angles)))
+    angle = grid * int(np.fft.irfft(product, RULES.angles).argmax())
     for _ in range(2):
-        each = product * np.exp(1j * n * angle)
-        bend = float(np.sum(n**2 * each.real))
+        each = product * np.exp(1j * angle * n)
+        bend = float((n * n) @ each.real)
         if bend <= 0.0:
             break
-        angle += float(np.clip(-np.sum(n * each.imag) / bend, -grid, grid))
-    return np.asarray(orders * np.exp(-1j * n * angle)[:, None])
+        angle += min(max(-float(n @ each.imag) / bend, -grid), grid)
+    return np.asarray(orders * np.exp(-1j * angle * n)[:, None])

@@ -20,6 +20,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Real
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 from stability.methods.semi_discretization import limit_depth
@@ -72,7 +73,8 @@ class _Known:
     def std(self) -> Real:
         """Standard deviations of log depth and, where it can be compared, frequency [Hz]."""
         correction = RULES.floor_of_correction * abs(math.log(self.depth_ratio))
-        depth = math.hypot(self.limit.depth_std, RULES.limit_floor, correction)
+        setting = RULES.depth / (self.limit.depth or math.inf)
+        depth = math.hypot(self.limit.depth_std, RULES.limit_floor, correction, setting)
         observed = self.comparable_frequency
         if self.limit.depth is not None and observed is None:
             return np.array([depth])
@@ -140,29 +142,68 @@ class Spread:
 
 @dataclass(frozen=True)
 class CuttingLimits(Abilities):
-    """A family for `smfe.diagnosis.inference.diagnose`: limits of one tool on one machine; see `limit_family`."""
+    """A family for `smfe.diagnosis.judgement.diagnose`: limits of one tool on one machine; see `limit_family`."""
 
     machine: ModalModel  # as identified at rest, or in motion
     tool: Tool  # diameter, teeth, approach angle
     arc: Engagement  # of all limits that have none of their own
-    coefficients: CuttingCoefficients  # of the handbook
+    coefficients: CuttingCoefficients  # as given
     conditions: tuple[Condition, ...]  # measured limits
     proposals: tuple[Condition, ...] = ()  # limits that could be looked for
     spread: Spread = field(default_factory=Spread)  # priors of the machine
+    tolerances: Tolerances = field(default_factory=Tolerances)  # priors of the coefficients
+    stated: tuple[str, ...] = ()  # causes of which the uncertainty was given: "modal_scale", "force_coefficients"
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Frequency, damping and stiffness of each mode, relative to the model."""
+        """Frequency, damping and stiffness of each mode, and the cutting coefficients, relative to what was given."""
         kinds = (
             ("frequency", self.spread.frequency),
             ("damping", self.spread.damping),
             ("stiffness", self.spread.stiffness),
         )
-        return tuple(
-            Parameter(f"{name}_{r + 1}", "%", 0.0, 0.5 * sd, -0.8, 4.0, sd, 100.0)
+        modes = (
+            Parameter(
+                f"{name}_{r + 1}",
+                "%",
+                0.0,
+                0.5 * sd,
+                -0.8,
+                4.0,
+                sd,
+                100.0,
+                given="modal_scale",
+                stated="modal_scale" in self.stated,
+                said=f"{name} of mode {r + 1}",
+            )
             for r in range(self.machine.frequency.size)
             for name, sd in kinds
         )
+        sd = max(self.tolerances.coefficients, RULES.exact)
+        material = (
+            Parameter(
+                name,
+                "%",
+                0.0,
+                0.5 * sd,
+                low,
+                most,
+                sd,
+                100.0,
+                given="force_coefficients",
+                stated="force_coefficients" in self.stated,
+                said=said,
+            )
+            for name, said, low, most in (
+                ("coefficients", "cutting coefficients, all together", -0.9, 9.0),
+                ("radial", "radial over tangential coefficient", -0.9, 4.0),
+            )
+        )
+        return (*modes, *material)
+
+    def squared_size(self, condition: Condition, misfit: Real) -> float:
+        """Return the square of the relative error of the limit depth, for a whitened misfit."""
+        return float((misfit[0] * _known(condition).std()[0]) ** 2)
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -209,11 +250,15 @@ class CuttingLimits(Abilities):
         typical = float(np.mean([_limit(c).depth or 0.0 for c in self.conditions]))
         return typical * limit.feed_per_tooth / largest
 
-    def limits_at(self, limit: Limit, values: Values) -> tuple[Real, Real]:
-        """Return zero-order depth [m] and chatter frequency [Hz] of all crossings, the first one first."""
+    def material(self, values: Values) -> CuttingCoefficients:
+        """Return the cutting coefficients of a set of values."""
         grown, ratio = 1.0 + values.get("coefficients", 0.0), 1.0 + values.get("radial", 0.0)
         k = self.coefficients
-        material = replace(k, Ktc=k.Ktc * grown, Krc=k.Krc * grown * ratio, Kac=k.Kac * grown)
+        return replace(k, Ktc=k.Ktc * grown, Krc=k.Krc * grown * ratio, Kac=k.Kac * grown)
+
+    def limits_at(self, limit: Limit, values: Values) -> tuple[Real, Real]:
+        """Return zero-order depth [m] and chatter frequency [Hz] of all crossings, the first one first."""
+        material = self.material(values)
         flank = ProcessDamping(values.get("process_damping", 0.0), RULES.flank_friction)
         loop = loop_of(self.tool, limit.arc or self.arc, material, limit.spindle_speed, flank)
         return modal_crossings(self.changed(values, limit), loop)
@@ -294,13 +339,9 @@ def _catalogue(machine: ModalModel, flank: float) -> tuple[Cause, ...]:
         return tuple(Parameter(f"{name}_{r}", unit, 0.0, scale, low, high, shown=shown) for r in modes)
 
     damping = Parameter("process_damping", "N/mm", 0.0, flank, 0.0, 1e4 * flank, shown=1e-3)
-    size = Parameter("coefficients", "%", 0.0, 0.05, -0.9, 9.0, shown=100.0)
-    radial = Parameter("radial", "%", 0.0, 0.1, -0.9, 4.0, shown=100.0)
     turning = "modes that change with the speed of the spindle"
     found = [
         Cause("process_damping", "damping by the worn flank", (damping,), starts=((5.0 * flank,),)),
-        Cause("force_coefficients", "a material that cuts harder or softer", (size,), "size"),
-        Cause("force_coefficients", "a radial force other than the handbook's", (radial,), "radial"),
         Cause("spindle_speed_dynamics", turning, each("linear", "%", 0.01, -0.5, 0.5), "linear"),
         Cause("spindle_speed_dynamics", turning, each("square", "%", 0.01, -0.5, 0.5), "square"),
         Cause("joint_micro_slip", "micro-slip in a joint", each("micro_slip", "%", 0.02, 0.0, 0.8)),
@@ -317,8 +358,8 @@ def _missing(machine: ModalModel) -> Cause:
     parameters = (
         Parameter("mode_compliance", "um/N", 0.0, 0.02 * usual, 0.0, 10.0 * usual, shown=1e6),
         Parameter("mode_frequency", "Hz", math.sqrt(low * high), 0.02 * high, low, high),
-        Parameter("mode_damping", "%", 0.04, 0.01, 0.005, 0.3, shown=100.0),
-        Parameter("mode_azimuth", "deg", 0.0, 0.3, -math.pi, math.pi, shown=180.0 / math.pi),
+        Parameter("mode_damping", "%", 0.04, 0.01, 0.005, 0.3, shown=100.0, secondary=True),
+        Parameter("mode_azimuth", "deg", 0.0, 0.3, -math.pi, math.pi, shown=180.0 / math.pi, secondary=True),
     )
     places = np.geomspace(1.05 * low, 0.95 * high, 6)
     starts = tuple((0.1 * usual, float(f), 0.04, a) for f in places for a in (0.01, 0.5 * math.pi))
@@ -334,6 +375,8 @@ def limit_family(
     proposals: Sequence[Limit] | None = None,
     spread: Spread | None = None,
     costs: Mapping[str, float] | None = None,
+    tolerances: Tolerances | None = None,
+    stated: Sequence[str] = (),
 ) -> CuttingLimits:
     """Build the family of the limits that cutting tests found.
 
@@ -351,11 +394,15 @@ def limit_family(
         How well the machine is known.
     costs : mapping, optional
         Words of a proposal -> what it takes [min]; default `CuttingRules.minutes` each.
+    tolerances : Tolerances, optional
+        How well the coefficients are known; default that of a workshop.
+    stated : sequence of str, optional
+        Which were given with their uncertainty ("modal_scale", "force_coefficients"); else less may matter too.
 
     Returns
     -------
     CuttingLimits
-        For `smfe.diagnosis.inference.diagnose.diagnose`.
+        For `smfe.diagnosis.judgement.diagnose.diagnose`.
 
     Raises
     ------
@@ -377,7 +424,14 @@ def limit_family(
         for k in known[len(limits) :]
         if k.limit.words not in {c.name for c in tested}
     )
-    return replace(plain, conditions=tested, proposals=proposed, spread=spread or Spread())
+    return replace(
+        plain,
+        conditions=tested,
+        proposals=proposed,
+        spread=spread or Spread(),
+        tolerances=tolerances or Tolerances(),
+        stated=tuple(stated),
+    )
 
 
 def _corrected(plain: CuttingLimits, limit: Limit) -> _Known:

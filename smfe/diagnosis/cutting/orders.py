@@ -2,7 +2,8 @@
 
 A record at constant speed becomes the Fourier coefficients of its three forces at the orders 0, 1, 2, ... of the
 spindle (the number of teeth is tooth passing), with their scatter from revolution to revolution, and the strength of
-the lines of the mains where no order covers them.
+the lines of the mains where no order covers them. What is known of a cut within tolerances of its own is part of its
+uncertainty: its depth, which scales all its orders together, and hum on orders that the mains cover.
 
 Five slots at 0.025 to 0.125 mm per tooth departed from the best straight line over the feed, of whatever slope and
 intercept at each order and axis, by 5 % (x), 4 % (y) of the alternating force: no mechanistic model linear in the chip
@@ -11,8 +12,9 @@ does better, which is `RULES.force_floor`.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,8 +29,6 @@ from process.labels import AXES, sample_interval
 from process.types import Complex, Real
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.cutting.rules import RULES
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
 @dataclass(frozen=True)
@@ -61,27 +61,70 @@ class CuttingOrders:
     lines: Mapping[float, Real]
     """Frequency of the mains [Hz] -> amplitude [N] along x, y, z and its power over that of the noise beside it, shape
     (2, 3), where no order covers it."""
+    depth_std: float = 0.0  # relative: by which all orders together may be off, with the depth of the cut
+    resolution: float = 0.0  # one over the length of the record [Hz]
+
+    @property
+    def rms(self) -> Real:
+        """Root mean square of the force along x, y, z, (3,) [N]."""
+        return np.asarray(np.sqrt(np.abs(self.value[0]) ** 2 + 0.5 * np.sum(np.abs(self.value[1:]) ** 2, axis=0)))
 
     @property
     def used(self) -> NDArray[np.bool_]:
         """Which orders count, shape (orders, 3)."""
         return np.isfinite(self.std)
 
+    @functools.cached_property
+    def weighted(self) -> Complex:
+        """Orders over their variance, (orders, 3)."""
+        return np.asarray(self.value / self.std**2)
+
     def whitened(self, orders: Complex) -> Real:
-        """Orders in units of their standard deviation: means, real parts, imaginary parts."""
+        """Orders with errors of unit variance: means, real parts, imaginary parts.
+
+        The error that they share through the depth has the covariance ``u u^T`` beside the unit matrix, with u what was
+        measured in units of its standard deviation times the relative error of the depth; ``(I + u u^T)^(-1/2)``
+        shortens what is along u by ``sqrt(1 + |u|^2)``.
+        """
+        return self._along(self._scaled(orders), 1.0 / self._stretch)
+
+    def squared_force(self, whitened: Real) -> float:
+        """Mean square over time and sum over the axes of a force that is given whitened [N^2]."""
+        used, each = self.used, self._along(whitened, self._stretch)
+        # Half of the square of an order is its mean square; its real and imaginary part have half its variance each.
+        size = np.concatenate([self.std[0][used[0]] ** 2, np.tile(0.25 * self.std[1:][used[1:]] ** 2, 2)])
+        return float(np.sum(size * each**2))
+
+    def _scaled(self, orders: Complex) -> Real:
         used = self.used
         scaled = (math.sqrt(2.0) * orders[1:] / self.std[1:])[used[1:]]
         return np.concatenate([(orders[0].real / self.std[0])[used[0]], scaled.real, scaled.imag])
 
+    @functools.cached_property
+    def _shared(self) -> tuple[Real, float]:
+        """Direction of the error that all orders share, and its size."""
+        shared = self.depth_std * self._scaled(self.value)
+        size = float(np.linalg.norm(shared))
+        return shared / max(size, 1e-300), size
+
+    @property
+    def _stretch(self) -> float:
+        return math.hypot(1.0, self._shared[1])
+
+    def _along(self, values: Real, factor: float) -> Real:
+        """Values, stretched along the error that all orders share."""
+        along = self._shared[0]
+        return np.asarray(values + (factor - 1.0) * float(along @ values) * along)
+
 
 def cutting_orders(
-    record: xr.Dataset, tool: Tool, cut: SteadyCut, floor: float = RULES.force_floor, crosstalk: float = RULES.crosstalk
+    record: xr.Dataset, tool: Tool, cut: SteadyCut, floor: float = RULES.force_floor, leak: float = RULES.leak
 ) -> CuttingOrders:
     """Return the spindle orders of a record of a steady cut.
 
-    The standard deviation is that of the mean over blocks of four revolutions, with their correlation, and what a model
-    is not expected to reach: shares of the alternating force along the axis and in all. `InputError` when the record
-    has not three forces, or less than forty revolutions.
+    The standard deviation is that of the mean over blocks of four revolutions, with their correlation, and of what a
+    model is not expected to reach: shares of the alternating force along the axis (`floor`) and in all (`leak`).
+    `InputError` when the record has not three forces, or less than forty revolutions.
     """
     if "force" not in record or set(map(str, record["axis"].values)) != set(AXES):
         raise InputError("the forces along x, y and z are needed; declare the channels force_x, force_y and force_z")
@@ -98,14 +141,32 @@ def cutting_orders(
             f"{4 * RULES.tooth_orders * tool.teeth} are needed: record longer or faster"
         )
     each = _by_block(force[:, : blocks * per_block], dt * cut.rotation, blocks, RULES.tooth_orders * tool.teeth + 1)
+    if cut.depth > 0.0:
+        each = _aligned(each)
     value = each.mean(axis=0)
     away = each - value
     alike = np.sum((away[1:] * away[:-1].conj()).real) / np.sum(np.abs(away) ** 2)
     grown = (1.0 + max(alike, 0.0)) / (1.0 - min(max(alike, 0.0), 0.9))
     noise = grown * np.mean(np.abs(away) ** 2, axis=0) / (blocks - 1)
     power = 0.5 * np.sum(np.abs(value[1:]) ** 2, axis=0) * (cut.depth > 0.0)
-    std = np.sqrt(noise + floor**2 * power + crosstalk**2 * power.sum())
-    return CuttingOrders(cut, value, std, _lines(force, dt, cut))
+    depth_std = RULES.depth / cut.depth if cut.depth > 0.0 else 0.0
+    std = np.sqrt(noise + floor**2 * power + leak**2 * power.sum())
+    return CuttingOrders(cut, value, std, _lines(force, dt, cut), depth_std, 1.0 / (force.shape[1] * dt))
+
+
+def _aligned(each: Complex) -> Complex:
+    """Turn the orders of each block, (blocks, orders, 3), by the spindle angle that brings it nearest to their mean.
+
+    A spindle that wanders turns the high orders of a long record against each other; what they scatter by is then no
+    noise of the force. One step of Newton an angle, twice.
+    """
+    n = np.arange(each.shape[1])
+    for _ in range(2):
+        product = np.sum(each * each.mean(axis=0).conj(), axis=2)
+        bend = product.real @ (n * n)
+        angle = np.where(bend > 0.0, product.imag @ n / np.where(bend > 0.0, bend, 1.0), 0.0)
+        each = each * np.exp(-1j * np.outer(np.clip(angle, -0.1, 0.1), n))[:, :, None]
+    return each
 
 
 def _by_block(force: Real, step: float, blocks: int, count: int) -> Complex:
@@ -175,98 +236,50 @@ def line_score(ratio: Real) -> Real:
     return np.asarray(-special.ndtri_exp(-RULES.beside * np.log1p(ratio / RULES.beside)))
 
 
-def hidden_orders(found: Mapping[str, CuttingOrders]) -> tuple[dict[str, CuttingOrders], tuple[Suspect, ...]]:
-    """Leave out the orders that a line of the mains hides where it was found beside the orders of any record."""
+def beside_mains(
+    found: Mapping[str, CuttingOrders], hum: float, material: float
+) -> tuple[dict[str, CuttingOrders], tuple[Suspect, ...]]:
+    """Make the orders that the mains cover as uncertain as hum makes them; leave out what a strong line hides.
+
+    Orders on a harmonic of the mains are uncertain by `hum` over the largest rms of their channel in any cut, over the
+    number of the harmonic: nothing shows there what is hum and what the cut. A line that was found beside the orders of
+    any record is known, and orders within 2 % of it are as uncertain as it is large. One that moves a force by more
+    than `material` over the rms of its channel hides them in all records.
+    """
+    rms = np.max([c.rms for c in found.values()], axis=0)
     suspects: list[Suspect] = []
-    seen = set()
+    known: dict[float, Real] = {}
     for name, orders in found.items():
         for f, line in orders.lines.items():
             score = line_score(line[1])
             if score.max() > RULES.line_found:
-                seen.add(f)
+                share = float(np.max(np.sqrt(0.5) * line[0] / rms))
+                matters = share > material
+                known[f] = np.maximum(known.get(f, np.zeros(3)), np.full(3, math.inf) if matters else line[0])
                 size = ", ".join(f"{a:.2g}" for a in line[0])
                 suspects.append(
                     Suspect(
                         "background_tone",
-                        "warning",
+                        "warning" if matters else "note",
                         name,
                         f"a line at {f:g} Hz of {size} N along x, y, z, {float(score.max()):.0f} standard deviations "
-                        "above the noise beside it (the mains)",
-                        "spindle orders within 2 % of it are left out of all records; find the source",
+                        f"above the noise beside it (the mains), {100.0 * share:.2g} % of the force of a channel",
+                        "spindle orders within 2 % of it are left out of all records; find the source"
+                        if matters
+                        else "spindle orders within 2 % of it count as uncertain by it",
                     )
                 )
-    return {name: _without(orders, seen) for name, orders in found.items()}, tuple(suspects)
+    return {name: _in_mains(orders, hum * rms, known) for name, orders in found.items()}, tuple(suspects)
 
 
-def _without(orders: CuttingOrders, lines: Iterable[float]) -> CuttingOrders:
-    turn = orders.cut.rotation / (2.0 * math.pi)
-    std = orders.std.copy()
-    for f in lines:
-        std[np.abs(np.arange(std.shape[0]) * turn - f) < 0.02 * f] = math.inf
-    return replace(orders, std=std)
-
-
-def rigid_orders(tool: Tool, cut: SteadyCut, count: int, values: Mapping[str, float]) -> Complex:
-    """Orders of the force on the tool of a rigid system, shape (count, 3).
-
-    Each tooth is a Gauss quadrature over its own contact; that the helix smears it over an angle is a factor
-    ``(1 - exp(-j n span))/(j n span)`` of order n.
-    """
-    order = np.arange(count)
-    total = np.zeros((count, 3), dtype=complex)
-    if cut.depth == 0.0:
-        return total
-    pitch, offsets = tool.tooth_angles(), _offsets(tool, values)
-    if not tool.equal_pitch or float(np.ptp(offsets)) > 0.0:
-        for j in range(tool.teeth):
-            total += np.exp(-1j * order * pitch[j])[:, None] * _tooth_orders(tool, cut, order, values, offsets, j)
-    else:
-        total[:: tool.teeth] = tool.teeth * _tooth_orders(tool, cut, order[:: tool.teeth], values, offsets, 0)
-    half = order * cut.depth * math.tan(values["helix"]) / tool.diameter
-    total *= (np.sinc(half / math.pi) * np.exp(-1j * half))[:, None]
-    total[1:] *= 2.0
-    return total
-
-
-def _tooth_orders(
-    tool: Tool, cut: SteadyCut, order: NDArray[np.int64], values: Mapping[str, float], offsets: Real, j: int
-) -> Complex:
-    """Orders of one tooth, by its own angle: ``mean of force exp(-j n phi)``, the chip the least over earlier teeth."""
-    sin_k = math.sin(tool.approach_angle)
-    feeds = cut.feed_per_tooth * np.arange(1, tool.teeth + 1)
-    gain = offsets[j] - offsets[j - np.arange(1, tool.teeth + 1)]
-    first = math.asin(min(max(float(np.max(-gain / feeds)), 0.0), 1.0))
-    low, high = max(cut.arc.entry, first), min(cut.arc.exit, math.pi - first)
-    if high <= low:
-        return np.zeros((order.size, 3), dtype=complex)
-    phi = 0.5 * (low + high) + 0.5 * (high - low) * _NODES
-    chip = np.min(feeds[:, None] * np.sin(phi) + gain[:, None], axis=0) * sin_k
-    force = _to_axes(_local(chip, values), phi, tool.approach_angle)
-    weight = 0.5 * (high - low) * _WEIGHTS / (2.0 * math.pi) * (cut.depth / sin_k)
-    return np.asarray(np.exp(-1j * np.outer(order, phi)) @ (weight[:, None] * force))
-
-
-def _local(chip: Real, values: Mapping[str, float]) -> Real:
-    """Tangential, radial, axial force per length of edge [N/m], shape (n, 3)."""
-    cutting = np.array([values[f"K{n}c"] + values.get(f"other_K{n}c", 0.0) for n in "tra"])
-    exponent = np.array([values.get(f"size_effect_{n}", 0.0) for n in "tra"])
-    edge = np.array([values.get(f"K{n}e", 0.0) for n in "tra"])
-    h = np.maximum(chip, 1e-12)[:, None]
-    grown = (h / RULES.reference_chip) ** -exponent if exponent.any() else 1.0
-    return np.asarray(cutting * grown * h + edge * h / (h + RULES.edge_chip))
-
-
-def _offsets(tool: Tool, values: Mapping[str, float]) -> Real:
-    """Radial position of each tooth [m] for a tool axis that is off by the run-out."""
-    where = values.get("runout_angle", 0.0)
-    return tool.tooth_offsets() + values.get("runout", 0.0) * np.cos(tool.tooth_angles() + where)
-
-
-def _to_axes(local: Real, phi: Real, approach_angle: float) -> Real:
-    """Tangential, radial, axial force (n, 3) at angles (n,) -> force on the tool along x, y, z."""
-    s, c = np.sin(phi), np.cos(phi)
-    sk, ck = math.sin(approach_angle), math.cos(approach_angle)
-    ft, fr, fa = local.T
-    return np.stack(
-        [-c * ft - sk * s * fr - ck * s * fa, s * ft - sk * c * fr - ck * c * fa, ck * fr - sk * fa], axis=1
-    )
+def _in_mains(orders: CuttingOrders, level: Real, known: Mapping[float, Real]) -> CuttingOrders:
+    """Add hum of a level (3,) (rms) [N] and known lines (amplitudes) [N] to the uncertainty of the orders."""
+    frequency = np.arange(orders.std.shape[0]) * orders.cut.rotation / (2.0 * math.pi)
+    harmonic = np.arange(1, RULES.harmonics + 1)
+    lines = np.outer(RULES.mains, harmonic)
+    near = np.abs(frequency[:, None, None] - lines) < 1.5 * orders.resolution
+    variance = 2.0 * np.max(near / harmonic, axis=(1, 2))[:, None] ** 2 * level**2
+    for f, amplitude in known.items():
+        covered = np.abs(frequency - f) < 0.02 * f
+        variance[covered] = np.maximum(variance[covered], amplitude**2)
+    return replace(orders, std=np.sqrt(orders.std**2 + variance))

@@ -9,15 +9,22 @@ from dataclasses import dataclass
 class CuttingRules:
     """Floors, lines and limits of cutting forces and stability limits."""
 
-    # forces
-    lot_scatter: float = 0.3  # standard deviation of the coefficients about the handbook's, over the largest of them
+    # forces: the limits of what is declared count one standard deviation each
+    undeclared: float = 0.3  # prior standard deviation of a coefficient that nobody gave, over the largest one
+    least_coefficient: float = 0.1  # share of the largest coefficient that the tolerance of a smaller one counts from
+    exact: float = 0.002  # standard deviation of coefficients that are declared to be exact
+    edge_scatter: float = 0.3
+    """Relative standard deviation of a declared edge force whose material states none: the intercept of a line through
+    forces over the chip, which no cut reaches, is several times as uncertain as its slope, and an edge that wears
+    raises it first."""
+    depth: float = 2e-5  # standard deviation of the depth of a cut [m]
+    harmonics: int = 7  # of the mains
+    most_free_teeth: int = 8  # whose radii are found one by one
     angles: int = 360  # of one revolution, where the start of a record is looked for
     reference_chip: float = 5e-5  # chip thickness [m] at which a size effect leaves the coefficients as they are
-    edge_chip: float = 5e-7
-    """Chip thickness [m] over which an edge force builds up: a tooth that only just touches has none."""
     force_floor: float = 0.05
     """Share of the alternating force along an axis that a mechanistic model may miss, see `orders`."""
-    crosstalk: float = 0.01  # share of the alternating force in all that leaks into each axis, likewise
+    leak: float = 0.01  # share of the alternating force in all that it may miss along each axis, likewise
     mains: tuple[float, ...] = (50.0, 60.0)  # lines that are looked for [Hz]
     tooth_orders: int = 6  # orders of tooth passing that count
     block: int = 4  # revolutions of a block

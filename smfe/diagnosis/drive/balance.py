@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.types import Real
@@ -98,6 +99,7 @@ class Balance:
 
     filter: Resampler
     motion: Motion
+    acting: Real
     runs: Sequence[Sequence[tuple[int, int]]]
     force: Real
     left: Real
@@ -121,9 +123,18 @@ class Balance:
     @property
     def moves(self) -> list[Real]:
         """What the reference leaves in each move."""
+        return self._each(self.left)
+
+    def used(self, order: int) -> list[NDArray[np.bool_]]:
+        """Return for each move which whitened values count: the axis moves in half of what the low-pass sees."""
+        share = self.moved(np.ones(self.motion.time.size))
+        return [(x >= RULES.least_moving)[order:] for x in self._each(share)]
+
+    def _each(self, values: Real) -> list[Real]:
+        """Split values of all runs into those of the moves."""
         found = []
-        for run, left in zip(self.runs, np.split(self.left, np.cumsum(self.sizes)[:-1]), strict=True):
-            found += np.split(left, [(a - run[0][0]) // self.filter.every for a, _ in run[1:]])
+        for run, part in zip(self.runs, np.split(values, np.cumsum(self.sizes)[:-1]), strict=True):
+            found += np.split(part, [(a - run[0][0]) // self.filter.every for a, _ in run[1:]])
         return found
 
     @property
@@ -135,20 +146,36 @@ class Balance:
         """Pass a signal of the motion, full rate, through the filter."""
         return _seen(self.filter, self.runs, samples)
 
+    def moved(self, samples: Real) -> Real:
+        """Pass a signal of the motion through the filter, zero where the axis stands."""
+        return _seen(self.filter, self.runs, np.where(self.motion.standing, 0.0, samples))
 
-def _seen(filter_: Resampler, runs: Sequence[Sequence[tuple[int, int]]], samples: Real) -> Real:
+
+def _seen(filter_: Resampler, runs: Sequence[Sequence[tuple[int, int]]], samples: Real, advance: float = 0.0) -> Real:
     """Return a signal behind the filter, run after run."""
     margin = filter_.margin
-    return np.concatenate([filter_(samples[run[0][0] - margin : run[-1][1] + margin]) for run in runs])
+    return np.concatenate([filter_(samples[run[0][0] - margin : run[-1][1] + margin], advance) for run in runs])
+
+
+def late(samples: Real, step: float, delay: float) -> Real:
+    """Return a record as it arrives after a delay [s], between its samples linearly; before it the first value."""
+    time = step * np.arange(samples.size, dtype=np.float64)
+    return np.asarray(np.interp(time - delay, time, samples))
 
 
 def balance_of(
-    raw: Channels, cutoff: float, limit: float | None, lead: float | None = None, line: float | None = None
+    raw: Channels,
+    cutoff: float,
+    limit: float | None,
+    lead: float | None = None,
+    line: float | None = None,
+    delay: float = 0.0,
 ) -> Balance:
     """Return the balance of a record in a band [Hz].
 
     `limit` is the drive force [N] beyond which the reference may lose some; `lead` [m] and `line` [Hz] are wavelength
-    and frequency of waves that the reference has.
+    and frequency of waves that the reference has; `delay` [s] is that from the logged to the acting force. Where the
+    axis stands both sides are zero: there the drive holds whatever friction there is.
     """
     every = int(0.5 / (cutoff * raw.step) * (1.0 + 1e-9))
     if every < 2:
@@ -161,17 +188,20 @@ def balance_of(
     spans = spans_of(moving, filter_)
     runs = [list(run) for run in _without_gaps(spans)]
     first, last = spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin
+    acting = late(raw.force, raw.step, delay)
     columns = list(noise.reference(moving[first:last]).T)
     if limit is not None:
-        columns.append(excess(raw.force[first:last], limit))
+        columns.append(excess(acting[first:last], limit))
     for phase, period in ((moving.position[first:last], lead), (moving.time[first:last], line and 1.0 / line)):
         if period:
             columns += [np.cos(2.0 * math.pi * phase / period), np.sin(2.0 * math.pi * phase / period)]
     before = np.zeros(first)  # the reference takes its measures from what is used of the record
-    force = _seen(filter_, runs, raw.force)
-    regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c])) for c in columns], axis=1)
+    rests = moving.standing
+    force = _seen(filter_, runs, raw.force, -delay) - _seen(filter_, runs, np.where(rests, acting, 0.0))
+    moves_ = ~rests[first:last]
+    regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c * moves_])) for c in columns], axis=1)
     _refuse_too_few(regressors, filter_)
-    return Balance(filter_, moving, runs, force, noise.residual(regressors, force), regressors)
+    return Balance(filter_, moving, acting, runs, force, noise.residual(regressors, force), regressors)
 
 
 def _refuse_too_few(regressors: Real, filter_: Resampler) -> None:
@@ -232,7 +262,7 @@ def lost_beyond(raw: Channels, balance: Balance) -> float | None:
     used = noise.unbroken(balance.sizes, whitener.order)
     white = whitener(balance.left) * used
     limits = np.arange(0.95, 0.095, -0.01) * float(np.max(np.abs(raw.force)))
-    columns = np.stack([balance.seen(excess(raw.force, limit)) for limit in limits], axis=1)
+    columns = np.stack([balance.moved(excess(balance.acting, limit)) for limit in limits], axis=1)
     columns -= balance.regressors @ np.linalg.lstsq(balance.regressors, columns, rcond=1e-10)[0]
     shapes = np.stack([whitener(c) * used for c in columns.T], axis=1)
     product, square = white @ shapes, np.sum(np.square(shapes), axis=0)
@@ -244,23 +274,27 @@ def lost_beyond(raw: Channels, balance: Balance) -> float | None:
 
 
 def periodic(
-    raw: Channels, plain: Balance, limit: float | None, lead: float | None
+    raw: Channels, plain: Balance, limit: float | None, lead: float | None, delay: float = 0.0
 ) -> tuple[float | None, float | None]:
     """Return the wavelength of a ripple [m] and the frequency of a tone [Hz] in what the reference leaves, if any.
 
     The ripple first: a screw that turns at few speeds makes lines in time as well.
     """
     cutoff = plain.filter.cutoff
+
+    def again(lead: float | None, line: float | None) -> Balance:
+        return balance_of(raw, cutoff, limit, lead, line, delay)
+
     if lead is None:
         place = plain.seen(plain.motion.position)
         slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
         stroke = float(np.ptp(place))
-        wave = _wave(place, plain, 5.0 / stroke, cutoff / slowest, lambda w: balance_of(raw, cutoff, limit, 1.0 / w))
+        wave = _wave(place, plain, 5.0 / stroke, cutoff / slowest, lambda w: again(1.0 / w, None))
         if wave is not None:
             lead = 1.0 / wave
-            plain = balance_of(raw, cutoff, limit, lead)
+            plain = again(lead, None)
     time = plain.seen(plain.motion.time)
-    return lead, _wave(time, plain, RULES.lowest_tone, cutoff, lambda w: balance_of(raw, cutoff, limit, lead, w))
+    return lead, _wave(time, plain, RULES.lowest_tone, cutoff, lambda w: again(lead, w))
 
 
 def _wave(
@@ -294,10 +328,10 @@ def noise_of(balance: Balance, whitener: Whitener) -> dict[Kind, float]:
     """
     squares, counts = dict[Kind, float](), dict[Kind, float]()
     left = noise.degrees_of_freedom_left(whitener, balance.moves, balance.regressors)
-    for own, move, values in zip(balance.kinds, balance.moves, left, strict=True):
+    for own, move, values, used in zip(balance.kinds, balance.moves, left, balance.used(whitener.order), strict=True):
         for kind in (own, ANY):
-            squares[kind] = squares.get(kind, 0.0) + float(np.sum(np.square(whitener(move))))
-            counts[kind] = counts.get(kind, 0.0) + values
+            squares[kind] = squares.get(kind, 0.0) + float(np.sum(np.square(whitener(move)[used])))
+            counts[kind] = counts.get(kind, 0.0) + values * float(np.sum(used)) / max(used.size, 1)
     typical = squares[ANY] / counts[ANY]
     return {k: math.sqrt((squares[k] + RULES.like_all * typical) / (counts[k] + RULES.like_all)) for k in squares}
 

@@ -1,14 +1,18 @@
 """The control law of a drive, checked without the plant: reference, encoder and drive force must obey it.
 
-``F = Kp [Kv (r - q) - q']`` with the velocity ``q'`` from backward differences of the encoder through a short filter of
-unit gain, which is found from the record. What is left over is a command that was not logged, or other gains.
+``F = Kp [Kv (r - q) - q']`` with the velocity ``q'`` from backward differences of the encoder through a short filter.
+Controls add to it what machines need: an integral part, feed-forward of velocity and acceleration, compensation of
+friction, and their own sampling and filters. All of that is linear in reference and encoder and is found from the
+record. What is left over is a command that was not logged.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.types import Real
@@ -32,25 +36,30 @@ class Gains:
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """A control law with its velocity filter."""
+    """A control law with its velocity filter and whatever else a control adds."""
 
     gains: Gains  # as documented
     taps: Real  # shape (k,): weights of the newest, the last ... backward difference [1], sum 1
     noise: float  # standard deviation of what the law leaves, from the median [N]
+    whole: Real  # factors of the columns of `_columns`
 
     def lag(self, step: float) -> float:
         """Return the lag of the velocity [s] behind the newest encoder value: half a step and the mean tap."""
         return step * (0.5 + float(self.taps @ np.arange(self.taps.size)))
 
-    def force(self, reference: Real, position: Real, step: float) -> tuple[Real, Real]:
-        """Return position and velocity part of the commanded force [N]; their sum is the command.
+    @property
+    def found(self) -> Gains:
+        """Gains that the record shows; of the two that an integral part allows, the nearer to the documented one."""
+        velocity = -float(self.whole[1 : 1 + RULES.taps].sum())
+        # F = Kp [e_v + int e_v/Ti] with e_v = Kv e + ...: factors Kp (Kv + 1/Ti) of e and Kp Kv/Ti of its integral.
+        both, product = self.whole[0] / velocity, self.whole[1 + RULES.taps] / velocity
+        apart = math.sqrt(max(both**2 - 4.0 * product, 0.0))
+        documented = self.gains.position
+        return Gains(min((0.5 * (both + apart), 0.5 * (both - apart)), key=lambda k: abs(k - documented)), velocity)
 
-        The first values, fewer than `taps`, take the record to have been at rest before.
-        """
-        difference = np.diff(position, prepend=position[0]) / step
-        velocity = np.convolve(difference, self.taps)[: position.size]
-        gains = self.gains
-        return gains.velocity * gains.position * (reference - position), -gains.velocity * velocity
+    def command(self, reference: Real, position: Real, step: float) -> Real:
+        """Return the command [N] of the law as it was found, shape (n,)."""
+        return np.asarray(_columns(reference, position, step) @ self.whole)
 
 
 @dataclass(frozen=True)
@@ -63,39 +72,99 @@ class Pulse:
 
 
 def fit_control_law(reference: Real, position: Real, force: Real, step: float, gains: Gains) -> ControlLaw:
-    """Find the velocity filter of a control law from a record (trimmed least squares, other gains allowed)."""
+    """Find a control law from a record (trimmed least squares, other gains allowed).
+
+    It starts from the documented gain of the velocity and from what else leaves the least absolute values, which a
+    command that was not logged hardly moves.
+    """
+    if not np.any(reference - position) or not np.ptp(position):
+        raise InputError("the axis does not move, or follows its reference exactly: the record says nothing of the law")
+    columns = _columns(reference, position, step)
+    rows = slice(2 * RULES.taps, position.size - RULES.ahead)
+    scale = np.sqrt(np.mean(np.square(columns[rows]), axis=0))
+    scale[scale == 0.0] = 1.0
+    rest = np.arange(1 + RULES.taps, scale.size)
+    # An integral part with its constant would take half of a command that is there half of the time: the simplest law
+    # that leaves about as little as all of them.
+    floor = RULES.floor * float(np.ptp(force))
+    parts = (rest[:0], rest[RULES.integral :], rest)
+    found = [_solved(columns[rows] / scale, force[rows], scale, kept, gains) for kept in parts]
+    least = min(_spread(left) for _, left in found)
+    whole, left = next(x for x in found if _spread(x[1]) <= RULES.better * max(least, floor))
+    taps = whole[1 : 1 + RULES.taps]
+    return ControlLaw(gains, taps / taps.sum(), max(_spread(left), floor), whole)
+
+
+def _solved(columns: Real, force: Real, scale: Real, rest: NDArray[np.int64], gains: Gains) -> tuple[Real, Real]:
+    """Return factors of the columns, those of `rest` besides error and encoder, and what they leave [N].
+
+    `columns` are given over their `scale`.
+    """
+    # Neighbouring differences are nearly alike: an orthonormal basis of the columns stands for them. The encoder's
+    # come last, so that the first rows of the basis do without.
+    order = np.concatenate([[0], rest, np.arange(1, 1 + RULES.taps)])
+    basis, triangle = np.linalg.qr(columns[:, order])
+    size = np.abs(np.diag(triangle))
+    known = size > 1e-10 * size.max()
+    unit, wanted = basis[:, known], force
+    floor = RULES.floor * float(np.ptp(force))
+    # With the documented gain of the velocity first: what the encoder does is what the axis makes of its force, and
+    # free factors of the encoder would find the axis in place of the law.
+    given = -gains.velocity * scale[1] * columns[:, 1]
+    others = unit[:, : np.count_nonzero(known[: order.size - RULES.taps])]
+    fixed = others.T @ (gains.velocity * gains.position * scale[0] * columns[:, 0] if not rest.size else wanted - given)
+    for _ in range(RULES.absolute if rest.size else 0):
+        left = wanted - given - others @ fixed
+        weight = 1.0 / np.maximum(np.abs(left), max(0.1 * _spread(left), floor))
+        before, fixed = fixed, np.linalg.solve((others.T * weight) @ others, others.T @ (weight * (wanted - given)))
+        if np.linalg.norm(fixed - before) < 1e-9 * np.linalg.norm(fixed):
+            break
+    solution = unit.T @ (given + others @ fixed)
+    kept = np.zeros(wanted.size, dtype=bool)
+    for _ in range(20):
+        left = wanted - unit @ solution
+        last, kept = kept, np.abs(left) <= RULES.trim * max(_spread(left), floor)
+        if np.array_equal(last, kept):
+            break
+        solution = np.linalg.lstsq(unit[kept], wanted[kept], rcond=1e-12)[0]
+    whole = np.zeros(scale.size)
+    whole[order[known]] = np.linalg.solve(triangle[np.ix_(known, known)], solution) / scale[order[known]]
+    return whole, wanted - unit @ solution
+
+
+def _columns(reference: Real, position: Real, step: float) -> Real:
+    """Return what a control makes its command of, shape (n, k).
+
+    Error; backward differences of the encoder, the newest first; its integral, the reference and a constant (integral
+    part); differences of the reference about the sample, whose sums and differences are its velocity and acceleration
+    (feed-forward); its direction (compensation of friction).
+    """
     error = reference - position
     difference = np.diff(position, prepend=position[0]) / step
-    rows = np.arange(RULES.taps, position.size)
-    regressors = np.stack([error[rows], *(-difference[rows - k] for k in range(RULES.taps))], axis=1)
-    scale = np.sqrt(np.mean(np.square(regressors), axis=0))
-    if np.any(scale == 0.0):
-        raise InputError("the axis does not move, or follows its reference exactly: the record says nothing of the law")
-    floor = RULES.floor * float(np.ptp(force))
-    # From the documented gains on: least squares over everything would spread a hidden command over all taps.
-    solution = gains.velocity * np.array([gains.position, 1.0, *np.zeros(RULES.taps - 1)])
-    kept = np.zeros(rows.size, dtype=bool)
-    for _ in range(20):
-        left = force[rows] - regressors @ solution
-        before, kept = kept, np.abs(left) <= RULES.trim * max(_spread(left), floor)
-        if np.array_equal(before, kept):
-            break
-        solution = np.linalg.lstsq(regressors[kept] / scale, force[rows][kept], rcond=None)[0] / scale
-    taps = solution[1:] / solution[1:].sum()
-    return ControlLaw(gains, taps, max(_spread(force[rows] - regressors @ solution), floor))
+    feed = np.diff(reference, prepend=reference[0]) / step
+    late = [np.concatenate([np.zeros(k), difference[: difference.size - k]]) for k in range(RULES.taps)]
+    padded = np.pad(feed, (RULES.taps, RULES.ahead), mode="edge")
+    around = [padded[k : k + feed.size] for k in range(RULES.taps + RULES.ahead + 1)]
+    slow = RULES.rest * float(np.max(np.abs(feed)))
+    way = np.tanh(feed / slow) if slow > 0.0 else np.zeros_like(feed)
+    return np.stack(
+        [error, *late, step * np.cumsum(error), reference - reference[0], np.ones_like(error), *around, way], axis=1
+    )
 
 
 def unlogged_command(
-    law: ControlLaw, reference: Real, position: Real, force: Real, step: float
+    law: ControlLaw, reference: Real, position: Real, force: Real, step: float, material: float = 0.05
 ) -> tuple[Real, tuple[Pulse, ...]]:
     """Return what was added to the command of the law [N], sample by sample, and its pulses.
 
-    A pulse is what stands out by ten standard deviations of the noise, and by 2 % of the highest, for three samples or
-    more; its height is the median.
+    A pulse is what stands out by ten standard deviations of the noise, by 2 % of the highest and by a share of the rms
+    of the force, `material`, for three samples or more; its height is the median.
     """
-    left = force - sum(law.force(reference, position, step))
-    left[: law.taps.size] = 0.0
-    out = np.abs(left) > max(RULES.detect * law.noise, RULES.pulse_share * float(np.max(np.abs(left))))
+    left = force - law.command(reference, position, step)
+    left[: 2 * RULES.taps] = 0.0
+    left[left.size - RULES.ahead :] = 0.0
+    highest, whole = float(np.max(np.abs(left))), float(np.std(force))
+    out = np.abs(left) > max(RULES.detect * law.noise, RULES.pulse_share * highest, material * whole)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], out.astype(np.int8), [0])))).reshape(-1, 2)
     pulses = tuple(
         Pulse(float(a * step), float(b * step), float(np.median(left[a:b])))

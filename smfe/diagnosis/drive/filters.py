@@ -14,7 +14,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
 from scipy.linalg import solve_banded
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from process.types import Real
 from smfe.diagnosis.drive.rules import RULES
@@ -81,6 +83,11 @@ class Motion:
         """Velocity in the wide band [m/s]."""
         return self.path.velocity[self.first : self.first + self.time.size]
 
+    @property
+    def standing(self) -> NDArray[np.bool_]:
+        """Where the axis stands (`standing`)."""
+        return self.path.standing[self.first : self.first + self.time.size]
+
     def sliding(self, slide: float, damping: float = 0.0) -> Real:
         """Return the direction of sliding of bristles of a length [m] and a damping [s] (`bristles.Path`)."""
         return self.path.direction(slide, damping)[self.first : self.first + self.time.size]
@@ -129,7 +136,26 @@ def _path(position: Real, step: float, cutoff: float) -> Path:
         if 6.0 * noise <= RULES.finest_slide:
             break
     least = RULES.trembles * noise * math.sqrt(wide / max(0.5 / step - wide, wide)) if inner.size else 0.0
-    return Path(filtered(position, step, wide), filtered(position, step, wide, 1), step, least)
+    rests = standing(position, step)
+    return Path(filtered(position, step, wide), filtered(position, step, wide, 1), step, least, rests)
+
+
+def standing(position: Real, step: float) -> NDArray[np.bool_]:
+    """Return where an axis stands: the encoder stays within a micrometre, or two of its steps, for 10 ms.
+
+    There friction is whatever balances the drive, up to its limit: the motion says nothing of it. Very slow axes may
+    make good 0.5 % of what they do at their greatest speed.
+    """
+    width = 2 * max(math.ceil(0.5 * RULES.standing_time / step), 2) + 1
+    if position.size <= width:
+        return np.zeros(position.size, dtype=bool)
+    steps = np.abs(np.diff(position))
+    moving = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
+    count = float(moving.min()) if moving.size else 0.0
+    fastest = float(np.quantile(steps, 0.99)) * width
+    most = max(min(RULES.finest_slide, RULES.standing_share * fastest), 2.0 * count)
+    within = maximum_filter1d(position, width) - minimum_filter1d(position, width) <= most
+    return np.asarray(maximum_filter1d(within.astype(np.uint8), width) > 0)
 
 
 def moves(velocity: Real, step: float, first: int, last: int) -> Iterator[tuple[int, int]]:
@@ -200,11 +226,19 @@ def presliding(
 class Path:
     """Position [m] and velocity [m/s] of a whole record in the widest band that its encoder allows.
 
-    A reversal counts from a way back of `least` [m].
+    A reversal counts from a way back of `least` [m]; `rests` is where the axis stands, by default nowhere.
     """
 
-    def __init__(self, position: Real, velocity: Real, step: float, least: float = 0.0) -> None:
+    def __init__(
+        self,
+        position: Real,
+        velocity: Real,
+        step: float,
+        least: float = 0.0,
+        rests: NDArray[np.bool_] | None = None,
+    ) -> None:
         self.position, self.velocity, self.step = position, velocity, step
+        self.standing = np.zeros(position.size, dtype=bool) if rests is None else rests
         self._turns = reversals(position, velocity, least)
         self._kept: dict[tuple[float, ...], Real] = {}
 

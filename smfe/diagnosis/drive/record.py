@@ -1,9 +1,10 @@
 """Diagnosis of a drive record: encoder position and drive force of one moving axis.
 
 The baseline is rigid and viscous, in the force domain: ``F = M x'' + sigma x' + offset``; with a loop delay tau the
-force commanded at t acts at ``t + tau``. Both sides pass the same zero-phase low-pass and are kept at twice its cutoff;
-the encoder is differentiated with a filter of twice that cutoff (`drive_signals`). The likelihood is that of residuals
-whitened with an autoregression (`drive_noise`), so that neighbouring values do not count twice.
+force commanded at t acts at ``t + tau``. Mass, gain of the force channel and delay are known as well as a workshop
+knows them, and are fitted with that as prior. Both sides pass the same zero-phase low-pass and are kept at twice its
+cutoff; the encoder is differentiated with a filter of twice that cutoff (`filters`). The likelihood is that of
+residuals whitened with an autoregression (`noise`), so that neighbouring values do not count twice.
 
 A condition is a move from rest to rest. Where the reference and the gains are known, the control law is a second,
 independent balance for each move (`drive_control_law`).
@@ -17,9 +18,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
+from scipy import signal
 
 from process.errors import InputError
 from process.types import Real
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.drive import noise, terms
 from smfe.diagnosis.drive.balance import (
     ANY,
@@ -29,6 +33,7 @@ from smfe.diagnosis.drive.balance import (
     balance_of,
     check_balance,
     kind_of,
+    late,
     lost_beyond,
     noise_of,
     periodic,
@@ -40,7 +45,7 @@ from smfe.diagnosis.drive.control_law import ControlLaw, Gains, Pulse, fit_contr
 from smfe.diagnosis.drive.filters import Motion, Resampler, motion
 from smfe.diagnosis.drive.noise import NoiseDraw, Whitener, noise_draws
 from smfe.diagnosis.drive.rules import RULES
-from smfe.diagnosis.drive.terms import DELAY, HIDDEN_COMMAND, SENSOR_GAIN, SERVO_GAINS, Term, excess, saturation
+from smfe.diagnosis.drive.terms import HIDDEN_COMMAND, Term, excess, saturation
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 
@@ -52,15 +57,25 @@ class ForceData:
     force: Real = field(repr=False)
     noise: float
     drive: Real = field(repr=False)
+    used: NDArray[np.bool_] = field(repr=False)
+    """Whitened values that count: the axis moves in at least half of what the low-pass sees."""
 
 
 @dataclass(frozen=True)
 class _LawData:
-    """A move of the control law: position and velocity part of the command and the unlogged pulses of height one."""
+    """What the control law leaves over some windows: sign of the pulse in each, or zero, and its noise [N].
 
-    position: Real = field(repr=False)
-    velocity: Real = field(repr=False)
-    pulses: Real = field(repr=False)
+    `whole` is the rms of the drive force [N].
+    """
+
+    signs: Real = field(repr=False)
+    noise: float
+    whole: float
+
+
+@dataclass(frozen=True)
+class _GainData:
+    """Gains that an exact control law shows over the documented ones, less one, in units of `RULES.told`."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +88,6 @@ class DriveModel:
     """Kind of move (direction, speed) -> its noise in units of the whitener's; `ANY`: of all moves together."""
     nuisances: tuple[Parameter, ...]  # of the baseline
     terms: tuple[Term, ...]  # forces that may be missing
-    delay: float  # known delay from the logged to the acting force [s]
     mass_known: bool
     """Whether the mass has a prior, without which a gain of the force channel is not separable from the mass."""
     peak: float  # largest drive force [N]
@@ -103,6 +117,7 @@ class DriveRecordFamily(Abilities):
         delay: float = 0.0,
         lead: float | None = None,
         cutoff: float | None = None,
+        tolerances: Tolerances | None = None,
         like: DriveRecordFamily | None = None,
         name: str = "",
     ) -> DriveRecordFamily:
@@ -126,6 +141,8 @@ class DriveRecordFamily(Abilities):
         cutoff : float, optional
             Band of the comparison [Hz]. Default: as far as the force stands 23 dB above what no model explains, at
             most a tenth of the sample rate.
+        tolerances : Tolerances, optional
+            How well gain of the force channel and delay are known; default: as in a workshop.
         like : DriveRecordFamily, optional
             Take filter, noise, starts and catalogue from another record of the same axis (a held-out record).
         name : str, optional
@@ -137,7 +154,7 @@ class DriveRecordFamily(Abilities):
             raise InputError(f"lead {lead:g} m; give a positive one, or none")
         raw = Channels.read(record, axis)
         if like is None:
-            shared = _learn(raw, mass, gains, delay, lead, cutoff)
+            shared = _learn(raw, mass, gains, delay, lead, cutoff, tolerances or Tolerances())
         elif like.model.resampler.step != raw.step:
             raise InputError(f"sample interval {raw.step:g} s, {like.model.resampler.step:g} s of the other record")
         else:
@@ -152,21 +169,22 @@ class DriveRecordFamily(Abilities):
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Mass, viscous friction, offset and what the known delay is off by."""
+        """Mass, viscous friction, offset, delay and, where the mass is known, gain of the force channel."""
         return self.model.nuisances
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Every axis slides."""
+        return ("guideway_friction",)
 
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Everything that a rigid, viscous axis with a perfect loop leaves out."""
-        found = [t.cause for t in self.model.terms] + [DELAY]
+        found = [t.cause for t in self.model.terms]
         if self.model.limit is not None:
             found.append(saturation(self.model.peak, self.model.limit))
-        if self.model.mass_known:
-            found.append(SENSOR_GAIN)
-        if self.model.law is not None:
-            found.append(SERVO_GAINS)
-            if self.pulses:
-                found.append(HIDDEN_COMMAND)
+        if any(np.any(c.data.signs) for c in self.conditions if isinstance(c.data, _LawData)):
+            found.append(HIDDEN_COMMAND)
         return tuple(c for c in found if c.key not in self.known)
 
     def with_terms(self, more: Sequence[Term]) -> DriveRecordFamily:
@@ -187,9 +205,12 @@ class DriveRecordFamily(Abilities):
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the whitened drive force of a move, or its whitened command after the control law."""
         if isinstance(condition.data, ForceData):
-            return self.model.whitener(self.force(condition.data, values)) / condition.data.noise
-        if isinstance(condition.data, _LawData) and self.model.law is not None:
-            return _law_force(condition.data, values) / self.model.law.noise
+            white = self.model.whitener(self.force(condition.data, values)) / condition.data.noise
+            return np.asarray(white[condition.data.used])
+        if isinstance(condition.data, _LawData):
+            return values.get("hidden.command", 0.0) * condition.data.signs / condition.data.noise
+        if isinstance(condition.data, _GainData):
+            return np.array([values["servo_gains.velocity"], values["servo_gains.position"]]) / RULES.told
         raise InputError(f"condition {condition.name} is not one of this family")
 
     def noises(self, columns: Sequence[tuple[Condition, Real]]) -> list[Real]:
@@ -199,7 +220,7 @@ class DriveRecordFamily(Abilities):
         rest = sum((x.T @ x for x in others), np.zeros((columns[0][1].shape[1],) * 2))
         found: list[Real] = []
         for draw in self.model.draws if moving else ():
-            joined = np.concatenate([x * draw.size.get(kind_of(c.settings), 1.0) for c, x in moving])
+            joined = np.concatenate([_spread(c, x) * draw.size.get(kind_of(c.settings), 1.0) for c, x in moving])
             through = draw.coloured_products(joined)
             found.append(rest + through.T @ through)
         return found
@@ -209,6 +230,29 @@ class DriveRecordFamily(Abilities):
         """Degrees of freedom with which the slowest noise is known: 2 over the variance of the log of its power."""
         powers = [math.log(abs(float(np.sum(d.above) / np.sum(d.below)))) * 2.0 for d in self.model.draws]
         return 2.0 / float(np.var(powers)) if len(powers) > 1 else math.inf
+
+    def squared_size(self, condition: Condition, misfit: Real) -> float:
+        """Return the squares of the force that a whitened misfit is, over those of the drive force of its move [1]."""
+        if isinstance(condition.data, _GainData):
+            return float(np.mean(np.square(misfit))) * RULES.told**2
+        if isinstance(condition.data, _LawData):
+            # A command that comes and goes counts by its height, in however few moves it does.
+            height = float(np.sqrt(np.mean(np.square(misfit)))) * condition.data.noise
+            return (height / condition.data.whole) ** 2 / self._share(condition)
+        if not isinstance(condition.data, ForceData):
+            return super().squared_size(condition, misfit)
+        data, whitener = condition.data, self.model.whitener
+        white = np.zeros(data.used.size)
+        white[data.used] = misfit * data.noise
+        force = signal.lfilter([whitener.sigma], [1.0, *whitener.coefficients], white)
+        whole = float(np.sum(np.square(data.force[whitener.order :][data.used])))
+        return float(np.sum(np.square(force[data.used]))) / whole if whole > 0.0 else math.inf
+
+    def _share(self, condition: Condition) -> float:
+        """Return the share that the data of a condition and of all like it have in the squares of all data [1]."""
+        squares = {c.name: float(c.observed @ c.observed) for c in self.conditions if c.observed is not None}
+        like = [c.name for c in self.conditions if type(c.data) is type(condition.data)]
+        return sum(squares.get(n, 0.0) for n in like) / max(sum(squares.values()), 1e-300)
 
     def force_error(self, values: Values, conditions: Sequence[Condition] | None = None) -> float:
         """Return rms(measured - predicted force)/rms(measured force) [1], in the band, over moves (default: all)."""
@@ -228,14 +272,16 @@ class DriveRecordFamily(Abilities):
         for term in self.model.terms:
             if any(values[p.name] != p.start for p in term.cause.parameters):
                 total = total + term.force(m, values)
-        if self.model.mass_known:
-            total = total * (1.0 + values["force_gain.error"])
-        delay = self.model.delay + values["delay.error"] + values["loop_delay.delay"]
-        needed = self.model.resampler(total, delay)
+        total = total * (1.0 + values.get("force_gain.error", 0.0))
+        delay = values["loop_delay.delay"]
+        needed = self.model.resampler(np.where(m.standing, 0.0, total), delay)
+        if m.standing.any():
+            needed = needed + self.model.resampler(np.where(m.standing, late(data.drive, m.step, delay), 0.0), delay)
         cut = values.get("saturation.cut", 0.0)
         if self.model.limit is None or cut == 0.0:
             return needed
-        return needed + self.model.resampler(excess(data.drive, self.model.peak - cut))
+        lost = late(excess(data.drive, self.model.peak - cut), m.step, delay)
+        return needed + self.model.resampler(np.where(m.standing, 0.0, lost), delay)
 
 
 def _learn(
@@ -245,25 +291,32 @@ def _learn(
     delay: float,
     lead: float | None,
     cutoff: float | None,
+    tolerances: Tolerances,
 ) -> DriveModel:
     """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
     if cutoff is None:
-        wide = balance_of(raw, RULES.widest / raw.step, None)
+        wide = balance_of(raw, RULES.widest / raw.step, None, delay=delay)
         cut = lost_beyond(raw, wide)
-        wide = wide if cut is None else balance_of(raw, RULES.widest / raw.step, cut)
+        wide = wide if cut is None else balance_of(raw, RULES.widest / raw.step, cut, delay=delay)
         cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff, wide.sizes)
-    limit = lost_beyond(raw, balance_of(raw, cutoff, None))
-    plain = balance_of(raw, cutoff, limit)
-    known, (lead, line) = lead is not None, periodic(raw, plain, limit, lead)
-    full = balance_of(raw, cutoff, limit, lead, line)
+    limit = lost_beyond(raw, balance_of(raw, cutoff, None, delay=delay))
+    plain = balance_of(raw, cutoff, limit, delay=delay)
+    known, (lead, line) = lead is not None, periodic(raw, plain, limit, lead, delay)
+    full = balance_of(raw, cutoff, limit, lead, line, delay)
     whitener = whitener_of(full)
     law = None
     if gains is not None and raw.reference is not None:
         law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
-    nuisances = (*_nuisances(full, mass), _timing(cutoff))
+    nuisances = (*_nuisances(full, mass, tolerances), _timing(cutoff, delay, tolerances))
+    if law is not None and law.noise <= RULES.exact * float(np.std(raw.force)):
+        nuisances += tuple(
+            Parameter(f"servo_gains.{n}", "%", 0.0, 0.01, -0.9, 9.0, tolerances.control_gain, 100.0, "servo_gains")
+            for n in ("position", "velocity")
+        )
     place = plain.seen(plain.motion.position)
     centre, stroke = float(np.mean(place)), float(np.ptp(place))
-    catalogue = [*terms.always(centre, stroke, nuisances[0].start)]
+    fastest = float(np.max(np.abs(plain.seen(plain.motion.velocity))))
+    catalogue = [*terms.always(centre, stroke, nuisances[0].start, fastest)]
     if lead is not None:
         catalogue.append(terms.ripple(lead, centre, known))
     if line is not None:
@@ -277,7 +330,6 @@ def _learn(
         noise=noise_of(full, whitener),
         nuisances=nuisances,
         terms=tuple(catalogue),
-        delay=delay,
         mass_known=mass is not None,
         peak=float(np.max(np.abs(raw.force))),
         limit=limit,
@@ -286,32 +338,42 @@ def _learn(
     )
 
 
-def _nuisances(balance: Balance, mass: tuple[float, float] | None) -> tuple[Parameter, ...]:
+def _nuisances(balance: Balance, mass: tuple[float, float] | None, tolerances: Tolerances) -> tuple[Parameter, ...]:
     """Start the baseline at its least squares."""
     m, force = balance.motion, balance.force
-    columns = [balance.seen(x) for x in (m.acceleration, m.velocity, np.ones_like(m.velocity))]
+    columns = [balance.moved(x) for x in (m.acceleration, m.velocity, np.ones_like(m.velocity))]
     check_balance(force, columns[0], columns[1], None if mass is None else mass[0])
     found = np.linalg.lstsq(np.stack(columns, axis=1), force, rcond=None)[0]
     heavy, prior = (float(found[0]), math.inf) if mass is None else mass
     viscous = max(float(found[1]), 0.0)
-    return (
-        Parameter("mass", "kg", heavy, 0.01 * heavy, low=0.0, prior=prior),
+    free = (
         Parameter("viscous", "N s/m", viscous, max(0.01 * viscous, 1e-3 * heavy), low=0.0),
         Parameter("offset", "N", float(found[2]), 0.01 * float(np.sqrt(np.mean(np.square(force))))),
     )
+    if mass is None:
+        return Parameter("mass", "kg", heavy, 0.01 * heavy, low=0.0), *free
+    known = Parameter("mass", "kg", heavy, 0.01 * heavy, low=0.0, prior=prior)
+    gain = Parameter("force_gain.error", "%", 0.0, 0.01, -0.5, 1.0, prior=tolerances.sensor_gain, shown=100.0)
+    return (
+        replace(known, given="declared_mass", said="moving mass", stated=False),
+        *free,
+        replace(gain, given="sensor_gain", said="gain of the force channel", stated=False),
+    )
 
 
-def _timing(cutoff: float) -> Parameter:
-    """Return what the known delay is off by, 4 us in a band of 33 Hz.
+def _timing(cutoff: float, delay: float, tolerances: Tolerances) -> Parameter:
+    """Return the delay from the logged to the acting force, known as a workshop knows it, and 4 us in a band of 33 Hz.
 
-    The record does not contain it: the controller answers the disturbances that the balance takes for noise (bias of
+    The latter no record contains: the controller answers the disturbances that the balance takes for noise (bias of
     the direct method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung,
     Automatica 35, 1999). At the end of the band that share is one in `RULES.above_noise`, by which angle noise may turn
     the force. A sixth of it, one sigma, is taken for the loop, as linearisation at the truth showed for Coulomb
     friction at 1 kHz; at other rates and bands it is an extrapolation.
     """
-    off = RULES.closed_loop / (RULES.above_noise * 2.0 * math.pi * cutoff)
-    return Parameter("delay.error", "ms", 0.0, off, prior=off, shown=1e3)
+    off = math.hypot(RULES.closed_loop / (RULES.above_noise * 2.0 * math.pi * cutoff), tolerances.dead_time)
+    said = "delay from the logged to the acting force"
+    name, most = "loop_delay.delay", RULES.longest_delay
+    return Parameter(name, "ms", delay, 1e-4, 0.0, most, prior=off, shown=1e3, given="loop_delay", said=said)
 
 
 def _named(moving: Motion, shared: DriveModel, name: str) -> list[tuple[str, Mapping[str, float | str], str, int, int]]:
@@ -328,36 +390,59 @@ def _named(moving: Motion, shared: DriveModel, name: str) -> list[tuple[str, Map
 
 
 def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: str) -> Sequence[Condition]:
-    filter_ = shared.resampler
-    before = filter_.margin + shared.whitener.order * filter_.every
+    filter_, order = shared.resampler, shared.whitener.order
+    before = filter_.margin + order * filter_.every
     found = []
     for text, settings, half, begin, end in _named(moving, shared, name):
         part = slice(begin - before, end + filter_.margin)
-        force = filter_(raw.force[part])
-        data = ForceData(moving[part], force, shared.noise.get(kind_of(settings), shared.noise[ANY]), raw.force[part])
-        found.append(Condition(text, settings, shared.whitener(force) / data.noise, half, data))
+        force, own = filter_(raw.force[part]), moving[part]
+        used = filter_(np.where(own.standing, 0.0, 1.0))[order:] >= RULES.least_moving
+        if np.count_nonzero(used) > order:
+            noise_ = shared.noise.get(kind_of(settings), shared.noise[ANY])
+            data = ForceData(own, force, noise_, raw.force[part], used)
+            found.append(Condition(text, settings, (shared.whitener(force) / noise_)[used], half, data))
     return found
+
+
+def _spread(condition: Condition, columns: Real) -> Real:
+    """Return columns of a move with zeros where its values do not count, so that neighbours are neighbours in time."""
+    assert isinstance(condition.data, ForceData)
+    whole = np.zeros((condition.data.used.size, columns.shape[1]))
+    whole[condition.data.used] = columns
+    return whole
 
 
 def _law_conditions(
     raw: Channels, moving: Motion, shared: DriveModel, law: ControlLaw, name: str
 ) -> tuple[list[Condition], tuple[Pulse, ...]]:
+    """Hold the record against the control law: its gains where it is exact, and pulses beside as much without any."""
     assert raw.reference is not None
-    position, velocity = law.force(raw.reference, raw.position, raw.step)
-    pulses = unlogged_command(law, raw.reference, raw.position, raw.force, raw.step)[1]
-    pattern = np.zeros_like(position)
+    left, pulses = unlogged_command(law, raw.reference, raw.position, raw.force, raw.step)
+    whole, found = float(np.std(raw.force)), list[Condition]()
+    if any(p.given == "servo_gains" for p in shared.nuisances):
+        gains = np.array([law.found.velocity / law.gains.velocity, law.found.position / law.gains.position])
+        text = f"{name + ' ' if name else ''}control law"
+        found.append(Condition(text, {}, (gains - 1.0) / RULES.told, "control law", _GainData()))
+    if not pulses:
+        return found, pulses
+    length = max(round(float(np.median([p.end - p.begin for p in pulses])) / raw.step), 1)
+    taken = np.zeros(left.size, dtype=bool)
     for p in pulses:
-        pattern[round(p.begin / raw.step) : round(p.end / raw.step)] = math.copysign(1.0, p.height)
-    found = []
+        taken[round(p.begin / raw.step) : round(p.end / raw.step)] = True
+    count = left.size // length
+    blocks, free = (x[: count * length].reshape(count, length) for x in (left, ~taken))
+    means = blocks[free.all(axis=1)].mean(axis=1)
+    height = float(np.median([abs(p.height) for p in pulses]))
+    sd = math.hypot(1.4826 * float(np.median(np.abs(means))) if means.size else law.noise, RULES.even * height)
     for text, settings, half, begin, end in _named(moving, shared, name):
-        part = slice(begin, end, shared.resampler.every)
-        data = _LawData(position[part], velocity[part], pattern[part])
-        found.append(Condition(f"control law, {text}", settings, raw.force[part] / law.noise, half, data))
+        values, signs = list[float](), list[float]()
+        for p in pulses:
+            first = round(p.begin / raw.step)
+            before = slice(max(first - length, 0), first)
+            if begin <= first < end and first > length and not taken[before].any():
+                values += [float(np.mean(left[before])), p.height]
+                signs += [0.0, math.copysign(1.0, p.height)]
+        if values:
+            data = _LawData(np.array(signs), sd, whole)
+            found.append(Condition(f"control law, {text}", settings, np.array(values) / sd, half, data))
     return found, pulses
-
-
-def _law_force(data: _LawData, values: Values) -> Real:
-    velocity_gain = 1.0 + values["servo_gains.velocity"]
-    position_gain = 1.0 + values["servo_gains.position"]
-    command = velocity_gain * (position_gain * data.position + data.velocity)
-    return np.asarray(command + values.get("hidden.command", 0.0) * data.pulses)

@@ -17,6 +17,9 @@ class DriveRules:
     rest: float = 0.02  # share of the greatest speed below which an axis rests
     longest_move: float = 2.0  # [s], longer ones are cut
     shortest_move: float = 0.2  # [s], shorter ones are left out
+    standing_time: float = 0.01  # [s] for which an axis that stands does so
+    standing_share: float = 0.005  # of the way at the greatest speed that an axis which stands may make good
+    least_moving: float = 0.5  # share of the low-pass over a value in which the axis must move for it to be used
     settling: float = 0.05  # part of a rest [s] that belongs to the move beside it
     # band and filters
     widest: float = 0.1  # band in units of the sample rate
@@ -26,8 +29,9 @@ class DriveRules:
     trembles: float = 4.0  # standard deviations of the encoder noise that are no reversal
     finest_slide: float = 1e-6  # shortest distance [m] over which friction gives way
     kept_directions: int = 8  # of one record
+    near_rest: float = 0.2  # of the greatest speed, over which friction changes near rest at most
     smooth_sign: float = 2e-4  # v0 [m/s] of tanh(v/v0)
-    longest_delay: float = 5e-3  # loop delay that is looked for [s]
+    longest_delay: float = 8e-3  # loop delay that is looked for [s]
     closed_loop: float = 1.0 / 6.0  # share of the angle by which noise turns the force at the end of the band, 1 sigma
     # noise
     order: int = 10  # of the autoregression, at most
@@ -48,10 +52,17 @@ class DriveRules:
     stands_out: float = 5.5  # standard deviations of a force that lasts a moment
     # control law
     taps: int = 4  # of the velocity filter
+    ahead: int = 3  # samples by which a feed-forward may look ahead
+    integral: int = 3  # columns of an integral part: integral, reference, constant
+    better: float = 1.2  # times what the best law leaves, up to which a simpler one is taken
+    absolute: int = 60  # rounds of least absolute values
     trim: float = 6.0  # standard deviations beyond which a value does not count
     detect: float = 10.0  # standard deviations of a command that was not logged
     pulse_share: float = 0.02  # of the highest pulse, from which others count
     shortest_pulse: int = 3  # [samples]
+    exact: float = 1e-3  # of the rms of the force that a law leaves at most whose gains can be told
+    told: float = 5e-3  # standard deviation of such gains [1]
+    even: float = 0.02  # share of their height by which pulses differ
     floor: float = 1e-8  # of the noise over the range of the force
 
 

@@ -19,9 +19,6 @@ from smfe.diagnosis.drive.filters import Motion
 from smfe.diagnosis.drive.rules import RULES
 from smfe.diagnosis.inference.problem import Cause, Parameter, Values
 
-_SPEEDS = ((0.0, 0.005), (0.0, 0.02), (0.0, 0.05))
-"""No force, and speeds [m/s] over which it may change."""
-
 
 @dataclass(frozen=True)
 class Term:
@@ -49,8 +46,20 @@ def built(m: Motion, p: Values, speed: float) -> Real:
     return m.built(speed, p["coulomb.slide"], p["coulomb.damping"])
 
 
-def always(centre: float, stroke: float, mass: float) -> tuple[Term, ...]:
-    """Return the forces that are in every catalogue, of a stroke [m] about a centre [m] and a mass [kg]."""
+def always(centre: float, stroke: float, mass: float, fastest: float) -> tuple[Term, ...]:
+    """Return the forces that are in every catalogue.
+
+    Parameters
+    ----------
+    centre, stroke : float
+        Middle and length of the way [m].
+    mass : float
+        Moving mass [kg].
+    fastest : float
+        Greatest speed [m/s]: what changes over a good part of it is not near rest.
+    """
+    near = min(max(RULES.near_rest * fastest, 0.01), 0.1)
+    speeds = ((0.0, 0.25 * near), (0.0, 0.5 * near), (0.0, near))
     bends = ("offset_slope", "offset_bend", "friction_slope", "friction_bend")
     bend = tuple(Parameter(f"bend.{n}", "N", 0.0, 0.1) for n in bends)
 
@@ -61,18 +70,21 @@ def always(centre: float, stroke: float, mass: float) -> tuple[Term, ...]:
 
     coulomb = (
         Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0),
-        Parameter("coulomb.slide", "um", 2e-6, 1e-6, 1e-7, 1e-4, shown=1e6),
-        # Little friction determines little of it: the prior is that of bristles of steel on steel or plastic.
-        Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3),
+        # Little friction, or one that gives way at once, determines little of them: priors are those of bristles of
+        # steel on steel or plastic.
+        Parameter("coulomb.slide", "um", 2e-6, 1e-6, RULES.finest_slide, 1e-4, prior=1e-5, shown=1e6, secondary=True),
+        Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3, secondary=True),
     )
     boost = (
         Parameter("stribeck.boost", "N", 0.0, 1.0, low=0.0),
-        Parameter("stribeck.speed", "mm/s", 0.02, 0.01, 1e-3, 0.1, shown=1e3),
+        Parameter("stribeck.speed", "mm/s", 0.5 * near, 0.25 * near, 1e-3, near, shown=1e3, secondary=True),
     )
     shear = (
         Parameter("shear.force", "N", 0.0, 1.0, low=0.0),
         # What builds up within less is Coulomb friction.
-        Parameter("shear.speed", "mm/s", 0.02, 0.01, 5e-3, 0.1, shown=1e3),
+        Parameter(
+            "shear.speed", "mm/s", max(0.5 * near, 5e-3), 0.25 * near, 5e-3, max(near, 6e-3), shown=1e3, secondary=True
+        ),
     )
     slope = (Parameter("position.offset", "N/m", 0.0, 1.0), Parameter("position.friction", "N/m", 0.0, 1.0))
     difference = (Parameter("asymmetry.viscous", "N s/m", 0.0, 5.0),)
@@ -87,12 +99,12 @@ def always(centre: float, stroke: float, mass: float) -> tuple[Term, ...]:
         ),
         # B exp(-|v|/vs) s(v) with B >= 0.
         Term(
-            Cause("low_speed_friction", "Stribeck friction: higher near rest", boost, "stribeck", starts=_SPEEDS),
+            Cause("low_speed_friction", "Stribeck friction: higher near rest", boost, "stribeck", starts=speeds),
             lambda m, p: p["stribeck.boost"] * (direction(m, p) - built(m, p, p["stribeck.speed"])),
         ),
         # A [1 - exp(-|v|/vs)] s(v) with A >= 0, the opposite: grease that thins under shear, a film that forms.
         Term(
-            Cause("low_speed_friction", "lubricant friction: lower near rest", shear, "shear", starts=_SPEEDS),
+            Cause("low_speed_friction", "lubricant friction: lower near rest", shear, "shear", starts=speeds),
             lambda m, p: p["shear.force"] * built(m, p, p["shear.speed"]),
         ),
         # d |v|: sigma +- d forwards and backwards. A Coulomb force that depends on the direction is an offset, which
@@ -131,7 +143,9 @@ def ripple(lead: float, centre: float, known: bool) -> Term:
     A lead that is known is free by 0.1 %, one that was found in the record by 3 %.
     """
     free = 1e-3 if known else 0.03
-    wave = Parameter("ripple.lead", "mm", lead, 1e-3 * lead, (1.0 - free) * lead, (1.0 + free) * lead, shown=1e3)
+    wave = Parameter(
+        "ripple.lead", "mm", lead, 1e-3 * lead, (1.0 - free) * lead, (1.0 + free) * lead, shown=1e3, secondary=True
+    )
     cause = Cause("position_ripple", "ripple of the screw", (*_wave("ripple"), wave), starts=((0.0, 0.0, lead),))
     return Term(cause, lambda m, p: _periodic("ripple", 2.0 * math.pi * (m.position - centre) / p["ripple.lead"], p))
 
@@ -139,7 +153,9 @@ def ripple(lead: float, centre: float, known: bool) -> Term:
 def tone(frequency: float, duration: float) -> Term:
     """Return a line in the force channel, ``a cos(2 pi f t) + b sin(2 pi f t)``; f is free by one over the duration."""
     free = 1.0 / duration
-    line = Parameter("tone.frequency", "Hz", frequency, 0.1 / duration, frequency - free, frequency + free)
+    line = Parameter(
+        "tone.frequency", "Hz", frequency, 0.1 / duration, frequency - free, frequency + free, secondary=True
+    )
     starts = ((0.0, 0.0, frequency),)
     cause = Cause("background_tone", "tone in the drive force", (*_wave("tone"), line), "", "measurement", starts)
     return Term(cause, lambda m, p: _periodic("tone", 2.0 * math.pi * p["tone.frequency"] * m.time, p))
@@ -166,14 +182,7 @@ def hidden_force(windows: Sequence[tuple[float, float, float]]) -> Term:
     return Term(Cause("hidden_input", "unmeasured force on the axis", (force,), "force"), pulses)
 
 
-# --- Causes that a drive record can name besides friction: delay, cut-off force, gains, a command that was not logged.
-
-
-DELAY = Cause(
-    "loop_delay",
-    "delay between command and force",
-    (Parameter("loop_delay.delay", "ms", 0.0, 1e-4, 0.0, RULES.longest_delay, shown=1e3),),
-)
+# --- Causes that a drive record can name besides friction: cut-off force, a command that was not logged.
 
 
 def excess(drive: Real, limit: float) -> Real:
@@ -187,20 +196,6 @@ def saturation(peak: float, limit: float) -> Cause:
     return Cause("drive_saturation", "drive force that is cut off", (cut,), starts=((peak - limit,),))
 
 
-SENSOR_GAIN = Cause(
-    "sensor_gain",
-    "gain of the force channel",
-    (Parameter("force_gain.error", "%", 0.0, 0.01, -0.5, 1.0, shown=100.0),),
-    kind="measurement",
-)
-SERVO_GAINS = Cause(
-    "servo_gains",
-    "gains of the controller",
-    (
-        Parameter("servo_gains.position", "%", 0.0, 0.01, -0.9, 9.0, shown=100.0),
-        Parameter("servo_gains.velocity", "%", 0.0, 0.01, -0.9, 9.0, shown=100.0),
-    ),
-)
 HIDDEN_COMMAND = Cause(
     "hidden_input", "command that was not logged", (Parameter("hidden.command", "N", 0.0, 1.0),), "command"
 )

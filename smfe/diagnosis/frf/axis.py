@@ -27,6 +27,7 @@ from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept, scatter_of, smooth_errors
 from smfe.diagnosis.frf.rules import RULES
+from smfe.diagnosis.frf.workshop import errors_along_axis
 from smfe.diagnosis.inference.fit import Target, roughly
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
@@ -34,7 +35,7 @@ from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parame
 
 @dataclass(frozen=True)
 class MachineFrfs(Abilities):
-    """A family for `smfe.diagnosis.inference.diagnose`: compliances of one machine under many conditions."""
+    """A family for `smfe.diagnosis.judgement.diagnose`: compliances of one machine under many conditions."""
 
     roughness: ClassVar[float] = RULES.roughness
     model_error: ClassVar[float] = RULES.model_error
@@ -59,12 +60,24 @@ class MachineFrfs(Abilities):
         """Every candidate but those left out."""
         data = [excited_of(c) for c in self.conditions]
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
-        every = (*self.baseline.causes(), *sensor_causes(band))
+        every = (*self.baseline.causes(), *sensor_causes(band, self.baseline.drive.stiffness))
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
         return excited_of(condition).degrees_of_freedom
+
+    @property
+    def each_counts(self) -> bool:
+        """Friction matters in the conditions in which the axis moves, whatever the others do."""
+        return True
+
+    def squared_size(self, condition: Condition, misfit: Real) -> float:
+        """Return the square of the relative size of a whitened misfit where it limits the depth of cut [1]."""
+        expected = condition.observed
+        if expected is None:
+            expected = self.predict(condition, {p.name: p.start for p in self.nuisances})
+        return excited_of(condition).squared_size(np.asarray(expected), misfit)
 
     def relative(self, condition: Condition, predicted: Real, slopes: Real) -> Complex:
         """Return slopes of a prediction, (n, p), over the prediction itself, each line by itself, (n/2, p)."""
@@ -100,7 +113,8 @@ class MachineFrfs(Abilities):
             self._kept, (excited.way, found), lambda: self._machine(found).compliance(excited), RULES.predictions_kept
         )
         f, skew = excited.frequency, values.get("skew", 0.0)
-        phi = phi * (1.0 + values.get("gain_error", 0.0)) * np.exp(-2j * np.pi * f * skew)[:, None]
+        gain = (1.0 + values.get("gain_error", 0.0)) * (-1.0 if values.get("reversed_force", 0.0) > 0.5 else 1.0)
+        phi = phi * gain * np.exp(-2j * np.pi * f * skew)[:, None]
         size = values.get("mode_compliance", 0.0)
         if size > 0.0:
             ratio = f / values["mode_frequency"]
@@ -109,7 +123,11 @@ class MachineFrfs(Abilities):
         return excited.whitened(phi)
 
     def _machine(self, found: Effective) -> SimulatedMachine:
-        return kept(self._machines, found, lambda: SimulatedMachine(self.baseline.machine(found)), RULES.machines_kept)
+        return kept(self._machines, found, lambda: self.simulated(found), RULES.machines_kept)
+
+    def simulated(self, found: Effective) -> SimulatedMachine:
+        """Return the machine for what a set of values comes to, as it is hit by simulation."""
+        return SimulatedMachine(self.baseline.machine(found), self.baseline.rate)
 
 
 class SimulatedMachine:
@@ -118,8 +136,8 @@ class SimulatedMachine:
     Raises InputError when the servos are unstable.
     """
 
-    def __init__(self, machine: Machine) -> None:
-        self.machine = machine
+    def __init__(self, machine: Machine, rate: float = RULES.rate) -> None:
+        self.machine, self.rate = machine, rate
         self._prepared: dict[tuple[object, ...], RepeatedImpact] = {}
 
     def compliance(self, excited: Excited) -> Complex:
@@ -140,7 +158,7 @@ class SimulatedMachine:
             found = self._impact(axis, excited).displacement(pulse, RULES.rest)
             for i, (response, excitation) in enumerate(excited.entries):
                 if excitation == axis:
-                    out[:, i] = _transform(found["xyz".index(response)], excited) / force
+                    out[:, i] = _transform(found["xyz".index(response)], excited, self.rate) / force
         return out
 
     def _impact(self, axis: str, excited: Excited) -> RepeatedImpact:
@@ -149,7 +167,7 @@ class SimulatedMachine:
         if key not in self._prepared:
             run = MachineRun(excited.window, feed, excited.controller)
             self._prepared[key] = RepeatedImpact(
-                self.machine, axis, run, sample_rate=RULES.rate, accuracy=RULES.accuracy
+                self.machine, axis, run, sample_rate=self.rate, accuracy=RULES.accuracy
             )
         return self._prepared[key]
 
@@ -162,24 +180,24 @@ def _spectrum(pulse: Excitation, frequency: bytes) -> Complex:
     return np.asarray(np.trapezoid(pulse.force(fine) * turn, fine, axis=1))
 
 
-def _transform(x: Real, excited: Excited) -> Complex:
+def _transform(x: Real, excited: Excited, rate: float) -> Complex:
     """Fourier transform of a displacement that stays where it ends after the window, as from its acceleration.
 
     Where it ends before the window it is back where it was.
     """
-    count = round(excited.window * RULES.rate)
-    cosine, sine = _fourier(excited.frequency.tobytes(), count)[:, :, : x.size] @ x
-    out = np.asarray((cosine - 1j * sine) / RULES.rate)
+    count = round(excited.window * rate)
+    cosine, sine = _fourier(excited.frequency.tobytes(), count, rate)[:, :, : x.size] @ x
+    out = np.asarray((cosine - 1j * sine) / rate)
     if x.size < count:
         return out
     w = 2.0 * np.pi * excited.frequency
-    return np.asarray(out + x[-1] * np.exp(-1j * w * count / RULES.rate) / (1j * w))
+    return np.asarray(out + x[-1] * np.exp(-1j * w * count / rate) / (1j * w))
 
 
 @lru_cache(maxsize=16)
-def _fourier(frequency: bytes, count: int) -> Real:
+def _fourier(frequency: bytes, count: int, rate: float) -> Real:
     """Cosines and sines of sampled time at some frequencies, shape (2, f, count)."""
-    turn = 2.0 * np.pi * np.outer(np.frombuffer(frequency, dtype=float), np.arange(count) / RULES.rate)
+    turn = 2.0 * np.pi * np.outer(np.frombuffer(frequency, dtype=float), np.arange(count) / rate)
     return np.array([np.cos(turn), np.sin(turn)])
 
 
@@ -227,10 +245,17 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
 def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
     excited = excited_of(condition)
     hits, baseline = excited.hits, family.baseline
+    tolerances = baseline.tolerances
     if hits is None:
-        return condition
-    found = baseline.effective(values, condition.settings, excited.feed.get(baseline.axis, 0.0))
-    machine = SimulatedMachine(baseline.machine(found))
+        if condition.observed is None:
+            return condition
+        seen = excited.compliance_of(np.asarray(condition.observed))
+        errors = errors_along_axis(excited, seen, tolerances)
+        wider = replace(excited, shared=errors if excited.shared is None else np.concatenate([excited.shared, errors]))
+        return replace(condition, data=wider, observed=wider.whitened(seen))
+    feed = excited.feed.get(baseline.axis, 0.0)
+    found = baseline.effective(values, condition.settings, feed)
+    machine = family.simulated(found)
     pulses = [Recorded(tuple(f.tolist()), hits.rate) for f in hits.force]
     spectra = [_spectrum(p, excited.frequency.tobytes()) for p in pulses]
     each = np.stack([machine.hit(excited, p, f) for p, f in zip(pulses, spectra, strict=True)])
@@ -240,5 +265,18 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
     mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each
     own = np.stack([scatter_of(x, hits.impulse)[1] for x in np.moveaxis(unexplained, 2, 0)], axis=2)
     smooth = smooth_errors(excited.frequency, mean, discrepancy)
-    corrected = replace(excited, shared=np.concatenate([own, smooth, RULES.unsure * more[None]]))
+    errors = errors_along_axis(excited, mean, tolerances)
+    rows = [own, smooth, errors, RULES.unsure * more[None]]
+    if feed == 0.0 and max(side.static for side in found.friction) > 0.0:
+        # Where the axis came to rest its guideway pulls one way already: it lets go of hits sooner, or later.
+        # It is easier to move one way and harder the other, or easier both ways where it has been shaken loose.
+        part = RULES.at_rest
+        for sizes in ((1.0 - part, 1.0 - part), (1.0 - part, 1.0 + part)):
+            sides = [
+                s._replace(coulomb=r * s.coulomb, static=r * s.static)
+                for s, r in zip(found.friction, sizes, strict=True)
+            ]
+            other = family.simulated(found._replace(friction=(sides[0], sides[1]))).compliance(excited)
+            rows.append(other[None] - machine.compliance(excited)[None])
+    corrected = replace(excited, shared=np.concatenate(rows))
     return replace(condition, data=corrected, observed=corrected.whitened(mean - more))

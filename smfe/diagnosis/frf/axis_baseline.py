@@ -21,12 +21,19 @@ from process.friction.laws import FrictionLaw, LuGre, Viscous
 from process.machine.joints import CubicSpring, Gap, Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.frf.causes import axis_causes
 from smfe.diagnosis.frf.rules import RULES
+from smfe.diagnosis.frf.workshop import gain_nuisance, skew_nuisance
 from smfe.diagnosis.inference.problem import Cause, Parameter, Values
 
 SPREAD: dict[str, float] = {"moving_mass": 0.1, "tip_mass": 0.1, "stiffness": 0.1, "damping": 0.4, "viscous": 0.5}
 """Prior standard deviation of what a data sheet says, relative."""
+
+GIVEN = {"moving_mass": "declared_mass", "tip_mass": "declared_mass", "stiffness": "declared_stiffness"}
+"""Cause under which a value far from the data sheet's is named."""
+
+SAID = {"moving_mass": "moving mass", "tip_mass": "mass of the tip"}
 
 Sides = tuple[float, float]
 """A parameter of friction: forth, back."""
@@ -74,9 +81,10 @@ class AxisBaseline:
     s/m]: one value, or one forth and one back. Of ``viscous`` the ratio of the sides counts."""
     spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
     """Prior standard deviation of each nuisance, relative; default `SPREAD`."""
+    tolerances: Tolerances = field(default_factory=Tolerances)  # of the control and of the sensors
 
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Return the parameters that every hypothesis fits anew."""
+        """Return the parameters that every hypothesis fits anew: of the machine, of its control, of the sensors."""
         d, found = self.drive, []
         for name, unit, start, shown in (
             ("moving_mass", "kg", d.moving_mass, 1.0),
@@ -87,12 +95,34 @@ class AxisBaseline:
         ):
             size = max(abs(start), 1e-3)
             low, prior = 0.0 if name == "viscous" else 0.05 * start, self.spread[name] * size
-            found.append(Parameter(name, unit, start, 0.1 * size, low, 20.0 * size, prior, shown))
-        return tuple(found)
+            of = (GIVEN.get(name, ""), True, SAID.get(name, name))
+            found.append(Parameter(name, unit, start, 0.1 * size, low, 20.0 * size, prior, shown, *of))
+        t = self.tolerances
+        if self.servos and t.control_gain > 0.0:
+            for gain, said in (("Kp", "velocity gain Kp"), ("Ti", "integral time Ti"), ("Kv", "position gain Kv")):
+                known = (t.control_gain, 100.0, "servo_gains", True, said)
+                found.append(Parameter(f"{gain}_error", "%", 0.0, 0.05, -0.8, 4.0, *known))
+        shortest = min((s.delay for s in self.servos.values()), default=0.0)
+        if shortest > 0.0 and t.dead_time > 0.0:
+            least = 1.0 / self.rate - shortest  # no shorter dead time is simulated
+            known = (t.dead_time, 1e3, "loop_delay", True, "dead time beyond that of the control")
+            found.append(Parameter("extra_delay", "ms", 0.0, 1e-4, least, 5e-3, *known))
+        said = "gain of the acceleration over the force"
+        # Force sensor and accelerometer are calibrated one by one.
+        sensors = gain_nuisance("gain_error", said, math.sqrt(2.0) * t.sensor_gain), skew_nuisance(t.clock)
+        return (*found, *(p for p in sensors if p is not None))
+
+    @property
+    def rate(self) -> float:
+        """Steps and samples a second of a simulated hit [Hz]: no step is longer than the shortest dead time may be."""
+        shortest = min((s.delay for s in self.servos.values()), default=0.0)
+        least = max(shortest - self.tolerances.dead_time, 0.5 * shortest)
+        return RULES.rate * (math.ceil(1.0 / (RULES.rate * least) - 1e-9) if least > 0.0 else 1.0)
 
     def causes(self) -> tuple[Cause, ...]:
         """Return what this baseline may lack."""
-        return axis_causes(self.known, self.drive.stiffness, self.drive.tip_mass, list(self.servos.values()))
+        timeless = bool(self.servos) and all(s.delay == 0.0 for s in self.servos.values())
+        return axis_causes(self.known, self.drive, timeless)
 
     def effective(self, values: Values, settings: Mapping[str, float | str], feed: float) -> Effective:
         """Return what a set of values comes to under the settings of a condition.
@@ -143,11 +173,16 @@ class AxisBaseline:
         static = known("static", coulomb) + values.get("static_rise", 0.0)
         speed = known("stribeck_speed", values.get("stribeck_speed", 6e-3))
         ratio = known("viscous", 1.0) / (0.5 * (known("viscous", 1.0, 0) + known("viscous", 1.0, 1)))
-        factor = 1.0 + (1.0, -1.0)[n] * values.get("friction_asymmetry", 0.0)
-        level = factor * (1.0 + values.get("friction_level", 0.0))
-        return Side(
-            level * coulomb, level * static, speed if static != coulomb else 0.0, factor * values["viscous"] * ratio
-        )
+
+        def differs(name: str) -> float:
+            return 1.0 + (1.0, -1.0)[n] * (values.get("friction_asymmetry", 0.0) + values.get(name, 0.0))
+
+        level = 1.0 + values.get("friction_level", 0.0)
+        slides = level * differs("asymmetry_coulomb") * coulomb
+        rise = level * differs("asymmetry_rise") * (static - coulomb)
+        speed *= 1.0 + (1.0, -1.0)[n] * values.get("asymmetry_speed", 0.0)
+        viscous = differs("asymmetry_viscous") * values["viscous"] * ratio
+        return Side(max(slides, 0.0), max(slides + rise, 0.0), speed if rise else 0.0, max(viscous, 0.0))
 
     def machine(self, found: Effective) -> Machine:
         """Return the machine for what a set of values comes to."""
@@ -161,8 +196,10 @@ class AxisBaseline:
             joints.append(MountedJoint(CubicSpring(0.0, found.cubic), across))
         law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
+            # The bristles of a guideway go with the axis that it carries.
+            stiff, loss = (self.drive.stiffness / RULES.bristle_axis * b for b in RULES.bristle)
             forth, back = (
-                LuGre(*RULES.bristle, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
+                LuGre(stiff, loss, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
                 for s in found.friction
             )
             law = replace(forth, negative=back)

@@ -14,6 +14,7 @@ slipping one follows Rayleigh's law, whose loops have the loss factor ``4/(3 pi)
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,9 @@ class Changed(NamedTuple):
     mode: tuple[float, ...] = ()
     """A further mode: its compliance along x, y, z as ``sqrt(m/N)``, its frequency and damping, 0."""
     residual: tuple[float, ...] = ()  # compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N]
+    iwan: tuple[float, ...] = ()
+    """Joint whose elements have a largest travel (Iwan 1966): share of the stiffness of a mode that they are, amplitude
+    over that of reference at which all of them slip, its unit vector v."""
 
 
 class Shaken(NamedTuple):
@@ -71,27 +75,40 @@ def full_compliance(machine: Changed, frequency: Real, shaken: Shaken) -> Comple
 
     Raises InputError when a stiffness is negative, or a vibration has no single amplitude.
     """
+    own, coupling, shape = in_mode_space(machine, frequency)
+    if machine.mass:
+        square = (2.0 * np.pi * frequency[:, None, None]) ** 2 * machine.mass * (shape @ shape.T)
+        coupling = -square.astype(complex) if coupling is None else coupling - square
+    phi = shape.T @ answers(own, coupling, shape)
+    for joint in joints(machine):
+        phi = phi - _through_joint(machine, own, coupling, shape, shaken, joint)
+    return np.asarray(phi + left_out(machine, frequency))
+
+
+def in_mode_space(machine: Changed, frequency: Real) -> tuple[Complex, Complex | None, Real]:
+    """Return each mode's own dynamic stiffness (f, M), what couples them (f, M, M) or None, and V, (M, 3).
+
+    Raises InputError when a stiffness is negative.
+    """
     count, f = len(machine.frequency), frequency[:, None, None]
     ratio = frequency[:, None] / np.array(machine.frequency)
     own = 1.0 - ratio**2 + 2j * np.array(machine.damping) * ratio
     shape = np.array(machine.direction).reshape(count, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
-    coupling: Complex | None = None  # all that is added to the modes, (f, M, M)
+    coupling: Complex | None = None
     if machine.springs:
         springs = np.array(machine.springs).reshape(count, count)
         if np.linalg.eigvalsh(springs + np.eye(count))[0] <= 0.0:
             raise InputError("a machine whose stiffness is negative in some direction does not stand; change less")
-        coupling = springs[None].astype(complex)
+        coupling = np.broadcast_to(springs[None].astype(complex), (len(frequency), count, count))
     if machine.gyroscopic:
         turning = 1j * f * np.array(machine.gyroscopic).reshape(count, count)
         coupling = turning if coupling is None else coupling + turning
-    if machine.mass:
-        square = (2.0 * np.pi * f) ** 2 * machine.mass * (shape @ shape.T)
-        coupling = -square.astype(complex) if coupling is None else coupling - square
-    phi = shape.T @ _answers(own, coupling, shape)
-    for joint, law in ((machine.slip, _slipping), (machine.hardening, _hardening)):
-        if joint:
-            phi = phi - _through_joint(machine, own, coupling, shape, shaken, joint, law)
-    beyond = np.zeros((1, 3, 3), dtype=complex)  # what the modes leave out
+    return own, coupling, shape
+
+
+def left_out(machine: Changed, frequency: Real) -> Complex:
+    """Return the compliance of what the modes leave out [m/N], shape (f or 1, 3, 3)."""
+    beyond = np.zeros((1, 3, 3), dtype=complex)
     if machine.residual:
         xx, yy, zz, xy, yz, zx = machine.residual
         beyond = beyond + np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
@@ -99,11 +116,11 @@ def full_compliance(machine: Changed, frequency: Real, shaken: Shaken) -> Comple
         along, turns = np.array(machine.mode[:3]), frequency / machine.mode[3]
         dynamic = 1.0 - turns**2 + 2j * machine.mode[4] * turns
         beyond = beyond + np.outer(along, along) / dynamic[:, None, None]
-    return np.asarray(phi + beyond)
+    return beyond
 
 
-def _answers(own: Complex, coupling: Complex | None, force: Real) -> Complex:
-    """Amplitudes of the modes under forces on them (M, c), shape (f, M, c)."""
+def answers(own: Complex, coupling: Complex | None, force: Real) -> Complex:
+    """Return the amplitudes of the modes under forces on them (M, c), shape (f, M, c)."""
     if coupling is None:
         return np.asarray(force / own[:, :, None])
     whole = coupling + own[:, :, None] * np.eye(own.shape[1])
@@ -125,32 +142,66 @@ def _slipping(size: float, amplitude: Real, _: Real) -> Complex:
     return np.asarray(-(1.0 - 1j * RAYLEIGH_LOSS) * lost / (1.0 + lost))
 
 
+def _spent(travel: float, share: float, amplitude: Real, _: Real) -> Complex:
+    """Stiffness lost by parallel Jenkins elements whose travels are spread evenly up to a largest one.
+
+    Up to it a share ``X/(2 D)`` of the stiffness, by Rayleigh's law; beyond it all elements slip, and the force stays
+    (closed form: `process.machine.joints.Iwan`).
+    """
+    x = np.maximum(amplitude / travel, 1e-300)
+    q = np.arccos(np.clip(1.0 - 2.0 / np.maximum(x, 1.0), -1.0, 1.0))
+    beyond = x / (2.0 * np.pi) * (np.sin(q) - q * np.cos(q) - np.sin(q) ** 3 / 3.0)
+    kept = np.where(x <= 1.0, 1.0 - 0.5 * x, beyond)
+    loss = np.where(x <= 1.0, 2.0 * x / (3.0 * np.pi), 4.0 * (0.5 * x - 1.0 / 3.0) / (np.pi * x**2))
+    return np.asarray(share * (kept - 1.0 + 1j * loss))
+
+
 def _hardening(size: float, _: Real, square: Real) -> Complex:
     """Stiffness gained at the square of an amplitude relative to the reference."""
     return np.asarray(size * square + 0j)
 
 
+class Joint(NamedTuple):
+    """A spring somewhere in the machine whose stiffness depends on its amplitude."""
+
+    size: float  # what it loses or gains at the amplitude of reference
+    vector: Real  # of its displacement, in mode space
+    law: Callable[[float, Real, Real], Complex]  # size, amplitude, mean square -> stiffness
+
+
+def joints(machine: Changed) -> list[Joint]:
+    """Return the joints of a machine that are not linear."""
+    both = ((machine.slip, _slipping), (machine.hardening, _hardening))
+    found = [Joint(joint[0], np.array(joint[1:]), law) for joint, law in both if joint]
+    if machine.iwan:
+        share, travel, *vector = machine.iwan
+        found.append(Joint(share, np.array(vector), partial(_spent, travel)))
+    return found
+
+
+def stiffness_of(
+    joint: Joint, machine: Changed, shape: Real, shaken: Shaken, direct: Complex, moved: Complex
+) -> Complex:
+    """Return the stiffness of a joint under forces at the tool, shape (f or 1, 3).
+
+    `direct` is its own compliance without it (f, 1), `moved` its displacement over each force (f, 3).
+    """
+    if shaken.method == "hammer":
+        start = shaken.level / shaken.reference * np.abs(joint.vector[:, None] * shape)
+        start = np.sqrt(np.sum((start * 2.0 * np.pi * np.array(machine.frequency)[:, None]) ** 2, axis=0))
+        return joint.law(joint.size, DECAYING[0] * start, DECAYING[1] * start**2)[None]
+    free = np.abs(moved) * shaken.level / shaken.reference
+    return _steady(lambda a: joint.law(joint.size, a, a**2), direct, free)
+
+
 def _through_joint(
-    machine: Changed,
-    own: Complex,
-    coupling: Complex | None,
-    shape: Real,
-    shaken: Shaken,
-    joint: tuple[float, ...],
-    law: Callable[[float, Real, Real], Complex],
+    machine: Changed, own: Complex, coupling: Complex | None, shape: Real, shaken: Shaken, joint: Joint
 ) -> Complex:
     """Compliance that a joint takes away (Sherman and Morrison), shape (f, 3, 3)."""
-    size, vector = joint[0], np.array(joint[1:])
-    both = _answers(own, coupling, np.concatenate([shape, vector[:, None]], axis=1))
-    moved, into = vector @ both[:, :, :3], both[:, :, 3]
-    direct = (into @ vector)[:, None]
-    if shaken.method == "hammer":
-        start = shaken.level / shaken.reference * np.abs(vector[:, None] * shape)
-        start = np.sqrt(np.sum((start * 2.0 * np.pi * np.array(machine.frequency)[:, None]) ** 2, axis=0))
-        stiffness = law(size, DECAYING[0] * start, DECAYING[1] * start**2)[None]
-    else:
-        free = np.abs(moved) * shaken.level / shaken.reference
-        stiffness = _steady(lambda a: law(size, a, a**2), direct, free)
+    both = answers(own, coupling, np.concatenate([shape, joint.vector[:, None]], axis=1))
+    moved, into = joint.vector @ both[:, :, :3], both[:, :, 3]
+    direct = (into @ joint.vector)[:, None]
+    stiffness = stiffness_of(joint, machine, shape, shaken, direct, moved)
     return np.asarray((into @ shape)[:, :, None] * (stiffness * moved / (1.0 + stiffness * direct))[:, None, :])
 
 

@@ -8,22 +8,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import Any, Self
 
 import numpy as np
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
-from smfe.diagnosis.frf.causes import AXES, PLANES, RESIDUAL, TWICE, modal_causes, pairs, vector
+from smfe.campaign.tolerances import Tolerances
+from smfe.diagnosis.frf.causes import AXES, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES
+from smfe.diagnosis.frf.workshop import SENSORS, errors_of_condition, measured, sensor_nuisances
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
 """Prior standard deviation of what the baseline says of a mode, relative."""
+
+COMMON = 0.4
+"""Prior standard deviation of the stiffness of all modes together, over that of each."""
+
+DAMPING_OVER_PLACE = 0.2
+"""Prior standard deviation of the relative change of a mode's damping over the places of a campaign."""
 
 ACCELEROMETERS = {"laser": 0.0, "two": 2.0}
 """Setting ``sensor`` -> accelerometers that the tool carries; one without it."""
@@ -33,7 +42,7 @@ JOINTS = ("joint_micro_slip", "joint_hardening")
 
 @dataclass(frozen=True)
 class ModalFrfs(Abilities):
-    """A family for `smfe.diagnosis.inference.diagnose`: a modal machine under many conditions.
+    """A family for `smfe.diagnosis.judgement.diagnose`: a modal machine under many conditions.
 
     Settings of a condition that count: ``position`` [m]; ``order`` (0 first, 1 last in the session); ``spindle_speed``
     [rad/s]; ``added_mass`` [kg]; ``sensor`` (``"laser"`` weighs nothing and has no axes, ``"two"`` has a second one
@@ -46,7 +55,9 @@ class ModalFrfs(Abilities):
     without: Sequence[str] = ()  # keys or ids of causes that are left out of the catalogue
     spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
     """Prior standard deviation of ``frequency``, ``damping``, ``stiffness`` of a mode, relative; default `SPREAD`."""
-    _at_tool: dict[tuple[Excited, Changed], Complex] = field(
+    stated: Sequence[str] = ()  # those of `spread` that somebody stated; the others are what is usual
+    tolerances: Tolerances = field(default_factory=Tolerances)  # of the measurements
+    _at_tool: dict[tuple[Excited, Changed, tuple[Any, ...]], Complex] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
     _predicted: dict[tuple[object, ...], Real] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -59,7 +70,7 @@ class ModalFrfs(Abilities):
 
     @cached_property
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Frequency, damping and stiffness of each mode."""
+        """Frequency, damping, stiffness of each mode, what they have in common, and what sensors and hits do."""
         m, found = self.model, []
         for r in range(m.frequency.size):
             for name, unit, start, step, shown in (
@@ -69,10 +80,17 @@ class ModalFrfs(Abilities):
             ):
                 prior = self.spread[name] * start
                 low, high = 0.1 * start, 10.0 * start
-                found.append(
-                    Parameter(f"{name}_{r + 1}", unit, float(start), step * start, low, high, prior, shown=shown)
-                )
-        return tuple(found)
+                said = f"{'natural frequency' if name == 'frequency' else name} of mode {r + 1}"
+                more = (prior, shown, f"modal_{name}", name in self.stated, said)
+                found.append(Parameter(f"{name}_{r + 1}", unit, float(start), step * start, low, high, *more))
+        spread, said = COMMON * self.spread["stiffness"], "stiffness and mass of all modes"
+        stated = "stiffness" in self.stated
+        found.append(Parameter("scale_error", "%", 0.0, 0.01, -0.9, 9.0, spread, 100.0, "modal_scale", stated, said))
+        if len(self._places) > 1:
+            for r, name in enumerate(self._names["damping_place"]):
+                more = (DAMPING_OVER_PLACE / self._reach, 100.0, "", True, f"change of the damping of mode {r + 1}")
+                found.append(Parameter(name, "%/m", 0.0, 0.05, -0.9 / self._reach, 9.0 / self._reach, *more))
+        return (*found, *sensor_nuisances(self.tolerances))
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
@@ -80,9 +98,7 @@ class ModalFrfs(Abilities):
         data = self._data
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
         size = float(np.abs(self.model.matrix(np.linspace(*band, 400))).max())
-        places = {self._place(c) for c in self._every}
-        reach = max(map(abs, places)) or 1.0
-        every = modal_causes(self.model.frequency.size, band, size, reach, len(places))
+        every = modal_causes(self.model.frequency.size, band, size, self._reach, len(self._places))
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
     @cached_property
@@ -116,6 +132,56 @@ class ModalFrfs(Abilities):
         """Position from that of the first condition that gives one [m]."""
         return float(condition.settings.get("position", self._first_place)) - self._first_place
 
+    @cached_property
+    def _places(self) -> set[float]:
+        return {self._place(c) for c in self._every}
+
+    @cached_property
+    def _reach(self) -> float:
+        """Largest distance from the first place [m]; 1 where all are alike."""
+        return max(map(abs, self._places), default=0.0) or 1.0
+
+    @property
+    def each_counts(self) -> bool:
+        """One place or one level may be wrong by itself."""
+        return True
+
+    def squared_size(self, condition: Condition, misfit: Real) -> float:
+        """Return the square of the relative size of a whitened misfit where it limits the depth of cut [1]."""
+        excited = excited_of(condition)
+        expected = condition.observed
+        if expected is None:
+            expected = self.predict(condition, {p.name: p.start for p in self.nuisances})
+        return excited.squared_size(np.asarray(expected), misfit)
+
+    def with_errors(self) -> Self:
+        """Return the family with what belongs to one condition alone among the errors of its data: hits, clock.
+
+        Directions that were not measured are taken from those across them, and else from the baseline.
+        """
+        found = []
+        for c in self._every:
+            excited = excited_of(c)
+            free = float(c.settings.get("free_mass", 0.0))
+            if free > 0.0:
+                rigid = -1.0 / (free * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2)
+                full = np.asarray(np.eye(3) * rigid, dtype=complex)
+            else:
+                full = np.array(self.model.matrix(excited.frequency), dtype=complex)
+            seen = None if c.observed is None else excited.compliance_of(np.asarray(c.observed))
+            if seen is not None:
+                for n, (response, excitation) in enumerate(excited.entries):
+                    r, e = AXES.index(response), AXES.index(excitation)
+                    full[:, r, e] = seen[:, n]
+                    if (excitation, response) not in excited.entries:
+                        full[:, e, r] = seen[:, n]
+            errors = errors_of_condition(excited, full, self.tolerances)
+            known = errors if excited.shared is None else np.concatenate([excited.shared, errors])
+            wider = replace(excited, shared=known)
+            found.append(replace(c, data=wider, observed=None if seen is None else wider.whitened(seen)))
+        count = len(self.conditions)
+        return replace(self, conditions=tuple(found[:count]), proposals=tuple(found[count:]))
+
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
         return excited_of(condition).degrees_of_freedom
@@ -129,6 +195,7 @@ class ModalFrfs(Abilities):
         free, laser = float(settings.get("free_mass", 0.0)), settings.get("sensor") == "laser"
         carried = self._carried(condition, values)
         machine = None if free else self.changed(condition, values)
+        slides = self.slides(condition, values)
 
         def at_tool() -> Complex:
             """Compliance of a free mass on soft springs, or of the machine."""
@@ -136,33 +203,50 @@ class ModalFrfs(Abilities):
                 inverse = -((free + carried) * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2)
                 return np.asarray(np.eye(3) / inverse, dtype=complex)
             shaken = Shaken(excited.method, excited.level, self._reference)
-            make = partial(full_compliance, machine, excited.frequency, shaken)
-            return kept(self._at_tool, (excited, machine), make, RULES.modal_kept)
+            make = partial(self.compliance, machine, slides, excited.frequency, shaken)
+            return kept(self._at_tool, (excited, machine, slides), make, RULES.modal_kept)
 
         def predicted() -> Real:
             phi = measured(at_tool(), excited.frequency, values, accelerometer=not laser)
             rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
             return excited.whitened(phi[:, rows, columns])
 
-        key = (excited, machine or free + carried, laser, tuple([values.get(n, 0.0) for n in SENSORS]))
+        key = (excited, machine or free + carried, slides, laser, tuple([values.get(n, 0.0) for n in SENSORS]))
         return kept(self._predicted, key, predicted, RULES.modal_kept)
 
-    def in_the_cut(self, values: Values, spindle_speed: float, frequency: Real) -> Complex:
+    def in_the_cut(
+        self, values: Values, spindle_speed: float, frequency: Real, feed: float = 0.0, controller: str = ""
+    ) -> Complex:
         """Return the compliance of the machine without a sensor while the spindle turns [m/N], shape (f, 3, 3).
 
-        Spindle speed in rpm, frequency in Hz. A joint that slips or hardens counts as at the smallest level measured.
+        Spindle speed in rpm, frequency in Hz, feed along x in m/s, which counts where modes ride on slides.
+        A joint that slips or hardens counts as at the smallest level measured.
         """
         settings: dict[str, float | str] = {"sensor": "laser", "position": self._first_place, "spindle_speed": 0.0}
-        settings["spindle_speed"] = spindle_speed * math.pi / 30.0
-        machine = self.changed(Condition("cut", settings), values)
+        settings |= {"spindle_speed": spindle_speed * math.pi / 30.0, "feed_x": feed, "controller": controller}
+        cut = Condition("cut", settings)
         least = min(self._data, key=lambda d: amplitude(unchanged(self.model), d.method, d.level))
-        return full_compliance(machine, frequency, Shaken(least.method, least.level, self._reference))
+        shaken = Shaken(least.method, least.level, self._reference)
+        return self.compliance(self.changed(cut, values), self.slides(cut, values), frequency, shaken)
+
+    def slides(self, condition: Condition, values: Values) -> tuple[Any, ...]:
+        """Return what the modes ride on under the settings of a condition: nothing."""
+        return ()
+
+    def compliance(self, machine: Changed, slides: tuple[Any, ...], frequency: Real, shaken: Shaken) -> Complex:
+        """Return the compliance at the tool [m/N], shape (f, 3, 3)."""
+        return full_compliance(machine, frequency, shaken)
 
     def fine_frequency(self) -> Real:
-        """Return frequencies over all modes [Hz], a quarter of the narrowest width at half power apart."""
-        m = self.model
-        low, high = 0.5 * float(m.frequency.min()), 2.0 * float(m.frequency.max())
-        step = max(0.5 * float(np.min(m.frequency * m.damping)), (high - low) / 6000.0)
+        """Return frequencies over all modes [Hz], a quarter of the narrowest width at half power apart.
+
+        Modes below what was measured stand for masses on their mounts.
+        """
+        lowest = min(float(d.frequency[0]) for d in self._data)
+        known = self.model.frequency >= min(lowest, float(self.model.frequency.max()))
+        f, damping = self.model.frequency[known], self.model.damping[known]
+        low, high = 0.5 * float(f.min()), 2.0 * float(f.max())
+        step = max(0.5 * float(np.min(f * damping)), (high - low) / 6000.0)
         return np.arange(low, high, step)
 
     def _carried(self, condition: Condition, values: Values) -> float:
@@ -178,7 +262,11 @@ class ModalFrfs(Abilities):
         slip, hardening = (
             (values[j], *vector([values[a] for a in names[j]])) if values.get(j, 0.0) > 0.0 else () for j in JOINTS
         )
-        residual = tuple(values.get(n, 0.0) for n in RESIDUAL)
+        residual, place = tuple(values.get(n, 0.0) for n in RESIDUAL), self._place(condition)
+        damping = tuple(
+            values[n] / root * max(1.0 + place * values.get(by, 0.0), 0.01)
+            for n, by in zip(names["damping"], names["damping_place"], strict=True)
+        )
         mode: tuple[float, ...] = ()
         if (size := values.get("mode_compliance", 0.0)) > 0.0:
             # Spherical angles: the elevation first.
@@ -188,7 +276,7 @@ class ModalFrfs(Abilities):
             mode = (*along, values["mode_frequency"], values["mode_damping"])
         return Changed(
             tuple(values[n] / root for n in names["frequency"]),
-            tuple(values[n] / root for n in names["damping"]),
+            damping,
             tuple(values[n] * scale for n in names["stiffness"]),
             self._directions(values),
             self._springs(condition, values),
@@ -198,7 +286,15 @@ class ModalFrfs(Abilities):
             hardening,
             mode,
             residual if any(residual) else (),
+            self._iwan(values),
         )
+
+    def _iwan(self, values: Values) -> tuple[float, ...]:
+        """Joint whose elements have a largest travel; empty for none."""
+        if values.get("joint_iwan", 0.0) <= 0.0:
+            return ()
+        angles = [values[a] for a in self._names["joint_iwan"]]
+        return (values["joint_iwan"], values["joint_iwan_travel"], *vector(angles))
 
     @cached_property
     def _frames(self) -> Real:
@@ -252,9 +348,11 @@ class ModalFrfs(Abilities):
         """Sum of groups of parameters times their trends, in the upper half of a matrix; None for nothing."""
         found = {w: [values.get(n, 0.0) for n in self._names[w]] for w, by in trends.items() if by != 0.0}
         acting = [trends[w] * np.array(x) for w, x in found.items() if any(x)]
+        if not acting:
+            return None
         out = np.zeros((self.model.frequency.size,) * 2)
         out[np.triu_indices(len(out), diagonal)] = np.sum(acting, axis=0)
-        return out if acting else None
+        return out
 
     @cached_property
     def _names(self) -> dict[str, tuple[str, ...]]:
@@ -265,47 +363,5 @@ class ModalFrfs(Abilities):
         names |= {f"{b}gyroscopic": across for b in TWICE}
         found = {what: tuple(f"{what}_{r}{s}" for r, s in where) for what, where in names.items()}
         modes = range(1, self.model.frequency.size + 1)
-        found |= {w: tuple(f"{w}_{r}" for r in modes) for w in (*self.spread, "turn_a", "turn_b")}
-        return found | {w: tuple(f"{w}_angle_{r}" for r in modes[:-1]) for w in JOINTS}
-
-
-# --- The sensors.
-
-_ACCELEROMETER = (
-    *(f"{what}_{a}" for what in ("gain", "turned") for a in AXES),
-    *(f"exchanged_{a}{b}" for a, b in PLANES),
-)
-SENSORS = (*_ACCELEROMETER, "gain_force", "skew")
-"""Parameters of the sensors."""
-
-
-def measured(phi: Complex, frequency: Real, values: Values, accelerometer: bool = True) -> Complex:
-    """Return a compliance at the tool [m/N] as the sensors measure it, shape (f, 3, 3).
-
-    Values are ``gain_force``, ``gain_x`` ..., ``exchanged_xy`` ..., ``turned_x`` ... [rad], ``skew`` [s]. A laser in
-    place of the accelerometer has none of its faults.
-    """
-    factor = 1.0 + values.get("gain_force", 0.0)
-    out = phi * factor if factor != 1.0 else phi
-    if accelerometer and any(values.get(n, 0.0) for n in _ACCELEROMETER):
-        out = mounting(values) @ out
-    skew = values.get("skew", 0.0)
-    return out * np.exp(-2j * np.pi * frequency * skew)[:, None, None] if skew else out
-
-
-def mounting(values: Values) -> Real:
-    """Matrix from the motion to the channels x, y, z of the accelerometer: turned, exchanged, scaled."""
-    out = np.eye(3)
-    for k, a in enumerate(AXES):
-        angle = values.get(f"turned_{a}", 0.0)
-        i, j = (k + 1) % 3, (k + 2) % 3
-        turn = np.eye(3)
-        turn[i, i] = turn[j, j] = math.cos(angle)
-        turn[i, j], turn[j, i] = -math.sin(angle), math.sin(angle)
-        out = out @ turn
-    for a, b in PLANES:
-        if values.get(f"exchanged_{a}{b}", 0.0) > 0.5:
-            rows = [AXES.index(a), AXES.index(b)]
-            out[rows] = out[rows[::-1]]
-    gains: Real = 1.0 + np.array([values.get(f"gain_{a}", 0.0) for a in AXES])
-    return np.asarray(out * gains[:, None])
+        found |= {w: tuple(f"{w}_{r}" for r in modes) for w in (*self.spread, "turn_a", "turn_b", "damping_place")}
+        return found | {w: tuple(f"{w}_angle_{r}" for r in modes[:-1]) for w in (*JOINTS, "joint_iwan")}

@@ -67,6 +67,7 @@ class Excited:
     hits: Hits | None = field(default=None, repr=False)  # the hits one by one, where they are known
     degrees_of_freedom: float = math.inf
     """With which `std` is known over all lines (`degrees_of_freedom_of`); infinite: it is known."""
+    repeats: int = 1  # hits, or records, that the compliance is the mean of
     _rows: Real = field(init=False, repr=False)
     _less: Real = field(init=False, repr=False)
 
@@ -99,6 +100,42 @@ class Excited:
         more = (self._less / (1.0 - self._less))[:, None]
         flat = values + self._rows.T @ (more * (self._rows @ values))
         return np.asarray((flat[0::2] + 1j * flat[1::2]) * self.std.T.reshape(-1, 1) / np.sqrt(2.0))
+
+    def compliance_of(self, values: Real) -> Complex:
+        """Return the complex values (f, entries) that `whitened` makes these of."""
+        return np.asarray(self.unwhitened(values[:, None]).reshape(len(self.entries), -1).T)
+
+    def squared_size(self, observed: Real, misfit: Real) -> float:
+        """Return the square of a misfit relative to the compliance where that limits the depth of cut [1].
+
+        The zero-order limit depth goes with one over the most negative real part. Of every direct entry the real part
+        counts, over its most negative value, as a mean square over the lines near it (those within half of it, most
+        the deepest). An entry a fifth as flexible as another, or less, counts over that fifth.
+        """
+        seen, wrong = self.compliance_of(observed), self.compliance_of(misfit)
+        direct = [n for n, (response, excitation) in enumerate(self.entries) if response == excitation]
+        if not direct:
+            return float(np.sum(np.abs(wrong) ** 2) / np.sum(np.abs(seen) ** 2))
+        least = 0.2 * max(_depth(seen[:, n])[0] for n in direct)
+        width, total = np.gradient(self.frequency) if self.frequency.size > 1 else np.ones(1), 0.0
+        for n in direct:
+            depth, weight = _depth(seen[:, n])
+            weight = weight * width
+            total += float(weight @ wrong[:, n].real ** 2 / weight.sum()) / max(depth, least) ** 2
+        return total
+
+
+def _depth(compliance: Complex) -> tuple[float, Real]:
+    """Most negative real part of a compliance, without its sign, and a weight of the lines near it."""
+    down = -compliance.real
+    if down.max() <= 0.0:
+        return float(np.abs(compliance).max()), np.abs(compliance) ** 2
+    deepest = int(np.argmax(down))
+    inside = np.maximum(down / down[deepest] - 0.5, 0.0)
+    gone = np.flatnonzero(inside == 0.0)
+    inside[: max(gone[gone < deepest], default=-1) + 1] = 0.0
+    inside[min(gone[gone > deepest], default=inside.size) :] = 0.0
+    return float(down[deepest]), inside
 
 
 def excited_of(condition: Condition) -> Excited:

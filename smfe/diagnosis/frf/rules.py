@@ -23,6 +23,9 @@ class FrfRules:
     """Cosines over the logarithm of frequency that the difference between model and machine is made of."""
     discrepancy: float = 0.004
     """Root mean square of the smooth relative error by which two simulations of one machine may differ."""
+    arm: float = 0.3
+    """Distance over which a machine turns about as much as it moves [m]: a hit 3 mm beside its point is 1 % off."""
+    mains_width: float = 1.5  # on either side of the mains' harmonics: lines that hum may reach [Hz]
     model_error: float = 0.002
     """Rms relative error of predictions that looks like a change of the parameters: between single hits in motion in
     two simulations of one machine 0.1 to 0.2 %, half of it from a sampled servo taken for a continuous one."""
@@ -35,8 +38,12 @@ class FrfRules:
     accuracy: float = 1e-4
     """Of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters."""
     rest: float = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
+    at_rest: float = 0.15
+    """Relative standard deviation of the force at which a guideway lets go: what it pulls already where the axis came
+    to rest is unknown, up to some tenths of the sliding friction either way."""
     same_level: float = 0.2  # relative difference of levels of hits that are meant to be the same
     bristle: tuple[float, float] = (5e8, 6e4)  # stiffness [N/m] and damping [N s/m] of a guideway that sticks
+    bristle_axis: float = 1.68e6  # ... of an axis of this stiffness [N/m], with which they go
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form

@@ -255,10 +255,23 @@ def approach(
 
 
 def roughly(model: Model, target: Target) -> Real:
-    """Return scaled values near the optimum of the baseline, fitted to a part of the conditions where they are many."""
+    """Return scaled values near the optimum of the baseline, fitted to a part of the conditions where they are many.
+
+    Where what is declared is far off in units of noise, priors lead at first: their weight is lowered in steps to what
+    it is (tempering). What the data say little of would otherwise run away before the rest is in place.
+    """
     rows = list(target.observed)
-    part = rows[:: RULES.several // 2] if len(rows) >= RULES.several else rows
-    found = fit(model, target.only(part), (), model.null())
+    only = target.only(rows[:: RULES.several // 2] if len(rows) >= RULES.several else rows)
+    u, weight, values = model.null(), model.weight, sum(y.size for y in only.observed.values())
+    off = misfit(model, only, model.nuisance, u, residuals(model, only, u)) / max(values, 1)
+    try:
+        for temperature in (t for t in RULES.temperatures if 1.0 < t < off < np.inf):
+            model.weight = weight * np.sqrt(temperature)
+            warmer = fit(model, only, (), u)
+            u = warmer.u if np.isfinite(warmer.chi2) else u
+    finally:
+        model.weight = weight
+    found = fit(model, only, (), u)
     return found.u if np.isfinite(found.chi2) else model.null()
 
 

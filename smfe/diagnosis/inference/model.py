@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from time import perf_counter
 
@@ -34,9 +34,18 @@ class Model:
     """Predictions of a family, as functions of one vector of scaled parameters.
 
     `conditions` are all that may be asked for: measured, held out and proposed. `helpers` predict where it takes long.
+    Of declared parameters (`Parameter.given`) the priors of some are `released`, made too wide to matter, and some are
+    `fixed` at what was declared.
     """
 
-    def __init__(self, family: Family, conditions: Sequence[Condition], helpers: Helpers | None = None) -> None:
+    def __init__(
+        self,
+        family: Family,
+        conditions: Sequence[Condition],
+        helpers: Helpers | None = None,
+        released: Collection[str] = (),
+        fixed: Collection[str] = (),
+    ) -> None:
         self.family = family
         self.helpers = Helpers(1) if helpers is None else helpers
         self.conditions = tuple(conditions)
@@ -52,7 +61,9 @@ class Model:
         self.low = (np.array([p.low for p in parameters], dtype=float) - self.start) / self.scale
         self.high = (np.array([p.high for p in parameters], dtype=float) - self.start) / self.scale
         self.weight = self.scale / np.array([p.prior for p in parameters], dtype=float)
-        self.nuisance: Index = np.arange(len(family.nuisances))
+        self.weight[[p.given in released for p in parameters]] *= RULES.released
+        kept = [j for j, p in enumerate(family.nuisances) if not (p.given and p.given in fixed)]
+        self.nuisance: Index = np.array(kept, dtype=np.int64)
         ends = np.cumsum([len(family.nuisances), *(len(c.parameters) for c in self.causes)])
         self.of_cause = tuple(np.arange(a, b) for a, b in pairwise(ends.tolist()))
         self.trouble = ""

@@ -1,7 +1,7 @@
 """What a diagnosis works on: parameters, causes that nest a baseline, conditions with whitened data, a family.
 
 A family predicts every condition from one set of values. With every cause at its null value it is the baseline; the
-engine (`smfe.diagnosis.inference.diagnose`) knows nothing else about the physics.
+engine (`smfe.diagnosis.judgement.diagnose`) knows nothing else about the physics.
 """
 
 from __future__ import annotations
@@ -32,6 +32,14 @@ class Parameter:
     high: float = math.inf
     prior: float = math.inf  # standard deviation of a Gaussian prior around `start` (SI); infinite: none
     shown: float = 1.0  # number shown for one SI unit (1000 for mm)
+    given: str = ""
+    """Of a nuisance with a prior, which somebody declared or a workshop holds to: id of the cause under which a value
+    beyond its prior is named."""
+    stated: bool = True
+    """Of a given one: whether it was declared with its uncertainty; else what matters counts within the prior, too."""
+    said: str = ""  # what it is, for people: "gain of the force sensor"; empty: its name
+    secondary: bool = False
+    """Of a cause: whether it only shapes what the cause does, so that a value on its bound is no objection."""
 
     def __post_init__(self) -> None:
         """Refuse a parameter that cannot be fitted."""
@@ -92,6 +100,25 @@ class Abilities(Protocol):
     def noises(self, columns: Sequence[tuple[Condition, Real]]) -> Sequence[Real]:
         """Return products X^T X of columns of conditions, (m, m), one for each noise that may be true; none: white."""
         return ()
+
+    @property
+    def common(self) -> tuple[str, ...]:
+        """Ids of causes that nearly every machine has: pairs with them are always tried, for they mask the others."""
+        return ()
+
+    def squared_size(self, condition: Condition, misfit: Real) -> float:
+        """Return the square of the relative size of a whitened misfit of a condition where it matters [1].
+
+        A quadratic form of the misfit, from which the share of noise is subtracted. Here its squares over those of the
+        data; without data over nothing, so that it is infinite.
+        """
+        whole = 0.0 if condition.observed is None else float(condition.observed @ condition.observed)
+        return float(misfit @ misfit) / whole if whole > 0.0 else math.inf
+
+    @property
+    def each_counts(self) -> bool:
+        """Whether a misfit matters that is large in one condition alone; else its rms over all of them counts."""
+        return False
 
     @property
     def roughness(self) -> float:

@@ -25,6 +25,7 @@ class InferenceRules:
     several: int = 8  # conditions from which a part of them is fitted first
     rough: float = 3.0  # decrease that may be promised where no part of the step brings any: a kink
     optimism: float = 3.0  # times a promised decrease that a fit may still come down
+    temperatures: tuple[float, ...] = (100.0, 10.0)  # by which priors outweigh data that are far off, one by one
     foretold: float = 0.3  # share of a step that its slopes may have missed to be kept, corrected
     cycles: int = 8  # slopes that are taken anew before the trust region takes over
     steps: int = 12  # steps with one set of slopes
@@ -81,6 +82,18 @@ class InferenceRules:
     seen: float = 0.95  # probability with which a detectable effect is seen
     proven: float = 36.0  # likelihood ratio at which a gain that scatters by 2 sqrt(LR) is three deviations
     collinear: float = 0.95  # cosine of two signatures above which they count as one
+    # what was declared, and what matters
+    contradicted: float = 0.001  # p-value of a pull beyond what was declared: 3.3 standard deviations
+    told: float = 5.0  # z against the data alone from which what was declared without uncertainty counts
+    unstated: float = 2.0  # times what is material that such a difference must be worth
+    informed: float = 1e-3  # share of a prior's variance that data must take away to say something of it
+    released: float = 0.02  # prior over what it becomes where it is released: fifty times as wide
+    stands_for: float = 0.5  # share of a difference below which another parameter has taken its place
+    worth_a_search: float = 0.4  # share of what is material that must be left for another cause to be looked for
+    worth_pairs: float = 1.0  # the same for pairs of causes
+    named_share: float = 0.9  # share of the repeatable error from which causes count as named beside a remainder
+    noise_draws: int = 200  # of noise, for what it does to a size
+    noise_quantile: float = 0.99  # of them, which a size that counts exceeds
     # next experiment
     margin: float = 6.6348966010212145
     """Likelihood ratio by which the best must lead: 99 % of chi-square with one degree."""

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from smfe.diagnosis.inference.finding import Estimate, FoundCause
+from smfe.diagnosis.judgement.finding import Estimate, FoundCause
 from smfe.diagnosis.story.words import listed, parameter_words, percent, rounded, unit_text, with_interval
 
 LEFT_OUT, WRONG, MEASURED = "leaves out", "is wrong about", "measurement"
@@ -42,6 +42,8 @@ ROWS: Mapping[str, Row] = {
     # a feed axis, drive records
     "guideway_friction/coulomb": Row(LEFT_OUT, "guideway friction", "it brakes with {force} in motion"),
     "guideway_friction/stribeck": Row(LEFT_OUT, "guideway friction"),
+    "guideway_friction/sticks": Row(LEFT_OUT, "guideways that hold the slides at rest"),
+    "guideway_friction": Row(WRONG, "the friction of the guideways"),
     "guideway_friction/level": Row(WRONG, "the level of the guideway friction", "it is {friction_level:higher|lower}"),
     "low_speed_friction/stribeck": Row(
         LEFT_OUT,
@@ -67,6 +69,8 @@ ROWS: Mapping[str, Row] = {
     "drive_saturation": Row(LEFT_OUT, "the limit of the drive force", "the last {saturation_cut} never act"),
     "hidden_input/force": Row(LEFT_OUT, "a force on the axis that was not measured", "{hidden_force}"),
     "hidden_input/command": Row(LEFT_OUT, "a command that was not logged", "{hidden_command}"),
+    "declared_mass": Row(WRONG, "the masses of the simulation"),
+    "declared_stiffness": Row(WRONG, "the stiffness of the simulation"),
     "posture": Row(LEFT_OUT, "stiffness that depends on the position"),
     "posture/curved": Row(LEFT_OUT, "stiffness that depends on the position"),
     "drift": Row(LEFT_OUT, "drift over the session"),
@@ -79,6 +83,9 @@ ROWS: Mapping[str, Row] = {
     "cross_axis_coupling": Row(WRONG, "the directions of the modes: the axes are coupled"),
     "modal_scale": Row(WRONG, "the scale of all modes", "stiffness and mass are {scale_error:higher|lower}"),
     "modal_mass": Row(WRONG, "the mass of all modes", "it is {mass_error:higher|lower}"),
+    "modal_frequency": Row(WRONG, "the natural frequencies of the modes"),
+    "modal_damping": Row(WRONG, "the damping of the modes"),
+    "modal_stiffness": Row(WRONG, "the stiffness of the modes"),
     # the cut
     "process_damping": Row(LEFT_OUT, "damping by the flank of the tool", "{process_damping}"),
     "force_coefficients/size": Row(
@@ -89,25 +96,40 @@ ROWS: Mapping[str, Row] = {
     "force_coefficients/material": Row(WRONG, "the cutting coefficients"),
     "edge_forces": Row(LEFT_OUT, "edge forces"),
     "runout": Row(LEFT_OUT, "run-out of the tool", "{runout}"),
+    "runout/insert": Row(LEFT_OUT, "an insert that stands out", "{insert}"),
+    "runout/inserts": Row(LEFT_OUT, "inserts that do not sit alike"),
     # sensors
     "accelerometer_mass": Row(LEFT_OUT, "the mass of the sensor", "{sensor_mass}"),
     "sensor_gain": Row(MEASURED, "the gain of a sensor is off"),
+    **{f"sensor_gain/sign_{a}": Row(MEASURED, "the sign of a sensor is wrong") for a in ("force", "x", "y", "z")},
     "time_skew": Row(MEASURED, "force and motion are not recorded at the same time", "{skew} apart"),
+    "sensor_gain/sign": Row(MEASURED, "all channels of the force sensor have the wrong sign"),
+    "sensor_gain/sign_x": Row(MEASURED, "channel x of the force sensor has the wrong sign"),
+    "sensor_gain/sign_y": Row(MEASURED, "channel y of the force sensor has the wrong sign"),
+    "sensor_gain/sign_z": Row(MEASURED, "channel z of the force sensor has the wrong sign"),
+    "sensor_axis/turned_over": Row(MEASURED, "x and y of the force sensor are exchanged and z is turned round"),
     "sensor_axis/exchange": Row(MEASURED, "x and y of the force sensor are exchanged"),
     "sensor_axis/turned": Row(MEASURED, "a sensor is turned"),
     "sensor_axis": Row(MEASURED, "axes of the accelerometer are exchanged"),
     "sensor_offset": Row(MEASURED, "the force sensor has an offset"),
     "dynamometer_dynamics": Row(MEASURED, "the dynamometer vibrates itself"),
     "background_tone": Row(MEASURED, "a tone lies on the force", "{tone} at {tone_frequency}"),
+    "background_tone/unbalance": Row(MEASURED, "the spindle or tool is out of balance", "{unbalance}"),
     "background_tone/spindle": Row(MEASURED, "a force turns with the spindle without cutting", "{turning_force}"),
 }
 """Key of a cause (or its id, for all variants) -> how it is told."""
 
 _YES_OR_NO = (
     "sensor_axis/exchange",
+    "sensor_axis/turned_over",
+    "sensor_gain/sign",
+    "sensor_gain/sign_x",
+    "sensor_gain/sign_y",
+    "sensor_gain/sign_z",
     "sensor_axis/exchanged_xy",
     "sensor_axis/exchanged_yz",
     "sensor_axis/exchanged_zx",
+    *(f"sensor_gain/sign_{a}" for a in ("force", "x", "y", "z")),
 )
 """Causes whose number says only that they are there."""
 

@@ -24,8 +24,8 @@ from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import excited_of
-from smfe.diagnosis.inference.finding import Compared, ConditionMisfit, Finding, ModelError, Prediction
 from smfe.diagnosis.inference.problem import Condition, Family
+from smfe.diagnosis.judgement.finding import Compared, ConditionMisfit, Finding, ModelError, Prediction
 
 ANGLES = np.arange(0.0, 361.0, 2.0)
 """Spindle angles over which cutting forces are drawn [degrees]."""

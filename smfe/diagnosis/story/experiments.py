@@ -19,6 +19,7 @@ _PHRASES = (
     (r"level (\S+)", r"Repeat the first measurement at the level \1 (N s of a hammer, N of an actuator)"),
     (r"position (\S+ m), at the end", r"Measure at the position \1, at the end"),
     (r"a turning spindle", "Measure with the spindle turning"),
+    (r"moves (.*)", r"Move the axis from rest to rest, ten times or more, \1"),
     (r"cut at (.*)", r"Make a cut at \1"),
     (r"spindle in air at (.*)", r"Record the forces with the spindle turning in air at \1"),
     (r"limit at (.*), (\S+ mm) per tooth", r"Find the limit at \1 and \2 per tooth: cut deeper by 4 to 6 % at a time"),

@@ -1,7 +1,8 @@
 """A finding in sentences, in the order in which an engineer asks.
 
-What is wrong and what is gained; each cause with its numbers; the depth in millimetres; what to measure next; what
-would have been seen. The same sentences stand on the page, in the terminal and in ``finding.json``.
+Whether what was given is right; what is wrong and what is gained; each cause with its numbers, and what to do about it;
+the depth in millimetres; what to measure next; what would have been seen. The same sentences stand on the page, in the
+terminal and in ``finding.json``.
 """
 
 from __future__ import annotations
@@ -10,13 +11,38 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from smfe.diagnosis.inference.finding import Finding, ForetoldCut, FoundCause, ModelError, Passage, StableDepth
+from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.inference.thresholds import Detectable
+from smfe.diagnosis.judgement.finding import (
+    Finding,
+    ForetoldCut,
+    FoundCause,
+    GivenParameter,
+    ModelError,
+    Passage,
+    Pocket,
+    StableDepth,
+)
 from smfe.diagnosis.story.causes import LEFT_OUT, MEASURED, WRONG, Friction, numbers_of, row_of
-from smfe.diagnosis.story.words import count_words, in_words, listed, parameter_words, percent, rounded, unit_text
+from smfe.diagnosis.story.words import (
+    count_words,
+    in_words,
+    listed,
+    parameter_words,
+    percent,
+    rounded,
+    unit_text,
+    with_interval,
+)
+
+ABOUT = ("fault", "given", "verdict", "cause", "immaterial", "parameter", "do", "depth", "next", "power", "note")
+"""What a passage of a finding may be about, in order."""
 
 _MOST_POWERS = 5
+_MOST_GIVEN = 6  # of what was declared rightly
 _REVEALED = 2
+_MOVED = 0.005  # relative change of the best speed that is said
+_TELLING, _NORMAL = 0.9, 1.96  # an interval by how much narrower than the prior says something
 _LITTLE = 0.005  # share of the repeatable error that a sentence calls little
 
 
@@ -25,6 +51,7 @@ class Setting:
     """What the sentences need to know besides the finding."""
 
     friction: Friction | None = None  # what brakes the axis by the extended model
+    faults: Sequence[Suspect] = ()  # that the data audit found
     about: str = "simulation"  # what is put to the test
 
 
@@ -34,21 +61,71 @@ def explain(finding: Finding) -> str:
 
 
 def told(finding: Finding, setting: Setting = Setting()) -> tuple[Passage, ...]:
-    """Return the passages of a finding, the verdict first."""
+    """Return the passages of a finding: faults of the data, whether what was given is right, then the verdict."""
+    makers = (_faults, _given, _verdict, _causes, _immaterial, _own_parameters, _to_do, _depths, _next, _power, _notes)
     return tuple(
         Passage(about, in_words(text))
-        for about, make in (
-            ("verdict", _verdict),
-            ("cause", _causes),
-            ("parameter", _own_parameters),
-            ("depth", _depths),
-            ("next", _next),
-            ("power", _power),
-            ("note", _notes),
-        )
+        for about, make in zip(ABOUT, makers, strict=True)
         for text in make(finding, setting)
         if text
     )
+
+
+# --- Faults of the data, before anything is blamed.
+
+
+def _faults(finding: Finding, setting: Setting) -> Iterator[str]:
+    for s in setting.faults:
+        done = "was left out" if s.excludes else "is compared as it is"
+        where = s.where.replace("_", " ") if "." not in s.where else s.where
+        yield f"A fault in the data, so that it {done}: {where}: {s.evidence}. {_capital(s.advice)}."
+
+
+# --- Is what was given right?
+
+
+def _given(finding: Finding, setting: Setting) -> Iterator[str]:
+    wrong = [g for g in finding.given if g.beyond]
+    told = [g for g in finding.given if not g.beyond and _is_told(g)]
+    if not finding.given:
+        return
+    if wrong:
+        yield f"Is what you gave right? Not {listed([given_words(g) for g in wrong], 'and')}."
+    elif told:
+        yield "Is what you gave right? As far as these measurements tell, yes."
+    else:
+        yield "Is what you gave right? These measurements say nothing of it."
+    for g in wrong:
+        value = with_interval(g.found, g.low, g.high, g.unit)
+        yield f"{_capital(given_words(g))}: given {rounded(g.given)}{unit_text(g.unit)}, found {value}{_worth(g)}."
+    shown = sorted(told, key=lambda g: -abs(g.cost or 0.0))[:_MOST_GIVEN]
+    if shown:
+        said = [f"{given_words(g)} {rounded(g.given)} (found {_found(g)})" for g in shown]
+        more = len(told) - len(shown)
+        also = [count_words(more, "more parameter")] if more else []
+        yield f"As declared: {listed([*said, *also])}."
+
+
+def _is_told(g: GivenParameter) -> bool:
+    """Whether the data narrow down what was declared to less than it was trusted."""
+    return g.high - g.low < _TELLING * 2.0 * _NORMAL * g.spread
+
+
+def given_words(g: GivenParameter) -> str:
+    """Return what a declared parameter is called."""
+    return g.said or parameter_words(g.name)
+
+
+def _found(g: GivenParameter) -> str:
+    return with_interval(g.found, g.low, g.high, g.unit).replace(" (", ", ").rstrip(")")
+
+
+def _worth(g: GivenParameter) -> str:
+    """Return what the difference between given and found is worth."""
+    if g.cost_mm is not None and g.cost is not None:
+        which = "more" if g.cost_mm > 0.0 else "less"
+        return f"; with it the stable depth is {rounded(abs(g.cost_mm), 2)} mm {which} ({percent(g.cost)} %)"
+    return "" if g.cost is None or not math.isfinite(g.cost) else f"; worth {percent(g.cost)} %"
 
 
 # --- The verdict and the gain.
@@ -57,8 +134,10 @@ def told(finding: Finding, setting: Setting = Setting()) -> tuple[Passage, ...]:
 def _verdict(finding: Finding, setting: Setting) -> Iterator[str]:
     causes, reason = finding.causes, finding.reason
     if finding.verdict == "consistent":
-        size = _error_now(finding)
-        yield f"The measurements bear the simulation out: what it leaves is no more than noise{size}."
+        size, left = _error_now(finding), "no more than noise"
+        if finding.immaterial or finding.remainder is not None:
+            left = "noise, and what is too small to matter"
+        yield f"The measurements bear the simulation out: what it leaves is {left}{size}."
     elif finding.verdict == "insufficient_data":
         yield f"The measurements do not suffice for a verdict: {reason}."
     elif not causes:
@@ -76,17 +155,30 @@ def _verdict(finding: Finding, setting: Setting) -> Iterator[str]:
 
 
 def _opening(causes: Sequence[FoundCause], setting: Setting) -> str:
-    groups = {how: [c for c in causes if row_of(c).how == how] for how in (LEFT_OUT, WRONG, MEASURED)}
+    sets = sets_of(causes)
+    certain = [group[0] for group in sets if len(group) == 1]
+    groups = {how: [c for c in certain if row_of(c).how == how] for how in (LEFT_OUT, WRONG, MEASURED)}
     detail = ""
     if len(causes) == 1:
         numbers = numbers_of(causes[0], False, setting.friction)
         detail = f": {numbers}" if numbers else ""
     parts = [f"{how} {listed([_name(c) for c in groups[how]])}" for how in (LEFT_OUT, WRONG) if groups[how]]
     faults = listed([_name(c) for c in groups[MEASURED]])
-    if not parts:
-        return f"The measurement is at fault: {faults}{detail}."
-    more = f" Besides, the measurement is at fault: {faults}." if faults else ""
-    return f"The {setting.about} {' and '.join(parts)}{detail}.{more}"
+    said = []
+    if parts:
+        said.append(f"The {setting.about} {' and '.join(parts)}{detail}.")
+    if faults:
+        besides = "Besides, the measurement" if parts else "The measurement"
+        said.append(f"{besides} is at fault: {faults}{'' if parts else detail}.")
+    said += [f"Either {listed([_clause(c, setting) for c in group], 'or')}." for group in sets if len(group) > 1]
+    return " ".join(said)
+
+
+def _clause(cause: FoundCause, setting: Setting) -> str:
+    """Return a cause as part of a sentence, of whichever kind it is, with its numbers."""
+    row, numbers = row_of(cause), numbers_of(cause, False)
+    more = f" ({numbers})" if numbers else ""
+    return f"{row.name}{more}" if row.how == MEASURED else f"the {setting.about} {row.how} {row.name}{more}"
 
 
 def _name(cause: FoundCause) -> str:
@@ -128,9 +220,9 @@ def _error_now(finding: Finding) -> str:
 def _part(finding: Finding) -> str:
     """Return what remains unexplained where it is more than noise."""
     left = finding.remainder
-    if finding.verdict == "named" or left is None or not left.beyond_noise:
+    if left is None:
         return ""
-    if finding.verdict == "unknown" and left.share is not None and left.share >= _LITTLE:
+    if finding.verdict in ("unknown", "named") and left.share is not None and left.share >= _LITTLE:
         return f" Of the error that repeats, {percent(left.share)} % remain unexplained."
     if left.share is not None:
         return f" What remains is more than noise, but only {percent(left.share)} % of the error that repeats."
@@ -154,8 +246,35 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
         if cause.gain_db is not None:
             worth = f"worth {cause.gain_db:.0f} dB of the error that repeats, on {where} left out of the fit"
         yield f"{_capital(_name(cause))}{f': {numbers}' if numbers else ''}; {worth}."
+    for alike in sets_of(finding.causes):
+        if len(alike) > 1:
+            yield (
+                f"These measurements do not tell which of them it is: {listed([_title(c) for c in alike], 'or')}. The "
+                "numbers of each are those that it would have alone."
+            )
     for group in finding.alternatives:
         yield f"These measurements do not separate {listed([_title(c) for c in group], 'from')}."
+
+
+def sets_of(causes: Sequence[FoundCause]) -> list[list[FoundCause]]:
+    """Return causes in sets that the data do not separate, in their order; most are alone."""
+    found: dict[object, list[FoundCause]] = {}
+    for k, cause in enumerate(causes):
+        found.setdefault(("alone", k) if cause.set is None else cause.set, []).append(cause)
+    return list(found.values())
+
+
+def _immaterial(finding: Finding, setting: Setting) -> Iterator[str]:
+    """Say what is there and does not matter."""
+    if not finding.immaterial:
+        return
+    limit = f" (less than {percent(finding.material)} %)" if finding.material > 0.0 else ""
+    said = []
+    for cause in finding.immaterial:
+        numbers = numbers_of(cause, False, setting.friction)
+        size = "" if cause.size is None else f", which changes {percent(cause.size)} %"
+        said.append(f"{_name(cause)}{f' ({numbers})' if numbers else ''}{size}")
+    yield f"Seen, but too small to matter{limit}: {listed(said)}."
 
 
 def _capital(text: str) -> str:
@@ -178,6 +297,12 @@ def _own_parameters(finding: Finding, setting: Setting) -> Iterator[str]:
         yield f"The measurements ask for other values than the campaign gives: {listed(said)}."
 
 
+def _to_do(finding: Finding, setting: Setting) -> Iterator[str]:
+    for text in dict.fromkeys(finding.to_do):
+        if text:
+            yield f"{text}."
+
+
 # --- Millimetres.
 
 
@@ -188,8 +313,21 @@ def _depths(finding: Finding, setting: Setting) -> Iterator[str]:
     for where in dict.fromkeys(row.where for row in finding.stable_depth if row.where not in tests):
         rows = [row for row in finding.stable_depth if row.where == where]
         yield _over_speeds(rows) if len(rows) > 1 else _at(rows[0])
+    for p in finding.pockets:
+        yield _pocket(p, len(finding.pockets) > 1)
     if finding.no_depth:
         yield finding.no_depth
+
+
+def _pocket(p: Pocket, several: bool) -> str:
+    """Say what becomes of the best speed; a depth of zero is one at which the machine vibrates without any cut."""
+    of = f" ({p.where.replace('_', ' ')})" if several else ""
+    moved = abs(p.after_rpm / p.before_rpm - 1.0) > _MOVED
+    before = f"The best speed{of} by the simulation is {p.before_rpm:.0f} rpm with {_depth(p.before_mm)}"
+    there = f"; there the extended model allows {_depth(p.after_there_mm)}"
+    if not moved:
+        return f"{before}{there}, and no speed is better."
+    return f"{before}{there}. Its own best is {p.after_rpm:.0f} rpm with {_depth(p.after_mm)}."
 
 
 def _tests(tests: Sequence[ForetoldCut]) -> str:
@@ -308,7 +446,7 @@ def _size(p: Detectable, of: int) -> str:
 
 def _notes(finding: Finding, setting: Setting) -> Iterator[str]:
     left = finding.remainder
-    if left is not None and left.beyond_noise and left.carriers:
+    if left is not None and left.carriers:
         share = "" if left.share is None else f" ({percent(left.share)} % of the error that repeats)"
         yield f"The unknown remainder{share} is largest in {'; '.join(left.carriers)}."
         if finding.causes:

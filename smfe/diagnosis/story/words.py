@@ -13,9 +13,11 @@ _MODE = {
     "linear": "change of the frequency of mode {} with the speed",
     "square": "change of the frequency of mode {} with the square of the speed",
     "micro_slip": "slip of mode {}",
+    "radius": "radius of tooth {}",
     "coupling": "turn of mode {}",
     "turn_a": "turn of mode {} one way",
     "turn_b": "turn of mode {} across",
+    "damping_place": "change of the damping of mode {} along the stroke",
 }
 
 _MATRIX = {
@@ -32,12 +34,26 @@ _MATRIX = {
 _SENSOR = {
     "gain": "gain along {}",
     "turned": "turn about {}",
+    "reversed": "sign along {}",
+    "talk": "cross-talk of {}",
+    "reach": "hits along {} beside their point",
     "exchanged": "exchange of {}",
     "offset": "offset along {}",
+    "sign": "reversal of channel {}",
     "residual": "flexibility {} of modes above the band",
     "dynamometer": "flexibility of the dynamometer along {}",
     "dynamometer_lag": "lag of the dynamometer along {}",
     "size_effect": "change of K{}c with the chip thickness",
+    "hold": "hold of the {} guideway at rest",
+    "also_hold": "hold of the {} guideway at rest",
+    "fall": "friction of the {} guideway that falls with speed",
+    "friction_asymmetry": "difference of the friction of {} between the directions",
+    "moving_mass": "mass that moves with {}",
+    "viscous": "viscous friction of {}",
+    "contact": "softness of the contact of the {} guideway",
+    "contact_loss": "loss factor of the contact of the {} guideway",
+    "push": "speed that a hit gives the {} slide",
+    "friction": "friction of the {} guideway beyond what is declared",
 }
 
 PARAMETERS = {
@@ -52,6 +68,10 @@ PARAMETERS = {
     "stribeck_speed": "Stribeck speed",
     "friction_level": "level of the friction",
     "friction_asymmetry": "difference of the friction between the directions",
+    "asymmetry_coulomb": "difference of the sliding friction between the directions",
+    "asymmetry_rise": "difference of the rise at rest between the directions",
+    "asymmetry_speed": "difference of the Stribeck speed between the directions",
+    "asymmetry_viscous": "difference of the viscous friction between the directions",
     "micro_slip_share": "share of the stiffness that slips",
     "micro_slip_travel": "travel until it slips",
     "cubic_stiffness": "cubic stiffness",
@@ -72,14 +92,17 @@ PARAMETERS = {
     "mode_azimuth": "direction of the further mode in the plane",
     "mode_elevation": "direction of the further mode out of the plane",
     "posture_bend": "bend over the stroke",
+    "joint_iwan": "share of the stiffness that slips",
+    "joint_iwan_travel": "amplitude at which all of it slips, over the middle level",
     "joint_micro_slip": "slip of the joint",
     "joint_hardening": "hardening of the joint",
     "scale_error": "scale of all modes",
     "mass_error": "mass of all modes",
+    "reversed_force": "sign of the force",
+    **{f"lean_{a}{b}": f"hits along {a} that lean towards {b}" for a in "xyz" for b in "xyz" if a != b},
     "gain_force": "gain of the force sensor",
     "mass": "moving mass",
     "offset": "constant force",
-    "delay.error": "error of the known delay",
     "coulomb.force": "friction force",
     "coulomb.slide": "travel before it slides",
     "coulomb.damping": "damping of the contact",
@@ -117,12 +140,16 @@ PARAMETERS = {
     "Kte": "edge force Kte",
     "Kre": "edge force Kre",
     "Kae": "edge force Kae",
-    "other_Ktc": "further Ktc",
-    "other_Krc": "further Krc",
-    "other_Kac": "further Kac",
     "runout": "run-out",
     "runout_angle": "direction of the run-out",
     "exchange": "exchange of x and y",
+    "turned_over": "exchange of x and y with z turned round",
+    "mounting": "mounting about z",
+    "gain_common": "gain of all channels",
+    "sign": "reversal of all channels",
+    "insert": "height of the insert",
+    "unbalance": "unbalance",
+    "unbalance_angle": "direction of the unbalance",
     "turned": "turn about z",
     "turning_force": "force that turns with the spindle",
     "turning_force_angle": "direction of the turning force",
@@ -149,7 +176,7 @@ def parameter_words(name: str) -> str:
 def _known(name: str) -> str:
     if name in PARAMETERS:
         return PARAMETERS[name]
-    if found := re.fullmatch(r"joint_(micro_slip|hardening)_angle_(\d)", name):
+    if found := re.fullmatch(r"joint_(micro_slip|hardening|iwan)_angle_(\d)", name):
         return f"place of the joint, angle {found[2]}"
     if (found := re.fullmatch(r"(\w+?)_(\d)(\d)", name)) and found[1] in _MATRIX:
         return f"{_MATRIX[found[1]]}, mode {found[2]}" + (f" with {found[3]}" if found[2] != found[3] else "")
@@ -194,6 +221,7 @@ def unit_text(unit: str) -> str:
         "deg": "°",
         "0/1": "",
         "N/um^3": "N/µm³",
+        "N/mm^2": "N/mm²",
     }.get(unit, unit)
     return "" if not shown else shown if shown == "°" else f" {shown}"
 

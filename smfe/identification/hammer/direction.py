@@ -52,9 +52,30 @@ def wrong_directions(columns: Mapping[str, HitSpectra]) -> tuple[dict[tuple[str,
         notes += [f"excitation {axis}: {undecided}"] if undecided else []
         for m in wrong:
             faults[axis, m] = ""
-    for axis, m in faults:
-        faults[axis, m] = _reason(axis, m, shapes, faults)
+    accused = dict(faults)
+    for axis, m in accused:
+        if _belongs(axis, m, shapes, accused):
+            del faults[axis, m]
+        else:
+            faults[axis, m] = _reason(axis, m, shapes, accused)
     return faults, notes
+
+
+def _belongs(axis: str, m: int, shapes: Mapping[str, Complex], faults: Mapping[tuple[str, int], str]) -> bool:
+    """Whether a hit that was outvoted is only noisier than the others: the mean of those is like it, and no other axis.
+
+    Noise takes from the shape of two single hits what it takes from none and their mean.
+    """
+    own, found = shapes[axis][m], {}
+    for other, each in shapes.items():
+        good = [k for k in range(len(each)) if (other, k) not in faults]
+        if good and each.shape[1] == own.size:
+            found[other] = compared(own, np.mean(each[good], axis=0))
+    if axis not in found:
+        return False
+    shape, gain = found[axis]
+    alike = gain.real > 0.5 * abs(gain) and 1.0 / RULES.same_size <= abs(gain) <= RULES.same_size
+    return alike and shape >= max(RULES.noisy_shape, *(2.0 * f[0] for a, f in found.items() if a != axis), 0.0)
 
 
 def _shapes(column: HitSpectra) -> Complex:

@@ -24,6 +24,9 @@ from process.types import Complex, Real
 from smfe.identification.hammer.rules import RULES
 from smfe.identification.spectra.spectra import force_samples, motion_axes, record_source
 
+RING = 3
+"""Samples before a second pulse within which a filter that rings swings to the other side."""
+
 FAULTS: tuple[str, ...] = ("overloaded", "double_hit", "direction")
 """What keeps a hit out of the average unless the caller says otherwise."""
 
@@ -234,7 +237,7 @@ def _measure(pulse: Real, starts: NDArray[np.intp], stops: NDArray[np.intp], dt:
     whole = slice(max(int(starts[0]) - margin // 2, 0), int(stops[-1]) + margin // 2)
     others = np.delete(np.arange(peaks.size), main)
     second = int(others[np.argmax(peaks[others])]) if others.size else -1
-    double = second >= 0 and peaks[second] >= rules.double_share * peak
+    double = second >= 0 and peaks[second] >= rules.double_share * peak and not _rings(pulse, at, int(tops[second]))
     full = rules.full_scale is not None and peak >= 0.99 * rules.full_scale
     return Hit(
         excitation="",
@@ -251,6 +254,14 @@ def _measure(pulse: Real, starts: NDArray[np.intp], stops: NDArray[np.intp], dt:
         second_delay=abs(int(tops[second]) - at) * dt if double else float("nan"),
         second_force=float(peaks[second]) if double else float("nan"),
     )
+
+
+def _rings(pulse: Real, main: int, second: int) -> bool:
+    """Whether a second pulse is a filter that rings after the first: the force swings back just before it."""
+    if second < main:
+        return False
+    before = pulse[max(main, second - RING) : second]
+    return bool(before.size) and -float(before.min()) >= 0.5 * float(pulse[second])
 
 
 def flat_top(samples: Real) -> bool:

@@ -27,6 +27,9 @@ class HammerRules:
     same_shape: float = 0.6
     """Least modal assurance criterion of two hits along one axis."""
 
+    noisy_shape: float = 0.3
+    """The same of a hit and the mean of the others, if it is like no other axis and of the right size and sign."""
+
     same_size: float = 2.0
     """Largest ratio of their compliances."""
 

@@ -30,6 +30,7 @@ KNOWN: dict[str, tuple[str, str]] = {
     "open_loops.nc": ("Open-loop responses of the drives, carriage over drive force", _ARRAYS),
     "loops.nc": ("Responses of the drive loops", _ARRAYS),
     "finding.json": ("The diagnosis: what the simulation gets wrong", "text editor"),
+    "finding.toml": ("The extended model of the diagnosis, as a campaign", "text editor"),
     "provenance.json": ("Versions, settings, inputs with SHA-256, warnings", "text editor"),
 }
 """Files that a run may leave, the ones most asked for first -> what they are and what opens them."""

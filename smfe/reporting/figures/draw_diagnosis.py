@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -71,7 +72,8 @@ def draw_search(finding: Mapping[str, Any]) -> Figure:
     names, _ = figure_data.search_steps(finding)
     rows, _ = figure_data.shown_conditions(finding)
     searched = len(names) > 1
-    heights = [0.9 + 0.32 * len(names)] * searched + [1.1 + 0.22 * len(rows)] * bool(rows)
+    lines = sum(len(_lines(name)) for name in names)
+    heights = [0.9 + 0.2 * lines + 0.12 * len(names)] * searched + [1.1 + 0.22 * len(rows)] * bool(rows)
     figure = Figure(figsize=(8.0, sum(heights)), layout="constrained")
     panels = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     painters = [_draw_steps] * searched + [_draw_conditions] * bool(rows)
@@ -81,13 +83,18 @@ def draw_search(finding: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def _lines(name: str) -> list[str]:
+    """Return a name in lines that leave room for what is drawn beside it."""
+    return textwrap.wrap(name, 40) or [""]
+
+
 def _draw_steps(axes: Axes, finding: Mapping[str, Any]) -> None:
     names, heights = figure_data.search_steps(finding)
     places = range(len(names))
     axes.barh(places, heights, color=[figure_data.BASELINE, *[figure_data.EXTENDED] * (len(names) - 1)], height=0.6)
     for place, height in zip(places, heights, strict=True):
         axes.text(max(height, 0.0), place, f" {height:.1f} dB", va="center")
-    axes.set_yticks(list(places), names)
+    axes.set_yticks(list(places), ["\n".join(_lines(name)) for name in names])
     axes.invert_yaxis()
     axes.set_xlim(min(0.0, *heights), 1.15 * max(*heights, 0.1))
     axes.axvline(0.0, color="black", linewidth=0.8)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from smfe.diagnosis.story.sentences import ABOUT
 from smfe.diagnosis.story.words import in_words, parameter_words, percent, rounded, unit_text, with_interval
 from smfe.reporting.content.style import number, spoken
 from smfe.reporting.content.tables import Row, Table
@@ -20,10 +21,6 @@ _WORDS = {
     "unknown": "unknown",
     "insufficient_data": "not enough data",
 }
-
-
-ABOUT = ("verdict", "cause", "parameter", "depth", "next", "power", "note")
-"""What a passage of a finding may be about, in order."""
 
 
 def section(draft: Draft) -> dict[str, Any]:
@@ -48,6 +45,9 @@ def section(draft: Draft) -> dict[str, Any]:
         "verdict": verdict,
         "summary": list(finding.get("story", [])),
         "told": _told(finding),
+        "given": _given(finding),
+        "block": (finding.get("next_experiment") or {}).get("block", ""),
+        "extended": {"file": "", "left_out": [], **(finding.get("extended") or {})},
         "compared": compared,
         "curves": draft.results.curves is not None,
         "ladder": _ladder(finding),
@@ -61,6 +61,26 @@ def _told(finding: Mapping[str, Any]) -> dict[str, list[str]]:
     for passage in finding.get("passages") or [{"about": "verdict", "text": t} for t in finding.get("story", [])]:
         told.setdefault(str(passage["about"]), []).append(str(passage["text"]))
     return told
+
+
+def _given(finding: Mapping[str, Any]) -> Table | None:
+    """Return what was declared beside what the data say of it, what they contradict first."""
+    rows = [
+        Row(
+            (
+                g["said"] or parameter_words(g["name"]),
+                rounded(g["given"]),
+                _estimate({**g, "value": g["found"]}),
+                "" if g["cost"] is None else percent(g["cost"]),
+                "" if g["cost_mm"] is None else rounded(g["cost_mm"], 2).replace("-", "−"),
+                "no" if g["beyond"] else "yes",
+            ),
+            "" if g["beyond"] else "quiet",
+        )
+        for g in sorted(finding.get("given", []), key=lambda g: not g["beyond"])
+    ]
+    heads = ("what", "given", "found (95 % interval)", "changes the depth by [%]", "[mm]", "right")
+    return _table(heads, (False, True, False, True, True, False), rows, "")
 
 
 def _ladder(finding: Mapping[str, Any]) -> Table | None:

@@ -3,10 +3,11 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from process.errors import InputError
-from smfe.campaign import Campaign, RigidDrive, load_campaign
+from smfe.campaign import Campaign, RigidDrive, campaign_of_tables, load_campaign
 
 
 class TestBaseline:
@@ -113,3 +114,18 @@ class TestBaseline:
             InputError, match=re.escape("records[0].with[0].sharde: this key is not known (did you mean")
         ):
             self.load(tmp_path, recorder)
+
+
+def test_tolerances_are_those_of_a_workshop_where_the_campaign_states_none(tmp_path):
+    modes = [{"frequency": "40 Hz", "damping": "3 %", "stiffness": "20 N/um", "direction": [1, 0, 0]}]
+    tables = {"model": [{"name": "m", "modes": modes}]}
+    plain = campaign_of_tables(tables, "plain").tolerances
+    assert (plain.sensor_gain, plain.material) == (0.01, 0.05)
+    assert plain.setup_direction == pytest.approx(np.radians(1.5))
+    tables |= {
+        "tolerances": {"hit_direction": "2 deg", "clock": "0.1 ms"},
+        "material": {"Ktc": "2000 N/mm2", "uncertainty": "7 %"},
+    }
+    stated = campaign_of_tables(tables, "stated").tolerances
+    assert stated.hit_direction == pytest.approx(np.radians(2.0))
+    assert (stated.clock, stated.coefficients, stated.setup_direction) == (1e-4, 0.07, plain.setup_direction)

@@ -15,7 +15,7 @@ from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import Host, hosted, two_mass_axes
 from process.simulation.machine import simulate_machine
-from smfe.campaign import campaign_of_tables, load_campaign
+from smfe.campaign import Campaign, ModesOf, campaign_of_tables, load_campaign
 from smfe.scenario.run import Written, campaign_text
 from smfe.scenario.scenario import Scenario, load_scenario
 
@@ -271,3 +271,34 @@ def test_a_simulated_campaign_knows_its_machine_only_where_its_lobes_ask_for_it(
     written = tomllib.loads(BENCH)["machine"]
     assert machine(asked) == written
     assert machine(unasked) == {key: written[key] for key in ("name", "maximum_feed")}
+
+
+class TestAxesBesideMeasuredModes:
+    """``[machine.axis.x]`` alone, where the baseline has the modes."""
+
+    TEXT = (
+        "[campaign]\nname = 'portal'\n[channels]\ntime = { column = 't', unit = 's' }\n"
+        "force_x = { column = 'Fx', unit = 'N' }\nacceleration_x = { column = 'ax', unit = 'm/s^2' }\n"
+        "[[measurement]]\nname = 'idle'\nmethod = 'hammer'\nrecords = [{ file = 'hit.csv', excitation = 'x' }]\n"
+        "[machine.axis.x]\nmoving_mass = '3200 kg'\n"
+        "controllers.K1 = { Kp = '263000 N s/m', Ti = '30 ms', delay = '2 ms' }\n"
+    )
+
+    def load(self, folder: Path, baseline: str) -> Campaign:
+        (folder / "hit.csv").write_text("t,Fx,ax\n0,0,0\n", encoding="utf-8")
+        path = folder / "campaign.toml"
+        path.write_text(self.TEXT + baseline, encoding="utf-8")
+        return load_campaign(path)
+
+    def test_they_are_what_the_modes_ride_on_and_a_gain_may_be_unknown(self, tmp_path: Path) -> None:
+        campaign = self.load(tmp_path, "[baseline]\nfrom = 'idle'\n")
+        assert isinstance(campaign.baseline, ModesOf)
+        axis = campaign.baseline.axes["x"]
+        assert axis.moving_mass == 3200.0
+        assert axis.controllers["K1"] == (263000.0, pytest.approx(0.03), None, pytest.approx(0.002))
+        assert axis.friction is None
+        assert campaign.machine_model is None
+
+    def test_alone_they_are_no_machine(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match="Kv"):
+            self.load(tmp_path, "")

@@ -29,7 +29,8 @@ CONTRADICTED = [(900, 4.5), (950, 4.0), (1100, 5.0)]
 """Cuts that the machine at rest would make, and that chatter; at 720 rpm and 7 mm it is the other way round."""
 
 
-@pytest.fixture(scope="module", params=[DEMO_SEED, 1])
+# Another seed takes a minute and a half more: with the calibrations.
+@pytest.fixture(scope="module", params=[DEMO_SEED, pytest.param(1, marks=pytest.mark.exam)])
 def demo(request: pytest.FixtureRequest) -> Path:
     """Folder of a demonstration that has been run."""
     return kept(full_demo, request.param)

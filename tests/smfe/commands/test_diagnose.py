@@ -10,7 +10,7 @@ import xarray as xr
 from smfe.campaign import load_campaign
 from smfe.commands import diagnose as command
 from smfe.commands.diagnose import Diagnosis, finding_of, write_finding
-from smfe.diagnosis.inference.finding import Passage
+from smfe.diagnosis.judgement.finding import Passage
 
 CURVES = xr.Dataset(
     {

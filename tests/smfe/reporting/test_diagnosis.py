@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,8 +12,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from smfe.diagnosis.inference.finding import BaselineParameter, Finding, Remainder, StableDepth
-from smfe.diagnosis.story.sentences import explain
+from smfe.diagnosis.judgement.finding import BaselineParameter, Finding, GivenParameter, Remainder, StableDepth
+from smfe.diagnosis.story.sentences import explain, told
 from smfe.reporting import write_report
 from smfe.reporting.content.results import Results
 from smfe.reporting.figures.draw_diagnosis import draw_depths, draw_search
@@ -110,7 +111,7 @@ def test_a_finding_alone_says_nothing_of_what_the_campaign_may_hold_besides(tmp_
 
 def test_what_carries_the_remainder_is_told_apart() -> None:
     """Names of conditions hold commas themselves."""
-    left = Remainder(3.5, 1e-9, True, 0.1, ("moves, move 8, forward", "moves, move 24, forward"))
+    left = Remainder(3.5, 1e-9, 0.3, 0.1, ("moves, move 8, forward", "moves, move 24, forward"))
     text = explain(Finding("unknown", "it is", remainder=left))
     assert "is largest in moves, move 8, forward; moves, move 24, forward." in text
 
@@ -167,3 +168,21 @@ def test_the_words_say_what_it_means_in_the_workshop() -> None:
 def test_a_depth_without_limit_is_none_in_the_file() -> None:
     found = Finding("named", "it is", stable_depth=(StableDepth("a", 300.0, 480.0, 3.0, np.inf),)).as_dict()
     assert found["stable_depth"][0]["after_mm"] is None
+
+
+def test_whether_what_was_given_is_right_stands_before_the_verdict(tmp_path: Path) -> None:
+    """Coefficients 35 % off are the first line of the page, with their millimetres; what is right is folded below."""
+    wrong = GivenParameter(
+        "Ktc", "", "force_coefficients", 2e3, 200.0, 2.7e3, 2650.0, 2750.0, "N/mm^2", True, 0.26, -1.2
+    )
+    right = replace(wrong, name="Krc", given=600.0, found=612.0, low=580.0, high=644.0, beyond=False, cost=0.01)
+    found = Finding("named", "it is", given=(right, wrong), to_do=("Measure the coefficients again",))
+    content = {**found.as_dict(), "campaign": "cuts"}
+    content["passages"] = [{"about": p.about, "text": p.text} for p in told(found)]
+    rows = shown(content)[0]["given"].rows
+    assert rows[0].cells == ("cutting coefficient Ktc", "2000", "2700 N/mm² (2650 to 2750)", "26", "−1.2", "no")
+    assert rows[1].cells[-1] == "yes"
+    (tmp_path / "finding.json").write_text(json.dumps(content), encoding="utf-8")
+    page = write_report(tmp_path).read_text(encoding="utf-8")
+    first = page.index("Cutting coefficient Ktc: given 2000")
+    assert first < page.index("The simulation is wrong") < page.index("Measure the coefficients again.")

@@ -10,11 +10,13 @@ from truth.modal_machine import Hidden, Setting, at_tool, modes, nominal
 
 from process.errors import InputError
 from process.labels import AXES, make_compliance
+from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, Measurement, Model, ModesOf
 from smfe.diagnosis.cases.case import modes_named
-from smfe.diagnosis.cases.compliances import case_of
+from smfe.diagnosis.cases.compliances import case_of, left_by_fit
 from smfe.diagnosis.frf.modes import SPREAD
-from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.frf.noise import excitation_of
+from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.identification.errors.result import Identification
 from stability import Spread
 
@@ -67,7 +69,7 @@ def test_a_model_is_trusted_as_far_as_it_says() -> None:
     priors = {}
     for name in ("sure", "plain"):
         family = case_of(replace(declared, baseline=ModesOf(name)), found).family
-        priors[name] = {p.name: p.prior / p.start for p in family.nuisances}
+        priors[name] = {p.name: p.prior / p.start for p in family.nuisances if p.start}
     assert priors["sure"]["frequency_1"] == pytest.approx(0.004)
     assert priors["plain"]["frequency_1"] == pytest.approx(SPREAD["frequency"])
     assert priors["sure"]["damping_1"] == priors["plain"]["damping_1"] == pytest.approx(SPREAD["damping"])
@@ -83,3 +85,24 @@ def test_what_has_no_modes_is_refused_with_what_to_do() -> None:
         InputError, match=r"'first' does not give the modes of a simulation .* declare them as a \[\[model\]\]"
     ):
         modes_named(campaign(silent, "first"), "first", {"first": Identification("first", "actuator", few, {})})
+
+
+def test_what_the_fit_of_a_baseline_leaves_of_its_own_source_convicts_no_other_measurement() -> None:
+    """A misfit ten times the noise, smooth over frequency, in both measurements alike."""
+    model = ModalModel([40.0], [0.02], [2e7], [[1.0, 0.0, 0.0]])
+    away = 1e-8 * np.exp(2j * np.pi * F / 60.0)
+    direct = {n: measured(n, 1).compliance.sel(response=["x"], excitation=["x"]) for n in ("first", "second")}
+    for compliance in direct.values():
+        compliance["compliance"].values[:, 0, 0] = model.matrix(F)[:, 0, 0] + away
+    excited = excitation_of(direct["second"], "actuator", 100.0, (14.0, 150.0))
+    row = left_by_fit(model, direct["first"], excited)
+    np.testing.assert_allclose(row[0, :, 0], np.interp(excited.frequency, F, away.real) + 1j * away_at(excited, away))
+    seen = np.interp(excited.frequency, F, 1.3 * away.real) + 1.3j * away_at(excited, away)
+    bare, shared = (x.whitened(seen[:, None]) for x in (excited, replace(excited, shared=row)))
+    assert bare @ bare > 20.0 * bare.size
+    # What is left is the factor itself, 1.3 of unit variance.
+    assert shared @ shared == pytest.approx(1.3**2, rel=0.01)
+
+
+def away_at(excited, away):
+    return np.interp(excited.frequency, F, away.imag)

@@ -6,7 +6,7 @@ import xarray as xr
 
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
-from smfe.diagnosis.checks.compliances import factor_suspects, reciprocity_suspects, skew_suspects
+from smfe.diagnosis.checks.compliances import factor_suspects, mounting_suspects, reciprocity_suspects, skew_suspects
 
 MACHINE = ModalModel(
     [24.0, 34.0, 58.0, 95.0],
@@ -50,8 +50,43 @@ class TestCompliances:
 
     def test_an_accelerometer_on_the_wrong_axis_breaks_reciprocity(self) -> None:
         mixed = MACHINE.matrix(F).copy()
-        mixed[:, 0, :] = mixed[:, 0, :] * 0.7
+        mixed[:, 0, :] = mixed[:, 0, :] * 0.4
         assert causes(reciprocity_suspects("m", compliance(mixed, 0.01))) == {"sensor_axis"}
+
+    @pytest.mark.parametrize("seed", range(6))
+    def test_what_leaning_hits_and_turned_sensors_do_is_no_fault(self, seed: int) -> None:
+        """Two degrees and one per cent of cross-talk put a tenth of the direct entries into weak cross terms."""
+        rng = np.random.default_rng(seed)
+        weak = MACHINE.matrix(F) * np.where(np.eye(3), 1.0, 0.15)
+        hits, sensors = (np.eye(3) + 0.025 * rng.standard_normal((3, 3)) for _ in range(2))
+        tilted = compliance(sensors @ weak @ hits, 0.005, seed)
+        assert not list(reciprocity_suspects("m", tilted))
+        assert not list(mounting_suspects("m", tilted))
+
+    def test_a_column_in_kilonewtons_is_named_beside_leaning_hits(self) -> None:
+        rng = np.random.default_rng(3)
+        mixed = MACHINE.matrix(F) @ (np.eye(3) + 0.02 * rng.standard_normal((3, 3)))
+        mixed[:, :, 1] *= 1e3
+        found = list(reciprocity_suspects("m", compliance(mixed, 0.005)))
+        assert {s.where for s in found if s.cause == "unit_error"} == {"m, xy and yx", "m, yz and zy"}
+
+    @pytest.mark.parametrize(
+        ("matrix", "cause", "said"),
+        [
+            (np.eye(3)[[1, 0, 2]], "sensor_axis", "exchange the columns of acceleration_x and acceleration_y"),
+            (np.eye(3)[[0, 2, 1]], "sensor_axis", "exchange the columns of acceleration_y and acceleration_z"),
+            (np.diag([1, -1, 1]), "sensor_gain", "declare sign = -1 on acceleration_y"),
+            (-np.eye(3), "sensor_gain", "declare sign = -1 on the force channels"),
+            (np.diag([-1, 1, 1]) @ np.eye(3)[[0, 2, 1]], "sensor_axis", "acceleration_y and acceleration_z"),
+        ],
+    )
+    def test_the_advice_fits_the_channels(self, matrix: np.ndarray, cause: str, said: str) -> None:
+        """Exchanged axes are not mended by a sign, nor a sign by an exchange."""
+        (found,) = mounting_suspects("m", compliance(matrix @ MACHINE.matrix(F), 0.01))
+        assert (found.cause, found.level) == (cause, "fault")
+        assert said in found.advice
+        assert ("sign = -1" in found.advice) == bool((matrix < 0).any())
+        assert ("exchange the columns" in found.advice) == (cause == "sensor_axis")
 
     @pytest.mark.parametrize(("factor", "cause"), [(1e3, "unit_error"), (9.80665, "unit_error"), (1.5, "sensor_gain")])
     def test_a_constant_factor_is_no_physics(self, factor: float, cause: str) -> None:

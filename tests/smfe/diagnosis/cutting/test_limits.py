@@ -14,7 +14,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, Trial, bracketed, limit_family
-from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.judgement.diagnose import diagnose
 from stability.methods.semi_discretization import limit_depth
 from stability.methods.zero_order_scan import loop_of, modal_crossings
 
@@ -183,8 +183,10 @@ def test_what_is_hidden_is_named_or_among_what_remains_open(effect: str) -> None
     problem, expected = family(effect, 0)
     found = diagnose(problem)
     assert found.verdict != "consistent"
-    named = [c.id for c in found.causes]
-    assert named == [expected] or any(expected in [c.id for c in s] for s in found.alternatives)
+    named = {c.id: c.set for c in found.causes}
+    # Depth goes with compliance over coefficients: what limits do not separate stands in one set with the truth.
+    one_set = expected in named and (len(named) == 1 or set(named.values()) == {1})
+    assert one_set or any(expected in [c.id for c in s] for s in found.alternatives)
 
 
 @pytest.mark.exam

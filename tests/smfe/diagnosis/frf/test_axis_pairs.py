@@ -10,7 +10,7 @@ from truth.campaign import Design, measure
 from truth.chain import Chain
 from truth.effects import EFFECTS, apply
 
-from smfe.diagnosis.inference.diagnose import diagnose
+from smfe.diagnosis.judgement.diagnose import diagnose
 
 pytestmark = pytest.mark.exam
 

@@ -30,15 +30,14 @@ from smfe.diagnosis.frf.causes import vector
 from smfe.diagnosis.frf.modal_dynamics import DECAYING, Changed, Shaken, full_compliance, unchanged
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import Excited
-from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.fit import Target
-from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.rules import RULES
+from smfe.diagnosis.judgement.diagnose import diagnose
+from smfe.diagnosis.judgement.hypotheses import Bench
 
 BARE = Hidden(cable=0.0)
-GAIN = "sensor_gain/force"
 STILL = Shaken("actuator", NOMINAL_LEVEL, 1.0)
 
 
@@ -119,6 +118,20 @@ class TestClosedForms:
         linear = full_compliance(plain(ram), LINES, STILL)
         assert 1e-6 < away(found, truth) < 0.02
         assert away(found, truth) < 0.1 * away(linear, truth)
+
+    @pytest.mark.parametrize("limit", [8.0, 0.7])
+    def test_elements_that_all_slip_at_a_travel_are_those_of_the_ram(self, ram: Ram, limit: float) -> None:
+        """A hundred Jenkins elements there, the closed form of infinitely many here; below their travel and beyond."""
+        spring, k = ram.springs[0]
+        typical = NOMINAL_LEVEL / k / 0.08
+        v = (shapes(ram) * signs(ram)).T @ spring
+        length = float(np.linalg.norm(v))
+        level = NOMINAL_LEVEL * 8.0 / limit  # travels there are even up to eight times the typical amplitude
+        truth = at_tool(ram, replace(BARE, slip=0.3), Setting(level=level), LINES)
+        joint = (0.3 * k * length**2, 8.0, *(v / length))
+        found = full_compliance(plain(ram)._replace(iwan=joint), LINES, Shaken("actuator", level, typical / length))
+        linear = full_compliance(plain(ram), LINES, STILL)
+        assert away(found, truth) < 1e-3 < 0.01 < away(linear, truth)
 
     def test_a_hit_is_a_decaying_vibration(self) -> None:
         f, z, k = 40.0, 0.02, 1e7
@@ -201,13 +214,12 @@ class TestFamily:
         def broken(**more: float) -> float:
             data = null.conditions[fast].data
             assert isinstance(data, Excited)
-            std = data.std.T.reshape(3, 3, -1)
-            y = prediction(null, fast, **more).reshape(3, 3, -1, 2) * std[:, :, :, None]
-            return float(np.abs(y - y.transpose(1, 0, 2, 3)).max() / np.abs(y).max())
+            y = data.compliance_of(prediction(null, fast, **more)).reshape(-1, 3, 3)
+            return float(np.abs(y - y.transpose(0, 2, 1)).max() / np.abs(y).max())
 
         for name in ("posture_12", "drift_12", "bearings_12", "sensor_mass", "turn_a_1", "residual_xy", "gain_force"):
-            assert broken(**{name: 0.01}) < 1e-12
-        for name in ("gyroscopic_12", "gain_x", "exchanged_xy", "turned_z"):
+            assert broken(**{name: 0.01}) < 1e-9
+        for name in ("gyroscopic_12", "gain_x", "exchanged_xy", "turned_z", "talk_xy", "lean_yz", "reach_x"):
             assert broken(**{name: 1.0 if name == "exchanged_xy" else 0.05}) > 1e-4
 
     def test_a_free_mass_gives_its_mass_and_the_gains(self, null: ModalFrfs) -> None:
@@ -223,7 +235,7 @@ class TestFamily:
 
     def test_a_laser_has_no_mass_and_no_axes(self, null: ModalFrfs) -> None:
         k = next(k for k, c in enumerate(null.conditions) if c.settings.get("sensor") == "laser")
-        for name in ("sensor_mass", "gain_x", "exchanged_xy", "turned_z"):
+        for name in ("sensor_mass", "gain_x", "exchanged_xy", "turned_z", "talk_xy", "reversed_x"):
             np.testing.assert_array_equal(prediction(null, k, **{name: 1.0}), prediction(null, k))
         two = replace(
             null, conditions=tuple(replace(c, settings=c.settings | {"sensor": "two"}) for c in null.conditions)
@@ -250,12 +262,10 @@ class TestFamily:
         assert proposed_modal_experiments(()) == ()
 
     @pytest.mark.slow
-    @pytest.mark.parametrize(
-        ("name", "both"), [("posture or drift", {"posture", "drift"}), ("gain or scale", {"modal_scale", GAIN})]
-    )
-    def test_a_design_without_contrast_does_not_separate_two_causes(self, name: str, both: set[str]) -> None:
+    def test_a_design_without_contrast_does_not_separate_two_causes(self) -> None:
         """To first order, before any data."""
-        before, after = (isolability(pair(name, 0, 1, settled)[0]).groups for settled in (False, True))
+        both = {"posture", "drift"}
+        before, after = (isolability(pair("posture or drift", 0, 1, settled)[0]).groups for settled in (False, True))
         assert any(both <= set(g) for g in before)
         assert not any(both <= set(g) for g in after)
 
@@ -277,7 +287,8 @@ class TestHidden:
     def test_nothing_is_wrong_where_nothing_is(self, null: ModalFrfs) -> None:
         assert named(null, 1) == ("consistent", set())
 
-    @pytest.mark.parametrize("hidden", ["posture", pytest.param("gain", marks=pytest.mark.slow)])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("hidden", ["posture", "gain"])
     def test_an_effect_is_named(self, hidden: str) -> None:
         assert named(family(hidden, 1)[0], 1) == ("named", {NAMES[hidden]})
 
@@ -342,7 +353,8 @@ class TestConfounded:
         for settled in (False, True):
             fam, truth = pair(name, which, 3, settled)
             verdict, causes = named(fam, 0)
-            assert verdict != "named" or causes == {truth}
+            # What was declared and the data do not separate is named as a set.
+            assert verdict != "named" or truth in causes
             if settled and truth not in ("modal_mass", "modal_scale"):
                 assert (verdict, causes) == ("named", {truth})
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
+from smfe.diagnosis.judgement.diagnose import diagnose
 
 X = np.linspace(0.0, 1.0, 96)
 

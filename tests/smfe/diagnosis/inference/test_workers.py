@@ -15,11 +15,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from process.errors import InputError
 from smfe.diagnosis.inference import model as model_module
 from smfe.diagnosis.inference import workers as helpers_module
-from smfe.diagnosis.inference.diagnose import diagnose
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.workers import Helpers, _parts, cores
+from smfe.diagnosis.judgement.diagnose import diagnose
 
 SEVERAL = pytest.mark.skipif(cores() < 2, reason="one core, or a system on which processes are not forked")
 PLACES = np.linspace(-1.0, 1.0, 30)

@@ -13,8 +13,8 @@ from process.machine.modes import ModalModel
 from smfe.diagnosis.cutting.limits import Limit, limit_family
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import condition_of, excitation_of
-from smfe.diagnosis.inference.finding import Compared, ConditionMisfit, Finding, FoundCause, Prediction
 from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.judgement.finding import Compared, ConditionMisfit, Finding, FoundCause, Prediction
 from smfe.diagnosis.story.curves import with_curves
 from smfe.diagnosis.story.experiments import instruction
 from smfe.reporting.figures.compared import blocks

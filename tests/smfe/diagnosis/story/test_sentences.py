@@ -5,17 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smfe.diagnosis.inference.finding import (
+from smfe.diagnosis.checks.suspect import fault
+from smfe.diagnosis.inference.thresholds import Detectable
+from smfe.diagnosis.judgement.finding import (
     Estimate,
     Finding,
     ForetoldCut,
     FoundCause,
+    GivenParameter,
     ModelError,
+    Pocket,
     Remainder,
     StableDepth,
 )
-from smfe.diagnosis.inference.next_experiment import Proposal, Revealed
-from smfe.diagnosis.inference.thresholds import Detectable
+from smfe.diagnosis.judgement.next_experiment import Proposal, Revealed
 from smfe.diagnosis.story.causes import Friction
 from smfe.diagnosis.story.sentences import Setting, told
 
@@ -82,7 +85,7 @@ def test_each_cause_has_a_sentence_with_its_numbers_and_what_it_is_worth() -> No
 
 
 def test_what_remains_is_said_beside_the_gain() -> None:
-    left = Remainder(3.0, 1e-9, True, 0.12, ("a move",))
+    left = Remainder(3.0, 1e-9, 0.3, 0.12, ("a move",))
     found = Finding("unknown", "it is", (DELAY,), errors=ERRORS, remainder=left)
     assert say("verdict", found)[0].endswith("Of the error that repeats, 12 % remain unexplained.")
     little = replace(found, remainder=replace(left, share=0.00037))
@@ -135,3 +138,75 @@ def test_power_names_the_size_that_would_have_been_seen_of_causes_that_were_not_
         "Would have been seen with a probability of 95 %: play in a joint from 1.5 µm on.",
         "Would not have been seen in these conditions: stiffness that drifts.",
     ]
+
+
+# --- Is what was given right?
+
+KTC = GivenParameter("Ktc", "", "force_coefficients", 2000.0, 200.0, 2700.0, 2650.0, 2750.0, "N/mm^2", True, 0.26, -1.2)
+KRC = GivenParameter("Krc", "", "force_coefficients", 600.0, 60.0, 612.0, 580.0, 644.0, "N/mm^2", False, 0.01, 0.02)
+MASS = GivenParameter("mass", "", "declared_mass", 95.0, 9.5, 95.1, 76.9, 113.3, "kg", False)
+
+
+def test_what_was_given_comes_first_with_what_the_data_say_and_its_millimetres() -> None:
+    size = FoundCause("force_coefficients", "", "coefficients", "physics", (), 9.0, 3.0, 1.0)
+    found = Finding("named", "it is", (size,), errors=ERRORS, given=(KRC, KTC, MASS))
+    assert [p.about for p in told(found)][:2] == ["given", "given"]
+    assert say("given", found) == [
+        "Is what you gave right? Not cutting coefficient Ktc.",
+        "Cutting coefficient Ktc: given 2000 N/mm², found 2700 N/mm² (2650 to 2750); with it the stable depth is "
+        "1.2 mm less (26 %).",
+        "As declared: cutting coefficient Krc 600 (found 612 N/mm², 580 to 644).",
+    ]
+    # What the data do not narrow down is neither right nor wrong.
+    assert "mass" not in " ".join(say("given", found))
+    assert say("given", replace(found, given=(KRC,)))[0].endswith("As far as these measurements tell, yes.")
+    assert say("given", replace(found, given=(MASS,))) == [
+        "Is what you gave right? These measurements say nothing of it."
+    ]
+
+
+def test_causes_that_the_data_do_not_separate_are_told_as_one_or_the_other() -> None:
+    numbers = (Estimate("gain_force", -13.0, -13.4, -12.6, "%"),)
+    gain = FoundCause("sensor_gain", "force", "gain of the force sensor", "measurement", numbers, 9.0, None, None, 0)
+    scale = replace(gain, id="modal_scale", title="scale of all modes", kind="physics", parameters=(), variant="")
+    said = say("verdict", Finding("named", "it is", (gain, scale, DELAY), errors=ERRORS))[0]
+    assert said.startswith(
+        "The simulation leaves out a dead time in the control loop. Either the gain of a sensor is off (gain of the "
+        "force sensor 13 % lower) or the simulation is wrong about the scale of all modes."
+    ), said
+    assert "do not tell which of them it is" in " ".join(say("cause", Finding("named", "", (gain, scale))))
+
+
+def test_what_is_too_small_to_matter_is_said_and_does_not_convict() -> None:
+    small = replace(DELAY, size=0.011)
+    found = Finding("consistent", "it is", immaterial=(small,), material=0.05, errors=ERRORS[:1])
+    assert "what it leaves is noise, and what is too small to matter (error 31 %)" in say("verdict", found)[0]
+    assert say("immaterial", found) == [
+        "Seen, but too small to matter (less than 5.0 %): a dead time in the control loop (0.82 ms), which changes "
+        "1.1 %."
+    ]
+
+
+def test_a_named_cause_with_a_remainder_says_how_much_is_left() -> None:
+    left = Remainder(3.0, 1e-9, 0.06, 0.011, ())
+    said = say("verdict", Finding("named", "it is", (DELAY,), errors=ERRORS, remainder=left))[0]
+    assert said.endswith("Of the error that repeats, 1.1 % remain unexplained.")
+
+
+def test_the_best_speed_is_told_before_and_after() -> None:
+    pocket = Pocket("lobes_1", 980.0, 5.1, 2.2, 760.0, 3.4)
+    assert say("depth", Finding("named", "it is", (DELAY,), pockets=(pocket,))) == [
+        "The best speed by the simulation is 980 rpm with 5.10 mm; there the extended model allows 2.20 mm. Its own "
+        "best is 760 rpm with 3.40 mm."
+    ]
+
+
+def test_a_fault_of_the_data_is_told_in_words_before_anything_is_blamed() -> None:
+    left_out = fault("unit_error", "hammer_500, xx", "its stiffness is 3 N/m", "correct the unit", ("measurement", "h"))
+    setting = Setting(faults=(left_out, fault("sensor_axis", "idle", "two are exchanged", "exchange them")))
+    passages = told(Finding("named", "it is", (DELAY,), errors=ERRORS), setting)
+    assert [p.text for p in passages if p.about == "fault"] == [
+        "A fault in the data, so that it was left out: hammer 500, xx: its stiffness is 3 N/m. Correct the unit.",
+        "A fault in the data, so that it is compared as it is: idle: two are exchanged. Exchange them.",
+    ]
+    assert passages[0].about == "fault"

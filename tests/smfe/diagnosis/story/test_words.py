@@ -14,10 +14,10 @@ from process.machine.modes import ModalModel
 from smfe.diagnosis.cutting.forces import CuttingForces
 from smfe.diagnosis.cutting.limits import CuttingLimits
 from smfe.diagnosis.drive import terms
-from smfe.diagnosis.drive.terms import DELAY, HIDDEN_COMMAND, SENSOR_GAIN, SERVO_GAINS
+from smfe.diagnosis.drive.terms import HIDDEN_COMMAND
 from smfe.diagnosis.frf.causes import modal_causes, sensor_causes
-from smfe.diagnosis.inference.finding import Estimate, FoundCause
 from smfe.diagnosis.inference.problem import Cause, Parameter
+from smfe.diagnosis.judgement.finding import Estimate, FoundCause
 from smfe.diagnosis.story.causes import numbers_of, row_of
 from smfe.diagnosis.story.words import in_words, parameter_words, with_interval
 
@@ -30,7 +30,7 @@ def catalogues() -> tuple[list[Parameter], list[Cause]]:
     axis, arc = baseline(), engagement("down", 0.04, 0.08)
     forces = CuttingForces(TOOL, (2e9, 8e8, 3e8), ())
     limits = CuttingLimits(MODES, TOOL, arc, CuttingCoefficients(2e9, 8e8, 3e8), ())
-    moves = [*terms.always(0.0, 1.0, 90.0), terms.ripple(2.5e-3, 0.0, False), terms.tone(50.0, 20.0)]
+    moves = [*terms.always(0.0, 1.0, 90.0, 0.2), terms.ripple(2.5e-3, 0.0, False), terms.tone(50.0, 20.0)]
     moves.append(terms.hidden_force([(0.0, 1.0, 1.0)]))
     causes = [
         *axis.causes(),
@@ -39,10 +39,7 @@ def catalogues() -> tuple[list[Parameter], list[Cause]]:
         *forces.causes,
         *limits.causes,
         *(t.cause for t in moves),
-        DELAY,
         HIDDEN_COMMAND,
-        SENSOR_GAIN,
-        SERVO_GAINS,
         terms.saturation(100.0, 80.0),
     ]
     parameters = [*axis.nuisances(), *forces.nuisances, *limits.nuisances, *(p for c in causes for p in c.parameters)]

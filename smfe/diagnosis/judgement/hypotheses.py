@@ -16,6 +16,7 @@ from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import Signature, Tangent, tangent
 from smfe.diagnosis.inference.thresholds import combined_gain, threshold
+from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth
 from smfe.progress import Progress
 
 
@@ -31,9 +32,11 @@ class Bench:
     known: Mapping[tuple[int, ...], Fit] = field(default_factory=dict)
     """Hypothesis -> its fit to nearly the same data, to start from."""
     fits: dict[tuple[int, ...], Fit] = field(default_factory=dict)  # hypothesis -> its best fit so far
+    worth: Worth = EVERYTHING  # what is large enough to matter
     planned: int = 0  # hypotheses that will be fitted, as far as that is known
     _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
     _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
+    _left: dict[tuple[int, ...], float] = field(default_factory=dict)
     _held_out: dict[tuple[tuple[int, ...], tuple[Scheme, ...]], HeldOut] = field(default_factory=dict)
 
     def rng(self, *purpose: int) -> np.random.Generator:
@@ -105,6 +108,7 @@ class Bench:
             self.fits[found.causes] = found
             self._tangents.pop(found.causes, None)
             self._thresholds.pop(found.causes, None)
+            self._left.pop(found.causes, None)
             self._held_out = {key: value for key, value in self._held_out.items() if key[0] != found.causes}
             if found.converged:
                 self.unconverged.pop(self.title(found.causes), None)
@@ -241,6 +245,14 @@ class Bench:
     def bad(self, at: Fit) -> bool:
         """Whether a fit leaves more than noise: then a cause is looked for far from its null too."""
         return self.misfit(at).p_value < RULES.band
+
+    def matters(self, at: Fit, share: float) -> bool:
+        """Whether what a fit leaves may matter: a share of what is material is left of it besides noise."""
+        if self.worth.material == 0.0:
+            return True
+        if at.causes not in self._left:
+            self._left[at.causes] = self.worth.left(self.model, at.residual, self.rng(11, len(at.causes)))
+        return self._left[at.causes] >= share * self.worth.material
 
     def far(self, added: Sequence[int]) -> bool:
         """Whether some causes may act far from their null only."""

@@ -2,7 +2,8 @@
 
 Named is a cause whose likelihood ratio (:eq:`likelihood-ratio`) passes the calibrated threshold, that leads every other
 cause by a calibrated margin, whose model leaves nothing but noise on held-out conditions and gains there by at least 1
-dB however they are drawn, whose parameters are physical and agree between independent sources. Where more than noise is
+dB however they are drawn, whose parameters are physical and agree between independent sources. Less than what is
+material convicts nothing (`smfe.diagnosis.judgement.materiality`). Where more than noise is
 left the verdict is "unknown", and a lead counts only if the conditions share it (Vuong, Econometrica 57, 1989): a few
 that no model describes must not decide between two.
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -20,14 +21,15 @@ from scipy import stats
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
-from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.misfit import Misfit, carriers
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.next_experiment import discrimination
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.search import Step, on_bound, rivals
 from smfe.diagnosis.inference.signature import Tangent, inside, orthonormal
 from smfe.diagnosis.inference.thresholds import Detectable, parameters_of, products_of_noise, upper
+from smfe.diagnosis.judgement.hypotheses import Bench
+from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth, residual_of
+from smfe.diagnosis.judgement.next_experiment import discrimination
+from smfe.diagnosis.judgement.search import Step, on_bound, rivals
 
 Verdict = Literal["consistent", "named", "ambiguous", "unknown", "insufficient_data"]
 
@@ -43,31 +45,107 @@ class Judgement:
     misfit: Misfit | None = None  # what the final model leaves: held out where possible
     carriers: tuple[int, ...] = ()  # conditions that carry what is left unexplained
     gain: Gain | None = None  # of all causes together on held-out conditions
+    size: float = 0.0  # of what is left beyond noise, relative to what was measured, where it matters [1]
+    immaterial: tuple[int, ...] = ()  # causes that are seen, but too small to matter
+    refused: Fit | None = None  # the fit they are in, where that is not the one that was judged
 
 
-def judge(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable]) -> Judgement:
-    """Judge the fit and the steps that a search ended with, given what would have been seen."""
+def judge(
+    bench: Bench,
+    at: Fit,
+    steps: Sequence[Step],
+    sizes: Sequence[Detectable],
+    worth: Worth = EVERYTHING,
+    released: bool = False,
+) -> Judgement:
+    """Judge the fit and the steps that a search ended with, given what would have been seen and what matters.
+
+    `released`: the data contradict what was declared, and it was released.
+    """
     if not at.causes:
-        return _without_cause(bench, at, steps, sizes)
+        found = _without_cause(bench, at, steps, sizes, worth)
+        if released and found.verdict == "consistent":
+            reason = "the data contradict what was declared, and nothing else is wrong"
+            return replace(found, verdict="named", reason=reason)
+        return found
     gain = bench.gain(bench.null(), at)
     chosen = bench.usable(at, at.causes)
-    left = bench.held_out(at, chosen).misfit if chosen else bench.misfit(at)
+    apart = bench.held_out(at, chosen) if chosen else None
+    left = bench.misfit(at) if apart is None else apart.misfit
     how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
-    best = bench.words(at.causes)
-    sets = {k: found for k in at.causes if (found := _open(bench, at, k, left))}
+    model = bench.model
+    small = tuple(k for k in at.causes if cause_size(bench, at, k, worth) < worth.material)
+    named = [k for k in at.causes if k not in small]
+    best = bench.words(named or at.causes)
+    sets = {k: fits for k in named if (fits := _open(bench, at, k, left))}
+    size = 0.0
     if left.p_value < RULES.band:
+        size = worth.left(model, residual_of(model, {} if apart is None else apart.fitted, at), bench.rng(10))
+    told = Judgement("named", "", sets, left, (), gain, size, small)
+    matters = left.p_value < RULES.band and size >= worth.material
+    if matters and not (worth.material > 0.0 and gain is not None and gain.share >= RULES.named_share and named):
         reason = f"the best of the catalogue, {best}, leaves more than noise on conditions it did not see"
-        return Judgement("unknown", reason, sets, left, tuple(carriers(left)), gain)
-    differing = [bench.model.causes[k].title for k in at.causes if not agrees(bench, at, k)]
-    if differing:
+        return replace(told, verdict="unknown", reason=reason, carriers=tuple(carriers(left)))
+    differing = [model.causes[k].title for k in named if not agrees(bench, at, k)]
+    if differing and (worth.material == 0.0 or matters):
         reason = f"parameters of {' and '.join(differing)} differ between independent sources"
-        return Judgement("unknown", reason, sets, left, (), gain)
+        return replace(told, verdict="unknown", reason=reason)
     if sets:
-        return Judgement("ambiguous", f"the data fit more than one cause{how}", sets, left, (), gain)
-    return Judgement("named", f"{best} and nothing else of the catalogue{how}", {}, left, (), gain)
+        return replace(told, verdict="ambiguous", reason=f"the data fit more than one cause{how}")
+    if not named:
+        verdict: Verdict = "named" if released else "consistent"
+        return replace(told, verdict=verdict, reason=f"{best} is seen, but too small to matter{how}")
+    rest = f", with a remainder of {_percent(size)} of what was measured" if matters else ""
+    return replace(
+        told,
+        reason=f"{best}{rest or ' and nothing else of the catalogue'}{how}",
+        carriers=tuple(carriers(left)) if matters else (),
+    )
 
 
-def _without_cause(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable]) -> Judgement:
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
+
+
+def cause_size(bench: Bench, at: Fit, k: int, worth: Worth) -> float:
+    """Return what a cause of a fit changes: by itself, or by what else is fitted wrongly without it, whichever is more.
+
+    By itself a dead time may change no depth that friction does not change back; and friction that hardly acts at the
+    feed of the cut moves masses and gains of a model that is fitted without it.
+    """
+    none, rows = at.u.copy(), list(bench.target.observed)
+    none[bench.model.of_cause[k]] = 0.0
+    measurement = bench.model.causes[k].kind == "measurement"
+    without = (none, bench.reduce(at, k).u)
+    return max(worth.of_causes(bench.model, rows, u, at.u, measurement) for u in without)
+
+
+def _beyond_baseline(bench: Bench, at: Fit, found: Fit, worth: Worth) -> float:
+    """Return what a fit with causes, accepted or not, predicts otherwise than the baseline fitted to the same data."""
+    measurement = all(bench.model.causes[k].kind == "measurement" for k in found.causes)
+    return worth.of_causes(bench.model, list(bench.target.observed), at.u, found.u, measurement)
+
+
+def _without_cause(
+    bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable], worth: Worth
+) -> Judgement:
+    """Judge a baseline that no cause was added to: what is left of it, or was refused, must matter to convict it."""
+    found = _of_baseline(bench, at, steps, sizes)
+    if worth.material == 0.0 or found.misfit is None or found.verdict == "consistent":
+        return found
+    size = worth.left(bench.model, at.residual, bench.rng(10)) if found.misfit.p_value < RULES.band else 0.0
+    tried = [bench.fits[s.causes] for s in steps if not s.accepted and _borne_out(s)]
+    best = min((f for f in tried if f.converged), key=lambda f: f.chi2, default=None)
+    sized = 0.0 if best is None else _beyond_baseline(bench, at, best, worth)
+    if max(size, sized) >= worth.material or found.verdict == "insufficient_data":
+        return replace(found, size=size)
+    small = () if best is None else best.causes
+    words = f"{bench.words(small)}, too" if small else f"{_percent(size)} of what was measured, too"
+    reason = f"what the baseline leaves beyond noise is {words} small to matter"
+    return Judgement("consistent", reason, {}, found.misfit, (), None, size, small, best)
+
+
+def _of_baseline(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable]) -> Judgement:
     if not at.converged:
         return Judgement("insufficient_data", f"the baseline could not be fitted: {at.reason}")
     left = bench.misfit(at)

@@ -15,11 +15,11 @@ from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut
 from smfe.diagnosis.inference.fit import Fit, Target, residuals
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.next_experiment import Proposal
 from smfe.diagnosis.inference.problem import Condition, Values
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.thresholds import Detectable
-from smfe.diagnosis.inference.verdict import Verdict
+from smfe.diagnosis.judgement.next_experiment import Proposal
+from smfe.diagnosis.judgement.verdict import Verdict
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,9 @@ class FoundCause:
     ratio: float  # likelihood ratio: what leaving it out costs
     gain_db: float | None  # what it is worth on held-out conditions; None where none could be held out
     gain_sd_db: float | None
+    set: int | None = None  # causes with the same number stand for one: the data do not say which of them it is
+    size: float | None = None
+    """What it changes, relative [1]: the limit depth, or where no cut is given what is predicted."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class Remainder:
     misfit_db: float
     """Squares of the residuals over those of noise [dB], the uncertainty of the prediction counted as noise."""
     p_value: float  # probability that noise alone looks as bad
-    beyond_noise: bool  # whether it is more than noise (99 %)
+    size: float  # relative to what was measured, where it matters, without noise [1]
     share: float | None  # share of the baseline's repeatable error that remains; None where nothing was held out
     carriers: tuple[str, ...]  # conditions that carry it; none where it looks like noise
 
@@ -145,7 +148,7 @@ class ForetoldCut:
 class Passage:
     """A sentence or two of a diagnosis, and what it is about."""
 
-    about: str  # "verdict", "cause", "parameter", "depth", "next", "power" or "note"
+    about: str  # one of `smfe.diagnosis.story.sentences.ABOUT`
     text: str
 
 
@@ -158,6 +161,18 @@ class StableDepth:
     feed_mm_min: float
     before_mm: float
     after_mm: float  # infinite: no limit; zero: at this feed the axis vibrates without any cut
+
+
+@dataclass(frozen=True)
+class Pocket:
+    """Speed at which most is removed, by the machine as the campaign gives it and as the finding repairs it."""
+
+    where: str  # lobes that ask for it
+    before_rpm: float  # best speed by the simulation
+    before_mm: float  # depth that the simulation allows there
+    after_there_mm: float  # depth that the extended model allows there
+    after_rpm: float  # best speed by the extended model
+    after_mm: float  # depth that it allows there
 
 
 @dataclass(frozen=True)
@@ -186,6 +201,24 @@ class BaselineParameter:
 
 
 @dataclass(frozen=True)
+class GivenParameter:
+    """A parameter that somebody declared, or that a workshop holds to, beside what the data say, in the unit shown."""
+
+    name: str
+    said: str  # what it is, for people
+    cause: str  # id under which a value beyond what was declared is named
+    given: float  # as declared
+    spread: float  # standard deviation with which that is trusted
+    found: float  # in the best model
+    low: float  # 95 % interval of it
+    high: float
+    unit: str
+    beyond: bool  # whether the data contradict what was declared, and that matters
+    cost: float | None = None  # relative change of the limit depths between given and found; None where no cut is given
+    cost_mm: float | None = None  # the same in millimetres
+
+
+@dataclass(frozen=True)
 class Finding:
     """A diagnosis: a verdict and what it rests on."""
 
@@ -203,7 +236,10 @@ class Finding:
     misfit_after_db: float | None = None  # of the best model
     gain: Gain | None = None  # of all causes together, on conditions held out in turn
     held_out_gain: Gain | None = None  # the same on the conditions that no fit used
-    remainder: Remainder | None = None  # what the best model leaves
+    remainder: Remainder | None = None  # what the best model leaves; None where that is nothing but noise
+    given: tuple[GivenParameter, ...] = ()  # whether what was declared is right
+    immaterial: tuple[FoundCause, ...] = ()  # causes that the data show, but too small to matter
+    material: float = 0.0  # relative size from which on something matters
     detectable: tuple[Detectable, ...] = ()
     """Size of each cause that would have been seen in the baseline's residual with 95 %."""
     inseparable: tuple[tuple[str, ...], ...] = ()
@@ -216,6 +252,7 @@ class Finding:
     values_before: Mapping[str, float] = field(default_factory=dict)  # of the baseline, fitted to the same data
     stable_depth: tuple[StableDepth, ...] = ()
     """Where the finding repairs the machine of a campaign that asks for stable depths."""
+    pockets: tuple[Pocket, ...] = ()  # the best speed of each request, before and after
     force_error: tuple[ForceError, ...] = ()  # where it repairs the model of a drive
     baseline: tuple[BaselineParameter, ...] = ()
     """The baseline's own parameters, as given and as fitted: a verdict is about what is beyond them."""
@@ -223,6 +260,7 @@ class Finding:
     """Error before and after, in the units of the measurement: of what no fit has seen first."""
     tested_depth: tuple[ForetoldCut, ...] = ()  # cutting tests against the stable depths of both models
     no_depth: str = ""  # why no stable depth is given, a sentence
+    to_do: tuple[str, ...] = ()  # what to do about each cause, in their order (`smfe.diagnosis.story.to_do`)
     passages: tuple[Passage, ...] = ()  # the finding in sentences (`smfe.diagnosis.story.sentences`)
     compared: tuple[Compared, ...] = field(default=(), repr=False, compare=False)  # conditions, not in the file
     curves: xr.Dataset | None = field(default=None, repr=False, compare=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,30 +12,48 @@ from threadpoolctl import threadpool_limits
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, compare, unseen
-from smfe.diagnosis.inference.finding import Estimate, Finding, FoundCause, Remainder, SearchStep, by_condition
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
-from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.next_experiment import Proposal, rank, revealing
 from smfe.diagnosis.inference.problem import Condition, Family
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.search import Step, search
 from smfe.diagnosis.inference.signature import cosines, groups, inside
 from smfe.diagnosis.inference.thresholds import charge, covariances_of_noise, detectable, parameters_of
-from smfe.diagnosis.inference.verdict import Judgement, judge
 from smfe.diagnosis.inference.workers import Helpers
+from smfe.diagnosis.judgement.declared import Released, contradicted, slightly_off
+from smfe.diagnosis.judgement.finding import (
+    Estimate,
+    Finding,
+    FoundCause,
+    GivenParameter,
+    Remainder,
+    SearchStep,
+    by_condition,
+)
+from smfe.diagnosis.judgement.hypotheses import Bench
+from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth
+from smfe.diagnosis.judgement.next_experiment import Proposal, rank, revealing
+from smfe.diagnosis.judgement.search import Step, search
+from smfe.diagnosis.judgement.verdict import Judgement, cause_size, judge
 from smfe.progress import Progress, silent
+
+MEASURED = frozenset({"sensor_gain", "sensor_axis", "sensor_offset", "time_skew", "cross_talk", "accelerometer_mass"})
+"""Ids of what is declared of sensors: it changes what they show, and no limit depth."""
 
 
 def diagnose(
-    family: Family, seed: int = 0, progress: Progress = silent, held_out: Sequence[str] = (), workers: int | None = None
+    family: Family,
+    seed: int = 0,
+    progress: Progress = silent,
+    held_out: Sequence[str] = (),
+    workers: int | None = None,
+    worth: Worth = EVERYTHING,
 ) -> Finding:
     """Diagnose a baseline.
 
     Where the data of a family rest on a simulation (`Family.prepares_data`) and a cause was found, they are prepared
     once more, with that cause, and searched again from the fits that are known by then; a third time if that search
-    finds other causes.
+    finds other causes. Where the data contradict what was declared, that is released and all searched once more.
 
     Parameters
     ----------
@@ -50,6 +68,8 @@ def diagnose(
     workers : int, optional
         Processes that predict where that takes long; default: one a core, at most 8, on Linux, elsewhere one. The
         finding is the same with any number.
+    worth : Worth, optional
+        What is large enough to matter; default: everything.
 
     Returns
     -------
@@ -66,7 +86,7 @@ def diagnose(
         conditions: Sequence[Condition] = family.conditions
         known, assumed = dict[tuple[int, ...], Fit](), tuple[int, ...]()
         for last in (not family.prepares_data, False, True):
-            bench, apart = _prepared(family, conditions, seed, progress, held_out, helpers)
+            bench, apart = _prepared(family, conditions, seed, progress, held_out, helpers, worth)
             bench.known = known
             values, nuisances = _values(bench), bench.model.nuisance.size
             if values <= nuisances:
@@ -79,7 +99,25 @@ def diagnose(
                 break
             assumed, known = at.causes, dict(bench.fits)
             conditions = family.as_found(bench.model.values(at.u))
-        return _finding(bench, apart, at, steps)
+        declared = _contradicted(bench, at, worth)
+        if declared:
+            again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)
+            again.known = dict(bench.fits)
+            if again.null().converged:
+                bench, taken = again, [s for s in steps if s.accepted]
+                at, steps = search(bench, begin=at.causes)
+                steps = [*taken, *steps]
+        return _finding(bench, apart, at, steps, declared, worth)
+
+
+def _contradicted(bench: Bench, at: Fit, worth: Worth) -> list[Released]:
+    """Return what was declared and is not so."""
+    rows = list(bench.target.observed)
+
+    def size(before: Real, after: Real, given: str) -> float:
+        return worth.of_causes(bench.model, rows, before, after, given in MEASURED)
+
+    return contradicted(bench.model, bench.target, at, size, worth.material)
 
 
 def _prepared(
@@ -89,13 +127,15 @@ def _prepared(
     progress: Progress,
     held_out: Sequence[str],
     helpers: Helpers,
+    worth: Worth,
+    released: Sequence[Released] = (),
 ) -> tuple[Bench, dict[int, Real]]:
     """Return the conditions ready for a search, and the data that no fit may use."""
     measured = [c for c in conditions if c.observed is not None]
     missing = sorted(set(held_out) - {c.name for c in measured})
     if missing:
         raise InputError(f"{missing[0]!r} cannot be held out: it is not one of the measured conditions")
-    model = Model(family, [*measured, *family.proposals], helpers)
+    model = Model(family, [*measured, *family.proposals], helpers, {r.given[0] for r in released})
     data = {r: np.asarray(c.observed, dtype=float) for r, c in enumerate(measured)}
     for r, y in data.items():
         if y.ndim != 1 or y.size == 0 or not np.all(np.isfinite(y)):
@@ -105,30 +145,43 @@ def _prepared(
             )
     apart = {r: y for r, y in data.items() if measured[r].name in held_out}
     target = Target({r: y for r, y in data.items() if r not in apart}, model.null())
-    return Bench(model, target, seed, progress), apart
+    return Bench(model, target, seed, progress, worth=worth), apart
 
 
 def _values(bench: Bench) -> int:
     return sum(y.size for y in bench.target.observed.values())
 
 
-def _finding(bench: Bench, apart: Mapping[int, Real], at: Fit, steps: Sequence[Step]) -> Finding:
+def _finding(
+    bench: Bench,
+    apart: Mapping[int, Real],
+    at: Fit,
+    steps: Sequence[Step],
+    released: Sequence[Released] = (),
+    worth: Worth = EVERYTHING,
+) -> Finding:
     model, values, null = bench.model, _values(bench), bench.null()
     limit = bench.threshold(null)
     sizes = detectable(model, bench.tangent(null), limit)
     together = groups(model, cosines(model, bench.tangent(null)))
-    judged = judge(bench, at, steps, sizes)
-    conditions, compared = by_condition(model, null, at, apart, _in_turn(bench, null, at))
+    judged = judge(bench, at, steps, sizes, worth, bool(released))
+    if judged.verdict in ("unknown", "insufficient_data"):
+        released = ()  # what is not understood may have moved them
+    before = _as_given(bench, released) if released else bench
+    conditions, compared = by_condition(model, before.null(), at, apart, _in_turn(before, bench, at))
+    named = [k for k in at.causes if k not in judged.immaterial]
+    understood = judged.verdict in ("consistent", "named")
+    off = slightly_off(model, bench.target, at) if understood else []
     return Finding(
         verdict=judged.verdict,
         reason=judged.reason,
-        causes=tuple(_found(bench, at, k, judged) for k in at.causes),
-        alternatives=_alternatives(bench, at, judged),
+        causes=(*_declared(bench, released, worth), *(_found(bench, at, k, judged, worth) for k in named)),
+        alternatives=_alternatives(bench, at, judged, worth),
         search_steps=tuple(_search_step(model, s, values) for s in steps),
-        misfit_before_db=_decibel(null.chi2, values),
+        misfit_before_db=_decibel(before.null().chi2, values),
         misfit_after_db=_decibel(at.chi2, values),
-        gain=judged.gain,
-        held_out_gain=_held_out_gain(bench, at, apart),
+        gain=_whole_gain(before, bench, at) if released else judged.gain,
+        held_out_gain=_held_out_gain(before, bench, at, apart),
         remainder=_remainder(bench, judged),
         detectable=sizes,
         inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
@@ -138,14 +191,85 @@ def _finding(bench: Bench, apart: Mapping[int, Real], at: Fit, steps: Sequence[S
         conditions=conditions,
         compared=compared,
         values=model.values(at.u),
-        values_before=model.values(null.u),
+        values_before=model.values(before.null().u),
+        given=_given(bench, at, {g for r in released for g in r.given}, worth),
+        immaterial=(
+            *_declared(bench, off, worth),
+            *(_found(bench, judged.refused or at, k, judged, worth) for k in judged.immaterial),
+        ),
+        material=worth.material,
     )
 
 
-def _in_turn(bench: Bench, null: Fit, at: Fit) -> list[tuple[HeldOut, HeldOut]]:
+def _as_given(bench: Bench, released: Sequence[Released]) -> Bench:
+    """Return the same data under the baseline as it was declared, with what was released fixed."""
+    fixed = {g for r in released for g in r.given}
+    model = Model(bench.model.family, bench.model.conditions, bench.model.helpers, fixed=fixed)
+    return Bench(model, bench.target, bench.seed, bench.progress)
+
+
+def _whole_gain(before: Bench, bench: Bench, at: Fit) -> Gain | None:
+    """Return what releasing and all causes are worth on conditions left out in turn."""
+    found = _in_turn(before, bench, at)
+    if not found:
+        return None
+    return compare(*found[0], bench.rng(9, len(at.causes)))
+
+
+def _declared(bench: Bench, released: Sequence[Released], worth: Worth) -> Iterator[FoundCause]:
+    """Yield what was declared and is not so, each of a set that the data do not separate."""
+    model, rows = bench.model, list(bench.target.observed)
+    start = bench.null().u
+    for number, r in enumerate(released, 1):
+        together = number if len(r.given) > 1 else None
+        for given, values, deviations in zip(r.given, r.values, r.deviations, strict=True):
+            parameters = []
+            u = start.copy()
+            for j, value in values.items():
+                p, half = model.parameters[j], RULES.interval * deviations[j]
+                u[j] = value
+                middle, low, high = ((p.start + p.scale * x) * p.shown for x in (value, value - half, value + half))
+                parameters.append(Estimate(p.name, middle, low, high, p.unit))
+            declared = u.copy()
+            declared[list(values)] = 0.0
+            kind = "measurement" if given in MEASURED else "declared"
+            off = max(values, key=lambda j: abs(values[j]) / _prior(model, j))
+            away = [j for j in values if j == off or abs(values[j]) > RULES.trusted * _prior(model, j)]
+            title = " and ".join(dict.fromkeys(model.parameters[j].said or model.names[j] for j in away))
+            size = worth.of_causes(model, rows, declared, u, kind == "measurement")
+            yield FoundCause(given, "declared", title, kind, tuple(parameters), r.ratio, None, None, together, size)
+
+
+def _prior(model: Model, j: int) -> float:
+    """Return the scaled standard deviation with which a declared parameter was trusted."""
+    p = model.parameters[j]
+    return p.prior / p.scale
+
+
+def _given(bench: Bench, at: Fit, beyond: Collection[str], worth: Worth) -> tuple[GivenParameter, ...]:
+    """Return each declared parameter beside what the data say of it."""
+    model = bench.model
+    sd = deviations(bench, at, None)
+    found = []
+    for place, j in enumerate(at.free):
+        p = model.parameters[j]
+        if not p.given:
+            continue
+        declared = at.u.copy()
+        declared[j] = 0.0
+        cost = worth.cost(model.values(declared), model.values(at.u)) if p.given not in MEASURED else None
+        value, half = p.start + p.scale * float(at.u[j]), RULES.interval * p.scale * float(sd[place])
+        value, low, high = ((value + x) * p.shown for x in (0.0, -half, half))
+        trusted = p.prior * p.shown
+        known = (p.name, p.said, p.given, p.start * p.shown, trusted, value, low, high, p.unit)
+        found.append(GivenParameter(*known, p.given in beyond, cost))
+    return tuple(found)
+
+
+def _in_turn(before: Bench, bench: Bench, at: Fit) -> list[tuple[HeldOut, HeldOut]]:
     """Return what baseline and best model predict of conditions left out in turn, where any can be."""
-    chosen = bench.usable(at, at.causes) if at.causes else ()
-    return [(bench.held_out(null, chosen), bench.held_out(at, chosen))] if chosen else []
+    chosen = bench.usable(at, at.causes) if at.causes or before is not bench else ()
+    return [(before.held_out(before.null(), chosen), bench.held_out(at, chosen))] if chosen else []
 
 
 def _decibel(chi2: float, values: int) -> float:
@@ -162,40 +286,41 @@ def _search_step(model: Model, step: Step, values: int) -> SearchStep:
     return SearchStep(step.change, step.ratio, step.threshold, db, sd, misfit, step.accepted, step.reason, words)
 
 
-def _found(bench: Bench, at: Fit, k: int, judged: Judgement) -> FoundCause:
+def _found(bench: Bench, at: Fit, k: int, judged: Judgement, worth: Worth) -> FoundCause:
     cause, smaller = bench.model.causes[k], bench.reduce(at, k)
     gain = bench.gain(smaller, at)
     db, sd = (None, None) if gain is None else (gain.db, gain.sd)
-    values = estimates(bench, at, k, judged)
-    return FoundCause(cause.id, cause.variant, cause.title, cause.kind, values, smaller.chi2 - at.chi2, db, sd)
+    values, size = estimates(bench, at, k, judged), cause_size(bench, at, k, worth)
+    ratio = smaller.chi2 - at.chi2
+    return FoundCause(cause.id, cause.variant, cause.title, cause.kind, values, ratio, db, sd, None, size)
 
 
 def _remainder(bench: Bench, judged: Judgement) -> Remainder | None:
-    """Describe what the best model leaves."""
+    """Describe what the best model leaves, where that is more than noise."""
     left = judged.misfit
-    if left is None:
+    if left is None or left.p_value >= RULES.band:
         return None
     share = None if judged.gain is None else 1.0 - judged.gain.share
     names = tuple(bench.model.conditions[r].name for r in judged.carriers)
-    return Remainder(10.0 * math.log10(max(left.ratio, 1e-300)), left.p_value, left.p_value < RULES.band, share, names)
+    return Remainder(10.0 * math.log10(max(left.ratio, 1e-300)), left.p_value, judged.size, share, names)
 
 
-def _alternatives(bench: Bench, at: Fit, judged: Judgement) -> tuple[tuple[FoundCause, ...], ...]:
+def _alternatives(bench: Bench, at: Fit, judged: Judgement, worth: Worth) -> tuple[tuple[FoundCause, ...], ...]:
     found = []
     for k, fits in judged.sets.items():
         others = [(f, next(iter(set(f.causes) - set(at.causes)))) for f in fits]
-        found.append((_found(bench, at, k, judged), *(_found(bench, f, other, judged) for f, other in others)))
+        found.append((_found(bench, at, k, judged, worth), *(_found(bench, f, o, judged, worth) for f, o in others)))
     return tuple(found)
 
 
-def _held_out_gain(bench: Bench, at: Fit, data: Mapping[int, Real]) -> Gain | None:
+def _held_out_gain(before: Bench, bench: Bench, at: Fit, data: Mapping[int, Real]) -> Gain | None:
     """Return the gain on the conditions that no fit has seen."""
-    if not data or not at.causes:
+    if not data or not (at.causes or before is not bench):
         return None
-    before, after = (unseen(bench.model, bench.target, f, data) for f in (bench.null(), at))
-    if not (before.squares and after.squares):
+    first, last = (unseen(b.model, b.target, f, data) for b, f in ((before, before.null()), (bench, at)))
+    if not (first.squares and last.squares):
         return None
-    return compare(before, after, bench.rng(5, parameters_of(bench.model, at.causes)))
+    return compare(first, last, bench.rng(5, parameters_of(bench.model, at.causes)))
 
 
 def _unproven(bench: Bench, steps: Sequence[Step]) -> list[Fit]:

@@ -49,6 +49,7 @@ class Proposal:
     apart: float = math.nan  # by how many times the noise (rms) their predictions differ at least
     reveals: tuple[Revealed, ...] = ()  # what it would show, the greatest progress first
     do: str = ""  # what to do, a sentence (`smfe.diagnosis.story.experiments`)
+    block: str = ""  # the same as tables of a campaign file (`smfe.diagnosis.story.blocks`)
 
 
 def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: Sequence[int]) -> Fit | None:

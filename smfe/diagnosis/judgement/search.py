@@ -3,7 +3,7 @@
 ``LR = chi2(without) - chi2(with)``, the nuisances re-fitted non-linearly under every hypothesis. The best cause above
 the calibrated threshold that also gains on held-out conditions is taken in, then all are fitted anew and those that
 have become idle are dropped. Where no single cause passes, the pairs that do most to first order are tried: effects
-mask each other.
+mask each other. Where what is left is far from material nothing more is looked for.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 
 from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.fit import Fit
-from smfe.diagnosis.inference.hypotheses import Bench
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.thresholds import charge, pair_threshold
+from smfe.diagnosis.judgement.hypotheses import Bench
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,17 @@ class Step:
     reason: str = ""  # why not
 
 
-def search(bench: Bench, most: int = RULES.most_causes) -> tuple[Fit, list[Step]]:
-    """Add causes as long as they pass, and drop what has become idle.
+def search(bench: Bench, most: int = RULES.most_causes, begin: tuple[int, ...] = ()) -> tuple[Fit, list[Step]]:
+    """Add causes as long as they pass, and drop what has become idle; `begin` with some that are known.
 
     Return the fit that remains and the steps that led there, refused ones included.
     """
     at = bench.null()
-    seen: set[tuple[int, ...]] = {()}
     steps: list[Step] = []
-    while len(at.causes) < most:
+    if begin and (known := bench.extend(at, begin)).converged:
+        at = _drop_idle(bench, known, steps, least=0)
+    seen: set[tuple[int, ...]] = {(), at.causes}
+    while len(at.causes) < most and not (at.causes and not bench.matters(at, RULES.worth_a_search)):
         step = _best_step(bench, at, steps)
         if step is None:
             return bench.fits[at.causes], steps
@@ -147,9 +149,15 @@ def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit
 
 
 def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:
-    """Return the parameter of a cause that has run into a bound other than its null; "" for none."""
+    """Return the parameter of a cause that has run into a bound other than its null; "" for none.
+
+    Parameters that only shape what a cause does may: a strange shape is no objection to what unseen conditions
+    bear out.
+    """
     for k in causes:
         for j in model.of_cause[k]:
+            if model.parameters[j].secondary:
+                continue
             u = found.u[j]
             near = min(abs(u - model.low[j]), abs(model.high[j] - u))
             if near < 1e-6 and abs(u) > 1e-6:
@@ -158,14 +166,21 @@ def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:
 
 
 def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int], steps: list[Step]) -> Fit | None:
-    """Try the pairs that the linearised family suggests, and the best two causes where they may act far from it."""
+    """Try the pairs that the linearised family suggests, and the best two causes where they may act far from it.
+
+    Pairs with a cause that nearly every machine has (`Abilities.common`) are tried wherever something is wrong.
+    """
     pairs = [p for p in combinations(others, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
-    if not pairs:
+    if not pairs or not bench.matters(at, RULES.worth_pairs):
         return None
     limit = pair_threshold(bench.model, bench.tangent(at), bench.rng(3, len(at.causes)))
     worth = RULES.worth_a_pair * (limit + 2.0 * RULES.penalty)
     gains = {p: bench.first_order(at, p) for p in pairs}
     promising = sorted((p for p in pairs if gains[p] > worth), key=lambda p: -gains[p])[: RULES.most_pairs]
+    usual = [p for p in pairs if {bench.model.causes[k].id for k in p} & set(bench.model.family.common)]
+    if usual and bench.bad(at):
+        usual = sorted((p for p in usual if p not in promising), key=lambda p: -gains[p])
+        promising += usual[: RULES.most_pairs]
     best = (min(first), max(first)) if len(first) == 2 else ()
     if best in gains and best not in promising and bench.far(best) and bench.bad(at):
         promising.append((best[0], best[1]))
@@ -176,9 +191,9 @@ def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int
     return None
 
 
-def _drop_idle(bench: Bench, at: Fit, steps: list[Step]) -> Fit:
-    """Drop causes that a later one has made idle, the idlest first."""
-    while len(at.causes) > 1:
+def _drop_idle(bench: Bench, at: Fit, steps: list[Step], least: int = 1) -> Fit:
+    """Drop causes that a later one, or a release, has made idle, the idlest first, down to the `least` of them."""
+    while len(at.causes) > least:
         less = {k: f for k in at.causes if (f := bench.reduce(at, k)).converged}
         if not less:
             return at

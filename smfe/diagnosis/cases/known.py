@@ -1,0 +1,113 @@
+"""Causes that an earlier diagnosis found, as part of the baseline: ``known`` of ``[baseline]``.
+
+What has a table of its own in a campaign (modes, friction, gains, coefficients) is written there. All else, a joint
+that slips or a drift over the session, is given as ``finding.json`` has it: key of the cause, parameters with their
+unit. Its parameters are then fitted with the baseline's own, about these values, and the cause leaves the catalogue.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, cast
+
+from process.errors import InputError
+from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
+from smfe.records.formats.channels import did_you_mean, listed
+
+Known = Mapping[str, Mapping[str, str]]
+"""Key of a cause -> parameter -> value with its unit."""
+
+SPREAD = 0.1
+"""Standard deviation with which a known cause is trusted, relative; at least a change that matters."""
+
+
+class Settled:
+    """A family with some of its causes in its baseline; all else it leaves to the family."""
+
+    def __init__(self, family: Family, nuisances: tuple[Parameter, ...], causes: tuple[Cause, ...]) -> None:
+        self._family, self.nuisances, self.causes = family, nuisances, causes
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """What was measured."""
+        return self._family.conditions
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the family has under a name."""
+        if name.startswith("__") or name == "_family":
+            raise AttributeError(name)
+        return getattr(self._family, name)
+
+
+def settled(family: Family, known: Known) -> Family:
+    """Return a family whose baseline has some causes, about the values that are known.
+
+    Parameters
+    ----------
+    family : Family
+        With these causes in its catalogue.
+    known : mapping
+        Key of each cause, its parameters with their units.
+
+    Raises
+    ------
+    InputError
+        For a cause or a parameter that the family has not, or a unit that is not the parameter's.
+    """
+    if not known:
+        return family
+    values = known_values(family, known)
+    mine = [c for c in family.causes if c.key in known]
+    more = tuple(
+        replace(p, start=values[p.name], prior=max(SPREAD * abs(values[p.name]), p.scale))
+        for c in mine
+        for p in c.parameters
+    )
+    rest = tuple(c for c in family.causes if c.key not in known)
+    return cast(Family, Settled(family, (*family.nuisances, *more), rest))
+
+
+def known_values(family: Family, known: Known) -> dict[str, float]:
+    """Return the parameters of known causes (SI); what is not given of one has its null value.
+
+    Raises
+    ------
+    InputError
+        As `settled`.
+    """
+    causes, found = {c.key: c for c in family.causes}, {}
+    for key, given in known.items():
+        if key not in causes:
+            near = did_you_mean(key, list(causes))
+            raise InputError(
+                f"baseline.known: '{key}' is no cause of these measurements{near}; there are {listed(causes)}"
+            )
+        own = {p.name: p for p in causes[key].parameters}
+        for name in given:
+            if name not in own:
+                near = did_you_mean(name, list(own))
+                raise InputError(f"baseline.known.'{key}': '{name}' is none of its parameters{near}: {listed(own)}")
+        for name, p in own.items():
+            found[name] = _value(f"baseline.known.'{key}'.{name}", given[name], p) if name in given else p.start
+    return found
+
+
+def written(value: float, parameter: Parameter) -> str:
+    """Return a value (SI) as `known` has it."""
+    return f"{value * parameter.shown:.9g} {parameter.unit}".strip()
+
+
+def _value(where: str, text: str, p: Parameter) -> float:
+    number, _, unit = str(text).strip().partition(" ")
+    try:
+        value = float(number) / p.shown
+    except ValueError:
+        value = math.nan
+    if unit.strip() != p.unit or not math.isfinite(value):
+        raise InputError(f"{where}: {text!r} has not the unit of finding.json; write a number and '{p.unit}'")
+    if not p.low <= value <= p.high:
+        low, high = p.low * p.shown, p.high * p.shown
+        raise InputError(f"{where}: {text!r} is not possible; give {low:g} to {high:g} {p.unit}")
+    return value

@@ -1,0 +1,225 @@
+"""Whether what somebody declared is right: parameters with a prior that the data put beyond it, before any cause.
+
+Parameters with the same `Parameter.given` are judged together. About a fit, with the information D of the data and the
+priors W (diagonal, inverse variances) on scaled parameters u, the fit to any other priors W' is to first order
+
+    u' = (D + W')^(-1) y,    y = (D + W) u,    chi2(W') = constant - y^T (D + W')^(-1) y.
+
+If the declared values scatter as their priors say, the fitted ones have the covariance ``S - P``, that of the prior
+less that of the posterior, so that the pull ``u^T (S - P)^(-1) u`` of a group is a chi-square (Demortier and Lyons, CDF
+note 5776, 2002). A group beyond it is released: its priors are made so wide that they say nothing. Groups that would do
+as well in its place make one set with it: the data do not say which of them it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from process.types import Real
+from smfe.diagnosis.inference.fit import Fit, Target, stacked
+from smfe.diagnosis.inference.model import Index, Model
+from smfe.diagnosis.inference.rules import RULES
+
+Size = Callable[[Real, Real, str], float]
+"""What the difference of two scaled vectors costs, relative, for a group: (before, after, id) -> size."""
+
+
+@dataclass(frozen=True)
+class Released:
+    """Declared parameters that the data contradict."""
+
+    given: tuple[str, ...]  # ids that the data do not separate, the one that fits best first
+    ratio: float  # likelihood ratio of taking its priors off
+    values: tuple[Mapping[int, float], ...]
+    """For each id: its parameters, index -> scaled value where it alone is released; to first order."""
+    deviations: tuple[Mapping[int, float], ...]  # their standard deviations, scaled
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A fit, linearised in all its parameters, under any priors."""
+
+    model: Model
+    free: Index  # shape (p,): fitted parameters
+    u: Real  # all scaled parameters of the fit
+    data: Real  # shape (p, p): information of the data
+    weight: Real  # shape (p,): inverse variances of the priors
+    score: Real  # shape (p,): y above
+    groups: Mapping[str, Index]  # id -> places in `free` of its parameters
+    over: float  # what is left over noise when nothing is declared; one where it is noise
+
+    @classmethod
+    def of(cls, model: Model, target: Target, at: Fit) -> Declared:
+        """Linearise a fit."""
+        slope, residual = stacked(model, target, at.free, at.u, at.residual, at.slope)
+        values = sum(y.size for y in target.observed.values())
+        data, weight = slope[:values].T @ slope[:values], model.weight[at.free] ** 2
+        groups: dict[str, list[int]] = {}
+        for place, j in enumerate(at.free):
+            if model.parameters[j].given and weight[place] > 0.0:
+                groups.setdefault(model.parameters[j].given, []).append(place)
+        centred = (at.u - target.centre)[at.free]
+        score = (data + np.diag(weight)) @ centred
+        # Where a fit has stopped a little short of its optimum, released priors would make much of that little.
+        short = slope.T @ residual
+        score -= np.where(_within(model, at), short, 0.0)
+        found = cls(model, at.free, at.u, data, weight, score, {g: np.array(p) for g, p in groups.items()}, 1.0)
+        free = weight.copy()
+        for g in groups:
+            free = found.without(free, g)
+        left = (at.chi2 - found.merit(free) + found.merit(weight)) / max(values - at.free.size, 1)
+        return replace(found, over=max(left, 1.0))
+
+    def solve(self, weight: Real) -> tuple[Real, Real]:
+        """Return the fitted values, (p,), and their covariance, (p, p), under other priors."""
+        # Scales differ by many orders of magnitude: the inverse is taken of a matrix with a unit diagonal.
+        whole = self.data + np.diag(weight)
+        size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        inverse = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
+        return inverse @ self.score, inverse
+
+    def merit(self, weight: Real) -> float:
+        """Return what priors gain over none, up to a constant: minus chi-square."""
+        return float(self.score @ self.solve(weight)[0])
+
+    def without(self, weight: Real, group: str) -> Real:
+        """Return priors of which those of a group are so wide that they say nothing where the data say something."""
+        less = weight.copy()
+        less[self.groups[group]] = self.weight[self.groups[group]] * RULES.released**2
+        return less
+
+    def informed(self, weight: Real, group: str) -> int:
+        """Return of how many directions of a group the data say something."""
+        return max(int(self._told(weight, group)[0].sum()), 1)
+
+    def _told(self, weight: Real, group: str) -> tuple[NDArray[np.bool_], Real, Real]:
+        """Return directions of a group that the data say something of, what they say (0: nothing, 1: all), and all."""
+        place = self.groups[group]
+        covariance = self.solve(weight)[1]
+        scale = np.sqrt(weight[place])
+        told = (np.diag(1.0 / weight[place]) - covariance[np.ix_(place, place)]) * np.outer(scale, scale)
+        known, vectors = np.linalg.eigh(told)
+        return known > RULES.informed, known, vectors
+
+    def pull(self, weight: Real, group: str) -> tuple[float, float]:
+        """Return the p-value of a group's pull, together or of its worst, and its largest z against the data alone.
+
+        Where more than noise is left that no declared value explains, noise counts as that much larger.
+        """
+        place = self.groups[group]
+        u = self.solve(weight)[0]
+        seen, known, vectors = self._told(weight, group)
+        if not seen.any():
+            return 1.0, 0.0
+        along = (vectors.T @ (u[place] * np.sqrt(weight[place])))[seen]
+        square = float(np.sum(along**2 / known[seen]))
+        # With the prior taken off, an estimate with the variance 1/told - 1 (over that of the prior) remains.
+        alone = np.abs(along / known[seen]) / np.sqrt(np.maximum(1.0 / known[seen] - 1.0, 1e-12))
+        together = float(stats.chi2.sf(square / self.over, int(seen.sum())))
+        p_value = together if place.size == 1 else min(1.0, 2.0 * min(together, self._worst(u, weight, group)))
+        return p_value, float(alone.max()) / math.sqrt(self.over)
+
+    def _worst(self, u: Real, weight: Real, group: str) -> float:
+        """Return the p-value of the one of a group that is furthest off: among many it hardly moves their sum."""
+        place = self.groups[group]
+        told = 1.0 - np.diag(self.solve(weight)[1])[place] * weight[place]
+        seen = told > RULES.informed
+        if not seen.any():
+            return 1.0
+        z = np.abs(u[place] * np.sqrt(weight[place]))[seen] / np.sqrt(told[seen] * self.over)
+        return float(2.0 * stats.norm.sf(z.max()) * seen.sum())
+
+    def away(self, weight: Real, group: str) -> Real:
+        """Return the scaled vector with a group where priors put it, all others as fitted."""
+        u = self.u.copy()
+        place = self.groups[group]
+        u[self.free[place]] = self.solve(weight)[0][place]
+        return u
+
+    def at_declared(self, group: str, u: Real) -> Real:
+        """Return a scaled vector with a group at its declared values."""
+        back = u.copy()
+        back[self.free[self.groups[group]]] = 0.0
+        return back
+
+
+def _within(model: Model, at: Fit) -> NDArray[np.bool_]:
+    """Return which fitted parameters are not on a bound: there a slope may be left."""
+    u, low, high = at.u[at.free], model.low[at.free], model.high[at.free]
+    return np.asarray((u > low + 1e-9) & (u < high - 1e-9))
+
+
+def contradicted(model: Model, target: Target, at: Fit, size: Size, material: float) -> list[Released]:
+    """Return the groups of declared parameters that the data contradict and that matter, the clearest first."""
+    return _released(Declared.of(model, target, at), size, material)
+
+
+def slightly_off(model: Model, target: Target, at: Fit) -> list[Released]:
+    """Return the groups that the data put beyond what was declared, whatever that is worth."""
+    linear = Declared.of(model, target, at)
+    beyond = [g for g in linear.groups if linear.pull(linear.weight, g)[0] < RULES.contradicted]
+    return _released(replace(linear, groups={g: linear.groups[g] for g in beyond}), lambda *_: 0.0, 0.0)
+
+
+def _released(linear: Declared, size: Size, material: float) -> list[Released]:
+    weight, found, left = linear.weight.copy(), list[Released](), set(linear.groups)
+    while left:
+        beyond = {g: _beyond(linear, weight, g, size, material) for g in left}
+        open_ = [g for g in sorted(left) if beyond[g] > 0.0]
+        if not open_:
+            break
+        # Each is charged for its parameters; what fits best has fitted what they differ by within their priors, too.
+        merits = {g: linear.merit(linear.without(weight, g)) - RULES.penalty * linear.informed(weight, g) for g in left}
+        first = max(open_, key=lambda g: (merits[g], beyond[g]))
+        own, instead = linear.away(linear.without(weight, first), first), [first]
+        margin = float(stats.chi2.ppf(RULES.agreed, linear.informed(weight, first)))
+        for g in sorted(left - {first}):
+            less = linear.without(weight, g)
+            if merits[g] < merits[first] - margin:
+                continue
+            # It stands for the first where, with it released, the first is as declared again.
+            back = linear.away(less, first)
+            if not _beyond(linear, less, first, size, material) and _length(linear, first, back) < RULES.stands_for * (
+                _length(linear, first, own)
+            ):
+                instead.append(g)
+        instead.sort(key=lambda g: -merits[g])
+        values, deviations = [], []
+        for g in instead:
+            u, covariance = linear.solve(linear.without(weight, g))
+            place = linear.groups[g]
+            values.append(dict(zip(linear.free[place].tolist(), u[place].tolist(), strict=True)))
+            spread = np.sqrt(np.maximum(np.diag(covariance)[place], 0.0))
+            deviations.append(dict(zip(linear.free[place].tolist(), spread.tolist(), strict=True)))
+        less = linear.without(weight, first)
+        gained = linear.merit(less) - linear.merit(weight)
+        found.append(Released(tuple(instead), gained, tuple(values), tuple(deviations)))
+        weight = less
+        left -= set(instead)
+    return found
+
+
+def _length(linear: Declared, group: str, u: Real) -> float:
+    """Return how far a group is from what was declared, in standard deviations of its priors."""
+    place = linear.groups[group]
+    return float(np.linalg.norm(u[linear.free[place]] * np.sqrt(linear.weight[place])))
+
+
+def _beyond(linear: Declared, weight: Real, group: str, size: Size, material: float) -> float:
+    """Return by how many z a group is beyond what was declared of it, where that matters; zero: it is not."""
+    p_value, alone = linear.pull(weight, group)
+    parameters = [linear.model.parameters[j] for j in linear.free[linear.groups[group]]]
+    stated = all(p.stated for p in parameters)
+    if p_value >= RULES.contradicted and (stated or alone < RULES.told):
+        return 0.0
+    # What a value costs that its prior holds back is that of the one which the data ask for.
+    u = linear.away(linear.without(weight, group) if p_value < RULES.contradicted else weight, group)
+    cost = size(linear.at_declared(group, u), u, group)
+    needed = material if p_value < RULES.contradicted else RULES.unstated * material
+    return alone if cost >= needed else 0.0

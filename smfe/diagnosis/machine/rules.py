@@ -1,0 +1,56 @@
+"""The numbers of the diagnosis of a machine of several axes that somebody chose, in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class MachineRules:
+    """What a machine is taken for where nobody says it."""
+
+    spread: Mapping[str, float] = field(
+        default_factory=lambda: {"frequency": 0.1, "damping": 0.5, "stiffness": 0.3, "turn": 0.1}
+    )
+    """Prior standard deviation of a mode fitted at rest as one of the held slides, relative; of its direction [rad]."""
+    momentum: float = 1.0  # prior standard deviation of the momentum of a mode along an axis (`unbounded`)
+    momentum_given: float = 0.05  # the same where the campaign gives the coupling
+    most_momentum: float = 0.6  # largest sum of squares of all modes that a fit begins with
+    presliding: float = 8e-6
+    """Displacement over which a guideway comes loose [m]: static friction over it is the stiffness of its contact."""
+    contact_spread: float = 1.0  # prior standard deviation of the compliance of a contact, relative
+    loss: tuple[float, float] = (0.1, 0.2)  # loss factor of a contact, and its prior standard deviation
+    slowest: float = 0.2  # speed over the feed to which hits slow a slide down, at the least
+    slip: float = 0.3  # share of a contact's stiffness that a hit of 1 N s takes: prior standard deviation
+    above: float = 0.03
+    """Flexibility of modes above the band over that of the softest mode: prior standard deviation."""
+    viscous_share: float = 0.05  # viscous friction that nobody states, over the velocity gain: its standard deviation
+    friction: float = 0.2  # prior standard deviation of the level of friction that is declared
+    bandwidth: float = 20.0  # velocity loop of a control whose gains nobody knows, where a fit begins [Hz]
+    unknown: float = 1.0  # prior standard deviation of such a gain, relative
+    delay: float = 1e-3  # dead time of such a control and its standard deviation [s]
+    half_held: float = 60.0
+    """Natural frequency of an axis on a contact that holds half of it [Hz]: 100 % is a contact that does not yield."""
+    lowest: float = 3.0  # frequency from which a machine with drives is compared [Hz]
+    discrepancy: float = 0.01
+    """Rms of the smooth relative error of a column: hits are no small vibration. With 0.4 % two simulations of one
+    healthy machine (hits of 1 N s on slides of 0.3 to 3 t at 200 mm/min) differ significantly and by nothing that
+    matters, and the search follows it for minutes."""
+    floor: float = 0.01
+    """The same of each line by itself: least standard deviation relative to the compliance."""
+    reach: float = 1.3  # ... and to which, over the highest mode: beyond, modes that are not seen act
+    starts_left_out: int = 7
+    """Of the starts of a cause of modes one in so many is followed: a fit of eighty parameters takes seconds."""
+    # where fits begin
+    sure: float = 1e-5  # tolerance of what is declared while the rest is fitted
+    temperatures: tuple[float, ...] = (1000.0, 30.0, 1.0)  # by which the squares of the data are divided
+    shares: tuple[float, ...] = (1.0, 0.4)  # of the momenta that the mass at the tool suggests, with which fits begin
+    near: float = 0.05  # misfit beyond noise over what the data are beyond it, below which no sign is wrong
+    damping: float = 0.01  # of the first step, over the diagonal of the normal equations
+    most_steps: int = 30  # at one temperature
+    most_dampings: int = 8  # that are tried in a step
+    little_progress: float = 0.003  # relative decrease of the misfit below which a temperature is done with
+
+
+RULES = MachineRules()

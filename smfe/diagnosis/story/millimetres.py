@@ -1,0 +1,393 @@
+"""What a set of values means in millimetres: limit depths of the cuts that a campaign asks for, whatever was tested.
+
+An axis is linearised for small vibration about the feed of each cut, ``feed_per_tooth teeth n``, with all other
+directions rigid; modes carry no sensor and turn with the spindle. Cutting forces change the coefficients, and the
+machine is that of the ``[[lobes]]``; a drive record changes friction, gains and dead time of an axis of ``[machine]``.
+All by the zero-order method.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from process.cut.engagement import Engagement, engagement
+from process.cut.force import CuttingCoefficients
+from process.cut.tool import Tool
+from process.drive.servo import Servo
+from process.errors import InputError
+from process.friction.laws import Andersson
+from process.labels import at_tool, make_compliance
+from process.machine.machine import FeedAxis, Machine
+from process.machine.modes import ModalModel
+from process.types import Real
+from smfe.campaign import Campaign
+from smfe.diagnosis.cutting.forces import CuttingForces
+from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
+from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.frf.axis import MachineFrfs
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline
+from smfe.diagnosis.frf.modes import ModalFrfs
+from smfe.diagnosis.inference.problem import Family, Values
+from smfe.diagnosis.judgement.finding import Pocket, StableDepth
+from smfe.diagnosis.machine.family import MachineOfAxes
+from smfe.diagnosis.story.words import listed
+from stability import zero_order
+
+SPEEDS = 41
+"""Spindle speeds of a request at which the depth is computed, at most."""
+
+FEW_SPEEDS = 11
+"""Spindle speeds of a request at which a change of the depth is looked for, at most."""
+
+ENOUGH_LINES = 50
+"""Lines of a compliance from which on a limit is computed from it."""
+
+_STEP, _LOWEST, _REACH = 0.5, 2.0, 4.0  # Hz, Hz, times the locked frequency
+_STEEP = 6e5
+"""Steepness of the sign of a friction force [s/m]: at any feed it slides."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A cut that a campaign asks for, at some spindle speeds."""
+
+    where: str  # lobes or cutting test
+    cut: str  # "down", "up" or "central"
+    width: float  # [m]
+    feed_per_tooth: float  # [m]
+    speeds: Sequence[float]  # [rpm]
+    sources: tuple[str, ...] = ()  # measurements or models that the lobes are asked of
+    controller: str | None = None
+
+    def arc(self, tool: Tool) -> Engagement:
+        """Return the engagement."""
+        return engagement(self.cut, self.width, tool.diameter)
+
+
+Depths = Callable[[Values | None, Asked], Sequence[float]]
+"""Limit depths [mm] of a cut at its speeds with a set of values; None: as the campaign gives them.
+
+Infinite without a limit, zero where the machine vibrates without any cut.
+"""
+
+
+def asked(campaign: Campaign, most: int = SPEEDS) -> Iterator[Asked]:
+    """Yield the cuts that a campaign asks for: its lobes at so many speeds at most, and its cutting tests."""
+    for r in campaign.lobes:
+        pick = np.unique(np.linspace(0, r.spindle_speed.size - 1, most).round().astype(int))
+        speeds = r.spindle_speed[pick].tolist()
+        yield Asked(r.name, r.cut, r.width_of_cut, r.feed_per_tooth, speeds, r.measurements, r.controller)
+    for t in (t for t in campaign.cutting_tests if t.feed_per_tooth is not None and t.depth_of_cut > 0.0):
+        sources = campaign.lobes[0].measurements if campaign.lobes else ()
+        speeds = [t.spindle_speed]
+        yield Asked(t.file.name, t.cut, t.width_of_cut, t.stated_feed_per_tooth, speeds, sources, t.controller)
+
+
+def depths_of(
+    campaign: Campaign, family: Family, compliances: Mapping[str, xr.Dataset] | None = None
+) -> tuple[Depths | None, str]:
+    """Return how depths follow from values, or None and why no depth can be given, a sentence.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With tool, work material, and lobes or cutting tests.
+    family : Family
+        What was tested.
+    compliances : mapping of str to xarray.Dataset, optional
+        Measurement -> compliance, for what says nothing of the machine itself.
+    """
+    lost = [
+        name
+        for name, there in (
+            ("[tool]", campaign.tool is not None),
+            ("[material]", campaign.coefficients is not None),
+            ("[[lobes]] or cutting tests with their feed", any(True for _ in asked(campaign))),
+        )
+        if not there
+    ]
+    if isinstance(family, CuttingForces):
+        return _of_forces(campaign, family, compliances or {}, lost)
+    if isinstance(family, DriveRecordFamily):
+        return _of_drive(campaign, family, lost)
+    if lost:
+        return None, f"No depth in millimetres: the campaign has no {', no '.join(lost)}."
+    if isinstance(family, MachineFrfs):
+        return _of_axis(campaign, family.baseline), ""
+    if isinstance(family, CuttingLimits):
+        return _of_limits(campaign, family), ""
+    if isinstance(family, ModalFrfs):
+        return _of_modes(campaign, family), ""
+    return None, ""
+
+
+def given_values(family: Family) -> dict[str, float]:
+    """Return all parameters of a family as the campaign gives them (SI)."""
+    return {p.name: p.start for p in (*family.nuisances, *(p for c in family.causes for p in c.parameters))}
+
+
+def stable_depths(
+    campaign: Campaign, depths: Depths, values: Values, before: Values | None = None, most: int = SPEEDS
+) -> tuple[StableDepth, ...]:
+    """Return the limit depths that a campaign asks for, before and after, where depths follow from values."""
+    assert campaign.tool is not None
+    found = []
+    for a in asked(campaign, most):
+        rows = zip(a.speeds, depths(before, a), depths(values, a), strict=True)
+        feed = 1e3 * a.feed_per_tooth * campaign.tool.teeth
+        found += [StableDepth(a.where, rpm, feed * rpm, one, two) for rpm, one, two in rows]
+    return tuple(found)
+
+
+def cost_of(
+    campaign: Campaign, family: Family, compliances: Mapping[str, xr.Dataset] | None = None
+) -> Callable[[Values, Values], float | None]:
+    """Return a function of two sets of values (SI): the change of the limit depths that were asked for [1].
+
+    It is the larger of that of the least depth over all speeds and of the rms over the speeds of the relative changes,
+    each counted as 100 % at most: a lobe that moves by a little changes single speeds a lot. It returns None where no
+    cut is given, or no depth follows.
+    """
+    depths, _ = depths_of(campaign, family, compliances)
+    cuts = [] if depths is None else list(asked(campaign, FEW_SPEEDS))
+    kept: dict[tuple[float, ...], Real] = {}
+
+    def of(values: Values) -> Real:
+        assert depths is not None
+        key = tuple(values.values())
+        if key not in kept:
+            kept[key] = np.array([d for a in cuts for d in depths(values, a)])
+        return kept[key]
+
+    def cost(before: Values, after: Values) -> float | None:
+        if not cuts:
+            return None
+        a, b = of(before), of(after)
+        known = np.isfinite(a) & np.isfinite(b) & (a > 0.0)
+        if not known.any():
+            return None
+        change = np.minimum(np.abs(b[known] / a[known] - 1.0), 1.0)
+        least = abs(float(b[known].min() / a[known].min()) - 1.0)
+        return max(least, float(np.sqrt(np.mean(change**2))))
+
+    return cost
+
+
+def largest_change(rows: Sequence[StableDepth]) -> tuple[float, float] | None:
+    """Return the largest relative change of a depth, and the same in millimetres; None where none is known."""
+    known = [r for r in rows if math.isfinite(r.before_mm) and math.isfinite(r.after_mm) and r.before_mm > 0.0]
+    if not known:
+        return None
+    worst = max(known, key=lambda r: _change(r.before_mm, r.after_mm))
+    return _change(worst.before_mm, worst.after_mm), worst.after_mm - worst.before_mm
+
+
+def _change(before: float, after: float) -> float:
+    if before == after or (math.isinf(before) and math.isinf(after)):
+        return 0.0
+    if math.isinf(before) or math.isinf(after) or before == 0.0:
+        return 1.0
+    return abs(after / before - 1.0)
+
+
+def pockets(campaign: Campaign, rows: Sequence[StableDepth]) -> tuple[Pocket, ...]:
+    """Return of each request the speed at which most is removed, by the simulation and by the extended model.
+
+    A speed counts with the smallest depth of itself and its neighbours, a step of the request to either side. A
+    request at fewer than three speeds has none, and none where a depth has no limit there.
+    """
+    found = []
+    for request in campaign.lobes:
+        own = [r for r in rows if r.where == request.name]
+        if len(own) < 3 or campaign.tool is None:
+            continue
+        speed = np.array([r.spindle_speed_rpm for r in own])
+        least = [_with_neighbours([getattr(r, name) for r in own]) for name in ("before_mm", "after_mm")]
+        if request.maximum_depth is not None:
+            least = [np.minimum(d, 1e3 * request.maximum_depth) for d in least]
+        if not all(np.isfinite(d).all() for d in least):
+            continue
+        before, after = (int(np.argmax(d * speed)) for d in least)
+        found.append(
+            Pocket(
+                request.name,
+                float(speed[before]),
+                float(least[0][before]),
+                float(least[1][before]),
+                float(speed[after]),
+                float(least[1][after]),
+            )
+        )
+    return tuple(found)
+
+
+def _with_neighbours(depth: Sequence[float]) -> Real:
+    d = np.concatenate([[math.inf], depth, [math.inf]])
+    return np.asarray(np.minimum(np.minimum(d[:-2], d[1:-1]), d[2:]))
+
+
+# --- Of each family.
+
+
+def _of_axis(campaign: Campaign, baseline: AxisBaseline) -> Depths:
+    tool, material = _cut_of(campaign)
+    start = {p.name: p.start for p in (*baseline.nuisances(), *(p for c in baseline.causes() for p in c.parameters))}
+    axis, high = baseline.axis, _REACH * baseline.drive.locked_frequency
+    controller = _controller(campaign, baseline)
+
+    def depths(values: Values | None, a: Asked) -> list[float]:
+        found = []
+        for rpm in a.speeds:
+            feed = a.feed_per_tooth * tool.teeth * rpm / 60.0
+            point = baseline.machine(baseline.effective(start if values is None else values, {}, feed)).at(
+                {axis: feed}, controller
+            )
+            if point.unstable_poles() > 0:
+                found.append(0.0)
+                continue
+            phi = point.compliance(np.arange(_LOWEST, high, _STEP), [axis], [axis])
+            found.append(float(zero_order(phi, tool, a.arc(tool), material, [rpm])["limit_depth"].values[0]))
+        return found
+
+    return depths
+
+
+def _controller(campaign: Campaign, baseline: AxisBaseline) -> str:
+    """Return the controller of the first measurement that has one of the baseline's."""
+    named = [m.controller for m in campaign.measurements if m.controller in baseline.servos]
+    return named[0] if named and named[0] is not None else next(iter(baseline.servos))
+
+
+def _of_modes(campaign: Campaign, family: ModalFrfs) -> Depths:
+    tool, material = _cut_of(campaign)
+    start, f = given_values(family), family.fine_frequency()
+
+    def depths(values: Values | None, a: Asked) -> list[float]:
+        v = start if values is None else values
+
+        def at(rpm: float, speeds: Sequence[float]) -> list[float]:
+            feed = a.feed_per_tooth * tool.teeth * rpm / 60.0
+            phi = make_compliance(f, family.in_the_cut(v, rpm, f, feed, a.controller or ""))
+            return [float(d) for d in zero_order(phi, tool, a.arc(tool), material, list(speeds))["limit_depth"].values]
+
+        turning = any(v.get(name) for name in v if "bearings" in name or "gyroscopic" in name)
+        each = turning or isinstance(family, MachineOfAxes)
+        return [d for rpm in a.speeds for d in at(rpm, [rpm])] if each else at(a.speeds[0], a.speeds)
+
+    return depths
+
+
+def _of_limits(campaign: Campaign, family: CuttingLimits) -> Depths:
+    tool, _ = _cut_of(campaign)
+
+    def depths(values: Values | None, a: Asked) -> list[float]:
+        limits = [Limit(rpm, feed_per_tooth=a.feed_per_tooth, arc=a.arc(tool)) for rpm in a.speeds]
+        found = [family.limits_at(limit, values or {})[0] for limit in limits]
+        return [1e3 * float(d[0]) if d.size else math.inf for d in found]
+
+    return depths
+
+
+def _of_forces(
+    campaign: Campaign, family: CuttingForces, compliances: Mapping[str, xr.Dataset], lost: Sequence[str]
+) -> tuple[Depths | None, str]:
+    """Depths of cutting forces: the coefficients as found, and the machine of the lobes."""
+    machines: dict[str, xr.Dataset | ModalModel] = {m.name: m.modal for m in campaign.models}
+    machines |= {n: at_tool(c) for n, c in compliances.items() if c.sizes["frequency"] >= ENOUGH_LINES}
+    machine = next((machines[n] for a in asked(campaign) for n in a.sources if n in machines), None)
+    if lost or machine is None:
+        missing = [*lost, *(["[[model]] or measured compliance that [[lobes]] name"] if machine is None else [])]
+        return None, (
+            f"No depth in millimetres: cutting forces alone say nothing of how far the tool gives way, and the "
+            f"campaign has no {', no '.join(missing)}."
+        )
+    tool, material = _cut_of(campaign)
+
+    def depths(values: Values | None, a: Asked) -> list[float]:
+        one = next((machines[n] for n in a.sources if n in machines), machine)
+        found = material if values is None else coefficients_found(family, material, values)
+        return [float(d) for d in zero_order(one, tool, a.arc(tool), found, list(a.speeds))["limit_depth"].values]
+
+    return depths, ""
+
+
+def coefficients_found(family: CuttingForces, material: CuttingCoefficients, values: Values) -> CuttingCoefficients:
+    """Return the cutting coefficients, and edge forces, of a set of values of cutting forces."""
+    cutting = {name: values.get(name, getattr(material, name)) for name in ("Ktc", "Krc", "Kac")}
+    edge = dict(zip(("Kte", "Kre", "Kae"), family.edge, strict=True))
+    return replace(material, **cutting, **{name: values.get(name, k) for name, k in edge.items()})
+
+
+def _of_drive(campaign: Campaign, family: DriveRecordFamily, lost: Sequence[str]) -> tuple[Depths | None, str]:
+    """Depths of a drive record: friction, gains and dead time as found, in an axis of ``[machine]``."""
+    axis = getattr(campaign.baseline, "axis", "x")
+    machine = campaign.machine_model if isinstance(campaign.machine_model, Machine) else None
+    there = machine is not None and axis in machine.axes
+    if lost or machine is None or not there:
+        missing = [*lost, *([] if there else [f"[machine.axis.{axis}] (masses, servo, modes)"])]
+        return None, (
+            f"No depth in millimetres: the drive force alone says nothing of how far the tool gives way, and the "
+            f"campaign has no {', no '.join(missing)}."
+        )
+    tool, material = _cut_of(campaign)
+    given = given_values(family)
+
+    def depths(values: Values | None, a: Asked) -> list[float]:
+        one = machine if values is None else _with_axis(machine, axis, values, given["loop_delay.delay"])
+        controllers = one.axes[axis].servo
+        controller = a.controller or (next(iter(controllers)) if isinstance(controllers, Mapping) else None)
+        found = []
+        for rpm in a.speeds:
+            point = one.at({axis: a.feed_per_tooth * tool.teeth * rpm / 60.0}, controller)
+            silent = point.unstable_poles() > 0
+            limit = None if silent else zero_order(point, tool, a.arc(tool), material, [rpm])["limit_depth"]
+            found.append(0.0 if limit is None else float(limit.values[0]))
+        return found
+
+    return depths, ""
+
+
+def _with_axis(machine: Machine, axis: str, values: Values, delay: float) -> Machine:
+    """Return a machine whose axis has friction, gains and dead time of a drive record that was given a delay [s]."""
+    old, later = machine.axes[axis], values["loop_delay.delay"] - delay
+    servo: Servo | dict[str, Servo] | None = (
+        {name: servo_found(s, values, later) for name, s in old.servo.items()}
+        if isinstance(old.servo, Mapping)
+        else None
+        if old.servo is None
+        else servo_found(old.servo, values, later)
+    )
+    return replace(machine, axes={**machine.axes, axis: FeedAxis(servo, friction_found(values))})
+
+
+def servo_found(servo: Servo, values: Values, later: float) -> Servo:
+    """Return a servo with the gains of a drive record, and with more dead time [s]."""
+    return replace(
+        servo,
+        Kp=servo.Kp * (1.0 + values.get("servo_gains.velocity", 0.0)),
+        Kv=servo.Kv * (1.0 + values.get("servo_gains.position", 0.0)),
+        delay=max(servo.delay + later, 0.0),
+    )
+
+
+def friction_found(values: Values) -> Andersson:
+    """Return the friction that a drive record found, as a Stribeck curve of each direction."""
+    force, boost = values.get("coulomb.force", 0.0), values.get("stribeck.boost", 0.0)
+    speed = values.get("stribeck.speed", 0.02)
+    apart = values.get("asymmetry.viscous", 0.0)
+    forth, back = (
+        Andersson(force, force + boost, speed, max(values["viscous"] + side * apart, 0.0), _STEEP) for side in (1, -1)
+    )
+    return forth if apart == 0.0 else replace(forth, negative=back)
+
+
+def _cut_of(campaign: Campaign) -> tuple[Tool, CuttingCoefficients]:
+    if campaign.tool is None or campaign.coefficients is None:
+        missing = [n for n, x in (("[tool]", campaign.tool), ("[material]", campaign.coefficients)) if x is None]
+        raise InputError(f"a depth needs {listed(missing)}; add them")
+    return campaign.tool, campaign.coefficients

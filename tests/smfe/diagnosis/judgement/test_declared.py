@@ -1,0 +1,172 @@
+"""Claims about what was declared and what matters, on linear families whose answers are closed forms."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from smfe.diagnosis.inference.fit import Target, fit
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
+from smfe.diagnosis.judgement.declared import Declared, contradicted
+from smfe.diagnosis.judgement.diagnose import diagnose
+from smfe.diagnosis.judgement.materiality import Worth, predicted_size
+
+N = 40
+X = np.linspace(0.0, 1.0, N)
+SHAPES = np.array([np.cos(k * np.pi * X) for k in range(6)])
+WORTH = Worth(0.05)
+
+
+def declared(name, given, prior=0.1, **more):
+    return Parameter(name, "1", 0.0, 0.1, prior=prior, given=given, said=name, **more)
+
+
+@dataclass(frozen=True)
+class Scaled(Abilities):
+    """What is measured is ``100 (1 + coefficients + gain) shape``, an own shape for each speed, and a cause beside it.
+
+    Coefficients and gain do the same; a reference of known size, where there is one, sees the gain alone.
+    """
+
+    conditions: tuple
+    nuisances: tuple = (declared("coefficients", "force_coefficients"), declared("gain", "sensor_gain", 0.01))
+    causes: tuple = (Cause("ripple", "a ripple", (Parameter("ripple", "1", 0.0, 1.0),)),)
+    proposals: tuple = ()
+
+    def predict(self, condition, values):
+        cut = 0.0 if condition.settings.get("reference") else values["coefficients"]
+        k = int(condition.settings["speed"])
+        return 100.0 * (1.0 + cut + values["gain"]) * SHAPES[k % 2] + values.get("ripple", 0.0) * SHAPES[4]
+
+
+def measured(truth, seed=0, reference=False, **more):
+    places = [{"speed": float(k), "feed": float(k % 3)} for k in range(6)]
+    if reference:
+        places += [{"speed": 0.0, "feed": 0.0, "reference": 1.0}]
+    family = Scaled(tuple(Condition(f"cut {n}", p) for n, p in enumerate(places)), **more)
+    rng = np.random.default_rng(seed)
+    values = {"coefficients": 0.0, "gain": 0.0} | truth
+    found = tuple(replace(c, observed=family.predict(c, values) + rng.standard_normal(N)) for c in family.conditions)
+    return replace(family, conditions=found)
+
+
+def ids(finding):
+    return {c.id: c.set for c in finding.causes}
+
+
+def test_coefficients_a_third_wrong_are_named_and_the_gain_that_could_as_well_be_is_in_their_set():
+    found = diagnose(measured({"coefficients": 0.35}), worth=WORTH)
+    assert (found.verdict, ids(found)) == ("named", {"force_coefficients": 1, "sensor_gain": 1})
+    for cause in found.causes:
+        (estimate,) = cause.parameters
+        assert estimate.low <= 0.35 <= estimate.high
+        # Of what was measured; the other of the two keeps a part within its prior.
+        assert cause.size == pytest.approx(0.35 / 1.35, rel=0.05)
+    assert found.gain.db > 20.0
+
+
+def test_a_reference_of_known_size_tells_the_gain_from_the_coefficients():
+    assert ids(diagnose(measured({"coefficients": 0.35}, reference=True), worth=WORTH)) == {"force_coefficients": None}
+    assert ids(diagnose(measured({"gain": -0.13}, reference=True), worth=WORTH)) == {"sensor_gain": None}
+
+
+def test_what_is_declared_within_its_uncertainty_is_consistent_and_stands_beside_what_was_found():
+    found = diagnose(measured({"coefficients": 0.08}), worth=WORTH)
+    assert (found.verdict, found.causes) == ("consistent", ())
+    coefficients, gain = found.given
+    assert coefficients.low <= 0.08 <= coefficients.high
+    assert not any(p.beyond for p in (coefficients, gain))
+
+
+def test_what_is_a_little_off_beyond_its_uncertainty_is_listed_and_convicts_nothing():
+    known = (declared("coefficients", "force_coefficients", 0.005), declared("gain", "sensor_gain", 0.001))
+    found = diagnose(measured({"coefficients": 0.03}, nuisances=known), worth=WORTH)
+    assert (found.verdict, {c.id: c.set for c in found.immaterial}) == (
+        "consistent",
+        {"force_coefficients": 1, "sensor_gain": 1},
+    )
+    assert found.immaterial[0].size == pytest.approx(0.03, rel=0.05)
+
+
+def test_without_a_stated_uncertainty_what_matters_is_a_finding_within_the_prior_too():
+    loose = (declared("coefficients", "force_coefficients", stated=False), declared("gain", "sensor_gain", 0.01))
+    assert ids(diagnose(measured({"coefficients": -0.13}, nuisances=loose), worth=WORTH)) == {
+        "force_coefficients": 1,
+        "sensor_gain": 1,
+    }
+    assert diagnose(measured({"coefficients": -0.13}), worth=WORTH).verdict == "consistent"
+    assert diagnose(measured({"coefficients": -0.04}, nuisances=loose), worth=WORTH).verdict == "consistent"
+
+
+def test_a_cause_is_named_if_it_matters_and_listed_if_it_does_not():
+    large, small = (diagnose(measured({"ripple": size}), worth=WORTH) for size in (15.0, 3.0))
+    assert (large.verdict, [c.id for c in large.causes], large.immaterial) == ("named", ["ripple"], ())
+    assert (small.verdict, small.causes, [c.id for c in small.immaterial]) == ("consistent", (), ["ripple"])
+    # 3 of 100 in the same shape, rms over rms.
+    assert small.immaterial[0].size == pytest.approx(0.03, rel=0.2)
+    assert diagnose(measured({"ripple": 3.0})).verdict == "named"  # where everything matters
+
+
+@pytest.mark.parametrize(("rest", "verdict"), [(0.5, "named"), (30.0, "named"), (80.0, "unknown")])
+def test_a_remainder_is_none_if_it_is_small_and_is_stated_if_nine_tenths_are_explained(rest, verdict):
+    family = measured({"ripple": 100.0})
+    odd = tuple(
+        replace(c, observed=c.observed + rest * (-1.0) ** n * SHAPES[5]) for n, c in enumerate(family.conditions)
+    )
+    found = diagnose(replace(family, conditions=odd), worth=WORTH)
+    assert (found.verdict, [c.id for c in found.causes]) == (verdict, ["ripple"])
+    if rest > 1.0:
+        # rms over rms: both shapes have the mean square 1/2, the main one and the ripple are 100 each.
+        assert found.remainder.size == pytest.approx(rest / np.hypot(np.hypot(100.0, 100.0), rest), rel=0.15)
+    else:
+        assert found.remainder is None or found.remainder.size < 0.05
+
+
+def test_the_pull_of_declared_values_that_scatter_as_stated_is_a_chi_square():
+    """Three hundred machines whose coefficients and gains are drawn from their priors."""
+    rng, p_values = np.random.default_rng(1), []
+    for seed in range(300):
+        truth = {"coefficients": 0.1 * rng.standard_normal(), "gain": 0.01 * rng.standard_normal()}
+        family = measured(truth, seed)
+        model = Model(family, family.conditions)
+        target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+        linear = Declared.of(model, target, fit(model, target, (), model.null()))
+        p_values.append(linear.pull(linear.weight, "force_coefficients")[0])
+    assert stats.kstest(p_values, "uniform").pvalue > 0.01
+
+
+def test_releasing_a_group_is_the_fit_without_its_prior():
+    family = measured({"coefficients": 0.35}, reference=True)
+    model = Model(family, family.conditions)
+    target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+    at = fit(model, target, (), model.null())
+    (released,) = contradicted(model, target, at, lambda a, b, _: predicted_size(model, [0], a, b), 0.05)
+    loose = Model(family, family.conditions, released={"force_coefficients"})
+    again = fit(loose, target, (), loose.null())
+    assert released.ratio == pytest.approx(at.chi2 - again.chi2, rel=1e-3)
+    assert model.scale[0] * released.values[0][0] == pytest.approx(loose.values(again.u)["coefficients"], rel=1e-6)
+
+
+def test_a_parameter_that_only_shapes_a_cause_may_end_on_its_bound():
+    """The shape lies beyond the bound of its parameter, and what remains is a tenth of what the cause explains."""
+
+    @dataclass(frozen=True)
+    class Shaped(Scaled):
+        def predict(self, condition, values):
+            plain = Scaled.predict(self, condition, {**values, "ripple": 0.0})
+            return plain + values.get("ripple", 0.0) * np.exp(-X / values.get("length", 0.1))
+
+    def found(secondary):
+        length = Parameter("length", "1", 0.1, 0.05, 0.02, 0.3, secondary=secondary)
+        ripple = Parameter("ripple", "1", 0.0, 5.0)
+        family = replace(measured({}), causes=(Cause("ripple", "a ripple", (ripple, length)),))
+        shaped = Shaped(**family.__dict__)
+        truth = {"coefficients": 0.0, "gain": 0.0, "ripple": 60.0, "length": 0.33}
+        rng = np.random.default_rng(3)
+        data = [replace(c, observed=shaped.predict(c, truth) + rng.standard_normal(N)) for c in shaped.conditions]
+        return diagnose(replace(shaped, conditions=tuple(data)), worth=WORTH)
+
+    assert [c.id for c in found(True).causes] == ["ripple"]
+    assert found(False).verdict == "unknown"

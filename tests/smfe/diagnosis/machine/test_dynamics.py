@@ -1,0 +1,128 @@
+"""Claims: modes that ride on slides are the machine that `process` makes of them, and its limits are what they must."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from process.drive.servo import Servo
+from process.friction.laws import LuGre, Viscous
+from process.machine.machine import FeedAxis, Machine
+from process.machine.modes import ModalModel
+from process.machine.structure import released_modes
+from smfe.campaign.tolerances import Tolerances
+from smfe.diagnosis.frf.modal_dynamics import Shaken, full_compliance, unchanged
+from smfe.diagnosis.machine.axes import DeclaredAxis, Gains, nuisances, sides_of, slide
+from smfe.diagnosis.machine.dynamics import Slide, bounded, moving_compliance, unbounded
+
+Real = NDArray[np.float64]
+F = np.linspace(3.0, 120.0, 60)
+MODES = ModalModel(
+    frequency=np.array([31.0, 45.0, 52.0]),
+    damping=np.array([0.02, 0.03, 0.035]),
+    stiffness=np.array([4.3e7, 5.0e7, 8.6e7]),
+    direction=np.array([[0.99, -0.14, 0.0], [0.1, 0.99, 0.05], [0.0, -0.1, 0.99]]),
+)
+MASSES = {"x": 3200.0, "y": 900.0, "z": 350.0}
+SHARES = np.array([[0.7, 0.08, 0.01], [-0.1, 0.8, 0.02], [0.0, -0.03, 0.6]])
+SERVOS = {
+    "x": Servo(2.6e5, 30e-3, 16.0, 2e-3),
+    "y": Servo(1.0e5, 22e-3, 22.0, 1.5e-3),
+    "z": Servo(6.0e4, 15e-3, 34.0, 1e-3),
+}
+SMALL = Shaken("actuator", 1e-9, 1.0)
+
+
+def momentum() -> Real:
+    """L [kg] of released_modes."""
+    mass = MODES.mass / 1.0
+    return SHARES * np.sqrt(np.array(list(MASSES.values()))[:, None] * mass[None, :])
+
+
+def slides(**changes: object) -> tuple[Slide, ...]:
+    free = unbounded(SHARES)
+    return tuple(
+        Slide(i, MASSES[a], tuple(free[i]), (s.Kp, s.Ti, s.Kv, s.delay), 3000.0)._replace(**changes)
+        for i, (a, s) in enumerate(SERVOS.items())
+    )
+
+
+def test_in_motion_it_is_the_machine_whose_slides_are_released() -> None:
+    """`released_modes` with a servo an axis: matrices of mass, damping and stiffness in place of the closed form."""
+    structure = released_modes(MODES, MASSES, coupling=momentum())
+    machine = Machine(structure, {a: FeedAxis(s, Viscous(3000.0)) for a, s in SERVOS.items()})
+    expected = machine.at(0.01).matrix(F)
+    found = moving_compliance(unchanged(MODES), slides(), F, SMALL)
+    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_friction_is_linearised_as_bristles_are() -> None:
+    law = LuGre(9e8, 0.0, 2000.0, 2600.0, 8e-3, 3000.0)
+    structure = released_modes(MODES, MASSES, coupling=momentum())
+    machine = Machine(structure, {a: FeedAxis(s, law) for a, s in SERVOS.items()})
+    declared = {
+        a: DeclaredAxis(MASSES[a], {"K1": Gains(s.Kp, s.Ti, s.Kv, s.delay)}, sides_of(law), law.stiffness)
+        for a, s in SERVOS.items()
+    }
+    values = {p.name: p.start for p in nuisances(declared, Tolerances())} | {f"contact_loss_{a}": 0.0 for a in "xyz"}
+    for feed in (0.0, 200.0 / 6e4, -500.0 / 6e4):
+        ride = tuple(
+            slide(i, a, declared[a], values, tuple(unbounded(SHARES)[i]), feed, "K1") for i, a in enumerate("xyz")
+        )
+        expected = machine.at(feed).matrix(F)
+        found = moving_compliance(unchanged(MODES), ride, F, SMALL)
+        assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_a_rigid_contact_leaves_the_modes_at_rest_alone() -> None:
+    held = moving_compliance(unchanged(MODES), slides(contact=1e15), F, SMALL)
+    assert np.abs(held - MODES.matrix(F)).max() < 1e-5 * np.abs(held).max()
+
+
+def test_without_slides_it_is_the_model_of_modes() -> None:
+    hard = unchanged(MODES)._replace(
+        slip=(0.2, 0.6, 0.8, 0.0), springs=tuple((0.05 * np.eye(3)).ravel()), residual=(1e-9, 2e-9, 1e-9, 0.0, 0.0, 0.0)
+    )
+    for how in (Shaken("hammer", 1.0, 0.01), Shaken("actuator", 100.0, 0.05)):
+        expected = full_compliance(hard, F, how)
+        assert np.abs(moving_compliance(hard, (), F, how) - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_far_below_the_modes_the_tool_feels_the_servo() -> None:
+    """``1/B``, the drive and the mass that moves with it, behind the springs of the modes."""
+    low = np.array([0.5])
+    phi = moving_compliance(unchanged(MODES), slides(), low, SMALL)
+    for i, one in enumerate(slides()):
+        drive = 1.0 / one.stiffness(2.0 * math.pi * low)[0]
+        assert abs(phi[0, i, i] - MODES.matrix(low)[0, i, i] - drive) < 0.02 * abs(drive)
+
+
+def test_a_mass_at_the_tool_moves_with_slides_and_modes() -> None:
+    """The same mass as a further body of the structure, bolted to the tool."""
+    extra = 25.0
+    structure = released_modes(MODES, MASSES, coupling=momentum())
+    loaded = replace(structure, mass=structure.mass + extra * structure.tool.T @ structure.tool)
+    machine = Machine(loaded, {a: FeedAxis(s, Viscous(3000.0)) for a, s in SERVOS.items()})
+    found = moving_compliance(unchanged(MODES)._replace(mass=extra), slides(), F, SMALL)
+    expected = machine.at(0.01).matrix(F)
+    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_a_hardening_joint_is_the_spring_that_its_amplitude_makes_it() -> None:
+    """At a vanishing level nothing of it is left."""
+    joint = unchanged(MODES)._replace(hardening=(0.5, 1.0, 0.0, 0.0))
+    plain = moving_compliance(unchanged(MODES), slides(), F, SMALL)
+    assert np.abs(moving_compliance(joint, slides(), F, SMALL) - plain).max() < 1e-9 * np.abs(plain).max()
+    loud = moving_compliance(joint, slides(), F, Shaken("hammer", 1.0, 0.02))
+    assert np.abs(loud - plain).max() > 0.01 * np.abs(plain).max()
+    assert np.allclose(loud[:, 2, 2], plain[:, 2, 2], rtol=0.2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_modes_never_carry_more_than_what_they_ride_on(seed: int) -> None:
+    wild = 10.0 * np.random.default_rng(seed).standard_normal((3, 5))
+    share = bounded(wild)
+    assert np.linalg.eigvalsh(share @ share.T)[-1] < 1.0
+    assert np.allclose(unbounded(share), wild, rtol=1e-6)
