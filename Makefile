@@ -27,7 +27,7 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo kernels test one page paper figure slow calibrations exam accuracy strangers lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo kernels test one page paper figure slow calibrations exam exam-campaigns accuracy strangers ram lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
@@ -40,8 +40,11 @@ help:
 	@echo "make slow    the slow tests"
 	@echo "make calibrations  tests that count over many seeds"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --sizes 0\" for less)"
+	@echo "make exam-campaigns  the same through campaign files of imperfect machines (12 hours of CPU; ARGS=\"--nulls 30\")"
+	@echo "make outside records of others, where copies lie: writes docs/outside_table.md (SMFE_BRB, SMFE_SONODE; ten minutes)"
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
 	@echo "make strangers  records that nobody prepared, drawn at random: writes the tables in docs/ (an hour)"
+	@echo "make ram     cutting tests of the paper's ram machine, five seeds: writes docs/ram_table.md (ten minutes)"
 	@echo "make lint    ruff, mypy, import-linter, checks of files and structure"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"
@@ -73,6 +76,12 @@ calibrations: $(READY) kernels
 exam: $(READY)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.sitting docs/exam.md --jobs $(JOBS) $(ARGS)
 
+exam-campaigns: $(READY)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.campaigns docs/exam_campaigns_table.md --jobs $(JOBS) $(ARGS)
+
+outside: $(READY)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.outside.table docs/outside_table.md $(ARGS)
+
 accuracy: $(READY)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m accuracy.table docs/accuracy_table.md $(ARGS)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m accuracy.theory_table docs/sweep_table.md
@@ -87,6 +96,10 @@ strangers: $(READY)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.limits_agree docs/limits_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.chatter docs/chatter_table.md --jobs $(JOBS) $(ARGS)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.drive_records docs/drive_records_table.md --jobs $(JOBS) $(ARGS)
+
+# Sixty cutting tests of the paper's ram machine, five seeds: what section 6 of docs/paper shows.
+ram: $(READY) kernels
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.ram docs/ram_table.md --jobs $(JOBS) $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from smfe.diagnosis.inference.diagnose import diagnose
-from smfe.diagnosis.inference.finding import Finding
 from smfe.diagnosis.inference.workers import cores
+from smfe.diagnosis.judgement.diagnose import diagnose
+from smfe.diagnosis.judgement.finding import Finding
 
 # Truth of the tests: nothing of the packages is in it.
 runpy.run_path(str(Path(__file__).parents[1] / "tests" / "diagnosis" / "conftest.py"))

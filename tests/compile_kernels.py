@@ -134,8 +134,12 @@ def axis_oracle() -> None:
 
 def other_oracles() -> None:
     """The independent simulators of drives, sweeps, cuts and an oscillator."""
+    from dataclasses import replace
+
     import numpy as np
     from truth import drive, milling_limits, milling_map, oscillator, sweep
+    from truth.imperfect import drive as moving
+    from truth.imperfect import modal
 
     drive.simulate(drive.Axis(), 1)
     sweep.measure(sweep.required(1, 1, seconds=2.0), 1, ("down",))
@@ -146,6 +150,10 @@ def other_oracles() -> None:
     modes = np.array([800.0]), np.array([0.02]), np.array([2e7]), np.array([[1.0, 0.0, 0.0]])
     cut = milling_map.MillingCut(*modes, np.radians([180.0, 180.0]), ((0.0, 1.0),), (8e8, 3e8, 0.0))
     milling_map.TurnMap(cut, 3000.0).multipliers(1e-4)
+    joint = modal.drawn_shop(np.random.default_rng(1)).machine
+    modal.in_time(replace(joint, loose=0.1), modal.State(), np.zeros((joint.ram.mass.shape[0], 16)), 1e4)
+    rail = moving.drawn(np.random.default_rng(1))
+    moving.simulated(replace(rail, target=np.concatenate([np.zeros(8), rail.target[:9000]])))
 
 
 GROUPS = {

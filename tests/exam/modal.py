@@ -15,10 +15,12 @@ from truth.modal_machine import (
     nominal,
     wandered,
 )
+from truth.modal_workshop import measure_ordinarily
 
 from process.machine.modes import ModalModel
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import Excited, degrees_of_freedom_of
+from smfe.diagnosis.frf.workshop import apart
 from smfe.diagnosis.inference.problem import Condition
 
 SPREAD = {"frequency": 0.01, "damping": 0.2, "stiffness": 0.05}
@@ -71,14 +73,17 @@ def name_of(setting: Setting) -> str:
 def excited_by(record: Record, entries=ALL, floor=FLOOR) -> tuple[Excited, np.ndarray]:
     """How a record was excited, with its noise: that of an accelerometer, its size from the repeats."""
     value, f = record.value, record.frequency
-    away = (value - value.mean(axis=0)) * f[None, :, None, None]
-    size = np.sqrt(np.sum(np.abs(away) ** 2, axis=(0, 1)) / ((len(value) - 1) * f.size * len(value)))
-    mean = value.mean(axis=0)
+    count, mean = len(value), value.mean(axis=0)
+    parted = [apart(value[:, :, :, e], f, mean, e) for e in range(3)]
+    away = np.stack([noise for _, noise in parted], axis=3) * f[None, :, None, None]
+    size = np.sqrt(np.sum(np.abs(away) ** 2, axis=(0, 1)) / ((count - 1) * f.size * count))
     pick = [(AXES.index(r), AXES.index(e)) for r, e in entries]
     std = np.stack([np.hypot(size[i, j] / f, floor * np.abs(mean[:, i, j])) for i, j in pick], axis=1)
     seen = np.stack([mean[:, i, j] for i, j in pick], axis=1)
-    known = degrees_of_freedom_of(len(value), std.size)
-    return Excited(f, tuple(entries), std, "actuator", record.setting.level, degrees_of_freedom=known), seen
+    rows = [np.stack([x[:, :, i] * (j == e) for i, j in pick], axis=2) for e, (x, _) in enumerate(parted)]
+    known = degrees_of_freedom_of(count, std.size)
+    more = {"degrees_of_freedom": known, "repeats": count, "shared": np.concatenate(rows)}
+    return Excited(f, tuple(entries), std, "actuator", record.setting.level, **more), seen
 
 
 def condition_of(record: Record, entries=ALL, measured=True) -> Condition:
@@ -95,7 +100,9 @@ def machine(seed: int):
     return ram, wandered(ram, rng, SPREAD), rng
 
 
-def draw(hidden, seed, design=full_design, proposals=(), snr=40.0, entries=ALL, without=(), size=1.0, more=()):
+def draw(
+    hidden, seed, design=full_design, proposals=(), snr=40.0, entries=ALL, without=(), size=1.0, more=(), ordinary=False
+):
     """Family of a campaign with effects hidden (a name, or several), and what was hidden.
 
     Parameters
@@ -108,14 +115,17 @@ def draw(hidden, seed, design=full_design, proposals=(), snr=40.0, entries=ALL, 
         What could be measured next.
     more : sequence of (Setting, entries)
         What is measured besides the design.
+    ordinary : bool
+        Whether hits lean and sensors are not exact, as in a workshop.
     """
+    taken = measure_ordinarily if ordinary else measure
     ram, built, rng = machine(seed)
     chosen = (hidden,) if hidden is None or isinstance(hidden, str) else tuple(hidden)
     plain, true = Hidden(), Hidden()
     for name in chosen:
         one = effect(name, built, rng, size)
         true = replace(true, **{k: v for k, v in vars(one).items() if v != getattr(plain, k)})
-    records = measure(built, true, design(rng), snr, rng)
+    records = taken(built, true, design(rng), snr, rng)
     conditions = [condition_of(r, entries) for r in records]
     for setting, own in more:
         conditions.append(condition_of(measure(built, true, [setting], snr, rng)[0], own))
@@ -124,7 +134,7 @@ def draw(hidden, seed, design=full_design, proposals=(), snr=40.0, entries=ALL, 
         for s, own in proposals
     ]
     model = ModalModel(*modes(ram))
-    return ModalFrfs(model, tuple(conditions), tuple(proposed), without, SPREAD), true
+    return ModalFrfs(model, tuple(conditions), tuple(proposed), without, SPREAD, tuple(SPREAD)).with_errors(), true
 
 
 def family(hidden: str | None, seed: int, snr: float = 40.0, without=(), size: float = 1.0):

@@ -1,0 +1,266 @@
+"""The exam through campaign files: what is said of a folder that an independent generator wrote.
+
+``python tests/exam/campaigns.py docs/exam_campaigns_table.md`` sits it and writes the table; `make exam-campaigns`
+calls it. Answers are kept in ``.cache/exam`` as they come, so that an exam that was interrupted goes on; ``--afresh``
+forgets them: after every change of the diagnosis. A diagnosis is timed by the CPU time of its one process, and given
+up after ``--patience`` seconds of it.
+
+In the part "unknown" the true cause is taken out of the catalogue, of what was declared too: there alone anything else
+than the file is touched.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from unittest import mock
+
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from truth.imperfect.families import FAMILIES, draw
+
+from exam.campaign_scores import Case, Said, page
+from exam.subjects import Without
+from process.errors import InputError
+from smfe.commands import diagnose as command
+from smfe.diagnosis.inference.problem import Parameter
+
+SEEDS = {"null": 1_000, "effect": 20_000, "unknown": 40_000, "two": 60_000, "outside": 80_000, "sizes": 90_000}
+"""First seed of each part of a trial exam, whose failures are looked at and repaired."""
+
+FRESH = 5_000_000
+"""What is added for the exam that counts: seeds that nothing was tuned on."""
+
+LADDER = {
+    "cutting": ("runout", "coefficients"),
+    "drive": ("friction", "delay"),
+    "modal": ("gain", "posture"),
+    "limits": (),
+    "axis": (),
+}
+"""Effects of which a ladder of sizes is sat."""
+
+SIZES = (0.25, 0.5, 0.75, 1.5, 2.0)
+
+
+class OutOfPatienceError(Exception):
+    """A diagnosis took longer than anybody waits."""
+
+
+def examine(case: Case, patience: float) -> Said:
+    """Write the campaign, have it diagnosed from its file, and keep what was said."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        hidden = draw(case.family, case.seed, case.what, folder, case.size)
+        ids = tuple((name, tuple(causes)) for name, causes in hidden.causes.items())
+        gone = {i for _, causes in ids for i in causes} if case.part == "unknown" else set()
+        start = _cpu()
+        verdict, error = "", ""
+        with warnings.catch_warnings(), _patient(patience), _without(gone):
+            warnings.simplefilter("ignore")
+            try:
+                command.diagnose(folder / "campaign.toml", folder / "finding.json", workers=1)
+            except OutOfPatienceError:
+                verdict, error = "no answer", f"none within {patience:g} s"
+            except InputError as refused:
+                verdict, error = "refused", str(refused)
+            except Exception as broken:
+                verdict, error = "crashed", f"{type(broken).__name__}: {broken}"
+        seconds = _cpu() - start
+        found = {} if verdict else json.loads((folder / "finding.json").read_text(encoding="utf-8"))
+    return _said(case, hidden, ids, verdict, error, seconds, found)
+
+
+def _said(case, hidden, ids, verdict, error, seconds, found) -> Said:
+    causes = found.get("causes", [])
+    gain = found.get("opened") or found.get("gain") or {}
+    known = [[p["name"], p["value"], p["low"], p["high"]] for c in causes for p in c["parameters"]]
+    known += [[g["name"], g["found"], g["low"], g["high"]] for g in found.get("given", [])]
+    return Said(
+        case,
+        verdict or found["verdict"],
+        tuple((c["id"], -1 if c.get("set") is None else int(c["set"])) for c in causes),
+        tuple(tuple(c["id"] for c in s) for s in found.get("alternatives", [])),
+        ids,
+        tuple((name, float(size)) for name, size in hidden.hidden.items()),
+        float(hidden.cost),
+        gain.get("db"),
+        round(seconds, 2),
+        tuple((a["level"], a["cause"]) for a in found.get("data_audit", [])),
+        tuple(c["id"] for c in found.get("immaterial", [])),
+        tuple((n, *held) for n, *held in known if n in hidden.truths),
+        tuple((n, float(v)) for n, v in hidden.truths.items()),
+        error or (found.get("reason") or "")[:200],
+    )
+
+
+def _cpu() -> float:
+    return time.process_time() + resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+
+
+@contextmanager
+def _patient(seconds: float) -> Iterator[None]:
+    """Give up after so many seconds of CPU time."""
+
+    def stop(number: int, frame: object) -> None:
+        raise OutOfPatienceError
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+class Lacking(Without):
+    """A family that lacks a cause, and knows of nothing declared that could go by its name."""
+
+    @property
+    def nuisances(self) -> tuple[Parameter, ...]:
+        """As declared; nothing is named after the cause that is lacking."""
+        return tuple(replace(p, given="") if p.given == self._cause else p for p in self._family.nuisances)
+
+    def __init__(self, family: object, cause: str) -> None:
+        super().__init__(family, cause)
+        self._cause = cause
+
+
+@contextmanager
+def _without(gone: set[str]) -> Iterator[None]:
+    """Take causes out of the catalogue of whatever family is made meanwhile."""
+    if not gone:
+        yield
+        return
+    made = command.case_of
+
+    def lacking(*arguments: object, **more: object) -> object:
+        case = made(*arguments, **more)
+        family = case.family
+        for cause in sorted(gone):
+            family = Lacking(family, cause)
+        return replace(case, family=family)
+
+    with mock.patch.object(command, "case_of", lacking):
+        yield
+
+
+# --- Which campaigns, and in which order.
+
+
+def cases(family: str, nulls: int, seeds: int, fresh: bool, sizes: int = 0) -> list[Case]:
+    """Every case of a family; all parts mixed, so that an exam that is cut short has some of each."""
+    module, more = FAMILIES[family], FRESH if fresh else 0
+    first = {part: seed + more for part, seed in SEEDS.items()}
+    found = [(i / max(nulls, 1), Case(family, "healthy", "null", first["null"] + i)) for i in range(nulls)]
+    few = -(-seeds // 4)
+    for k, name in enumerate(module.EFFECTS):
+        for part, count in (("effect", seeds), ("unknown", few)):
+            found += [(i / count, Case(family, name, part, first[part] + 100 * k + i)) for i in range(count)]
+    for k, pair in enumerate(module.PAIRS):
+        found += [(i / few, Case(family, "+".join(pair), "two", first["two"] + 100 * k + i)) for i in range(few)]
+    for k, name in enumerate(module.OUTSIDE):
+        found += [(i / few, Case(family, name, "outside", first["outside"] + 100 * k + i)) for i in range(few)]
+    for k, (name, size) in enumerate((n, s) for n in LADDER[family] for s in SIZES):
+        found += [(i / sizes, Case(family, name, "sizes", first["sizes"] + 100 * k + i, size)) for i in range(sizes)]
+    return [case for _, case in sorted(found, key=lambda x: x[0])]
+
+
+def sit(
+    every: Sequence[Case], kept: Path, jobs: int, patience: float, until: Callable[[], bool] = lambda: False
+) -> list[Said]:
+    """Answer every case that has no answer yet, keeping each as it comes; return these and all that were kept."""
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    answers = [Said.read(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    done = {a.case for a in answers}
+    waiting = [case for case in every if case not in done]
+    with kept.open("a") as out:
+        for answer in _answered(waiting, jobs, patience, until):
+            answers.append(answer)
+            print(json.dumps(asdict(answer)), file=out, flush=True)
+            print(f"{len(answers)} {answer.line}", file=sys.stderr, flush=True)
+    return answers
+
+
+def _answered(waiting: list[Case], jobs: int, patience: float, until: Callable[[], bool]) -> Iterator[Said]:
+    if jobs == 1:
+        for case in waiting:
+            if until():
+                return
+            yield examine(case, patience)
+        return
+    with ProcessPoolExecutor(jobs, max_tasks_per_child=20) as pool:
+        while waiting and not until():
+            now, waiting = waiting[: 4 * jobs], waiting[4 * jobs :]
+            for future in as_completed([pool.submit(examine, case, patience) for case in now]):
+                yield future.result()
+
+
+def sizes(families: Sequence[str], seeds: int) -> str:
+    """Return the table of the sizes to which effects are raised until they matter, over some campaigns each."""
+    lines = ["| family | effect | must be found from | raised to | unit | costs | right is |", "| --- " * 7 + "|"]
+    for family in families:
+        for k, (name, what) in enumerate(FAMILIES[family].EFFECTS.items()):
+            found = []
+            for i in range(seeds):
+                # No record is needed for what an effect costs.
+                with (
+                    tempfile.TemporaryDirectory() as place,
+                    mock.patch.object(FAMILIES[family], "_write", return_value={}),
+                ):
+                    found.append(draw(family, SEEDS["effect"] + 100 * k + i, name, Path(place)))
+            each = sorted(abs(a.hidden[name]) for a in found)
+            cost = sorted(100.0 * a.cost for a in found)
+            reached = "as it is" if what.switch else f"{each[0]:.2g} to {each[-1]:.2g}"
+            words = f"{cost[0]:.0f} to {cost[-1]:.0f} %"
+            ids = " or ".join(what.causes)
+            lines.append(f"| {family} | {name} | {abs(what.size):.2g} | {reached} | {what.unit} | {words} | {ids} |")
+    return "\n".join([*lines, "", f"{seeds} campaigns of each.", ""])
+
+
+def main() -> None:
+    """Sit the exam and write its table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--families", default=",".join(FAMILIES))
+    parser.add_argument("--parts", default=",".join(SEEDS))
+    parser.add_argument("--nulls", type=int, default=60, help="healthy campaigns of each family")
+    parser.add_argument("--seeds", type=int, default=20, help="of each effect")
+    parser.add_argument("--sizes", type=int, default=10, help="seeds of each size of the ladder")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--patience", type=float, default=300.0, help="CPU seconds of one diagnosis")
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin nothing new after so many")
+    parser.add_argument("--trial", action="store_true", help="seeds on which the diagnosis may be tuned")
+    parser.add_argument("--afresh", action="store_true")
+    parser.add_argument("--material", type=int, default=0, help="write the table of sizes, from so many campaigns each")
+    given = parser.parse_args()
+    if given.material:
+        given.out.write_text(sizes(given.families.split(","), given.material), encoding="utf-8")
+        return
+    kept = Path(f".cache/exam/campaigns{'_trial' if given.trial else ''}.jsonl")
+    if given.afresh:
+        kept.unlink(missing_ok=True)
+    parts, end = given.parts.split(","), time.monotonic() + 60.0 * given.minutes
+    each = [cases(f, given.nulls, given.seeds, not given.trial, given.sizes) for f in given.families.split(",")]
+    mixed = [c for _, c in sorted(((i / len(own), c) for own in each for i, c in enumerate(own)), key=lambda x: x[0])]
+    every = [case for case in mixed if case.part in parts]
+    answers = sit(every, kept, given.jobs, given.patience, lambda: time.monotonic() > end)
+    given.out.write_text(page(answers, given.trial), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
