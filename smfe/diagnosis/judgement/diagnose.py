@@ -175,7 +175,7 @@ def _finding(
     return Finding(
         verdict=judged.verdict,
         reason=judged.reason,
-        causes=(*_declared(bench, released, worth), *(_found(bench, at, k, judged, worth) for k in named)),
+        causes=(*_declared(bench, released, worth, at), *(_found(bench, at, k, judged, worth) for k in named)),
         alternatives=_alternatives(bench, at, judged, worth),
         search_steps=tuple(_search_step(model, s, values) for s in steps),
         misfit_before_db=_decibel(before.null().chi2, values),
@@ -216,17 +216,24 @@ def _whole_gain(before: Bench, bench: Bench, at: Fit) -> Gain | None:
     return compare(*found[0], bench.rng(9, len(at.causes)))
 
 
-def _declared(bench: Bench, released: Sequence[Released], worth: Worth) -> Iterator[FoundCause]:
-    """Yield what was declared and is not so, each of a set that the data do not separate."""
+def _declared(bench: Bench, released: Sequence[Released], worth: Worth, at: Fit | None = None) -> Iterator[FoundCause]:
+    """Yield what was declared and is not so, each of a set that the data do not separate.
+
+    `at` is the fit in which the first of each set is free: it has its values; those of the others are to first order.
+    """
     model, rows = bench.model, list(bench.target.observed)
     start = bench.null().u
+    fitted = {} if at is None else dict(zip(at.free.tolist(), deviations(bench, at, None).tolist(), strict=True))
     for number, r in enumerate(released, 1):
         together = number if len(r.given) > 1 else None
-        for given, values, deviations in zip(r.given, r.values, r.deviations, strict=True):
+        for given, first_order, spread in zip(r.given, r.values, r.deviations, strict=True):
+            values, sd = first_order, spread
+            if at is not None and given == r.given[0] and set(first_order) <= set(fitted):
+                values, sd = {j: float(at.u[j]) for j in first_order}, fitted
             parameters = []
             u = start.copy()
             for j, value in values.items():
-                p, half = model.parameters[j], RULES.interval * deviations[j]
+                p, half = model.parameters[j], RULES.interval * sd[j]
                 u[j] = value
                 middle, low, high = ((p.start + p.scale * x) * p.shown for x in (value, value - half, value + half))
                 parameters.append(Estimate(p.name, middle, low, high, p.unit))

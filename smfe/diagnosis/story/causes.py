@@ -66,6 +66,7 @@ ROWS: Mapping[str, Row] = {
     "backlash": Row(LEFT_OUT, "play in a joint", "{gap} of play, in which {gap_share} of the stiffness is missing"),
     "servo_gains": Row(WRONG, "the gains of the servo"),
     "loop_delay": Row(LEFT_OUT, "a dead time in the control loop", "{delay}"),
+    "loop_delay/declared": Row(WRONG, "the dead time of the control loop"),
     "drive_saturation": Row(LEFT_OUT, "the limit of the drive force", "the last {saturation_cut} never act"),
     "hidden_input/force": Row(LEFT_OUT, "a force on the axis that was not measured", "{hidden_force}"),
     "hidden_input/command": Row(LEFT_OUT, "a command that was not logged", "{hidden_command}"),
@@ -94,7 +95,9 @@ ROWS: Mapping[str, Row] = {
     "force_coefficients/radial": Row(WRONG, "the radial force", "it is {radial:higher|lower} than declared"),
     "force_coefficients/size_effect": Row(LEFT_OUT, "coefficients that depend on the chip thickness"),
     "force_coefficients/material": Row(WRONG, "the cutting coefficients"),
+    "force_coefficients": Row(WRONG, "the cutting coefficients"),
     "edge_forces": Row(LEFT_OUT, "edge forces"),
+    "edge_forces/declared": Row(WRONG, "the edge forces"),
     "runout": Row(LEFT_OUT, "run-out of the tool", "{runout}"),
     "runout/insert": Row(LEFT_OUT, "an insert that stands out", "{insert}"),
     "runout/inserts": Row(LEFT_OUT, "inserts that do not sit alike"),
@@ -111,6 +114,7 @@ ROWS: Mapping[str, Row] = {
     "sensor_axis/exchange": Row(MEASURED, "x and y of the force sensor are exchanged"),
     "sensor_axis/turned": Row(MEASURED, "a sensor is turned"),
     "sensor_axis": Row(MEASURED, "axes of the accelerometer are exchanged"),
+    "sensor_axis/declared": Row(MEASURED, "a sensor is turned, or shows a share of what lies across it"),
     "sensor_offset": Row(MEASURED, "the force sensor has an offset"),
     "dynamometer_dynamics": Row(MEASURED, "the dynamometer vibrates itself"),
     "background_tone": Row(MEASURED, "a tone lies on the force", "{tone} at {tone_frequency}"),
@@ -119,7 +123,7 @@ ROWS: Mapping[str, Row] = {
 }
 """Key of a cause (or its id, for all variants) -> how it is told."""
 
-_YES_OR_NO = (
+YES_OR_NO = (
     "sensor_axis/exchange",
     "sensor_axis/turned_over",
     "sensor_gain/sign",
@@ -147,7 +151,7 @@ def row_of(cause: FoundCause) -> Row:
 def numbers_of(cause: FoundCause, intervals: bool, friction: Friction | None = None) -> str:
     """Return the numbers of a cause as part of a sentence, "" where they say no more than its name."""
     key = f"{cause.id}/{cause.variant}" if cause.variant else cause.id
-    if key in _YES_OR_NO:
+    if key in YES_OR_NO:
         return ""
     given = {e.name.replace(".", "_"): e for e in cause.parameters}
     if cause.id == "guideway_friction" and friction is not None and key != "guideway_friction/level":

@@ -23,7 +23,7 @@ from smfe.diagnosis.judgement.finding import (
     Pocket,
     StableDepth,
 )
-from smfe.diagnosis.story.causes import LEFT_OUT, MEASURED, WRONG, Friction, numbers_of, row_of
+from smfe.diagnosis.story.causes import LEFT_OUT, MEASURED, WRONG, YES_OR_NO, Friction, numbers_of, row_of
 from smfe.diagnosis.story.words import (
     count_words,
     in_words,
@@ -159,7 +159,8 @@ def _opening(causes: Sequence[FoundCause], setting: Setting) -> str:
     certain = [group[0] for group in sets if len(group) == 1]
     groups = {how: [c for c in certain if row_of(c).how == how] for how in (LEFT_OUT, WRONG, MEASURED)}
     detail = ""
-    if len(causes) == 1:
+    # Of what was given wrongly the numbers stand first of all.
+    if len(causes) == 1 and causes[0].variant != "declared":
         numbers = numbers_of(causes[0], False, setting.friction)
         detail = f": {numbers}" if numbers else ""
     parts = [f"{how} {listed([_name(c) for c in groups[how]])}" for how in (LEFT_OUT, WRONG) if groups[how]]
@@ -239,7 +240,10 @@ def _short(reason: str) -> str:
 def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
     held_out = finding.gain is not None and finding.gain.held_out == "conditions"
     where = "conditions" if held_out else "values"
+    told = {g.cause for g in finding.given if g.beyond}
     for cause in finding.causes:
+        if cause.variant == "declared" and cause.set is None and cause.id in told:
+            continue  # it stands under what was given, with its numbers
         # The verdict has said what brakes the axis where that is all.
         friction = setting.friction if len(finding.causes) > 1 else None
         numbers, worth = numbers_of(cause, True, friction), f"not proven on {where} that it was not fitted to"
@@ -288,7 +292,8 @@ def _title(cause: FoundCause) -> str:
 
 
 def _own_parameters(finding: Finding, setting: Setting) -> Iterator[str]:
-    moved = [p for p in finding.baseline if p.beyond_prior]
+    told = {g.name for g in finding.given}
+    moved = [p for p in finding.baseline if p.beyond_prior and p.name not in told]
     if moved:
         said = [
             f"{parameter_words(p.name)} {rounded(p.fitted)}{unit_text(p.unit)} in place of {rounded(p.given)}"
@@ -405,10 +410,12 @@ def _next(finding: Finding, setting: Setting) -> Iterator[str]:
     price = "" if n.minutes is None else f" (about {n.minutes:.0f} min)"
     do = n.do or n.name[:1].upper() + n.name[1:]
     if n.reveals:
+        # Of several parameters of a cause the first: the others would read alike.
+        each = {r.title: r for r in reversed(n.reveals)}
         shown = [
             f"{r.title} from {rounded(r.size, 2)}{unit_text(r.unit)} on"
             + (f" (so far from {rounded(r.so_far, 2)}{unit_text(r.unit)} on)" if math.isfinite(r.so_far) else "")
-            for r in n.reveals[:_REVEALED]
+            for r in [r for r in n.reveals if each[r.title] is r][:_REVEALED]
         ]
         yield f"Next: {do}{price}. It would show what the measurements so far hide: {listed(shown)}."
     elif n.between:
@@ -440,6 +447,8 @@ def _power(finding: Finding, setting: Setting) -> Iterator[str]:
 
 def _size(p: Detectable, of: int) -> str:
     """Return e.g. "micro-slip in a joint (share of the stiffness that slips) from 8.3 % on"."""
+    if p.cause in YES_OR_NO:
+        return p.title
     what = f" ({parameter_words(p.parameter)})" if of > 1 else ""
     return f"{p.title}{what} from {rounded(p.size, 2)}{unit_text(p.unit)} on"
 

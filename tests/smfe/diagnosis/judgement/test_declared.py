@@ -67,6 +67,15 @@ def test_coefficients_a_third_wrong_are_named_and_the_gain_that_could_as_well_be
     assert found.gain.db > 20.0
 
 
+def test_what_is_found_of_a_declared_value_is_one_number_whatever_else_is_fitted_beside_it():
+    found = diagnose(measured({"coefficients": 0.35, "ripple": 3.0}, reference=True), worth=WORTH)
+    (cause,) = found.causes
+    given = next(g for g in found.given if g.cause == cause.id)
+    assert [c.id for c in found.immaterial] == ["ripple"]
+    assert cause.parameters[0].value == pytest.approx(given.found, rel=1e-9)
+    assert given.low <= 0.35 <= given.high
+
+
 def test_a_reference_of_known_size_tells_the_gain_from_the_coefficients():
     assert ids(diagnose(measured({"coefficients": 0.35}, reference=True), worth=WORTH)) == {"force_coefficients": None}
     assert ids(diagnose(measured({"gain": -0.13}, reference=True), worth=WORTH)) == {"sensor_gain": None}

@@ -165,6 +165,15 @@ def test_what_was_given_comes_first_with_what_the_data_say_and_its_millimetres()
     ]
 
 
+def test_what_was_given_wrongly_is_told_once_with_its_numbers() -> None:
+    value = (Estimate("Ktc", 2700.0, 2650.0, 2750.0, "N/mm^2"),)
+    size = FoundCause("force_coefficients", "declared", "coefficient Ktc", "declared", value, 9.0, None, None)
+    found = Finding("named", "it is", (size,), errors=ERRORS, given=(KTC, KRC))
+    assert say("verdict", found)[0].startswith("The simulation is wrong about the cutting coefficients. With it the")
+    assert say("cause", found) == []
+    assert " ".join(p.text for p in told(found)).count("2700") == 1
+
+
 def test_causes_that_the_data_do_not_separate_are_told_as_one_or_the_other() -> None:
     numbers = (Estimate("gain_force", -13.0, -13.4, -12.6, "%"),)
     gain = FoundCause("sensor_gain", "force", "gain of the force sensor", "measurement", numbers, 9.0, None, None, 0)
