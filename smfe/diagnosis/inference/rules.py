@@ -89,7 +89,7 @@ class InferenceRules:
     informed: float = 1e-3  # share of a prior's variance that data must take away to say something of it
     released: float = 0.02  # prior over what it becomes where it is released: fifty times as wide
     stands_for: float = 0.5  # share of a difference below which another parameter has taken its place
-    worth_a_search: float = 0.4  # share of what is material that must be left for another cause to be looked for
+    worth_a_search: float = 0.25  # share of what is material that must be left for another cause to be looked for
     worth_pairs: float = 1.0  # the same for pairs of causes
     named_share: float = 0.9  # share of the repeatable error from which causes count as named beside a remainder
     noise_draws: int = 200  # of noise, for what it does to a size
