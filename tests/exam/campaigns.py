@@ -55,9 +55,12 @@ LADDER = {
 
 SIZES = (0.25, 0.5, 0.75, 1.5, 2.0)
 
+AGAIN = 0.2
+"""CPU seconds after which who has not given up is told so again."""
 
-class OutOfPatienceError(Exception):
-    """A diagnosis took longer than anybody waits."""
+
+class OutOfPatienceError(BaseException):
+    """A diagnosis took longer than anybody waits; no error of the diagnosis, which may catch its own."""
 
 
 def examine(case: Case, patience: float) -> Said:
@@ -69,7 +72,7 @@ def examine(case: Case, patience: float) -> Said:
         gone = {i for _, causes in ids for i in causes} if case.part == "unknown" else set()
         start = _cpu()
         verdict, error = "", ""
-        with warnings.catch_warnings(), _patient(patience), _without(gone):
+        with warnings.catch_warnings(), patient(patience), _without(gone):
             warnings.simplefilter("ignore")
             try:
                 command.diagnose(folder / "campaign.toml", folder / "finding.json", workers=1)
@@ -112,14 +115,14 @@ def _cpu() -> float:
 
 
 @contextmanager
-def _patient(seconds: float) -> Iterator[None]:
-    """Give up after so many seconds of CPU time."""
+def patient(seconds: float) -> Iterator[None]:
+    """Give up after so many seconds of CPU time, and again and again: what is raised in a callback may get lost."""
 
     def stop(number: int, frame: object) -> None:
         raise OutOfPatienceError
 
     before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds, AGAIN)
     try:
         yield
     finally:

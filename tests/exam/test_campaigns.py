@@ -1,5 +1,6 @@
 """The exam through campaign files must be able to fail, and reads nothing but the file."""
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 from truth.imperfect.families import FAMILIES
 
 from exam.campaign_scores import Case, Said, page, scores
-from exam.campaigns import cases, examine, sit
+from exam.campaigns import OutOfPatienceError, cases, examine, patient, sit
 
 
 def wanted(case: Case) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -84,6 +85,21 @@ def test_a_campaign_is_written_diagnosed_and_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="A quick answer comes before the clock is looked at.")
 def test_who_takes_too_long_is_given_up() -> None:
     assert examine(Case("cutting", "healthy", "null", 1), 0.005).verdict == "no answer"
+
+
+@pytest.mark.parametrize(("caught", "times"), [(Exception, 0), (BaseException, 1)])
+def test_nobody_who_catches_errors_goes_on_for_ever(caught: type[BaseException], times: int) -> None:
+    """An `except` for any error, or a callback that loses what was raised in it, ends within a second of CPU time."""
+    lost, begin = 0, time.process_time()
+    with pytest.raises(OutOfPatienceError), patient(0.05):
+        while time.process_time() < begin + 5.0:
+            try:
+                sum(range(1000))
+            except caught:
+                lost += 1
+                if lost > times:
+                    raise
+    assert lost == times + (caught is BaseException)
+    assert time.process_time() - begin < 1.0
