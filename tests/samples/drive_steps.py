@@ -9,6 +9,7 @@ from smfe.diagnosis.drive import noise
 from smfe.diagnosis.drive.balance import Channels, kind_of
 from smfe.diagnosis.drive.filters import motion
 from smfe.diagnosis.drive.noise import noise_draws
+from smfe.diagnosis.drive.rules import RULES
 from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.judgement.hypotheses import Bench
@@ -110,7 +111,7 @@ class Repeats:
         draws = noise_draws(whitener, [d for _, d in differences], none, kinds)
         squares = {}
         for c, d in differences:
-            squares.setdefault(kind_of(c.settings), []).extend(np.square(whitener(d)))
+            squares.setdefault(kind_of(c.settings), []).extend(np.square(whitener(d))[self._used(c, whitener)])
         every = np.mean(np.concatenate(list(squares.values())))
         back = self.lag * math.ceil(0.5 * self.raw.force.size / self.lag - 0.5)
         found = []
@@ -118,10 +119,16 @@ class Repeats:
             before = self.residual(c, back)
             if before is not None:
                 size = math.sqrt(np.mean(squares.get(kind_of(c.settings), every)))
-                observed = whitener(c.data.force - before) / size
-                found.append(replace(c, observed=observed, data=replace(c.data, noise=size), source=""))
+                used = self._used(c, whitener)
+                observed = whitener(c.data.force - before)[used] / size
+                found.append(replace(c, observed=observed, data=replace(c.data, noise=size, used=used), source=""))
         model = replace(self.family.model, whitener=whitener, draws=draws)
         return replace(self.family, model=model, conditions=tuple(found))
+
+    def _used(self, condition, whitener):
+        """Return which values count behind another whitener: where it stands nothing is read from the force."""
+        filter_, moving = self.family.model.resampler, ~condition.data.motion.standing
+        return filter_(moving.astype(float))[whitener.order :] >= RULES.least_moving
 
     def _half(self, source):
         return [c for c in self.family.conditions if c.source == source]

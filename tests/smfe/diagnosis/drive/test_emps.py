@@ -227,9 +227,6 @@ def test_what_the_model_leaves_comes_again(first: DriveRecordFamily, steps: tupl
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=False, reason="What stands still is left out: repeats of the moves no longer have the same values."
-)
 def test_nothing_has_changed_between_the_halves(first: DriveRecordFamily) -> None:
     """The model of the first half, with what it left there, against the second, with the scatter between repeats."""
     causes = [*(c for c in NAMED if c != "loop_delay"), "position_ripple"]  # the dead time is of the baseline
