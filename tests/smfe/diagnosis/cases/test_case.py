@@ -23,6 +23,7 @@ from smfe.diagnosis.cases.compliances import case_of, steadied
 from smfe.diagnosis.cases.experiments import proposed_experiments
 from smfe.diagnosis.cutting.forces import cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut
+from smfe.diagnosis.drive.control_law import Gains
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
@@ -46,20 +47,19 @@ def public(name: str, monkeypatch: pytest.MonkeyPatch) -> Campaign:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=False, reason="The campaign states mass and gains, which records alone do not: both are compared otherwise."
-)
 def test_a_drive_campaign_is_the_family_of_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
     """The record that is held out has no say in filter, noise and starts, and its moves are the ones held out."""
     campaign = public("emps", monkeypatch)
+    baseline, within = campaign.baseline, campaign.tolerances
     case = case_of(campaign, {})
     records = [read_records(m.records[0].files[0], m.records[0].channels)[0] for m in campaign.measurements]
-    first = DriveRecordFamily.from_record(records[0])
-    other = DriveRecordFamily.from_record(records[1], like=first)
-    # The campaign states gains: the control law is compared besides.
-    forces = [c for c in case.family.conditions if not c.name.startswith("control law")]
-    for mine, byhand in zip(forces, (*first.conditions, *other.conditions), strict=True):
+    assert baseline.moving_mass is None
+    stated = {"gains": Gains(baseline.Kv, baseline.Kp), "delay": baseline.delay, "tolerances": within}
+    first = DriveRecordFamily.from_record(records[0], **stated)
+    other = DriveRecordFamily.from_record(records[1], like=first, **stated)
+    for mine, byhand in zip(case.family.conditions, (*first.conditions, *other.conditions), strict=True):
         np.testing.assert_array_equal(mine.observed, byhand.observed)
+    assert case.family.nuisances == first.nuisances
     assert case.held_out_conditions() == case.groups["moves with pulses"]
     assert len(case.held_out_conditions()) == len(other.conditions)
 
