@@ -36,7 +36,6 @@ from exam.campaign_scores import Case, Said, page
 from exam.subjects import Without
 from process.errors import InputError
 from smfe.commands import diagnose as command
-from smfe.diagnosis.inference.problem import Parameter
 
 SEEDS = {"null": 1_000, "effect": 20_000, "unknown": 40_000, "two": 60_000, "outside": 80_000, "sizes": 90_000}
 """First seed of each part of a trial exam, whose failures are looked at and repaired."""
@@ -130,19 +129,6 @@ def patient(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-class Lacking(Without):
-    """A family that lacks a cause, and knows of nothing declared that could go by its name."""
-
-    @property
-    def nuisances(self) -> tuple[Parameter, ...]:
-        """As declared; nothing is named after the cause that is lacking."""
-        return tuple(replace(p, given="") if p.given == self._cause else p for p in self._family.nuisances)
-
-    def __init__(self, family: object, cause: str) -> None:
-        super().__init__(family, cause)
-        self._cause = cause
-
-
 @contextmanager
 def _without(gone: set[str]) -> Iterator[None]:
     """Take causes out of the catalogue of whatever family is made meanwhile."""
@@ -155,7 +141,7 @@ def _without(gone: set[str]) -> Iterator[None]:
         case = made(*arguments, **more)
         family = case.family
         for cause in sorted(gone):
-            family = Lacking(family, cause)
+            family = Without(family, cause)
         return replace(case, family=family)
 
     with mock.patch.object(command, "case_of", lacking):

@@ -5,7 +5,7 @@ family of models to be diagnosed. The answer is kept apart from it.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 from truth.blind import draw
@@ -85,7 +85,10 @@ class Subject:
 
 
 class Without:
-    """A family that lacks one cause, whatever its variants; it predicts with the null of that."""
+    """A family that lacks one cause, whatever its variants; it predicts with the null of that.
+
+    Nothing that was declared is named after it either: it is fitted within what is trusted of it, and that is all.
+    """
 
     def __init__(self, family, cause):
         self._family, self._cause = family, cause
@@ -99,6 +102,11 @@ class Without:
     def causes(self):
         """All but the one."""
         return tuple(c for c in self._family.causes if c.id != self._cause)
+
+    @property
+    def nuisances(self):
+        """As declared, without that name."""
+        return tuple(replace(p, given="") if p.given == self._cause else p for p in self._family.nuisances)
 
     def predict(self, condition, values):
         """As the family predicts."""

@@ -77,14 +77,13 @@ def always(centre: float, stroke: float, mass: float, fastest: float) -> tuple[T
     )
     boost = (
         Parameter("stribeck.boost", "N", 0.0, 1.0, low=0.0),
-        Parameter("stribeck.speed", "mm/s", 0.5 * near, 0.25 * near, 1e-3, near, shown=1e3, secondary=True),
+        # What falls over more is Coulomb friction with less viscous friction: a bound is another's name, and refused.
+        Parameter("stribeck.speed", "mm/s", 0.5 * near, 0.25 * near, 1e-3, near, shown=1e3),
     )
     shear = (
         Parameter("shear.force", "N", 0.0, 1.0, low=0.0),
-        # What builds up within less is Coulomb friction.
-        Parameter(
-            "shear.speed", "mm/s", max(0.5 * near, 5e-3), 0.25 * near, 5e-3, max(near, 6e-3), shown=1e3, secondary=True
-        ),
+        # What builds up within less is Coulomb friction, over more viscous friction with Coulomb friction: likewise.
+        Parameter("shear.speed", "mm/s", max(0.5 * near, 5e-3), 0.25 * near, 5e-3, max(near, 6e-3), shown=1e3),
     )
     slope = (Parameter("position.offset", "N/m", 0.0, 1.0), Parameter("position.friction", "N/m", 0.0, 1.0))
     difference = (Parameter("asymmetry.viscous", "N s/m", 0.0, 5.0),)
