@@ -77,7 +77,14 @@ def sensor_causes(highest: float, fastest: float) -> list[Cause]:
             starts=((0.5 * math.pi,), (-0.5 * math.pi,), (3.0,)),
         ),
         *(
-            Cause("sensor_gain", title, (Parameter(name, "1", 0.0, 1.0, 0.0, 1.5),), name, starts=((1.0,),))
+            # A switch: beyond its threshold nothing holds it, and where it ends says nothing.
+            Cause(
+                "sensor_gain",
+                title,
+                (Parameter(name, "1", 0.0, 1.0, 0.0, 1.5, secondary=True),),
+                name,
+                starts=((1.0,),),
+            )
             for name, title, _ in signs
         ),
         Cause("sensor_offset", "offsets of the force sensor", offsets),

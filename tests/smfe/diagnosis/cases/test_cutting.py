@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exam.limits import SLOT, campaign
-from truth.milling_limits import Found
+from exam.limits import RATIO, SLOT, SPEEDS, planted
+from truth.milling_limits import Found, search
 
 from process.errors import InputError
 from smfe.campaign import load_campaign
@@ -59,20 +59,28 @@ def written(folder: Path, found: list[Found], baseline: str = 'limits = "bench"'
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=False, reason="Half again the 10 % to which coefficients count as known is no contradiction of them."
-)
-def test_a_softer_or_harder_material_is_named_from_the_cutting_tests_of_a_campaign(tmp_path: Path) -> None:
-    found = diagnose(written(tmp_path, list(campaign("coefficients", 41)), observed=True), tmp_path / "finding.json")
+def test_a_harder_material_is_named_from_the_cutting_tests_of_a_campaign(tmp_path: Path) -> None:
+    """15 % harder, on a machine as it was identified: limits know compliance times coefficients only.
+
+    Within the tolerances of a campaign that states none (damping 10 %, stiffness 3 %, coefficients 10 %) it would be no
+    finding. What softer modes would do as well stands in the same set.
+    """
+    mill = planted("coefficients", 1.0)
+    path = written(tmp_path, search(mill, SPEEDS, np.random.default_rng(41), RATIO), observed=True)
+    known = 'uncertainty = { frequency = "0.2 %", damping = "2 %", stiffness = "1 %" }\nmodes = ['
+    stated = path.read_text().replace("modes = [", known).replace("[material]", '[material]\nuncertainty = "3 %"')
+    path.write_text(stated)
+    found = diagnose(path, tmp_path / "finding.json")
     assert found.verdict == "named"
-    assert [(c.id, c.variant) for c in found.causes] == [("force_coefficients", "size")]
-    (size,) = found.causes[0].parameters
-    assert abs(size.value) == pytest.approx(15.0, abs=3.0)
+    causes = [(c.id, c.variant, c.set) for c in found.causes]
+    assert causes == [("force_coefficients", "declared", 1), ("modal_scale", "declared", 1)]
+    size = next(p for p in found.causes[0].parameters if p.name == "coefficients")
+    assert size.value == pytest.approx(15.0, abs=3.0)
     written_finding = json.loads((tmp_path / "finding.json").read_text())
     depths = written_finding["stable_depth"]
-    assert len(depths) == 22
+    assert len(depths) == 16
     ratio = [row["after_mm"] / row["before_mm"] for row in depths]
-    assert ratio == pytest.approx([1.0 / (1.0 + size.value / 100.0)] * 22, rel=0.1)
+    assert ratio == pytest.approx([1.0 / (1.0 + size.value / 100.0)] * 16, rel=0.02)
     # The extended model is a campaign beside the finding, and of it nothing is left to find.
     again = diagnose(tmp_path / "finding.toml", tmp_path / "again.json")
     assert (again.verdict, again.causes) == ("consistent", ())

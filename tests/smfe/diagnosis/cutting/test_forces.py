@@ -249,9 +249,6 @@ def sets(finding: Finding) -> dict[str, int | None]:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=False, reason="Cross-talk and mounting, made wide, imitate a gain: the set is larger than it need be."
-)
 def test_gain_and_material_are_a_set_until_a_known_force_is_measured() -> None:
     """No cut separates a sensor that reads too much from a material that resists more; a weight does."""
     first = diagnose(weighed(read=False), worth=MATTERS)
