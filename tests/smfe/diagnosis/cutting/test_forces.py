@@ -4,6 +4,7 @@ import functools
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,10 +20,12 @@ from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.cutting.forces import CuttingForces, KnownForce, cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders, find_rotation
 from smfe.diagnosis.cutting.rigid import rigid_orders
+from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.diagnosis.judgement.finding import Finding
 from smfe.diagnosis.judgement.materiality import Worth
+from smfe.diagnosis.judgement.search import on_bound
 
 MILL = Mill()
 TOOL = Tool(MILL.diameter, MILL.teeth)
@@ -111,6 +114,20 @@ def test_what_is_not_physics_is_out_of_bounds() -> None:
     for name in ("Kte", "Kre", "runout", "turning_force", "dynamometer_x", "dynamometer_lag_x"):
         assert bounds[name][0] == 0.0
     assert next(p for p in small().nuisances if p.name == "Ktc").low == 0.0
+
+
+def test_a_switch_may_end_on_its_bound() -> None:
+    """A sign is turned or not, wherever beyond its threshold a fit leaves it; a share of exchanged axes is a number."""
+    model = Model(small(), small().conditions)
+
+    def objection(key: str) -> str:
+        k = next(k for k, c in enumerate(model.causes) if c.key == key)
+        u = model.null()
+        u[model.of_cause[k]] = model.high[model.of_cause[k]]
+        return on_bound(model, SimpleNamespace(u=u), (k,))
+
+    assert [objection(f"sensor_gain/sign{a}") for a in ("", "_x", "_y", "_z")] == [""] * 4
+    assert objection("sensor_axis/exchange") == "exchange"
 
 
 def test_the_angle_at_which_a_record_starts_does_not_matter() -> None:
