@@ -242,6 +242,7 @@ def _condition(
             settings["place"] = measurement.position
     how = {"duration": duration, "feed": feed, "controller": controller}
     excited = excitation_of(compliance, measurement.method, level, band, **how)
+    excited = replace(excited, band=_band_at_once(measurement, found))
     hits = _fewest_hits(measurement, found, axes)
     if hits > 1:
         known = degrees_of_freedom_of(hits, excited.std.size)
@@ -290,12 +291,22 @@ def hummed(compliance: xr.Dataset, hum: float) -> xr.Dataset:
     return compliance.assign(compliance_std=(std.dims, np.hypot(std.values, hum * rms * near), std.attrs))
 
 
+def _band_at_once(measurement: Measurement, found: Identification) -> float:
+    """Return the band over which an actuator shakes at all frequencies at once [Hz]; 0 for a sine after another."""
+    compliance = found.compliance
+    if measurement.method != "actuator" or compliance.attrs.get("excitation_kind") not in ("periodic", "continuous"):
+        return 0.0
+    f = compliance["frequency"].values
+    return float(np.sum(np.gradient(f))) if f.size > 1 else 0.0
+
+
 def _level(measurement: Measurement, found: Identification, axis: str) -> tuple[float, float]:
     """Impulse [N s] and duration [s] of the hits used, or amplitude [N] of the actuator."""
     if measurement.method == "actuator":
         steps = found.tables["steps"]
-        applied = steps[steps["excitation"] == axis]["force_N"].abs().median()
-        return float(measurement.force_level or applied), 0.0
+        applied = float(steps[steps["excitation"] == axis]["force_N"].abs().median())
+        # What is stated of a multisine may be its peak: how hard it shakes is what was recorded.
+        return (applied if _band_at_once(measurement, found) else measurement.force_level or applied), 0.0
     used = _used(found, axis)
     # A half sine stays above a tenth of its peak for 93.6 % of its duration.
     return float(used["impulse_Ns"].abs().mean()), float(used["duration_ms"].mean()) * 1e-3 / 0.936

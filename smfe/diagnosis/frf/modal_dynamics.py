@@ -13,6 +13,7 @@ slipping one follows Rayleigh's law, whose loops have the loss factor ``4/(3 pi)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -28,6 +29,10 @@ RAYLEIGH_LOSS = 4.0 / (3.0 * np.pi)
 
 DECAYING = (2.0 / 3.0, 0.5)
 """Mean amplitude and mean square amplitude of a decaying vibration over those at its start, weighted by energy."""
+
+RANDOM = (0.75 * math.sqrt(math.pi), 2.0)
+"""The same of a random vibration over the amplitude of a sine of its rms and the square of that: its amplitude has
+Rayleigh's distribution (statistical linearisation: Caughey, J. Acoust. Soc. Am. 35, 1963)."""
 
 
 class Changed(NamedTuple):
@@ -55,9 +60,11 @@ class Changed(NamedTuple):
 class Shaken(NamedTuple):
     """How hard a machine is shaken."""
 
-    method: str  # impact or sine: "hammer" or "actuator"
-    level: float  # impulse [N s] or amplitude [N]
+    method: str  # impact, or sine or multisine: "hammer" or "actuator"
+    level: float  # impulse [N s], or amplitude of a sine of the same rms [N]
     reference: float  # amplitude of reference in scaled coordinates [sqrt(J)]
+    power: Real | None = None
+    """Share of the power of a multisine that each line stands for, (f,); None: one sine after another."""
 
 
 def unchanged(model: ModalModel) -> Changed:
@@ -127,12 +134,19 @@ def answers(own: Complex, coupling: Complex | None, force: Real) -> Complex:
     return np.asarray(np.linalg.solve(whole, np.broadcast_to(force.astype(complex), (len(own), *force.shape))))
 
 
-def amplitude(machine: Changed, method: str, level: float) -> float:
-    """Largest amplitude of any mode in scaled coordinates under an impact or a sine along x, y or z [sqrt(J)]."""
+def amplitude(machine: Changed, method: str, level: float, band: float = 0.0) -> float:
+    """Largest amplitude of any mode in scaled coordinates under an impact or a sine along x, y or z [sqrt(J)].
+
+    Of a multisine over a `band` [Hz] it is that of a sine of the same rms: ``int |1/(1 - r^2 + 2j zeta r)|^2 df = pi
+    f_r/(4 zeta)``.
+    """
     shape = np.array(machine.direction).reshape(-1, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
     force = level * np.abs(shape).max(axis=1)
     if method == "hammer":
         return float(np.max(force * 2.0 * np.pi * np.array(machine.frequency)))
+    if band > 0.0:
+        wide = np.pi * np.array(machine.frequency) / (4.0 * np.array(machine.damping))
+        return float(np.max(force * np.sqrt(wide / band)))
     return float(np.max(force / (2.0 * np.array(machine.damping))))
 
 
@@ -191,7 +205,28 @@ def stiffness_of(
         start = np.sqrt(np.sum((start * 2.0 * np.pi * np.array(machine.frequency)[:, None]) ** 2, axis=0))
         return joint.law(joint.size, DECAYING[0] * start, DECAYING[1] * start**2)[None]
     free = np.abs(moved) * shaken.level / shaken.reference
+    if shaken.power is not None:
+        return _at_once(partial(_of_random, joint), direct, free * np.sqrt(shaken.power)[:, None])
     return _steady(lambda a: joint.law(joint.size, a, a**2), direct, free)
+
+
+def _of_random(joint: Joint, amplitude: Real) -> Complex:
+    return joint.law(joint.size, RANDOM[0] * amplitude, RANDOM[1] * amplitude**2)
+
+
+def _at_once(law: Callable[[Real], Complex], direct: Complex, free: Real) -> Complex:
+    """Solve ``a^2 = sum_f |free/(1 + g(a) direct)|^2`` for the one amplitude of each force; return g, (1, 3).
+
+    By bisection of the logarithm of the amplitude: what moves less than it must move at a smaller one.
+    """
+    low, high = np.full(free.shape[1], 1e-6), np.full(free.shape[1], 1e3)
+    size = np.sqrt(np.sum(free**2, axis=0)) + 1e-300
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        moved = np.sqrt(np.sum(np.abs(free / (1.0 + law(middle * size) * direct)) ** 2, axis=0))
+        more = moved > middle * size
+        low, high = np.where(more, middle, low), np.where(more, high, middle)
+    return law(np.sqrt(low * high) * size)[None]
 
 
 def _through_joint(

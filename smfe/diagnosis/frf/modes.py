@@ -121,7 +121,7 @@ class ModalFrfs(Abilities):
     def _reference(self) -> float:
         """Amplitude of reference: the middle one of all conditions."""
         plain = unchanged(self.model)
-        return float(np.median([amplitude(plain, d.method, d.level) for d in self._data])) or 1.0
+        return float(np.median([amplitude(plain, d.method, d.level, d.band) for d in self._data])) or 1.0
 
     @cached_property
     def _first_place(self) -> float:
@@ -202,7 +202,7 @@ class ModalFrfs(Abilities):
             if machine is None:
                 inverse = -((free + carried) * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2)
                 return np.asarray(np.eye(3) / inverse, dtype=complex)
-            shaken = Shaken(excited.method, excited.level, self._reference)
+            shaken = self._shaken(excited, excited.frequency)
             make = partial(self.compliance, machine, slides, excited.frequency, shaken)
             return kept(self._at_tool, (excited, machine, slides), make, RULES.modal_kept)
 
@@ -225,9 +225,14 @@ class ModalFrfs(Abilities):
         settings: dict[str, float | str] = {"sensor": "laser", "position": self._first_place, "spindle_speed": 0.0}
         settings |= {"spindle_speed": spindle_speed * math.pi / 30.0, "feed_x": feed, "controller": controller}
         cut = Condition("cut", settings)
-        least = min(self._data, key=lambda d: amplitude(unchanged(self.model), d.method, d.level))
-        shaken = Shaken(least.method, least.level, self._reference)
+        least = min(self._data, key=lambda d: amplitude(unchanged(self.model), d.method, d.level, d.band))
+        shaken = self._shaken(least, frequency)
         return self.compliance(self.changed(cut, values), self.slides(cut, values), frequency, shaken)
+
+    def _shaken(self, excited: Excited, frequency: Real) -> Shaken:
+        """Return how hard a machine is shaken, for its compliance at some frequencies [Hz]."""
+        power = np.gradient(frequency) / excited.band if excited.band > 0.0 and frequency.size > 1 else None
+        return Shaken(excited.method, excited.level, self._reference, power)
 
     def slides(self, condition: Condition, values: Values) -> tuple[Any, ...]:
         """Return what the modes ride on under the settings of a condition: nothing."""

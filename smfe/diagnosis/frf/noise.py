@@ -57,7 +57,7 @@ class Excited:
     entries: tuple[tuple[str, str], ...]  # (response, excitation) of each entry
     std: Real  # root mean square of the complex error of each line by itself [m/N], shape (f, entries)
     method: str  # how the force was applied: "hammer" or "actuator"
-    level: float  # impulse [N s] of a hammer, amplitude [N] of an actuator
+    level: float  # impulse [N s] of a hammer, amplitude [N] of an actuator: of a multisine that of a sine of its rms
     duration: float = 4e-3  # contact time of the hammer [s]
     feed: Mapping[str, float] = field(default_factory=dict)  # axis -> feed [m/s]
     controller: str | None = None  # name of the controller
@@ -68,6 +68,7 @@ class Excited:
     degrees_of_freedom: float = math.inf
     """With which `std` is known over all lines (`degrees_of_freedom_of`); infinite: it is known."""
     repeats: int = 1  # hits, or records, that the compliance is the mean of
+    band: float = 0.0  # over which an actuator shakes at all frequencies at once [Hz]; 0: one sine after another
     _rows: Real = field(init=False, repr=False)
     _less: Real = field(init=False, repr=False)
 
@@ -83,7 +84,7 @@ class Excited:
     @property
     def way(self) -> tuple[object, ...]:
         """All that a prediction depends on, without the noise."""
-        how = (self.method, self.level, self.duration, self.controller, self.window, self.entries)
+        how = (self.method, self.level, self.duration, self.controller, self.window, self.entries, self.band)
         return (*how, tuple(self.feed.items()), self.frequency.tobytes())
 
     def whitened(self, values: Complex) -> Real:
