@@ -117,7 +117,7 @@ def force(values: Values) -> Real:
     for name in _LEANS:
         out[AXES.index(name[-1]), AXES.index(name[-2])] = values.get(name, 0.0)
     sign = -1.0 if values.get("reversed_force", 0.0) > 0.5 else 1.0
-    return sign * (1.0 + values.get("gain_force", 0.0)) * out
+    return np.asarray(sign * out / (1.0 + values.get("gain_force", 0.0)))
 
 
 def mounting(values: Values) -> Real:

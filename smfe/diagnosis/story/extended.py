@@ -37,6 +37,7 @@ from smfe.diagnosis.inference.problem import Condition, Family, Values
 from smfe.diagnosis.judgement.finding import Finding
 from smfe.diagnosis.machine.axes import key as key_of
 from smfe.diagnosis.machine.family import MachineOfAxes
+from smfe.diagnosis.story.channels import mended
 from smfe.diagnosis.story.millimetres import coefficients_found
 
 NAME = "extended"
@@ -92,9 +93,18 @@ def extended_campaign(campaign: Campaign, family: Family, finding: Finding, fold
         for kind, write in _WRITERS.items():
             if isinstance(family, kind):
                 write(draft, campaign, family, finding.values)
+        _write_channels(draft, campaign, family, finding)
         _write_known(draft, campaign, family, finding)
     lines = [HEAD, *(f"# {text}" for text in draft.left_out)]
     return Extended("\n".join(lines) + "\n\n" + document(draft.tables), tuple(draft.left_out))
+
+
+def _write_channels(draft: _Draft, campaign: Campaign, family: Family, finding: Finding) -> None:
+    """Put what is wrong with a sensor right in its channel."""
+    tables, held, said = mended(draft.tables, family, finding, campaign.tolerances)
+    draft.tables |= tables
+    draft.held |= held
+    draft.left_out += [said] if said else []
 
 
 def _write_known(draft: _Draft, campaign: Campaign, family: Family, finding: Finding) -> None:

@@ -263,3 +263,37 @@ def _record(_):
 
     rng = np.random.default_rng(1)
     return make_record(np.arange(40000) * 1e-4, {"force": {a: rng.standard_normal(40000) for a in "xyz"}})
+
+
+ONE = ModalModel(np.array([60.0]), np.array([0.04]), np.array([2e7]), np.array([[1.0, 0.2, 0.0]]))
+FORCE = 'force_x = { column = "a", unit = "N", scale = 0.5 }\n'
+MOTIONS = "".join(
+    f'acceleration_{a} = {{ column = "a{a}", unit = "m/s^2"{more} }}\n'
+    for a, more in (("x", ', scale = 2.0, sign = -1, delay = "10 us"'), ("y", ""))
+)
+
+
+def test_what_is_wrong_with_a_sensor_is_put_right_in_its_channel(tmp_path: Path) -> None:
+    """A channel that shows too much is scaled down, one that comes late is moved, and exchanged ones change columns."""
+    given = campaign(tmp_path, CHANNELS, FORCE, MOTIONS, MODES, HIT)
+    family = modal(ONE)
+    keys = ("sensor_gain", "sensor_gain/sign_y", "sensor_axis/exchanged_xy", "time_skew")
+    values = {"gain_x": 0.25, "gain_force": -0.2, "reversed_y": 1.0, "exchanged_xy": 1.0, "skew": 5e-5, "gain_y": 0.004}
+    whole = read(tmp_path, given, family, found(family, *keys, **values))
+    assert whole.known == {}
+    told = {c: ch for c, ch in whole.measurements[0].records[0].channels.items() if c != "time"}
+    assert told["force_x"].scale == pytest.approx(0.5 / 0.8)
+    x, y = told["acceleration_x"], told["acceleration_y"]
+    assert (y.column, y.scale, y.sign, y.delay) == pytest.approx(("ax", 2.0 / 1.25, -1.0, 60e-6))
+    # A gain within what a workshop holds to stays as it is.
+    assert (x.column, x.scale, x.sign, x.delay) == pytest.approx(("ay", 1.0, -1.0, 50e-6))
+
+
+def test_a_sensor_that_may_as_well_be_right_keeps_its_channel(tmp_path: Path) -> None:
+    given = campaign(tmp_path, CHANNELS, FORCE, MOTIONS, MODES, HIT)
+    family = modal(ONE)
+    finding = found(family, "sensor_gain", "modal_scale", gain_force=-0.2)
+    finding = replace(finding, causes=tuple(replace(c, set=0) for c in finding.causes))
+    whole = read(tmp_path, given, family, finding)
+    assert "do not say whether a sensor is wrong" in (tmp_path / "results" / "finding.toml").read_text(encoding="utf-8")
+    assert whole.measurements[0].records[0].channels["force_x"].scale == 0.5
