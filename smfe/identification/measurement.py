@@ -103,7 +103,9 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
     With ``exp(+j w t)`` a passive machine has ``Im Phi_ii < 0`` at its driving point. A force or a motion of the wrong
     sign turns it round; a dynamometer under the work, which measures the reaction, is the usual reason. Lines count
     where the imaginary part is above three standard deviations and a tenth of the magnitude, and of the other direct
-    compliances, too: hits that lean and sensors that are turned bring so much of those along.
+    compliances, too: hits that lean and sensors that are turned bring so much of those along. More than half of them
+    must turn round, and more than half of their energy as mobilities: below its modes a machine hardly moves, and
+    integrated noise is large.
     """
     out = []
     array = compliance["compliance"]
@@ -119,7 +121,8 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
             clear &= ~(np.abs(phi.imag) <= 3.0 * np.nan_to_num(std))
         enough = clear.any() and int(clear.sum()) >= min(_FEWEST_CLEAR, 0.2 * phi.size)
         wrong = float(np.mean(phi.imag[clear] > 0.0)) if enough else 0.0
-        if wrong > 0.5:
+        energy = (compliance["frequency"].values * phi.imag)[clear] ** 2
+        if wrong > 0.5 and float(energy[phi.imag[clear] > 0.0].sum()) > 0.5 * float(energy.sum()):
             out.append(
                 f"the direct compliance {axis}{axis} gives out energy (positive imaginary part) at {100 * wrong:.0f} % "
                 "of its clear lines: force or motion has the wrong sign, or they are not measured at the same point. "

@@ -249,7 +249,9 @@ def fit_modes(
 def _why_not(free: PoleFit, shapes: ShapeFit) -> str:
     """Return why mode shapes are worth nothing; empty where they are worth something."""
     f = free.curves.frequency
-    own, other = free.curve_values(f), shapes.curve_values(f)
+    # As mobilities: the lowest lines of accelerations integrated twice are the largest compliances, and noise, which a
+    # free fit follows.
+    own, other = (f * c.curve_values(f) for c in (free, shapes))
     away = float(np.linalg.norm(own - other) / np.linalg.norm(own))
     if not _modes_of_band(shapes).any():
         return (

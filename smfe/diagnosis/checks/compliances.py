@@ -10,6 +10,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 import xarray as xr
 
+from process.labels import AXES
 from process.types import Complex, Real
 from smfe.campaign import Model
 from smfe.campaign.tolerances import Tolerances
@@ -94,6 +95,17 @@ class _Pair:
     direct: tuple[Real, Real]  # |Phi_ii|^2, |Phi_jj|^2
     angle: float  # variance of the angles, of both entries together
 
+    @property
+    def ratio(self) -> complex:
+        """The first entry over the second, by least squares."""
+        return complex(np.vdot(self.two, self.one) / np.vdot(self.two, self.two))
+
+    @property
+    def within_noise(self) -> bool:
+        """Whether noise explains the difference at the median line."""
+        beyond = np.abs(self.one - self.two) ** 2 - RULES.clear * (self.variance[0] + self.variance[1])
+        return bool(np.median(beyond) < 0.0)
+
     def apart(self, factor: complex = 1.0) -> float:
         """Difference over size beyond noise and angles, the column of the first entry divided by a factor."""
         column, size = self.one / factor, abs(factor) ** 2
@@ -111,22 +123,12 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset, tolerances: Toleranc
     median line, too, and beyond what hits that lean and sensors that are turned or talk across put of the direct
     entries into the cross terms: an angle theta puts ``theta (Phi_ii + Phi_jj)`` into them.
     """
-    for a, b in combinations(driving_points(compliance), 2):
-        one, std_one = entry(compliance, a, b)
-        two, std_two = entry(compliance, b, a)
-        variance = std_one**2 + std_two**2
-        weight = np.divide(std_two**2, variance, out=np.full(variance.shape, 0.5), where=variance > 0.0)
-        mean, square = weight * one + (1.0 - weight) * two, np.abs(one - two) ** 2
-        known = np.sqrt(variance) < RULES.known * np.abs(mean)
-        known |= (std_one < RULES.known * np.abs(one)) & (std_two < RULES.known * np.abs(two))
-        clear = np.isfinite(mean) & known
-        if np.count_nonzero(clear) < 5 or np.median((square - RULES.clear * variance)[clear]) < 0.0:
+    found = _pairs_of(compliance, tolerances or Tolerances())
+    for (a, b), pair in found.items():
+        if pair.within_noise:
             continue
-        direct = [np.nan_to_num(np.abs(entry(compliance, x, x)[0][clear]) ** 2) for x in (a, b)]
-        noise, angle = (std_one[clear] ** 2, std_two[clear] ** 2), 2.0 * _oblique(tolerances or Tolerances()) ** 2
-        pair = _Pair(one[clear], two[clear], noise, (direct[0], direct[1]), angle)
-        ratio = complex(np.vdot(pair.two, pair.one) / np.vdot(pair.two, pair.two))
-        where, unit = f"{name}, {a}{b} and {b}{a}", known_factor(abs(ratio))
+        ratio = pair.ratio
+        where, unit = f"{name}, {a}{b} and {b}{a}", _unit_of(found, a, b)
         # A column of another unit is mended by its factor: what is then left is that of any machine.
         if unit and pair.apart(ratio) <= RULES.apart_entries < replace(pair, direct=_less(pair, ratio)).apart():
             yield fault(
@@ -148,6 +150,47 @@ def reciprocity_suspects(name: str, compliance: xr.Dataset, tolerances: Toleranc
                 "check axes, signs and gains of both sensors; friction and servo break reciprocity only when the level "
                 "differs",
             )
+
+
+def _pairs_of(compliance: xr.Dataset, tolerances: Tolerances) -> dict[tuple[str, str], _Pair]:
+    """Return the pairs of entries of which enough lines are known."""
+    found = {}
+    for a, b in combinations(driving_points(compliance), 2):
+        one, std_one = entry(compliance, a, b)
+        two, std_two = entry(compliance, b, a)
+        variance = std_one**2 + std_two**2
+        weight = np.divide(std_two**2, variance, out=np.full(variance.shape, 0.5), where=variance > 0.0)
+        mean = weight * one + (1.0 - weight) * two
+        known = np.sqrt(variance) < RULES.known * np.abs(mean)
+        known |= (std_one < RULES.known * np.abs(one)) & (std_two < RULES.known * np.abs(two))
+        clear = np.isfinite(mean) & known
+        if np.count_nonzero(clear) < 5:
+            continue
+        direct = [np.nan_to_num(np.abs(entry(compliance, x, x)[0][clear]) ** 2) for x in (a, b)]
+        noise, angle = (std_one[clear] ** 2, std_two[clear] ** 2), 2.0 * _oblique(tolerances) ** 2
+        found[a, b] = _Pair(one[clear], two[clear], noise, (direct[0], direct[1]), angle)
+    return found
+
+
+def _unit_of(found: Mapping[tuple[str, str], _Pair], a: str, b: str) -> str:
+    """Return which mistake of units parts ``Phi_ab`` from ``Phi_ba``; "" where it is none.
+
+    A factor of units turns no sign. That of a force along b is in ``Phi_cb`` as well, that of a motion along a in
+    ``Phi_ac``: a third axis on which neither shows says that it is chance.
+    """
+
+    def of(response: str, excitation: str) -> complex:
+        if (response, excitation) in found:
+            return found[response, excitation].ratio
+        return 1.0 / found[excitation, response].ratio if (excitation, response) in found else math.nan
+
+    ratio = of(a, b)
+    if abs(np.angle(ratio)) > RULES.no_turn:
+        return ""
+    others = [abs(of(*pair)) for c in AXES if c not in (a, b) for pair in ((c, b), (a, c))]
+    if all(abs(math.log(other / abs(ratio))) > RULES.same_factor for other in others) and others:
+        return ""
+    return known_factor(abs(ratio))
 
 
 def _less(pair: _Pair, ratio: complex) -> tuple[Real, Real]:
@@ -225,10 +268,15 @@ def mounting_suspects(name: str, compliance: xr.Dataset, *excludes: Part) -> Ite
 
 
 def _matrix(compliance: xr.Dataset, axes: Sequence[str]) -> Complex:
-    """Return the square compliance of some axes where the machine answers above its noise, (f, n, n)."""
+    """Return the square mobility of some axes, over 2 pi, where the machine answers above its noise, (f, n, n).
+
+    Of a compliance the lines below its modes would count most, which integrated noise makes large.
+    """
     pairs = [[entry(compliance, a, b) for b in axes] for a in axes]
     phi = np.array([[p[0] for p in row] for row in pairs]).transpose(2, 0, 1) if axes else np.zeros((0, 0, 0), complex)
     std = np.array([[p[1] for p in row] for row in pairs]).transpose(2, 0, 1) if axes else np.zeros((0, 0, 0))
+    f = compliance["frequency"].values[:, None, None]
+    phi, std = f * phi, f * std
     size = np.abs(phi).max(axis=(1, 2), initial=0.0)
     clear = np.isfinite(phi).all(axis=(1, 2)) & (size > RULES.clear * std.max(axis=(1, 2), initial=0.0))
     if not clear.any():

@@ -13,6 +13,7 @@ from smfe.diagnosis.checks.compliances import driving_points, entry
 from smfe.diagnosis.checks.rules import RULES
 from smfe.diagnosis.checks.suspect import Suspect, note, warning
 from smfe.identification.errors.result import Identification
+from smfe.identification.hammer.direction import UNLIKE
 from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.spectra.spectra import record_source
 
@@ -29,8 +30,10 @@ def hit_suspects(
     refused = np.array([isinstance(reason, str) and reason != "" for reason in hits["reason"]], dtype=bool)
     for _, hit in hits[refused].iterrows():
         overloaded = bool(hit["overloaded"]) or bool(hit["response_overloaded"])
+        # A hit that is like none along any axis may be one from elsewhere, or one that broke a guideway away otherwise.
+        level = note if str(hit["reason"]).startswith(UNLIKE) else warning
         cause = "saturation" if overloaded else "double_hit" if bool(hit["double_hit"]) else "windowed_channel"
-        yield warning(
+        yield level(
             "sensor_axis" if bool(hit["wrong_direction"]) else cause,
             f"{name}, {hit['file']}, hit {hit['hit']}",
             f"{hit['reason']}{_harm(hit, records, found.compliance, settings)}",

@@ -29,6 +29,10 @@ class HitSpectra:
     force: Complex
 
 
+UNLIKE = f"{WRONG_DIRECTION}: its response is not that of the other hits along"
+"""Beginning of the reason of a hit whose direction nothing tells."""
+
+
 def wrong_directions(columns: Mapping[str, HitSpectra]) -> tuple[dict[tuple[str, int], str], list[str]]:
     """Return the hits that were made elsewhere than declared.
 
@@ -165,4 +169,4 @@ def _reason(axis: str, m: int, shapes: Mapping[str, Complex], faults: Mapping[tu
             return f"{WRONG_DIRECTION}: it gives {abs(gain):.2g} times the compliance of the other hits along {axis}"
         if 1.0 / RULES.same_size <= abs(gain) <= RULES.same_size:
             return f"{WRONG_DIRECTION}: its response is that of a hit along {other} (gain {abs(gain):.2g})"
-    return f"{WRONG_DIRECTION}: its response is not that of the other hits along {axis}"
+    return f"{UNLIKE} {axis}"

@@ -7,6 +7,7 @@ import xarray as xr
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
 from smfe.diagnosis.checks.compliances import factor_suspects, mounting_suspects, reciprocity_suspects, skew_suspects
+from smfe.identification.measurement import sign_warnings
 
 MACHINE = ModalModel(
     [24.0, 34.0, 58.0, 95.0],
@@ -62,6 +63,27 @@ class TestCompliances:
         tilted = compliance(sensors @ weak @ hits, 0.005, seed)
         assert not list(reciprocity_suspects("m", tilted))
         assert not list(mounting_suspects("m", tilted))
+
+    @pytest.mark.parametrize(("factor", "entries"), [(4.34, ((1, 2),)), (-4.45, ((0, 2), (1, 2)))])
+    def test_a_factor_that_no_channel_makes_is_no_unit(self, factor: float, entries: tuple) -> None:
+        """One weak entry may be off by any factor; a unit is in all of a column or row, and turns no sign."""
+        mixed = MACHINE.matrix(F).copy()
+        for row, column in entries:
+            mixed[:, row, column] *= factor
+        assert not [s for s in reciprocity_suspects("m", compliance(mixed, 0.005)) if s.cause == "unit_error"]
+
+    def test_integrated_noise_below_the_modes_turns_no_sign(self) -> None:
+        """An acceleration integrated twice is mostly noise at the lowest lines, and largest there."""
+        noisy = MACHINE.matrix(F).copy()
+        noisy[F < 10.8] = 2.0j * np.abs(noisy).max() * np.eye(3)
+        # Above the modes the phase is that of noise, on more than half of the lines.
+        noisy[F > 102.0] += 0.2j * np.abs(noisy[F > 102.0])
+        found = compliance(noisy, 1e-3)
+        assert not list(mounting_suspects("m", found))
+        assert not sign_warnings(found)
+        turned = compliance(-MACHINE.matrix(F), 1e-3)
+        assert len(sign_warnings(turned)) == 3
+        assert list(mounting_suspects("m", turned))
 
     def test_a_column_in_kilonewtons_is_named_beside_leaning_hits(self) -> None:
         rng = np.random.default_rng(3)
