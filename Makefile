@@ -27,7 +27,7 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo kernels test one page paper figure slow calibrations exam exam-campaigns accuracy strangers ram lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo kernels test one page paper figure slow calibrations exam exam-campaigns exam-machine accuracy strangers ram lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
@@ -41,6 +41,7 @@ help:
 	@echo "make calibrations  tests that count over many seeds"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --sizes 0\" for less)"
 	@echo "make exam-campaigns  the same through campaign files of imperfect machines (12 hours of CPU; ARGS=\"--nulls 30\")"
+	@echo "make exam-machine  the same of a portal with three feed axes, at rest and in motion (5 hours of CPU)"
 	@echo "make outside records of others, where copies lie: writes docs/outside_table.md (SMFE_BRB, SMFE_SONODE; ten minutes)"
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
 	@echo "make strangers  records that nobody prepared, drawn at random: writes the tables in docs/ (an hour)"
@@ -78,6 +79,9 @@ exam: $(READY)
 
 exam-campaigns: $(READY)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.campaigns docs/exam_campaigns_table.md --jobs $(JOBS) $(ARGS)
+
+exam-machine: $(READY)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.machine docs/machine_exam_table.md --jobs $(JOBS) $(ARGS)
 
 outside: $(READY)
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.outside.table docs/outside_table.md $(ARGS)

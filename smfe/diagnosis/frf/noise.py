@@ -96,6 +96,12 @@ class Excited:
         flat = _scaled(values, self.std)
         return np.asarray(flat - self._rows.T @ (self._less * (self._rows @ flat)))
 
+    def whitened_each(self, values: Complex) -> Real:
+        """Return several complex values (p, f, entries) as rows of `whitened`, shape (p, 2 f entries)."""
+        scaled = (np.sqrt(2.0) * values / self.std).transpose(0, 2, 1)
+        flat = np.ascontiguousarray(scaled).view(np.float64).reshape(len(values), -1)
+        return np.asarray(flat - (flat @ self._rows.T * self._less) @ self._rows)
+
     def unwhitened(self, values: Real) -> Complex:
         """Return complex values, columns of shape (entries f, n), from real ones, (2 f entries, n), of `whitened`."""
         more = (self._less / (1.0 - self._less))[:, None]

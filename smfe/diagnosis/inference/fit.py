@@ -90,10 +90,12 @@ def bounded_step(slope: Real, residual: Real, low: Real, high: Real) -> tuple[Re
     """Solve ``min |residual + slope step|^2`` for ``low <= step <= high``; return the step and the decrease."""
     if slope.shape[1] == 0:
         return np.zeros(0), 0.0
-    q, r = np.linalg.qr(slope)
+    # Of Q only its product with the residual is needed: that of a further column.
+    whole = np.asarray(np.linalg.qr(np.column_stack([slope, residual]), mode="r"))
+    count = min(slope.shape)
+    r, aim = whole[:count, :-1], -whole[:count, -1]
     size = np.linalg.norm(r, axis=0)
     size[size == 0.0] = 1.0
-    aim = -(q.T @ residual)
     step = _least(r / size, aim) / size
     if np.any(step < low) or np.any(step > high):
         step = lsq_linear(r, aim, bounds=(low, high + 1e-12 * (high <= low)), method="bvls").x

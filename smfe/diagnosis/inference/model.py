@@ -91,6 +91,14 @@ class Model:
         """Parameter name -> value (SI)."""
         return dict(zip(self.names, (self.start + self.scale * u).tolist(), strict=True))
 
+    def scaled(self, values: Mapping[str, float]) -> Real:
+        """Return scaled parameters of some values (SI), all others at their start."""
+        u = self.null()
+        for j, name in enumerate(self.names):
+            if name in values:
+                u[j] = np.clip((values[name] - self.start[j]) / self.scale[j], self.low[j], self.high[j])
+        return u
+
     def predict(self, row: int, u: Real) -> Real | None:
         """Return the prediction of a condition, shape (n,); None where the family cannot give one (see `trouble`)."""
         key = (row, u.tobytes())
@@ -143,8 +151,13 @@ class Model:
         everywhere, for half of the predictions. None where the family predicts neither way.
 
         Where the family says that its predictions are rough, the steps of parameters that do little are longer: hits
-        that break a guideway away depend on them as on a fine saw besides.
+        that break a guideway away depend on them as on a fine saw besides. A family that knows its derivatives in
+        closed form gives those.
         """
+        conditions, parameters = [self.conditions[r] for r in rows], [self.parameters[j] for j in free]
+        closed = self.family.slopes(conditions, self.values(u), parameters)
+        if closed is not None:
+            return dict(zip(rows, closed, strict=True))
         self.prepare([(row, at) for j in free for at in self._beside(u, int(j), rough) for row in rows])
         columns = [self._slope(rows, u, int(j), rough) for j in free]
         again = [n for n, c in enumerate(columns) if c is not None and self._unfit(int(free[n]), c)]

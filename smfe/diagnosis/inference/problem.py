@@ -61,6 +61,9 @@ class Cause:
     kind: str = "physics"  # or "measurement": a fault that is excluded before physics
     starts: tuple[tuple[float, ...], ...] = ()
     """More values to start a fit from (SI), besides what the linearised score suggests."""
+    begin: Values = field(default_factory=dict, compare=False)
+    """Values of nuisances and of its own parameters where the data have been seen to fit with it (SI); none: not known.
+    What competes with a cause may be far off without it."""
     equivalent: Callable[[Mapping[str, float]], tuple[float, ...]] | None = None
     """From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
     fit alike the nearer to the null is taken."""
@@ -137,6 +140,25 @@ class Abilities(Protocol):
     def alike(self, conditions: Sequence[Condition]) -> Sequence[int]:
         """Return a number for each condition, equal where the error of the prediction is the same."""
         return range(len(conditions))
+
+    def slopes(
+        self, conditions: Sequence[Condition], values: Values, parameters: Sequence[Parameter]
+    ) -> Sequence[Real] | None:
+        """Return the derivatives of each condition with parameters, over their scales, (n, p), in closed form.
+
+        None where they are taken by differences of predictions.
+        """
+        return None
+
+    @property
+    def begin(self) -> Values:
+        """Values where the first fit of the baseline begins, other than at their most likely ones (SI)."""
+        return {}
+
+    @property
+    def begun(self) -> bool:
+        """Whether all nuisances begin near their best values, so that nothing need be fitted to bring them there."""
+        return False
 
     @property
     def prepares_data(self) -> bool:

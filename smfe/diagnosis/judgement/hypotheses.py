@@ -57,7 +57,7 @@ class Bench:
         """Fit the baseline: from its most likely nuisances and, where that does not converge, from others."""
         if () not in self.fits:
             near = self.known.get(())
-            start, slope = (roughly(self.model, self.target), None) if near is None else (near.u, near.slope)
+            start, slope = (self._first(), None) if near is None else (near.u, near.slope)
             found = fit(self.model, self.target, (), start, slope)
             rng, mine = self.rng(0), self.model.nuisance
             width = np.minimum(1.0 / np.maximum(self.model.weight, 1.0), 1.0)
@@ -70,6 +70,11 @@ class Bench:
                 found = again if again.converged or again.chi2 < found.chi2 else found
             self._keep(found)
         return self.fits[()]
+
+    def _first(self) -> Real:
+        """Return where the first fit of the baseline begins."""
+        family = self.model.family
+        return self.model.scaled(family.begin) if family.begun else roughly(self.model, self.target)
 
     def extend(self, at: Fit, added: Sequence[int], most: float = np.inf) -> Fit:
         """Fit a hypothesis that has causes more, from all its starts; the best that converged.
@@ -118,11 +123,14 @@ class Bench:
 
     def _extended(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit:
         """Fit a hypothesis that has causes more, from all its starts."""
+        begun = self._begun(at, causes, added, most)
+        if begun is not None and begun.chi2 <= self.explained(at) < at.chi2:
+            return begun
         shapes = list(product(*([s for s in self.tangent(at).signatures if s.cause == k] for k in added)))
         gains = [combined_gain(self.model, self.tangent(at), s) for s in shapes]
         explained = self.explained(at)
         thorough = self.far(added) and self.bad(at) and most > explained
-        found: list[Fit] = []
+        found = [] if begun is None else [begun]
         for n in sorted(range(len(gains)), key=lambda n: -gains[n])[: RULES.shapes]:
             near = self._near(at, causes, shapes[n], most)
             found.append(near)
@@ -154,6 +162,16 @@ class Bench:
             if gained > 0.0 and (hopeful or (most > explained and RULES.part * needed < gained < needed)):
                 trials.append(fit(self.model, self.target, causes, best.u, most=most))
         return min([*found, *trials], key=_order)
+
+    def _begun(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit | None:
+        """Fit from where a cause brings all that competes with it; None where none of them does."""
+        known = [self.model.causes[k].begin for k in added if self.model.causes[k].begin]
+        if not known:
+            return None
+        u = self.model.scaled(known[0])
+        for k in at.causes:
+            u[self.model.of_cause[k]] = at.u[self.model.of_cause[k]]
+        return fit(self.model, self.target, causes, u, most=most)
 
     def _near(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature], most: float) -> Fit:
         """Fit from a linearisation: its first step is the one of the linearised score."""

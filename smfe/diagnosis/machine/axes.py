@@ -127,24 +127,21 @@ def _of_guideway(axis: str, declared: DeclaredAxis) -> list[Parameter]:
     gain = max(known, default=2.0 * math.pi * RULES.bandwidth * declared.moving_mass)
     prior = math.hypot(0.5 * slope, RULES.viscous_share * gain)
     found = [Parameter(f"viscous_{axis}", "N s/m", slope, 0.01 * gain, 0.0, 10.0 * (slope + gain), prior)]
-    if sides is None or not declared.sticks:
-        return found
-    k = declared.contact or max(s.static for s in sides) / RULES.presliding
-    soft = 1.0 / k
-    found += [
-        Parameter(
-            f"contact_{axis}", "um/kN", soft, 0.1 * soft, 1e-3 * soft, 50.0 * soft, RULES.contact_spread * soft, 1e9
-        ),
-        Parameter(f"contact_loss_{axis}", "%", RULES.loss[0], 0.02, 0.0, 2.0, RULES.loss[1], 100.0),
-    ]
-    found.append(Parameter(f"contact_slip_{axis}", "%", 0.0, 0.02, 0.0, 0.6, RULES.slip, 100.0))
     pushed = 1.0 / declared.moving_mass
-    found.append(
-        Parameter(f"stir_{axis}", "mm/min per N s", 0.5 * pushed, 0.1 * pushed, 0.0, 3.0 * pushed, 0.5 * pushed, 6e4)
-    )
-    found.append(
-        Parameter(f"push_{axis}", "mm/min per N s", 0.0, 0.1 * pushed, -3.0 * pushed, 3.0 * pushed, pushed, 6e4)
-    )
+    found += [
+        Parameter(f"contact_loss_{axis}", "%", RULES.loss[0], 0.02, 0.0, 2.0, RULES.loss[1], 100.0),
+        Parameter(f"contact_slip_{axis}", "%", 0.0, 0.02, 0.0, 0.6, RULES.slip, 100.0),
+        Parameter(f"stir_{axis}", "mm/min per N s", 0.5 * pushed, 0.1 * pushed, 0.0, 3.0 * pushed, 0.5 * pushed, 6e4),
+        Parameter(f"push_{axis}", "mm/min per N s", 0.0, 0.1 * pushed, -3.0 * pushed, 3.0 * pushed, pushed, 6e4),
+    ]
+    if sides is None or not declared.sticks:
+        # Of friction that nobody declared only what follows from its cause is seen: over which distance bristles bend.
+        loose = RULES.presliding
+        found.append(Parameter(f"loose_{axis}", "um", 0.5 * loose, 0.1 * loose, 0.05 * loose, 5.0 * loose, loose, 1e6))
+        return found
+    soft = RULES.presliding / max(s.static for s in sides) if declared.contact is None else 1.0 / declared.contact
+    more = (1e-3 * soft, 50.0 * soft, RULES.contact_spread * soft, 1e9)
+    found.append(Parameter(f"contact_{axis}", "um/kN", soft, 0.1 * soft, *more))
     level = Parameter(f"friction_{axis}", "%", 0.0, 0.05, -1.0, 5.0, RULES.friction, 100.0)
     found.append(_given(level, "guideway_friction", f"friction of the {axis} guideway beyond what is declared"))
     return found
@@ -186,23 +183,26 @@ def slide(
         both = (both[0] * known[0].viscous / mean, both[1] * known[1].viscous / mean)
     slope = viscous * (both[way] if feed else 0.5 * (both[0] + both[1]))
     hold, loss, fall, rate = 0.0, 0.0, 0.0, 0.0
-    stuck = values.get(f"hold_{axis}", 0.0) + values.get(f"also_hold_{axis}", 0.0)
+    slips = min(values[f"contact_slip_{axis}"] * abs(level), 0.9)
+    speed = max(abs(feed) + math.copysign(level, feed) * values[f"push_{axis}"], RULES.slowest * abs(feed))
+    stirred = level * values[f"stir_{axis}"]
+    share = 1.0 + (apart if way == 0 else -apart)
     if declared.sticks and known is not None:
-        slips = min(values[f"contact_slip_{axis}"] * abs(level), 0.9)
-        hold, loss = (1.0 - slips) / values[f"contact_{axis}"], values[f"contact_loss_{axis}"] + RAYLEIGH_LOSS * slips
-        side, more = known[way], (1.0 + values[f"friction_{axis}"]) * (1.0 + (apart if way == 0 else -apart))
-        speed = abs(feed) + math.copysign(level, feed) * values[f"push_{axis}"]
-        speed = max(speed, RULES.slowest * abs(feed))
+        hold = (1.0 - slips) / values[f"contact_{axis}"]
+        side, more = known[way], (1.0 + values[f"friction_{axis}"]) * share
         fall, rate = _falling(more * side.coulomb, more * side.static, side.speed, speed, hold)
-        fall *= float(i0(min(level * values[f"stir_{axis}"] / side.speed, 3.0)))
-    elif stuck > 0.0 or values.get(f"fall_{axis}", 0.0) > 0.0:
-        stuck = min(stuck, 0.9999)
-        hold = stuck / (1.0 - stuck) * declared.moving_mass * (2.0 * math.pi * RULES.half_held) ** 2
-        loss = RULES.loss[0]
-        drop = values.get(f"fall_{axis}", 0.0) * (1.0 + (apart if way == 0 else -apart))
+        fall *= float(i0(min(stirred / side.speed, 3.0)))
+    else:
+        stuck = min(values.get(f"hold_{axis}", 0.0), 0.9999)
+        held = declared.moving_mass * (2.0 * math.pi * RULES.half_held) ** 2
+        hold = (1.0 - slips) * stuck / (1.0 - stuck) * held
+        drop = values.get(f"fall_{axis}", 0.0) * share
         if feed and drop > 0.0:
-            speed = values["stribeck_speed"]
-            fall = -drop / speed * math.exp(-abs(feed) / speed)
+            of = values[f"stribeck_speed_{axis}"]
+            fall = -drop / of * math.exp(-speed / of) * float(i0(min(stirred / of, 3.0)))
+            rate = speed / values[f"loose_{axis}"]
+    if hold > 0.0:
+        loss = values[f"contact_loss_{axis}"] + RAYLEIGH_LOSS * slips
     if feed:
         hold = loss = 0.0
     return Slide(number, values[f"moving_mass_{axis}"], momentum, drive, slope, hold, loss, fall, rate)

@@ -6,7 +6,9 @@ releases and names where they are wrong. Here stand those that nobody declared, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+
+import numpy as np
 
 from smfe.diagnosis.inference.problem import Cause, Parameter
 from smfe.diagnosis.machine.axes import DeclaredAxis
@@ -20,16 +22,11 @@ def axis_causes(axes: Mapping[str, DeclaredAxis]) -> tuple[Cause, ...]:
     smooth = [a for a, axis in axes.items() if not axis.sticks]
     found = []
     if smooth:
-        hold = [_hold(a) for a in smooth]
-        fall = [_fall(a) for a in smooth]
-        speed = Parameter("stribeck_speed", "mm/min", 6e-3, 2e-3, 5e-4, 0.1, shown=6e4, secondary=True)
-        held = tuple([0.7] * len(smooth))
-        at_rest = "guideways that hold the slides at rest"
-        found.append(Cause("guideway_friction", at_rest, tuple(hold), "sticks", starts=(held,)))
-        starts = tuple((*held, *([100.0] * len(smooth)), v) for v in (4e-3, 1e-2))
-        title = f"{at_rest}, and friction that falls with speed"
-        found.append(Cause("guideway_friction", title, (*hold, *fall, speed), "stribeck", starts=starts))
-    if len(smooth) < len(axes) or smooth:
+        starts = tuple(tuple(np.repeat((0.7, 100.0, v), len(smooth)).tolist()) for v in (4e-3, 1e-2))
+        title = "guideways that hold the slides at rest, and friction that falls with speed"
+        parameters = (*(_hold(a) for a in smooth), *(_fall(a) for a in smooth), *(_speed(a) for a in smooth))
+        found.append(Cause("guideway_friction", title, parameters, "stribeck", starts=starts))
+    if axes:
         apart = tuple(
             Parameter(f"friction_asymmetry_{a}", "%", 0.0, 0.05, -0.9, 0.9, shown=100.0)
             for a, axis in axes.items()
@@ -37,7 +34,7 @@ def axis_causes(axes: Mapping[str, DeclaredAxis]) -> tuple[Cause, ...]:
         )
         if apart:
             found.append(Cause("friction_asymmetry", "friction that differs between the directions", apart))
-    return tuple(_distinct(found))
+    return tuple(found)
 
 
 def _hold(axis: str) -> Parameter:
@@ -48,19 +45,5 @@ def _fall(axis: str) -> Parameter:
     return Parameter(f"fall_{axis}", "N", 0.0, 20.0, 0.0, 1e5)
 
 
-def _distinct(causes: Sequence[Cause]) -> list[Cause]:
-    """Give the parameters of a later variant names of their own."""
-    seen: set[str] = set()
-    out = []
-    for cause in causes:
-        own = tuple(
-            p
-            if p.name not in seen
-            else Parameter(
-                f"also_{p.name}", p.unit, p.start, p.scale, p.low, p.high, p.prior, p.shown, secondary=p.secondary
-            )
-            for p in cause.parameters
-        )
-        seen.update(p.name for p in own)
-        out.append(Cause(cause.id, cause.title, own, cause.variant, cause.kind, cause.starts))
-    return out
+def _speed(axis: str) -> Parameter:
+    return Parameter(f"stribeck_speed_{axis}", "mm/min", 6e-3, 2e-3, 5e-4, 0.1, shown=6e4, secondary=True)

@@ -118,7 +118,8 @@ def _receptance(
     base = -(square**2) * (momentum @ into)
     at = np.arange(len(slides))
     base[:, at, at] += np.stack([s.stiffness(w) for s in slides], axis=1)
-    return np.asarray(table + t @ np.linalg.solve(base, t.transpose(0, 2, 1)))
+    back = ends.T + square * (momentum @ first)  # not its transpose where a rotor couples the modes
+    return np.asarray(table + t @ np.linalg.solve(base, back))
 
 
 def _loaded(r: Complex, force: Real) -> Complex:

@@ -8,9 +8,10 @@ that a model of modes alone knows is inherited: posture, drift, joints, missing 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,15 @@ from process.labels import AXES
 from process.types import Complex, Real
 from smfe.diagnosis.frf.causes import RESIDUAL
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken
-from smfe.diagnosis.frf.modes import ModalFrfs
-from smfe.diagnosis.frf.noise import Excited, excited_of
+from smfe.diagnosis.frf.modes import JOINTS, ModalFrfs
+from smfe.diagnosis.frf.noise import Excited, excited_of, kept
+from smfe.diagnosis.frf.workshop import SENSORS, measured
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 from smfe.diagnosis.machine.axes import DeclaredAxis, nuisances, slide
 from smfe.diagnosis.machine.causes import REPEATED, axis_causes
 from smfe.diagnosis.machine.dynamics import Slide, moving_compliance, unbounded
 from smfe.diagnosis.machine.rules import RULES
+from smfe.diagnosis.machine.slopes import MOST, STEP, Machine, difference, parts_of, slopes
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,12 @@ class MachineOfAxes(ModalFrfs):
 
     axes: Mapping[str, DeclaredAxis] = field(default_factory=dict)  # axis name -> what the campaign says of it
     top: float = math.inf  # modes above it stand for what is not seen of the machine [Hz]
-    begin: Mapping[str, float] = field(default_factory=dict)
+    at: Mapping[str, float] = field(default_factory=dict)
     """Where nuisances that nobody declared begin, other than at what the modes at rest suggest (SI)."""
+    given_at: Mapping[str, float] = field(default_factory=dict)
+    """Where the first fit begins with what was declared, if the data are far from it (SI)."""
+    with_cause: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Key of a cause -> where fits with it begin (SI)."""
     turn: float = RULES.spread["turn"]  # prior standard deviation of the direction of a mode [rad]
 
     @cached_property
@@ -64,7 +71,7 @@ class MachineOfAxes(ModalFrfs):
         for name in RESIDUAL:  # modes above the band: there always are some
             low = 0.0 if name[-1] == name[-2] else -size
             found.append(Parameter(name, "um/N", 0.0, 0.01 * size, low, size, RULES.above * size, 1e6))
-        return tuple(replace(p, start=float(np.clip(self.begin.get(p.name, p.start), p.low, p.high))) for p in found)
+        return tuple(replace(p, start=float(np.clip(self.at.get(p.name, p.start), p.low, p.high))) for p in found)
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
@@ -75,8 +82,19 @@ class MachineOfAxes(ModalFrfs):
             for c in super().causes
             if c.id not in REPEATED and not any(p.name in own for p in c.parameters)
         ]
-        every = (*axis_causes(self.axes), *modal)
+        driven = [replace(c, begin=self.with_cause.get(c.key, {})) for c in axis_causes(self.axes)]
+        every = (*driven, *modal)
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
+
+    @property
+    def begin(self) -> Values:
+        """Where the first fit begins with what was declared."""
+        return self.given_at
+
+    @property
+    def begun(self) -> bool:
+        """Whether its nuisances begin near their best values (`smfe.diagnosis.machine.settle`)."""
+        return bool(self.at)
 
     @cached_property
     def _inside(self) -> list[int]:
@@ -101,18 +119,18 @@ class MachineOfAxes(ModalFrfs):
 
     def slides(self, condition: Condition, values: Values) -> tuple[Slide, ...]:
         """Return the slides under the settings of a condition."""
-        feed = self._feed(condition)
-        name = str(condition.settings.get("controller", ""))
+        return tuple(self.slide_of(a, condition, values) for a in self.axes)
+
+    def slide_of(self, a: str, condition: Condition, values: Values) -> Slide:
+        """Return the slide of an axis under the settings of a condition."""
+        axis, name = self.axes[a], str(condition.settings.get("controller", ""))
         hit = isinstance(condition.data, Excited) and condition.data.method == "hammer"
         level = excited_of(condition).level if hit else 0.0
-        modes = range(1, self.model.frequency.size + 1)
-        found = []
-        for a, axis in self.axes.items():
-            known = name in axis.controllers or not axis.controllers
-            only = name if known else next(iter(axis.controllers))
-            momentum = tuple([values.get(f"momentum_{a}_{r}", 0.0) for r in modes])
-            found.append(slide(AXES.index(a), a, axis, values, momentum, feed.get(a, 0.0), only, level))
-        return tuple(found)
+        known = name in axis.controllers or not axis.controllers
+        only = name if known else next(iter(axis.controllers))
+        momentum = tuple([values.get(f"momentum_{a}_{r + 1}", 0.0) for r in range(self.model.frequency.size)])
+        feed = self._feed(condition).get(a, 0.0)
+        return slide(AXES.index(a), a, axis, values, momentum, feed, only, level)
 
     def _feed(self, condition: Condition) -> Mapping[str, float]:
         if isinstance(condition.data, Excited):
@@ -122,3 +140,90 @@ class MachineOfAxes(ModalFrfs):
     def compliance(self, machine: Changed, slides: tuple[Slide, ...], frequency: Real, shaken: Shaken) -> Complex:
         """Return the compliance at the tool [m/N], shape (f, 3, 3)."""
         return moving_compliance(machine, slides, frequency, shaken)
+
+    def slopes(
+        self, conditions: Sequence[Condition], values: Values, parameters: Sequence[Parameter]
+    ) -> list[Real] | None:
+        """Return the derivatives of each condition with parameters, over their scales, in closed form, (n, p).
+
+        None where a joint that is not linear is shaken by a sine, or a mass is free.
+        """
+        loose = any(values.get(name, 0.0) > 0.0 for c in self.causes if c.id in JOINTS for name in _first(c))
+        loose = loose or any(p.name in _first(c) for p in parameters for c in self.causes if c.id in JOINTS)
+        if any("free_mass" in c.settings or (loose and excited_of(c).method != "hammer") for c in conditions):
+            return None
+        beside = Beside.of(self, values, parameters)
+        found = [self._slopes_of(c, values, parameters, beside) for c in conditions]
+        return found if all(np.all(np.isfinite(x)) for x in found) else None
+
+    def _slopes_of(self, condition: Condition, values: Values, parameters: Sequence[Parameter], beside: Beside) -> Real:
+        excited = excited_of(condition)
+        frequency, laser = excited.frequency, condition.settings.get("sensor") == "laser"
+        shaken = Shaken(excited.method, excited.level, self._reference)
+        here = Machine(self.changed(condition, values), self.slides(condition, values))
+        parts = parts_of(here, frequency, shaken, beside.made)
+        changes, places = [], []
+        for j, (p, low, high) in enumerate(beside.steps):
+            if p.name in SENSORS or not low < high:
+                continue
+            below, above = (beside.machine(condition, values, here, p.name, x) for x in (low, high))
+            if below != above:
+                less, more = (parts_of(one, frequency, shaken, beside.made) for one in (below, above))
+                changes.append(difference(less, more, (high - low) / p.scale))
+                places.append(j)
+        tool = np.zeros((len(parameters), frequency.size, 3, 3), dtype=complex)
+        if changes:
+            at_tool = slopes(parts, changes, frequency)
+            tool[places] = measured(at_tool, frequency, values, accelerometer=not laser)
+        phi = self.compliance(here.modes, here.slides, frequency, shaken)
+        for j, (p, low, high) in enumerate(beside.steps):
+            if p.name in SENSORS and low < high:
+                seen = [measured(phi, frequency, {**values, p.name: x}, accelerometer=not laser) for x in (low, high)]
+                tool[j] = (seen[1] - seen[0]) * (p.scale / (high - low))
+        rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
+        return excited.whitened_each(tool[:, :, rows, columns]).T
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Machines a small step of each parameter beside some values, those of the modes made once for like conditions."""
+
+    family: MachineOfAxes
+    steps: Sequence[tuple[Parameter, float, float]]  # with the values below and above
+    axes: Mapping[str, frozenset[str]]  # parameter -> axes whose slides it changes
+    made: dict[Hashable, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, family: MachineOfAxes, values: Values, parameters: Sequence[Parameter]) -> Beside:
+        """Return them for some values."""
+        steps = []
+        for p in parameters:
+            at, step = values[p.name], STEP * p.scale
+            steps.append((p, max(at - step, p.low), min(at + step, p.high)))
+        axes: dict[str, frozenset[str]] = {}
+        for a, axis in family.axes.items():
+            own = [*nuisances({a: axis}, family.tolerances), *(p for c in axis_causes({a: axis}) for p in c.parameters)]
+            momentum = [p.name for p in parameters if p.name.startswith(f"momentum_{a}_")]
+            for name in (*(p.name for p in own), *momentum):
+                axes[name] = axes.get(name, frozenset()) | {a}
+        return cls(family, steps, axes)
+
+    def machine(self, condition: Condition, values: Values, here: Machine, name: str, value: float) -> Machine:
+        """Return the machine under a condition, `here` with the values, with another value of one parameter."""
+        at = {**values, name: value}
+        axes = self.axes.get(name)
+        if axes is not None:
+            slides = zip(self.family.axes, here.slides, strict=True)
+            return here._replace(
+                slides=tuple(self.family.slide_of(a, condition, at) if a in axes else s for a, s in slides)
+            )
+        settings = condition.settings
+        like = tuple(settings.get(k) for k in ("position", "order", "spindle_speed", "added_mass", "sensor"))
+        return here._replace(
+            modes=kept(self.made, (name, value, *like), lambda: self.family.changed(condition, at), MOST)
+        )
+
+
+def _first(cause: Cause) -> tuple[str, ...]:
+    """Return the name of the parameter that says how much there is of a joint."""
+    return (cause.parameters[0].name,)

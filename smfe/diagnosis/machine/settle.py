@@ -21,19 +21,41 @@ from smfe.diagnosis.machine.rules import RULES
 
 
 def settled(family: MachineOfAxes) -> MachineOfAxes:
-    """Return a family whose nuisances that nobody declared begin near their best values."""
-    sure = {f.name: min(RULES.sure, getattr(family.tolerances, f.name)) for f in fields(Tolerances)}
+    """Return a family whose nuisances begin near their best values, alone and with what competes with them.
+
+    Where no fit that holds what was declared comes near the data, what was declared is let go, and friction of
+    guideways of which nothing was declared is fitted with all else: without it modes and drives go far astray.
+    """
     few = _one_each(family.conditions)
-    model = Model(replace(family, conditions=few, proposals=(), tolerances=Tolerances(**sure)), few)
-    data = {r: c.observed for r, c in enumerate(few) if c.observed is not None}
-    u, cost = _descended(model, Target(data, model.null()))
-    values = model.values(u)
-    begin = {p.name: values[p.name] for p in family.nuisances if not p.given}
+    sure = {f.name: min(RULES.sure, getattr(family.tolerances, f.name)) for f in fields(Tolerances)}
+    held = Model(replace(family, conditions=few, proposals=(), tolerances=Tolerances(**sure)), few)
+    target = Target({r: c.observed for r, c in enumerate(few) if c.observed is not None}, held.null())
+    u, cost = _descended(held, target, ())
+    near = _near(target, cost)
+    best, begin, with_cause = held.values(u), {}, dict[str, dict[str, float]]()
+    if not near:
+        loose = Model(replace(family, conditions=few, proposals=()), few, released=[p.given for p in family.nuisances])
+        friction = [k for k, c in enumerate(held.causes) if c.id == "guideway_friction"]
+        for k in friction:
+            v, cost = _descended(held, target, (k,))
+            if not _near(target, cost):
+                v, cost = _at_temperature(loose, target, v, 1.0, (k,))
+            near = _near(target, cost)
+            with_cause[held.causes[k].key] = held.values(v)
+        if not friction:
+            v, cost = _at_temperature(loose, target, u, 1.0, ())
+            best, near = loose.values(v), _near(target, cost)
+            begin = {p.name: best[p.name] for p in family.nuisances if p.given}
+    start = {p.name: best[p.name] for p in family.nuisances if not p.given}
     # No wrong sign and no exchanged axes where all fits nearly: their fits from far away would take the most time.
-    noise = sum(y.size for y in data.values())
-    near = cost - noise < RULES.near * (sum(float(y @ y) for y in data.values()) - noise)
     gross = [c.key for c in family.causes if c.id in ("sensor_gain", "sensor_axis") and near]
-    return replace(family, begin=begin, without=(*family.without, *gross))
+    return replace(family, at=start, given_at=begin, with_cause=with_cause, without=(*family.without, *gross))
+
+
+def _near(target: Target, cost: float) -> bool:
+    """Whether a misfit is nearly that of noise, next to the data."""
+    noise = sum(y.size for y in target.observed.values())
+    return cost - noise < RULES.near * (sum(float(y @ y) for y in target.observed.values()) - noise)
 
 
 def _one_each(conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
@@ -47,25 +69,30 @@ def _one_each(conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
     return tuple(lowest.values())
 
 
-def _descended(model: Model, target: Target) -> tuple[Real, float]:
-    """Return scaled values near the optimum of the baseline, by the best of some starts, and their misfit."""
+def _descended(model: Model, target: Target, causes: tuple[int, ...]) -> tuple[Real, float]:
+    """Return scaled values near the optimum of a hypothesis, by the best of some starts, and their misfit."""
     first, *others = RULES.temperatures
     moments = [j for j, name in enumerate(model.names) if name.startswith("momentum_")]
+    begun = model.null()
+    for k in causes:
+        mine = model.of_cause[k]
+        begun[mine] = (np.array(model.causes[k].starts[0]) - model.start[mine]) / model.scale[mine]
     tried = []
     for share in RULES.shares:
-        u = model.null()
+        u = begun.copy()
         u[moments] = (share - 1.0) * model.start[moments] / model.scale[moments]
-        tried.append(_at_temperature(model, target, u, first))
-    u = min(tried, key=lambda one: one[1])[0]
-    cost = np.inf
+        tried.append(_at_temperature(model, target, u, first, causes))
+    u, cost = min(tried, key=lambda one: one[1])
     for temperature in others:
-        u, cost = _at_temperature(model, target, u, temperature)
-    return u, temperature * cost
+        u, cost = _at_temperature(model, target, u, temperature, causes)
+    return u, cost
 
 
-def _at_temperature(model: Model, target: Target, u: Real, temperature: float) -> tuple[Real, float]:
+def _at_temperature(
+    model: Model, target: Target, u: Real, temperature: float, causes: tuple[int, ...]
+) -> tuple[Real, float]:
     """Descend as far as it goes; return the values and what they cost."""
-    free, rows = model.free(()), list(target.observed)
+    free, rows = model.free(causes), list(target.observed)
     damping, cost = RULES.damping, np.inf
     for _ in range(RULES.most_steps):
         residual, slope = residuals(model, target, u), model.slopes(rows, u, free, rough=True)

@@ -1,0 +1,184 @@
+r"""How the compliance of a machine on slides changes with its parameters, in closed form.
+
+Modes and slides together are ``A q = P F``, ``Phi_e = P^T A_e^-1 P_e`` under a force along e, with
+
+``A_e = [[D + S_e + j f G, -w^2 l^T], [-w^2 l, B]] - w^2 m P P^T``,  ``P = [V; E^T]``
+
+(`smfe.diagnosis.machine.dynamics`); a joint that is not linear is a spring in S_e, at the amplitude that a hit along e
+gives it. With ``x = A_e^-1 P_e`` and ``y_i = A_e^-T P_i`` a change of anything changes
+
+``d Phi_ie = dP_i^T x + y_i^T dP_e - y_i^T dA_e x``,
+
+which is a few products for all parameters together where differences of predictions cost a solution each. How A and P
+change with a parameter is found by differences of those: they are smooth, and small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, MutableMapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from process.types import Complex, Real
+from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, joints, left_out, stiffness_of
+from smfe.diagnosis.frf.noise import kept
+from smfe.diagnosis.machine.dynamics import Slide, bounded
+
+STEP = 1e-3
+"""Half of the step of the differences, in scales: of functions in closed form, so that rounding does not count."""
+
+MOST = 100_000  # parts that are kept for one set of values
+
+
+class Machine(NamedTuple):
+    """A machine under one condition, as parameters make it."""
+
+    modes: Changed
+    slides: tuple[Slide, ...]
+
+
+class Parts(NamedTuple):
+    """What A and P are made of; real numbers but for springs, base and what is beyond."""
+
+    frequency: Real  # of the modes [Hz], (M,)
+    damping: Real  # (M,)
+    springs: Complex  # S_e, (3, M, M)
+    turning: Real  # G, (M, M)
+    shape: Real  # P, (M + a, 3)
+    mass: Real  # m, (1,)
+    beyond: Complex  # compliance that does not answer to any of it, (f or 1, 3, 3)
+    momentum: Real  # l, (a, M)
+    base: Complex  # B, (a, f)
+
+
+Kept = MutableMapping[Hashable, Any]
+"""What was made of modes and of slides, for several conditions and parameters."""
+
+
+def parts_of(machine: Machine, frequency: Real, shaken: Shaken, made: Kept) -> Parts:
+    """Return the parts of a machine that is hit, or whose joints are linear."""
+    modes, slides = machine
+    loose = bool(modes.slip or modes.hardening or modes.iwan)
+    key = (modes, shaken if loose else None, frequency.tobytes() if modes.mode else b"")
+    axes = tuple([s.axis for s in slides])
+    of_modes = kept(made, (key, axes), lambda: _of_modes(modes, axes, frequency, shaken), MOST)
+    momenta = tuple([(s.mass, s.momentum) for s in slides])
+    momentum = kept(made, (modes.frequency, momenta), lambda: _momentum(modes.frequency, momenta), MOST)
+    plain = tuple([s._replace(momentum=()) for s in slides])
+    own = frequency.tobytes()
+    for s in plain:
+        kept(made, (own, s), lambda s=s: s.stiffness(2.0 * np.pi * frequency), MOST)  # type: ignore[misc]
+    base = kept(made, (own, plain), lambda: np.array([made[own, s] for s in plain]).reshape(-1, len(frequency)), MOST)
+    natural, damping, springs, turning, shape, mass, beyond = of_modes
+    return Parts(natural, damping, springs, turning, shape, mass, beyond, momentum, base)
+
+
+def _of_modes(modes: Changed, axes: tuple[int, ...], frequency: Real, shaken: Shaken) -> tuple[Any, ...]:
+    natural, count = np.array(modes.frequency), len(modes.frequency)
+    v = np.array(modes.direction).reshape(count, 3) / np.sqrt(np.array(modes.stiffness))[:, None]
+    springs = np.zeros((3, count, count), dtype=complex)
+    if modes.springs:
+        springs += np.array(modes.springs).reshape(count, count)
+    nothing = np.zeros((1, 1), dtype=complex)
+    for joint in joints(modes):
+        stiffness = np.broadcast_to(stiffness_of(joint, modes, v, shaken, nothing, nothing), (1, 3))[0]
+        springs += stiffness[:, None, None] * np.outer(joint.vector, joint.vector)
+    turning = np.array(modes.gyroscopic).reshape(count, count) if modes.gyroscopic else np.zeros((count, count))
+    ends = np.zeros((len(axes), 3))
+    ends[range(len(axes)), list(axes)] = 1.0
+    mass, shape = np.array([modes.mass]), np.concatenate([v, ends])
+    return natural, np.array(modes.damping), springs, turning, shape, mass, left_out(modes, frequency)
+
+
+def _momentum(frequency: tuple[float, ...], momenta: Sequence[tuple[float, tuple[float, ...]]]) -> Real:
+    share = bounded(np.array([one[1] for one in momenta]).reshape(len(momenta), len(frequency)))
+    mass = np.array([one[0] for one in momenta])
+    return np.asarray(share * np.sqrt(mass)[:, None] / (2.0 * np.pi * np.array(frequency)))
+
+
+Change = list[Any]
+"""How each of the parts changes; None: not at all."""
+
+
+def difference(below: Parts, above: Parts, step: float) -> Change:
+    """Return how the parts change over a step."""
+    return [None if a is b else (a - b) / step for a, b in zip(above, below, strict=True)]
+
+
+def slopes(parts: Parts, changes: Sequence[Change], frequency: Real) -> Complex:
+    """Return the changes of the compliance, shape (p, f, 3, 3), for p changes of the parts."""
+    p, size = len(changes), frequency.size
+    w, f = 2.0 * np.pi * frequency, frequency[:, None]
+    carried, ratio, count = w**2 * parts.mass, f / parts.frequency, parts.frequency.size
+    by_frequency = (2.0 * ratio**2 - 2j * parts.damping * ratio) / parts.frequency
+    out = np.zeros((p, size, 3, 3), dtype=complex)
+    for one, change in zip(out, changes, strict=True):
+        if change[6] is not None:
+            one += change[6]
+    real = np.concatenate([_stacked(parts, changes, k) for k in (0, 1, 3, 7, 4, 5)], axis=1)
+    springs = _stacked(parts, changes, 2).reshape(p, 3, count**2)
+    used, moved = np.any(real != 0.0, axis=0), [j for j, c in enumerate(changes) if c[8] is not None]
+    base = np.array([changes[j][8] for j in moved])
+    for e in range(3):
+        x, y = _answers(parts, frequency, e)  # (f, n), (f, n, 3)
+        response, own = y.transpose(0, 2, 1) @ parts.shape, x @ parts.shape  # of the tool, (f, 3, 3) and (f, 3)
+        to, by = (a[:, :count] for a in (y, x))
+        on, under = (a[:, count:] for a in (y, x))
+        of_tool = np.eye(3) + carried[:, None, None] * response  # (f, i, k)
+        of_force = np.eye(3)[e] + carried[:, None] * own  # (f, k)
+        both = to[:, :, None, :] * by[:, None, :, None]  # (f, r, s, i)
+        along = on[:, :, None, :] * by[:, None, :, None] + to[:, None, :, :] * under[:, :, None, None]
+        ends = x[:, :, None, None] * of_tool.transpose(0, 2, 1)[:, None] + y[:, :, None, :] * of_force[:, None, :, None]
+        single = to * by[:, :, None]
+        terms = [
+            -by_frequency[:, :, None] * single,
+            -2j * ratio[:, :, None] * single,
+            -1j * frequency[:, None, None] * both.reshape(size, -1, 3),
+            (w**2)[:, None, None] * along.reshape(size, -1, 3),
+            ends.reshape(size, -1, 3),
+            ((w**2)[:, None] * np.einsum("fik,fk->fi", response, own))[:, None],
+        ]
+        basis = np.ascontiguousarray(np.concatenate(terms, axis=1)[:, used].transpose(1, 0, 2))
+        basis = basis.reshape(int(used.sum()), 3 * size)
+        out[..., e] += _product(real[:, used], basis).reshape(p, size, 3)
+        spring = springs[:, e]
+        if np.any(spring):
+            basis = both.reshape(size, -1, 3).transpose(1, 0, 2).reshape(spring.shape[1], 3 * size)
+            out[..., e] -= (spring @ basis).reshape(p, size, 3)
+        if moved:
+            out[moved, :, :, e] -= np.einsum("paf,fai->pfi", base, on * under[:, :, None])
+    return out
+
+
+def _stacked(parts: Parts, changes: Sequence[Change], k: int) -> Any:
+    """Return how one of the parts changes, flat, (p, n)."""
+    out = np.zeros((len(changes), parts[k].size), dtype=parts[k].dtype)
+    for row, change in zip(out, changes, strict=True):
+        if change[k] is not None:
+            row[:] = change[k].ravel()
+    return out
+
+
+def _product(real: Real, basis: Complex) -> Complex:
+    """Return a real matrix times a complex one."""
+    return (real @ basis.view(np.float64)).view(np.complex128)
+
+
+def _answers(parts: Parts, frequency: Real, e: int) -> tuple[Complex, Complex]:
+    """Return ``A_e^-1 P_e``, (f, n), and ``A_e^-T P``, (f, n, 3)."""
+    count, w = parts.frequency.size, 2.0 * np.pi * frequency
+    ratio, n = frequency[:, None] / parts.frequency, parts.shape.shape[0]
+    a = np.zeros((frequency.size, n, n), dtype=complex)
+    a[:, :count, :count] = parts.springs[e] + 1j * frequency[:, None, None] * parts.turning
+    at = np.arange(count)
+    a[:, at, at] += 1.0 - ratio**2 + 2j * parts.damping * ratio
+    a[:, count:, :count] = -(w**2)[:, None, None] * parts.momentum
+    a[:, :count, count:] = -(w**2)[:, None, None] * parts.momentum.T
+    slides = np.arange(count, n)
+    a[:, slides, slides] = parts.base.T
+    if parts.mass[0]:
+        a -= (w**2)[:, None, None] * parts.mass * (parts.shape @ parts.shape.T)
+    x = np.linalg.solve(a, np.broadcast_to(parts.shape[:, e, None].astype(complex), (len(a), n, 1)))[:, :, 0]
+    y = np.linalg.solve(a.transpose(0, 2, 1), np.broadcast_to(parts.shape.astype(complex), (len(a), n, 3)))
+    return x, y
