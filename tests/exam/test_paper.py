@@ -88,10 +88,6 @@ def test_a_low_velocity_gain_with_an_integral_time_of_10_ms_is_named_as_servo_ga
     assert values_of(found)["Kp_error"] == pytest.approx(0.0, abs=2.0)
 
 
-@pytest.mark.xfail(
-    strict=False,
-    reason="The fit of the baseline with a workshop's tolerances does not converge on this record: insufficient data.",
-)
 def test_a_level_effect_that_persists_in_motion_is_of_the_joint_and_not_of_the_guideway():
     still = (Plan(level=level) for level in (25.0, 100.0, 400.0))
     moving = (Plan(feed=way * 500.0, level=level) for level in (50.0, 200.0) for way in (1.0, -1.0))

@@ -115,12 +115,17 @@ class MachineFrfs(Abilities):
         f, skew = excited.frequency, values.get("skew", 0.0)
         gain = (1.0 + values.get("gain_error", 0.0)) * (-1.0 if values.get("reversed_force", 0.0) > 0.5 else 1.0)
         phi = phi * gain * np.exp(-2j * np.pi * f * skew)[:, None]
-        size = values.get("mode_compliance", 0.0)
-        if size > 0.0:
-            ratio = f / values["mode_frequency"]
-            mode = size / (1.0 - ratio**2 + 2j * values["mode_damping"] * ratio)
-            phi = phi + mode[:, None] * np.array([r == e for r, e in excited.entries])
-        return excited.whitened(phi)
+        return excited.whitened(phi + _further_mode(excited, values))
+
+    def closed_form(self, condition: Condition, values: Values, predicted: Real, name: str) -> Real | None:
+        """Slopes with gain and skew, which act on a simulation that is done."""
+        if name not in ("gain_error", "skew"):
+            return None
+        excited = excited_of(condition)
+        phi = excited.compliance_of(predicted) - _further_mode(excited, values)
+        if name == "gain_error":
+            return excited.whitened(phi / (1.0 + values[name]))
+        return excited.whitened(-2j * np.pi * excited.frequency[:, None] * phi)
 
     def _machine(self, found: Effective) -> SimulatedMachine:
         return kept(self._machines, found, lambda: self.simulated(found), RULES.machines_kept)
@@ -128,6 +133,13 @@ class MachineFrfs(Abilities):
     def simulated(self, found: Effective) -> SimulatedMachine:
         """Return the machine for what a set of values comes to, as it is hit by simulation."""
         return SimulatedMachine(self.baseline.machine(found), self.baseline.rate)
+
+
+def _further_mode(excited: Excited, values: Values) -> Complex:
+    """Compliance of a mode besides those of the axis [m/N], shape (f, entries)."""
+    size, ratio = values.get("mode_compliance", 0.0), excited.frequency / values.get("mode_frequency", 1.0)
+    mode = size / (1.0 - ratio**2 + 2j * values.get("mode_damping", 1.0) * ratio)
+    return np.asarray(mode[:, None] * np.array([r == e for r, e in excited.entries]))
 
 
 class SimulatedMachine:

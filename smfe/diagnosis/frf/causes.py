@@ -128,7 +128,12 @@ def axis_causes(known: Collection[str], drive: Drive, timeless: bool = False) ->
     return (
         *friction,
         *([late] if timeless else []),
-        differs("friction that differs between the directions", _percent("friction_asymmetry", 0.05)),
+        # Hits that break the guideway away or turn the carriage round lead a fit from the null into other minima.
+        differs(
+            "friction that differs between the directions",
+            _percent("friction_asymmetry", 0.05),
+            starts=((0.2,), (-0.2,)),
+        ),
         differs("a friction curve that differs between the directions", *curve, variant="curve"),
         _cause("joint_micro_slip", "micro-slip in a joint", share, travel, starts=((0.02, 1e-4), (0.02, 4e-4))),
         _cause("joint_hardening", "a joint that hardens or softens with displacement", cubic),

@@ -9,6 +9,7 @@ A fit that has not converged is never evidence: one such baseline in 24 was seen
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -127,6 +128,7 @@ class _State:
     u: Real
     residual: dict[int, Real] | None
     chi2: float
+    loose: float = 0.0  # share of the misfit that it need not be known better, at the least
 
     @classmethod
     def at(cls, model: Model, target: Target, free: Index, u: Real) -> _State:
@@ -150,7 +152,17 @@ class _State:
 
     @property
     def tolerance(self) -> float:
-        return tolerance(self.target, self.chi2)
+        return max(tolerance(self.target, self.chi2), self.loose * self.chi2)
+
+    @property
+    def rough(self) -> float:
+        """Decrease that slopes may promise where no step brings any.
+
+        Roughness of the predictions is a misfit in proportion to the residual: ``2 r . d`` for a distance d.
+        """
+        values = sum(y.size for y in self.target.observed.values())
+        over = math.sqrt(max(self.chi2 / max(values, 1), 1.0)) if self.model.roughness > 0.0 else 1.0
+        return max(self.tolerance, RULES.rough * over)
 
     def step(self, slope: Mapping[int, Real]) -> tuple[Real, float]:
         assert self.residual is not None
@@ -194,6 +206,59 @@ class _State:
         now, less = self.residual, step / square
         return {r: x + np.outer(now[r] - residual[r] - x @ step, less) for r, x in slope.items()}
 
+    def probe(self, slope: Mapping[int, Real]) -> tuple[Mapping[int, Real], float]:
+        """Correct slopes of rough predictions along what they promise in vain; return them and what is left of it.
+
+        Each column is off by the roughness over its step. Where columns cancel (stiffness, mass and gain in proportion)
+        what is left of them is less than that error, and against a large residual it promises much. A difference along
+        the step itself is that much more exact. Its surprise is shared among the columns as they are uncertain:
+        recursive least squares, each column known with the inverse square of its step (Ljung, System Identification,
+        1999, section 11.2).
+        """
+        steps = self.model.slope_steps(self.free)
+        unsure = np.diag(0.5 / steps**2)
+        step, promised = self.step(slope)
+        for _ in range(self.free.size + 1):
+            if promised < self.rough:
+                break
+            found = self._along(step, slope)
+            if found is None:
+                break
+            length, seen = found
+            gain = unsure @ step / (step @ unsure @ step + 0.5 / length**2)
+            slope = {r: x + np.outer(seen[r] - x @ step, gain) for r, x in slope.items()}
+            unsure = unsure - np.outer(gain, step @ unsure)
+            step, promised = self.step(slope)
+            if promised >= self.rough:
+                self.advance(step)
+                step, promised = self.step(slope)
+        return slope, promised
+
+    def _along(self, step: Real, slope: Mapping[int, Real]) -> tuple[float, dict[int, Real]] | None:
+        """Return what a step changes by differences, and the part of it that they were taken over.
+
+        Where one end predicts nothing, or is out of bounds, the difference is one-sided.
+        """
+        change = math.sqrt(sum(float(np.sum(np.square(x @ step))) for x in slope.values()))
+        if change == 0.0 or self.residual is None:
+            return None
+        length = min(1.0, RULES.above_roughness * self.model.roughness / change)
+        low, high = self.model.low[self.free], self.model.high[self.free]
+        ends: list[tuple[float, dict[int, Real]]] = []
+        for sign in (length, -length):
+            u = self.u.copy()
+            u[self.free] += sign * step
+            if np.all(u[self.free] >= low) and np.all(u[self.free] <= high):
+                found = residuals(self.model, self.target, u)
+                if found is not None:
+                    ends.append((sign, found))
+        if not ends:
+            return None
+        if len(ends) == 1:
+            ends.append((0.0, self.residual))
+        (a, one), (b, other) = ends
+        return 0.5 * abs(a - b), {r: (one[r] - other[r]) / (a - b) for r in one}
+
     def done(self, causes: tuple[int, ...], slope: Mapping[int, Real], reason: str = "") -> Fit:
         residual: Mapping[int, Real] = {} if self.residual is None else self.residual
         return Fit(causes, self.free, self.u, self.chi2, residual, slope, not reason, reason)
@@ -206,18 +271,23 @@ def fit(
     start: Real,
     slope: Mapping[int, Real] | None = None,
     most: float = np.inf,
+    loose: float = 0.0,
 ) -> Fit:
     """Fit the nuisances and some causes, beginning with slopes of another hypothesis where they are given.
+
+    The misfit is found to the share `loose` of it, or as well as a likelihood ratio needs it where that is more.
 
     All other causes stay where `start` has them. A fit that has not converged, and may not be used, says why. One that
     stalls, and would not come below `most` with all that a linear step promises, has lost and is followed no further.
     """
     chosen, state = tuple(sorted(causes)), _State.begin(model, target, causes, start)
+    state.loose = loose
     if state.residual is None:
         return state.done(chosen, {}, f"no prediction ({model.trouble})")
     if slope is not None:
         state.descend(slope)
-    rows, free, fresh = list(target.observed), state.free, dict[int, Real]()
+    rows, free = list(target.observed), state.free
+    fresh: Mapping[int, Real] = {}
     for cycle in range(RULES.cycles + 2):
         slopes = model.slopes(rows, state.u, free)
         if slopes is None:
@@ -230,14 +300,17 @@ def fit(
         if cycle < RULES.cycles:
             state.descend(fresh)
         if before - state.chi2 < 0.1 * decrement:
-            if decrement < RULES.rough:
+            if model.roughness > 0.0:
+                fresh, decrement = state.probe(fresh)
+            if decrement < state.rough:
                 return state.done(chosen, fresh)
             if state.chi2 - decrement > most:
                 return replace(state.done(chosen, fresh), provisional=True, promised=decrement)
             _trust_region(state)
         if state.chi2 >= before:
             break
-    return state.done(chosen, fresh, f"not converged: a linear step still promises {decrement:.3g} of chi-square")
+    reason = f"not converged: a linear step still promises {decrement:.3g} of chi-square"
+    return replace(state.done(chosen, fresh, reason), promised=decrement)
 
 
 def approach(
@@ -251,7 +324,7 @@ def approach(
     if state.residual is None:
         return None
     slope, promised = state.descend(slope, most)
-    done = promised <= max(state.tolerance, RULES.rough) or state.chi2 - RULES.optimism * promised > most
+    done = promised <= state.rough or state.chi2 - RULES.optimism * promised > most
     left = "" if done else f"a linear step still promises {promised:.3g}"
     return replace(state.done(chosen, slope, left), provisional=True, promised=promised)
 
@@ -269,7 +342,7 @@ def roughly(model: Model, target: Target) -> Real:
     try:
         for temperature in (t for t in RULES.temperatures if 1.0 < t < off < np.inf):
             model.weight = weight * np.sqrt(temperature)
-            warmer = fit(model, only, (), u)
+            warmer = fit(model, only, (), u, loose=RULES.warm)
             u = warmer.u if np.isfinite(warmer.chi2) else u
     finally:
         model.weight = weight

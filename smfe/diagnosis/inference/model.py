@@ -69,9 +69,19 @@ class Model:
         self.trouble = ""
         self._roughness = family.roughness
         self._step = np.full(len(parameters), RULES.slope_step)
+        self._exact: set[int] = set()  # parameters whose slopes have a closed form
         self._kept: OrderedDict[tuple[int, bytes], Answer] = OrderedDict()
         self._stored = 0
         self._spent, self._asked = 0.0, 0
+
+    @property
+    def roughness(self) -> float:
+        """Distance of predictions from a smooth function of the parameters (`Abilities.roughness`)."""
+        return self._roughness
+
+    def slope_steps(self, free: Index) -> Real:
+        """Return half of the steps of slopes with some parameters, in scales; of closed forms infinite."""
+        return np.array([math.inf if int(j) in self._exact else self._step[j] for j in free])
 
     def free(self, causes: Sequence[int]) -> Index:
         """Indices of the parameters that a hypothesis fits: the nuisances first, then its causes in their order."""
@@ -158,9 +168,12 @@ class Model:
         closed = self.family.slopes(conditions, self.values(u), parameters)
         if closed is not None:
             return dict(zip(rows, closed, strict=True))
-        self.prepare([(row, at) for j in free for at in self._beside(u, int(j), rough) for row in rows])
-        columns = [self._slope(rows, u, int(j), rough) for j in free]
-        again = [n for n, c in enumerate(columns) if c is not None and self._unfit(int(free[n]), c)]
+        exact = {int(j): self._closed_form(rows, u, int(j)) for j in free}
+        self._exact |= {j for j, c in exact.items() if c is not None}
+        by_steps = [int(j) for j in free if exact[int(j)] is None]
+        self.prepare([(row, at) for j in by_steps for at in self._beside(u, j, rough) for row in rows])
+        columns = [self._slope(rows, u, j, rough) if (c := exact[j]) is None else c for j in map(int, free)]
+        again = [n for n, c in enumerate(columns) if int(free[n]) in by_steps and c and self._unfit(int(free[n]), c)]
         if again:
             self.prepare([(row, at) for n in again for at in self._beside(u, int(free[n]), rough) for row in rows])
             for n in again:
@@ -173,6 +186,19 @@ class Model:
             else np.zeros((self.size(row, u), 0))
             for row in rows
         }
+
+    def _closed_form(self, rows: Sequence[int], u: Real, j: int) -> dict[int, Real] | None:
+        """Return the slopes with a parameter that follow from the predictions themselves."""
+        found: dict[int, Real] = {}
+        for row in rows:
+            known = self._kept.get((row, u.tobytes()), (None, ""))[0]
+            if known is None:
+                return None
+            slope = self.family.closed_form(self.conditions[row], self.values(u), known, self.names[j])
+            if slope is None:
+                return None
+            found[row] = slope * self.scale[j]
+        return found
 
     def _unfit(self, j: int, column: Mapping[int, Real]) -> bool:
         """Set the step of a parameter by what it does; say whether it was taken much too short or too long."""

@@ -137,6 +137,10 @@ class Abilities(Protocol):
         """Return slopes of a prediction, (n, p), over the prediction itself, value by value."""
         return np.asarray(slopes / predicted[:, None], dtype=np.complex128)
 
+    def closed_form(self, condition: Condition, values: Values, predicted: Real, name: str) -> Real | None:
+        """Return the slope of a prediction with a parameter (SI) that follows from it; None: by differences."""
+        return None
+
     def alike(self, conditions: Sequence[Condition]) -> Sequence[int]:
         """Return a number for each condition, equal where the error of the prediction is the same."""
         return range(len(conditions))

@@ -26,6 +26,7 @@ class InferenceRules:
     rough: float = 3.0  # decrease that may be promised where no part of the step brings any: a kink
     optimism: float = 3.0  # times a promised decrease that a fit may still come down
     temperatures: tuple[float, ...] = (100.0, 10.0)  # by which priors outweigh data that are far off, one by one
+    warm: float = 0.01  # share of the misfit to which it is found on the way there
     foretold: float = 0.3  # share of a step that its slopes may have missed to be kept, corrected
     cycles: int = 8  # slopes that are taken anew before the trust region takes over
     steps: int = 12  # steps with one set of slopes

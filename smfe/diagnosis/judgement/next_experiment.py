@@ -16,7 +16,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy import stats
 
-from smfe.diagnosis.inference.fit import Fit, Target, refit
+from smfe.diagnosis.inference.fit import Fit, Target, fit, refit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import tangent
@@ -53,14 +53,26 @@ class Proposal:
 
 
 def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: Sequence[int]) -> Fit | None:
-    """Fit a rival to what another hypothesis predicts for the measured conditions and `rows`; its chi2 is D."""
+    """Fit a rival to what another hypothesis predicts for the measured conditions and `rows`; its chi2 is D.
+
+    A fit that has not converged gives what D is at the least: its misfit less what steps may still take off it. A
+    small D is that of a fit with its own slopes: only so is a rival that imitates the truth seen to do so.
+    """
     every = [*target.observed, *rows]
     predicted = {r: y for r in every if (y := model.predict(r, truth.u)) is not None}
     slope = model.slopes(rows, rival.u, rival.free)
     if len(predicted) < len(every) or slope is None:
         return None
     centre = np.where(np.isin(np.arange(truth.u.size), truth.free), truth.u, target.centre)
-    return refit(model, Target(predicted, centre), replace(rival, slope={**rival.slope, **slope}))
+    aim = Target(predicted, centre)
+    found = refit(model, aim, replace(rival, slope={**rival.slope, **slope}))
+    if found.provisional and found.chi2 < RULES.margin:
+        found = fit(model, aim, found.causes, found.u)
+    least = found.chi2 - RULES.optimism * found.promised
+    if found.converged or not least > RULES.margin:
+        return found
+    smaller = math.sqrt(least / found.chi2)
+    return replace(found, chi2=least, residual={r: smaller * x for r, x in found.residual.items()}, converged=True)
 
 
 def probability_to_settle(found: float) -> float:
@@ -76,7 +88,7 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
     found = []
     for row in _promising(model, open_, rows):
         pairs = [(a, discrimination(model, target, a, b, [row])) for a, b in permutations(open_, 2)]
-        fits = [f for a, f in pairs if f is None or not _imitates(f, a)]
+        fits = [f for a, f in pairs if f is None or not _imitates(model, f, a)]
         if not fits or any(f is None or not f.converged for f in fits):
             continue
         worst = min((f for f in fits if f is not None), key=lambda f: f.chi2)
@@ -91,9 +103,10 @@ def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int]
     return sorted(found, key=lambda p: ((p.minutes or RULES.minutes) / max(p.probability, 1e-9), -p.discrimination))
 
 
-def _imitates(rival: Fit, truth: Fit) -> bool:
+def _imitates(model: Model, rival: Fit, truth: Fit) -> bool:
     """Return whether a rival with more parameters contains the truth: parsimony decides then, no experiment."""
-    return rival.converged and rival.chi2 < RULES.imitated and rival.free.size > truth.free.size
+    nothing = RULES.rough if model.roughness > 0.0 else RULES.imitated
+    return rival.converged and rival.chi2 < nothing and rival.free.size > truth.free.size
 
 
 def _promising(model: Model, open_: Sequence[Fit], rows: Sequence[int]) -> list[int]:

@@ -303,6 +303,34 @@ def test_slopes_of_rough_predictions_are_taken_over_steps_that_see_more_than_the
     assert found[1.0] < 0.4 < 1.0 < found[0.0]
 
 
+@pytest.mark.parametrize("left", [30.0, 60.0, 120.0])
+def test_a_fit_converges_where_strong_rough_columns_cancel_and_much_is_left_that_no_parameter_explains(left):
+    """Stiffness and mass in proportion: over the steps of either the saw is more than what is left of both together.
+
+    Against a large residual such slopes promise a lower misfit that no step brings.
+    """
+
+    class Cancelling(Linear):
+        roughness = 1.0
+
+        def predict(self, condition, values):
+            one, two = values["strong.0"], values["strong.1"]
+            saw = (one / 0.013) % 1.0 + (two / 0.017) % 1.0 - 1.0
+            seen = 800.0 * (one + two) * BASIS[2] + 2.0 * (one - two) * BASIS[3]
+            return super().predict(condition, values) + seen + saw * unit
+
+    unit = BASIS[5] / np.linalg.norm(BASIS[5]) / sqrt(len(grid()))
+    family = Cancelling(grid(), (cause("strong", 2),), {})
+    model = Model(family, family.conditions)
+    target = Target(dict.fromkeys(range(len(grid())), left * unit), model.null())
+    for one in (0.003, 0.1, 0.7):
+        start = model.null()
+        start[model.of_cause[0]] = one, -one
+        found = fit(model, target, (0,), start)
+        assert found.converged, found.reason
+        assert found.chi2 == pytest.approx(left**2, abs=3.0 * left)
+
+
 def test_a_step_that_has_grown_where_a_parameter_did_little_is_not_kept_where_it_does_much():
     """A cube does little near zero; far from it a central difference over half a scale is 8 % off."""
 
