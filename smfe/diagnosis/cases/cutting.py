@@ -132,6 +132,15 @@ def limit_case(
         tolerances=campaign.tolerances,
         stated=stated,
     )
+    suspects += [
+        note(
+            "unusable",
+            name,
+            "zero order, of the mean forces over a turn, does not describe it: few teeth are in the cut",
+            f"it counts within {100.0 * std:.2g} % only; bracket limits with more teeth in the cut",
+        )
+        for name, std in family.roughly()
+    ]
     return Case(family, groups, _held_out(campaign, groups), tuple(suspects))
 
 

@@ -3,7 +3,8 @@
 A condition is a limit at one spindle speed: the depth between a stable and a chattering cut, the logarithm of which
 is compared, and the chatter frequency. The prediction is the zero-order limit (`methods.zero_order_scan`), times
 what the converged limit of the unchanged baseline is of its zero-order limit (`methods.semi_discretization`): the
-forces of few teeth change over a turn, which the mean does not know.
+forces of few teeth change over a turn, which the mean does not know. Where the two are far apart, or crossings of
+different modes or lobes, that ratio corrects nothing, and the limit counts roughly only (`CuttingRules.roughly`).
 """
 
 from __future__ import annotations
@@ -65,16 +66,27 @@ class _Known:
     frequency_ratio: float
 
     @property
+    def elsewhere(self) -> bool:
+        """Whether the converged limit is another crossing than the zero-order limit."""
+        return abs(self.frequency_ratio - 1.0) > RULES.alike
+
+    @property
+    def rough(self) -> bool:
+        """Whether zero order does not describe the cut: the converged limit is elsewhere, or far from it."""
+        return self.elsewhere or abs(math.log(self.depth_ratio)) > RULES.most_corrected
+
+    @property
     def comparable_frequency(self) -> float | None:
         """Chatter frequency as the zero-order limit has it [Hz]; None where there is none to compare."""
         f = self.limit.frequency
-        return None if f is None or abs(self.frequency_ratio - 1.0) > RULES.alike else f / self.frequency_ratio
+        return None if f is None or self.elsewhere else f / self.frequency_ratio
 
     def std(self) -> Real:
         """Standard deviations of log depth and, where it can be compared, frequency [Hz]."""
         correction = RULES.floor_of_correction * abs(math.log(self.depth_ratio))
         setting = RULES.depth / (self.limit.depth or math.inf)
-        depth = math.hypot(self.limit.depth_std, RULES.limit_floor, correction, setting)
+        rough = RULES.roughly if self.rough else 0.0
+        depth = math.hypot(self.limit.depth_std, RULES.limit_floor, correction, setting, rough)
         observed = self.comparable_frequency
         if self.limit.depth is not None and observed is None:
             return np.array([depth])
@@ -262,6 +274,10 @@ class CuttingLimits(Abilities):
         flank = ProcessDamping(values.get("process_damping", 0.0), RULES.flank_friction)
         loop = loop_of(self.tool, limit.arc or self.arc, material, limit.spindle_speed, flank)
         return modal_crossings(self.changed(values, limit), loop)
+
+    def roughly(self) -> list[tuple[str, float]]:
+        """Return the measured limits that zero order does not describe, and how well each is predicted (logarithm)."""
+        return [(c.name, float(k.std()[0])) for c in self.conditions if (k := _known(c)).rough]
 
     def found(self, condition: Condition) -> tuple[float, float | None]:
         """Return spindle speed [rpm] and depth [m] of a limit as it was found."""

@@ -14,6 +14,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, Trial, bracketed, limit_family
+from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.judgement.diagnose import diagnose
 from stability.methods.semi_discretization import limit_depth
 from stability.methods.zero_order_scan import loop_of, modal_crossings
@@ -104,6 +105,19 @@ def test_the_baseline_is_the_converged_limit(plain: CuttingLimits) -> None:
         ).limit_depth_mm
         ratio = plain.predict(condition, start(plain))[0] / condition.observed[0]
         assert ratio * math.log(math.sqrt(1.04) * 1e-3) == pytest.approx(math.log(found * 1e-3), rel=1e-9)
+
+
+def test_limits_that_zero_order_does_not_describe_count_roughly() -> None:
+    """Two teeth at half immersion: the converged limit is half of that of zero order, at another chatter frequency."""
+    few = known(Mill(teeth=2), [Found(1100.0, 1e-4, 1e-3, 1.04e-3, 66.0)], [])
+    (condition,) = few.conditions
+    assert condition.observed.size == 1
+    ((name, std),) = few.roughly()
+    assert name == condition.name
+    assert std > RULES.roughly
+    slot = known(SLOT, [Found(600.0, 1e-4, 1e-3, 1.04e-3, 66.0)], [])
+    assert slot.roughly() == []
+    assert slot.squared_size(slot.conditions[0], np.array([1.0, 0.0])) < 0.03**2
 
 
 def test_depth_goes_with_one_over_the_coefficients_and_nothing_else(plain: CuttingLimits) -> None:
