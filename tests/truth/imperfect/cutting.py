@@ -40,8 +40,8 @@ OUTSIDE = {
 }
 """What it does not know: one insert with a worn edge, forces that fall from cut to cut."""
 
-LIKE_MATERIAL = ("coefficients", "force_gain", "gain", "turned", "size_effect")
-"""Effects that other coefficients could stand for."""
+LIKE_MATERIAL = ("coefficients", "force_gain", "gain", "turned", "size_effect", "edge_force")
+"""Effects that other coefficients or edge forces within what is stated could stand for."""
 
 PAIRS = (("coefficients", "runout"), ("runout", "edge_force"), ("exchanged", "edge_force"), ("gain", "runout"))
 
