@@ -309,8 +309,9 @@ def _learn(
         law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
     nuisances = (*_nuisances(full, mass, tolerances), _timing(cutoff, delay, tolerances))
     if law is not None and law.noise <= RULES.exact * float(np.std(raw.force)):
+        within, said = tolerances.control_gain, "gain of the control over the one that was given"
         nuisances += tuple(
-            Parameter(f"servo_gains.{n}", "%", 0.0, 0.01, -0.9, 9.0, tolerances.control_gain, 100.0, "servo_gains")
+            Parameter(f"servo_gains.{n}", "%", 0.0, 0.01, -0.9, 9.0, within, 100.0, "servo_gains", said=f"{n} {said}")
             for n in ("position", "velocity")
         )
     place = plain.seen(plain.motion.position)
