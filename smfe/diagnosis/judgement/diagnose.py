@@ -88,7 +88,8 @@ def diagnose(
         for last in (not family.prepares_data, False, True):
             bench, apart = _prepared(family, conditions, seed, progress, held_out, helpers, worth)
             bench.known = known
-            values, nuisances = _values(bench), bench.model.nuisance.size
+            # A parameter that is known within a prior asks for no value of its own.
+            values, nuisances = _values(bench), int(np.sum(bench.model.weight[bench.model.nuisance] == 0.0))
             if values <= nuisances:
                 return Finding("insufficient_data", f"{values} values for {nuisances} parameters of the baseline")
             if not bench.null().converged:
