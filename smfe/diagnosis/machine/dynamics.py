@@ -23,6 +23,7 @@ updates of ranks three and one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,8 @@ def moving_compliance(machine: Changed, slides: tuple[Slide, ...], frequency: Re
     r = _receptance(own, coupling, reached, np.array(machine.frequency), slides, frequency)
     if machine.mass:
         r = _loaded(r, machine.mass * (2.0 * np.pi * frequency) ** 2)
+    if loose and shaken.method == "hammer":
+        return np.asarray(_hit(r, loose, machine, shape, shaken) + left_out(machine, frequency))
     for place, joint in enumerate(loose, 3):
         r = _through(r, place, joint, machine, shape, shaken)
     return np.asarray(r[:, :3, :3] + left_out(machine, frequency))
@@ -127,6 +130,21 @@ def _loaded(r: Complex, force: Real) -> Complex:
     at_tool = r[:, :3, :3]
     left = np.linalg.solve(np.eye(3) - force[:, None, None] * at_tool, r[:, :3, :])
     return np.asarray(r + r[:, :, :3] @ (force[:, None, None] * left))
+
+
+def _hit(r: Complex, loose: Sequence[Joint], machine: Changed, shape: Real, shaken: Shaken) -> Complex:
+    """Compliance at the tool with joints, each with the stiffness that a hit along each axis makes it, (f, 3, 3).
+
+    ``Phi_e = R_te - R_tj (1 + G_e R_jj)^-1 G_e R_je``, G_e the stiffnesses under a hit along e.
+    """
+    count, out = len(loose), r[:, :3, :3].copy()
+    nothing = np.zeros((1, 1), dtype=complex)
+    stiffness = [stiffness_of(joint, machine, shape, shaken, nothing, nothing)[0] for joint in loose]
+    for e in range(3):
+        g = np.array([k[e] for k in stiffness])[:, None]
+        gives_way = np.eye(count) + g * r[:, 3:, 3:]
+        out[:, :, e] -= (r[:, :3, 3:] @ np.linalg.solve(gives_way, g * r[:, 3:, e, None]))[:, :, 0]
+    return out
 
 
 def _through(r: Complex, at: int, joint: Joint, machine: Changed, shape: Real, shaken: Shaken) -> Complex:
