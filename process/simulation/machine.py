@@ -248,9 +248,19 @@ def _smoothed(samples: Real, half_width: int) -> Real:
     return np.asarray(signal.oaconvolve(samples, window[None, :] / half_width, mode="valid", axes=-1))
 
 
+def coarsest_step(machine: Machine, run: MachineRun) -> float:
+    """Return the largest step [s] that follows the fastest pole of a machine; dead times bound it besides."""
+    p = resolve(machine, run)
+    return _per_pole(fastest_pole(p, system_of(p)))
+
+
+def _per_pole(fastest: float) -> float:
+    return 2.0 * math.pi / fastest / RULES.coarsest_per_pole
+
+
 def require_fine(p: Problem, fastest: float, step: float) -> None:
     """Refuse a step that does not follow the fastest pole [rad/s] and the dead times."""
-    largest = min([2.0 * math.pi / fastest / RULES.coarsest_per_pole, *p.delays])
+    largest = min([_per_pole(fastest), *p.delays])
     if not 0.0 < step <= largest * (1.0 + 1e-12):
         raise InputError(
             f"the step is {step * 1e6:g} us; at most {largest * 1e6:.4g} us follow the fastest pole and the dead time "

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from process.harmonic_balance.quasi_frf import quasi_compliance
 from process.machine.machine import Machine
 from process.simulation.excitation import Excitation, HalfSine
-from process.simulation.machine import RepeatedImpact
+from process.simulation.machine import RepeatedImpact, coarsest_step
 from process.simulation.problem import MachineRun
 from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
@@ -150,7 +150,7 @@ class SimulatedMachine:
 
     def __init__(self, machine: Machine, rate: float = RULES.rate) -> None:
         self.machine, self.rate = machine, rate
-        self._prepared: dict[tuple[object, ...], RepeatedImpact] = {}
+        self._prepared: dict[tuple[object, ...], tuple[RepeatedImpact, float]] = {}
 
     def compliance(self, excited: Excited) -> Complex:
         """Return the compliance that a measurement of this kind finds [m/N], shape (f, entries)."""
@@ -167,20 +167,23 @@ class SimulatedMachine:
         """Return H1 of a hit with a pulse and its spectrum [N s], shape (f, entries), once for each excitation."""
         out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
         for axis in dict.fromkeys(e for _, e in excited.entries):
-            found = self._impact(axis, excited).displacement(pulse, RULES.rest)
+            impact, rate = self._impact(axis, excited)
+            found = impact.displacement(pulse, RULES.rest)
             for i, (response, excitation) in enumerate(excited.entries):
                 if excitation == axis:
-                    out[:, i] = _transform(found["xyz".index(response)], excited, self.rate) / force
+                    out[:, i] = _transform(found["xyz".index(response)], excited, rate) / force
         return out
 
-    def _impact(self, axis: str, excited: Excited) -> RepeatedImpact:
+    def _impact(self, axis: str, excited: Excited) -> tuple[RepeatedImpact, float]:
+        """Return the machine prepared for hits, and its steps and samples a second [Hz]."""
         feed = {a: excited.feed.get(a, 0.0) for a in self.machine.axes}
         key = (axis, excited.window, excited.controller, tuple(feed.items()))
         if key not in self._prepared:
             run = MachineRun(excited.window, feed, excited.controller)
-            self._prepared[key] = RepeatedImpact(
-                self.machine, axis, run, sample_rate=self.rate, accuracy=RULES.accuracy
-            )
+            # A fit without friction to an axis that sticks comes to machines much stiffer than the one that was given.
+            rate = self.rate * max(math.ceil(1.0 / (self.rate * coarsest_step(self.machine, run)) - 1e-9), 1)
+            prepared = RepeatedImpact(self.machine, axis, run, sample_rate=rate, accuracy=RULES.accuracy)
+            self._prepared[key] = prepared, rate
         return self._prepared[key]
 
 

@@ -50,6 +50,18 @@ def test_every_cause_at_its_null_leaves_the_baseline_as_it_is(friction, feed):
         assert np.abs(changed - plain).max() <= 1e-10 * np.abs(plain).max(), cause.key
 
 
+def test_a_fit_that_comes_to_a_much_stiffer_machine_is_simulated_in_finer_steps():
+    """An axis that sticks, fitted without friction, is three times as stiff, and light."""
+    condition = nominal(MOVING)
+    found = MachineFrfs(baseline("viscous"), (condition,))
+    values = values_of(found)
+    values |= {"stiffness": 4.0 * values["stiffness"], "moving_mass": 0.5 * values["moving_mass"]}
+    machine = found.baseline.machine(found.baseline.effective(values, {}, MOVING))
+    hit = SimulatedMachine(machine).compliance(condition.data)[:, 0]
+    exact = machine.at({"x": MOVING}, "K2").matrix(LINES)[:, 0, 0]
+    assert np.abs(hit - exact).max() < 2e-3 * np.abs(exact).max()
+
+
 @pytest.mark.parametrize("controller", ["K1", "K2", "K3"])
 def test_without_friction_a_hit_finds_the_compliance_of_the_linear_axis(controller):
     condition = nominal(MOVING, controller=controller)
