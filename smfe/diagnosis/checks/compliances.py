@@ -272,9 +272,11 @@ def _matrix(compliance: xr.Dataset, axes: Sequence[str]) -> Complex:
 
     Of a compliance the lines below its modes would count most, which integrated noise makes large.
     """
+    if not axes:  # places that are no axes of the machine, as along a beam
+        return np.zeros((0, 0, 0), complex)
     pairs = [[entry(compliance, a, b) for b in axes] for a in axes]
-    phi = np.array([[p[0] for p in row] for row in pairs]).transpose(2, 0, 1) if axes else np.zeros((0, 0, 0), complex)
-    std = np.array([[p[1] for p in row] for row in pairs]).transpose(2, 0, 1) if axes else np.zeros((0, 0, 0))
+    phi = np.array([[p[0] for p in row] for row in pairs]).transpose(2, 0, 1)
+    std = np.array([[p[1] for p in row] for row in pairs]).transpose(2, 0, 1)
     f = compliance["frequency"].values[:, None, None]
     phi, std = f * phi, f * std
     size = np.abs(phi).max(axis=(1, 2), initial=0.0)
