@@ -26,7 +26,7 @@ def run(
     terminal: Terminal,
     campaign: CampaignFile,
     folder: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder of the results.", autocompletion=result_folders)
+        Path, typer.Option("-o", "--output", "--out", help="Folder of the results.", autocompletion=result_folders)
     ] = Path("results"),
     fresh: Annotated[bool, typer.Option("--fresh", help="Read nothing back from an earlier run.")] = False,
 ) -> Outcome:
@@ -146,7 +146,7 @@ def chatter(
 def diagnose(
     terminal: Terminal,
     campaign: CampaignFile,
-    output: Annotated[Path, typer.Option("-o", "--output", help="JSON file of the finding.")] = Path("finding.json"),
+    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="JSON file of the finding.")] = Path("finding.json"),
     seed: Annotated[int, typer.Option(help="Seed of all draws.")] = 0,
     held_out: Annotated[
         list[str] | None,

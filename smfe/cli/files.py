@@ -24,7 +24,7 @@ def look(
         Path, typer.Argument(help="Any file of measured data.", show_default=False, autocompletion=any_files)
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for the picture and the campaign file.")
+        Path, typer.Option("-o", "--output", "--out", help="Folder for the picture and the campaign file.")
     ] = Path("."),
 ) -> Outcome:
     """Say what a file holds and what it seems to be; draw it; write a campaign file to start from."""
@@ -111,6 +111,7 @@ def export(
         typer.Option(
             "-o",
             "--output",
+            "--out",
             help="File: .json or .tools (Fusion), .fctb (FreeCAD), .csv, .pdf, .png or .svg (sheet).",
             show_default=False,
             autocompletion=any_files,

@@ -29,7 +29,7 @@ def lobes(
             help="Use these compliances instead of identifying.", show_default=False, autocompletion=any_files
         ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file of the lobes.")] = Path("lobes.nc"),
+    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="NetCDF file of the lobes.")] = Path("lobes.nc"),
     table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
 ) -> Outcome:
     """Compute the stability lobes that a campaign asks for."""
@@ -79,7 +79,7 @@ def lobes(
 def tune(
     terminal: Terminal,
     campaign: CampaignFile,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the gains.")] = Path("tuned"),
+    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="Folder of the gains.")] = Path("tuned"),
 ) -> Outcome:
     """Find the gains of the feed drives with which a cut is most stable, within limits of commissioning."""
     import smfe
@@ -116,7 +116,7 @@ def simulate(
     scenario: Annotated[
         Path, typer.Argument(help="Scenario file (TOML).", show_default=False, autocompletion=campaign_files)
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for records and campaign file.")] = Path(
+    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="Folder for records and campaign file.")] = Path(
         "simulated"
     ),
     workers: Annotated[
@@ -148,7 +148,7 @@ def simulate(
 )
 def demo(
     terminal: Terminal,
-    folder: Annotated[Path, typer.Option("--out", "-o", help="Folder for records, campaign file and results.")] = Path(
+    folder: Annotated[Path, typer.Option("-o", "--output", "--out", help="Folder for records, campaign file and results.")] = Path(
         "demo"
     ),
     seed: Annotated[

@@ -90,14 +90,23 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
     if not finding.given:
         return
     if wrong:
-        yield f"Is what you gave right? Not {listed([given_words(g) for g in wrong], 'and')}."
+        # Of a set that the data do not separate one is wrong, not all.
+        sets = {c.id: c.set for c in finding.causes if c.set is not None}
+        alike: dict[object, list[str]] = {}
+        for g in wrong:
+            alike.setdefault(sets.get(g.cause, g.name), []).append(given_words(g))
+        sure = [names[0] for names in alike.values() if len(names) == 1]
+        either = [f"either {listed(names, 'or')} is wrong" for names in alike.values() if len(names) > 1]
+        said = [f"Not {listed(sure, 'and')}"] * bool(sure) + either
+        yield f"Is what you gave right? {_capital('; '.join(said))}."
     elif told:
         yield "Is what you gave right? As far as these measurements tell, yes."
     else:
         yield "Is what you gave right? These measurements say nothing of it."
     for g in wrong:
         value = with_interval(g.found, g.low, g.high, g.unit)
-        yield f"{_capital(given_words(g))}: given {rounded(g.given)}{unit_text(g.unit)}, found {value}{_worth(g)}."
+        alone = ", if it is this one" if len(alike[sets.get(g.cause, g.name)]) > 1 else ""
+        yield f"{_capital(given_words(g))}: given {rounded(g.given)}{unit_text(g.unit)}, found {value}{_worth(g)}{alone}."
     shown = sorted(told, key=lambda g: -abs(g.cost or 0.0))[:_MOST_GIVEN]
     if shown:
         said = [f"{given_words(g)} {rounded(g.given)} (found {_found(g)})" for g in shown]

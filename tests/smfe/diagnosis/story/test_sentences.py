@@ -165,6 +165,19 @@ def test_what_was_given_comes_first_with_what_the_data_say_and_its_millimetres()
     ]
 
 
+def test_of_values_that_the_data_do_not_separate_one_is_wrong_not_all() -> None:
+    gain = GivenParameter("gain_force", "gain of the force", "sensor_gain", 1.0, 0.02, 1.35, 1.3, 1.4, "", True)
+    alike = [FoundCause(i, "declared", i, "declared", (), 9.0, None, None, set=0) for i in (KTC.cause, gain.cause)]
+    found = Finding("named", "it is", tuple(alike), errors=ERRORS, given=(KTC, gain, replace(MASS, beyond=True)))
+    first, ktc, of_gain, mass = say("given", found)
+    assert first.endswith("? Not moving mass; either cutting coefficient Ktc or gain of the force is wrong.")
+    assert say("given", replace(found, given=(KTC, gain)))[0].endswith(
+        "? Either cutting coefficient Ktc or gain of the force is wrong."
+    )
+    assert ktc.endswith("less (26 %), if it is this one.") and of_gain.endswith("(1.300 to 1.400), if it is this one.")
+    assert not mass.endswith("this one.")
+
+
 def test_what_was_given_wrongly_is_told_once_with_its_numbers() -> None:
     value = (Estimate("Ktc", 2700.0, 2650.0, 2750.0, "N/mm^2"),)
     size = FoundCause("force_coefficients", "declared", "coefficient Ktc", "declared", value, 9.0, None, None)
