@@ -10,7 +10,7 @@ import typer
 
 from smfe.cli.answer import run_outcome
 from smfe.cli.terminal import Outcome, Terminal
-from smfe.cli.verb import DECIDE, CampaignFile, any_files, campaign_files, result_folders, verb
+from smfe.cli.verb import DECIDE, OUT, CampaignFile, any_files, campaign_files, result_folders, verb
 
 
 @verb(
@@ -25,9 +25,9 @@ from smfe.cli.verb import DECIDE, CampaignFile, any_files, campaign_files, resul
 def run(
     terminal: Terminal,
     campaign: CampaignFile,
-    folder: Annotated[
-        Path, typer.Option("-o", "--output", "--out", help="Folder of the results.", autocompletion=result_folders)
-    ] = Path("results"),
+    folder: Annotated[Path, typer.Option(*OUT, help="Folder of the results.", autocompletion=result_folders)] = Path(
+        "results"
+    ),
     fresh: Annotated[bool, typer.Option("--fresh", help="Read nothing back from an earlier run.")] = False,
 ) -> Outcome:
     """Do all that a campaign asks for: data audit, compliances, lobes, verdicts, diagnosis, report."""
@@ -146,7 +146,7 @@ def chatter(
 def diagnose(
     terminal: Terminal,
     campaign: CampaignFile,
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="JSON file of the finding.")] = Path("finding.json"),
+    output: Annotated[Path, typer.Option(*OUT, help="JSON file of the finding.")] = Path("finding.json"),
     seed: Annotated[int, typer.Option(help="Seed of all draws.")] = 0,
     held_out: Annotated[
         list[str] | None,

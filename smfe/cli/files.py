@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from smfe.cli.terminal import Outcome, Terminal
-from smfe.cli.verb import FILES, any_files, campaign_files, result_folders, verb
+from smfe.cli.verb import FILES, OUT, any_files, campaign_files, result_folders, verb
 
 
 @verb(
@@ -23,9 +23,7 @@ def look(
     record: Annotated[
         Path, typer.Argument(help="Any file of measured data.", show_default=False, autocompletion=any_files)
     ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", "--out", help="Folder for the picture and the campaign file.")
-    ] = Path("."),
+    output: Annotated[Path, typer.Option(*OUT, help="Folder for the picture and the campaign file.")] = Path("."),
 ) -> Outcome:
     """Say what a file holds and what it seems to be; draw it; write a campaign file to start from."""
     import smfe
@@ -109,9 +107,7 @@ def export(
     output: Annotated[
         Path,
         typer.Option(
-            "-o",
-            "--output",
-            "--out",
+            *OUT,
             help="File: .json or .tools (Fusion), .fctb (FreeCAD), .csv, .pdf, .png or .svg (sheet).",
             show_default=False,
             autocompletion=any_files,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from smfe.cli.terminal import Outcome, Terminal
-from smfe.cli.verb import MEASURE, CampaignFile, any_files, verb
+from smfe.cli.verb import MEASURE, OUT, CampaignFile, any_files, verb
 
 KEPT = "nothing was written, and what was identified is kept beside the results"
 
@@ -23,7 +23,7 @@ KEPT = "nothing was written, and what was identified is kept beside the results"
 def plan(
     terminal: Terminal,
     campaign: CampaignFile,
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="Folder of the plan.")] = Path("planned"),
+    output: Annotated[Path, typer.Option(*OUT, help="Folder of the plan.")] = Path("planned"),
     verified: Annotated[bool, typer.Option("--verify", help="Simulate and identify the plan as well.")] = False,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of noise to verify with.")] = 3,
 ) -> Outcome:
@@ -88,7 +88,7 @@ _NOTHING = "nothing suspicious"
 def identify(
     terminal: Terminal,
     campaign: CampaignFile,
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="NetCDF file of the compliances.")] = Path("frf.nc"),
+    output: Annotated[Path, typer.Option(*OUT, help="NetCDF file of the compliances.")] = Path("frf.nc"),
 ) -> Outcome:
     """Identify the compliances of a campaign."""
     import smfe
@@ -124,7 +124,7 @@ def modal(
         Path,
         typer.Argument(help="Campaign file, frf.nc, or universal file.", show_default=False, autocompletion=any_files),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="Modes as TOML or JSON.")] = Path("modal.toml"),
+    output: Annotated[Path, typer.Option(*OUT, help="Modes as TOML or JSON.")] = Path("modal.toml"),
     measurement: Annotated[
         str | None, typer.Option(help="Only this measurement; default: all.", show_default=False)
     ] = None,
@@ -162,9 +162,7 @@ def compare(
     frf: Annotated[
         Path, typer.Argument(help="Compliance file (frf.nc).", show_default=False, autocompletion=any_files)
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="CSV file of the comparison.")] = Path(
-        "comparison.csv"
-    ),
+    output: Annotated[Path, typer.Option(*OUT, help="CSV file of the comparison.")] = Path("comparison.csv"),
 ) -> Outcome:
     """Compare the measurements of a compliance file, peak by peak."""
     import smfe
@@ -186,9 +184,9 @@ def compare(
 def coefficients(
     terminal: Terminal,
     campaign: CampaignFile,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", "--out", help="File for the table of the material, to paste.")
-    ] = Path("material.toml"),
+    output: Annotated[Path, typer.Option(*OUT, help="File for the table of the material, to paste.")] = Path(
+        "material.toml"
+    ),
 ) -> Outcome:
     """Find the cutting coefficients from measured cuts, with intervals."""
     import smfe

@@ -9,7 +9,7 @@ import typer
 
 from smfe.cli.answer import run_outcome
 from smfe.cli.terminal import Outcome, Terminal
-from smfe.cli.verb import PREDICT, CampaignFile, any_files, campaign_files, verb
+from smfe.cli.verb import OUT, PREDICT, CampaignFile, any_files, campaign_files, verb
 
 
 @verb(
@@ -29,7 +29,7 @@ def lobes(
             help="Use these compliances instead of identifying.", show_default=False, autocompletion=any_files
         ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="NetCDF file of the lobes.")] = Path("lobes.nc"),
+    output: Annotated[Path, typer.Option(*OUT, help="NetCDF file of the lobes.")] = Path("lobes.nc"),
     table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
 ) -> Outcome:
     """Compute the stability lobes that a campaign asks for."""
@@ -79,7 +79,7 @@ def lobes(
 def tune(
     terminal: Terminal,
     campaign: CampaignFile,
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="Folder of the gains.")] = Path("tuned"),
+    output: Annotated[Path, typer.Option(*OUT, help="Folder of the gains.")] = Path("tuned"),
 ) -> Outcome:
     """Find the gains of the feed drives with which a cut is most stable, within limits of commissioning."""
     import smfe
@@ -116,9 +116,7 @@ def simulate(
     scenario: Annotated[
         Path, typer.Argument(help="Scenario file (TOML).", show_default=False, autocompletion=campaign_files)
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", "--out", help="Folder for records and campaign file.")] = Path(
-        "simulated"
-    ),
+    output: Annotated[Path, typer.Option(*OUT, help="Folder for records and campaign file.")] = Path("simulated"),
     workers: Annotated[
         int | None, typer.Option(min=1, help="Records at a time; default: one a core.", show_default=False)
     ] = None,
@@ -148,9 +146,7 @@ def simulate(
 )
 def demo(
     terminal: Terminal,
-    folder: Annotated[Path, typer.Option("-o", "--output", "--out", help="Folder for records, campaign file and results.")] = Path(
-        "demo"
-    ),
+    folder: Annotated[Path, typer.Option(*OUT, help="Folder for records, campaign file and results.")] = Path("demo"),
     seed: Annotated[
         int | None, typer.Option(help="Seed of the sensor noise; default: a fixed one.", show_default=False)
     ] = None,

@@ -167,6 +167,7 @@ def _paths(incomplete: str, endings: tuple[str, ...]) -> list[str]:
     ]
 
 
+OUT = ("-o", "--output", "--out")  # names of the option that says where to write
 CampaignFile = Annotated[
     Path, typer.Argument(help="Campaign file (TOML).", show_default=False, autocompletion=campaign_files)
 ]

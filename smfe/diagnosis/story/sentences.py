@@ -106,7 +106,8 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
     for g in wrong:
         value = with_interval(g.found, g.low, g.high, g.unit)
         alone = ", if it is this one" if len(alike[sets.get(g.cause, g.name)]) > 1 else ""
-        yield f"{_capital(given_words(g))}: given {rounded(g.given)}{unit_text(g.unit)}, found {value}{_worth(g)}{alone}."
+        given = f"{rounded(g.given)}{unit_text(g.unit)}"
+        yield f"{_capital(given_words(g))}: given {given}, found {value}{_worth(g)}{alone}."
     shown = sorted(told, key=lambda g: -abs(g.cost or 0.0))[:_MOST_GIVEN]
     if shown:
         said = [f"{given_words(g)} {rounded(g.given)} (found {_found(g)})" for g in shown]

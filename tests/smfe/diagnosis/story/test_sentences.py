@@ -174,7 +174,8 @@ def test_of_values_that_the_data_do_not_separate_one_is_wrong_not_all() -> None:
     assert say("given", replace(found, given=(KTC, gain)))[0].endswith(
         "? Either cutting coefficient Ktc or gain of the force is wrong."
     )
-    assert ktc.endswith("less (26 %), if it is this one.") and of_gain.endswith("(1.300 to 1.400), if it is this one.")
+    assert ktc.endswith("less (26 %), if it is this one.")
+    assert of_gain.endswith("(1.300 to 1.400), if it is this one.")
     assert not mass.endswith("this one.")
 
 
