@@ -156,8 +156,15 @@ def _friction(family: Family, finding: Finding) -> Friction | None:
     baseline = family.baseline
     feeds = [abs(float(c.settings.get("feed", 0.0))) for c in family.conditions]
     fastest = max(feeds, default=0.0)
-    side = baseline.effective(finding.values, {}, fastest).friction[0]
-    return Friction(baseline.axis, side.force(0.0), 6e4 * fastest, side.force(fastest))
+    known = {p.name: p for c in family.causes for p in c.parameters}
+    found = [(known[e.name], e) for c in finding.causes if c.id == "guideway_friction" for e in c.parameters]
+    low, high = (
+        {p.name: min(max(x / p.shown, p.low), p.high) for p, x in ((p, getattr(e, end)) for p, e in found)}
+        for end in ("low", "high")
+    )
+    ends = [baseline.effective({**finding.values, **at}, {}, fastest).friction[0] for at in ({}, low, high)]
+    rest, moving = ([side.force(speed) for side in ends] for speed in (0.0, fastest))
+    return Friction(baseline.axis, rest[0], 6e4 * fastest, moving[0], (rest[1], rest[2]), (moving[1], moving[2]))
 
 
 def _tested(

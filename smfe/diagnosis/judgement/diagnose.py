@@ -402,6 +402,12 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
     sd[moving] = np.hypot(sd[moving], _off(bench.model, at, moving))
     # Parameters that are seen only together have no interval each: their variance would come out as zero.
     sd[moving] = np.where(1.0 - np.sum(np.square(right[known]), axis=0) > RULES.shared**2, np.inf, sd[moving])
+    # One on its bound moves away from it alone: what the others cannot imitate of it says how far.
+    over = max(left.ratio, 1.0) if left is not None and left.p_value < RULES.band else 1.0
+    for j in np.flatnonzero(~moving & (size > 0.0)):
+        unit = slope[:, j] / size[j]
+        own = float(np.linalg.norm(unit - rotated[:, known] @ (rotated[:, known].T @ unit)))
+        sd[j] = math.sqrt(over) / (size[j] * own) if own > RULES.shared else np.inf
     return sd
 
 

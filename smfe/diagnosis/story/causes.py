@@ -25,6 +25,8 @@ class Friction:
     rest: float  # force that it holds at rest
     feed: float  # feed [mm/min]
     moving: float  # force that brakes it at this feed
+    rest_interval: tuple[float, float] = (math.nan, math.nan)  # what the 95 % intervals of its parameters allow
+    moving_interval: tuple[float, float] = (math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,8 @@ YES_OR_NO = (
 
 _SIGNED = {"%": ("higher", "lower"), "%/m": ("higher a metre further", "lower a metre further")}
 _MOST_NUMBERS = 4
+_OPEN = 3.0
+"""Ratio of the ends of an interval from which a force is not told as a number."""
 
 
 def row_of(cause: FoundCause) -> Row:
@@ -188,14 +192,26 @@ def _made(given: Mapping[str, Estimate]) -> dict[str, Estimate]:
 
 def _braked(friction: Friction) -> str:
     rest, moving = (rounded(x, 2) for x in (friction.rest, friction.moving))
-    axis = f"the {friction.axis} axis"
+    axis, feed = f"the {friction.axis} axis", f"at {friction.feed:g} mm/min"
+    # Hits that do not push the slide off show that it is held, and not how hard.
+    open_rest, open_moving = _open(friction.rest_interval), _open(friction.moving_interval)
+    if open_rest:
+        held = f"it holds {axis} at rest, how hard these measurements do not tell ({open_rest} would fit)"
+        return held if open_moving or friction.feed == 0.0 else f"{held}, and brakes it with {moving} N {feed}"
     if friction.feed == 0.0:
         return f"it holds {axis} at rest up to {rest} N"
+    if open_moving:
+        return f"it holds {axis} at rest up to {rest} N; what brakes it {feed} is open ({open_moving} would fit)"
     ratio = friction.rest / max(friction.moving, 1e-9)
     if ratio < 1.1:
-        return f"it holds {axis} at rest up to {rest} N and brakes it with {moving} N at {friction.feed:g} mm/min"
-    times = rounded(ratio, 2)
-    return f"it brakes {axis} {times} times more at rest ({rest} N) than at {friction.feed:g} mm/min ({moving} N)"
+        return f"it holds {axis} at rest up to {rest} N and brakes it with {moving} N {feed}"
+    return f"it brakes {axis} {rounded(ratio, 2)} times more at rest ({rest} N) than {feed} ({moving} N)"
+
+
+def _open(interval: tuple[float, float]) -> str:
+    """Return an interval in words whose ends differ by more than a factor of `_OPEN`; "" for one that is narrower."""
+    low, high = interval
+    return f"{rounded(low, 2)} to {rounded(high, 2)} N" if high > _OPEN * max(low, 0.0) else ""
 
 
 def _one_by_one(parameters: Sequence[Estimate], intervals: bool) -> str:

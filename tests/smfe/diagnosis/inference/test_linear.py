@@ -167,6 +167,20 @@ def test_intervals_cover_the_truth_in_95_of_100_cases(draws, low, high):
     assert low <= np.mean(inside) <= high
 
 
+def test_the_interval_of_a_parameter_on_its_bound_reaches_as_far_as_the_data_allow():
+    """Against the normal law cut at the bound: all but 2.5 % of the intervals hold."""
+    truth, inside, on_bound = {"both.0": 0.4, "both.1": 0.05}, [], []
+    upward = replace(FAMILY, causes=(cause("both", 2, low=0.0),))
+    for seed in range(60):
+        b = bench(measured(upward, truth, 1000 + seed))
+        e = estimates(b, b.confirmed(b.extend(b.null(), (0,))), 0, Judgement("named", ""))[1]
+        inside.append(e.low <= 1000.0 * truth[e.name] <= e.high)
+        on_bound.append(e.value == 0.0)
+    deviation = 1.0 / sqrt(4.0 * BASIS[5] @ BASIS[5])  # of both.1, which no other effect resembles
+    assert np.mean(on_bound) == pytest.approx(stats.norm.cdf(-0.05 / deviation), abs=0.13)
+    assert np.mean(inside) > 0.92
+
+
 class Off(Linear):
     """The same by a simulation that is wrong by a third, and knows of conditions no more than the keys of `knows`."""
 

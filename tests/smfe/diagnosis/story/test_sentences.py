@@ -48,6 +48,23 @@ def test_the_first_sentence_says_what_is_left_out_and_what_is_gained_on_what_no_
     )
 
 
+def test_a_force_that_the_measurements_leave_open_is_told_as_open() -> None:
+    """Hits that do not push a slide off its guideway show that it is held, and not how hard."""
+    found = Finding("named", "it is", (FRICTION,), errors=ERRORS)
+    open_ = Friction("x", 190.0, 600.0, 180.0, (0.0, 900.0), (0.0, 880.0))
+    first = told(found, Setting(open_))[0].text
+    held = "it holds the x axis at rest, how hard these measurements do not tell (0 to 900 N would fit)"
+    assert f"{held}." in first
+    assert "180" not in first
+    braked = replace(open_, moving_interval=(170.0, 190.0))
+    assert f"{held}, and brakes it with 180 N at 600 mm/min." in told(found, Setting(braked))[0].text
+    known = replace(open_, rest_interval=(170.0, 210.0))
+    assert (
+        "up to 190 N; what brakes it at 600 mm/min is open (0 to 880 N would fit)."
+        in told(found, Setting(known))[0].text
+    )
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [
