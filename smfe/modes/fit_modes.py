@@ -32,8 +32,11 @@ from smfe.modes.stabilisation import Stabilisation, StabilityRules, stabilisatio
 from smfe.modes.state_space import StateSpace, energy_given, place_matrix, state_space
 from smfe.modes.unexplained import resolution, unexplained
 
-Row = tuple[float, float, float, Real]
-"""Frequency [Hz], damping ratio, stiffness [N/m] and direction of a mode."""
+Row = tuple[float, float, float, Real, Real]
+"""Frequency [Hz], damping ratio, stiffness [N/m] and direction of a mode, relative deviations of the first three."""
+
+STAND_IN = np.array([0.0, 0.0, 1.0])
+"""Deviations of what is no mode of the machine but stands for what the modes leave out: its size is what was found."""
 
 INTERVAL = 1.96
 """Standard deviations to either side of a 95 % interval."""
@@ -150,6 +153,18 @@ class ModalFit:
         InputError
             When the shapes are not known, or the places are not axes.
         """
+        rows = self._rows(whole)
+        return ModalModel(*(np.array([row[k] for row in rows]) for k in range(4)))
+
+    def doubt(self, whole: bool = False) -> Real:
+        """Return relative standard deviations of frequency, damping and stiffness of `modal_model`, shape (M, 3).
+
+        What only stands for what the modes leave out has its frequency and damping by convention, with a deviation of
+        zero.
+        """
+        return np.array([row[4] for row in self._rows(whole)])
+
+    def _rows(self, whole: bool) -> list[Row]:
         shapes = self._require_shapes()
         if not set(self.curves.places) & set(AXES):
             raise InputError(
@@ -159,9 +174,9 @@ class ModalFit:
             )
         rows = _mode_rows(shapes, _modes_of_band(shapes))
         if whole:
-            rows += _needed(shapes, [*_mode_rows(shapes, ~_modes_of_band(shapes)), *_lower_rows(shapes)])
-        rows += _upper_rows(shapes)
-        return ModalModel(*(np.array([row[k] for row in rows]) for k in range(4)))
+            others = [(*row[:4], STAND_IN) for row in _mode_rows(shapes, ~_modes_of_band(shapes))]
+            rows += _needed(shapes, [*others, *_lower_rows(shapes)])
+        return rows + _upper_rows(shapes)
 
     def _require_shapes(self) -> ShapeFit:
         if self.shapes is None:
@@ -315,7 +330,9 @@ def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[Row]:
                 unit = v / np.sqrt(size)
                 turned = unit * np.sign(unit[np.argmax(np.abs(unit))])
                 natural, damping = (float(value) for value in shapes.poles[k])
-                out.append((natural, damping, 1.0 / size, _in_axes(shapes.curves, turned)))
+                of = (natural, damping, float(shapes.stiffness[k]))
+                doubt = np.array([shapes.std[n][k] for n in ("frequency", "damping", "stiffness")]) / of
+                out.append((natural, damping, 1.0 / size, _in_axes(shapes.curves, turned), doubt))
     return out
 
 
@@ -332,8 +349,8 @@ def _lower_rows(shapes: ShapeFit) -> list[Row]:
     """
     soft = RULES.mount_share * float(shapes.curves.frequency[0])
     return [
-        (soft, RULES.mount_damping, stiffness * (soft / natural) ** 2, direction)
-        for natural, _, stiffness, direction in _remainder_rows(shapes, "lower")
+        (soft, RULES.mount_damping, stiffness * (soft / natural) ** 2, direction, STAND_IN)
+        for natural, _, stiffness, direction, _ in _remainder_rows(shapes, "lower")
     ]
 
 
@@ -350,7 +367,9 @@ def _remainder_rows(shapes: ShapeFit, which: str) -> list[Row]:
     there = _at_tool(curves)
     size, vectors = np.linalg.eigh(np.where(np.outer(there, there), matrix, 0.0))
     return [
-        (natural, damping, 1.0 / float(s), _in_axes(curves, v)) for s, v in zip(size, vectors.T, strict=True) if s > 0.0
+        (natural, damping, 1.0 / float(s), _in_axes(curves, v), STAND_IN)
+        for s, v in zip(size, vectors.T, strict=True)
+        if s > 0.0
     ]
 
 
@@ -359,7 +378,7 @@ def _needed(shapes: ShapeFit, rows: list[Row]) -> list[Row]:
     f, least = shapes.curves.frequency, RULES.upper_share * float(np.median(np.abs(shapes.curves.values)))
     found = []
     for row in rows:
-        natural, damping, stiffness, direction = row
+        natural, damping, stiffness, direction, _ = row
         ratio = f / natural
         size = float(np.max(1.0 / np.abs(1.0 - ratio**2 + 2j * damping * ratio))) / stiffness
         if size * float(np.max(direction**2)) > least:

@@ -10,6 +10,7 @@ from process.labels import at_tool
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign
 from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.frf.modes import FittedModes
 from smfe.diagnosis.inference.problem import Family
 from smfe.identification.errors.result import Identification
 from smfe.modes.fit_modes import fit_modes
@@ -46,6 +47,7 @@ class NamedModes:
     suspects: tuple[Suspect, ...] = ()  # what the fit warns of
     spread: Mapping[str, float] = field(default_factory=dict)
     """What a ``[[model]]`` states as its ``uncertainty``, relative; empty where it states none."""
+    fitted: FittedModes | None = None  # what a fit knows of them; None where they were declared
 
 
 def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identification], whole: bool = False) -> NamedModes:
@@ -63,7 +65,7 @@ def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identificatio
         raise InputError(f"baseline: measurement '{name}' is no compliance, so it has no modes; name one that is")
     try:
         fit = fit_modes(at_tool(found[name].compliance))
-        modes, modal = fit.modal_model(), fit.modal_model(whole)
+        modes, modal, doubt = fit.modal_model(), fit.modal_model(whole), fit.doubt(whole)
     except InputError as error:
         raise InputError(
             f"baseline: measurement '{name}' does not give the modes of a simulation ({error}); declare them as a "
@@ -74,4 +76,5 @@ def modes_named(campaign: Campaign, name: str, found: Mapping[str, Identificatio
     inside = modes.frequency[modes.frequency <= top]
     advice = "see the modes with smfe modal; declare better ones as a [[model]]"
     suspects = tuple(Suspect("missing_mode", "note", name, warning, advice) for warning in fit.warnings)
-    return NamedModes(modal, (float(inside.min()), float(inside.max())), suspects)
+    known = FittedModes(doubt, doubt[:, 0] > 0.0)
+    return NamedModes(modal, (float(inside.min()), float(inside.max())), suspects, fitted=known)

@@ -148,6 +148,7 @@ def _modal_family(
         spread=spread,
         stated=tuple(modes.spread),
         tolerances=campaign.tolerances,
+        fitted=modes.fitted,
     )
     return family.with_errors()
 

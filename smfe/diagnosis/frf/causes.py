@@ -27,6 +27,10 @@ RESIDUAL = tuple(f"residual_{e}" for e in ("xx", "yy", "zz", "xy", "yz", "zx"))
 TWICE = ("", "also_")
 """Prefixes of parameters that are in two variants of a cause."""
 
+OF_DECLARED = ("modal_scale", "modal_mass", "cross_axis_coupling")
+"""Causes of modes that somebody declared: of fitted ones size and directions are fitted again, as far as they may be
+off."""
+
 WEIGHT = 1.73
 """Friction that a fit starts at, over the moving mass [N/kg]: a coefficient of 0.18."""
 
@@ -157,29 +161,31 @@ def sensor_causes(band: tuple[float, float], stiffness: float = 1.68e6) -> tuple
 # --- A machine that is modelled by modes.
 
 
-def modal_causes(modes: int, band: tuple[float, float], size: float, reach: float, places: int) -> tuple[Cause, ...]:
-    """Return what a model of some modes may lack, and in what its measurement may be wrong.
+def modal_causes(
+    modes: Sequence[int], band: tuple[float, float], size: float, reach: float, places: int
+) -> tuple[Cause, ...]:
+    """Return what a model of some modes may lack, by their numbers, and in what its measurement may be wrong.
 
     It was compared over a band [Hz], in which its largest compliance is `size` [m/N], at a number of places, the
     farthest `reach` [m] from that of the baseline (1 where all are alike).
     """
     small, far = 0.003 * size, 0.9 / reach
-    whole, across = pairs(modes), tuple(combinations(range(1, modes + 1), 2))
+    whole, across, count = pairs(modes), tuple(combinations(modes, 2)), len(modes)
 
     def matrix(what: str, at: Sequence[tuple[int, int]] = whole, most: float = 0.9, unit: str = "%") -> list[Parameter]:
         return [_percent(f"{what}_{r}{s}", 0.01, -most, most, unit) for r, s in at]
 
     def joint(id_: str, title: str) -> Cause:
-        angles = (_angle(f"{id_}_angle_{r}", 0.2, 4.0) for r in range(1, modes))
+        angles = (_angle(f"{id_}_angle_{r}", 0.2, 4.0) for r in modes[:-1])
         # Along each axis of mode space, a little off where the angles count.
         return _cause(id_, title, _percent(id_, 0.01, 0.0, 3.0), *angles, starts=along_modes(0.01))
 
     def along_modes(*size: float) -> Starts:
-        return tuple((*size, *(_RIGHT if s < r else 0.1 for s in range(modes - 1))) for r in range(modes))
+        return tuple((*size, *(_RIGHT if s < r else 0.1 for s in range(count - 1))) for r in range(count))
 
     def spent() -> Cause:
         """Micro-slip of elements that all slip within the levels measured."""
-        angles = (_angle(f"joint_iwan_angle_{r}", 0.2, 4.0) for r in range(1, modes))
+        angles = (_angle(f"joint_iwan_angle_{r}", 0.2, 4.0) for r in modes[:-1])
         travel = Parameter("joint_iwan_travel", "1", 1.0, 0.3, 0.05, 30.0, secondary=True)
         share = _percent("joint_iwan", 0.01, 0.0, 0.95)
         starts = along_modes(0.02, 1.0)
@@ -190,10 +196,7 @@ def modal_causes(modes: int, band: tuple[float, float], size: float, reach: floa
     bend = Parameter("posture_bend", "1/m", 0.0, 0.3 / reach, -10.0 * far, 10.0 * far, secondary=True)
     spindle = partial(_cause, "spindle_speed_dynamics", "modes that change with the speed of the spindle")
     both = [p for what, at in (("bearings", whole), ("gyroscopic", across)) for p in matrix(TWICE[1] + what, at)]
-    turns = (
-        replace(_angle(f"turn_{side}_{r}", 0.02, _RIGHT), secondary=False)
-        for r, side in product(range(1, modes + 1), "ab")
-    )
+    turns = (replace(_angle(f"turn_{side}_{r}", 0.02, _RIGHT), secondary=False) for r, side in product(modes, "ab"))
     directions = (_angle(f"mode_{n}", 0.3, 2.0 * np.pi) for n in ("azimuth", "elevation"))
     along = ((0.01, 0.01), (_RIGHT, 0.01), (0.01, _RIGHT))
     lowest = {n: 0.0 if n[-1] == n[-2] else -size for n in RESIDUAL}
@@ -222,9 +225,9 @@ def modal_causes(modes: int, band: tuple[float, float], size: float, reach: floa
     )
 
 
-def pairs(modes: int) -> tuple[tuple[int, int], ...]:
-    """Return the places of a symmetric matrix, from 1."""
-    return tuple(combinations_with_replacement(range(1, modes + 1), 2))
+def pairs(modes: Sequence[int]) -> tuple[tuple[int, int], ...]:
+    """Return the places of a symmetric matrix whose rows have some numbers."""
+    return tuple(combinations_with_replacement(modes, 2))
 
 
 def vector(angles: Sequence[float]) -> tuple[float, ...]:

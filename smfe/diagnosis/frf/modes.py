@@ -13,12 +13,13 @@ from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
-from smfe.diagnosis.frf.causes import AXES, RESIDUAL, TWICE, modal_causes, pairs, vector
+from smfe.diagnosis.frf.causes import AXES, OF_DECLARED, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES
@@ -34,10 +35,24 @@ COMMON = 0.4
 DAMPING_OVER_PLACE = 0.2
 """Prior standard deviation of the relative change of a mode's damping over the places of a campaign."""
 
+LEAST_TURN = 1e-3
+"""Prior standard deviation of the direction of a fitted mode where hits and sensors do not lean at all [rad]."""
+
 ACCELEROMETERS = {"laser": 0.0, "two": 2.0}
 """Setting ``sensor`` -> accelerometers that the tool carries; one without it."""
 
 JOINTS = ("joint_micro_slip", "joint_hardening")
+
+
+@dataclass(frozen=True)
+class FittedModes:
+    """What a fit to a measured compliance knows of the modes of a baseline, which nobody declared then."""
+
+    doubt: Real
+    """Relative standard deviations of the frequency, damping and stiffness of each mode, shape (M, 3)."""
+    of_band: NDArray[np.bool_]
+    """Which are modes of the machine, (M,). The others stand for masses on their mounts, modes above the band, and
+    what else a compliance needs to be described."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +72,7 @@ class ModalFrfs(Abilities):
     """Prior standard deviation of ``frequency``, ``damping``, ``stiffness`` of a mode, relative; default `SPREAD`."""
     stated: Sequence[str] = ()  # those of `spread` that somebody stated; the others are what is usual
     tolerances: Tolerances = field(default_factory=Tolerances)  # of the measurements
+    fitted: FittedModes | None = field(default=None, compare=False)  # None: somebody declared the modes
     _at_tool: dict[tuple[Excited, Changed, tuple[Any, ...]], Complex] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -71,26 +87,63 @@ class ModalFrfs(Abilities):
     @cached_property
     def nuisances(self) -> tuple[Parameter, ...]:
         """Frequency, damping, stiffness of each mode, what they have in common, and what sensors and hits do."""
-        m, found = self.model, []
-        for r in range(m.frequency.size):
-            for name, unit, start, step, shown in (
-                ("frequency", "Hz", m.frequency[r], 0.01, 1.0),
-                ("damping", "%", m.damping[r], 0.1, 100.0),
-                ("stiffness", "N/um", m.stiffness[r], 0.05, 1e-6),
-            ):
-                prior = self.spread[name] * start
-                low, high = 0.1 * start, 10.0 * start
-                said = f"{'natural frequency' if name == 'frequency' else name} of mode {r + 1}"
-                more = (prior, shown, f"modal_{name}", name in self.stated, said)
-                found.append(Parameter(f"{name}_{r + 1}", unit, float(start), step * start, low, high, *more))
-        spread, said = COMMON * self.spread["stiffness"], "stiffness and mass of all modes"
-        stated = "stiffness" in self.stated
-        found.append(Parameter("scale_error", "%", 0.0, 0.01, -0.9, 9.0, spread, 100.0, "modal_scale", stated, said))
+        found = [p for r in range(self.model.frequency.size) for p in self._of_mode(r)]
+        if self.fitted is None:
+            spread, said = COMMON * self.spread["stiffness"], "stiffness and mass of all modes"
+            stated = "stiffness" in self.stated
+            more = (spread, 100.0, "modal_scale", stated, said)
+            found.append(Parameter("scale_error", "%", 0.0, 0.01, -0.9, 9.0, *more))
+        else:
+            # Hits and sensors of the measurement they come from lean as those of every other do.
+            turn = max(math.hypot(self.tolerances.setup_direction, self.tolerances.mounting_angle), LEAST_TURN)
+            for name in (*self._names["turn_a"], *self._names["turn_b"]):
+                found.append(Parameter(name, "deg", 0.0, 0.02, -0.5 * math.pi, 0.5 * math.pi, turn, 180.0 / math.pi))
         if len(self._places) > 1:
-            for r, name in enumerate(self._names["damping_place"]):
+            for r, name in zip(self._own, self._names["damping_place"], strict=True):
                 more = (DAMPING_OVER_PLACE / self._reach, 100.0, "", True, f"change of the damping of mode {r + 1}")
                 found.append(Parameter(name, "%/m", 0.0, 0.05, -0.9 / self._reach, 9.0 / self._reach, *more))
         return (*found, *sensor_nuisances(self.tolerances))
+
+    def _of_mode(self, r: int) -> list[Parameter]:
+        """Return frequency, damping and stiffness of a mode; of one that only stands for something its stiffness.
+
+        What a fit has found nobody declared, so that it cannot be declared wrong; it is as sure as the fit has it.
+        """
+        m, found = self.model, []
+        doubt = np.zeros(3) if self.fitted is None else self.fitted.doubt[r]
+        for (name, unit, start, step, shown), unsure in zip(
+            (
+                ("frequency", "Hz", m.frequency[r], 0.01, 1.0),
+                ("damping", "%", m.damping[r], 0.1, 100.0),
+                ("stiffness", "N/um", m.stiffness[r], 0.05, 1e-6),
+            ),
+            doubt,
+            strict=True,
+        ):
+            if r in self._own or name == "stiffness":
+                prior, low, high = math.hypot(self.spread[name], unsure) * start, 0.1 * start, 10.0 * start
+                said = f"{'natural frequency' if name == 'frequency' else name} of mode {r + 1}"
+                given = f"modal_{name}" if self.fitted is None else ""
+                more = (prior, shown, given, name in self.stated, said)
+                found.append(Parameter(f"{name}_{r + 1}", unit, float(start), step * start, low, high, *more))
+        return found
+
+    @cached_property
+    def _own(self) -> tuple[int, ...]:
+        """Numbers of the modes that what happens to the machine happens to: all that somebody declared.
+
+        Of fitted ones those that are modes of the band and make more than what is material of the largest direct
+        compliance along some axis: of others, which are lost in the noise, no data could say what became of them.
+        """
+        m = self.model
+        if self.fitted is None:
+            return tuple(range(m.frequency.size))
+        ratio = np.concatenate([d.frequency for d in self._data])[:, None] / m.frequency
+        each = m.direction**2 / m.stiffness[:, None] / (1.0 - ratio**2 + 2j * m.damping * ratio)[:, :, None]
+        whole = np.abs(each.sum(axis=1)).max(axis=0)
+        share = (np.abs(each).max(axis=0) / np.maximum(whole, RULES.stiff_axis * whole.max())).max(axis=1)
+        share = np.where(self.fitted.of_band, share, 0.0)
+        return tuple(np.flatnonzero(share > min(self.tolerances.material, 0.5 * float(share.max()))).tolist())
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
@@ -98,8 +151,10 @@ class ModalFrfs(Abilities):
         data = self._data
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
         size = float(np.abs(self.model.matrix(np.linspace(*band, 400))).max())
-        every = modal_causes(self.model.frequency.size, band, size, self._reach, len(self._places))
-        return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
+        numbers = [r + 1 for r in self._own]
+        every = modal_causes(numbers, band, size, self._reach, len(self._places))
+        gone = (*self.without, *(() if self.fitted is None else OF_DECLARED))
+        return tuple(c for c in every if c.key not in gone and c.id not in gone)
 
     @cached_property
     def _every(self) -> tuple[Condition, ...]:
@@ -264,14 +319,14 @@ class ModalFrfs(Abilities):
         """Return the machine that a set of values comes to under the settings of a condition."""
         names = self._names
         root, scale = math.sqrt(1.0 + values.get("mass_error", 0.0)), 1.0 + values.get("scale_error", 0.0)
-        slip, hardening = (
-            (values[j], *vector([values[a] for a in names[j]])) if values.get(j, 0.0) > 0.0 else () for j in JOINTS
-        )
+        slip, hardening = ((values[j], *self._vector(values, j)) if values.get(j, 0.0) > 0.0 else () for j in JOINTS)
         residual, place = tuple(values.get(n, 0.0) for n in RESIDUAL), self._place(condition)
-        damping = tuple(
-            values[n] / root * max(1.0 + place * values.get(by, 0.0), 0.01)
-            for n, by in zip(names["damping"], names["damping_place"], strict=True)
+        frequency, damping, stiffness = (
+            [values.get(n, at) for n, at in zip(names[w], getattr(self.model, w).tolist(), strict=True)]
+            for w in ("frequency", "damping", "stiffness")
         )
+        for r, by in zip(self._own, names["damping_place"], strict=True):
+            damping[r] *= max(1.0 + place * values.get(by, 0.0), 0.01)
         mode: tuple[float, ...] = ()
         if (size := values.get("mode_compliance", 0.0)) > 0.0:
             # Spherical angles: the elevation first.
@@ -280,9 +335,9 @@ class ModalFrfs(Abilities):
             along = (flat * math.cos(turn), flat * math.sin(turn), length * math.sin(lift))
             mode = (*along, values["mode_frequency"], values["mode_damping"])
         return Changed(
-            tuple(values[n] / root for n in names["frequency"]),
-            damping,
-            tuple(values[n] * scale for n in names["stiffness"]),
+            tuple([f / root for f in frequency]),
+            tuple([z / root for z in damping]),
+            tuple([k * scale for k in stiffness]),
             self._directions(values),
             self._springs(condition, values),
             self._gyroscopic(condition, values),
@@ -298,14 +353,19 @@ class ModalFrfs(Abilities):
         """Joint whose elements have a largest travel; empty for none."""
         if values.get("joint_iwan", 0.0) <= 0.0:
             return ()
-        angles = [values[a] for a in self._names["joint_iwan"]]
-        return (values["joint_iwan"], values["joint_iwan_travel"], *vector(angles))
+        return (values["joint_iwan"], values["joint_iwan_travel"], *self._vector(values, "joint_iwan"))
+
+    def _vector(self, values: Values, joint: str) -> tuple[float, ...]:
+        """Unit vector of the displacement of a joint, in mode space, (M,)."""
+        out = np.zeros(self.model.frequency.size)
+        out[list(self._own)] = vector([values[a] for a in self._names[joint]])
+        return tuple(out.tolist())
 
     @cached_property
     def _frames(self) -> Real:
-        """Each mode vector, and two across it of the same length, shape (M, 3, 3)."""
+        """The vector of each own mode, and two across it of the same length, shape (own, 3, 3)."""
         frames = []
-        for u in self.model.direction:
+        for u in self.model.direction[list(self._own)]:
             length, a = float(np.linalg.norm(u)), np.cross(u, np.eye(3)[int(np.argmin(np.abs(u)))])
             a *= length / np.linalg.norm(a)
             frames.append([u, a, np.cross(u, a) / length])
@@ -319,12 +379,11 @@ class ModalFrfs(Abilities):
         ]
         if not any(p or q for p, q in turns):
             return self._as_given
-        out: list[float] = []
-        for (u, a, b), (p, q) in zip(self._frames, turns, strict=True):
-            angle = math.hypot(p, q)
-            turned = u if angle == 0.0 else math.cos(angle) * u + math.sin(angle) / angle * (p * a + q * b)
-            out += turned.tolist()
-        return tuple(out)
+        out = np.array(self.model.direction, dtype=float)
+        for r, (u, a, b), (p, q) in zip(self._own, self._frames, turns, strict=True):
+            if (angle := math.hypot(p, q)) > 0.0:
+                out[r] = math.cos(angle) * u + math.sin(angle) / angle * (p * a + q * b)
+        return tuple(out.ravel().tolist())
 
     @cached_property
     def _as_given(self) -> tuple[float, ...]:
@@ -355,18 +414,23 @@ class ModalFrfs(Abilities):
         acting = [trends[w] * np.array(x) for w, x in found.items() if any(x)]
         if not acting:
             return None
-        out = np.zeros((self.model.frequency.size,) * 2)
-        out[np.triu_indices(len(out), diagonal)] = np.sum(acting, axis=0)
+        out, own = np.zeros((self.model.frequency.size,) * 2), np.array(self._own)
+        rows, columns = np.triu_indices(own.size, diagonal)
+        out[own[rows], own[columns]] = np.sum(acting, axis=0)
         return out
 
     @cached_property
     def _names(self) -> dict[str, tuple[str, ...]]:
-        """Names of the parameters of each mode, and of those that fill a matrix, row by row of its upper half."""
-        whole = pairs(self.model.frequency.size)
+        """Names of the parameters of each mode, and of those that fill a matrix, row by row of its upper half.
+
+        What belongs to own modes is there for them alone.
+        """
+        own = [r + 1 for r in self._own]
+        whole = pairs(own)
         across = tuple((r, s) for r, s in whole if r < s)
         names = dict.fromkeys(("posture", "curved", "drift", "coupling", *(f"{b}bearings" for b in TWICE)), whole)
         names |= {f"{b}gyroscopic": across for b in TWICE}
         found = {what: tuple(f"{what}_{r}{s}" for r, s in where) for what, where in names.items()}
-        modes = range(1, self.model.frequency.size + 1)
-        found |= {w: tuple(f"{w}_{r}" for r in modes) for w in (*self.spread, "turn_a", "turn_b", "damping_place")}
-        return found | {w: tuple(f"{w}_angle_{r}" for r in modes[:-1]) for w in (*JOINTS, "joint_iwan")}
+        found |= {w: tuple(f"{w}_{r + 1}" for r in range(self.model.frequency.size)) for w in self.spread}
+        found |= {w: tuple(f"{w}_{r}" for r in own) for w in ("turn_a", "turn_b", "damping_place")}
+        return found | {w: tuple(f"{w}_angle_{r}" for r in own[:-1]) for w in (*JOINTS, "joint_iwan")}

@@ -117,13 +117,13 @@ class Excited:
 
         The zero-order limit depth goes with one over the most negative real part. Of every direct entry the real part
         counts, over its most negative value, as a mean square over the lines near it (those within half of it, most
-        the deepest). An entry a fifth as flexible as another, or less, counts over that fifth.
+        the deepest). An entry much stiffer than another counts over a share of that (`RULES.stiff_axis`).
         """
         seen, wrong = self.compliance_of(observed), self.compliance_of(misfit)
         direct = [n for n, (response, excitation) in enumerate(self.entries) if response == excitation]
         if not direct:
             return float(np.sum(np.abs(wrong) ** 2) / np.sum(np.abs(seen) ** 2))
-        least = 0.2 * max(_depth(seen[:, n])[0] for n in direct)
+        least = RULES.stiff_axis * max(_depth(seen[:, n])[0] for n in direct)
         width, total = np.gradient(self.frequency) if self.frequency.size > 1 else np.ones(1), 0.0
         for n in direct:
             depth, weight = _depth(seen[:, n])

@@ -23,6 +23,9 @@ class FrfRules:
     """Cosines over the logarithm of frequency that the difference between model and machine is made of."""
     discrepancy: float = 0.004
     """Root mean square of the smooth relative error by which two simulations of one machine may differ."""
+    stiff_axis: float = 0.2
+    """Compliance over the largest of any axis below which that of an axis, and what is of its size, counts as so much:
+    of an axis that is much stiffer than another even a large error limits no depth."""
     arm: float = 0.3
     """Distance over which a machine turns about as much as it moves [m]: a hit 3 mm beside its point is 1 % off."""
     mains_width: float = 1.5  # on either side of the mains' harmonics: lines that hum may reach [Hz]

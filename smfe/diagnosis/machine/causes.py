@@ -13,9 +13,6 @@ import numpy as np
 from smfe.diagnosis.inference.problem import Cause, Parameter
 from smfe.diagnosis.machine.axes import DeclaredAxis
 
-REPEATED = ("modal_scale", "modal_mass", "cross_axis_coupling")
-"""Causes of a model of modes alone that the nuisances of a machine repeat: its modes and their directions are free."""
-
 
 def axis_causes(axes: Mapping[str, DeclaredAxis]) -> tuple[Cause, ...]:
     """Return what guideways may do that the baseline does not say."""

@@ -17,14 +17,14 @@ import numpy as np
 
 from process.labels import AXES
 from process.types import Complex, Real
-from smfe.diagnosis.frf.causes import RESIDUAL
+from smfe.diagnosis.frf.causes import OF_DECLARED, RESIDUAL
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken
 from smfe.diagnosis.frf.modes import JOINTS, ModalFrfs
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.workshop import SENSORS, measured
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 from smfe.diagnosis.machine.axes import DeclaredAxis, nuisances, slide
-from smfe.diagnosis.machine.causes import REPEATED, axis_causes
+from smfe.diagnosis.machine.causes import axis_causes
 from smfe.diagnosis.machine.dynamics import Slide, moving_compliance, unbounded
 from smfe.diagnosis.machine.rules import RULES
 from smfe.diagnosis.machine.slopes import MOST, STEP, Machine, difference, parts_of, slopes
@@ -80,7 +80,7 @@ class MachineOfAxes(ModalFrfs):
         modal = [
             replace(c, starts=c.starts[:: RULES.starts_left_out]) if c.id == "missing_mode" else c
             for c in super().causes
-            if c.id not in REPEATED and not any(p.name in own for p in c.parameters)
+            if c.id not in OF_DECLARED and not any(p.name in own for p in c.parameters)
         ]
         driven = [replace(c, begin=self.with_cause.get(c.key, {})) for c in axis_causes(self.axes)]
         every = (*driven, *modal)

@@ -1,5 +1,6 @@
 """Claims: the modes of a measurement are a baseline like those of a model, and what is no compliance is refused."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,11 @@ from process.errors import InputError
 from process.labels import AXES, make_compliance
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, Measurement, Model, ModesOf
-from smfe.diagnosis.cases.case import modes_named
+from smfe.diagnosis.cases.case import NamedModes, modes_named
 from smfe.diagnosis.cases.compliances import case_of, left_by_fit
-from smfe.diagnosis.frf.modes import SPREAD
+from smfe.diagnosis.frf.modes import SPREAD, FittedModes, ModalFrfs
 from smfe.diagnosis.frf.noise import excitation_of
+from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.identification.errors.result import Identification
 from stability import Spread
@@ -43,9 +45,25 @@ def campaign(found: dict[str, Identification], source: str) -> Campaign:
     return Campaign(Path("campaign.toml"), "ram", measurements=each, baseline=ModesOf(source))
 
 
-def test_the_modes_of_a_measurement_are_those_of_the_machine() -> None:
-    found = {"first": measured("first", 1)}
-    named = modes_named(campaign(found, "first"), "first", found)
+@pytest.fixture(scope="module")
+def found() -> dict[str, Identification]:
+    return {"first": measured("first", 1)}
+
+
+@pytest.fixture(scope="module")
+def named(found: dict[str, Identification]) -> NamedModes:
+    return modes_named(campaign(found, "first"), "first", found, whole=True)
+
+
+def family_of(named: NamedModes, found: dict[str, Identification]) -> ModalFrfs:
+    """Of modes that a fit has found already."""
+    plain = replace(campaign(found, "plain"), models=(Model("plain", named.modal),))
+    family = case_of(plain, found).family
+    assert isinstance(family, ModalFrfs)
+    return replace(family, fitted=named.fitted)
+
+
+def test_the_modes_of_a_measurement_are_those_of_the_machine(named: NamedModes) -> None:
     frequency = modes(nominal(3, np.random.default_rng(5)))[0]
     fitted = named.modal.frequency[(named.modal.frequency > 14.0) & (named.modal.frequency < 150.0)]
     # The cable that hangs on the tool shifts the modes of the bare ram by some per cent.
@@ -59,10 +77,9 @@ def test_a_measurement_like_the_one_that_gave_the_modes_is_consistent_with_them(
     assert diagnose(case_of(campaign(alike, "a"), alike).family).verdict == "consistent"
 
 
-def test_a_model_is_trusted_as_far_as_it_says() -> None:
+def test_a_model_is_trusted_as_far_as_it_says(named: NamedModes, found: dict[str, Identification]) -> None:
     """Without an uncertainty of its own a mode has that of the house; both are priors of the fit."""
-    found = {"first": measured("first", 1)}
-    bare = modes_named(campaign(found, "first"), "first", found).modal
+    bare = named.modal
     declared = replace(
         campaign(found, "sure"), models=(Model("sure", bare, Spread(frequency=0.004)), Model("plain", bare))
     )
@@ -73,6 +90,49 @@ def test_a_model_is_trusted_as_far_as_it_says() -> None:
     assert priors["sure"]["frequency_1"] == pytest.approx(0.004)
     assert priors["plain"]["frequency_1"] == pytest.approx(SPREAD["frequency"])
     assert priors["sure"]["damping_1"] == priors["plain"]["damping_1"] == pytest.approx(SPREAD["damping"])
+
+
+def test_what_a_fit_found_nobody_declared(named: NamedModes, found: dict[str, Identification]) -> None:
+    """No cause is that a mode was declared wrong, and its direction is looked for again."""
+    of_fit = family_of(named, found)
+    of_model = replace(of_fit, fitted=None)
+    assert not any(p.given.startswith("modal_") for p in of_fit.nuisances)
+    assert not {c.id for c in of_fit.causes} & {"modal_mass", "cross_axis_coupling"}
+    assert any(p.given == "modal_stiffness" for p in of_model.nuisances)
+    assert {c.id for c in of_model.causes} >= {"modal_mass", "cross_axis_coupling"}
+    # Hits and sensors leaned when the modes were measured: their directions are as sure as that.
+    lean = math.hypot(of_fit.tolerances.setup_direction, of_fit.tolerances.mounting_angle)
+    turns = [p for p in of_fit.nuisances if p.name.startswith("turn_")]
+    assert [p.prior for p in turns] == [pytest.approx(lean)] * 2 * 3
+    assert named.fitted is not None
+    own = named.fitted.of_band
+    assert own.sum() >= 3
+    # One per cent of noise leaves a stiffness unsure by less, and a stand-in nothing but its size.
+    assert np.all(named.fitted.doubt[own][:3] < 0.1)
+    assert all(row.tolist() == [0.0, 0.0, 1.0] for row in named.fitted.doubt[~own])
+
+
+def test_what_only_stands_for_something_has_a_size_and_no_fate_of_its_own(
+    named: NamedModes, found: dict[str, Identification]
+) -> None:
+    """A second mode in the noise, and the masses and stiffer modes that a compliance needs, besides a mode."""
+    model = ModalModel([40.0, 60.0, 1.0, 900.0], [0.02] * 4, [2e7, 4e9, 5e6, 6e9], [[1.0, 0.0, 0.0]] * 4)
+    doubt = np.array([[1e-4, 0.01, 0.02], [0.01, 0.5, 0.4], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    known = FittedModes(doubt, np.array([True, True, False, False]))
+    family = replace(family_of(named, found), model=model, fitted=known)
+    own = {p.name: p for p in family.nuisances if p.name.rpartition("_")[2].isdigit()}
+    assert [n for n in own if not n.startswith("turn")] == [
+        "frequency_1", "damping_1", "stiffness_1", "stiffness_2", "stiffness_3", "stiffness_4"
+    ]  # fmt: skip
+    assert own["stiffness_1"].prior == pytest.approx(math.hypot(SPREAD["stiffness"], 0.02) * 2e7)
+    assert own["stiffness_3"].prior == pytest.approx(math.hypot(SPREAD["stiffness"], 1.0) * 5e6)
+    drift = next(c for c in family.causes if c.id == "drift")
+    assert [p.name for p in drift.parameters] == ["drift_11"]
+    values = {p.name: p.start for p in family.nuisances} | {"drift_11": 0.1, "joint_hardening": 0.02}
+    changed = family.changed(Condition("late", {"order": 1.0}), values)
+    np.testing.assert_array_equal(np.reshape(changed.springs, (4, 4)), np.diag([0.1, 0.0, 0.0, 0.0]))
+    assert changed.hardening == (0.02, 1.0, 0.0, 0.0, 0.0)
+    assert changed.stiffness == tuple(model.stiffness)
 
 
 def test_what_has_no_modes_is_refused_with_what_to_do() -> None:
