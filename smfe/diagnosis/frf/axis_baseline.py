@@ -67,6 +67,7 @@ class Effective(NamedTuple):
     micro_slip: tuple[float, float]
     gap: tuple[float, float]
     cubic: float
+    contact: float  # compliance of the guideway that sticks [m/N]; 0 without dry friction
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,10 @@ class AxisBaseline:
             low, prior = 0.0 if name == "viscous" else 0.05 * start, self.spread[name] * size
             of = (GIVEN.get(name, ""), True, SAID.get(name, name))
             found.append(Parameter(name, unit, start, 0.1 * size, low, 20.0 * size, prior, shown, *of))
+        # Over how far a guideway gives way before it slides nobody declares, and only an axis with friction shows.
+        soft = RULES.contact * RULES.contact_axis / d.stiffness
+        around = (0.1 * soft, 50.0 * soft, RULES.contact_spread * soft)
+        found.append(Parameter("contact", "um/kN", soft, 0.2 * soft, *around, 1e9))
         t = self.tolerances
         if self.servos and t.control_gain > 0.0:
             for gain, said in (("Kp", "velocity gain Kp"), ("Ti", "integral time Ti"), ("Kv", "position gain Kv")):
@@ -160,6 +165,7 @@ class AxisBaseline:
             (share, values["micro_slip_travel"] if share > 0.0 else 0.0),
             (part, values["gap"] if part > 0.0 else 0.0),
             values.get("cubic_stiffness", 0.0),
+            values["contact"] if max(forth.static, back.static) > 0.0 else 0.0,
         )
 
     def _side(self, values: Values, n: int) -> Side:
@@ -196,8 +202,7 @@ class AxisBaseline:
             joints.append(MountedJoint(CubicSpring(0.0, found.cubic), across))
         law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
-            # The bristles of a guideway go with the axis that it carries.
-            stiff, loss = (self.drive.stiffness / RULES.bristle_axis * b for b in RULES.bristle)
+            stiff, loss = 1.0 / found.contact, RULES.contact_loss / found.contact
             forth, back = (
                 LuGre(stiff, loss, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
                 for s in found.friction

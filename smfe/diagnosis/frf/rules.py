@@ -45,8 +45,10 @@ class FrfRules:
     """Relative standard deviation of the force at which a guideway lets go: what it pulls already where the axis came
     to rest is unknown, up to some tenths of the sliding friction either way."""
     same_level: float = 0.2  # relative difference of levels of hits that are meant to be the same
-    bristle: tuple[float, float] = (5e8, 6e4)  # stiffness [N/m] and damping [N s/m] of a guideway that sticks
-    bristle_axis: float = 1.68e6  # ... of an axis of this stiffness [N/m], with which they go
+    contact: float = 2e-9  # compliance of a guideway that sticks [m/N], where nothing is seen of it
+    contact_axis: float = 1.68e6  # ... of an axis of this stiffness [N/m]: the stiffer the axis, the stiffer its guideway
+    contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
+    contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form

@@ -58,6 +58,7 @@ _SENSOR = {
 
 PARAMETERS = {
     "moving_mass": "moving mass",
+    "contact": "softness of the contact of the guideway",
     "tip_mass": "mass of the tip",
     "stiffness": "stiffness",
     "damping": "damping",

@@ -51,7 +51,7 @@ def catalogues() -> list[Cause]:
     return [
         *(c for b in (plain, known) for c in b.causes()),
         *sensor_causes((10.0, 150.0)),
-        *modal_causes(3, (10.0, 150.0), 1e-7, 1.0, 5),
+        *modal_causes((1, 2, 3), (10.0, 150.0), 1e-7, 1.0, 5),
         *drive,
         *forces().causes,
         *limits().causes,

@@ -35,7 +35,7 @@ def catalogues() -> tuple[list[Parameter], list[Cause]]:
     causes = [
         *axis.causes(),
         *sensor_causes((5.0, 200.0)),
-        *modal_causes(3, (10.0, 200.0), 1e-6, 0.5, 4),
+        *modal_causes((1, 2, 3), (10.0, 200.0), 1e-6, 0.5, 4),
         *forces.causes,
         *limits.causes,
         *(t.cause for t in moves),
