@@ -46,7 +46,9 @@ class FrfRules:
     to rest is unknown, up to some tenths of the sliding friction either way."""
     same_level: float = 0.2  # relative difference of levels of hits that are meant to be the same
     contact: float = 2e-9  # compliance of a guideway that sticks [m/N], where nothing is seen of it
-    contact_axis: float = 1.68e6  # ... of an axis of this stiffness [N/m]: the stiffer the axis, the stiffer its guideway
+    contact_axis: float = (
+        1.68e6  # ... of an axis of this stiffness [N/m]: the stiffer the axis, the stiffer its guideway
+    )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
     elements: int = 20  # Jenkins elements of a joint with micro-slip
