@@ -72,6 +72,8 @@ class Model:
         self._exact: set[int] = set()  # parameters whose slopes have a closed form
         self._kept: OrderedDict[tuple[int, bytes], Answer] = OrderedDict()
         self._stored = 0
+        self._slopes_kept: dict[tuple[int, bytes], dict[int, Real]] = {}  # in closed form, by parameter
+        self._slopes_stored = 0
         self._spent, self._asked = 0.0, 0
 
     @property
@@ -164,10 +166,9 @@ class Model:
         that break a guideway away depend on them as on a fine saw besides. A family that knows its derivatives in
         closed form gives those.
         """
-        conditions, parameters = [self.conditions[r] for r in rows], [self.parameters[j] for j in free]
-        closed = self.family.slopes(conditions, self.values(u), parameters)
+        closed = self._closed_slopes(rows, u, free)
         if closed is not None:
-            return dict(zip(rows, closed, strict=True))
+            return closed
         exact = {int(j): self._closed_form(rows, u, int(j)) for j in free}
         self._exact |= {j for j, c in exact.items() if c is not None}
         by_steps = [int(j) for j in free if exact[int(j)] is None]
@@ -186,6 +187,34 @@ class Model:
             else np.zeros((self.size(row, u), 0))
             for row in rows
         }
+
+    def _closed_slopes(self, rows: Sequence[int], u: Real, free: Index) -> dict[int, Real] | None:
+        """Return the slopes that the family knows in closed form, those that were asked for before not once more."""
+        at, parameters = u.tobytes(), [int(j) for j in free]
+        lacking: dict[tuple[int, ...], list[int]] = {}
+        for r in rows:
+            known = self._slopes_kept.get((r, at), {})
+            lacking.setdefault(tuple(j for j in parameters if j not in known), []).append(r)
+        for wanted, of in lacking.items():
+            if not wanted and parameters:
+                continue
+            given = [self.parameters[j] for j in wanted]
+            closed = self.family.slopes([self.conditions[r] for r in of], self.values(u), given)
+            if closed is None:
+                return None
+            for r, slope in zip(of, closed, strict=True):
+                self._slopes_kept.setdefault((r, at), {}).update(zip(wanted, slope.T, strict=True))
+                self._slopes_stored += slope.size
+        found = {
+            r: np.stack([self._slopes_kept[r, at][j] for j in parameters], axis=1)
+            if parameters
+            else np.zeros((self.size(r, u), 0))
+            for r in rows
+        }
+        while self._slopes_stored > RULES.kept_slopes and len(self._slopes_kept) > 1:
+            oldest = self._slopes_kept.pop(next(iter(self._slopes_kept)))
+            self._slopes_stored -= sum(x.size for x in oldest.values())
+        return found
 
     def _closed_form(self, rows: Sequence[int], u: Real, j: int) -> dict[int, Real] | None:
         """Return the slopes with a parameter that follow from the predictions themselves."""

@@ -17,6 +17,7 @@ class InferenceRules:
     worth_help: float = 0.001  # mean time of a prediction [s] from which several processes make them
     worth_a_start: float = 1.0  # time that predictions have taken [s] before processes are started
     kept_values: int = 4_000_000  # predicted values that are kept
+    kept_slopes: int = 16_000_000  # values of slopes in closed form that are kept
     most_workers: int = 8  # processes, unless more are asked for: a step of a fit asks for ten to forty predictions
     # fits
     tolerance: float = 0.1  # decrease of chi-square that a converged fit may leave; thresholds are 100 times that

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -41,6 +42,11 @@ class Tangent:
     residual: Real  # shape (N,): residuals, then prior deviations
     signatures: tuple[Signature, ...]  # of the causes that are not in the fit
     silent: tuple[int, ...]  # causes whose slopes the family could not give
+
+    @cached_property
+    def acting(self) -> tuple[Signature, ...]:
+        """Those of the causes that do something to these data which the fitted parameters do not."""
+        return tuple(s for s in self.signatures if np.any(s.columns))
 
 
 def orthonormal(columns: Real) -> Real:
@@ -108,8 +114,9 @@ def _signature(
     data = np.concatenate([slope[r][:, acting] for r in target.observed])
     columns = np.concatenate([data, np.zeros((basis.shape[0] - data.shape[0], data.shape[1]))])
     raw = np.linalg.norm(columns, axis=0)
-    columns = columns - basis @ (basis.T @ columns)
-    columns[:, np.linalg.norm(columns, axis=0) < RULES.confounded * raw] = 0.0
+    if raw.any():
+        columns = columns - basis @ (basis.T @ columns)
+        columns[:, np.linalg.norm(columns, axis=0) < RULES.confounded * raw] = 0.0
     return Signature(k, free, at, columns, raw, slope)
 
 

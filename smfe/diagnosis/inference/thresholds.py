@@ -86,10 +86,10 @@ def threshold(model: Model, at: Tangent, rng: np.random.Generator, p_value: floa
 
 
 def pair_threshold(model: Model, at: Tangent, rng: np.random.Generator, p_value: float = RULES.false_alarm) -> float:
-    """Return the same for the best pair of causes, over all pairs."""
-    products = products_of_noise(model, at, [s.columns for s in at.signatures], rng, RULES.draws // 5)
+    """Return the same for the best pair of causes, over all pairs of those that act."""
+    products = products_of_noise(model, at, [s.columns for s in at.acting], rng, RULES.draws // 5)
     best: dict[int, Real] = {}
-    for (i, a), (j, b) in combinations(enumerate(at.signatures), 2):
+    for (i, a), (j, b) in combinations(enumerate(at.acting), 2):
         if a.cause != b.cause:
             both = np.concatenate([products[i], products[j]], axis=1)
             gain = score(model, [a, b]).gain(both) - charge(model, [a.cause, b.cause])

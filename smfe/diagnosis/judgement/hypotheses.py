@@ -277,6 +277,11 @@ class Bench:
             self._left[at.causes] = self.worth.left(self.model, at.residual, self.rng(11, len(at.causes)))
         return self._left[at.causes] >= share * self.worth.material
 
+    def named(self, at: Fit) -> bool:
+        """Whether the causes of a fit explain so much that they are named beside what they leave."""
+        gain = self.gain(self.null(), at) if at.causes else None
+        return gain is not None and gain.share >= RULES.named_share
+
     def far(self, added: Sequence[int]) -> bool:
         """Whether some causes may act far from their null only."""
         return any(self.model.causes[k].starts for k in added)
@@ -289,7 +294,7 @@ class Bench:
     def first_order(self, at: Fit, causes: Sequence[int]) -> float:
         """Likelihood ratio of more causes as the linearisation has it: the best over their shapes."""
         here = self.tangent(at)
-        shapes = product(*([s for s in here.signatures if s.cause == k] for k in causes))
+        shapes = product(*([s for s in here.acting if s.cause == k] for k in causes))
         return max((combined_gain(self.model, here, s) for s in shapes), default=0.0)
 
     # --- What a fit predicts of conditions that it was not fitted to.

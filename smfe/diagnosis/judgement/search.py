@@ -168,22 +168,34 @@ def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:
 def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int], steps: list[Step]) -> Fit | None:
     """Try the pairs that the linearised family suggests, and the best two causes where they may act far from it.
 
+    A pair is suggested if each of the two adds more to the other than its charge, and not beside causes that are named
+    with the remainder that they leave: that is what a model leaves of its own effect.
+
     Pairs with a cause that nearly every machine has (`Abilities.common`) are tried wherever something is wrong.
     """
-    pairs = [p for p in combinations(others, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
-    if not pairs or not bench.matters(at, RULES.worth_pairs):
+    if not bench.matters(at, RULES.worth_pairs):
+        return None
+    acting = {s.cause for s in bench.tangent(at).acting}
+    able = [k for k in others if k in acting or bench.far([k])]
+    pairs = [p for p in combinations(able, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
+    gains = {p: bench.first_order(at, p) for p in pairs}
+    alone = {k: bench.first_order(at, (k,)) for k in able}
+    # Of a pair each must do more than a parameter of noise beside the other: else one of them alone has been tried.
+    both = [p for p in pairs if all(gains[p] - alone[p[1 - n]] > charge(bench.model, [p[n]]) for n in (0, 1))]
+    usual = [p for p in pairs if {bench.model.causes[k].id for k in p} & set(bench.model.family.common)]
+    best = (min(first), max(first)) if len(first) == 2 else ()
+    far = [(best[0], best[1])] if best in gains and bench.far(best) else []
+    if not bench.bad(at):
+        usual = far = []
+    elif (both or far) and bench.named(at):
+        both = far = []
+    if not (both or usual or far):
         return None
     limit = pair_threshold(bench.model, bench.tangent(at), bench.rng(3, len(at.causes)))
     worth = RULES.worth_a_pair * (limit + 2.0 * RULES.penalty)
-    gains = {p: bench.first_order(at, p) for p in pairs}
-    promising = sorted((p for p in pairs if gains[p] > worth), key=lambda p: -gains[p])[: RULES.most_pairs]
-    usual = [p for p in pairs if {bench.model.causes[k].id for k in p} & set(bench.model.family.common)]
-    if usual and bench.bad(at):
-        usual = sorted((p for p in usual if p not in promising), key=lambda p: -gains[p])
-        promising += usual[: RULES.most_pairs]
-    best = (min(first), max(first)) if len(first) == 2 else ()
-    if best in gains and best not in promising and bench.far(best) and bench.bad(at):
-        promising.append((best[0], best[1]))
+    promising = sorted((p for p in both if gains[p] > worth), key=lambda p: -gains[p])[: RULES.most_pairs]
+    promising += sorted((p for p in usual if p not in promising), key=lambda p: -gains[p])[: RULES.most_pairs]
+    promising += [p for p in far if p not in promising]
     found = [(bench.extend(at, p, _passing(bench, at, p, limit)), p) for p in promising]
     for candidate, added in _ordered(bench, at, found):
         if _passes(bench, at, candidate, added, limit, steps):

@@ -41,9 +41,9 @@ class MachineOfAxes(ModalFrfs):
     axes: Mapping[str, DeclaredAxis] = field(default_factory=dict)  # axis name -> what the campaign says of it
     top: float = math.inf  # modes above it stand for what is not seen of the machine [Hz]
     at: Mapping[str, float] = field(default_factory=dict)
-    """Where nuisances that nobody declared begin, other than at what the modes at rest suggest (SI)."""
-    given_at: Mapping[str, float] = field(default_factory=dict)
-    """Where the first fit begins with what was declared, if the data are far from it (SI)."""
+    """Where nuisances that nobody declared are expected, other than at what the modes at rest suggest (SI)."""
+    first: Mapping[str, float] = field(default_factory=dict)
+    """Where the first fit, without any cause, begins other than there, if the data are far from what was given (SI)."""
     with_cause: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Key of a cause -> where fits with it begin (SI)."""
     turn: float = RULES.spread["turn"]  # prior standard deviation of the direction of a mode [rad]
@@ -88,8 +88,8 @@ class MachineOfAxes(ModalFrfs):
 
     @property
     def begin(self) -> Values:
-        """Where the first fit begins with what was declared."""
-        return self.given_at
+        """Where the first fit, without any cause, begins."""
+        return self.first
 
     @property
     def begun(self) -> bool:

@@ -24,7 +24,9 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     """Return a family whose nuisances begin near their best values, alone and with what competes with them.
 
     Where no fit that holds what was declared comes near the data, what was declared is let go, and friction of
-    guideways of which nothing was declared is fitted with all else: without it modes and drives go far astray.
+    guideways of which nothing was declared is fitted with all else: without it modes and drives go far astray. What
+    nobody declared is then expected where it is with friction: priors about where it went without would force the
+    gains away in every later fit, and a wrong gain be named to bring them back.
     """
     few = _one_each(family.conditions)
     sure = {f.name: min(RULES.sure, getattr(family.tolerances, f.name)) for f in fields(Tolerances)}
@@ -32,16 +34,18 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     target = Target({r: c.observed for r, c in enumerate(few) if c.observed is not None}, held.null())
     u, cost = _descended(held, target, ())
     near = _near(target, cost)
-    best, begin, with_cause = held.values(u), {}, dict[str, dict[str, float]]()
+    best, begin, with_cause, least = held.values(u), {}, dict[str, dict[str, float]](), np.inf
     if not near:
         loose = Model(replace(family, conditions=few, proposals=()), few, released=[p.given for p in family.nuisances])
         friction = [k for k, c in enumerate(held.causes) if c.id == "guideway_friction"]
         for k in friction:
+            begin = {p.name: held.values(u)[p.name] for p in family.nuisances}
             v, cost = _descended(held, target, (k,))
             if not _near(target, cost):
                 v, cost = _at_temperature(loose, target, v, 1.0, (k,))
-            near = _near(target, cost)
             with_cause[held.causes[k].key] = held.values(v)
+            if cost < least:
+                best, near, least = held.values(v), _near(target, cost), cost
         if not friction:
             v, cost = _at_temperature(loose, target, u, 1.0, ())
             best, near = loose.values(v), _near(target, cost)
@@ -49,7 +53,7 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     start = {p.name: best[p.name] for p in family.nuisances if not p.given}
     # No wrong sign and no exchanged axes where all fits nearly: their fits from far away would take the most time.
     gross = [c.key for c in family.causes if c.id in ("sensor_gain", "sensor_axis") and near]
-    return replace(family, at=start, given_at=begin, with_cause=with_cause, without=(*family.without, *gross))
+    return replace(family, at=start, first=begin, with_cause=with_cause, without=(*family.without, *gross))
 
 
 def _near(target: Target, cost: float) -> bool:

@@ -109,3 +109,27 @@ def test_a_sine_on_a_loose_joint_has_no_closed_form() -> None:
     slipping = [p for c in plain.causes if c.key == "joint_micro_slip" for p in c.parameters]
     assert plain.family.slopes([shaken], values, slipping) is None
     assert plain.family.slopes([shaken], values, plain.family.nuisances) is not None
+
+
+def test_slopes_that_are_known_are_not_taken_again() -> None:
+    """Whatever parameters are asked for together, and of which conditions."""
+    asked: list[tuple[int, int]] = []
+
+    class Counted(MachineOfAxes):
+        def slopes(
+            self, conditions: Sequence[Condition], values: Values, parameters: Sequence[Parameter]
+        ) -> list[Real] | None:
+            asked.append((len(conditions), len(parameters)))
+            return super().slopes(conditions, values, parameters)
+
+    here = model(Counted, STEADY)
+    u = far_from_null(here, {})
+    first = here.slopes([0, 1], u, np.arange(5))
+    again = here.slopes([1, 2], u, np.arange(2, 7))
+    elsewhere = here.slopes([1], u + 1e-3, np.arange(5))
+    assert asked == [(2, 5), (1, 2), (1, 5), (1, 5)]
+    assert first is not None
+    assert again is not None
+    assert elsewhere is not None
+    assert np.array_equal(first[1][:, 2:], again[1][:, :3])
+    assert not np.array_equal(first[1], elsewhere[1])

@@ -1,0 +1,60 @@
+"""Claims: fits of a machine begin, and expect what nobody declared, where friction that nobody declared puts it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from process.machine.modes import ModalModel
+from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.machine.axes import DeclaredAxis, Gains
+from smfe.diagnosis.machine.family import MachineOfAxes
+from smfe.diagnosis.machine.settle import settled
+
+MODES = ModalModel(
+    frequency=np.array([31.0, 45.0]),
+    damping=np.array([0.02, 0.03]),
+    stiffness=np.array([4.3e7, 5.0e7]),
+    direction=np.array([[0.99, -0.14, 0.0], [0.1, 0.99, 0.05]]),
+)
+F = np.linspace(3.0, 70.0, 20)
+HELD = {"hold_x": 0.85, "hold_y": 0.9, "fall_x": 900.0, "fall_y": 500.0}
+
+
+def hit(name: str, feed: float) -> Condition:
+    """A set of hits along x and y, their compliance known to 0.05 um/kN."""
+    entries = tuple((r, e) for r in "xy" for e in "xy")
+    std = np.full((F.size, len(entries)), 5e-11)
+    data = Excited(F, entries, std, "hammer", 0.3, feed={"x": feed, "y": feed}, controller="K1")
+    return Condition(name, {"feed": feed, "level": 0.3, "controller": "K1"}, data=data)
+
+
+def measured(held: dict[str, float]) -> MachineOfAxes:
+    """A machine as its maker describes it but for what holds its slides."""
+    axes = {
+        a: DeclaredAxis(m, {"K1": Gains(kp, 25e-3, 18.0, 2e-3)}, None)
+        for a, m, kp in (("x", 3200.0, 2.6e5), ("y", 900.0, 1e5))
+    }
+    sets = (hit("idle", 0.0), hit("moving", 3e-3))
+    family = MachineOfAxes(MODES, sets, axes=axes)
+    true = {p.name: p.start for p in (*family.nuisances, *(q for c in family.causes for q in c.parameters))} | held
+    return replace(family, conditions=tuple(replace(c, observed=family.predict(c, true)) for c in sets))
+
+
+def off(values: Mapping[str, float]) -> float:
+    """Largest relative error of a natural frequency of the held slides, of which nothing was declared."""
+    return max(abs(values[f"frequency_{r + 1}"] / f - 1.0) for r, f in enumerate(MODES.frequency))
+
+
+def test_what_nobody_declared_is_expected_where_it_is_with_friction() -> None:
+    """A fit without friction ends far off; with priors there, gains that were right would have to give way."""
+    found = settled(measured(HELD))
+    assert off(found.first) > 0.2
+    assert off({p.name: p.start for p in found.nuisances}) < 0.03
+
+
+def test_a_machine_as_it_was_declared_stays_where_it_is() -> None:
+    found = settled(measured({}))
+    assert not found.first
+    assert off({p.name: p.start for p in found.nuisances}) < 0.001
