@@ -29,7 +29,7 @@ from smfe.diagnosis.checks.suspect import Suspect, warning
 from smfe.diagnosis.frf.axis import MachineFrfs, as_hit
 from smfe.diagnosis.frf.axis_baseline import SPREAD as SHEET
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Sides
-from smfe.diagnosis.frf.modes import SPREAD, ModalFrfs
+from smfe.diagnosis.frf.modes import SPREAD, ModalFrfs, expected_of
 from smfe.diagnosis.frf.noise import Excited, compared, condition_of, degrees_of_freedom_of, excitation_of
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.frf.workshop import near_mains, runs, with_single_hits
@@ -111,7 +111,7 @@ def _axis_family(
                 f"measurement '{m.name}': controller {controller!r} is none of the baseline's "
                 f"{', '.join(baseline.servos)}; name one of them"
             )
-        conditions.append(_condition(m, found[m.name], (axis,), band, order, controller, single_hits=True))
+        conditions.append(_condition(m, found[m.name], (axis,), band, order, controller))
     if not conditions:
         raise InputError(
             f"no hammer or actuator measurement has {axis} under a force along {axis} with its "
@@ -131,8 +131,8 @@ def _modal_family(
     for m, order in _ordered(campaign):
         axes = tuple(a for a in AXES if _known(found.get(m.name), a))
         if axes:
-            hum = campaign.tolerances.hum
-            conditions.append(_condition(m, found[m.name], axes, band, order, m.controller, hum=hum, left=left))
+            more = (modes.modal, campaign.tolerances.hum, left)
+            conditions.append(_condition(m, found[m.name], axes, band, order, m.controller, *more))
     if not conditions:
         raise InputError(
             "no hammer or actuator measurement has an uncertainty (three hits or more); the baseline has nothing to be "
@@ -215,7 +215,7 @@ def _condition(
     band: tuple[float, float],
     order: float,
     controller: str | None,
-    single_hits: bool = False,
+    modal: ModalModel | None = None,
     hum: float = 0.0,
     left: Callable[[Excited], Complex] | None = None,
 ) -> Condition:
@@ -248,8 +248,8 @@ def _condition(
     if hits > 1:
         known = degrees_of_freedom_of(hits, excited.std.size)
         excited = replace(excited, degrees_of_freedom=known, repeats=hits)
-    if not single_hits:
-        excited = with_single_hits(excited, found.compliance, found.hits)
+    if modal is not None:
+        excited = with_single_hits(excited, found.compliance, found.hits, expected_of(modal, excited, settings))
     else:
         excited = compared(excited, found.compliance, found.hits.get(axes[0]))
     if left is not None:

@@ -23,7 +23,7 @@ from smfe.diagnosis.frf.causes import AXES, OF_DECLARED, RESIDUAL, TWICE, modal_
 from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES
-from smfe.diagnosis.frf.workshop import SENSORS, errors_of_condition, measured, sensor_nuisances
+from smfe.diagnosis.frf.workshop import SENSORS, errors_of_condition, measured, sensor_nuisances, without_own_noise
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
@@ -53,6 +53,14 @@ class FittedModes:
     of_band: NDArray[np.bool_]
     """Which are modes of the machine, (M,). The others stand for masses on their mounts, modes above the band, and
     what else a compliance needs to be described."""
+
+
+def expected_of(model: ModalModel, excited: Excited, settings: Mapping[str, float | str]) -> Complex:
+    """Return about the compliance of some modes, or of a free mass, under the settings of a condition, (f, 3, 3)."""
+    if (free := float(settings.get("free_mass", 0.0))) > 0.0:
+        return np.asarray(np.eye(3) / -(free * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2), dtype=complex)
+    carrying = unchanged(model)._replace(mass=float(settings.get("added_mass", 0.0)))
+    return full_compliance(carrying, excited.frequency, Shaken(excited.method, excited.level, 1.0))
 
 
 @dataclass(frozen=True)
@@ -217,19 +225,15 @@ class ModalFrfs(Abilities):
         found = []
         for c in self._every:
             excited = excited_of(c)
-            free = float(c.settings.get("free_mass", 0.0))
-            if free > 0.0:
-                rigid = -1.0 / (free * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2)
-                full = np.asarray(np.eye(3) * rigid, dtype=complex)
-            else:
-                full = np.array(self.model.matrix(excited.frequency), dtype=complex)
+            expected = expected_of(self.model, excited, c.settings)
+            full = expected.copy()
             seen = None if c.observed is None else excited.compliance_of(np.asarray(c.observed))
             if seen is not None:
                 for n, (response, excitation) in enumerate(excited.entries):
                     r, e = AXES.index(response), AXES.index(excitation)
-                    full[:, r, e] = seen[:, n]
+                    full[:, r, e] = without_own_noise(seen[:, n], expected[:, r, e])
                     if (excitation, response) not in excited.entries:
-                        full[:, e, r] = seen[:, n]
+                        full[:, e, r] = full[:, r, e]
             errors = errors_of_condition(excited, full, self.tolerances)
             known = errors if excited.shared is None else np.concatenate([excited.shared, errors])
             wider = replace(excited, shared=known)
