@@ -35,6 +35,9 @@ COMMON = 0.4
 DAMPING_OVER_PLACE = 0.2
 """Prior standard deviation of the relative change of a mode's damping over the places of a campaign."""
 
+DAMPING_OF_PLACE = 0.25
+"""Part of that by which damping at a place may be off the line over all places: guideways are not alike everywhere."""
+
 LEAST_TURN = 1e-3
 """Prior standard deviation of the direction of a fitted mode where hits and sensors do not lean at all [rad]."""
 
@@ -234,12 +237,24 @@ class ModalFrfs(Abilities):
                     full[:, r, e] = without_own_noise(seen[:, n], expected[:, r, e])
                     if (excitation, response) not in excited.entries:
                         full[:, e, r] = full[:, r, e]
-            errors = errors_of_condition(excited, full, self.tolerances)
+            errors = np.concatenate([errors_of_condition(excited, full, self.tolerances), self._loss_of_place(c)])
             known = errors if excited.shared is None else np.concatenate([excited.shared, errors])
             wider = replace(excited, shared=known)
             found.append(replace(c, data=wider, observed=None if seen is None else wider.whitened(seen)))
         count = len(self.conditions)
         return replace(self, conditions=tuple(found[:count]), proposals=tuple(found[count:]))
+
+    def _loss_of_place(self, condition: Condition) -> Complex:
+        """Return what the damping of each mode may be off at a place other than the first, (m, f, entries)."""
+        excited = excited_of(condition)
+        rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
+        if self._place(condition) == 0.0 or "free_mass" in condition.settings:
+            return np.zeros((0, excited.frequency.size, len(rows)), dtype=complex)
+        off, m = DAMPING_OF_PLACE * DAMPING_OVER_PLACE, self.model
+        ratio = excited.frequency[:, None] / m.frequency
+        own = 1.0 - ratio**2 + 2j * m.damping * ratio
+        change = -2j * off * m.damping * ratio / (own**2 * m.stiffness)
+        return np.array([change[:, r, None] * (m.direction[r, rows] * m.direction[r, columns]) for r in self._own])
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
