@@ -287,12 +287,15 @@ class AxisModel:
         Controller name -> servo; a single one has the empty name.
     friction : FrictionLaw or MemoryLaw
         What the simulation takes for friction.
+    evidence : tuple of str, optional
+        What it is compared with besides compliances: "drive" records, "limits" that the cutting tests bracket.
     """
 
     axis: str
     drive: Drive
     servos: Mapping[str, Servo]
     friction: FrictionLaw | MemoryLaw
+    evidence: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -828,7 +831,7 @@ def _tool_name(table: schema.ToolTable) -> str:
 def _baseline(table: Any, machine: Any) -> Baseline:
     if isinstance(table, schema.AxisBaseline):
         drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
-        return AxisModel(table.axis, drive, table.servos(), table.friction.build())
+        return AxisModel(table.axis, drive, table.servos(), table.friction.build(), table.evidence)
     if isinstance(table, schema.DriveBaseline):
         return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay)
     if isinstance(table, schema.LimitsBaseline):

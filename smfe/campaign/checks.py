@@ -255,7 +255,8 @@ def _tests_forces(raw: Raw) -> bool:
 def _feed_needed(raw: Raw) -> str:
     """Return for what the feed of a cutting test is needed; nothing where only a verdict is asked."""
     baseline = raw.get("baseline")
-    if isinstance(baseline, dict) and {"forces", "limits"} & set(baseline):
+    evidence = baseline.get("evidence") if isinstance(baseline, dict) else None
+    if isinstance(baseline, dict) and ({"forces", "limits"} & set(baseline) or "limits" in (evidence or ())):
         return "the forces and limits of a [baseline]"
     return "the predictions of [[lobes]]" if "lobes" in raw else ""
 
@@ -285,6 +286,12 @@ def _baseline(raw: Raw) -> Iterator[Complaint]:
             "is taken for an axis of two masses, which these keys do not make; for another simulation give "
             'drive = "rigid", forces = "mechanistic", or a name with from or limits',
         )
+    evidence = table.get("evidence")
+    if isinstance(evidence, list) and "drive" in evidence:
+        yield from _compared(raw, "measurement", "a measurement with method = 'drive'", ("drive",))
+    if isinstance(evidence, list) and "limits" in evidence:
+        yield from _needs(raw, ("baseline", "evidence"), ("tool", "material"), "a limit depth")
+        yield from _compared(raw, "cutting_test", "[[cutting_test]]s that bracket the limit")
 
 
 def _compared(raw: Raw, key: str, what: str, methods: Sequence[str] = ()) -> Iterator[Complaint]:

@@ -284,6 +284,10 @@ class ModelTable(Table):
         return modal_model(self.modes)
 
 
+EVIDENCE = ("drive", "limits")
+"""What a baseline of an axis can be compared with besides compliances: drive records, limits of cutting tests."""
+
+
 class AxisBaseline(Table):
     """``[baseline]`` that predicts compliances: one feed axis of two masses."""
 
@@ -298,6 +302,7 @@ class AxisBaseline(Table):
     delay: Delay = 0.0
     controllers: dict[StrictStr, ServoTable] | None = None
     friction: FrictionTable
+    evidence: tuple[Annotated[str, q.one_of(EVIDENCE, "evidence")], ...] = ()
     known: dict[StrictStr, dict[StrictStr, StrictStr]] | None = None
 
     @model_validator(mode="after")

@@ -274,7 +274,7 @@ def _drive_suspects(campaign: Campaign, measurement: Measurement) -> Iterator[Su
     try:
         drives = {measurement.name: drive_of(measurement)}
     except InputError as error:
-        if not isinstance(campaign.baseline, RigidDrive):
+        if not (isinstance(campaign.baseline, RigidDrive) or "drive" in getattr(campaign.baseline, "evidence", ())):
             raise
         advice = "inertia and friction cannot be identified from it; a diagnosis may still read it"
         yield warning("unusable", measurement.name, str(error), advice)

@@ -23,6 +23,7 @@ from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.cases.case import Case, NamedModes, modes_named
 from smfe.diagnosis.cases.cutting import cutting_case, limit_case
 from smfe.diagnosis.cases.drive import drive_case
+from smfe.diagnosis.cases.evidence import evidence_case
 from smfe.diagnosis.cases.experiments import proposed_experiments, proposed_modal_experiments
 from smfe.diagnosis.cases.machine import band_of, machine_family
 from smfe.diagnosis.checks.suspect import Suspect, warning
@@ -82,7 +83,10 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: P
         modes = modes_named(campaign, baseline.source, found, whole=not baseline.axes)
         family, suspects = _modal_family(campaign, modes, found, baseline.axes), modes.suspects
     else:
-        family, suspects = _axis_family(campaign, axis_baseline(baseline, campaign.tolerances), found)
+        tested = axis_baseline(baseline, campaign.tolerances)
+        family, suspects = _axis_family(campaign, tested, found)
+        if baseline.evidence:
+            return evidence_case(campaign, family, baseline.evidence, suspects, progress)
     names = [c.name for c in family.conditions]
     held_out = tuple(m.name for m in campaign.measurements if m.held_out and m.name in names)
     return Case(family, {n: (n,) for n in names}, held_out, suspects)

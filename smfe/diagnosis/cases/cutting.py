@@ -97,24 +97,9 @@ def limit_case(
     chatter frequency is that of the record. One that stays undecided bounds nothing.
     """
     modes, (tool, material) = modes_named(campaign, baseline.source, found), _tool(campaign, "a limit depth")
-    tests, suspects = _of_source(campaign, baseline)
-    suspects = [*modes.suspects, *suspects]
-    limits: list[Limit] = []
-    groups: dict[str, tuple[str, ...]] = {}
-    for (cut, width, feed), trials in _trials(campaign, tests, progress).items():
-        bounds, notes = bracketed([trial for _, trial in trials], feed)
-        arc = engagement(cut, width, tool.diameter)
-        where = f"{cut}, {width * 1e3:.4g} mm wide, {feed * 1e3:.4g} mm per tooth"
-        named = [replace(x, arc=arc, name=f"limit at {x.spindle_speed:.6g} rpm, {where}") for x in bounds]
-        limits += named
-        suspects += [note("unusable", f"cutting tests {where}", text, "add a cut on the other side") for text in notes]
-        for test, trial in trials:
-            used = tuple(x.name for x in named if x.spindle_speed == trial.spindle_speed)
-            if used:
-                groups[test.file.name] = (*groups.get(test.file.name, ()), *used)
-    if not limits:
-        why = "; ".join(s.evidence for s in suspects) or "every cutting test stays undecided"
-        raise InputError(f"no limit is bracketed between a stable and a chattering cut: {why}")
+    tests, apart = _of_source(campaign, baseline)
+    limits, groups, notes = bracketed_limits(campaign, tests, tool, progress)
+    suspects = [*modes.suspects, *apart, *notes]
     arcs = [x.arc for x in limits if x.arc is not None]
     # How well the modes are known: as the campaign says of a model, else the default.
     given = [m.spread for m in campaign.models if m.name == baseline.source and m.spread is not None]
@@ -142,6 +127,33 @@ def limit_case(
         for name, std in family.roughly()
     ]
     return Case(family, groups, _held_out(campaign, groups), tuple(suspects))
+
+
+def bracketed_limits(
+    campaign: Campaign, tests: Sequence[CuttingTest], tool: Tool, progress: Progress
+) -> tuple[list[Limit], dict[str, tuple[str, ...]], list[Suspect]]:
+    """Return the limits that cutting tests of one machine bracket, those of each file, and notes of what brackets none.
+
+    Raises InputError without a limit.
+    """
+    limits: list[Limit] = []
+    groups: dict[str, tuple[str, ...]] = {}
+    suspects: list[Suspect] = []
+    for (cut, width, feed), trials in _trials(campaign, tests, progress).items():
+        bounds, notes = bracketed([trial for _, trial in trials], feed)
+        arc = engagement(cut, width, tool.diameter)
+        where = f"{cut}, {width * 1e3:.4g} mm wide, {feed * 1e3:.4g} mm per tooth"
+        named = [replace(x, arc=arc, name=f"limit at {x.spindle_speed:.6g} rpm, {where}") for x in bounds]
+        limits += named
+        suspects += [note("unusable", f"cutting tests {where}", text, "add a cut on the other side") for text in notes]
+        for test, trial in trials:
+            used = tuple(x.name for x in named if x.spindle_speed == trial.spindle_speed)
+            if used:
+                groups[test.file.name] = (*groups.get(test.file.name, ()), *used)
+    if not limits:
+        why = "; ".join(s.evidence for s in suspects) or "every cutting test stays undecided"
+        raise InputError(f"no limit is bracketed between a stable and a chattering cut: {why}")
+    return limits, groups, suspects
 
 
 def _of_source(campaign: Campaign, baseline: LimitsOf) -> tuple[list[CuttingTest], list[Suspect]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,35 +33,51 @@ def drive_case(campaign: Campaign, baseline: RigidDrive) -> Case:
 
     The first record that is not held out gives band, noise and starts; all others are judged with these.
     """
-    reads = _records(campaign)
-    if not reads or reads[0].measurement.held_out:
-        raise InputError("no measurement with method = 'drive' is left to be fitted; add one that is not held out")
     stated = baseline.moving_mass
     tolerances = campaign.tolerances
     mass = None if stated is None else (stated, tolerances.declared_mass * stated)
     gains = None if baseline.Kp is None or baseline.Kv is None else Gains(baseline.Kv, baseline.Kp)
+
+    def made(m: Measurement, record: xr.Dataset, name: str, like: DriveRecordFamily | None) -> DriveRecordFamily:
+        return DriveRecordFamily.from_record(
+            record,
+            baseline.axis,
+            mass=mass,
+            gains=gains,
+            delay=baseline.delay,
+            tolerances=tolerances,
+            like=like,
+            name=name,
+        )
+
+    case = records_case(campaign, made)
+    assert isinstance(case.family, DriveRecordFamily)
+    return replace(case, family=replace(case.family, proposals=proposed_moves(case.family)))
+
+
+def records_case(
+    campaign: Campaign,
+    made: Callable[[Measurement, xr.Dataset, str, DriveRecordFamily | None], DriveRecordFamily],
+) -> Case:
+    """Return the case of all drive records of a campaign, each made by a function of what it is.
+
+    That is its measurement, the record, what its conditions are named by, and the family of the first.
+    """
+    reads = _records(campaign)
+    if not reads or reads[0].measurement.held_out:
+        raise InputError("no measurement with method = 'drive' is left to be fitted; add one that is not held out")
     families: list[DriveRecordFamily] = []
     groups: dict[str, tuple[str, ...]] = {}
     for read in reads:
-        like, name = (families[0] if families else None), read.measurement.name
+        name = read.measurement.name
         try:
-            family = DriveRecordFamily.from_record(
-                read.record,
-                baseline.axis,
-                mass=mass,
-                gains=gains,
-                delay=baseline.delay,
-                tolerances=tolerances,
-                like=like,
-                name=f"{read.name},",
-            )
+            family = made(read.measurement, read.record, f"{read.name},", families[0] if families else None)
         except InputError as error:
             raise InputError(f"measurement '{read.name}': {error}") from error
         families.append(family)
         groups[name] = (*groups.get(name, ()), *(c.name for c in family.conditions))
     held_out = tuple(dict.fromkeys(r.measurement.name for r in reads if r.measurement.held_out))
-    family = replace(families[0], conditions=tuple(c for f in families for c in f.conditions))
-    return Case(replace(family, proposals=proposed_moves(family)), groups, held_out)
+    return Case(replace(families[0], conditions=tuple(c for f in families for c in f.conditions)), groups, held_out)
 
 
 def _records(campaign: Campaign) -> list[_Read]:

@@ -10,8 +10,9 @@ different modes or lobes, that ratio corrects nothing, and the limit counts roug
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from process.types import Real
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
-from stability.methods.semi_discretization import limit_depth
+from stability.methods.semi_discretization import LimitDepth, limit_depth
 from stability.methods.zero_order_scan import loop_of, modal_crossings
 
 
@@ -58,7 +59,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class _Known:
+class KnownLimit:
     """A limit with the correction of its zero-order prediction: converged over zero-order depth and frequency."""
 
     limit: Limit
@@ -96,6 +97,17 @@ class _Known:
         """Return depth [m] and frequency [Hz] as a family compares them."""
         std = self.std()
         return np.asarray(np.array([math.log(depth), frequency])[: std.size] / std)
+
+    def measured(self) -> Real:
+        """Return what was found, as a family compares it."""
+        assert self.limit.depth is not None
+        return self.whitened(self.limit.depth, self.comparable_frequency or 0.0)
+
+    def predicted(self, depth: Real, frequency: Real) -> Real:
+        """Return what zero-order crossings predict, depths [m] with the shallowest first and frequencies [Hz]."""
+        observed = self.comparable_frequency
+        at = 0 if observed is None else _observed_crossing(depth, frequency, observed)
+        return self.whitened(float(depth[0]) * self.depth_ratio, float(frequency[at]))
 
 
 def bracketed(trials: Sequence[Trial], feed_per_tooth: float = 1e-4) -> tuple[tuple[Limit, ...], tuple[str, ...]]:
@@ -191,27 +203,7 @@ class CuttingLimits(Abilities):
             for r in range(self.machine.frequency.size)
             for name, sd in kinds
         )
-        sd = max(self.tolerances.coefficients, RULES.exact)
-        material = (
-            Parameter(
-                name,
-                "%",
-                0.0,
-                0.5 * sd,
-                low,
-                most,
-                sd,
-                100.0,
-                given="force_coefficients",
-                stated="force_coefficients" in self.stated,
-                said=said,
-            )
-            for name, said, low, most in (
-                ("coefficients", "cutting coefficients, all together", -0.9, 9.0),
-                ("radial", "radial over tangential coefficient", -0.9, 4.0),
-            )
-        )
-        return (*modes, *material)
+        return (*modes, *material_nuisances(self.tolerances, "force_coefficients" in self.stated))
 
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the square of the relative error of the limit depth, for a whitened misfit."""
@@ -264,9 +256,7 @@ class CuttingLimits(Abilities):
 
     def material(self, values: Values) -> CuttingCoefficients:
         """Return the cutting coefficients of a set of values."""
-        grown, ratio = 1.0 + values.get("coefficients", 0.0), 1.0 + values.get("radial", 0.0)
-        k = self.coefficients
-        return replace(k, Ktc=k.Ktc * grown, Krc=k.Krc * grown * ratio, Kac=k.Kac * grown)
+        return material_of(self.coefficients, values)
 
     def limits_at(self, limit: Limit, values: Values) -> tuple[Real, Real]:
         """Return zero-order depth [m] and chatter frequency [Hz] of all crossings, the first one first."""
@@ -298,17 +288,32 @@ class CuttingLimits(Abilities):
             raise InputError(
                 f"{known.limit.words}: this machine does not chatter at any depth; check modes and coefficients"
             )
-        observed = known.comparable_frequency
-        at = 0 if observed is None else _observed_crossing(depth, frequency, observed)
-        return known.whitened(float(depth[0]) * known.depth_ratio, float(frequency[at]))
+        return known.predicted(depth, frequency)
+
+
+def material_nuisances(tolerances: Tolerances, stated: bool) -> tuple[Parameter, ...]:
+    """Return what may be wrong with the cutting coefficients of a limit: their size, and radial over tangential."""
+    sd = max(tolerances.coefficients, RULES.exact)
+    of = "force_coefficients", stated
+    size, ratio = "cutting coefficients, all together", "radial over tangential coefficient"
+    return (
+        Parameter("coefficients", "%", 0.0, 0.5 * sd, -0.9, 9.0, sd, 100.0, *of, size),
+        Parameter("radial", "%", 0.0, 0.5 * sd, -0.9, 4.0, sd, 100.0, *of, ratio),
+    )
+
+
+def material_of(given: CuttingCoefficients, values: Values) -> CuttingCoefficients:
+    """Return the cutting coefficients of a set of values."""
+    grown, ratio = 1.0 + values.get("coefficients", 0.0), 1.0 + values.get("radial", 0.0)
+    return replace(given, Ktc=given.Ktc * grown, Krc=given.Krc * grown * ratio, Kac=given.Kac * grown)
 
 
 def _limit(condition: Condition) -> Limit:
     return _known(condition).limit
 
 
-def _known(condition: Condition) -> _Known:
-    assert isinstance(condition.data, _Known)
+def _known(condition: Condition) -> KnownLimit:
+    assert isinstance(condition.data, KnownLimit)
     return condition.data
 
 
@@ -450,26 +455,32 @@ def limit_family(
     )
 
 
-def _corrected(plain: CuttingLimits, limit: Limit) -> _Known:
-    """Compare the converged limit of the baseline with its zero-order limit; both are one where there is none."""
-    depth, frequency = plain.limits_at(limit, {})
-    if not depth.size:
-        return _Known(limit, 1.0, 1.0)
-    arc = limit.arc or plain.arc
-    found = limit_depth(plain.machine, plain.tool, arc, plain.coefficients, limit.spindle_speed)
-    if not math.isfinite(found.limit_depth_mm):
-        return _Known(limit, 1.0, 1.0)
-    return _Known(
+def _corrected(plain: CuttingLimits, limit: Limit) -> KnownLimit:
+    """Compare the converged limit of the baseline with its zero-order limit."""
+    cut = plain.tool, limit.arc or plain.arc, plain.coefficients
+    return corrected(limit, plain.limits_at(limit, {}), partial(limit_depth, plain.machine, *cut, limit.spindle_speed))
+
+
+def corrected(limit: Limit, zero_order: tuple[Real, Real], converged: Callable[[], LimitDepth]) -> KnownLimit:
+    """Return a limit with what its converged prediction is of the zero-order one; both are one where there is none.
+
+    `zero_order` holds depths [m], the shallowest first, and frequencies [Hz].
+    """
+    depth, frequency = zero_order
+    found = converged() if depth.size else None
+    if found is None or not math.isfinite(found.limit_depth_mm):
+        return KnownLimit(limit, 1.0, 1.0)
+    return KnownLimit(
         limit, 1e-3 * found.limit_depth_mm / float(depth[0]), found.chatter_frequency_Hz / float(frequency[0])
     )
 
 
-def _condition(known: _Known, more: dict[str, float | str]) -> Condition:
+def _condition(known: KnownLimit, more: dict[str, float | str]) -> Condition:
     limit = known.limit
     settings = {"spindle_speed": limit.spindle_speed, "feed_per_tooth": limit.feed_per_tooth, **more}
     if limit.depth is None:
         return Condition(limit.words, settings, None, "", known)
-    return Condition(limit.words, settings, known.whitened(limit.depth, known.comparable_frequency or 0.0), "", known)
+    return Condition(limit.words, settings, known.measured(), "", known)
 
 
 def further(limits: Sequence[Limit]) -> tuple[Limit, ...]:

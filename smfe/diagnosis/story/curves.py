@@ -21,6 +21,9 @@ from smfe.diagnosis.cutting.forces import CuttingForces, turned
 from smfe.diagnosis.cutting.limits import CuttingLimits
 from smfe.diagnosis.cutting.orders import CuttingOrders
 from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
+from smfe.diagnosis.evidence.cuts import CutAtAxis
+from smfe.diagnosis.evidence.family import AxisEvidence
+from smfe.diagnosis.evidence.moves import Record
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import excited_of
@@ -48,6 +51,14 @@ class Kind:
     alike: bool = True  # whether every condition counts alike in an error; else by its size
 
 
+COMPLIANCE = Kind("compliance", "m/N", "frequency", "Hz", "measurements")
+DRIVE_FORCE = Kind("drive_force", "N", "time", "s", "moves", alike=False)
+CUTTING_FORCE = Kind("cutting_force", "N", "angle", "deg", "cuts")
+LIMIT_DEPTH = Kind("limit_depth", "mm", "spindle_speed", "rpm", "limits")
+HALF_RECORD = Kind("drive_force", "N", "time", "s", "halves of drive records", alike=False)
+KINDS = (COMPLIANCE, DRIVE_FORCE, HALF_RECORD, CUTTING_FORCE, LIMIT_DEPTH)
+
+
 @dataclass(frozen=True)
 class Curve:
     """A condition in the units of its measurement."""
@@ -58,43 +69,43 @@ class Curve:
     predict: Callable[[Prediction], Complex | Real]  # from what a model predicts, (n, entries)
     velocity: Real | None = None  # of a moving axis [m/s], (n,)
     counts: NDArray[np.bool_] | None = None  # what counts in the error, (n, entries); None: all
-
-
-COMPLIANCE = Kind("compliance", "m/N", "frequency", "Hz", "measurements")
-DRIVE_FORCE = Kind("drive_force", "N", "time", "s", "moves", alike=False)
-CUTTING_FORCE = Kind("cutting_force", "N", "angle", "deg", "cuts")
-LIMIT_DEPTH = Kind("limit_depth", "mm", "spindle_speed", "rpm", "limits")
+    kind: Kind = COMPLIANCE
 
 
 def with_curves(family: Family, finding: Finding) -> Finding:
-    """Return a finding with its curves, the error of each condition, and that of all; as it is where none is known."""
-    kind = _kind(family)
+    """Return a finding with its curves, the error of each condition, and that of all; as it is where none is known.
+
+    Where an axis has more evidence than compliances the curves are those of the compliances; errors are of everything.
+    """
     known = [(c, curve) for c in finding.compared if (curve := _curve(family, c.condition)) is not None]
-    if kind is None or not known:
+    if not known:
         return finding
     rows = [(c, curve, _pairs(c)) for c, curve in known]
     rows = [row for row in rows if row[2]]
     misfits = {m.name: m for m in finding.conditions}
-    sums: dict[str, list[tuple[float, float, float]]] = {"set aside": [], "left out in turn": [], "fitted": []}
+    sums: dict[tuple[str, str], list[tuple[float, float, float]]] = {
+        (k.of, tested): [] for k in KINDS for tested in ("set aside", "left out in turn", "fitted")
+    }
     for c, curve, pairs in rows:
         before, after = _squares(curve, pairs)
         whole = _square(curve, curve.measured)
-        size = 1.0 if kind.alike else whole
+        size = 1.0 if curve.kind.alike else whole
         name, unseen = c.condition.name, bool(c.unseen)
-        sums["set aside" if c.held_out else "left out in turn" if unseen else "fitted"].append(
-            (size * before / whole, size * after / whole, size)
-        )
+        tested = "set aside" if c.held_out else "left out in turn" if unseen else "fitted"
+        sums[curve.kind.of, tested].append((size * before / whole, size * after / whole, size))
         misfits[name] = replace(
             misfits[name], error_before=(before / whole) ** 0.5, error_after=(after / whole) ** 0.5, unseen=unseen
         )
     errors = tuple(
-        ModelError(kind.of, len(found), tested, *(_root_mean(found, k) for k in (0, 1)))
-        for tested, found in sums.items()
+        ModelError(of, len(found), tested, *(_root_mean(found, k) for k in (0, 1)))
+        for (of, tested), found in sums.items()
         if found
     )
     conditions: tuple[ConditionMisfit, ...] = tuple(misfits[m.name] for m in finding.conditions)
+    kind = rows[0][1].kind
+    drawn = [row for row in rows if row[1].kind is kind]
     return replace(
-        finding, conditions=conditions, errors=errors, curves=_dataset(kind, rows, misfits, bool(finding.causes))
+        finding, conditions=conditions, errors=errors, curves=_dataset(kind, drawn, misfits, bool(finding.causes))
     )
 
 
@@ -167,19 +178,13 @@ def _dataset(
 # --- Of each family.
 
 
-def _kind(family: Family) -> Kind | None:
-    if isinstance(family, MachineFrfs | ModalFrfs):
-        return COMPLIANCE
-    if isinstance(family, DriveRecordFamily):
-        return DRIVE_FORCE
-    if isinstance(family, CuttingForces):
-        return CUTTING_FORCE
-    return LIMIT_DEPTH if isinstance(family, CuttingLimits) else None
-
-
 def _curve(family: Family, condition: Condition) -> Curve | None:
     if condition.observed is None:
         return None
+    if isinstance(family, AxisEvidence) and isinstance(condition.data, Record):
+        return _half_record(family, condition.data)
+    if isinstance(family, AxisEvidence) and isinstance(condition.data, CutAtAxis):
+        return _limit_at_axis(family, condition.data)
     if isinstance(family, MachineFrfs | ModalFrfs):
         return _compliance(condition, condition.observed)
     if isinstance(family, DriveRecordFamily) and isinstance(condition.data, ForceData):
@@ -189,6 +194,34 @@ def _curve(family: Family, condition: Condition) -> Curve | None:
     if isinstance(family, CuttingLimits):
         return _limit_depth(family, condition)
     return None
+
+
+def _half_record(family: AxisEvidence, record: Record) -> Curve | None:
+    moves = [m.data for m in record.moves if isinstance(m.data, ForceData)]
+    if family.moves is None or not moves:
+        return None
+    axis, own = family.moves, family.moves.family
+    each = [_drive_force(own, data) for data in moves]
+
+    def predicted(p: Prediction) -> Real:
+        values = axis.values(p.values)
+        return np.concatenate([own.force(data, values)[own.model.whitener.order :, None] for data in moves])
+
+    over, measured = (np.concatenate(x) for x in zip(*((c.over, c.measured) for c in each), strict=True))
+    return Curve(over, measured, ("force",), predicted, kind=HALF_RECORD)
+
+
+def _limit_at_axis(family: AxisEvidence, cut: CutAtAxis) -> Curve | None:
+    cuts, depth = family.cuts, cut.limit.depth
+    if cuts is None or depth is None:
+        return None
+
+    def predicted(p: Prediction) -> Real:
+        found = cuts.depth(cut, p.values)
+        return np.array([[1e3 * found if np.isfinite(found) else 0.0]])
+
+    speed = np.array([cut.limit.spindle_speed])
+    return Curve(speed, np.array([[1e3 * depth]]), ("depth",), predicted, kind=LIMIT_DEPTH)
 
 
 def _compliance(condition: Condition, observed: Real) -> Curve:
@@ -214,6 +247,7 @@ def _drive_force(family: DriveRecordFamily, data: ForceData) -> Curve:
         ("force",),
         lambda p: family.force(data, p.values)[begin:, None],
         velocity,
+        kind=DRIVE_FORCE,
     )
 
 
@@ -223,7 +257,10 @@ def _cutting_force(family: CuttingForces, found: CuttingOrders) -> Curve:
     def force(orders: Complex) -> Real:
         return np.asarray((wave @ np.where(found.used, orders, 0.0)).real)
 
-    return Curve(ANGLES, force(found.value), AXES, lambda p: force(turned(family.orders(found, p.values), found)))
+    def predicted(p: Prediction) -> Real:
+        return force(turned(family.orders(found, p.values), found))
+
+    return Curve(ANGLES, force(found.value), AXES, predicted, kind=CUTTING_FORCE)
 
 
 def _limit_depth(family: CuttingLimits, condition: Condition) -> Curve | None:
@@ -234,4 +271,4 @@ def _limit_depth(family: CuttingLimits, condition: Condition) -> Curve | None:
     def predicted(p: Prediction) -> Real:
         return np.array([[1e3 * family.depth(condition, p.values)]])
 
-    return Curve(np.array([speed]), np.array([[1e3 * depth]]), ("depth",), predicted)
+    return Curve(np.array([speed]), np.array([[1e3 * depth]]), ("depth",), predicted, kind=LIMIT_DEPTH)

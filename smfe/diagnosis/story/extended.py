@@ -27,9 +27,10 @@ from smfe.campaign.datasets import PREFIX
 from smfe.campaign.toml import document
 from smfe.diagnosis.cases.known import written
 from smfe.diagnosis.cutting.forces import CuttingForces
-from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
+from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, material_of
 from smfe.diagnosis.cutting.rigid import tooth_radii
 from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.evidence.family import AxisEvidence
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import Side
 from smfe.diagnosis.frf.modes import ModalFrfs
@@ -177,6 +178,8 @@ def _write_axis(draft: _Draft, campaign: Campaign, family: MachineFrfs, values: 
     draft.tables["baseline"] = table
     held = ("guideway_friction", "friction_asymmetry", "servo_gains", "loop_delay")
     draft.held |= {c.key for c in family.causes if c.id in held}
+    if isinstance(family, AxisEvidence) and family.cuts is not None:
+        _put_material(draft, material_of(family.cuts.coefficients, values))
 
 
 def _friction(sides: tuple[Side, Side]) -> dict[str, Any]:

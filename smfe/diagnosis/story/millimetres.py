@@ -27,7 +27,7 @@ from process.machine.modes import ModalModel
 from process.types import Real
 from smfe.campaign import Campaign
 from smfe.diagnosis.cutting.forces import CuttingForces
-from smfe.diagnosis.cutting.limits import CuttingLimits, Limit
+from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, material_of
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
@@ -118,7 +118,7 @@ def depths_of(
     if lost:
         return None, f"No depth in millimetres: the campaign has no {', no '.join(lost)}."
     if isinstance(family, MachineFrfs):
-        return _of_axis(campaign, family.baseline), ""
+        return _of_axis(campaign, family), ""
     if isinstance(family, CuttingLimits):
         return _of_limits(campaign, family), ""
     if isinstance(family, ModalFrfs):
@@ -234,14 +234,15 @@ def _with_neighbours(depth: Sequence[float]) -> Real:
 # --- Of each family.
 
 
-def _of_axis(campaign: Campaign, baseline: AxisBaseline) -> Depths:
-    tool, material = _cut_of(campaign)
+def _of_axis(campaign: Campaign, family: MachineFrfs) -> Depths:
+    tool, given = _cut_of(campaign)
+    baseline = family.baseline
     start = {p.name: p.start for p in (*baseline.nuisances(), *(p for c in baseline.causes() for p in c.parameters))}
     axis, high = baseline.axis, _REACH * baseline.drive.locked_frequency
     controller = _controller(campaign, baseline)
 
     def depths(values: Values | None, a: Asked) -> list[float]:
-        found = []
+        found, material = [], material_of(given, values or {})
         for rpm in a.speeds:
             feed = a.feed_per_tooth * tool.teeth * rpm / 60.0
             point = baseline.machine(baseline.effective(start if values is None else values, {}, feed)).at(
