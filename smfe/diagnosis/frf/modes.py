@@ -113,6 +113,9 @@ class ModalFrfs(Abilities):
             for r, name in zip(self._own, self._names["damping_place"], strict=True):
                 more = (DAMPING_OVER_PLACE / self._reach, 100.0, "", True, f"change of the damping of mode {r + 1}")
                 found.append(Parameter(name, "%/m", 0.0, 0.05, -0.9 / self._reach, 9.0 / self._reach, *more))
+        prior = DAMPING_OF_PLACE * DAMPING_OVER_PLACE
+        for names in self._damping_at.values():
+            found += [Parameter(name, "%", 0.0, 0.02, -0.5, 0.5, prior, 100.0) for name in names]
         return (*found, *sensor_nuisances(self.tolerances))
 
     def _of_mode(self, r: int) -> list[Parameter]:
@@ -237,24 +240,12 @@ class ModalFrfs(Abilities):
                     full[:, r, e] = without_own_noise(seen[:, n], expected[:, r, e])
                     if (excitation, response) not in excited.entries:
                         full[:, e, r] = full[:, r, e]
-            errors = np.concatenate([errors_of_condition(excited, full, self.tolerances), self._loss_of_place(c)])
+            errors = errors_of_condition(excited, full, self.tolerances)
             known = errors if excited.shared is None else np.concatenate([excited.shared, errors])
             wider = replace(excited, shared=known)
             found.append(replace(c, data=wider, observed=None if seen is None else wider.whitened(seen)))
         count = len(self.conditions)
         return replace(self, conditions=tuple(found[:count]), proposals=tuple(found[count:]))
-
-    def _loss_of_place(self, condition: Condition) -> Complex:
-        """Return what the damping of each mode may be off at a place other than the first, (m, f, entries)."""
-        excited = excited_of(condition)
-        rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
-        if self._place(condition) == 0.0 or "free_mass" in condition.settings:
-            return np.zeros((0, excited.frequency.size, len(rows)), dtype=complex)
-        off, m = DAMPING_OF_PLACE * DAMPING_OVER_PLACE, self.model
-        ratio = excited.frequency[:, None] / m.frequency
-        own = 1.0 - ratio**2 + 2j * m.damping * ratio
-        change = -2j * off * m.damping * ratio / (own**2 * m.stiffness)
-        return np.array([change[:, r, None] * (m.direction[r, rows] * m.direction[r, columns]) for r in self._own])
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
@@ -346,6 +337,8 @@ class ModalFrfs(Abilities):
         )
         for r, by in zip(self._own, names["damping_place"], strict=True):
             damping[r] *= max(1.0 + place * values.get(by, 0.0), 0.01)
+        for r, by in zip(self._own, self._damping_at.get(place, ()), strict=False):
+            damping[r] *= 1.0 + values.get(by, 0.0)
         mode: tuple[float, ...] = ()
         if (size := values.get("mode_compliance", 0.0)) > 0.0:
             # Spherical angles: the elevation first.
@@ -437,6 +430,12 @@ class ModalFrfs(Abilities):
         rows, columns = np.triu_indices(own.size, diagonal)
         out[own[rows], own[columns]] = np.sum(acting, axis=0)
         return out
+
+    @cached_property
+    def _damping_at(self) -> dict[float, tuple[str, ...]]:
+        """Place other than the first -> names of what the damping of each mode of its own is off there."""
+        places = sorted({self._place(c) for c in self.conditions} - {0.0})
+        return {p: tuple(f"damping_{r + 1}_at_{n}" for r in self._own) for n, p in enumerate(places, 2)}
 
     @cached_property
     def _names(self) -> dict[str, tuple[str, ...]]:

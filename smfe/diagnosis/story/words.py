@@ -181,6 +181,8 @@ def _known(name: str) -> str:
         return f"place of the joint, angle {found[2]}"
     if (found := re.fullmatch(r"(\w+?)_(\d)(\d)", name)) and found[1] in _MATRIX:
         return f"{_MATRIX[found[1]]}, mode {found[2]}" + (f" with {found[3]}" if found[2] != found[3] else "")
+    if found := re.fullmatch(r"damping_(\d+)_at_(\d+)", name):
+        return f"change of the damping of mode {found[1]} at place {found[2]} by itself"
     if (found := re.fullmatch(r"(\w+?)_(\d+)", name)) and found[1] in _MODE:
         return _MODE[found[1]].format(found[2])
     if (found := re.fullmatch(r"(\w+)_([xyztra]{1,2})", name)) and found[1] in _SENSOR:
