@@ -87,14 +87,20 @@ def schemes(conditions: Sequence[Condition], rows: Sequence[int]) -> list[Scheme
     return [*(s for s in found if sorted(s) != sorted(single)), single]
 
 
-def usable(model: Model, target: Target, fit: Fit, causes: Sequence[int]) -> list[Scheme]:
-    """Return the schemes, without folds that test nothing, that put some causes of a fit to the test; maybe none."""
+def usable(
+    model: Model, target: Target, fit: Fit, causes: Sequence[int], groups: Sequence[Sequence[int]] = ()
+) -> list[Scheme]:
+    """Return the schemes, without folds that test nothing, that put some causes of a fit to the test; maybe none.
+
+    So they do with groups of other parameters, by their numbers.
+    """
     slope, _ = stacked(model, target, fit.free, fit.u, fit.residual, fit.slope)
     sizes = [y.size for y in target.observed.values()]
     rows = dict(zip(target.observed, np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1]), strict=True))
     basis = orthonormal(slope)
     grams = {r: basis[mine].T @ basis[mine] for r, mine in rows.items()}
-    effects = [_effect(model, fit, k, slope, rows) for k in causes]
+    tested = [*(model.of_cause[k] for k in causes), *map(np.array, groups)]
+    effects = [_effect(fit, np.isin(fit.free, own), slope, rows) for own in tested]
     every = [
         _testing(scheme, grams, basis.T @ basis, effects) for scheme in schemes(model.conditions, list(target.observed))
     ]
@@ -115,9 +121,8 @@ def _testing(scheme: Scheme, grams: Mapping[int, Real], whole: Real, effects: Se
     return tuple(kept) if enough and tested else ()
 
 
-def _effect(model: Model, fit: Fit, k: int, slope: Real, rows: Mapping[int, NDArray[np.int64]]) -> dict[int, float]:
-    """Squares of the fitted effect of a cause beyond the other parameters, by condition."""
-    own = np.isin(fit.free, model.of_cause[k])
+def _effect(fit: Fit, own: NDArray[np.bool_], slope: Real, rows: Mapping[int, NDArray[np.int64]]) -> dict[int, float]:
+    """Squares of the fitted effect of some parameters beyond the others, by condition."""
     effect = slope[:, own] @ fit.u[fit.free][own]
     basis = orthonormal(slope[:, ~own])
     effect = effect - basis @ (basis.T @ effect)

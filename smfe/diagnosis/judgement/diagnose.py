@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from process.errors import InputError
 from process.types import Complex, Real
-from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, compare, unseen
+from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, compare, unseen, usable, within
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.inference.model import Model
@@ -53,7 +54,9 @@ def diagnose(
 
     Where the data of a family rest on a simulation (`Family.prepares_data`) and a cause was found, they are prepared
     once more, with that cause, and searched again from the fits that are known by then; a third time if that search
-    finds other causes. Where the data contradict what was declared, that is released and all searched once more.
+    finds other causes. Where the data contradict what was declared, that is released and all searched once more; it
+    stays so if conditions that no fit uses bear it out. What was declared wrongly also stands in for causes that fit no
+    better for their parameters.
 
     Parameters
     ----------
@@ -105,9 +108,21 @@ def diagnose(
             again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)
             again.known = dict(bench.fits)
             if again.null().converged:
-                bench, taken = again, [s for s in steps if s.accepted]
-                at, steps = search(bench, begin=at.causes)
-                steps = [*taken, *steps]
+                found, more = search(again, begin=at.causes)
+                if _borne_out(again, found, declared):
+                    bench, at, steps = again, found, [*(s for s in steps if s.accepted), *more]
+                else:
+                    declared = []
+        elif at.causes and (declared := _contradicted(bench, bench.null(), worth)):
+            # What was declared wrongly may do what the causes found do, with fewer parameters.
+            again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)
+            found = again.null()
+            count = sum(len(r.values[0]) for r in declared)
+            better = found.chi2 + RULES.penalty * count < at.chi2 + charge(bench.model, at.causes)
+            if found.converged and better and _borne_out(again, found, declared):
+                bench, at, steps = again, found, []
+            else:
+                declared = []
         return _finding(bench, apart, at, steps, declared, worth)
 
 
@@ -119,6 +134,29 @@ def _contradicted(bench: Bench, at: Fit, worth: Worth) -> list[Released]:
         return worth.of_causes(bench.model, rows, before, after, given in MEASURED)
 
     return contradicted(bench.model, bench.target, at, size, worth.material)
+
+
+def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
+    """Whether conditions left out bear out that what was declared is not so, all other causes being as they are.
+
+    A fit whose model is a little off moves what it may: that fits, and predicts nothing. Values within their own
+    intervals of what was declared, and those that only blocks of values test, have to be proven as a cause has; others
+    to predict no worse than what was declared.
+    """
+    before = _as_given(bench, released)
+    as_given = before.extend(before.null(), at.causes)
+    groups = [list(r.values[0]) for r in released]
+    chosen = tuple(usable(bench.model, bench.target, at, at.causes, groups))
+    smaller, larger = (
+        b.held_out(f, chosen) if chosen else within(b.model, b.target, f) for b, f in ((before, as_given), (bench, at))
+    )
+    if not as_given.converged or smaller is None or larger is None:
+        return True
+    gain = compare(smaller, larger, bench.rng(12, len(at.causes)))
+    gain = gain if chosen else replace(gain, held_out="blocks of values")
+    sd = dict(zip(at.free.tolist(), deviations(bench, at, None).tolist(), strict=True))
+    beyond = any(abs(at.u[j]) > RULES.interval * sd[j] for r in released for j in r.values[0])
+    return gain.db > 0.0 if beyond and chosen else gain.proven
 
 
 def _prepared(
@@ -195,7 +233,8 @@ def _finding(
         values_before=model.values(before.null().u),
         given=_given(bench, at, {g for r in released for g in r.given}, worth),
         immaterial=(
-            *_declared(bench, off, worth),
+            # One that is large and not borne out is neither wrong nor too small to matter.
+            *(c for c in _declared(bench, off, worth) if c.size is not None and c.size < worth.material),
             *(_found(bench, judged.refused or at, k, judged, worth) for k in judged.immaterial),
         ),
         material=worth.material,

@@ -18,6 +18,9 @@ Columns = Mapping[str, Real]
 MATERIAL = 0.05
 """Relative change of the limit depth, or of the force, from which an effect matters."""
 
+CLEARLY = 1.4
+"""Times that which an effect costs at least: one that costs just as much is found too small in half of all cases."""
+
 LARGEST = 30.0
 """An effect is raised up to this many times the size that must be found until it is material."""
 
@@ -54,10 +57,10 @@ class Hiding:
 def raised(
     size: float, cost: Callable[[float], float], switch: bool = False, largest: float = LARGEST
 ) -> tuple[float, float]:
-    """Return a size, made larger by 12 % at a time until it costs `MATERIAL`, and what it then costs."""
+    """Return a size, made larger by 12 % at a time until it clearly costs what is material, and what it then costs."""
     most = largest * abs(size)
     now = cost(size)
-    while not switch and now < MATERIAL and abs(size) * 1.12 < most:
+    while not switch and now < CLEARLY * MATERIAL and abs(size) * 1.12 < most:
         size *= 1.12
         now = cost(size)
     return size, now
