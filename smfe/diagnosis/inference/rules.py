@@ -51,6 +51,8 @@ class InferenceRules:
     promising: float = 0.3  # share of the threshold, to first order, from which a cause is fitted
     least_tried: int = 3  # causes that are fitted in any case
     nonlinear: float = 0.1  # share of a gain by which a fit may differ from its linearisation
+    outdone: float = 0.5
+    """Share of what a cause that explains most has explained, below which another is not fitted, to first order."""
     worth_a_pair: float = 0.6  # share of the threshold, to first order, from which a pair is fitted
     shapes: int = 2  # shapes of a cause from which it is fitted
     close: float = 5.0  # chi-square below the threshold from which a cause is looked at

@@ -129,7 +129,7 @@ class Bench:
     def _extended(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit:
         """Fit a hypothesis that has causes more, from all its starts."""
         begun = self._begun(at, causes, added, most)
-        if begun is not None and begun.chi2 <= self.explained(at) < at.chi2:
+        if begun is not None and (begun.chi2 <= self.explained(at) < at.chi2 or self.leads(at, begun)):
             return begun
         shapes = list(product(*([s for s in self.tangent(at).signatures if s.cause == k] for k in added)))
         gains = [combined_gain(self.model, self.tangent(at), s) for s in shapes]
@@ -167,6 +167,12 @@ class Bench:
             if gained > 0.0 and (hopeful or (most > explained and RULES.part * needed < gained < needed)):
                 trials.append(fit(self.model, self.target, causes, best.u, most=most))
         return min([*found, *trials], key=_order)
+
+    def leads(self, at: Fit, found: Fit) -> bool:
+        """Whether a fit with a cause that the data were seen to fit with explains most of what is more than noise."""
+        seen = any(self.model.causes[k].begin for k in found.causes if k not in at.causes)
+        values = float(sum(y.size for y in self.target.observed.values()))
+        return seen and found.converged and at.chi2 - found.chi2 >= RULES.named_share * max(at.chi2 - values, 1.0)
 
     def _begun(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit | None:
         """Fit from where a cause brings all that competes with it; None where none of them does."""

@@ -70,6 +70,9 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
     promising = _promising(bench, at, others, bench.threshold(at))
     bench.planned = len(bench.fits) + len(promising) + RULES.most_pairs
     for k in promising:
+        led = max((at.chi2 - f.chi2 for f, _ in found if bench.leads(at, f)), default=0.0)
+        if led > 0.0 and bench.first_order(at, (k,)) < RULES.outdone * led:
+            continue
         most = min((f.chi2 + RULES.far for f, _ in found if f.converged), default=np.inf)
         found.append((bench.extend(at, (k,), min(most, _passing(bench, at, (k,), bench.threshold(at)))), (k,)))
     at = _settled(bench, at, [f for f, _ in found if f.converged])

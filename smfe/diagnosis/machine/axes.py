@@ -128,10 +128,14 @@ def _of_guideway(axis: str, declared: DeclaredAxis) -> list[Parameter]:
     prior = math.hypot(0.5 * slope, RULES.viscous_share * gain)
     found = [Parameter(f"viscous_{axis}", "N s/m", slope, 0.01 * gain, 0.0, 10.0 * (slope + gain), prior)]
     pushed = 1.0 / declared.moving_mass
+    # Shaking acts by its square: by its speed itself nothing would change about zero, and fits would stick there.
+    square = pushed**2
     found += [
         Parameter(f"contact_loss_{axis}", "%", RULES.loss[0], 0.02, 0.0, 2.0, RULES.loss[1], 100.0),
         Parameter(f"contact_slip_{axis}", "%", 0.0, 0.02, 0.0, 0.6, RULES.slip, 100.0),
-        Parameter(f"stir_{axis}", "mm/min per N s", 0.5 * pushed, 0.1 * pushed, 0.0, 3.0 * pushed, 0.5 * pushed, 6e4),
+        Parameter(
+            f"stir_{axis}", "(mm/min per N s)^2", 0.25 * square, 0.1 * square, 0.0, 9.0 * square, 0.5 * square, 6e4**2
+        ),
         Parameter(f"push_{axis}", "mm/min per N s", 0.0, 0.1 * pushed, -3.0 * pushed, 3.0 * pushed, pushed, 6e4),
     ]
     if sides is None or not declared.sticks:
@@ -185,7 +189,7 @@ def slide(
     hold, loss, fall, rate = 0.0, 0.0, 0.0, 0.0
     slips = min(values[f"contact_slip_{axis}"] * abs(level), 0.9)
     speed = max(abs(feed) + math.copysign(level, feed) * values[f"push_{axis}"], RULES.slowest * abs(feed))
-    stirred = level * values[f"stir_{axis}"]
+    stirred = level * math.sqrt(max(values[f"stir_{axis}"], 0.0))
     share = 1.0 + (apart if way == 0 else -apart)
     if declared.sticks and known is not None:
         hold = (1.0 - slips) / values[f"contact_{axis}"]

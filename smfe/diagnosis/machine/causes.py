@@ -14,14 +14,14 @@ from smfe.diagnosis.inference.problem import Cause, Parameter
 from smfe.diagnosis.machine.axes import DeclaredAxis
 
 
-def axis_causes(axes: Mapping[str, DeclaredAxis]) -> tuple[Cause, ...]:
-    """Return what guideways may do that the baseline does not say."""
+def axis_causes(axes: Mapping[str, DeclaredAxis], slowest: float = 0.0) -> tuple[Cause, ...]:
+    """Return what guideways may do that the baseline does not say, seen at feeds from the slowest on [m/s]."""
     smooth = [a for a, axis in axes.items() if not axis.sticks]
     found = []
     if smooth:
         starts = tuple(tuple(np.repeat((0.7, 100.0, v), len(smooth)).tolist()) for v in (4e-3, 1e-2))
         title = "guideways that hold the slides at rest, and friction that falls with speed"
-        parameters = (*(_hold(a) for a in smooth), *(_fall(a) for a in smooth), *(_speed(a) for a in smooth))
+        parameters = (*(_hold(a) for a in smooth), *(_fall(a) for a in smooth), *(_speed(a, slowest) for a in smooth))
         found.append(Cause("guideway_friction", title, parameters, "stribeck", starts=starts))
     if axes:
         apart = tuple(
@@ -42,5 +42,7 @@ def _fall(axis: str) -> Parameter:
     return Parameter(f"fall_{axis}", "N", 0.0, 20.0, 0.0, 1e5)
 
 
-def _speed(axis: str) -> Parameter:
-    return Parameter(f"stribeck_speed_{axis}", "mm/min", 6e-3, 2e-3, 5e-4, 0.1, shown=6e4, secondary=True)
+def _speed(axis: str, slowest: float) -> Parameter:
+    # Friction that has fallen long before the slowest feed is not seen: any force would do, and no fit of it ends.
+    low = min(max(slowest / 3.0, 5e-4), 4e-3)
+    return Parameter(f"stribeck_speed_{axis}", "mm/min", 6e-3, 2e-3, low, 0.1, shown=6e4, secondary=True)

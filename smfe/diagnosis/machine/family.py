@@ -82,7 +82,9 @@ class MachineOfAxes(ModalFrfs):
             for c in super().causes
             if c.id not in OF_DECLARED and not any(p.name in own for p in c.parameters)
         ]
-        driven = [replace(c, begin=self.with_cause.get(c.key, {})) for c in axis_causes(self.axes)]
+        feeds = [abs(v) for c in self.conditions for v in self._feed(c).values() if v]
+        seen = axis_causes(self.axes, min(feeds, default=0.0))
+        driven = [replace(c, begin=self.with_cause.get(c.key, {})) for c in seen]
         every = (*driven, *modal)
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 

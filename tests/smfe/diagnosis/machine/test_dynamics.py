@@ -15,6 +15,7 @@ from process.machine.structure import released_modes
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.frf.modal_dynamics import Shaken, full_compliance, unchanged
 from smfe.diagnosis.machine.axes import DeclaredAxis, Gains, nuisances, sides_of, slide
+from smfe.diagnosis.machine.causes import axis_causes
 from smfe.diagnosis.machine.dynamics import Slide, bounded, moving_compliance, unbounded
 
 Real = NDArray[np.float64]
@@ -74,6 +75,35 @@ def test_friction_is_linearised_as_bristles_are() -> None:
         expected = machine.at(feed).matrix(F)
         found = moving_compliance(unchanged(MODES), ride, F, SMALL)
         assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_shaking_averages_the_friction_curve_over_the_speeds_it_makes() -> None:
+    """In proportion to its square where there is little of it, so that fits that begin without it find it."""
+    law = LuGre(9e8, 0.0, 2000.0, 2600.0, 8e-3, 3000.0)
+    declared = DeclaredAxis(900.0, {}, sides_of(law), law.stiffness)
+    still = {p.name: p.start for p in nuisances({"x": declared}, Tolerances())} | {"stir_x": 0.0, "push_x": 0.0}
+    feed, phase = 200.0 / 6e4, np.linspace(0.0, 2.0 * math.pi, 400, endpoint=False)
+
+    def fall(speed: float) -> float:
+        values = still | {"stir_x": speed**2}
+        return slide(0, "x", declared, values, (), feed, "", 1.0).fall
+
+    for speed in (0.0, 2e-3, 6e-3):
+        curve = -600.0 / 8e-3 * np.exp(-(feed + speed * np.cos(phase)) / 8e-3)
+        assert fall(speed) == pytest.approx(float(curve.mean()), rel=1e-9)
+    assert (fall(2e-4) - fall(0.0)) / (fall(1e-4) - fall(0.0)) == pytest.approx(4.0, rel=1e-3)
+
+
+def test_friction_that_has_fallen_before_the_slowest_feed_is_not_looked_for() -> None:
+    """Any force would do, of which nothing is seen."""
+    axes = {"x": DeclaredAxis(900.0, {"K1": Gains(1e5, 22e-3, 22.0, 1.5e-3)})}
+    lows = []
+    for slowest in (0.0, 200.0 / 6e4, 1e-2, 0.1):
+        (friction,) = axis_causes(axes, slowest)
+        speed = next(p for p in friction.parameters if p.name == "stribeck_speed_x")
+        lows.append(speed.low)
+        assert all(speed.low <= start[2] <= speed.high for start in friction.starts)
+    assert lows == pytest.approx([5e-4, 200.0 / 6e4 / 3.0, 1e-2 / 3.0, 4e-3])
 
 
 def test_a_rigid_contact_leaves_the_modes_at_rest_alone() -> None:
