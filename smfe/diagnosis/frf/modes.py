@@ -237,7 +237,7 @@ class ModalFrfs(Abilities):
             if seen is not None:
                 for n, (response, excitation) in enumerate(excited.entries):
                     r, e = AXES.index(response), AXES.index(excitation)
-                    full[:, r, e] = without_own_noise(seen[:, n], expected[:, r, e])
+                    full[:, r, e] = without_own_noise(seen[:, n], excited.std[:, n], expected[:, r, e])
                     if (excitation, response) not in excited.entries:
                         full[:, e, r] = full[:, r, e]
             errors = errors_of_condition(excited, full, self.tolerances)

@@ -166,16 +166,21 @@ def errors_of_condition(excited: Excited, full: Complex, tolerances: Tolerances)
     return np.array(used).reshape(-1, *seen.shape)
 
 
-def without_own_noise(seen: Complex, expected: Complex) -> Complex:
-    """Return measured values, (f, ...), each of which is what is expected there and what its neighbours are beside it.
+def without_own_noise(seen: Complex, std: Real, expected: Complex) -> Complex:
+    """Return measured values, (f, ...), without what of them may be the noise of their own line.
 
     An error that all lines share goes with the true compliance. Taken in proportion to the measured one it goes with
     its noise as well, which costs less then if the error is there and the compliance larger than the model's: each of
     n lines pulls the model down by the square of the error, of 1 % and 1000 lines by a tenth (D'Agostini, Nucl.
-    Instrum. Methods A 346, 1994).
+    Instrum. Methods A 346, 1994). A line is therefore taken as what is expected there and what its neighbours are
+    beside it; what it differs from that counts by how far it exceeds its noise, ``1 - (RULES.own_noise / d)^2`` of ``d``
+    standard deviations `std`: lines further apart than a resonance is wide say nothing of each other.
     """
     away = np.pad(seen - expected, [(1, 1), *[(0, 0)] * (seen.ndim - 1)], mode="reflect")
-    return np.asarray(expected + 0.5 * (away[:-2] + away[2:]))
+    smooth = expected + 0.5 * (away[:-2] + away[2:])
+    beyond = np.abs(seen - smooth) ** 2
+    real = 1.0 - (RULES.own_noise * std) ** 2 / np.maximum(beyond, 1e-300)
+    return np.asarray(smooth + np.maximum(real, 0.0) * (seen - smooth))
 
 
 def errors_along_axis(excited: Excited, seen: Complex, tolerances: Tolerances) -> Complex:
@@ -256,12 +261,14 @@ def with_single_hits(
         each = each[np.isfinite(each).all(axis=(1, 2))]
         if len(each) < RULES.fewest_hits:
             continue
-        mean = compliance["compliance"].sel(response=responses, frequency=excited.frequency, method=None)
+        mean = compliance.sel(response=responses, frequency=excited.frequency, method=None)
         like = expected[:, [AXES.index(r) for r in responses]]
-        full = like.copy()
+        full, error = like.copy(), np.zeros(like.shape)
         for a in set(AXES) & set(axes):
-            full[:, :, AXES.index(a)] = mean.sel(excitation=a).values
-        full = without_own_noise(np.where(np.isfinite(full), full, like), like)
+            full[:, :, AXES.index(a)] = mean["compliance"].sel(excitation=a).values
+            error[:, :, AXES.index(a)] = mean["compliance_std"].sel(excitation=a).values
+        full = np.where(np.isfinite(full), full, like)
+        full = without_own_noise(full, np.where(np.isfinite(error), error, np.inf), like)
         shared, noise = apart(each, excited.frequency, full, AXES.index(axis))
         before, after = (_smooth(np.sum(np.abs(x) ** 2, axis=0)) for x in (each - each.mean(axis=0), noise))
         std[:, rows] *= np.sqrt(np.minimum(after / np.maximum(before, 1e-300), 1.0))
