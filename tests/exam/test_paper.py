@@ -70,7 +70,7 @@ def test_at_rest_and_at_fast_feeds_nothing_is_missed_and_the_next_experiment_is_
     assert float(found.next_experiment.name) <= 250.0
     assert "Stribeck friction of the guideway (static_rise)" in found.next_experiment.expected
     (fast,) = (p.size for p in found.detectable if p.parameter == "static_rise")
-    assert 25.0 < fast < 60.0  # N: what Table 1 has is not seen for sure at these feeds
+    assert fast > 40.0  # N: what Table 1 has is not seen at these feeds, how far the guideway gives way being open
     # With that feed measured, on a machine with Coulomb friction alone, a third of the effect of Table 1 would be seen.
     rubs = replace(Truth().friction, static=Truth().friction.coulomb)
     slow = diagnose(family(measured(replace(Truth(), friction=rubs), *forth(100.0, *FAST)), "coulomb"))

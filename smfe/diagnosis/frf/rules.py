@@ -17,8 +17,8 @@ class FrfRules:
     fewest_hits: int = 3  # hits from which their scatter is known
     shared: float = 2.0  # factor on the variance that hits share: it comes from three or four of them only
     own_noise: float = 3.0
-    """Standard deviations of a line from what its neighbours say of it below which it is taken for noise: of one line in
-    400 (with two neighbours that are as noisy) more is left."""
+    """Standard deviations of a line from what its neighbours say of it below which it is taken for noise: of one line
+    in 400 (with two neighbours that are as noisy) more is left."""
     smooth_lines: int = 15  # lines over which the variance of noise is averaged
     correlated: float = 1.88
     """Variance of second differences over that of independent ones: 1 + 2 (4/9 14/15 + 1/36 13/15)."""

@@ -173,8 +173,8 @@ def without_own_noise(seen: Complex, std: Real, expected: Complex) -> Complex:
     its noise as well, which costs less then if the error is there and the compliance larger than the model's: each of
     n lines pulls the model down by the square of the error, of 1 % and 1000 lines by a tenth (D'Agostini, Nucl.
     Instrum. Methods A 346, 1994). A line is therefore taken as what is expected there and what its neighbours are
-    beside it; what it differs from that counts by how far it exceeds its noise, ``1 - (RULES.own_noise / d)^2`` of ``d``
-    standard deviations `std`: lines further apart than a resonance is wide say nothing of each other.
+    beside it; what it differs from that counts by how far it exceeds its noise, ``1 - (RULES.own_noise / d)^2`` of
+    ``d`` standard deviations `std`: lines further apart than a resonance is wide say nothing of each other.
     """
     away = np.pad(seen - expected, [(1, 1), *[(0, 0)] * (seen.ndim - 1)], mode="reflect")
     smooth = expected + 0.5 * (away[:-2] + away[2:])

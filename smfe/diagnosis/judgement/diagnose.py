@@ -461,11 +461,13 @@ def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> Real:
     labels = family.alike([model.conditions[r] for r in rows])
     shared = {k: np.mean([x for x, label in zip(each, labels, strict=True) if label == k], axis=0) for k in set(labels)}
     slope, wrong = (_real(x) for x in (each, [shared[k] for k in labels]))
+    # Errors of this size, all in what the parameters can imitate. Priors hold what the data hardly know, as in a fit.
+    off = family.model_error * math.sqrt(len(slope) / 2.0 / count)
+    slope = np.concatenate([slope, off * np.diag(model.weight[at.free][moving])])
     size = np.linalg.norm(slope, axis=0)
     size[size == 0.0] = 1.0
     inverse = np.linalg.pinv(slope / size, rcond=RULES.determined) / size[:, None]
-    taken = inverse @ inverse.T @ wrong.T
-    return np.asarray(family.model_error * np.sqrt(len(slope) / 2.0 / count * np.sum(np.square(taken), axis=1)))
+    return np.asarray(off * np.sqrt(np.sum(np.square(inverse @ inverse.T @ wrong.T), axis=1)))
 
 
 def _real(each: Sequence[Complex]) -> Real:

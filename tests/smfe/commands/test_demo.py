@@ -69,11 +69,14 @@ def test_friction_is_named_with_its_gain_on_the_measurement_set_aside(demo: Path
     assert finding["verdict"] == "named"
     (cause,) = finding["causes"]
     assert cause["id"] == "guideway_friction"
-    assert cause["gain_db"] > 30.0
+    assert cause["gain_db"] > 10.0  # of blocks of values, the hits at rest being the only ones that show it
     (apart,) = [e for e in finding["errors"] if e["tested"] == "set aside"]
     assert apart["count"] == 1
     assert 20.0 * np.log10(apart["before"] / apart["after"]) > 20.0
     assert finding["next_experiment"]["minutes"] > 0.0
+    # What the data hardly know is known as well as it was declared, no worse.
+    for given in finding["given"]:
+        assert given["high"] - given["low"] < 4.0 * given["spread"], given["name"]
 
 
 @pytest.mark.slow

@@ -347,7 +347,8 @@ def test_every_verb_knows_the_levels(folder: Path, tmp_path: Path) -> None:
     (found,) = modal(path, tmp_path / "modes.toml", "sweep, 2 mm").values()
     assert len(found.table()) >= 2
     # The level is asked for its modes first. A machine that stiffens hardly has any, and one stable cut bounds nothing.
-    with pytest.raises(InputError, match=r"'sweep, 2 mm' does not give the modes|at 800 rpm every cut was stable"):
+    said = r"'sweep, 2 mm' does not give the modes|every cut was stable|no limit is bracketed"
+    with pytest.raises(InputError, match=said):
         diagnose(path, tmp_path / "finding.json")
 
 
