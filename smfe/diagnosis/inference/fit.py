@@ -136,8 +136,10 @@ class _State:
         return cls(model, target, free, u, residual, misfit(model, target, free, u, residual))
 
     @classmethod
-    def begin(cls, model: Model, target: Target, causes: Sequence[int], start: Real) -> _State:
-        free, u = model.free(causes), np.array(start)
+    def begin(
+        cls, model: Model, target: Target, causes: Sequence[int], start: Real, only: Index | None = None
+    ) -> _State:
+        free, u = model.free(causes) if only is None else only, np.array(start)
         u[free] = np.clip(u[free], model.low[free], model.high[free])
         return cls.at(model, target, free, u)
 
@@ -272,15 +274,17 @@ def fit(
     slope: Mapping[int, Real] | None = None,
     most: float = np.inf,
     loose: float = 0.0,
+    only: Index | None = None,
 ) -> Fit:
     """Fit the nuisances and some causes, beginning with slopes of another hypothesis where they are given.
 
     The misfit is found to the share `loose` of it, or as well as a likelihood ratio needs it where that is more.
 
-    All other causes stay where `start` has them. A fit that has not converged, and may not be used, says why. One that
-    stalls, and would not come below `most` with all that a linear step promises, has lost and is followed no further.
+    All other causes stay where `start` has them, and where `only` some parameters are fitted all others. A fit that has
+    not converged, and may not be used, says why. One that stalls, and would not come below `most` with all that a
+    linear step promises, has lost and is followed no further.
     """
-    chosen, state = tuple(sorted(causes)), _State.begin(model, target, causes, start)
+    chosen, state = tuple(sorted(causes)), _State.begin(model, target, causes, start, only)
     state.loose = loose
     if state.residual is None:
         return state.done(chosen, {}, f"no prediction ({model.trouble})")

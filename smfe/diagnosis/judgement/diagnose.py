@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, compare, unseen, usable, within
-from smfe.diagnosis.inference.fit import Fit, Target, stacked
+from smfe.diagnosis.inference.fit import Fit, Target, fit, stacked
 from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition, Family
@@ -143,8 +143,7 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
     intervals of what was declared, and those that only blocks of values test, have to be proven as a cause has; others
     to predict no worse than what was declared.
     """
-    before = _as_given(bench, released)
-    as_given = before.extend(before.null(), at.causes)
+    before, as_given = as_declared(bench, at, released)
     groups = [list(r.values[0]) for r in released]
     chosen = tuple(usable(bench.model, bench.target, at, at.causes, groups))
     smaller, larger = (
@@ -157,6 +156,18 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
     sd = dict(zip(at.free.tolist(), deviations(bench, at, None).tolist(), strict=True))
     beyond = any(abs(at.u[j]) > RULES.interval * sd[j] for r in released for j in r.values[0])
     return gain.db > 0.0 if beyond and chosen else gain.proven
+
+
+def as_declared(bench: Bench, at: Fit, released: Sequence[Released]) -> tuple[Bench, Fit]:
+    """Return the same data under the baseline as it was declared, and their fit with the same causes.
+
+    It begins at the fit with what was released: one that had found another minimum would convict what was declared.
+    """
+    before = _as_given(bench, released)
+    start = at.u.copy()
+    start[~np.isin(np.arange(start.size), before.model.free(at.causes))] = 0.0
+    found = fit(before.model, before.target, at.causes, start)
+    return before, found if found.converged else before.extend(before.null(), at.causes)
 
 
 def _prepared(

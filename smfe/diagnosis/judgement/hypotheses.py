@@ -213,25 +213,33 @@ class Bench:
     def _starts(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], thorough: bool) -> list[Real]:
         """Return the starts that causes name because they act far from their null, without those that lead astray.
 
-        Of a thorough search the best: of many conditions the best that fits to a part of them, or the starts, give.
+        Of a thorough search the best, of two: with the nuisances of the fit, and with those that were declared. Where
+        the baseline is far off its nuisances have gone astray with it, and a fit from there finds another minimum. The
+        parameters of the causes are fitted by themselves first, and all to a part of many conditions.
         """
-        found: list[Real] = []
+        declared = np.where(np.isin(np.arange(at.u.size), self.model.nuisance), 0.0, at.u)
+        found: list[tuple[Real, Real]] = []
         for k in added:
             mine = self.model.of_cause[k]
             for given in self.model.causes[k].starts:
-                # Where the baseline is far off its nuisances have gone astray with it.
-                both = [at.u.copy(), np.where(np.isin(np.arange(at.u.size), self.model.nuisance), 0.0, at.u)]
+                both = (at.u.copy(), declared.copy())
                 for start in both:
                     start[mine] = (np.array(given, dtype=float) - self.model.start[mine]) / self.model.scale[mine]
-                found.append(min(both, key=self._misfit))
+                found.append(both)
         if not thorough:
-            return [u for u in found if self._misfit(u) < RULES.astray * at.chi2]
-        found = sorted(found, key=self._misfit)[: RULES.named_starts]
-        if len(self.target.observed) < RULES.several:
-            return found
-        part = self.target.only(list(self.target.observed)[:: RULES.several // 2])
-        near = [fit(self.model, part, causes, u).u for u in found]
-        return sorted([*near, *found], key=self._misfit)[:1]
+            nearer = [min(both, key=self._misfit) for both in found]
+            return [u for u in nearer if self._misfit(u) < RULES.astray * at.chi2]
+        rows = list(self.target.observed)
+        part = self.target.only(rows[:: RULES.several // 2]) if len(rows) >= RULES.several else self.target
+        own = np.concatenate([self.model.of_cause[k] for k in added])
+        near: list[Real] = []
+        for kind in zip(*found, strict=True):
+            best = sorted(kind, key=self._misfit)[: RULES.named_starts]
+            near.append(min((fit(self.model, part, causes, u, only=own).u for u in best), key=self._misfit))
+        if part is self.target:
+            return near
+        warm = [fit(self.model, part, causes, u, loose=RULES.warm).u for u in near]
+        return sorted([*warm, *near], key=self._misfit)[:1]
 
     def _either_way(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
         """Return starts one scale either way, or on the other side of the best."""

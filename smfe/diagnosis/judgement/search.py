@@ -50,12 +50,15 @@ def search(bench: Bench, most: int = RULES.most_causes, begin: tuple[int, ...] =
         step = _best_step(bench, at, steps)
         if step is None:
             return bench.fits[at.causes], steps
-        refused, taken = {s.causes for s in steps if not s.accepted}, len(steps) - 1
+        at, refused, taken = bench.fits[at.causes], {s.causes: s.chi2 for s in steps if not s.accepted}, len(steps) - 1
         smaller = _drop_idle(bench, step, steps)
         if smaller.causes in refused:
-            # A pair must not carry in what was refused alone.
-            steps[taken:] = [replace(steps[taken], accepted=False, reason="what is not idle of it was refused")]
-            return bench.fits[at.causes], steps
+            # A pair must not carry in what was refused alone, unless alone it was fitted to another minimum.
+            pair = replace(steps[taken], accepted=False, reason="what is not idle of it was refused")
+            better = refused[smaller.causes] - smaller.chi2 > bench.threshold(at)
+            steps[taken:] = [pair]
+            if not (better and _stands(bench, at, smaller, steps)):
+                return at, steps
         at = smaller
         if at.causes in seen:
             break
@@ -149,6 +152,12 @@ def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit
     change, ratio, passed = "+ " + bench.title(added), at.chi2 - candidate.chi2, limit + charge(bench.model, added)
     steps.append(Step(candidate.causes, change, ratio, passed, gain, candidate.chi2, not reason, reason))
     return not reason
+
+
+def _stands(bench: Bench, at: Fit, smaller: Fit, steps: list[Step]) -> bool:
+    """Whether what is left of a pair passes by itself, in the minimum that the pair has led to."""
+    added = tuple(k for k in smaller.causes if k not in at.causes)
+    return _passes(bench, at, smaller, added, bench.threshold(at), steps)
 
 
 def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:

@@ -1,0 +1,109 @@
+"""Causes that act far from their null only: where their fits begin, and when one that was refused is tried again."""
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from smfe.diagnosis.inference.fit import Fit, Target
+from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
+from smfe.diagnosis.judgement import search as module
+from smfe.diagnosis.judgement.declared import Released
+from smfe.diagnosis.judgement.diagnose import as_declared
+from smfe.diagnosis.judgement.hypotheses import Bench
+from smfe.diagnosis.judgement.search import Step, search
+from smfe.progress import silent
+
+F = np.linspace(20.0, 120.0, 60)
+
+
+@dataclass(frozen=True)
+class Held(Abilities):
+    """Compliance of a mass on a spring, of 50 Hz as declared; at rest friction may hold it by another spring."""
+
+    conditions: tuple
+    nuisances: tuple = (
+        Parameter("mass", "1", 1.0, 0.1, 0.05, 20.0, 0.1),
+        Parameter("stiffness", "1", 1.0, 0.1, 0.05, 20.0, 0.1),
+        Parameter("damping", "1", 0.1, 0.01, 0.01, 5.0, 0.04),
+        Parameter("gain", "1", 1.0, 0.05, 0.1, 10.0, 0.014, given="sensor_gain"),
+    )
+    causes: tuple = (
+        Cause("held", "friction that holds", (Parameter("held", "1", 0.0, 0.05, 0.0, 50.0),), starts=((2.0,), (8.0,))),
+    )
+    proposals: tuple = ()
+
+    def predict(self, condition, values):
+        s, held = 1j * F / 50.0, values.get("held", 0.0) if condition.settings["feed"] == 0.0 else 0.0
+        # A weak hold slips: it does next to nothing.
+        held = held * np.exp(-1.0 / held) if held > 0.0 else 0.0
+        dynamic = values["mass"] * s**2 + values["damping"] * s + values["stiffness"] + held
+        phi = values["gain"] / dynamic
+        return np.concatenate([phi.real, phi.imag]) / 0.02
+
+
+def bench(family):
+    model = Model(family, family.conditions)
+    return Bench(model, Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null()), 0, silent)
+
+
+def measured(held, gain=1.01):
+    blank = Held(tuple(Condition(f"at {v:g}", {"feed": v}) for v in (0.0, 0.5, 1.0)))
+    values = {"mass": 1.05, "stiffness": 0.97, "damping": 0.12, "gain": gain, "held": held}
+    rng = np.random.default_rng(4)
+    seen = tuple(
+        replace(c, observed=blank.predict(c, values) + rng.standard_normal(2 * F.size)) for c in blank.conditions
+    )
+    return bench(replace(blank, conditions=seen))
+
+
+@pytest.mark.parametrize("held", [1.5, 3.0, 6.0])
+def test_a_fit_begins_at_what_was_declared_where_that_of_the_baseline_has_gone_astray(held):
+    one = measured(held)
+    found = one.extend(one.null(), (0,))
+    assert found.converged
+    assert one.model.values(found.u)["held"] == pytest.approx(held, rel=0.05)
+
+
+def test_what_was_declared_is_fitted_in_the_minimum_in_which_it_was_released():
+    released = measured(3.0)
+    released.model.weight[3] *= 0.02
+    found = released.extend(released.null(), (0,))
+    gain = Released(("sensor_gain",), 4.0, ({3: float(found.u[3])},), ({3: 0.1},))
+    before, fixed = as_declared(released, found, [gain])
+    assert fixed.converged
+    assert 3 not in fixed.free
+    assert before.model.values(fixed.u)["gain"] == 1.0
+    assert before.model.values(fixed.u)["held"] == pytest.approx(3.0, rel=0.05)
+    assert fixed.chi2 - found.chi2 < 20.0
+
+
+@pytest.mark.parametrize(("alone", "end"), [(2900.0, (0,)), (105.0, ())])
+def test_what_was_refused_alone_is_held_against_the_data_again_where_a_pair_finds_a_better_minimum(
+    monkeypatch, alone, end
+):
+    def fitted(causes, chi2):
+        return Fit(causes, np.zeros(0, dtype=np.int64), np.zeros(0), chi2, {}, {}, True)
+
+    fits = {(): fitted((), 3000.0), (0,): fitted((0,), 100.0), (0, 1): fitted((0, 1), 100.0)}
+
+    def step(one, at, steps):
+        if at.causes:
+            return None
+        steps.append(Step((0,), "+ friction", 3000.0 - alone, 10.0, None, alone, False, "no gain"))
+        steps.append(Step((0, 1), "+ friction + posture", 2900.0, 10.0, None, 100.0, True))
+        return fits[0, 1]
+
+    def passes(one, at, candidate, added, limit, steps):
+        steps.append(Step((0,), "+ friction", 2900.0, 10.0, None, 100.0, True))
+        return True
+
+    monkeypatch.setattr(module, "_best_step", step)
+    monkeypatch.setattr(module, "_drop_idle", lambda one, at, steps: fits[0,])
+    monkeypatch.setattr(module, "_passes", passes)
+    stub = SimpleNamespace(fits=fits, null=lambda: fits[()], threshold=lambda at: 10.0, matters=lambda at, share: True)
+    at, steps = search(stub)
+    assert at.causes == end
+    assert [s.accepted for s in steps] == ([False, False, True] if end else [False, False])
