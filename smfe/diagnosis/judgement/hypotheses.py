@@ -93,6 +93,11 @@ class Bench:
                 return self._keep(again)
         return self._keep(nearest(self.model, self.target, self._extended(at, causes, added, most), added))
 
+    def known_misfit(self, at: Fit, k: int) -> float:
+        """Return what a fit with a cause more left of nearly the same data; infinite where there was none."""
+        known = self.known.get(tuple(sorted({*at.causes, k})))
+        return known.chi2 if known is not None and known.converged else float("inf")
+
     def reduce(self, at: Fit, dropped: int) -> Fit:
         """Fit a hypothesis that has a cause less, from the nuisances of the larger one as well."""
         causes = tuple(k for k in at.causes if k != dropped)

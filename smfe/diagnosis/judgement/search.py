@@ -97,11 +97,13 @@ def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> li
     gains = {k: bench.first_order(at, (k,)) - charge(bench.model, [k]) for k in others}
     ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k])), key=lambda k: -gains[k])
     bad = bench.bad(at)
-    return [
+    tried = [
         k
         for n, k in enumerate(ordered)
         if n < RULES.least_tried or gains[k] > RULES.promising * limit or (bad and bench.far([k]))
     ]
+    # What fitted nearly the same data best goes first: what does worse is then not followed to its optimum.
+    return sorted(tried, key=lambda k: bench.known_misfit(at, k))
 
 
 def _passing(bench: Bench, at: Fit, added: Sequence[int], limit: float) -> float:

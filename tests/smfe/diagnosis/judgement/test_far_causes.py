@@ -40,7 +40,7 @@ class Held(Abilities):
         # A weak hold slips: it does next to nothing.
         held = held * np.exp(-1.0 / held) if held > 0.0 else 0.0
         dynamic = values["mass"] * s**2 + values["damping"] * s + values["stiffness"] + held
-        phi = values["gain"] / dynamic
+        phi = values["gain"] / dynamic * np.exp(-values.get("late", 0.0) * s)
         return np.concatenate([phi.real, phi.imag]) / 0.02
 
 
@@ -107,3 +107,13 @@ def test_what_was_refused_alone_is_held_against_the_data_again_where_a_pair_find
     at, steps = search(stub)
     assert at.causes == end
     assert [s.accepted for s in steps] == ([False, False, True] if end else [False, False])
+
+
+@pytest.mark.parametrize("chi2", [{0: 100.0, 1: 2000.0}, {0: 2000.0, 1: 100.0}, {1: 100.0}])
+def test_what_fitted_nearly_the_same_data_best_is_tried_first(chi2):
+    one = measured(3.0)
+    late = Cause("late", "a clock that is late", (Parameter("late", "1", 0.0, 0.05),), starts=((1.0,),))
+    both = bench(replace(one.model.family, causes=(*one.model.family.causes, late)))
+    start = both.null()
+    both.known = {(k,): replace(start, causes=(k,), chi2=left) for k, left in chi2.items()}
+    assert module._promising(both, start, [0, 1], 10.0) == sorted([0, 1], key=lambda k: chi2.get(k, np.inf))
