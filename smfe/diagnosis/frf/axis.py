@@ -9,6 +9,7 @@ and what the differences between the hits explain off their scatter.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -53,7 +54,9 @@ class MachineFrfs(Abilities):
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
         """Parameters of the baseline."""
-        return self.baseline.nuisances()
+        named = [excited_of(c).controller for c in self.conditions if c.observed is not None]
+        used = Counter(n for n in named if n in self.baseline.servos)
+        return self.baseline.nuisances([str(n) for n, _ in used.most_common()[1:]])
 
     @property
     def causes(self) -> tuple[Cause, ...]:

@@ -9,7 +9,7 @@ stick with.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -84,8 +84,13 @@ class AxisBaseline:
     """Prior standard deviation of each nuisance, relative; default `SPREAD`."""
     tolerances: Tolerances = field(default_factory=Tolerances)  # of the control and of the sensors
 
-    def nuisances(self) -> tuple[Parameter, ...]:
-        """Return the parameters that every hypothesis fits anew: of the machine, of its control, of the sensors."""
+    def nuisances(self, others: Collection[str] = ()) -> tuple[Parameter, ...]:
+        """Return the parameters that every hypothesis fits anew: of the machine, of its control, of the sensors.
+
+        What is wrong with a drive all its controls have. Besides, the gains of each are set by themselves: those of
+        the `others`, beside the one that was measured most, are apart from its by as much as two are within the
+        tolerance.
+        """
         d, found = self.drive, []
         for name, unit, start, shown in (
             ("moving_mass", "kg", d.moving_mass, 1.0),
@@ -107,6 +112,8 @@ class AxisBaseline:
             for gain, said in (("Kp", "velocity gain Kp"), ("Ti", "integral time Ti"), ("Kv", "position gain Kv")):
                 known = (t.control_gain, 100.0, "servo_gains", True, said)
                 found.append(Parameter(f"{gain}_error", "%", 0.0, 0.05, -0.8, 4.0, *known))
+                apart = math.sqrt(2.0) * t.control_gain
+                found += [Parameter(f"{gain}_of_{n}", "%", 0.0, 0.05, -0.4, 0.4, apart, 100.0) for n in others]
         shortest = min((s.delay for s in self.servos.values()), default=0.0)
         if shortest > 0.0 and t.dead_time > 0.0:
             least = 1.0 / self.rate - shortest  # no shorter dead time is simulated
@@ -145,15 +152,19 @@ class AxisBaseline:
         if forth.static <= 0.0 and back.static <= 0.0:
             mean = forth._replace(viscous=0.5 * (forth.viscous + back.viscous))
             forth = back = mean if feed == 0.0 else forth if feed > 0.0 else back
+
+        def off(control: str, gain: str) -> float:
+            return (1.0 + values.get(f"{gain}_error", 0.0)) * (1.0 + values.get(f"{gain}_of_{control}", 0.0))
+
         servos = tuple(
             replace(
                 s,
-                Kp=s.Kp * (1.0 + values.get("Kp_error", 0.0)),
-                Ti=s.Ti * (1.0 + values.get("Ti_error", 0.0)),
-                Kv=s.Kv * (1.0 + values.get("Kv_error", 0.0)),
+                Kp=s.Kp * off(name, "Kp"),
+                Ti=s.Ti * off(name, "Ti"),
+                Kv=s.Kv * off(name, "Kv"),
                 delay=max(s.delay + values.get("extra_delay", 0.0), 0.0),
             )
-            for s in self.servos.values()
+            for name, s in self.servos.items()
         )
         share, part = values.get("micro_slip_share", 0.0), values.get("gap_share", 0.0)
         return Effective(

@@ -181,6 +181,8 @@ def _known(name: str) -> str:
         return f"place of the joint, angle {found[2]}"
     if (found := re.fullmatch(r"(\w+?)_(\d)(\d)", name)) and found[1] in _MATRIX:
         return f"{_MATRIX[found[1]]}, mode {found[2]}" + (f" with {found[3]}" if found[2] != found[3] else "")
+    if found := re.fullmatch(r"(Kp|Ti|Kv)_of_(\w+)", name):
+        return f"{PARAMETERS[f'{found[1]}_error']} of {found[2]} beside the other controls"
     if found := re.fullmatch(r"damping_(\d+)_at_(\d+)", name):
         return f"change of the damping of mode {found[1]} at place {found[2]} by itself"
     if (found := re.fullmatch(r"(\w+?)_(\d+)", name)) and found[1] in _MODE:

@@ -1,5 +1,7 @@
 """Compliances of one axis: predictions against closed forms and the independent generator, and what is concluded."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exam.records import baseline, condition_of, family, sampled
@@ -83,6 +85,21 @@ def test_the_continuous_servo_is_the_sampled_one_to_the_second_order_of_the_peri
         errors.append(float(np.abs(found / exact - 1.0).max()))
     assert errors[0] < 3e-3
     assert errors[1] == pytest.approx(errors[0] / 4.0, rel=0.2)
+
+
+def test_gains_of_two_controls_are_off_together_and_by_themselves_within_what_two_tolerances_differ_by():
+    conditions = [replace(nominal(MOVING, controller=n), observed=np.zeros(2 * LINES.size)) for n in ("K2", "K2", "K1")]
+    found = MachineFrfs(baseline(), tuple(conditions))
+    known = {p.name: p for p in found.nuisances}
+    tolerance = found.baseline.tolerances.control_gain
+    assert [n for n in known if "_of_" in n] == ["Kp_of_K1", "Ti_of_K1", "Kv_of_K1"]
+    assert known["Kp_of_K1"].prior == pytest.approx(tolerance * np.sqrt(2.0))
+    values = values_of(found) | {"Kp_error": 0.02, "Kp_of_K1": -0.03}
+    servos = dict(zip(found.baseline.servos, found.baseline.effective(values, {}, MOVING).servos, strict=True))
+    for name, times in (("K2", 1.02), ("K1", 1.02 * 0.97)):
+        assert servos[name].Kp == pytest.approx(found.baseline.servos[name].Kp * times)
+        assert servos[name].Ti == found.baseline.servos[name].Ti
+    assert [p.name for p in MachineFrfs(baseline(), tuple(conditions[:2])).nuisances if "_of_" in p.name] == []
 
 
 def test_whitened_errors_have_unit_variance_where_lines_share_an_error():
