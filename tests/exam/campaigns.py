@@ -89,7 +89,10 @@ def examine(case: Case, patience: float) -> Said:
 def _said(case, hidden, ids, verdict, error, seconds, found) -> Said:
     causes = found.get("causes", [])
     gain = found.get("opened") or found.get("gain") or {}
-    known = [[p["name"], p["value"], p["low"], p["high"]] for c in causes for p in c["parameters"]]
+    # What stands in a set with the truth has values only in case that it were it.
+    true = {i for _, right in ids for i in right}
+    shown = [c for c in causes if c["id"] in true or c.get("set") is None]
+    known = [[p["name"], p["value"], p["low"], p["high"]] for c in shown for p in c["parameters"]]
     known += [[g["name"], g["found"], g["low"], g["high"]] for g in found.get("given", [])]
     return Said(
         case,

@@ -5,10 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from truth.imperfect.bench import Answer
 from truth.imperfect.families import FAMILIES
 
 from exam.campaign_scores import Case, Said, page, scores
 from exam.campaigns import OutOfPatienceError, cases, examine, patient, sit
+from exam.campaigns import _said as kept_of
 
 
 def wanted(case: Case) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -60,6 +62,18 @@ def test_causes_that_the_data_do_not_separate_stand_for_one() -> None:
     audited = replace(said, verdict="consistent", causes=(), audit=(("fault", "sensor_gain"),))
     assert audited.right
     assert not replace(audited, audit=(("warning", "sensor_gain"),)).right
+
+
+def test_what_stands_in_a_set_with_the_truth_has_no_interval_to_hold() -> None:
+    """A gain 13 % off is as well a coefficient 13 % off: that one would have its value, and has another."""
+    case, hidden = Case("cutting", "force_gain", "effect", 1), Answer("cutting", 1, {}, {}, 0.1, {"Ktc": 1000.0})
+    would = [{"name": "Ktc", "value": 870.0, "low": 850.0, "high": 890.0}]
+    both = [{"id": "sensor_gain", "set": 1, "parameters": []}, {"id": "force_coefficients", "set": 1}]
+    both[1]["parameters"] = would
+    for found, count in ((both, 0), ([both[1] | {"set": None}], 1)):
+        answer = {"verdict": "named", "causes": found}
+        said = kept_of(case, hidden, wanted(case), "", "", 1.0, answer)
+        assert len(said.estimates) == count
 
 
 def test_the_page_has_a_row_for_every_effect_of_every_family() -> None:

@@ -216,7 +216,9 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
         sizes[name], rig = size, planted(now, name, size, tests, np.random.default_rng(draw))
     truths = {f"K{n}c": 1e-6 * k for n, k in zip("tra", rig.mill.cutting, strict=True)}
     if "runout" in hidden:
-        truths["runout"] = 1e6 * rig.mill.runout
+        # Of two teeth only the difference of their radii is seen.
+        seen = abs(math.cos(rig.mill.runout_angle)) if teeth == 2 else 1.0
+        truths["runout"] = 1e6 * rig.mill.runout * seen
     _write(path, rig, tests, given, edge, sigma, (runout, angle) if declared else None, tools, rng)
     ids = {name: (EFFECTS | OUTSIDE)[name].causes for name in hidden}
     drawn = {"snr": tools.snr, "teeth": float(teeth), "coefficients": together / sigma, "sigma": sigma}

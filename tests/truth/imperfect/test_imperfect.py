@@ -1,5 +1,6 @@
 """Claims: a campaign follows from its seed, what is hidden matters, and smfe can read every family's file."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,18 @@ def test_what_is_hidden_costs_at_least_what_matters(family: str, name: str, tmp_
     assert answer.cost >= MATERIAL
     assert answer.causes[name] == FAMILIES[family].EFFECTS[name].causes
     assert set(answer.hidden) in ({name}, {name, "friction"})
+
+
+def test_of_two_teeth_only_the_difference_of_their_radii_is_a_truth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = []
+    monkeypatch.setattr(FAMILIES["cutting"], "_write", lambda path, rig, *more: kept.append(rig.mill))
+    answer = draw("cutting", 20600, "runout", tmp_path)
+    (mill,) = kept
+    assert mill.teeth == 2
+    radii = [1e6 * mill.runout * math.cos(math.pi * k + mill.runout_angle) for k in range(2)]
+    assert answer.truths["runout"] == pytest.approx(0.5 * (max(radii) - min(radii)))
 
 
 def test_a_word_stands_for_effects_of_the_family() -> None:
