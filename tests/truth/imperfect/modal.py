@@ -47,6 +47,9 @@ OUTSIDE = {
 NEEDS_MODEL = ("missing_mode", "mass_loading", "force_gain", "gain", "exchanged", "reversed", "turned", "skew")
 """Effects that modes fitted to the idle hammer would take over."""
 
+OF_A_SPRING = ("posture", "drift", "micro_slip", "cubic", "temperature_walk")
+"""Effects that change one spring: that on which the limit depth hangs most, for of another no change would matter."""
+
 PAIRS = (("posture", "drift"), ("posture", "gain"), ("micro_slip", "missing_mode"), ("skew", "posture"))
 
 
@@ -402,7 +405,7 @@ def states(shop: Shop, rng: np.random.Generator, drift: bool) -> list[tuple[str,
 
 
 def spring_amplitude(machine: Machine, level: float, peak: float, width: float) -> float:
-    """Deformation of the first spring after a hit along x [m], linear."""
+    """Deformation of the first spring after a hit along the axis that deforms it most [m], linear."""
     vector, _ = machine.ram.springs[0]
     mass, damping, stiffness = matrices(machine, State())
     f = np.linspace(1.0, 1.2 * float(modes(machine.ram)[0].max()), 400)
@@ -410,9 +413,9 @@ def spring_amplitude(machine: Machine, level: float, peak: float, width: float) 
         stiffness - (2 * np.pi * f[:, None, None]) ** 2 * mass + 2j * np.pi * f[:, None, None] * damping
     )
     impulse = 0.5 * peak * level * width
-    through = np.abs(np.einsum("i,fij->fj", vector, phi)[:, 0])
+    through = np.abs(np.einsum("i,fij->fj", vector, phi)[:, :3])
     # Peak of the impulse response, from the spectrum of one mode: about the integral over the band.
-    return float(2.0 * np.trapezoid(through, f) * impulse)
+    return float(2.0 * np.trapezoid(through, f, axis=0).max() * impulse)
 
 
 def planted(shop: Shop, name: str, size: float, rng: np.random.Generator) -> Shop:
@@ -495,6 +498,28 @@ def cost_of(shop: Shop, before: Shop, plan: list[tuple[str, State]], cut: tuple[
     return worst
 
 
+def leading(shop: Shop, plan: list[tuple[str, State]], cut: tuple[float, float, int]) -> Shop:
+    """Return the shop with that spring first whose stiffness counts most for the limit depth.
+
+    A spring that hardly counts would have to lose all its stiffness over the stroke before anybody lost depth by it.
+    """
+
+    def counts(first: int) -> float:
+        before = replace(shop, machine=replace(shop.machine, ram=_first(shop.machine.ram, first)))
+        end = max(state.place for _, state in plan)
+        softer, stiffer = (replace(before, machine=replace(before.machine, grow=x / end)) for x in (-0.3, 0.3))
+        return min(cost_of(softer, before, plan, cut), cost_of(stiffer, before, plan, cut))
+
+    first = max(range(len(shop.machine.ram.springs)), key=counts)
+    return replace(shop, machine=replace(shop.machine, ram=_first(shop.machine.ram, first)))
+
+
+def _first(ram: Ram, first: int) -> Ram:
+    """Return the same ram with another spring named first."""
+    springs = ram.springs
+    return replace(ram, springs=(springs[first], *springs[:first], *springs[first + 1 :]))
+
+
 def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0) -> Answer:
     """Write a campaign and return what is hidden in it."""
     rng = np.random.default_rng([seed, 101])
@@ -510,6 +535,8 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
         "damping": 0.2,
         "stiffness": float(rng.choice([0.05, 0.1])),
     }
+    if any(name in OF_A_SPRING for name in hidden):
+        shop = leading(shop, plan, cut)
     healthy, sizes, cost = shop, {}, 0.0
     for number, name in enumerate(hidden):
         what = (EFFECTS | OUTSIDE)[name]

@@ -1,11 +1,14 @@
 """Claims: a campaign follows from its seed, what is hidden matters, and smfe can read every family's file."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from smfe.campaign import load_campaign
+from truth.imperfect import modal
 from truth.imperfect.bench import MATERIAL
 from truth.imperfect.families import FAMILIES, draw, hidden_of
 
@@ -50,6 +53,18 @@ def test_of_two_teeth_only_the_difference_of_their_radii_is_a_truth(
     assert mill.teeth == 2
     radii = [1e6 * mill.runout * math.cos(math.pi * k + mill.runout_angle) for k in range(2)]
     assert answer.truths["runout"] == pytest.approx(0.5 * (max(radii) - min(radii)))
+
+
+def test_a_spring_that_changes_over_the_stroke_matters_long_before_it_is_gone() -> None:
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        shop = modal.drawn_shop(rng)
+        plan, cut = modal.states(shop, rng, False), (1.5e9, 0.5e9, 4)
+        led = modal.leading(shop, plan, cut)
+        assert np.array_equal(led.machine.ram.stiffness, shop.machine.ram.stiffness)
+        end = max(state.place for _, state in plan)
+        lost = replace(led, machine=replace(led.machine, grow=-0.6 / end))
+        assert modal.cost_of(lost, led, plan, cut) > MATERIAL
 
 
 def test_a_word_stands_for_effects_of_the_family() -> None:
