@@ -292,7 +292,7 @@ def fit(
         state.descend(slope)
     rows, free = list(target.observed), state.free
     fresh: Mapping[int, Real] = {}
-    for cycle in range(RULES.cycles + 2):
+    for cycle in range(RULES.cycles + 1 + RULES.last_cycles):
         slopes = model.slopes(rows, state.u, free)
         if slopes is None:
             return state.done(chosen, {}, f"no prediction beside the optimum ({model.trouble})")
@@ -301,7 +301,7 @@ def fit(
         if decrement < state.tolerance:
             return state.done(chosen, fresh)
         before = state.chi2
-        if cycle < RULES.cycles:
+        if cycle != RULES.cycles:  # where so many plain steps did not end, a trust region takes them near the end
             state.descend(fresh)
         if before - state.chi2 < 0.1 * decrement:
             if model.roughness > 0.0:

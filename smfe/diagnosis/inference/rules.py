@@ -30,6 +30,7 @@ class InferenceRules:
     warm: float = 0.01  # share of the misfit to which it is found on the way there
     foretold: float = 0.3  # share of a step that its slopes may have missed to be kept, corrected
     cycles: int = 8  # slopes that are taken anew before the trust region takes over
+    last_cycles: int = 3  # the same after it: it brings a fit near its end, plain steps then end it
     steps: int = 12  # steps with one set of slopes
     fractions: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
     equivalent: float = 2.0  # chi-square that equivalent parameters may fit worse
