@@ -58,6 +58,19 @@ class FittedModes:
     what else a compliance needs to be described."""
 
 
+@dataclass(frozen=True)
+class Standing:
+    """Where on the stroke, when in the session and how hard shaken a machine cuts."""
+
+    position: float | None = None  # [m]; None: at the first place
+    order: float = 0.0  # 0 first, 1 last in the session
+    hardest: bool = False  # shaken as in the hardest measurement; else as in the softest
+
+
+AS_FIRST = Standing()
+"""A machine as it was first measured."""
+
+
 def expected_of(model: ModalModel, excited: Excited, settings: Mapping[str, float | str]) -> Complex:
     """Return about the compliance of some modes, or of a free mass, under the settings of a condition, (f, 3, 3)."""
     if (free := float(settings.get("free_mass", 0.0))) > 0.0:
@@ -280,19 +293,60 @@ class ModalFrfs(Abilities):
         return kept(self._predicted, key, predicted, RULES.modal_kept)
 
     def in_the_cut(
-        self, values: Values, spindle_speed: float, frequency: Real, feed: float = 0.0, controller: str = ""
+        self,
+        values: Values,
+        spindle_speed: float,
+        frequency: Real,
+        feed: float = 0.0,
+        controller: str = "",
+        standing: Standing = AS_FIRST,
     ) -> Complex:
         """Return the compliance of the machine without a sensor while the spindle turns [m/N], shape (f, 3, 3).
 
         Spindle speed in rpm, frequency in Hz, feed along x in m/s, which counts where modes ride on slides.
-        A joint that slips or hardens counts as at the smallest level measured.
+        A joint that slips or hardens counts as at the smallest level measured, or as `standing` says.
         """
-        settings: dict[str, float | str] = {"sensor": "laser", "position": self._first_place, "spindle_speed": 0.0}
+        machine, slides = self.as_it_cuts(values, spindle_speed, feed, controller, standing)
+        return self.compliance(machine, slides, frequency, self._shaken(self._levels[standing.hardest], frequency))
+
+    def as_it_cuts(
+        self,
+        values: Values,
+        spindle_speed: float,
+        feed: float = 0.0,
+        controller: str = "",
+        standing: Standing = AS_FIRST,
+    ) -> tuple[Changed, tuple[Any, ...]]:
+        """Return the machine in a cut, and the slides that its modes ride on; see `in_the_cut`."""
+        place = self._first_place if standing.position is None else standing.position
+        settings: dict[str, float | str] = {"sensor": "laser", "position": place, "order": standing.order}
         settings |= {"spindle_speed": spindle_speed * math.pi / 30.0, "feed_x": feed, "controller": controller}
         cut = Condition("cut", settings)
-        least = min(self._data, key=lambda d: amplitude(unchanged(self.model), d.method, d.level, d.band))
-        shaken = self._shaken(least, frequency)
-        return self.compliance(self.changed(cut, values), self.slides(cut, values), frequency, shaken)
+        return self.changed(cut, values), self.slides(cut, values)
+
+    @cached_property
+    def _levels(self) -> tuple[Excited, Excited]:
+        """How the machine was shaken least and hardest."""
+        plain = unchanged(self.model)
+        found = sorted(self._data, key=lambda d: amplitude(plain, d.method, d.level, d.band))
+        return found[0], found[-1]
+
+    @cached_property
+    def standings(self) -> tuple[Standing, ...]:
+        """Where, when and how hard shaken the machine was measured, one thing at a time: it may cut so, too.
+
+        First as it was first measured, then at either end of the stroke, at the end of the session, at the hardest.
+        """
+        found = [AS_FIRST]
+        places = [float(c.settings["position"]) for c in self.conditions if "position" in c.settings]
+        if places:
+            found += [Standing(position=p) for p in sorted({min(places), max(places)} - {self._first_place})]
+        latest = max((float(c.settings.get("order", 0.0)) for c in self.conditions), default=0.0)
+        if latest > 0.0:
+            found.append(Standing(order=latest))
+        if self._levels[0].level != self._levels[1].level:
+            found.append(Standing(hardest=True))
+        return tuple(found)
 
     def _shaken(self, excited: Excited, frequency: Real) -> Shaken:
         """Return how hard a machine is shaken, for its compliance at some frequencies [Hz]."""

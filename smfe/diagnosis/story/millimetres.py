@@ -31,7 +31,8 @@ from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, material_of
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
-from smfe.diagnosis.frf.modes import ModalFrfs
+from smfe.diagnosis.frf.modes import AS_FIRST, ModalFrfs, Standing
+from smfe.diagnosis.frf.noise import kept
 from smfe.diagnosis.inference.problem import Family, Values
 from smfe.diagnosis.judgement.finding import Pocket, StableDepth
 from smfe.diagnosis.machine.family import MachineOfAxes
@@ -43,6 +44,9 @@ SPEEDS = 41
 
 FEW_SPEEDS = 11
 """Spindle speeds of a request at which a change of the depth is looked for, at most."""
+
+DEPTHS_KEPT = 500
+"""Machines whose depths are kept."""
 
 ENOUGH_LINES = 50
 """Lines of a compliance from which on a limit is computed from it."""
@@ -63,6 +67,7 @@ class Asked:
     speeds: Sequence[float]  # [rpm]
     sources: tuple[str, ...] = ()  # measurements or models that the lobes are asked of
     controller: str | None = None
+    standing: Standing = AS_FIRST  # where, when and how hard shaken a machine of modes cuts
 
     def arc(self, tool: Tool) -> Engagement:
         """Return the engagement."""
@@ -150,32 +155,42 @@ def cost_of(
     """Return a function of two sets of values (SI): the change of the limit depths that were asked for [1].
 
     It is the larger of that of the least depth over all speeds and of the rms over the speeds of the relative changes,
-    each counted as 100 % at most: a lobe that moves by a little changes single speeds a lot. It returns None where no
-    cut is given, or no depth follows.
+    each counted as 100 % at most: a lobe that moves by a little changes single speeds a lot. Of modes it is the largest
+    over all places, times and levels at which they were measured (`ModalFrfs.standings`): a stiffness that depends on
+    the position changes nothing at the first of them. It returns None where no cut is given, or no depth follows.
     """
     depths, _ = depths_of(campaign, family, compliances)
     cuts = [] if depths is None else list(asked(campaign, FEW_SPEEDS))
-    kept: dict[tuple[float, ...], Real] = {}
+    standings = family.standings if isinstance(family, ModalFrfs) else (AS_FIRST,)
+    every: dict[tuple[float, ...], Real] = {}
 
     def of(values: Values) -> Real:
+        """Depths at each standing, (standings, cuts and speeds)."""
         assert depths is not None
         key = tuple(values.values())
-        if key not in kept:
-            kept[key] = np.array([d for a in cuts for d in depths(values, a)])
-        return kept[key]
+        if key not in every:
+            every[key] = np.array(
+                [[d for a in cuts for d in depths(values, replace(a, standing=s))] for s in standings]
+            )
+        return every[key]
 
     def cost(before: Values, after: Values) -> float | None:
         if not cuts:
             return None
-        a, b = of(before), of(after)
-        known = np.isfinite(a) & np.isfinite(b) & (a > 0.0)
-        if not known.any():
-            return None
-        change = np.minimum(np.abs(b[known] / a[known] - 1.0), 1.0)
-        least = abs(float(b[known].min() / a[known].min()) - 1.0)
-        return max(least, float(np.sqrt(np.mean(change**2))))
+        found = [x for a, b in zip(of(before), of(after), strict=True) if (x := _size_of_change(a, b)) is not None]
+        return max(found, default=None)
 
     return cost
+
+
+def _size_of_change(before: Real, after: Real) -> float | None:
+    """Return the size of a change of depths, as `cost_of` counts it; None where none is known."""
+    known = np.isfinite(before) & np.isfinite(after) & (before > 0.0)
+    if not known.any():
+        return None
+    a, b = before[known], after[known]
+    least = abs(float(b.min() / a.min()) - 1.0)
+    return max(least, float(np.sqrt(np.mean(np.minimum(np.abs(b / a - 1.0), 1.0) ** 2))))
 
 
 def largest_change(rows: Sequence[StableDepth]) -> tuple[float, float] | None:
@@ -267,14 +282,24 @@ def _controller(campaign: Campaign, baseline: AxisBaseline) -> str:
 def _of_modes(campaign: Campaign, family: ModalFrfs) -> Depths:
     tool, material = _cut_of(campaign)
     start, f = given_values(family), family.fine_frequency()
+    found: dict[tuple[object, ...], list[float]] = {}
 
     def depths(values: Values | None, a: Asked) -> list[float]:
         v = start if values is None else values
 
         def at(rpm: float, speeds: Sequence[float]) -> list[float]:
             feed = a.feed_per_tooth * tool.teeth * rpm / 60.0
-            phi = make_compliance(f, family.in_the_cut(v, rpm, f, feed, a.controller or ""))
-            return [float(d) for d in zero_order(phi, tool, a.arc(tool), material, list(speeds))["limit_depth"].values]
+            how = (rpm, feed, a.controller or "", a.standing)
+            machine, slides = family.as_it_cuts(v, *how)
+            # Most machines are the same wherever, whenever and however hard shaken they cut.
+            level = a.standing.hardest and bool(machine.slip or machine.hardening or machine.iwan)
+
+            def make() -> list[float]:
+                phi = make_compliance(f, family.in_the_cut(v, rpm, f, *how[1:]))
+                limits = zero_order(phi, tool, a.arc(tool), material, list(speeds))["limit_depth"].values
+                return [float(d) for d in limits]
+
+            return kept(found, (machine, slides, level, a.where, *speeds), make, DEPTHS_KEPT)
 
         turning = any(v.get(name) for name in v if "bearings" in name or "gyroscopic" in name)
         each = turning or isinstance(family, MachineOfAxes)
