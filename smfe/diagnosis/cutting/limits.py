@@ -320,10 +320,12 @@ def _known(condition: Condition) -> KnownLimit:
 def _observed_crossing(depth: Real, frequency: Real, observed: float) -> int:
     """Return which crossing was observed: near the first in depth, and near what was observed.
 
-    A cut some per cent too deep may chatter at the lobe beside the deepest valley.
+    A cut some per cent too deep may chatter at the lobe beside the deepest valley. Modes are known within a few per
+    cent: a frequency further from the first crossing than that is of another one, however deep, and it is the depth
+    that the first one has wrong.
     """
     excess = np.log(depth / depth[0]) / RULES.near
-    away = np.minimum(np.abs(frequency / observed - 1.0) / RULES.near_observed, 3.0)
+    away = np.abs(frequency / observed - 1.0) / RULES.near_observed
     return int(np.argmin(excess**2 + away**2))
 
 

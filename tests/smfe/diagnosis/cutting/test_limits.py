@@ -13,7 +13,7 @@ from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
-from smfe.diagnosis.cutting.limits import CuttingLimits, Limit, Trial, bracketed, limit_family
+from smfe.diagnosis.cutting.limits import CuttingLimits, KnownLimit, Limit, Trial, bracketed, limit_family
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.judgement.diagnose import diagnose
 from stability.methods.semi_discretization import limit_depth
@@ -118,6 +118,18 @@ def test_limits_that_zero_order_does_not_describe_count_roughly() -> None:
     slot = known(SLOT, [Found(600.0, 1e-4, 1e-3, 1.04e-3, 66.0)], [])
     assert slot.roughly() == []
     assert slot.squared_size(slot.conditions[0], np.array([1.0, 0.0])) < 0.03**2
+
+
+def test_a_chatter_of_another_mode_is_that_of_another_crossing() -> None:
+    """A worn flank keeps one mode quiet: the model has its limit too low, and not its frequency 30 % off."""
+    crossings = np.array([10.6e-3, 18.8e-3]), np.array([452.0, 320.0])
+    seen, beside, first = (KnownLimit(Limit(1380.0, 16.7e-3, 0.01, f), 1.0, 1.0) for f in (316.0, 445.0, 452.0))
+    std = seen.std()
+    depth, frequency = (seen.predicted(*crossings) - seen.measured()) * std
+    assert depth == pytest.approx(math.log(10.6 / 16.7))
+    assert frequency == pytest.approx(4.0)
+    assert (beside.predicted(*crossings) - beside.measured())[1] * beside.std()[1] == pytest.approx(7.0)
+    assert (first.predicted(*crossings) - first.measured())[1] == pytest.approx(0.0)
 
 
 def test_depth_goes_with_one_over_the_coefficients_and_nothing_else(plain: CuttingLimits) -> None:
