@@ -331,7 +331,8 @@ class Modes:
     def matrix(self, frequency: ArrayLike) -> Complex:
         """Return the compliance [m/N], shape (f, 3, 3), at frequencies [Hz] of either sign."""
         gain = 1.0 / (2j * np.pi * np.asarray(frequency, dtype=float)[:, None] - self.rate)
-        return np.asarray(np.einsum("im,fm,mj->fij", self.shape, gain, self.participation))
+        products = (self.shape[:, :, None] * self.participation).transpose(1, 0, 2).reshape(-1, 9)
+        return np.asarray((gain @ products).reshape(-1, 3, 3))
 
 
 def modes_of(machine: Machine) -> Modes:

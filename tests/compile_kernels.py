@@ -59,7 +59,14 @@ def cuts() -> None:
         simulate_forced,
         simulate_milling,
     )
-    from stability import critical_depth, floquet_multipliers, limit_depth, zero_order
+    from stability import (
+        critical_depth,
+        floquet_multipliers,
+        limit_depth,
+        multi_frequency,
+        semi_discretization,
+        zero_order,
+    )
 
     bench = ModalModel([61.4, 80.0], [0.02, 0.02], [1.68e6, 2e6], [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
     material = CuttingCoefficients(780e6, 351e6, 0.0)
@@ -74,6 +81,9 @@ def cuts() -> None:
         zero_order(compliance, tool, arc, material, [900.0, 1500.0])
         limit_depth(bench, tool, arc, material, 60.0 * 60.0 / tool.teeth * math.sqrt(2.0))
         floquet_multipliers(bench, tool, arc, material, 1e-3, 900.0)
+        semi_discretization(bench, tool, arc, material, 60.0 * 60.0 / tool.teeth * np.array([1.4, 1.42]))
+    for arc in (narrow, slot):
+        multi_frequency(bench, few, arc, material, [900.0, 905.0])
 
 
 def friction() -> None:

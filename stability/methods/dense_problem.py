@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from process.types import Complex, Real
-from stability.methods import _semi_discretization_kernels as kernels
+from stability.methods import _floquet_kernels as kernels
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,19 @@ class Dense:
     kept: Real
     wrapped: Real
 
+    @cached_property
+    def period(self) -> kernels.Period:
+        """The products of these matrices of which everything at one spindle speed is made."""
+        own, lagged = self.response @ self.kept, self.response @ self.wrapped
+        driven, left = self.gained @ self.kept, self.gained @ self.wrapped
+        return kernels.Period(own.astype(complex), lagged.astype(complex), self.free, driven, left, self.turn)
+
     def crossing(self, angles: Real) -> Complex:
         """Return matrices (angles, m, m) with eigenvalues 1/depth [1/m] when ``exp(j angle)`` is a multiplier."""
+        p = self.period
         multiplier = np.where(angles < math.pi, np.exp(1j * angles), -1.0 + 0.0j)[:, None, None]
-        chips = self.response + (self.free / (multiplier - self.turn)) @ self.gained
-        return np.asarray(chips @ (self.kept - self.wrapped / multiplier))
+        state = (p.free / (multiplier - self.turn)) @ (p.driven - p.left / multiplier)
+        return np.asarray(p.own - p.lagged / multiplier + state)
 
     def crossing_values(self, angles: Real) -> Complex:
         """Return the eigenvalues 1/depth [1/m], shape (angles, m)."""
@@ -55,27 +64,8 @@ class Dense:
 
     def multipliers(self, depths: Real) -> Complex:
         """Return the Floquet multipliers at depths [m], shape (depths, N + m), in real arithmetic."""
-        size, half = self.response.shape[0], self.turn.imag > 0.0
-        single = np.flatnonzero(self.turn.imag == 0.0)
-        pairs = np.flatnonzero(half)
-        states = single.size + 2 * pairs.size
-        turn = np.zeros((states, states))
-        turn[: single.size, : single.size] = np.diag(self.turn[single].real)
-        first, second = single.size + np.arange(pairs.size), single.size + pairs.size + np.arange(pairs.size)
-        turn[first, first] = turn[second, second] = self.turn[pairs].real
-        turn[first, second], turn[second, first] = -self.turn[pairs].imag, self.turn[pairs].imag
-        moved = self.free[:, pairs]
-        free = np.hstack([self.free[:, single].real, 2.0 * moved.real, -2.0 * moved.imag])
-        driven = self.gained[pairs]
-        gained = np.vstack([self.gained[single].real, driven.real, driven.imag])
-        depth = depths[:, None, None]
-        left = np.eye(size) - depth * (self.response @ self.kept)
-        none = np.zeros((depths.size, size, states))
-        right = np.concatenate([none + free, -depth * (self.response @ self.wrapped)], axis=2)
-        chips = np.linalg.solve(left, right)
-        force = depth * (self.kept @ chips - np.hstack([np.zeros((size, states)), self.wrapped]))
-        state = np.hstack([turn, np.zeros((states, size))]) + gained @ force
-        return np.asarray(np.linalg.eigvals(np.concatenate([state, chips], axis=1)), dtype=complex)
+        maps = np.array([kernels.period_map(self.period, float(depth)) for depth in depths])
+        return np.asarray(np.linalg.eigvals(maps), dtype=complex)
 
 
 def dense(system: kernels.System) -> Dense:

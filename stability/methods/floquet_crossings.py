@@ -83,7 +83,7 @@ def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> 
     samples = list(zip(angles.tolist(), values, strict=True))
     for _, at_end in (samples[0], samples[-1]):
         at_end.imag[np.abs(at_end.imag) <= 1e-9 * np.abs(at_end)] = 0.0
-    found = [Crossing(a, depth) for a, at_end in (samples[0], samples[-1]) for depth in _real_depths(at_end)]
+    found = [Crossing(a, depth) for a, at_end in (samples[0], samples[-1]) for depth in real_depths(at_end)]
     if isinstance(values, np.ndarray):
         size, real = np.abs(values).max(axis=1), values.real.max(axis=1)
     else:
@@ -108,7 +108,7 @@ def _at(curve: Curve, angle: float) -> Complex:
     return curve(np.array([angle]))[0]
 
 
-def _real_depths(values: Complex) -> list[float]:
+def real_depths(values: Complex) -> list[float]:
     """Depths of the real positive eigenvalues of a real matrix (theta 0 or pi)."""
     size = np.abs(values)
     real = (np.abs(values.imag) <= 1e-9 * size) & (values.real > 1e-6 * size.max(initial=0.0))
@@ -175,7 +175,7 @@ def _nearest(values: Complex, to: complex) -> complex:
 def follow(curve: Curve, crossing: Crossing) -> Crossing | None:
     """Return the crossing of a finer discretisation near that of a coarser one; None when it has gone elsewhere."""
     if crossing.kind != "hopf":
-        depths = _real_depths(_at(curve, crossing.angle))
+        depths = real_depths(_at(curve, crossing.angle))
         best = min(depths, key=lambda d: abs(1.0 / d - 1.0 / crossing.depth), default=math.inf)
         return Crossing(crossing.angle, best) if abs(best / crossing.depth - 1.0) < 0.2 else None
     old, value = crossing.angle, _nearest(_at(curve, crossing.angle), 1.0 / crossing.depth + 0.0j)
@@ -196,8 +196,56 @@ def follow(curve: Curve, crossing: Crossing) -> Crossing | None:
     return None
 
 
-def is_unstable(matrix: Callable[[float], Complex], angles: Real, depth: float) -> bool:
-    """Whether a cut is unstable at a depth [m], without a search for crossings: Nyquist's criterion.
+def followed_angle(kind: str, turns: float) -> tuple[float, bool]:
+    """Return the angle of a multiplier whose line turns so often in a period, and whether it is the conjugate one's."""
+    if kind != "hopf":
+        return (math.pi if kind == "flip" else 0.0), False
+    angle = 2.0 * math.pi * (turns % 1.0)
+    return (2.0 * math.pi - angle, True) if angle > math.pi else (angle, False)
+
+
+def approach(
+    matrix: Callable[[Real], Complex], angle: float, value: complex, vector: Complex
+) -> tuple[Crossing, Complex] | None:
+    """Return the crossing near an angle and an eigenvalue 1/depth [1/m] with its vector; None where there is none.
+
+    Newton's method on ``M(angle) x = value x``, ``x_0^H x = 1`` with a real value: the angle moves the imaginary part
+    of the value to zero. At 0 and pi the angle stays. `matrix` takes angles (n,) to matrices (n, m, m).
+    """
+    fixed = angle in (0.0, math.pi)
+    size, step = vector.size, 0.0
+    border = np.append(vector.conj() / np.vdot(vector, vector), 0.0)
+    x, whole = vector.astype(complex), np.zeros((size + 1, size + 1), dtype=complex)
+    shift = 1e-6 if angle < 0.5 * math.pi else -1e-6
+    for _ in range(12):
+        at, *beside = matrix(np.array([angle] if fixed else [angle, angle + shift]))
+        right = np.zeros((size + 1, 2), dtype=complex)
+        right[:size, 0] = value * x - at @ x
+        if not fixed:
+            right[:size, 1] = (at @ x - beside[0] @ x) / shift
+        whole[:size, :size] = at
+        whole[range(size), range(size)] -= value
+        whole[:size, size], whole[size] = -x, border
+        try:
+            found = np.linalg.solve(whole, right)
+        except np.linalg.LinAlgError:
+            return None
+        if not fixed:
+            slope = found[size, 1].imag
+            step = max(-0.1, min(0.1, -(value + found[size, 0]).imag / slope)) if slope else math.inf
+        moved = found[:, 0] + step * found[:, 1]
+        x, value, angle = x + moved[:size], value + complex(moved[size]), angle + step
+        if not (fixed or 0.0 < angle < math.pi) or not 0.0 < abs(value) < math.inf:
+            return None
+        # The error left is about the square of the last step.
+        if abs(moved[size]) <= 1e-6 * abs(value) and abs(step) <= 1e-6 and abs(value.imag) <= 1e-7 * abs(value):
+            inside = fixed or RULES.close_to_end < angle < math.pi - RULES.close_to_end
+            return (Crossing(angle, 1.0 / value.real), x) if inside and value.real > 0.0 else None
+    return None
+
+
+def is_unstable(signs: Callable[[Real], Complex], angles: Real) -> bool:
+    """Whether a cut is unstable at one of some depths, without a search for crossings: Nyquist's criterion.
 
     The machine alone is stable, so that ``det(1 - depth M(theta))`` turns about zero as often as multipliers lie
     outside the unit circle. Over half the circle it turns by half of that, from one real value to another; steps of
@@ -205,33 +253,21 @@ def is_unstable(matrix: Callable[[float], Complex], angles: Real, depth: float) 
 
     Parameters
     ----------
-    matrix : callable
-        Angle [rad] -> M [1/m], shape (n, n).
+    signs : callable
+        Rising angles [rad], shape (n,) -> the determinants there, of modulus 1 or 0, shape (n, depths).
     angles : ndarray
         Rising angles from 0 to pi.
-    depth : float
-        Axial depth [m].
     """
-
-    def sign(angle: float) -> complex:
-        m = matrix(angle)
-        return complex(np.linalg.slogdet(np.eye(m.shape[0]) - depth * m)[0])
-
-    total, low, at_low = 0.0, float(angles[0]), sign(float(angles[0]))
-    ahead = angles[:0:-1].tolist()
-    known: dict[float, complex] = {}
-    while ahead:
-        high = ahead[-1]
-        if high not in known:
-            known[high] = sign(high)
-        at_high = known[high]
-        turned = float(np.angle(at_high / at_low)) if at_low else 0.0
-        if abs(turned) > RULES.largest_turn and high - low > RULES.smallest_interval:
-            ahead.append(0.5 * (low + high))
-            continue
-        total, low, at_low = total + turned, high, at_high
-        ahead.pop()
-    return round(total / math.pi) != 0
+    at = signs(angles)
+    while True:
+        ratio = at[1:] * at[:-1].conj()
+        turned = np.angle(np.where(ratio == 0.0, 1.0, ratio))
+        wide = np.any(np.abs(turned) > RULES.largest_turn, axis=1) & (np.diff(angles) > RULES.smallest_interval)
+        if not wide.any():
+            return bool(np.any(np.round(turned.sum(axis=0) / math.pi) != 0.0))
+        place = np.flatnonzero(wide) + 1
+        middle = 0.5 * (angles[place - 1] + angles[place])
+        angles, at = np.insert(angles, place, middle), np.insert(at, place, signs(middle), axis=0)
 
 
 def relative_change(old: Crossing | None, new: Crossing | None) -> float:

@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -33,12 +34,16 @@ from process.cut.force import CuttingCoefficients, chip_projection, force_projec
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.types import Complex, Real
+from stability.methods import _floquet_kernels as kernels
 from stability.methods.floquet_crossings import (
     Crossing,
     angle_grid,
+    approach,
     find_crossings,
     follow,
+    followed_angle,
     is_unstable,
+    real_depths,
     relative_change,
 )
 from stability.methods.rules import RULES
@@ -123,10 +128,10 @@ def multi_frequency(
         raise InputError(f"the tolerance is {tolerance:g}; a share of the limit between 0 and 1 is needed, e.g. 1e-3")
     response = _measured(compliance) if isinstance(compliance, xr.Dataset) else _modal(compliance)
     cut = Cut(tool, arc, coefficients)
-    moving = np.abs(response.at(np.linspace(0.0, response.highest, 9))).max(axis=(0, 1)) > 0.0
-    lines = _Lines(cut, pattern_of(tool, METHOD), int(moving.sum()))
+    size = np.abs(response.at(np.linspace(0.0, response.highest, 9))).max(axis=0)
+    lines = _Lines(cut, pattern_of(tool, METHOD), size.max(axis=0) > 0.0, size.max(axis=1) > 0.0)
     _require_reach(response, lines, float(speed.min()))
-    limits = [_limit(response, lines, float(n), tolerance) for n in speed]
+    limits = _all(response, lines, speed, tolerance)
     warnings = [*cut.warnings, *response.warnings]
     loose = sum(limit.limit_depth_error_mm > tolerance * limit.limit_depth_mm for limit in limits)
     if loose:
@@ -209,12 +214,12 @@ def _interpolant(samples: Samples) -> Callable[[Real], Complex]:
 class _Lines:
     """The harmonics of the directional matrix of a cut, computed once for all speeds.
 
-    directions: those in which forces move anything.
+    moved, felt: directions of a force that moves anything, and of a motion that there can be, (3,).
     """
 
-    def __init__(self, cut: Cut, pattern: Pattern, directions: int) -> None:
+    def __init__(self, cut: Cut, pattern: Pattern, moved: NDArray[np.bool_], felt: NDArray[np.bool_]) -> None:
         self.pattern = pattern
-        self._directions = directions
+        self.moved, self.felt = moved, felt
         self.teeth = pattern.lag.size // pattern.repeats
         self._arc = cut.arc
         self._force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle)
@@ -238,7 +243,7 @@ class _Lines:
         if count not in self._known:
             share = RULES.nodes_a_radian * self.pattern.repeats * count
             nodes = [math.ceil(share * part.arc) + RULES.spare_nodes for part in self._arc.arcs]
-            fewer = self.teeth * sum(nodes) < self._directions * (2 * count + 1)
+            fewer = self.teeth * sum(nodes) < int(self.moved.sum()) * (2 * count + 1)
             self._known[count] = self._contacts(count, nodes) if fewer else self._blocks(count)
         return self._known[count]
 
@@ -247,7 +252,7 @@ class _Lines:
         grams = [gram_matrix(self._arc, int(r) * self.pattern.repeats) for r in range(-2 * count, 2 * count + 1)]
         one = (self._force @ np.array(grams) @ self._chip / self.pattern.period)[orders + 2 * count]
         turn = [np.exp(-1j * orders * self.pattern.repeats * lag) for lag in self.pattern.lag[: self.teeth]]
-        return _Blocks([one * phase[:, :, None, None] for phase in turn])
+        return _Blocks([one * phase[:, :, None, None] for phase in turn], self.moved, self.felt)
 
     def _contacts(self, count: int, nodes: list[int]) -> _Contacts:
         parts = [_gauss(part, n) for part, n in zip(self._arc.arcs, nodes, strict=True)]
@@ -258,7 +263,7 @@ class _Lines:
         wave = np.exp(1j * np.outer(np.arange(-count, count + 1), angle))
         chip = np.tile(basis @ self._chip, (self.teeth, 1))
         force = np.tile((basis * weight[:, None]) @ self._force.T, (self.teeth, 1)) / self.pattern.period
-        return _Contacts(tooth, wave[:, :, None] * chip, wave.conj()[:, :, None] * force)
+        return _Contacts(tooth, wave[:, :, None] * chip, wave.conj()[:, :, None] * force, self.moved, self.felt)
 
 
 def _gauss(part: Engagement, nodes: int) -> tuple[Real, Real]:
@@ -269,31 +274,47 @@ def _gauss(part: Engagement, nodes: int) -> tuple[Real, Real]:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """For each tooth of the pattern the harmonics p - q, shape (2R + 1, 2R + 1, 3, 3): unknowns are the force lines."""
+    """For each tooth of the pattern the harmonics p - q, shape (2R + 1, 2R + 1, 3, 3): unknowns are the force lines.
+
+    Parameters
+    ----------
+    tooth : list of ndarray of complex
+        The harmonics.
+    moved, felt : ndarray of bool, shape (3,)
+        Directions of a force that moves anything, and of a motion that there can be.
+    """
 
     tooth: list[Complex]
+    moved: NDArray[np.bool_]
+    felt: NDArray[np.bool_]
+
+    def size(self, lines: int) -> int:
+        """Return the number of unknowns with so many lines."""
+        return lines * int(self.moved.sum())
 
     @property
     def largest(self) -> float:
         """Size of the largest harmonic [N/m2]."""
         return max(float(np.abs(block).max()) for block in self.tooth)
 
-    def loop(self, regenerated: Complex, phi: Complex) -> Complex:
-        """Return the square matrix [1/m] over the lines and the force directions that move anything."""
-        lines = slice(phi.shape[0])
-        factor = sum(
-            block[lines, lines] * share[None, :, None, None]
-            for block, share in zip(self.tooth, regenerated, strict=True)
-        )
-        kept = np.abs(phi).max(axis=(0, 1)) > 0.0
-        size = int(kept.sum()) * phi.shape[0]
-        whole = (factor @ phi[None]).transpose(0, 2, 1, 3)
-        return np.asarray(whole[:, kept][:, :, :, kept].reshape(size, size))
+    @cached_property
+    def columns(self) -> Complex:
+        """The columns q of the lines, (teeth, 2R + 1, lines of p and their directions, directions of motion)."""
+        count = self.tooth[0].shape[0]
+        kept = [block[:, :, self.moved][:, :, :, self.felt].transpose(1, 0, 2, 3) for block in self.tooth]
+        return np.stack([np.ascontiguousarray(b).reshape(count, -1, int(self.felt.sum())) for b in kept])
 
-    def force_lines(self, vector: Complex, phi: Complex) -> Complex:
+    def loop(self, regenerated: Complex, phi: Complex) -> Complex:
+        """Return square matrices [1/m] over the lines and the force directions that move anything, (angles, n, n).
+
+        `phi` (angles, lines, felt, moved) is the compliance in the directions that count.
+        """
+        return kernels.block_loops(self.columns, regenerated, phi)  # type: ignore[no-any-return]
+
+    def force_lines(self, vector: Complex, lines: int) -> Complex:
         """Return the force lines (lines, 3) that an eigenvector stands for."""
-        out = np.zeros((phi.shape[0], 3), dtype=complex)
-        out[:, np.abs(phi).max(axis=(0, 1)) > 0.0] = vector.reshape(phi.shape[0], -1)
+        out = np.zeros((lines, 3), dtype=complex)
+        out[:, self.moved] = vector.reshape(lines, -1)
         return out
 
 
@@ -310,27 +331,38 @@ class _Contacts:
         Tooth of the pattern.
     chip, force : ndarray of complex, shape (2R + 1, contacts, 3)
         ``c e^{+j q phi}`` [1] and ``f e^{-j q phi}``, its weight included [N/m2].
+    moved, felt : ndarray of bool, shape (3,)
+        As of `_Blocks`.
     """
 
     tooth: NDArray[np.int64]
     chip: Complex
     force: Complex
+    moved: NDArray[np.bool_]
+    felt: NDArray[np.bool_]
+
+    def size(self, lines: int) -> int:
+        """Return the number of unknowns with so many lines."""
+        return self.tooth.size
 
     @property
     def largest(self) -> float:
         """Size of the largest harmonic [N/m2]."""
         return float(np.abs(self.force[0]).sum(axis=0).max())
 
-    def loop(self, regenerated: Complex, phi: Complex) -> Complex:
-        """Return the square matrix [1/m] over the contacts."""
-        lines, contacts = phi.shape[0], self.tooth.size
-        chip = (self.chip[:lines] * regenerated[self.tooth].T[:, :, None]) @ phi
-        left = chip.transpose(1, 0, 2).reshape(contacts, 3 * lines)
-        return np.asarray(left @ self.force[:lines].transpose(0, 2, 1).reshape(3 * lines, contacts))
+    @cached_property
+    def kept(self) -> tuple[Complex, Complex]:
+        """Chip and force in the directions that count, (2R + 1, contacts, felt) and (2R + 1, moved, contacts)."""
+        force = np.ascontiguousarray(self.force[:, :, self.moved].transpose(0, 2, 1))
+        return np.ascontiguousarray(self.chip[:, :, self.felt]), force
 
-    def force_lines(self, vector: Complex, phi: Complex) -> Complex:
+    def loop(self, regenerated: Complex, phi: Complex) -> Complex:
+        """Return square matrices [1/m] over the contacts, (angles, n, n); `phi` as of `_Blocks.loop`."""
+        return kernels.contact_loops(self.tooth, *self.kept, regenerated, phi)  # type: ignore[no-any-return]
+
+    def force_lines(self, vector: Complex, lines: int) -> Complex:
         """Return the force lines (lines, 3) that an eigenvector stands for."""
-        return np.asarray(vector @ self.force[: phi.shape[0]])
+        return np.asarray(vector @ self.force[:lines])
 
 
 @dataclass(frozen=True)
@@ -343,33 +375,81 @@ class _Truncated:
     count: int
     form: _Blocks | _Contacts
 
-    def turns(self, angle: float) -> Real:
+    def turns(self, angle: float, low: bool | None = None) -> Real:
         """Return the frequencies of the lines in units of the pattern's; at 0 and pi with their conjugates."""
-        top = self.count + 1 if angle < 0.5 * math.pi else self.count
+        low = angle < 0.5 * math.pi if low is None else low
+        top = self.count + 1 if low else self.count
         return np.asarray(angle / (2.0 * math.pi) + np.arange(-self.count, top))
 
-    def matrix(self, angle: float) -> tuple[Complex, Complex]:
-        """Return the matrix with eigenvalues 1/depth [1/m], and the compliance at the lines."""
-        turns = self.turns(angle)
-        phi = self.response.at(turns / self.duration)
+    def matrices(self, angles: Real, low: bool | None = None) -> tuple[Complex, Complex]:
+        """Return matrices with eigenvalues 1/depth [1/m] at angles that have lines alike, and the compliances there.
+
+        `low` says of which half of the circle the lines are, where the angles may lie on its end.
+        """
+        low = float(angles[0]) < 0.5 * math.pi if low is None else low
+        turns = angles[:, None] / (2.0 * math.pi) + np.arange(-self.count, self.count + (1 if low else 0))
+        phi = self.response.at(turns.ravel() / self.duration)
+        kept = np.ascontiguousarray(phi[:, self.form.felt][:, :, self.form.moved])
         delay = self.pattern.delay[: self.pattern.lag.size // self.pattern.repeats] / self.pattern.period
-        return self.form.loop(1.0 - np.exp(-2j * math.pi * np.outer(delay, turns)), phi), phi
+        regenerated = 1.0 - np.exp(-2j * math.pi * delay[:, None] * turns[:, None, :])
+        return self.form.loop(regenerated, kept.reshape(*turns.shape, *kept.shape[1:])), phi
+
+    def of_all(self, angles: Real, of: Callable[[Complex], Any]) -> list[Any]:
+        """Return what a function makes of the matrices at rising angles, for each angle."""
+        parts = [angles[angles < 0.5 * math.pi], angles[angles >= 0.5 * math.pi]]
+        return [row for part in parts if part.size for row in of(self.matrices(part)[0])]
 
     def values(self, angles: Real) -> list[Complex]:
-        """Return the eigenvalues 1/depth [1/m] at each angle."""
-        return [np.asarray(np.linalg.eigvals(self.matrix(float(angle))[0])) for angle in angles]
+        """Return the eigenvalues 1/depth [1/m] at each of rising angles."""
+        return self.of_all(angles, np.linalg.eigvals)
 
-    def strongest_line(self, crossing: Crossing) -> tuple[float, int]:
-        """Return the frequency [Hz] of the largest displacement at a crossing, and its lobe."""
-        matrix, phi = self.matrix(crossing.angle)
-        values, vectors = np.linalg.eig(matrix)
-        force = self.form.force_lines(vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))], phi)
+    def unstable_at(self, angles: Real, depths: Real) -> bool:
+        """Whether the cut is unstable at one of some depths [m]: Nyquist's criterion, from a scan over 0 to pi."""
+        signs = partial(kernels.determinant_signs, depths=depths)
+        return is_unstable(lambda at: np.array(self.of_all(at, signs)), angles)
+
+    def approach(self, angle: float, depth: float, vector: Complex | None = None) -> _Vibration | None:
+        """Return the crossing near an angle and a depth [m], of a vector like the one given; None: none there."""
+        low = angle < 0.5 * math.pi
+        if vector is None or vector.size != self.form.size(self.turns(angle).size):
+            matrix = self.matrices(np.array([angle]))[0][0]
+            values, vectors = np.linalg.eig(matrix)
+            at = int(np.argmin(np.abs(values - 1.0 / depth)))
+            start, vector = complex(values[at]), vectors[:, at]
+        else:
+            start = 1.0 / depth + 0.0j
+        found = approach(lambda at: self.matrices(at, low)[0], angle, start, vector)
+        return None if found is None else _Vibration(*found)
+
+    def strongest_line(self, at: _Vibration) -> tuple[float, float, int]:
+        """Return the turns in a period of the largest displacement at a crossing, its frequency [Hz], and its lobe."""
+        turns = self.turns(at.crossing.angle)
+        phi = self.response.at(turns / self.duration)
+        force = self.form.force_lines(at.vector, turns.size)
         moved = (phi @ force[:, :, None])[:, :, 0]
-        strongest = float(abs(self.turns(crossing.angle)[int(np.argmax(np.linalg.norm(moved, axis=1)))]))
-        return strongest / self.duration, self.pattern.lobe(strongest)
+        strongest = float(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))])
+        return strongest, abs(strongest) / self.duration, self.pattern.lobe(abs(strongest))
 
 
-def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: float) -> LimitDepth:
+@dataclass(frozen=True)
+class _Vibration:
+    """A crossing with the vector of the loop that belongs to it."""
+
+    crossing: Crossing
+    vector: Complex
+
+
+@dataclass(frozen=True)
+class _Known:
+    """A limit that a neighbouring spindle speed [rpm] begins with."""
+
+    limit: LimitDepth
+    spindle_speed: float
+    turns: float  # of the strongest line in a period, signed: how far the multiplier has gone round
+    vectors: dict[int, Complex]  # by the harmonics
+
+
+def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: float) -> _Known:
     """Add harmonics until the first loss stands still; where it does not, the next set is scanned as a whole."""
     duration = lines.pattern.duration(spindle_speed)
     poles = np.exp(response.resonance * duration)
@@ -381,7 +461,7 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
     def first(loop: _Truncated) -> Crossing | None:
         return next(iter(find_crossings(loop.values, angles)), None)
 
-    loop = truncated(min(lines.most, math.ceil(response.highest * duration + 1.0 + lines.pulse)))
+    loop = truncated(_first_count(response, lines, duration))
     _require_motion(loop)
     old, change = first(loop), math.inf
     if 1.25 * loop.count > lines.most:
@@ -404,8 +484,154 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
         change = relative_change(old, new) if _confirmed(loop, closer, new) and change <= tolerance else math.inf
         old = new
     if old is None:
-        return LimitDepth(math.inf, 0.0 if change == 0.0 else math.inf, math.nan, NO_LOBE, "none", loop.count)
-    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, *loop.strongest_line(old), old.kind, loop.count)
+        error = 0.0 if change == 0.0 else math.inf
+        none = LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", loop.count)
+        return _Known(none, spindle_speed, math.nan, {})
+    values, vectors = np.linalg.eig(loop.matrices(np.array([old.angle]))[0][0])
+    vector = np.asarray(vectors[:, int(np.argmin(np.abs(values * old.depth - 1.0)))], dtype=complex)
+    return _known(loop, spindle_speed, _Vibration(old, vector), change, {loop.count: vector})
+
+
+def _first_count(response: _Response, lines: _Lines, duration: float) -> int:
+    """Number of harmonics that reach the highest mode and beyond the pulse of a tooth."""
+    return min(lines.most, math.ceil(response.highest * duration + 1.0 + lines.pulse))
+
+
+def _known(
+    loop: _Truncated, spindle_speed: float, at: _Vibration, change: float, vectors: dict[int, Complex]
+) -> _Known:
+    turns, line, lobe = loop.strongest_line(at)
+    depth, kind = 1e3 * at.crossing.depth, at.crossing.kind
+    return _Known(LimitDepth(depth, change * depth, line, lobe, kind, loop.count), spindle_speed, turns, vectors)
+
+
+@dataclass(frozen=True)
+class _AtSpeed:
+    """The loops at one spindle speed [rpm], and what is known at a neighbouring one."""
+
+    response: _Response
+    lines: _Lines
+    spindle_speed: float
+    before: _Known
+    tolerance: float
+    vectors: dict[int, Complex] = field(default_factory=dict)
+
+    @cached_property
+    def duration(self) -> float:
+        """Time after which the cut repeats [s]."""
+        return self.lines.pattern.duration(self.spindle_speed)
+
+    @cached_property
+    def angles(self) -> Real:
+        """Angles of a scan."""
+        return angle_grid(np.exp(self.response.resonance * self.duration), RULES.even_steps // 4)
+
+    def loop(self, count: int) -> _Truncated:
+        """Return the loop with so many harmonics, or the most there are."""
+        count = min(self.lines.most, count)
+        return _Truncated(self.response, self.lines.pattern, self.duration, count, self.lines.upto(count))
+
+    @cached_property
+    def first(self) -> _Truncated:
+        """The loop with the fewest harmonics."""
+        return self.loop(_first_count(self.response, self.lines, self.duration))
+
+    def near(self, loop: _Truncated, angle: float, depth: float, turned: bool = False) -> _Vibration | None:
+        """Return the crossing near an angle and a depth [m] by Newton's method, from the vector known before."""
+        found = None
+        if (vector := self.before.vectors.get(loop.count)) is not None and not turned:
+            found = loop.approach(angle, depth, vector)
+        found = found or loop.approach(angle, depth)
+        if found is not None:
+            self.vectors[loop.count] = found.vector
+        return found
+
+    def followed(self) -> _Vibration | None:
+        """Return the crossing of the neighbouring speed at this one, with the fewest harmonics."""
+        kind, turns = self.before.limit.kind, self.before.turns * self.before.spindle_speed / self.spindle_speed
+        return self.near(self.first, *_predicted(kind, turns, 1e-3 * self.before.limit.limit_depth_mm))
+
+    def settled(self, loop: _Truncated, at: _Vibration | None) -> tuple[_Truncated, _Known] | None:
+        """Return a limit with harmonics added until it stands still, and the loop before the last; None: it does not.
+
+        `at` is its crossing with the harmonics of `loop`.
+        """
+        coarser, change = loop, math.inf
+        while change > self.tolerance:
+            if at is None or loop.count == self.lines.most:
+                return None
+            coarser, loop = loop, self.loop(math.ceil(1.5 * loop.count + self.lines.pulse))
+            new = self.near(loop, at.crossing.angle, at.crossing.depth)
+            change = relative_change(at.crossing, None if new is None else new.crossing)
+            if change > RULES.largest_change:
+                return None
+            at = new
+        assert at is not None
+        return coarser, _known(loop, self.spindle_speed, at, change, self.vectors)
+
+    def below(self, loop: _Truncated, depth: float) -> Crossing | None:
+        """Return a crossing below a limit [m], or the limit itself; None where one is not found that must be there."""
+        # An island of period doubling may be narrower than what lies between the shares; its ends are real eigenvalues.
+        flip = min(real_depths(loop.values(np.array([math.pi]))[0]), default=math.inf)
+        least = min(flip, depth)
+        if not loop.unstable_at(self.angles, least * np.array(RULES.tracked_shares_of_harmonics)):
+            return Crossing(math.pi, flip) if flip < depth else Crossing(math.nan, depth)
+        found = next(iter(find_crossings(loop.values, self.angles)), None)
+        return found if found is not None and found.depth < least else None
+
+
+def _predicted(kind: str, turns: float, depth: float) -> tuple[float, float, bool]:
+    angle, turned = followed_angle(kind, turns)
+    return angle, depth, turned
+
+
+def _tracked(here: _AtSpeed) -> tuple[_Known | None, bool]:
+    """Return the limit at a speed from that at a neighbouring one, and whether it is of another crossing.
+
+    None where it has to be searched for. With the harmonics with which it stands still, Nyquist's criterion says
+    whether the cut is stable below.
+    """
+    if not math.isfinite(here.before.limit.limit_depth_mm):
+        return None, True
+    other, found = False, here.settled(here.first, here.followed())
+    for _ in range(RULES.crossings_below):
+        loop, depth = (here.first, math.inf) if found is None else (found[0], 1e-3 * found[1].limit.limit_depth_mm)
+        if math.isinf(depth):
+            below = next(iter(find_crossings(loop.values, here.angles)), None)
+        else:
+            below = here.below(loop, (1.0 - here.tolerance) * depth)
+            if below is not None and math.isnan(below.angle):
+                return found[1] if found else None, other
+        if below is None:
+            break
+        other, found = True, here.settled(loop, here.near(loop, below.angle, below.depth))
+        if found is None:
+            break
+    return None, True
+
+
+def _all(response: _Response, lines: _Lines, speed: Real, tolerance: float) -> list[LimitDepth]:
+    """Return the limits at all speeds, from the highest down.
+
+    Where another crossing becomes the first, it is followed back to the speeds before as well: near its tip a lobe is
+    narrower than what the criterion sees.
+    """
+    limits: list[LimitDepth] = [None] * speed.size  # type: ignore[list-item]
+    order: list[int] = np.argsort(-speed, kind="stable").tolist()
+    known: _Known | None = None
+    for place, i in enumerate(order):
+        n, found, other = float(speed[i]), None, True
+        if known is not None:
+            found, other = _tracked(_AtSpeed(response, lines, n, known, tolerance))
+        known = _limit(response, lines, n, tolerance) if found is None else found
+        limits[i], back = known.limit, known
+        for j in reversed(order[:place] if other and math.isfinite(known.limit.limit_depth_mm) else []):
+            there = _AtSpeed(response, lines, float(speed[j]), back, tolerance)
+            settled = there.settled(there.first, there.followed())
+            if settled is None or settled[1].limit.limit_depth_mm > (1.0 - tolerance) * limits[j].limit_depth_mm:
+                break
+            limits[j], back = settled[1].limit, settled[1]
+    return limits
 
 
 def _confirmed(loop: _Truncated, angles: Real, found: Crossing | None) -> bool:
@@ -414,10 +640,10 @@ def _confirmed(loop: _Truncated, angles: Real, found: Crossing | None) -> bool:
         depth = 1.0 / (RULES.negligible_eigenvalue * max(float(np.abs(part).max()) for part in loop.values(angles)))
     else:
         depth = RULES.confirmed_share * found.depth
-    return not is_unstable(lambda angle: loop.matrix(angle)[0], angles, depth)
+    return not loop.unstable_at(angles, np.array([depth]))
 
 
 def _require_motion(loop: _Truncated) -> None:
-    matrix, phi = loop.matrix(0.5 * math.pi)
+    matrix, phi = loop.matrices(np.array([0.5 * math.pi]))
     if np.abs(matrix).max(initial=0.0) <= 1e-12 * loop.form.largest * float(np.abs(phi).max()):
         raise InputError("the compliance is zero wherever the cut acts; there is nothing that could chatter")

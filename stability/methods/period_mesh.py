@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from process.cut.force import chip_projection, force_projection
 from process.types import Complex, Real
-from stability.methods import _semi_discretization_kernels as kernels
+from stability.methods import _floquet_kernels as kernels
 from stability.methods.rules import RULES
 from stability.problem import Cut, Modes, Pattern
 
@@ -137,7 +137,7 @@ def _surface_left(
     """Find for each contact those that hold the surface which the tooth before has left there, and their weights."""
     turn = 2.0 * math.pi
     source = np.empty(angle.size, dtype=np.int64)
-    weight = np.empty((angle.size, node.size))
+    place = np.empty(angle.size)
     before = angle - pattern.delay[tooth]
     wrap = before < elements[0][0] - 1e-9
     before = np.where(wrap, before + pattern.period, before)
@@ -148,8 +148,8 @@ def _surface_left(
         holding = ((e, *element) for e, element in enumerate(elements) if same in element[2])
         e, low, length, teeth = next(h for h in holding if h[1] - 1e-9 <= before[i] <= h[1] + h[2] + 1e-9)
         source[i] = offset[e] + node.size * teeth.index(same)
-        weight[i] = lagrange(node, np.array((before[i] - low) / length))
-    return source, weight, wrap
+        place[i] = (before[i] - low) / length
+    return source, lagrange(node, place), wrap
 
 
 def lagrange(node: Real, x: Real) -> Real:
@@ -177,14 +177,14 @@ def node_responses(mesh: Mesh, rate: Complex, step: float) -> tuple[Complex, Com
 
     Shapes (N, p, p) and (N, p) [s].
     """
+    return kernels.element_responses(rate, step, mesh.node, *_rule_of(mesh, rate, step))  # type: ignore[no-any-return]
+
+
+def _rule_of(mesh: Mesh, rate: Complex, step: float) -> tuple[Real, Real, Real, Real]:
+    """Return the rule of an element that lasts so long [s]."""
     # A fast decay is a layer at the end of the interval, where a Gauss rule is dense with the square of its points.
     decay = math.ceil(3.0 * math.sqrt(step * np.abs(rate.real).max()) / 8.0)
-    x, w, inside, whole = _rule(mesh.node.size, mesh.node.size + 8 + 8 * decay)
-    reach = step * mesh.node
-    growth = np.exp(rate[:, None, None] * reach[:, None] * (1.0 - x)) * w * reach[:, None]
-    inner = (growth.transpose(1, 0, 2) @ inside).transpose(1, 0, 2)
-    last = (step * w * np.exp(np.outer(rate, step * (1.0 - x)))) @ whole
-    return np.asarray(inner, dtype=complex), np.asarray(last, dtype=complex)
+    return _rule(mesh.node.size, mesh.node.size + 8 + 8 * decay)
 
 
 def cut_at_speed(mesh: Mesh, modes: Modes, spindle_speed: float) -> kernels.System:
@@ -193,20 +193,8 @@ def cut_at_speed(mesh: Mesh, modes: Modes, spindle_speed: float) -> kernels.Syst
     output = mesh.chip @ modes.shape
     force = modes.participation @ mesh.force
     step, idle = mesh.length / rotation, mesh.gap / rotation
-    width = int(np.diff(mesh.offset).max())
-    gain = np.zeros((mesh.length.size, width, width))
-    start, end = np.empty((2, *output.shape), dtype=complex)
-    known: dict[float, tuple[Complex, Complex]] = {}
-    for e, h in enumerate(step):
-        at = slice(mesh.offset[e], mesh.offset[e + 1])
-        key = round(float(h / step[0]), 9)
-        if key not in known:
-            known[key] = node_responses(mesh, modes.rate, float(h))
-        inner, last = known[key]
-        k = np.arange(at.stop - at.start) % mesh.node.size
-        gain[e, : k.size, : k.size] = np.einsum("im,mij,mj->ij", output[at], inner[:, k[:, None], k], force[:, at]).real
-        start[at] = output[at] * np.exp(np.outer(h * mesh.node[k], modes.rate))
-        end[at] = (force[:, at] * last[:, k]).T
+    rule = _rule_of(mesh, modes.rate, float(step.max()))
+    gain, start, end = kernels.element_gains(output, force, modes.rate, mesh.offset, mesh.node, step, *rule)
     turn = np.exp(modes.rate * mesh.pattern.period / rotation)
     decay, gap = np.exp(np.outer(step, modes.rate)), np.exp(np.outer(idle, modes.rate))
     return kernels.System(

@@ -30,6 +30,12 @@ class MethodRules:
     """Even steps in which the whole range of w is scanned; about resonances the scan is finer."""
     confirmed_share: float = 0.9
     """Share of a limit at which the cut must be stable."""
+    tracked_shares_of_harmonics: tuple[float, ...] = (0.7, 0.98)
+    """The same of a limit that was followed from a neighbouring speed."""
+    crossings_below: int = 4
+    """Crossings below one another that are tried before all are searched for."""
+    largest_change: float = 0.2
+    """Relative change by more harmonics beyond which a limit that was followed is searched for instead."""
     most_unknowns: int = 128
     """Unknowns up to which harmonics beyond `most_harmonics` are added."""
     nodes_a_radian: float = 0.6
@@ -48,6 +54,22 @@ class MethodRules:
     # semi_discretization.py
     confirmed_shares: tuple[float, ...] = (0.3, 0.6, 0.8, 0.9, 0.97, 0.999)
     """Shares of a limit at which the map over one period must be stable."""
+    tracked_shares: tuple[float, ...] = (0.3, 0.5, 0.6, 0.7, 0.76, 0.82, 0.88, 0.94, 0.98, 0.999)
+    """The same of a limit that was followed from a neighbouring speed: where it is unstable, a crossing lies below."""
+    beyond_tracked: float = 1.5
+    """Times the limit at a neighbouring speed up to which one is looked for where that has gone, time and again."""
+    beyond_steps: int = 6
+    """So often: ten times as deep."""
+    finer_tracked: float = 1.3
+    """As `finer` where a limit is followed: the error falls faster than any power of the steps."""
+    needless: float = 0.02
+    """Share of the tolerance below which a change shows that the next speed may begin with fewer steps."""
+    dense: int = 160
+    """Unknowns up to which a cut is solved as dense matrices."""
+    halvings: int = 24
+    """Of an interval of depth in which something begins to grow, at the most."""
+    rungs: float = 4.0
+    """Meshes in which the steps double."""
     full_search: int = 48
     """Up to this size all eigenvalues are taken; above, Arnoldi's method goes on until the large ones stand still."""
     large_eigenvalue: float = 0.2

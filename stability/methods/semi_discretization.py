@@ -36,7 +36,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
 from process.types import Complex, Real
-from stability.methods import _semi_discretization_kernels as kernels
+from stability.methods import _floquet_kernels as kernels
 from stability.methods.dense_problem import Dense, dense
 from stability.methods.floquet_crossings import (
     Crossing,
@@ -44,6 +44,7 @@ from stability.methods.floquet_crossings import (
     angle_grid,
     find_crossings,
     follow,
+    followed_angle,
     relative_change,
 )
 from stability.methods.period_mesh import Mesh, cut_at_speed, lay_mesh
@@ -87,6 +88,14 @@ class LimitDepth:
 
 
 @dataclass(frozen=True)
+class _Vibration:
+    """A crossing with the chips (m,) of its vibration."""
+
+    crossing: Crossing
+    chips: Complex
+
+
+@dataclass(frozen=True)
 class _Discrete:
     """The cut at one spindle speed in so many steps."""
 
@@ -94,22 +103,32 @@ class _Discrete:
     system: kernels.System
 
     @cached_property
-    def dense(self) -> Dense | None:
-        """Dense matrices of a small problem."""
-        return dense(self.system) if self.system.source.size + self.system.turn.size <= RULES.full_search else None
+    def size(self) -> int:
+        """Unknowns: the surface and the state."""
+        return int(self.system.source.size + self.system.turn.size)
+
+    @cached_property
+    def dense(self) -> Dense:
+        """The cut as dense matrices."""
+        return dense(self.system)
+
+    @property
+    def small(self) -> bool:
+        """Whether all eigenvalues are taken."""
+        return self.size <= RULES.full_search
 
     def curve(self, share: float = RULES.large_eigenvalue, deepest: float = math.inf) -> Curve:
         """Return the eigenvalues 1/depth [1/m] over the angle.
 
         All when the problem is small; else at least those above a share of the largest and those down to 1/deepest.
         """
-        if self.dense is not None:
+        if self.small:
             return self.dense.crossing_values
         return lambda angles: [_crossing_values(self.system, float(angle), share, deepest)[0] for angle in angles]
 
     def multipliers(self, depths: Real) -> list[Complex]:
         """Return the Floquet multipliers of large modulus at depths [m], largest first."""
-        if self.dense is not None:
+        if self.small:
             values = list(self.dense.multipliers(depths))
         else:
             values = [_multipliers(self.system, float(depth)) for depth in depths]
@@ -119,13 +138,63 @@ class _Discrete:
         """Return the largest modulus of a multiplier at a depth [m]."""
         return float(np.abs(self.multipliers(np.array([depth]))[0][0]))
 
+    def stable_at(self, depth: float) -> bool:
+        """Whether the map over one period is stable at a depth [m]."""
+        if self.size <= RULES.dense:
+            return bool(kernels.is_stable(self.dense.period, depth))
+        return self.radius(depth) < 1.0
+
     def stable_below(self, depth: float) -> bool:
         """Whether the map over one period is stable at the shares `RULES.confirmed_shares` of a depth [m]."""
-        return all(abs(v[0]) < 1.0 for v in self.multipliers(depth * np.array(RULES.confirmed_shares)))
+        return all(self.stable_at(share * depth) for share in RULES.confirmed_shares)
+
+    def approach(self, angle: float, depth: float, chips: Complex | None = None) -> _Vibration | None:
+        """Return the crossing near an angle and a depth [m], of chips like those that are given; None: none there."""
+        fixed = angle in (0.0, math.pi)
+        if chips is None:
+            values, vectors = np.linalg.eig(self.dense.crossing(np.array([angle]))[0])
+            at = int(np.argmin(np.abs(values - 1.0 / depth)))
+            value, chips = complex(values[at]), vectors[:, at]
+        else:
+            value = 1.0 / depth + 0.0j
+        found, value, chips, settled = kernels.approach_crossing(
+            self.dense.period, angle, value, np.ascontiguousarray(chips, dtype=complex), fixed
+        )
+        inside = fixed or RULES.close_to_end < found < math.pi - RULES.close_to_end
+        return _Vibration(Crossing(found, 1.0 / value.real), chips) if settled and inside else None
+
+    def between(self, low: float, high: float) -> _Vibration | None:
+        """Return a crossing between a depth [m] that is stable and one that is not, from what grows there."""
+        for _ in range(RULES.halvings):
+            values = np.linalg.eigvals(kernels.period_map(self.dense.period, high))
+            largest = values[int(np.argmax(np.abs(values)))]
+            angle = abs(float(np.angle(largest)))
+            found = self.approach(angle, high)
+            if found is not None and low * (1.0 - 1e-9) < found.crossing.depth < high * (1.0 + 1e-9):
+                return found
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.stable_at(middle) else (low, middle)
+        return None
+
+    def lowest(self, found: _Vibration | None, deepest: float) -> _Vibration | None:
+        """Return the first crossing, at a known one or below it, or below a depth [m] where none is known."""
+        for _ in range(RULES.halvings):
+            end, low = deepest if found is None else found.crossing.depth, 0.0
+            for share in RULES.tracked_shares:
+                high = share * end
+                if not self.stable_at(high):
+                    found = self.between(low, high)
+                    break
+                low = high
+            else:
+                return found
+            if found is None:
+                return None
+        return None
 
     def chips(self, crossing: Crossing) -> Complex:
         """Return the chips of the vibration at a crossing, shape (m,)."""
-        if self.dense is not None:
+        if self.small:
             return self.dense.chips(crossing.angle, crossing.depth)
         _, basis, small = _crossing_values(self.system, crossing.angle, RULES.large_eigenvalue, crossing.depth)
         values, vectors = np.linalg.eig(small)
@@ -197,7 +266,9 @@ class _Problem:
                 f"of the cut: {2 * steps} steps are needed, {RULES.most_steps} are the most. Ask for "
                 f"{self.spindle_speed * 2 * steps / RULES.most_steps:.3g} rpm or more, or leave out the fast modes"
             )
-        return steps
+        # Few kinds of meshes, so that neighbouring speeds have the same.
+        rung = math.ceil(RULES.rungs * math.log2(steps / 6.0) - 1e-9)
+        return int(math.ceil(6.0 * 2.0 ** (rung / RULES.rungs) - 1e-9))
 
     def mesh(self, steps: int) -> Mesh:
         """Lay a mesh; it is kept for the next spindle speed."""
@@ -205,10 +276,10 @@ class _Problem:
             self.kept[steps] = lay_mesh(self.cut, self.pattern, steps)
         return self.kept[steps]
 
-    def finer(self, mesh: Mesh) -> _Discrete:
-        """Return the cut in at least `RULES.finer` times the steps of a mesh."""
-        steps = mesh.steps
-        while self.mesh(steps).steps < RULES.finer * mesh.steps:
+    def finer(self, mesh: Mesh, factor: float = RULES.finer) -> _Discrete:
+        """Return the cut in at least so many times the steps of a mesh."""
+        steps = math.ceil(factor * mesh.steps)
+        while self.mesh(steps).steps < factor * mesh.steps:
             steps = math.ceil(1.2 * steps)
         return self.discrete(steps)
 
@@ -239,12 +310,12 @@ def _lowest(discrete: _Discrete, harder: int = 0) -> Crossing | None:
     """Return the first crossing that a search of some hardness finds; none only where small eigenvalues have none."""
     angles = angle_grid(discrete.system.turn, 26 * 4**harder)
     found = find_crossings(discrete.curve(RULES.large_eigenvalue / 10**harder), angles)
-    if not found and discrete.dense is None:
+    if not found and not discrete.small:
         found = find_crossings(discrete.curve(RULES.negligible_eigenvalue), angles)
     return next(iter(found), None)
 
 
-def _limit(problem: _Problem, tolerance: float) -> LimitDepth:
+def _limit(problem: _Problem, tolerance: float) -> _Known:
     """Refine until the first loss moves by less than the tolerance; each result but the coarsest is confirmed."""
     discrete, change = problem.discrete(problem.first_steps()), math.inf
     old = _lowest(discrete)
@@ -256,23 +327,95 @@ def _limit(problem: _Problem, tolerance: float) -> LimitDepth:
         change = relative_change(old, new)
         old = new
     if old is None:
-        return LimitDepth(math.inf, 0.0 if change == 0.0 else math.inf, math.nan, NO_LOBE, "none", discrete.mesh.steps)
-    line, lobe = _strongest_line(problem, discrete, old)
-    return LimitDepth(1e3 * old.depth, 1e3 * change * old.depth, line, lobe, old.kind, discrete.mesh.steps)
+        error = 0.0 if change == 0.0 else math.inf
+        none = LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", discrete.mesh.steps)
+        return _Known(none, problem.spindle_speed, math.nan, {})
+    chips = discrete.chips(old).astype(complex)
+    return _known(problem, discrete, _Vibration(old, chips), change, {discrete.mesh.steps: chips})
 
 
-def _strongest_line(problem: _Problem, discrete: _Discrete, crossing: Crossing) -> tuple[float, int]:
-    """Return the frequency [Hz] of the largest displacement among ``f_c + k/T`` at a crossing, and its lobe."""
+@dataclass(frozen=True)
+class _Known:
+    """A limit that a neighbouring spindle speed [rpm] begins with: its line, and its chips by the steps of meshes."""
+
+    limit: LimitDepth
+    spindle_speed: float
+    turns: float  # of the strongest line in a period, signed: how far the multiplier has gone round
+    chips: dict[int, Complex]
+    steps: int = 0  # from which the next speed may begin to refine
+
+
+def _tracked(problem: _Problem, before: _Known, tolerance: float) -> _Known | None:
+    """Return the limit at a speed from that at a neighbouring one; None where it has to be searched for.
+
+    The crossing is followed by Newton's method on the finest mesh, and whether anything below it is unstable is seen
+    by the map over one period at the shares `RULES.tracked_shares`: what grows there leads to the crossing below.
+    """
+    coarse = problem.discrete(max(problem.first_steps(), before.steps))
+    fine = problem.finer(coarse.mesh, RULES.finer_tracked)
+    if fine.size > RULES.dense or not math.isfinite(before.limit.limit_depth_mm):
+        return None
+    angle, turned = followed_angle(before.limit.kind, before.turns * before.spindle_speed / problem.spindle_speed)
+    depth = 1e-3 * before.limit.limit_depth_mm
+
+    def near(discrete: _Discrete, angle: float, depth: float) -> _Vibration | None:
+        chips = before.chips.get(discrete.mesh.steps)
+        found = None
+        if chips is not None and chips.size == discrete.system.source.size:
+            found = discrete.approach(angle, depth, chips.conj() if turned else chips)
+        return found or discrete.approach(angle, depth)
+
+    at, deepest = near(fine, angle, depth), depth
+    for _ in range(RULES.beyond_steps):
+        deepest *= RULES.beyond_tracked
+        if (at := fine.lowest(at, deepest)) is not None:
+            break
+    else:
+        return None
+    chips = {fine.mesh.steps: at.chips}
+    old = near(coarse, at.crossing.angle, at.crossing.depth)
+    if old is not None:
+        chips[coarse.mesh.steps] = old.chips
+    change = relative_change(None if old is None else old.crossing, at.crossing)
+    while change > tolerance:
+        finer = problem.finer(fine.mesh, RULES.finer_tracked)
+        if finer.size > RULES.dense:
+            return None
+        new = near(finer, at.crossing.angle, at.crossing.depth)
+        if new is None or not finer.stable_at(RULES.confirmed_shares[-1] * new.crossing.depth):
+            new = finer.lowest(new, RULES.beyond_tracked * at.crossing.depth)
+        if new is None:
+            return None
+        change, coarse, fine, at = relative_change(at.crossing, new.crossing), fine, finer, new
+        chips[fine.mesh.steps] = at.chips
+    steps = coarse.mesh.steps
+    if change < RULES.needless * tolerance:
+        steps = math.floor(steps / RULES.finer_tracked)
+    return _known(problem, fine, at, change, chips, steps)
+
+
+def _known(
+    problem: _Problem, discrete: _Discrete, at: _Vibration, change: float, chips: dict[int, Complex], begin: int = 0
+) -> _Known:
+    turns, line, lobe = _strongest_line(problem, discrete, at.crossing, at.chips)
+    steps, depth = discrete.mesh.steps, at.crossing.depth
+    limit = LimitDepth(1e3 * depth, 1e3 * change * depth, line, lobe, at.crossing.kind, steps)
+    return _Known(limit, problem.spindle_speed, turns, chips, begin)
+
+
+def _strongest_line(
+    problem: _Problem, discrete: _Discrete, crossing: Crossing, chips: Complex
+) -> tuple[float, float, int]:
+    """Return the turns in a period of the largest displacement among ``f_c + k/T``, its frequency [Hz], its lobe."""
     mesh, period = discrete.mesh, problem.pattern.duration(problem.spindle_speed)
-    multiplier = complex(np.exp(1j * crossing.angle))
-    change = kernels.chip_change(discrete.system, multiplier, discrete.chips(crossing).astype(complex))
+    change = kernels.chip_change(discrete.system, complex(np.exp(1j * crossing.angle)), chips)
     reach = int(np.abs(problem.modes.rate.imag).max() * period / (2.0 * math.pi)) + 2
     turns = crossing.angle / (2.0 * math.pi) + np.arange(-reach, reach + 1)
     waves = np.exp(-2j * math.pi * np.outer(turns, mesh.angle / mesh.pattern.period))
     lines = waves @ (mesh.force * mesh.span * change).T
     moved = (problem.modes.matrix(turns / period) @ lines[:, :, None])[:, :, 0]
-    strongest = float(abs(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))]))
-    return strongest / period, mesh.pattern.lobe(strongest)
+    strongest = float(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))])
+    return strongest, abs(strongest) / period, mesh.pattern.lobe(abs(strongest))
 
 
 def _problem(machine: Machine, cut: Cut, spindle_speed: float) -> _Problem:
@@ -314,7 +457,7 @@ def limit_depth(
         For a helix, a machine that is itself unstable, or a speed that is not positive or too low for the most steps.
     """
     speed = float(check_spindle_speed(spindle_speed)[0])
-    return _limit(_problem(machine, Cut(tool, arc, coefficients), speed), _checked(tolerance))
+    return _limit(_problem(machine, Cut(tool, arc, coefficients), speed), _checked(tolerance)).limit
 
 
 def floquet_multipliers(
@@ -427,7 +570,8 @@ def _bands(problem: _Problem, discrete: _Discrete, crossings: list[Crossing], de
             continue
         kind, line = "none", math.nan
         if i > 0:
-            kind, line = crossings[i - 1].kind, _strongest_line(problem, discrete, crossings[i - 1])[0]
+            at = crossings[i - 1]
+            kind, line = at.kind, _strongest_line(problem, discrete, at, discrete.chips(at).astype(complex))[1]
         rows.append([1e3 * low, 1e3 * high, radius < 1.0, kind, line, radius])
     return pd.DataFrame(rows, columns=list(BAND_COLUMNS))
 
@@ -464,7 +608,12 @@ def semi_discretization(
     problem = _problem(machine, Cut(tool, arc, coefficients), float(speed[0]))
     tolerance = _checked(tolerance)
     replace(problem, spindle_speed=float(speed.min())).first_steps()
-    limits = [_limit(replace(problem, spindle_speed=float(n)), tolerance) for n in speed]
+    limits: list[LimitDepth] = [None] * speed.size  # type: ignore[list-item]
+    known = None
+    for i in np.argsort(-speed, kind="stable"):
+        here = replace(problem, spindle_speed=float(speed[i]))
+        known = (_tracked(here, known, tolerance) if known else None) or _limit(here, tolerance)
+        limits[i] = known.limit
     warnings = list(problem.cut.warnings)
     loose = sum(limit.limit_depth_error_mm > tolerance * limit.limit_depth_mm for limit in limits)
     if loose:

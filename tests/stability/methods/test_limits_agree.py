@@ -1,6 +1,7 @@
 """Both converged methods against each other and against the multipliers of a turn integrated in time, any pitch."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -83,9 +84,16 @@ def test_nyquist_counts_what_lies_outside():
     """det(1 - a M) of M = g/(mu - p): the multiplier is p + a g."""
     angles = np.linspace(0.0, math.pi, 9)
     for p, g in ((0.9, 0.5), (-0.9, -0.5), (0.2, -3.0)):
-        for depth in (0.05, 0.19, 0.21, 0.35, 0.41, 1.0):
-            outside = abs(p + depth * g) > 1.0
-            assert is_unstable(lambda t, p=p, g=g: np.array([[g / (np.exp(1j * t) - p)]]), angles, depth) == outside
+
+        def signs(t: np.ndarray, depths: np.ndarray, p: float = p, g: float = g) -> np.ndarray:
+            loop = 1.0 - depths * g / (np.exp(1j * t[:, None]) - p)
+            return loop / np.abs(loop)
+
+        depths = np.array([0.05, 0.19, 0.21, 0.35, 0.41, 1.0])
+        outside = np.abs(p + depths * g) > 1.0
+        for depth, out in zip(depths, outside, strict=True):
+            assert is_unstable(lambda t, d=depth: signs(t, np.array([d])), angles) == out
+        assert is_unstable(partial(signs, depths=depths), angles) == outside.any()
 
 
 @pytest.mark.parametrize(
@@ -113,3 +121,15 @@ def test_modes_at_the_last_harmonic_are_not_lost():
     """A first set that ended at the highest mode saw nothing of it, and what is followed from there missed a third."""
     found = limits(draw(500_589))
     assert [found[m]["depth"] for m in METHODS] == pytest.approx([0.625, 0.625], rel=1e-3)
+
+
+@pytest.mark.parametrize("method", [multi_frequency, semi_discretization])
+@pytest.mark.parametrize(("directions", "immersion"), [(1, 1.0), (1, 0.25), (2, 0.5)])
+def test_a_limit_does_not_depend_on_the_speeds_asked_beside_it(method, directions, immersion, make_case):
+    """Along speeds a limit follows its neighbour, over lobes, islands and period doubling; alone it is searched for."""
+    case = make_case["benchmark"](directions, immersion)
+    speeds = np.linspace(5000.0, 25000.0, 60)
+    along = method(case.machine, *case.cut, speeds)["limit_depth"].values
+    some = slice(1, None, 7)
+    alone = [float(method(case.machine, *case.cut, [n])["limit_depth"].values[0]) for n in speeds[some]]
+    np.testing.assert_allclose(along[some], alone, rtol=2e-3)
