@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from process import CuttingCoefficients, ModalModel, Tool, engagement
 from process.cut.engagement import Engagement
 from process.cut.force import chip_projection, force_projection, gram_matrix
-from stability import floquet_multipliers, semi_discretization
+from stability import floquet_multipliers, multi_frequency, semi_discretization
 
 MATERIAL = CuttingCoefficients(6e8, 2e8, 0.0)
 TOOL = Tool(10e-3, 2)
@@ -104,6 +104,69 @@ def test_limit_curve_against_plain_numpy(benchmark, directions: int) -> None:
         f"{seconds / a_speed:.0f} times faster than plain NumPy, "
         f"which takes {', '.join(str(steps) for _, steps in plain)} steps"
     )
+
+
+def grid_seconds(model: ModalModel, cut: tuple, columns: int = 2, depths: int = 50, steps: int = 40) -> float:
+    """CPU seconds of a stability chart of 100 speeds by 50 depths, from a few of its columns.
+
+    The published program of semi-discretisation (Insperger and Stepan 2011): fixed steps, at each point of the grid the
+    product of the step matrices, each with its matrix exponential, and the eigenvalues of the product.
+    """
+    tool, arc, material = cut
+    a, b, c = model.state_space()
+    moving = np.flatnonzero(np.abs(c).max(axis=1) > 0.0)
+    n, d = a.shape[0], moving.size
+    projection, chip = force_projection(material.cutting, tool.approach_angle), chip_projection(tool.approach_angle)
+    width, factor = math.pi / steps, np.zeros((steps, 3, 3))
+    for i in range(steps):
+        low, high = max(i * width, arc.entry), min((i + 1) * width, arc.exit)
+        if high - low > 1e-12:
+            factor[i] = (projection @ gram_matrix(Engagement(low, high)) @ chip).real / width
+    start = time.process_time()
+    for rpm in np.linspace(5000.0, 25000.0, columns):
+        step = 60.0 / (tool.teeth * rpm * steps)
+        for depth in np.linspace(1e-5, 4e-3, depths):
+            product = np.eye(n + d * steps)
+            for i in range(steps):
+                cutting = depth * b @ factor[i]
+                inside = a + cutting @ c
+                one = expm(step * inside)
+                matrix = np.eye(n + d * steps, k=-d)
+                matrix[:n] = 0.0
+                matrix[:n, :n] = one
+                matrix[n : n + d] = 0.0
+                matrix[n : n + d, :n] = c[moving]
+                delayed = np.linalg.solve(inside, one - np.eye(n)) @ -cutting[:, moving]
+                matrix[:n, -d:] += 0.5 * delayed
+                matrix[:n, -2 * d : -d] += 0.5 * delayed
+                product = matrix @ product
+            np.abs(np.linalg.eigvals(product)).max()
+    return (time.process_time() - start) * 100.0 / columns
+
+
+def test_limit_curves_against_a_grid() -> None:
+    """Print CPU seconds of 200 speeds from 5000 to 25000 rpm to 0.1 %, and of the grid that does not converge."""
+    print("\nimmersion  directions  semi-discretisation s  multi-frequency s  grid s  ratios")
+    speeds = np.linspace(5000.0, 25000.0, 200)
+    for immersion in (1.0, 0.25):
+        for directions in (1, 2):
+            model, cut = machine(directions), (TOOL, engagement("down", immersion * 10e-3, 10e-3), MATERIAL)
+            spent, limits = [], []
+            for method in (semi_discretization, multi_frequency):
+                method(model, *cut, speeds[:3], tolerance=1e-3)
+                each = []
+                for _ in range(3):
+                    start = time.process_time()
+                    limits.append(method(model, *cut, speeds, tolerance=1e-3)["limit_depth"].values)
+                    each.append(time.process_time() - start)
+                spent.append(min(each))
+            grid = grid_seconds(model, cut)
+            print(
+                f"{immersion:9g}  {directions:10d}  {spent[0]:21.2f}  {spent[1]:17.2f}  {grid:6.1f}  "
+                f"{grid / spent[0]:.0f}, {grid / spent[1]:.0f}"
+            )
+            np.testing.assert_allclose(limits[0], limits[-1], rtol=2e-3)
+            assert grid > 10.0 * spent[0]
 
 
 def test_growth_with_steps_and_modes() -> None:
