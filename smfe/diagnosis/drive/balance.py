@@ -252,20 +252,16 @@ def settings_of(moving: Motion, begin: int, end: int) -> Mapping[str, float | st
     }
 
 
-_LIMITS = np.arange(0.95, 0.095, -0.01), np.arange(0.095, 0.0075, -0.005)
-
-
 def lost_beyond(raw: Channels, balance: Balance) -> float | None:
     """Return the limit beyond which drive force that is lost explains most; None where noise explains as much.
 
     Limits from 95 to 10 % of the largest drive force are tried, which is paid for. Where less than half is lost nothing
-    is cut off: some other force bends with the load. Lower ones, down to 1 %, are tried only below one of 10 % that is
-    certain: a control may ask for ever more, but beyond next to nothing lies the whole force with its own noise.
+    is cut off: some other force bends with the load.
     """
     whitener = noise.fit_whitener([balance.left])
     used = noise.unbroken(balance.sizes, whitener.order)
     white = whitener(balance.left) * used
-    limits = np.concatenate(_LIMITS) * float(np.max(np.abs(raw.force)))
+    limits = np.arange(0.95, 0.095, -0.01) * float(np.max(np.abs(raw.force)))
     columns = np.stack([balance.moved(excess(balance.acting, limit)) for limit in limits], axis=1)
     columns -= balance.regressors @ np.linalg.lstsq(balance.regressors, columns, rcond=1e-10)[0]
     shapes = np.stack([whitener(c) * used for c in columns.T], axis=1)
@@ -273,11 +269,8 @@ def lost_beyond(raw: Channels, balance: Balance) -> float | None:
     spread = 1.4826 * float(np.median(np.abs(white[used > 0.0])))
     share = product / np.maximum(square, 1e-300)
     gain = np.where(share > RULES.cut_off, share * product / spread**2, 0.0)
-    certain, first = 2.0 * math.log(limits.size / INFERENCE.false_alarm), _LIMITS[0].size
-    best = int(np.argmax(gain[:first]))
-    if gain[best] <= certain:
-        return None
-    return float(limits[int(np.argmax(gain)) if best == first - 1 else best])
+    best = int(np.argmax(gain))
+    return float(limits[best]) if gain[best] > 2.0 * math.log(limits.size / INFERENCE.false_alarm) else None
 
 
 def periodic(

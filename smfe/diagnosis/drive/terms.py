@@ -191,7 +191,7 @@ def excess(drive: Real, limit: float) -> Real:
 
 def saturation(peak: float, limit: float) -> Cause:
     """Return the cause that drive force beyond a limit never acts: what the limit is below the largest force [N]."""
-    cut = Parameter("saturation.cut", "N", 0.0, peak - limit, low=0.0, high=0.995 * peak)
+    cut = Parameter("saturation.cut", "N", 0.0, peak - limit, low=0.0, high=0.95 * peak)
     return Cause("drive_saturation", "drive force that is cut off", (cut,), starts=((peak - limit,),))
 
 

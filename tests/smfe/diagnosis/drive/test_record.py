@@ -9,7 +9,7 @@ from exam.drive import EXPECTED, axis_of, family_of, record_of
 from exam.drive import family as hidden
 from exam.subjects import Without
 from samples.drive_steps import force_steps
-from truth.drive import STEP, Axis, simulate, strongest
+from truth.drive import STEP, Axis, simulate
 
 from process.errors import InputError
 from process.labels import make_record
@@ -385,18 +385,6 @@ def test_a_hidden_command_is_named_from_the_control_law(seconds: float, about: s
     assert [c.id for c in finding.causes] == ["hidden_input"]
     (height,) = finding.causes[0].parameters
     assert abs(height.value) == pytest.approx(20.0, rel=0.02)
-
-
-def test_a_limit_is_found_from_which_the_command_runs_away_to_forty_times() -> None:
-    """A drive that gives two thirds of what the moves ask for; beyond a twentieth of the peak its cause ended."""
-    axis = axis_of((), 2)
-    axis = replace(axis, limit=0.65 * strongest(axis), seconds=30.0)
-    made = family_of(axis, 2)
-    assert made.model.peak > 40.0 * axis.limit
-    (cause,) = (c for c in made.causes if c.id == "drive_saturation")
-    (cut,) = cause.parameters
-    assert made.model.peak - cut.scale == pytest.approx(axis.limit, rel=0.1)
-    assert cut.scale < cut.high
 
 
 @pytest.mark.slow
