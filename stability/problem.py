@@ -12,7 +12,13 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from process.cut.engagement import AnyEngagement
-from process.cut.force import CuttingCoefficients, directional_matrix
+from process.cut.force import (
+    NO_DAMPING,
+    CuttingCoefficients,
+    ProcessDamping,
+    directional_matrix,
+    force_projection,
+)
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import AXES, at_tool, check_compliance, full_matrix, not_measured
@@ -35,11 +41,29 @@ class Cut:
         One arc of engagement or several.
     coefficients : CuttingCoefficients
         Work material [N/m2]; edge coefficients do not regenerate and have no influence.
+    process_damping : ProcessDamping, optional
+        Of the worn flank; a sharp edge by default.
     """
 
     tool: Tool
     arc: AnyEngagement
     coefficients: CuttingCoefficients
+    process_damping: ProcessDamping = NO_DAMPING
+
+    @property
+    def worn(self) -> bool:
+        """Whether the flank resists the vibration at all."""
+        return self.process_damping.coefficient > 0.0
+
+    def flank_projection(self) -> Real:
+        """Return P of the worn flank [N/m2], shape (3, 3): ``F = a_p P (s, c, 1)^T (s, c, 1) Q dr/dphi`` of a tooth.
+
+        The cutting speed is ``Omega D/2`` and ``r' = Omega dr/dphi``: against the slope of the vibration over the angle
+        of the tool the flank does the same at every spindle speed, ``P = (2 C/D) P(mu, 1, 0)`` :eq:`process-damping`.
+        """
+        flank = self.process_damping
+        triple = np.array([flank.friction, 1.0, 0.0]) * (2.0 * flank.coefficient / self.tool.diameter)
+        return force_projection(triple, self.tool.approach_angle)
 
     def directional_matrix(self) -> Complex:
         """Return the mean directional matrix A0 [N/m2] of all teeth, shape (3, 3), per axial depth; any pitch."""

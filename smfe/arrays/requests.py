@@ -141,6 +141,11 @@ def limits_given(
     keys = dict(zip((*_SAID.values(), "maximum_depth"), said, strict=True))
     for key in ("width_of_cut", "feed_per_tooth", "maximum_depth"):
         keys[key] = None if keys[key] is None else f"{keys[key]!r} mm"
+    worn = {(one.attrs.get("process_damping_N_m"), one.attrs.get("flank_friction")) for one in source.values()}
+    if len(worn) != 1:
+        raise InputError("the lobes have flanks worn differently; give those of one process_damping")
+    if (flank := worn.pop())[0] is not None:
+        keys |= {"process_damping": f"{flank[0]!r} N/m", "flank_friction": flank[1]}
     keys["feed_direction"] = f"{keys['feed_direction']!r} deg"
     record = {"file": "lobes", "response": "x", "excitation": "x"}
     speeds = next(iter(source.values()))["spindle_speed"].values

@@ -14,7 +14,7 @@ import xarray as xr
 from pydantic import ValidationError
 
 from process import units
-from process.cut.force import CuttingCoefficients
+from process.cut.force import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.drive.axis import Drive
 from process.drive.servo import Servo
@@ -383,6 +383,8 @@ class LobeRequest:
         Feed of an operating point [m/s]; None: feed per tooth times teeth times speed.
     controller, position : str or None
         Of an operating point: the only ones that are asked for; None: each by itself.
+    process_damping : ProcessDamping
+        Of the worn flank; a sharp edge by default.
     name, table : str
         What it is called in every output, "lobes_1", or "lobes_1_20mm" where its table has several widths; and what
         all widths of the table are called together, "lobes_1".
@@ -401,6 +403,7 @@ class LobeRequest:
     feed: float | None = None
     controller: str | None = None
     position: str | None = None
+    process_damping: ProcessDamping = NO_DAMPING
     name: str = "lobes_1"
     table: str = "lobes_1"
     listed: bool = False
@@ -902,6 +905,7 @@ def _channels(method: str, declared: Declared) -> dict[str, Channel]:
 def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
     """Yield the requests of one table, one a width."""
     name = f"lobes_{number}"
+    friction = {} if table.flank_friction is None else {"friction": table.flank_friction}
     for width in table.width_of_cut:
         yield LobeRequest(
             table.measurements,
@@ -915,6 +919,7 @@ def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
             table.feed,
             table.controller,
             table.position,
+            ProcessDamping(table.process_damping, **friction),
             name=name if len(table.width_of_cut) == 1 else f"{name}_{1e3 * width:.6g}mm",
             table=name,
             listed=table.spindle_speed.listed,

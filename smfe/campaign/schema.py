@@ -382,6 +382,19 @@ class LobesTable(Table):
     controller: StrictStr | None = None
     position: StrictStr | None = None
     maximum_depth: q.PositiveLength | None = None
+    process_damping: Annotated[float, q.quantity("line_force", low=0.0)] = 0.0
+    flank_friction: Annotated[float, Field(ge=0.0, le=2.0)] | None = None
+
+    @model_validator(mode="after")
+    def _of_a_worn_flank(self) -> LobesTable:
+        if self.process_damping > 0.0 and self.method == "operating_point":
+            raise InputError(
+                'gives a process_damping, which method = "operating_point" does not know; leave it out, or ask for '
+                "another method"
+            )
+        if self.flank_friction is not None and self.process_damping == 0.0:
+            raise InputError('gives a flank_friction and no process_damping; say it, e.g. "20 N/mm"')
+        return self
 
     @model_validator(mode="after")
     def _of_one_condition(self) -> LobesTable:

@@ -125,9 +125,8 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     progress : callable, optional
         Called with (what, done, of).
     **more
-        Further keys of ``[[lobes]]`` (feed_direction, maximum_depth; of an operating point feed, controller,
-        position), and ``spindle`` or ``machine``, mappings with the
-        keys of those tables.
+        Further keys of ``[[lobes]]`` (feed_direction, maximum_depth, process_damping, flank_friction; of an operating
+        point feed, controller, position), and ``spindle`` or ``machine``, mappings with the keys of those tables.
 
     Returns
     -------

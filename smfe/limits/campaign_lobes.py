@@ -33,6 +33,12 @@ from stability.bands.depth_quantiles import exact_band
 from stability.methods.catalogue import METHODS
 from stability.tables.lobe_table import Origin
 
+WORN = (
+    "these limits are those of a worn flank, and how well process_damping is known is not said: they have no quantiles "
+    "and no safe depth. Those of the same [[lobes]] without process_damping hold for a sharp edge"
+)
+"""Said of limits with a worn flank."""
+
 _CURVES = {
     "spindle_speed": "spindle_speed_rpm",
     "limit_depth": "limit_depth_mm",
@@ -229,11 +235,16 @@ def limits_of(
         modal = modal and turned_modes(modal, request.feed_direction)
         compliance, notes = turned(compliance, request.feed_direction)
     method = METHODS[request.method]
+    limits_with = partial(
+        method.limits,
+        tool=tool,
+        arc=arc,
+        coefficients=work,
+        spindle_speed=speeds,
+        process_damping=request.process_damping,
+    )
     machine = method.of(compliance, modal)
-    if machine is None:
-        found = _by_fitted_modes(compliance, request, lambda m: method.limits(m, tool, arc, work, speeds))
-    else:
-        found = method.limits(machine, tool, arc, work, speeds)
+    found = _by_fitted_modes(compliance, request, limits_with) if machine is None else limits_with(machine)
     return _saying(found, notes)
 
 
@@ -282,8 +293,12 @@ def _banded(
 ) -> xr.Dataset:
     """Add quantiles and safe depth, where the uncertainty of the compliance is known.
 
-    That of the coefficients alone makes no limit safe: a limit whose compliance nobody has judged has no band.
+    That of the coefficients alone makes no limit safe: a limit whose compliance nobody has judged has no band. Nor has
+    one with a worn flank: nobody has judged the flank, and the regenerative force that it holds in check moves the
+    limit by more than its own share.
     """
+    if request.process_damping.coefficient > 0.0:
+        return _saying(limits, [WORN])
     model = next((m for m in campaign.models if m.name == name), None)
     if (model is None and not carries_errors(compliance)) or (model is not None and model.spread is None):
         return limits
@@ -308,7 +323,8 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     """Add the single lobes, where the method has them."""
     assert campaign.tool is not None
     assert campaign.coefficients is not None
-    if request.method != "zero_order" or not campaign.tool.equal_pitch or request.spindle_speed.size < 2:
+    worn = request.process_damping.coefficient > 0.0  # its lobes are no explicit curves
+    if request.method != "zero_order" or worn or not campaign.tool.equal_pitch or request.spindle_speed.size < 2:
         return limits
     arc, speeds = engagement(request.cut, request.width_of_cut, campaign.tool.diameter), request.spindle_speed
     compliance = turned(compliance, request.feed_direction)[0] if request.feed_direction else compliance
@@ -355,4 +371,8 @@ def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dat
         coefficient_uncertainty=campaign.coefficients_known_within,
         feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )
+    if request.process_damping.coefficient > 0.0:
+        limits = limits.assign_attrs(
+            process_damping_N_m=request.process_damping.coefficient, flank_friction=request.process_damping.friction
+        )
     return LobeResult(request.name, source, limits, table, request, kind, in_motion(campaign, of), near)

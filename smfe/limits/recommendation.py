@@ -536,6 +536,11 @@ def _no_depth(source: _Candidate) -> str:
             f"{_tests(source.contradicted).capitalize()} chattered at a depth that it calls safe, so no "
             f"depth is recommended; {_correction(source)}."
         )
+    if source.result.asked.process_damping.coefficient > 0.0:
+        return (
+            "This is the limit with a worn flank, and how well process_damping is known is not said: no depth is "
+            "called safe; ask for the same lobes without it as well, those of a sharp edge."
+        )
     what = (
         "a model whose uncertainty is not stated" if source.is_model else "a compliance whose uncertainty is not known"
     )
@@ -626,6 +631,8 @@ def assumptions_of(campaign: Campaign, result: LobeResult) -> tuple[str, ...]:
     if campaign.missing_coefficients:
         names = " and ".join(campaign.missing_coefficients)
         out.append(f"[material] gives no {names}: taken as zero")
+    if (worn := result.asked.process_damping.coefficient) > 0.0:
+        out.append(f"the flank is as worn at every speed as process_damping = {1e-3 * worn:g} N/mm says")
     if result.asked.maximum_depth is None and campaign.machine_limits.edge_length is None:
         out.append("the cutting edges are taken to be long enough; say edge_length in [tool]")
     return tuple(out)

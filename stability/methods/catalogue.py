@@ -20,7 +20,7 @@ class StabilityMethod:
     Parameters
     ----------
     limits : callable
-        (compliance or modes, tool, engagement, coefficients, spindle speeds [rpm]) -> a data set with
+        (compliance or modes, tool, arc, coefficients, spindle_speed [rpm], process_damping) -> a data set with
         ``limit_depth`` [mm], ``chatter_frequency`` [Hz] and ``lobe`` over ``spindle_speed``.
     takes : {"compliance", "modes", "either"}
         What it works on: a measured compliance; modes, fitted to the compliance where none are declared; modes where

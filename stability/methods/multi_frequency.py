@@ -5,10 +5,14 @@ passing for equal pitch). With the force lines F_q and the harmonics A_r of the 
 
     F_p = a_p sum_q sum_j A_{p-q}^j (1 - exp(-j (w + q w_P) T_j)) Phi(w + q w_P) F_q
 
-so that 1/a_p is a real eigenvalue of a block matrix. w is scanned over [0, w_P/2]. A real motion holds with every line
-its conjugate: q = -R .. R below w_P/4 and q = -R .. R - 1 above make the set of lines closed under conjugation at 0 and
-at w_P/2. There the matrix is similar to a real one, and its real eigenvalues are folds (multiplier +1) and period
-doublings (-1) exactly. A fold needs unequal pitch: with equal pitch a motion that repeats leaves no wave.
+so that 1/a_p is a real eigenvalue of a block matrix. Process damping by a worn flank adds ``j (w + q w_P) sum_j
+D_{p-q}^j/v_c`` to ``sum_j A_{p-q}^j (1 - exp ...)``, D being the directional matrix of the flank: it is proportional to
+the depth, too, and has no delay (Ahmadi and Altintas 2011; :eq:`process-damping`).
+
+w is scanned over [0, w_P/2]. A real motion holds with every line its conjugate: q = -R .. R below w_P/4 and q = -R .. R
+- 1 above make the set of lines closed under conjugation at 0 and at w_P/2. There the matrix is similar to a real one,
+and its real eigenvalues are folds (multiplier +1) and period doublings (-1) exactly. A fold needs unequal pitch: with
+equal pitch a motion that repeats leaves no wave.
 
 Harmonics are added, twice as many and more each time, until the limit stands still; a set with which it does not is
 scanned over the whole range of w again. Nyquist's criterion then confirms that the cut is stable just below the limit.
@@ -30,7 +34,14 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import find_peaks
 
 from process.cut.engagement import AnyEngagement, Engagement
-from process.cut.force import CuttingCoefficients, chip_projection, force_projection, gram_matrix
+from process.cut.force import (
+    NO_DAMPING,
+    CuttingCoefficients,
+    ProcessDamping,
+    chip_projection,
+    force_projection,
+    gram_matrix,
+)
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.types import Complex, Real
@@ -93,6 +104,7 @@ def multi_frequency(
     coefficients: CuttingCoefficients,
     spindle_speed: ArrayLike,
     tolerance: float = 2e-3,
+    process_damping: ProcessDamping = NO_DAMPING,
 ) -> xr.Dataset:
     """Return the multi-frequency limit depth at given spindle speeds: the first loss of stability with growing depth.
 
@@ -108,6 +120,8 @@ def multi_frequency(
         Spindle speeds [rpm], in any order.
     tolerance : float, optional
         Relative change of the limit at which no more harmonics are added.
+    process_damping : ProcessDamping, optional
+        Of the worn flank; a sharp edge by default.
 
     Returns
     -------
@@ -127,7 +141,7 @@ def multi_frequency(
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"the tolerance is {tolerance:g}; a share of the limit between 0 and 1 is needed, e.g. 1e-3")
     response = _measured(compliance) if isinstance(compliance, xr.Dataset) else _modal(compliance)
-    cut = Cut(tool, arc, coefficients)
+    cut = Cut(tool, arc, coefficients, process_damping)
     size = np.abs(response.at(np.linspace(0.0, response.highest, 9))).max(axis=0)
     lines = _Lines(cut, pattern_of(tool, METHOD), size.max(axis=0) > 0.0, size.max(axis=1) > 0.0)
     _require_reach(response, lines, float(speed.min()))
@@ -223,8 +237,24 @@ class _Lines:
         self.teeth = pattern.lag.size // pattern.repeats
         self._arc = cut.arc
         self._force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle)
+        self._flank = cut.flank_projection() if cut.worn else None
         self._chip = chip_projection(cut.tool.approach_angle)
         self._known: dict[int, _Blocks | _Contacts] = {}
+
+    @property
+    def _sides(self) -> int:
+        return 1 if self._flank is None else 2
+
+    def factors(self, turns: Real) -> Complex:
+        """Return what the compliance is times at lines of so many turns in a period, (angles, lines).
+
+        Shape (angles, teeth of the pattern, lines), ``1 - exp(-j w T)``; of a worn flank one row more, ``j w/Omega``.
+        """
+        delay = self.pattern.delay[: self.teeth] / self.pattern.period
+        regenerated = 1.0 - np.exp(-2j * math.pi * delay[:, None] * turns[:, None, :])
+        if self._flank is None:
+            return np.asarray(regenerated)
+        return np.concatenate([regenerated, 1j * self.pattern.repeats * turns[:, None, :]], axis=1)
 
     @property
     def pulse(self) -> float:
@@ -235,7 +265,7 @@ class _Lines:
     def most(self) -> int:
         """Number of harmonics beyond which none is added: more where short arcs keep the unknowns few."""
         each = RULES.nodes_a_radian * self.pattern.repeats * sum(part.arc for part in self._arc.arcs)
-        few = (RULES.most_unknowns / self.teeth - len(self._arc.arcs) * RULES.spare_nodes) / each
+        few = (RULES.most_unknowns / (self._sides * self.teeth) - len(self._arc.arcs) * RULES.spare_nodes) / each
         return max(RULES.most_harmonics, min(4 * RULES.most_harmonics, int(few)))
 
     def upto(self, count: int) -> _Blocks | _Contacts:
@@ -243,16 +273,20 @@ class _Lines:
         if count not in self._known:
             share = RULES.nodes_a_radian * self.pattern.repeats * count
             nodes = [math.ceil(share * part.arc) + RULES.spare_nodes for part in self._arc.arcs]
-            fewer = self.teeth * sum(nodes) < int(self.moved.sum()) * (2 * count + 1)
+            fewer = self._sides * self.teeth * sum(nodes) < int(self.moved.sum()) * (2 * count + 1)
             self._known[count] = self._contacts(count, nodes) if fewer else self._blocks(count)
         return self._known[count]
 
     def _blocks(self, count: int) -> _Blocks:
         orders = np.arange(2 * count + 1)[:, None] - np.arange(2 * count + 1)
         grams = [gram_matrix(self._arc, int(r) * self.pattern.repeats) for r in range(-2 * count, 2 * count + 1)]
-        one = (self._force @ np.array(grams) @ self._chip / self.pattern.period)[orders + 2 * count]
+        shapes = np.array(grams) @ self._chip / self.pattern.period
         turn = [np.exp(-1j * orders * self.pattern.repeats * lag) for lag in self.pattern.lag[: self.teeth]]
-        return _Blocks([one * phase[:, :, None, None] for phase in turn], self.moved, self.felt)
+        one = (self._force @ shapes)[orders + 2 * count]
+        blocks = [one * phase[:, :, None, None] for phase in turn]
+        if self._flank is not None:
+            blocks.append((self._flank @ shapes)[orders + 2 * count] * np.sum(turn, axis=0)[:, :, None, None])
+        return _Blocks(blocks, self.moved, self.felt)
 
     def _contacts(self, count: int, nodes: list[int]) -> _Contacts:
         parts = [_gauss(part, n) for part, n in zip(self._arc.arcs, nodes, strict=True)]
@@ -262,7 +296,13 @@ class _Lines:
         angle = self.pattern.repeats * (np.tile(phi, self.teeth) + self.pattern.lag[tooth])
         wave = np.exp(1j * np.outer(np.arange(-count, count + 1), angle))
         chip = np.tile(basis @ self._chip, (self.teeth, 1))
-        force = np.tile((basis * weight[:, None]) @ self._force.T, (self.teeth, 1)) / self.pattern.period
+        sides = [self._force]
+        if self._flank is not None:
+            tooth = np.append(tooth, np.full(tooth.size, self.teeth))
+            wave, chip = np.tile(wave, 2), np.tile(chip, (2, 1))
+            sides.append(self._flank)
+        of_sides = [np.tile((basis * weight[:, None]) @ side.T, (self.teeth, 1)) for side in sides]
+        force = np.concatenate(of_sides) / self.pattern.period
         return _Contacts(tooth, wave[:, :, None] * chip, wave.conj()[:, :, None] * force, self.moved, self.felt)
 
 
@@ -275,6 +315,8 @@ def _gauss(part: Engagement, nodes: int) -> tuple[Real, Real]:
 @dataclass(frozen=True)
 class _Blocks:
     """For each tooth of the pattern the harmonics p - q, shape (2R + 1, 2R + 1, 3, 3): unknowns are the force lines.
+
+    The worn flank of all teeth stands as one more.
 
     Parameters
     ----------
@@ -328,7 +370,7 @@ class _Contacts:
     Parameters
     ----------
     tooth : ndarray of int, shape (contacts,)
-        Tooth of the pattern.
+        Tooth of the pattern; of the worn flank one beyond the last.
     chip, force : ndarray of complex, shape (2R + 1, contacts, 3)
         ``c e^{+j q phi}`` [1] and ``f e^{-j q phi}``, its weight included [N/m2].
     moved, felt : ndarray of bool, shape (3,)
@@ -370,7 +412,7 @@ class _Truncated:
     """The loop at one spindle speed with lines up to R."""
 
     response: _Response
-    pattern: Pattern
+    lines: _Lines
     duration: float
     count: int
     form: _Blocks | _Contacts
@@ -390,9 +432,7 @@ class _Truncated:
         turns = angles[:, None] / (2.0 * math.pi) + np.arange(-self.count, self.count + (1 if low else 0))
         phi = self.response.at(turns.ravel() / self.duration)
         kept = np.ascontiguousarray(phi[:, self.form.felt][:, :, self.form.moved])
-        delay = self.pattern.delay[: self.pattern.lag.size // self.pattern.repeats] / self.pattern.period
-        regenerated = 1.0 - np.exp(-2j * math.pi * delay[:, None] * turns[:, None, :])
-        return self.form.loop(regenerated, kept.reshape(*turns.shape, *kept.shape[1:])), phi
+        return self.form.loop(self.lines.factors(turns), kept.reshape(*turns.shape, *kept.shape[1:])), phi
 
     def of_all(self, angles: Real, of: Callable[[Complex], Any]) -> list[Any]:
         """Return what a function makes of the matrices at rising angles, for each angle."""
@@ -428,7 +468,7 @@ class _Truncated:
         force = self.form.force_lines(at.vector, turns.size)
         moved = (phi @ force[:, :, None])[:, :, 0]
         strongest = float(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))])
-        return strongest, abs(strongest) / self.duration, self.pattern.lobe(abs(strongest))
+        return strongest, abs(strongest) / self.duration, self.lines.pattern.lobe(abs(strongest))
 
 
 @dataclass(frozen=True)
@@ -456,7 +496,7 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
     angles = angle_grid(poles, RULES.even_steps)
 
     def truncated(count: int) -> _Truncated:
-        return _Truncated(response, lines.pattern, duration, count, lines.upto(count))
+        return _Truncated(response, lines, duration, count, lines.upto(count))
 
     def first(loop: _Truncated) -> Crossing | None:
         return next(iter(find_crossings(loop.values, angles)), None)
@@ -529,7 +569,7 @@ class _AtSpeed:
     def loop(self, count: int) -> _Truncated:
         """Return the loop with so many harmonics, or the most there are."""
         count = min(self.lines.most, count)
-        return _Truncated(self.response, self.lines.pattern, self.duration, count, self.lines.upto(count))
+        return _Truncated(self.response, self.lines, self.duration, count, self.lines.upto(count))
 
     @cached_property
     def first(self) -> _Truncated:

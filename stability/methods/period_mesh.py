@@ -23,6 +23,8 @@ Element = tuple[float, float, list[int]]
 class Mesh:
     """One period of a cut in n elements with p nodes each: m contacts, one for each engaged tooth at each node.
 
+    With a worn flank there are two, of the edge and of the flank.
+
     Parameters
     ----------
     pattern : Pattern
@@ -35,6 +37,9 @@ class Mesh:
         First contact of each element.
     tooth : ndarray of int, shape (m,)
         Tooth of a contact.
+    flank : ndarray of bool, shape (m,)
+        Contacts of the worn flank. They follow the edges' of the same element, tooth by tooth; what counts there is
+        the slope of the chip over the angle [m/rad], no surface is left, and the force is one a unit of that slope.
     angle, span : ndarray, shape (m,)
         Angle of the tool at a contact, and the angle it stands for [rad].
     chip : ndarray, shape (m, 3)
@@ -52,6 +57,7 @@ class Mesh:
     node: Real
     offset: NDArray[np.int64]
     tooth: NDArray[np.int64]
+    flank: NDArray[np.bool_]
     angle: Real
     span: Real
     chip: Real
@@ -112,18 +118,23 @@ def lay_mesh(cut: Cut, pattern: Pattern, steps: int) -> Mesh:
     length = np.array([e[1] for e in elements])
     gap = np.append(start[1:], start[0] + pattern.period) - start - length
     node, w = _gauss(p)
-    teeth = [e[2] for e in elements]
+    sides = 2 if cut.worn else 1
+    teeth = [sides * e[2] for e in elements]
     offset = np.concatenate([[0], np.cumsum([p * len(t) for t in teeth])]).astype(np.int64)
     angle = np.concatenate([np.tile(s + h * node, len(t)) for s, h, t in zip(start, length, teeth, strict=True)])
     span = np.concatenate([np.tile(h * w, len(t)) for h, t in zip(length, teeth, strict=True)])
     tooth = np.concatenate([np.repeat(t, p) for t in teeth])
+    flank = np.concatenate([np.arange(p * len(t)) >= p * len(t) // sides for t in teeth])
     phi = angle - pattern.lag[tooth]
     basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)], axis=1)
     chip = basis @ chip_projection(cut.tool.approach_angle)
     force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle) @ basis.T
-    left = _surface_left(elements, offset, node, pattern, angle, tooth)
+    if cut.worn:
+        force[:, flank] = cut.flank_projection() @ basis[flank].T
+    source, weight, wrap = _surface_left(elements, offset, node, pattern, angle, tooth)
+    weight[flank] = 0.0
     gap = np.where(gap > 1e-9, gap, 0.0)
-    return Mesh(pattern, length, gap, node, offset, tooth, angle, span, chip, force, *left)
+    return Mesh(pattern, length, gap, node, offset, tooth, flank, angle, span, chip, force, source, weight, wrap)
 
 
 def _surface_left(
@@ -190,7 +201,9 @@ def _rule_of(mesh: Mesh, rate: Complex, step: float) -> tuple[Real, Real, Real, 
 def cut_at_speed(mesh: Mesh, modes: Modes, spindle_speed: float) -> kernels.System:
     """Return the cut at one spindle speed [rpm]."""
     rotation = spindle_speed * math.pi / 30.0
-    output = mesh.chip @ modes.shape
+    # A displacement does not jump with the force: its rate is that of the modes alone.
+    slope = modes.rate / rotation
+    output = np.where(mesh.flank[:, None], slope, 1.0) * (mesh.chip @ modes.shape)
     force = modes.participation @ mesh.force
     step, idle = mesh.length / rotation, mesh.gap / rotation
     rule = _rule_of(mesh, modes.rate, float(step.max()))

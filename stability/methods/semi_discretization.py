@@ -13,7 +13,14 @@ one number for each engaged tooth and node, the chip ``s^T Q r``: not the state 
   the real positive eigenvalues of M are 1/depth at *all* changes of stability (`floquet_crossings`). The first one,
   islands and all, is found without a grid over depth; the map itself then confirms it.
 
-Run-out and edge forces do not regenerate and have no influence.
+A worn flank adds ``a_p sum_j P_d s_j s_j^T Q r'/v_c`` (Ahmadi and Altintas 2011; :eq:`process-damping`). The slope
+``s^T Q dr/dphi`` at each engaged tooth and node is then one more scalar, of which nothing is remembered: its force is
+proportional to the depth as well, so that 1/depth remains an eigenvalue of M, and all else stays as it is.
+
+Run-out and edge forces do not regenerate and have no influence. With run-out the mean chip differs from tooth to tooth,
+and what a vibration adds to it does not: the linear limit is that of equal radii. Only where a tooth that stands back
+misses the cut altogether does the next one cut what an earlier one has left, over a longer delay; contact is taken as
+given here, and such a cut has another limit.
 """
 
 from __future__ import annotations
@@ -31,7 +38,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from process.cut.engagement import AnyEngagement
-from process.cut.force import CuttingCoefficients
+from process.cut.force import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import label
@@ -268,7 +275,7 @@ class _Problem:
             )
         # Few kinds of meshes, so that neighbouring speeds have the same.
         rung = math.ceil(RULES.rungs * math.log2(steps / 6.0) - 1e-9)
-        return int(math.ceil(6.0 * 2.0 ** (rung / RULES.rungs) - 1e-9))
+        return math.ceil(6.0 * math.pow(2.0, rung / RULES.rungs) - 1e-9)
 
     def mesh(self, steps: int) -> Mesh:
         """Lay a mesh; it is kept for the next spindle speed."""
@@ -427,6 +434,12 @@ def _problem(machine: Machine, cut: Cut, spindle_speed: float) -> _Problem:
     moved = np.abs(modes.participation @ mesh.force).max() > 1e-12 * largest
     if not (felt and moved):
         raise InputError("the machine does not move where the cut acts; there is nothing that could chatter")
+    jump = np.abs(modes.shape @ modes.participation).max()
+    if cut.worn and jump > 1e-6 * (np.abs(modes.shape) @ np.abs(modes.participation)).max():
+        raise InputError(
+            "the velocity of the tool jumps with the force: the machine has no mass at the tool, and a worn flank no "
+            "speed to resist. Give the tool its mass, or leave process_damping out"
+        )
     return problem
 
 
@@ -437,6 +450,7 @@ def limit_depth(
     coefficients: CuttingCoefficients,
     spindle_speed: float,
     tolerance: float = 1e-3,
+    process_damping: ProcessDamping = NO_DAMPING,
 ) -> LimitDepth:
     """Return the first loss of stability with growing depth at one spindle speed.
 
@@ -450,6 +464,8 @@ def limit_depth(
         Spindle speed [rpm].
     tolerance : float, optional
         Relative change of the limit at which the refinement of the steps ends.
+    process_damping : ProcessDamping, optional
+        Of the worn flank; a sharp edge by default.
 
     Raises
     ------
@@ -457,7 +473,7 @@ def limit_depth(
         For a helix, a machine that is itself unstable, or a speed that is not positive or too low for the most steps.
     """
     speed = float(check_spindle_speed(spindle_speed)[0])
-    return _limit(_problem(machine, Cut(tool, arc, coefficients), speed), _checked(tolerance)).limit
+    return _limit(_problem(machine, Cut(tool, arc, coefficients, process_damping), speed), _checked(tolerance)).limit
 
 
 def floquet_multipliers(
@@ -468,6 +484,7 @@ def floquet_multipliers(
     depth: float,
     spindle_speed: float,
     steps: int | None = None,
+    process_damping: ProcessDamping = NO_DAMPING,
 ) -> Complex:
     """Return the Floquet multipliers of largest modulus over one period of the cut, largest first.
 
@@ -484,6 +501,8 @@ def floquet_multipliers(
         Spindle speed [rpm].
     steps : int, optional
         Least number of steps in the cut over one period; by default twice what resolves the fastest mode.
+    process_damping : ProcessDamping, optional
+        Of the worn flank; a sharp edge by default.
 
     Returns
     -------
@@ -498,7 +517,7 @@ def floquet_multipliers(
     speed = float(check_spindle_speed(spindle_speed)[0])
     if not (math.isfinite(depth) and depth > 0.0) or (steps is not None and steps < 1):
         raise InputError(f"depth {depth:g} m, steps {steps}; both must be positive")
-    problem = _problem(machine, Cut(tool, arc, coefficients), speed)
+    problem = _problem(machine, Cut(tool, arc, coefficients, process_damping), speed)
     steps = steps or 2 * problem.mesh(problem.first_steps()).steps
     return problem.discrete(steps).multipliers(np.array([depth]))[0]
 
@@ -511,6 +530,7 @@ def stability_bands(
     spindle_speed: float,
     maximum_depth: float,
     tolerance: float = 1e-3,
+    process_damping: ProcessDamping = NO_DAMPING,
 ) -> pd.DataFrame:
     """Return all stable and unstable bands of depth at one spindle speed, islands included.
 
@@ -522,6 +542,8 @@ def stability_bands(
         Axial depth [m] at which the last band ends.
     tolerance : float, optional
         Relative change of every border at which the refinement of the steps ends.
+    process_damping : ProcessDamping, optional
+        Of the worn flank; a sharp edge by default.
 
     Returns
     -------
@@ -537,7 +559,7 @@ def stability_bands(
     speed = float(check_spindle_speed(spindle_speed)[0])
     if not (math.isfinite(maximum_depth) and maximum_depth > 0.0):
         raise InputError(f"the maximum depth is {maximum_depth:g} m; it must be positive and finite")
-    problem = _problem(machine, Cut(tool, arc, coefficients), speed)
+    problem = _problem(machine, Cut(tool, arc, coefficients, process_damping), speed)
     discrete, tolerance = problem.discrete(problem.first_steps()), _checked(tolerance)
     old = _all_crossings(discrete, maximum_depth)
     while discrete.mesh.steps < RULES.most_steps:
@@ -583,12 +605,13 @@ def semi_discretization(
     coefficients: CuttingCoefficients,
     spindle_speed: ArrayLike,
     tolerance: float = 1e-3,
+    process_damping: ProcessDamping = NO_DAMPING,
 ) -> xr.Dataset:
     """Return the converged limit depth at given spindle speeds: the first loss of stability with growing depth.
 
     Parameters
     ----------
-    machine, tool, arc, coefficients, tolerance
+    machine, tool, arc, coefficients, tolerance, process_damping
         As `limit_depth`.
     spindle_speed : array_like, shape (speeds,)
         Spindle speeds [rpm], in any order.
@@ -605,7 +628,7 @@ def semi_discretization(
         As `limit_depth`.
     """
     speed = check_spindle_speed(spindle_speed)
-    problem = _problem(machine, Cut(tool, arc, coefficients), float(speed[0]))
+    problem = _problem(machine, Cut(tool, arc, coefficients, process_damping), float(speed[0]))
     tolerance = _checked(tolerance)
     replace(problem, spindle_speed=float(speed.min())).first_steps()
     limits: list[LimitDepth] = [None] * speed.size  # type: ignore[list-item]

@@ -3,7 +3,8 @@
 The teeth of a tool, one turn behind the other by any angles, cut what the tooth before left; the machine is a set of
 modes that move the tool in x, y and z. The delay equation is integrated over one turn: between two instants each mode
 moves exactly as it does without a force, at each instant it takes the impulse of the cutting force over one step
-(second order in the step; teeth that enter or leave within a step count in part). The multipliers of that map are those
+(second order in the step; teeth that enter or leave within a step count in part). A worn flank resists the speed into
+the work, half way through that impulse. The multipliers of that map are those
 of the cut. SI throughout, tooth angles from +y towards +x.
 """
 
@@ -24,16 +25,16 @@ IN_CUT = 40
 
 
 @njit(cache=True, nogil=True)
-def _turn(factor, first, weight, step_back, gain, shape, advance, depth, state, past):
+def _turn(factor, first, weight, step_back, flank, gain, shape, advance, depth, state, past):
     """Move state (m, 2) and the motion of the modes over the turn before, (n, m), over one turn."""
     n, m = past.shape
     teeth = first.size
     now = np.zeros((n, m))
-    moved = np.zeros(3)
+    moved, speed, force = np.zeros(3), np.zeros(3), np.zeros(3)
     for i in range(n):
         for r in range(m):
             now[i, r] = state[r, 0]
-        fx, fy, fz = 0.0, 0.0, 0.0
+        force[:] = 0.0
         for j in range(teeth):
             if step_back[j, i] == 0:
                 continue
@@ -47,12 +48,21 @@ def _turn(factor, first, weight, step_back, gain, shape, advance, depth, state, 
                 for a in range(3):
                     moved[a] += shape[r, a] * apart
             f = factor[j, i]
-            fx += f[0, 0] * moved[0] + f[0, 1] * moved[1] + f[0, 2] * moved[2]
-            fy += f[1, 0] * moved[0] + f[1, 1] * moved[1] + f[1, 2] * moved[2]
-            fz += f[2, 0] * moved[0] + f[2, 1] * moved[1] + f[2, 2] * moved[2]
+            for a in range(3):
+                force[a] += f[a, 0] * moved[0] + f[a, 1] * moved[1] + f[a, 2] * moved[2]
+        cut = force.copy()
+        for share in (0.0, 0.5):
+            speed[:] = 0.0
+            for r in range(m):
+                push = shape[r, 0] * force[0] + shape[r, 1] * force[1] + shape[r, 2] * force[2]
+                for a in range(3):
+                    speed[a] += shape[r, a] * (state[r, 1] + share * depth * gain[r] * push)
+            for a in range(3):
+                force[a] = cut[a] + flank[i, a, 0] * speed[0] + flank[i, a, 1] * speed[1] + flank[i, a, 2] * speed[2]
         for r in range(m):
             q = state[r, 0]
-            v = state[r, 1] + depth * gain[r] * (shape[r, 0] * fx + shape[r, 1] * fy + shape[r, 2] * fz)
+            push = shape[r, 0] * force[0] + shape[r, 1] * force[1] + shape[r, 2] * force[2]
+            v = state[r, 1] + depth * gain[r] * push
             state[r, 0] = advance[r, 0, 0] * q + advance[r, 0, 1] * v
             state[r, 1] = advance[r, 1, 0] * q + advance[r, 1, 1] * v
     past[:] = now
@@ -63,7 +73,8 @@ class MillingCut:
     """Machine, tool, arcs and material.
 
     frequency [Hz], damping, stiffness [N/m], direction (modes, 3); pitch [rad] (teeth,): from tooth j to the next that
-    follows it; arcs: (entry, exit) [rad]; approach [rad]; k: tangential, radial, axial coefficient [N/m2].
+    follows it; arcs: (entry, exit) [rad]; approach [rad]; k: tangential, radial, axial coefficient [N/m2]; flank: force
+    of the worn flank over length of the edge and ratio of speeds [N/m], its friction, and the diameter [m] of the tool.
     """
 
     frequency: np.ndarray
@@ -74,11 +85,14 @@ class MillingCut:
     arcs: tuple[tuple[float, float], ...]
     k: tuple[float, float, float]
     approach: float = 0.5 * math.pi
+    flank: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
-def _mean_factors(cut: MillingCut, lag: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+def _mean_factors(
+    cut: MillingCut, k: tuple[float, float, float], lag: np.ndarray, n: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Force over displacement and depth of each tooth, averaged over each step, (teeth, n, 3, 3), and where it cuts."""
-    kt, kr, ka = cut.k
+    kt, kr, ka = k
     sin, cos = math.sin(cut.approach), math.cos(cut.approach)
     normal, axial = kr * sin + ka * cos, kr * cos - ka * sin
     force = np.array([[-normal, -kt, 0.0], [kt, -normal, 0.0], [0.0, 0.0, axial]])
@@ -113,7 +127,10 @@ class TurnMap:
             finer * max(PER_PERIOD * turn * np.max(cut.frequency), IN_CUT * 2.0 * math.pi / shortest, 60 * lag.size)
         )
         h = turn / n
-        self.factor, self.active = _mean_factors(cut, lag, n)
+        self.factor, self.active = _mean_factors(cut, cut.k, lag, n)
+        resistance, friction, diameter = cut.flank
+        against = resistance / (math.pi * diameter / turn)
+        self.flank = _mean_factors(cut, (friction * against, against, 0.0), lag, n)[0].sum(axis=0)
         # Tooth j cuts what the tooth ahead of it, j - 1, has left.
         back = np.roll(cut.pitch, 1) / (2.0 * math.pi) * n
         whole = np.floor(back).astype(np.int64)
@@ -143,9 +160,8 @@ class TurnMap:
         state = vector[: 2 * m].reshape(m, 2).copy()
         state[:, 1] *= self.scale
         past = vector[2 * m :].reshape(self.n, m).copy()
-        _turn(
-            self.factor, self.first, self.weight, self.active, self.gain, self.shape, self.advance, depth, state, past
-        )
+        cut = self.factor, self.first, self.weight, self.active, self.flank
+        _turn(*cut, self.gain, self.shape, self.advance, depth, state, past)
         state[:, 1] /= self.scale
         return np.concatenate([state.ravel(), past.ravel()])
 

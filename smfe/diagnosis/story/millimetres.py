@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from process.cut.engagement import Engagement, engagement
-from process.cut.force import CuttingCoefficients
+from process.cut.force import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.drive.servo import Servo
 from process.errors import InputError
@@ -68,6 +68,7 @@ class Asked:
     sources: tuple[str, ...] = ()  # measurements or models that the lobes are asked of
     controller: str | None = None
     standing: Standing = AS_FIRST  # where, when and how hard shaken a machine of modes cuts
+    flank: ProcessDamping = NO_DAMPING  # how worn the lobes are asked for
 
     def arc(self, tool: Tool) -> Engagement:
         """Return the engagement."""
@@ -86,7 +87,8 @@ def asked(campaign: Campaign, most: int = SPEEDS) -> Iterator[Asked]:
     for r in campaign.lobes:
         pick = np.unique(np.linspace(0, r.spindle_speed.size - 1, most).round().astype(int))
         speeds = r.spindle_speed[pick].tolist()
-        yield Asked(r.name, r.cut, r.width_of_cut, r.feed_per_tooth, speeds, r.measurements, r.controller)
+        cut = (r.name, r.cut, r.width_of_cut, r.feed_per_tooth)
+        yield Asked(*cut, speeds, r.measurements, r.controller, flank=r.process_damping)
     for t in (t for t in campaign.cutting_tests if t.feed_per_tooth is not None and t.depth_of_cut > 0.0):
         sources = campaign.lobes[0].measurements if campaign.lobes else ()
         speeds = [t.spindle_speed]
@@ -267,7 +269,8 @@ def _of_axis(campaign: Campaign, family: MachineFrfs) -> Depths:
                 found.append(0.0)
                 continue
             phi = point.compliance(np.arange(_LOWEST, high, _STEP), [axis], [axis])
-            found.append(float(zero_order(phi, tool, a.arc(tool), material, [rpm])["limit_depth"].values[0]))
+            limit = zero_order(phi, tool, a.arc(tool), material, [rpm], a.flank)["limit_depth"]
+            found.append(float(limit.values[0]))
         return found
 
     return depths
@@ -296,8 +299,8 @@ def _of_modes(campaign: Campaign, family: ModalFrfs) -> Depths:
 
             def make() -> list[float]:
                 phi = make_compliance(f, family.in_the_cut(v, rpm, f, *how[1:]))
-                limits = zero_order(phi, tool, a.arc(tool), material, list(speeds))["limit_depth"].values
-                return [float(d) for d in limits]
+                limits = zero_order(phi, tool, a.arc(tool), material, list(speeds), a.flank)["limit_depth"]
+                return [float(d) for d in limits.values]
 
             return kept(found, (machine, slides, level, a.where, *speeds), make, DEPTHS_KEPT)
 
@@ -337,7 +340,8 @@ def _of_forces(
     def depths(values: Values | None, a: Asked) -> list[float]:
         one = next((machines[n] for n in a.sources if n in machines), machine)
         found = material if values is None else coefficients_found(family, material, values)
-        return [float(d) for d in zero_order(one, tool, a.arc(tool), found, list(a.speeds))["limit_depth"].values]
+        limits = zero_order(one, tool, a.arc(tool), found, list(a.speeds), a.flank)["limit_depth"]
+        return [float(d) for d in limits.values]
 
     return depths, ""
 
@@ -371,7 +375,7 @@ def _of_drive(campaign: Campaign, family: DriveRecordFamily, lost: Sequence[str]
         for rpm in a.speeds:
             point = one.at({axis: a.feed_per_tooth * tool.teeth * rpm / 60.0}, controller)
             silent = point.unstable_poles() > 0
-            limit = None if silent else zero_order(point, tool, a.arc(tool), material, [rpm])["limit_depth"]
+            limit = None if silent else zero_order(point, tool, a.arc(tool), material, [rpm], a.flank)["limit_depth"]
             found.append(0.0 if limit is None else float(limit.values[0]))
         return found
 

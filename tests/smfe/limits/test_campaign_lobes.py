@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from process import ProcessDamping, engagement
 from process.errors import InputError
 from smfe.campaign import load_campaign
 from smfe.limits.campaign_lobes import all_lobes
+from smfe.limits.recommendation import recommend
 from smfe.progress import silent
+from stability import multi_frequency, semi_discretization, zero_order
 
 HEAD = """
 [campaign]
@@ -36,12 +39,13 @@ width_of_cut = "8 mm"
 feed_per_tooth = "0.1 mm"
 spindle_speed = ["4000 rpm", "12000 rpm", "800 rpm"]
 maximum_depth = "20 mm"
+{worn}
 """
 
 
-def campaign(folder, method="zero_order", material="", model=""):
+def campaign(folder, method="zero_order", material="", model="", worn=""):
     path = folder / "campaign.toml"
-    path.write_text(HEAD.format(method=method, material=material, model=model))
+    path.write_text(HEAD.format(method=method, material=material, model=model, worn=worn))
     return load_campaign(path)
 
 
@@ -104,3 +108,43 @@ def test_what_a_method_cannot_do_is_said(tmp_path):
         lobes_of(campaign(tmp_path, "operating_point"))
     with pytest.raises(InputError, match="is no share of a value"):
         campaign(tmp_path, material="uncertainty = 1.5")
+
+
+@pytest.mark.parametrize(
+    ("method", "limits_of"),
+    [("zero_order", zero_order), ("multi_frequency", multi_frequency), ("semi_discretization", semi_discretization)],
+)
+def test_a_worn_flank_is_that_of_the_method_and_has_no_band(tmp_path, method, limits_of):
+    worn = 'process_damping = "20 N/mm"\nflank_friction = 0.2'
+    loaded = campaign(tmp_path, method, model=EXACT, worn=worn)
+    result = lobes_of(loaded)[0]
+    machine = loaded.models[0].modal
+    if method == "zero_order":
+        machine = machine.compliance(np.arange(200.0, 2500.0, 1.0))
+    asked = loaded.lobes[0].spindle_speed
+    cut = loaded.tool, engagement("down", 8e-3, 16e-3), loaded.coefficients, asked
+    expected = limits_of(machine, *cut, process_damping=ProcessDamping(2e4, 0.2))["limit_depth"].values
+    np.testing.assert_array_equal(result.lobes["limit_depth"], expected)
+    assert np.abs(expected / limits_of(machine, *cut)["limit_depth"].values - 1.0).max() > 0.02
+    assert "limit_depth_quantile" not in result.lobes
+    assert "curve_limit_depth" not in result.lobes
+    assert "without process_damping" in result.lobes.attrs["warnings"]
+    assert result.lobes.attrs["process_damping_N_m"] == 2e4
+    answer = recommend([result], loaded).best
+    assert answer.status == "limit_only"
+    assert "worn flank" in answer.reason
+    assert "the flank is as worn at every speed as process_damping = 20 N/mm says" in answer.assumptions
+
+
+@pytest.mark.parametrize(
+    ("method", "worn", "expected"),
+    [
+        ("operating_point", 'process_damping = "20 N/mm"', "operating_point"),
+        ("zero_order", "flank_friction = 0.2", "no process_damping"),
+        ("zero_order", 'process_damping = "-20 N/mm"', "zero or more"),
+        ("zero_order", 'process_damping = "20 N"', "process_damping"),
+    ],
+)
+def test_a_flank_that_cannot_be_is_refused(tmp_path, method, worn, expected):
+    with pytest.raises(InputError, match=expected):
+        campaign(tmp_path, method, worn=worn)

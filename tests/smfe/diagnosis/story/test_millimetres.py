@@ -8,7 +8,7 @@ import pytest
 from exam.modal import PASS, draw
 from truth.modal_machine import Setting
 
-from process.cut.force import CuttingCoefficients
+from process.cut.force import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from smfe.diagnosis.frf.modes import ModalFrfs, Standing
 from smfe.diagnosis.story.millimetres import cost_of, given_values
@@ -25,7 +25,7 @@ def machine() -> ModalFrfs:
 def campaign() -> Any:
     speeds = np.linspace(300.0, 900.0, 5)
     lobes = dict(name="lobes", cut="down", width_of_cut=0.04, feed_per_tooth=1e-4, spindle_speed=speeds)
-    cut = SimpleNamespace(**lobes, measurements=(), controller=None)
+    cut = SimpleNamespace(**lobes, measurements=(), controller=None, process_damping=NO_DAMPING)
     steel = CuttingCoefficients(2e9, 8e8, 3e8)
     return SimpleNamespace(lobes=[cut], cutting_tests=[], tool=Tool(0.08, 4), coefficients=steel)
 
@@ -52,3 +52,16 @@ def test_a_joint_that_slips_costs_more_the_harder_it_is_shaken(machine: ModalFrf
     soft, hard = (machine.in_the_cut(slips, 600.0, f, standing=Standing(hardest=h)) for h in (False, True))
     assert np.abs(hard).max() < np.abs(soft).max()  # what slips loses energy
     assert (cost(given, slips) or 0.0) > 0.0
+
+
+def test_the_flank_that_lobes_are_asked_with_counts(machine: ModalFrfs, campaign: Any) -> None:
+    given = given_values(machine)
+    found = {**given, "posture_11": -0.3}
+    worn = SimpleNamespace(**vars(campaign.lobes[0]) | {"process_damping": ProcessDamping(1e6)})
+    sharp, dull = (
+        cost_of(SimpleNamespace(**vars(campaign) | {"lobes": [cut]}), machine)(given, found)
+        for cut in (campaign.lobes[0], worn)
+    )
+    assert sharp is not None
+    assert dull is not None
+    assert abs(dull / sharp - 1.0) > 0.02
