@@ -1,4 +1,4 @@
-"""Verbs that predict: `lobes`, `tune`, `simulate`, `demo`."""
+"""Verbs that predict: `lobes`, `pitch`, `tune`, `simulate`, `demo`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,18 @@ import typer
 from smfe.cli.answer import run_outcome
 from smfe.cli.terminal import Outcome, Terminal
 from smfe.cli.verb import OUT, PREDICT, CampaignFile, any_files, campaign_files, verb
+
+CutName = Annotated[
+    str | None, typer.Option(help='Which [[lobes]] says the cut, "lobes_2"; default: the first.', show_default=False)
+]
+SourceName = Annotated[
+    str | None,
+    typer.Option(help="Which of its measurements or models; default: the first.", show_default=False),
+]
+KnownCompliances = Annotated[
+    Path | None,
+    typer.Option(help="Use these compliances instead of identifying.", show_default=False, autocompletion=any_files),
+]
 
 
 @verb(
@@ -23,12 +35,7 @@ from smfe.cli.verb import OUT, PREDICT, CampaignFile, any_files, campaign_files,
 def lobes(
     terminal: Terminal,
     campaign: CampaignFile,
-    frf: Annotated[
-        Path | None,
-        typer.Option(
-            help="Use these compliances instead of identifying.", show_default=False, autocompletion=any_files
-        ),
-    ] = None,
+    frf: KnownCompliances = None,
     output: Annotated[Path, typer.Option(*OUT, help="NetCDF file of the lobes.")] = Path("lobes.nc"),
     table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
 ) -> Outcome:
@@ -67,6 +74,83 @@ def lobes(
         warnings += [f"{r.request}, {r.source}: {warning}" for warning in unpack_warnings(r.lobes)]
     lines.append(f"written: {output}, {table}; next: smfe run {campaign} recommends a speed and a depth")
     return Outcome(lines, {"output": str(output), "table": str(table), "limits": content}, warnings, failures)
+
+
+@verb(
+    PREDICT,
+    gives="pitch.toml with the pitch angles to paste into [tool], pitch.csv with the limits of unequal and of equal "
+    "pitch over the spindle speed, figures/pitch.png.",
+    examples=[
+        'smfe pitch campaign.toml --speed "4200 rpm"',
+        'smfe pitch campaign.toml --speed "4200 rpm" --lobes lobes_2 --around 0.05',
+    ],
+    keeps="nothing was written, and what was identified is kept beside the results",
+    keys="output, lobes, source, spindle_speed_rpm, pattern, pitch_angles_deg, line, gain, limit_mm, equal_limit_mm, "
+    "largest_chip, verified",
+)
+def pitch(
+    terminal: Terminal,
+    campaign: CampaignFile,
+    speed: Annotated[
+        str, typer.Option(help='Spindle speed of interest with its unit, "4200 rpm".', show_default=False)
+    ],
+    output: Annotated[Path, typer.Option(*OUT, help="Folder of the pitch.")] = Path("pitch"),
+    lobes: CutName = None,
+    measurement: SourceName = None,
+    frf: KnownCompliances = None,
+    frequency: Annotated[
+        str | None,
+        typer.Option(
+            help='Mode to silence, "920 Hz"; default: the chatter frequency with equal pitch.', show_default=False
+        ),
+    ] = None,
+    around: Annotated[float, typer.Option(help="Share of the speed on both sides where the limit counts.")] = 0.03,
+    largest_deviation: Annotated[
+        float, typer.Option(help="Largest departure of a pitch from the mean, as a share of it.")
+    ] = 0.2,
+) -> Outcome:
+    """Find the unequal pitch of the teeth that raises the limit most at a spindle speed."""
+    import smfe
+
+    with terminal.bar() as progress:
+        found = smfe.pitch(
+            campaign,
+            speed,
+            output,
+            progress,
+            lobes=lobes,
+            measurement=measurement,
+            frf=frf,
+            frequency=frequency,
+            around=around,
+            largest_deviation=largest_deviation,
+        )
+    cut = f"{found.asked.request.name}, {found.asked.source}"
+    within = f"within {100 * found.around:g} % of {found.spindle_speed:g} rpm"
+    if found.design.pattern == "equal":
+        lines = [f"{cut}: equal pitch stays best {within}, limit {found.least_mm:.3g} mm"]
+    else:
+        lines = [
+            f"{cut}: {found.design.pattern} pitch, limit {found.least_mm:.3g} mm {within}, {found.equal_least_mm:.3g} "
+            f"mm with equal pitch: {found.design.gain:.3g} times",
+            f"{found.line()}; the thickest chip is {found.largest_chip:.3g} times the mean",
+        ]
+    lines.append(f"written: {output / 'pitch.toml'}; next: paste it into [tool], smfe run {campaign}")
+    content = {
+        "output": str(output),
+        "lobes": found.asked.request.name,
+        "source": found.asked.source,
+        "spindle_speed_rpm": found.spindle_speed,
+        "pattern": found.design.pattern,
+        "pitch_angles_deg": list(found.design.pitch_angles_deg),
+        "line": found.line(),
+        "gain": found.design.gain,
+        "limit_mm": found.least_mm,
+        "equal_limit_mm": found.equal_least_mm,
+        "largest_chip": found.largest_chip,
+        "verified": found.design.check.to_dict("records"),
+    }
+    return Outcome(lines, content, found.notes)
 
 
 @verb(

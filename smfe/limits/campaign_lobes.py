@@ -15,7 +15,7 @@ import xarray as xr
 from process import units
 from process.cut.engagement import engagement
 from process.errors import InputError
-from process.labels import UNITS, at_tool
+from process.labels import UNITS
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.types import Real
@@ -24,7 +24,7 @@ from smfe.campaign.machine import MACHINE
 from smfe.kept import key_of
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
 from smfe.limits.operating_conditions import over_conditions
-from smfe.modes.fit_modes import fit_modes, model_error
+from smfe.limits.source_modes import fitted_modes
 from smfe.progress import Progress
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
 from smfe.stored import Store, digest
@@ -260,17 +260,13 @@ def _by_fitted_modes(
 ) -> xr.Dataset:
     """Return the limits of the modes that fit a measured compliance, and say how well they do."""
     try:
-        fit = fit_modes(at_tool(compliance))
-        modal = fit.modal_model()
+        modal, notes = fitted_modes(compliance)
     except InputError as error:
         raise InputError(
             f"{request.method} needs modes, and none could be fitted to this compliance: {error}. Use multi_frequency, "
             "which takes a compliance as it was measured, or declare its modes as a [[model]]"
         ) from error
-    found = limits(modal)
-    frequency = ", ".join(f"{f:.4g}" for f in fit.table()["frequency_Hz"])
-    notes = f"the limits are those of modes fitted to the measured compliance ({frequency} Hz, {model_error(fit)})"
-    return found.assign_attrs(warnings=[*found.attrs.get("warnings", ()), notes, *fit.warnings])
+    return _saying(limits(modal), notes)
 
 
 def _modal(campaign: Campaign, name: str) -> ModalModel | None:
