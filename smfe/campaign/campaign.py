@@ -383,6 +383,8 @@ class LobeRequest:
         Feed of an operating point [m/s]; None: feed per tooth times teeth times speed.
     controller, position : str or None
         Of an operating point: the only ones that are asked for; None: each by itself.
+    bands_up_to : float or None
+        Depth up to which all bands of depth are asked for, islands included [m]; None: the limit alone.
     name, table : str
         What it is called in every output, "lobes_1", or "lobes_1_20mm" where its table has several widths; and what
         all widths of the table are called together, "lobes_1".
@@ -401,6 +403,7 @@ class LobeRequest:
     feed: float | None = None
     controller: str | None = None
     position: str | None = None
+    bands_up_to: float | None = None
     name: str = "lobes_1"
     table: str = "lobes_1"
     listed: bool = False
@@ -915,6 +918,7 @@ def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
             table.feed,
             table.controller,
             table.position,
+            table.bands_up_to,
             name=name if len(table.width_of_cut) == 1 else f"{name}_{1e3 * width:.6g}mm",
             table=name,
             listed=table.spindle_speed.listed,

@@ -382,6 +382,16 @@ class LobesTable(Table):
     controller: StrictStr | None = None
     position: StrictStr | None = None
     maximum_depth: q.PositiveLength | None = None
+    bands_up_to: q.PositiveLength | None = None
+
+    @model_validator(mode="after")
+    def _bands_in_time(self) -> LobesTable:
+        if self.bands_up_to is not None and self.method != "semi_discretization":
+            raise InputError(
+                f'gives bands_up_to with method = "{self.method}"; all bands of depth are found by method = '
+                '"semi_discretization" alone: ask for it, or leave bands_up_to out'
+            )
+        return self
 
     @model_validator(mode="after")
     def _of_one_condition(self) -> LobesTable:

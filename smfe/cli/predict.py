@@ -27,10 +27,10 @@ KnownCompliances = Annotated[
 @verb(
     PREDICT,
     gives="lobes.nc and lobe_table.csv: the limit depth over the spindle speed with its quantiles, for each "
-    "measurement that the campaign asks for.",
+    "measurement that the campaign asks for; bands.csv and a picture of it where it asks for all bands of depth.",
     examples=["smfe lobes campaign.toml", "smfe lobes campaign.toml --frf results/frf.nc"],
     keeps="nothing was written, and what was identified is kept beside the results",
-    keys="output, table, limits",
+    keys="output, table, bands, limits",
 )
 def lobes(
     terminal: Terminal,
@@ -38,15 +38,19 @@ def lobes(
     frf: KnownCompliances = None,
     output: Annotated[Path, typer.Option(*OUT, help="NetCDF file of the lobes.")] = Path("lobes.nc"),
     table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
+    bands: Annotated[
+        Path, typer.Option(help="CSV table of all bands of depth, where bands_up_to asks for them.")
+    ] = Path("bands.csv"),
 ) -> Outcome:
     """Compute the stability lobes that a campaign asks for."""
     import smfe
+    from smfe.limits.depth_bands import islands_said, unpacked
     from smfe.results import Failures, unpack_warnings
 
     failures: Failures = []
     with terminal.bar() as progress:
-        results = smfe.lobes(campaign, output, table, frf, progress, failures)
-    lines, content, warnings = [], [], []
+        results = smfe.lobes(campaign, output, table, frf, progress, failures, bands)
+    lines, content, warnings, written = [], [], [], [output, table]
     for r in results:
         depth, speed = r.lobes["limit_depth"].values, r.lobes["spindle_speed"].values
         low, high = int(depth.argmin()), int(depth.argmax())
@@ -61,6 +65,10 @@ def lobes(
                 f"{r.request}, {r.source}: a kick of {float(r.lobes['kick'][at]):.2g} N s lowers it to "
                 f"{float(lower[at]):.3g} mm at {speed[at]:g} rpm, where that takes most"
             )
+        found = unpacked(r.lobes)
+        if found is not None:
+            lines.append(f"{r.request}, {r.source}: {islands_said(found)}")
+            written = [output, table, bands]
         content.append(
             {
                 "lobes": r.request,
@@ -72,8 +80,9 @@ def lobes(
             }
         )
         warnings += [f"{r.request}, {r.source}: {warning}" for warning in unpack_warnings(r.lobes)]
-    lines.append(f"written: {output}, {table}; next: smfe run {campaign} recommends a speed and a depth")
-    return Outcome(lines, {"output": str(output), "table": str(table), "limits": content}, warnings, failures)
+    lines.append(f"written: {', '.join(map(str, written))}; next: smfe run {campaign} recommends a speed and a depth")
+    said = {"output": str(output), "table": str(table), "bands": str(bands) if bands in written else None}
+    return Outcome(lines, {**said, "limits": content}, warnings, failures)
 
 
 @verb(

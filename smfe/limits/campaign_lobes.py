@@ -23,9 +23,10 @@ from smfe.campaign import Campaign, LobeRequest
 from smfe.campaign.machine import MACHINE
 from smfe.kept import key_of
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
+from smfe.limits.depth_bands import bands_over, packed
 from smfe.limits.operating_conditions import over_conditions
-from smfe.limits.source_modes import fitted_modes
-from smfe.progress import Progress
+from smfe.limits.source_modes import asked_cut, fitted_modes
+from smfe.progress import Progress, step
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
 from smfe.stored import Store, digest
 from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
@@ -55,7 +56,7 @@ class LobeResult:
         request has several results their controller and position.
     lobes : xarray.Dataset
         ``limit_depth(spindle_speed)``, where the errors are known its quantiles and ``safe_depth``, and the single
-        lobes as ``curve_*(point)``.
+        lobes as ``curve_*(point)``, and where they are asked for all bands of depth as ``band_*(band)``.
     table : pandas.DataFrame
         Rows of lobe_table.csv.
     asked : LobeRequest
@@ -119,8 +120,9 @@ def all_lobes(
             whole = replace(whole, controller=of.controller, position=of.position)
             used = {name: compliances[name] for name in names if name in compliances}
             key = "" if kept is None else key_of(digest([_bare(campaign, names), request, whole, used]))
+            work = partial(_limits, campaign, request, whole, names, used, step(progress, done, len(jobs)))
             try:
-                limits = store.get(key, partial(_limits, campaign, request, whole, names, used))
+                limits = store.get(key, work)
             except InputError as error:
                 raise InputError(f"{said}, {source}: {error}" if failures is None else str(error)) from error
             limits = limits.assign_attrs({k: v for k in FIXED if (v := getattr(of, k)) is not None})
@@ -135,12 +137,17 @@ def _limits(
     whole: LobeRequest,
     names: Sequence[str],
     compliances: Mapping[str, xr.Dataset],
+    progress: Progress,
 ) -> xr.Dataset:
     """Return the limits of a request for one source, with their band and the single lobes, at the speeds of `whole`."""
     limits = limits_of(campaign, whole, names, compliances)
     if request.method == "operating_point":
         return limits
     limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
+    if request.bands_up_to is not None:
+        asked = asked_cut(campaign, request, names[0], compliances[names[0]])
+        bands, notes = bands_over(asked, request.spindle_speed, request.bands_up_to, progress)
+        limits = _saying(limits.assign(packed(bands)), notes)
     return _with_curves(campaign, request, compliances[names[0]], limits)
 
 

@@ -1,4 +1,4 @@
-"""The unequal pitch for the cut of a campaign: the design, and its limits beside those of equal pitch over the speeds."""
+"""The unequal pitch for the cut of a campaign: the design, and its limits beside those of equal pitch."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The modes behind one source of lobes: as declared, or fitted to its compliance; and the cut that is asked about.
 
-What is solved in time (pitch, bands of depth, forced vibration) needs modes: those of a ``[[model]]``, or those that fit
-a measured compliance (`smfe.modes.fit_modes`), of which is said how far they are from it.
+What is solved in time (pitch, bands of depth, forced vibration) needs modes: those of a ``[[model]]``, or those that
+fit a measured compliance (`smfe.modes.fit_modes`), of which is said how far they are from it.
 """
 
 from __future__ import annotations

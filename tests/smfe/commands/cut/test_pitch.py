@@ -119,7 +119,10 @@ def test_a_measured_compliance_is_designed_for_by_its_modes(tmp_path, design):
 name = "classic"
 method = "frf"
 records = [{ file = "xx.csv", response = "x", excitation = "x" }]
-channels = { frequency = { column = "f", unit = "Hz" }, compliance_real = { column = "re", unit = "m/N" }, compliance_imag = { column = "im", unit = "m/N" } }
+[measurement.channels]
+frequency = { column = "f", unit = "Hz" }
+compliance_real = { column = "re", unit = "m/N" }
+compliance_imag = { column = "im", unit = "m/N" }
 [[lobes]]"""
     head, tail = CAMPAIGN.format(pitch="").split("[[model]]")
     text = (
