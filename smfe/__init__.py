@@ -1,7 +1,8 @@
 """Machine-tool dynamics: records of a measuring campaign -> compliance -> stability lobes -> verdicts.
 
 The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
-`modal`, `lobes`, `chatter`, `coefficients`, `diagnose`, `plan`, `tune`, `simulate`, `convert`, `report`, `export`.
+`modal`, `lobes`, `pitch`, `chatter`, `coefficients`, `diagnose`, `plan`, `tune`, `simulate`, `convert`, `report`,
+`export`.
 They take paths, or objects in memory, which `record`, `compliance`, `Tool` and `CuttingCoefficients` make of arrays.
 What a folder of results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`,
 `read_records`, `read_blocks`, `read_reduced`. The methods alone, from records to a compliance with its uncertainty, are
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from smfe.commands.check import check
     from smfe.commands.coefficients import Coefficients, coefficients
     from smfe.commands.compare import compare
+    from smfe.commands.cut.pitch import pitch
     from smfe.commands.demo import demo
     from smfe.commands.diagnose import diagnose
     from smfe.commands.files.convert import convert
@@ -119,6 +121,7 @@ __all__ = [
     "look",
     "modal",
     "open_loop_response",
+    "pitch",
     "plan",
     "plot",
     "read_blocks",
@@ -148,6 +151,7 @@ _HOMES = {
     "smfe.commands.check": "check",
     "smfe.commands.coefficients": "Coefficients, coefficients",
     "smfe.commands.compare": "compare",
+    "smfe.commands.cut.pitch": "pitch",
     "smfe.commands.files.convert": "convert",
     "smfe.commands.demo": "demo",
     "smfe.commands.diagnose": "diagnose",

@@ -15,7 +15,8 @@ finds excellent the converged limit can be several times lower.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -106,6 +107,7 @@ def design_pitch(
     frequency: float | None = None,
     around: float = 0.03,
     largest_deviation: float = 0.2,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> PitchDesign:
     """Return the pitch angles with the largest limit depth at a spindle speed and around it.
 
@@ -125,6 +127,8 @@ def design_pitch(
         The limit counts at speeds up to this share beside the speed.
     largest_deviation : float, optional
         How far a pitch may depart from the mean, as a share of it: chip thickness and room for chips depart with it.
+    progress : callable, optional
+        Called with (what, done, of) before each pitch that is tried.
 
     Returns
     -------
@@ -143,13 +147,16 @@ def design_pitch(
         if not 0.0 < share < 1.0:
             raise InputError(f"{name} is {share:g}; a share between 0 and 1 is needed, e.g. 0.1")
     search = _Search(machine, replace(tool, pitch_angles=None), arc, coefficients, speed, around)
+    if progress is not None:
+        search = replace(search, progress=progress)
     limit = search.limit(search.tool, speed)
     chatter = limit.chatter_frequency_Hz if frequency is None else frequency
     best = (search.lowest(search.tool, -math.inf), "equal", search.tool)
     if not (math.isinf(best[0]) or math.isnan(chatter)):
-        for pattern in _patterns(tool.teeth):
+        patterns = _patterns(tool.teeth)
+        for number, pattern in enumerate(patterns):
             difference = cancelling_difference(pattern, tool.teeth, chatter, speed)
-            best = search.improved(pattern, difference, best, largest_deviation)
+            best = search.improved(pattern, difference, best, largest_deviation, (number, len(patterns)))
     return _checked(search, *best[1:])
 
 
@@ -188,6 +195,7 @@ class _Search:
     coefficients: CuttingCoefficients
     speed: float
     around: float
+    progress: Callable[[str, int, int], None] = field(default=lambda _what, _done, _of: None)
 
     def limit(self, tool: Tool, speed: float, tolerance: float = RULES.loose_tolerance) -> LimitDepth:
         """Return the converged limit of a tool."""
@@ -202,12 +210,19 @@ class _Search:
                 return found
         return found
 
-    def improved(self, pattern: str, difference: float, best: Best, largest_deviation: float) -> Best:
-        """Return the better of what there is and the best difference of a pattern."""
+    def improved(
+        self, pattern: str, difference: float, best: Best, largest_deviation: float, place: tuple[int, int]
+    ) -> Best:
+        """Return the better of what there is and the best difference of a pattern; `place`: the how-manieth of all."""
         factor, tried = 1.0, set[Tool]()
-        for offsets in ([f - 1.0 for f in RULES.factors_tried], *((-step, step) for step in RULES.refined_steps)):
+        rounds = [[f - 1.0 for f in RULES.factors_tried], *([-step, step] for step in RULES.refined_steps)]
+        whole = sum(map(len, rounds))
+        done = place[0] * whole
+        for offsets in rounds:
             centre = factor
             for offset in offsets:
+                self.progress(f"{pattern} pitch", done, place[1] * whole)
+                done += 1
                 tool = self._pitched(pattern, (centre + offset) * difference, largest_deviation)
                 if tool is None or tool in tried:
                     continue

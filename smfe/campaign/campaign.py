@@ -385,6 +385,8 @@ class LobeRequest:
         Of an operating point: the only ones that are asked for; None: each by itself.
     process_damping : ProcessDamping
         Of the worn flank; a sharp edge by default.
+    bands_up_to : float or None
+        Depth up to which all bands of depth are asked for, islands included [m]; None: the limit alone.
     name, table : str
         What it is called in every output, "lobes_1", or "lobes_1_20mm" where its table has several widths; and what
         all widths of the table are called together, "lobes_1".
@@ -404,6 +406,7 @@ class LobeRequest:
     controller: str | None = None
     position: str | None = None
     process_damping: ProcessDamping = NO_DAMPING
+    bands_up_to: float | None = None
     name: str = "lobes_1"
     table: str = "lobes_1"
     listed: bool = False
@@ -920,6 +923,7 @@ def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
             table.controller,
             table.position,
             ProcessDamping(table.process_damping, **friction),
+            table.bands_up_to,
             name=name if len(table.width_of_cut) == 1 else f"{name}_{1e3 * width:.6g}mm",
             table=name,
             listed=table.spindle_speed.listed,

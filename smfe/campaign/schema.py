@@ -384,6 +384,7 @@ class LobesTable(Table):
     maximum_depth: q.PositiveLength | None = None
     process_damping: Annotated[float, q.quantity("line_force", low=0.0)] = 0.0
     flank_friction: Annotated[float, Field(ge=0.0, le=2.0)] | None = None
+    bands_up_to: q.PositiveLength | None = None
 
     @model_validator(mode="after")
     def _of_a_worn_flank(self) -> LobesTable:
@@ -394,6 +395,15 @@ class LobesTable(Table):
             )
         if self.flank_friction is not None and self.process_damping == 0.0:
             raise InputError('gives a flank_friction and no process_damping; say it, e.g. "20 N/mm"')
+        return self
+
+    @model_validator(mode="after")
+    def _bands_in_time(self) -> LobesTable:
+        if self.bands_up_to is not None and self.method != "semi_discretization":
+            raise InputError(
+                f'gives bands_up_to with method = "{self.method}"; all bands of depth are found by method = '
+                '"semi_discretization" alone: ask for it, or leave bands_up_to out'
+            )
         return self
 
     @model_validator(mode="after")

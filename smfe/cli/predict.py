@@ -1,4 +1,4 @@
-"""Verbs that predict: `lobes`, `tune`, `simulate`, `demo`."""
+"""Verbs that predict: `lobes`, `pitch`, `tune`, `simulate`, `demo`."""
 
 from __future__ import annotations
 
@@ -11,35 +11,46 @@ from smfe.cli.answer import run_outcome
 from smfe.cli.terminal import Outcome, Terminal
 from smfe.cli.verb import OUT, PREDICT, CampaignFile, any_files, campaign_files, verb
 
+CutName = Annotated[
+    str | None, typer.Option(help='Which [[lobes]] says the cut, "lobes_2"; default: the first.', show_default=False)
+]
+SourceName = Annotated[
+    str | None,
+    typer.Option(help="Which of its measurements or models; default: the first.", show_default=False),
+]
+KnownCompliances = Annotated[
+    Path | None,
+    typer.Option(help="Use these compliances instead of identifying.", show_default=False, autocompletion=any_files),
+]
+
 
 @verb(
     PREDICT,
     gives="lobes.nc and lobe_table.csv: the limit depth over the spindle speed with its quantiles, for each "
-    "measurement that the campaign asks for.",
+    "measurement that the campaign asks for; bands.csv and a picture of it where it asks for all bands of depth.",
     examples=["smfe lobes campaign.toml", "smfe lobes campaign.toml --frf results/frf.nc"],
     keeps="nothing was written, and what was identified is kept beside the results",
-    keys="output, table, limits",
+    keys="output, table, bands, limits",
 )
 def lobes(
     terminal: Terminal,
     campaign: CampaignFile,
-    frf: Annotated[
-        Path | None,
-        typer.Option(
-            help="Use these compliances instead of identifying.", show_default=False, autocompletion=any_files
-        ),
-    ] = None,
+    frf: KnownCompliances = None,
     output: Annotated[Path, typer.Option(*OUT, help="NetCDF file of the lobes.")] = Path("lobes.nc"),
     table: Annotated[Path, typer.Option(help="CSV lobe table.")] = Path("lobe_table.csv"),
+    bands: Annotated[
+        Path, typer.Option(help="CSV table of all bands of depth, where bands_up_to asks for them.")
+    ] = Path("bands.csv"),
 ) -> Outcome:
     """Compute the stability lobes that a campaign asks for."""
     import smfe
+    from smfe.limits.depth_bands import islands_said, unpacked
     from smfe.results import Failures, unpack_warnings
 
     failures: Failures = []
     with terminal.bar() as progress:
-        results = smfe.lobes(campaign, output, table, frf, progress, failures)
-    lines, content, warnings = [], [], []
+        results = smfe.lobes(campaign, output, table, frf, progress, failures, bands)
+    lines, content, warnings, written = [], [], [], [output, table]
     for r in results:
         depth, speed = r.lobes["limit_depth"].values, r.lobes["spindle_speed"].values
         low, high = int(depth.argmin()), int(depth.argmax())
@@ -54,6 +65,10 @@ def lobes(
                 f"{r.request}, {r.source}: a kick of {float(r.lobes['kick'][at]):.2g} N s lowers it to "
                 f"{float(lower[at]):.3g} mm at {speed[at]:g} rpm, where that takes most"
             )
+        found = unpacked(r.lobes)
+        if found is not None:
+            lines.append(f"{r.request}, {r.source}: {islands_said(found)}")
+            written = [output, table, bands]
         content.append(
             {
                 "lobes": r.request,
@@ -65,8 +80,86 @@ def lobes(
             }
         )
         warnings += [f"{r.request}, {r.source}: {warning}" for warning in unpack_warnings(r.lobes)]
-    lines.append(f"written: {output}, {table}; next: smfe run {campaign} recommends a speed and a depth")
-    return Outcome(lines, {"output": str(output), "table": str(table), "limits": content}, warnings, failures)
+    lines.append(f"written: {', '.join(map(str, written))}; next: smfe run {campaign} recommends a speed and a depth")
+    said = {"output": str(output), "table": str(table), "bands": str(bands) if bands in written else None}
+    return Outcome(lines, {**said, "limits": content}, warnings, failures)
+
+
+@verb(
+    PREDICT,
+    gives="pitch.toml with the pitch angles to paste into [tool], pitch.csv with the limits of unequal and of equal "
+    "pitch over the spindle speed, figures/pitch.png.",
+    examples=[
+        'smfe pitch campaign.toml --speed "4200 rpm"',
+        'smfe pitch campaign.toml --speed "4200 rpm" --lobes lobes_2 --around 0.05',
+    ],
+    keeps="nothing was written, and what was identified is kept beside the results",
+    keys="output, lobes, source, spindle_speed_rpm, pattern, pitch_angles_deg, line, gain, limit_mm, equal_limit_mm, "
+    "largest_chip, verified",
+)
+def pitch(
+    terminal: Terminal,
+    campaign: CampaignFile,
+    speed: Annotated[
+        str, typer.Option(help='Spindle speed of interest with its unit, "4200 rpm".', show_default=False)
+    ],
+    output: Annotated[Path, typer.Option(*OUT, help="Folder of the pitch.")] = Path("pitch"),
+    lobes: CutName = None,
+    measurement: SourceName = None,
+    frf: KnownCompliances = None,
+    frequency: Annotated[
+        str | None,
+        typer.Option(
+            help='Mode to silence, "920 Hz"; default: the chatter frequency with equal pitch.', show_default=False
+        ),
+    ] = None,
+    around: Annotated[float, typer.Option(help="Share of the speed on both sides where the limit counts.")] = 0.03,
+    largest_deviation: Annotated[
+        float, typer.Option(help="Largest departure of a pitch from the mean, as a share of it.")
+    ] = 0.2,
+) -> Outcome:
+    """Find the unequal pitch of the teeth that raises the limit most at a spindle speed."""
+    import smfe
+
+    with terminal.bar() as progress:
+        found = smfe.pitch(
+            campaign,
+            speed,
+            output,
+            progress,
+            lobes=lobes,
+            measurement=measurement,
+            frf=frf,
+            frequency=frequency,
+            around=around,
+            largest_deviation=largest_deviation,
+        )
+    cut = f"{found.asked.request.name}, {found.asked.source}"
+    within = f"within {100 * found.around:g} % of {found.spindle_speed:g} rpm"
+    if found.design.pattern == "equal":
+        lines = [f"{cut}: equal pitch stays best {within}, limit {found.least_mm:.3g} mm"]
+    else:
+        lines = [
+            f"{cut}: {found.design.pattern} pitch, limit {found.least_mm:.3g} mm {within}, {found.equal_least_mm:.3g} "
+            f"mm with equal pitch: {found.design.gain:.3g} times",
+            f"{found.line()}; the thickest chip is {found.largest_chip:.3g} times the mean",
+        ]
+    lines.append(f"written: {output / 'pitch.toml'}; next: paste it into [tool], smfe run {campaign}")
+    content = {
+        "output": str(output),
+        "lobes": found.asked.request.name,
+        "source": found.asked.source,
+        "spindle_speed_rpm": found.spindle_speed,
+        "pattern": found.design.pattern,
+        "pitch_angles_deg": list(found.design.pitch_angles_deg),
+        "line": found.line(),
+        "gain": found.design.gain,
+        "limit_mm": found.least_mm,
+        "equal_limit_mm": found.equal_least_mm,
+        "largest_chip": found.largest_chip,
+        "verified": found.design.check.to_dict("records"),
+    }
+    return Outcome(lines, content, found.notes)
 
 
 @verb(

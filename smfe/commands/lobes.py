@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
@@ -21,7 +22,7 @@ from smfe.identification.compliances import labelled
 from smfe.identification.levels import with_levels
 from smfe.kept import KEPT
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
-from smfe.limits.lobe_files import joined
+from smfe.limits.lobe_files import bands_table, joined
 from smfe.modes.fit_modes import ModalFit
 from smfe.progress import Progress, part, silent, warn
 from smfe.results import (
@@ -31,6 +32,7 @@ from smfe.results import (
     read_groups,
     require_something,
     unpack_warnings,
+    write_csv,
     write_groups,
 )
 from stability import write_table
@@ -47,6 +49,7 @@ def lobes(
     frf: Path | str | None = None,
     progress: Progress = silent,
     failures: Failures | None = None,
+    bands: Path | str | None = None,
 ) -> list[LobeResult]: ...
 
 
@@ -89,9 +92,9 @@ def lobes(
 def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Dataset | dict[str, xr.Dataset]:
     """Compute stability lobes: those that a campaign asks for, or those of a compliance for one cut.
 
-    ``lobes(campaign, output, table, frf, progress, failures)`` computes what a campaign asks for, from its records or
-    from a compliance file. ``lobes(compliance, tool, material, cut=..., width_of_cut=..., spindle_speed=...)`` does the
-    same for a compliance in memory; numbers are SI, texts carry their unit.
+    ``lobes(campaign, output, table, frf, progress, failures, bands)`` computes what a campaign asks for, from its
+    records or from a compliance file. ``lobes(compliance, tool, material, cut=..., width_of_cut=...,
+    spindle_speed=...)`` does the same for a compliance in memory; numbers are SI, texts carry their unit.
 
     Parameters
     ----------
@@ -107,6 +110,9 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     failures : list of Failure, optional
         With a campaign: collects measurements and requests that fail, which the file names in its attribute
         ``failures``; the rest is written. None: the first one is raised, and nothing is written.
+    bands : path, optional
+        With a campaign: CSV table of the bands of depth, where it asks for them with ``bands_up_to``; a picture of each
+        source beside it, under its name.
     tool : Tool or mapping
         The tool, or the keys of ``[tool]``.
     material : CuttingCoefficients or mapping
@@ -168,6 +174,7 @@ def _of_campaign(
     frf: Path | str | None = None,
     progress: Progress = silent,
     failures: Failures | None = None,
+    bands: Path | str | None = None,
 ) -> list[LobeResult]:
     loaded = load_campaign(campaign)
     path = None if output is None else Path(output)
@@ -184,7 +191,22 @@ def _of_campaign(
     results = all_lobes(with_levels(loaded), compliances, part(progress, 0.7 if frf is None else 0.0, 1.0), failures)
     require_something(results, failures)
     _write(results, path, table, failures)
+    if bands is not None:
+        _write_bands(results, Path(bands))
     return results
+
+
+def _write_bands(results: Sequence[LobeResult], path: Path) -> None:
+    """Write the bands of depth, and a picture a source; without any nothing."""
+    found = bands_table(results)
+    if found is None:
+        return
+    from smfe.reporting.figures.draw_matplotlib import draw_bands, save
+
+    write_csv(path, found)
+    for (request, source), own in found.groupby(["lobes", "source"], sort=False):
+        name = re.sub(r"[^\w-]", "_", f"{request}_{source}")
+        save(draw_bands(own, f"{request}, {source}"), path.with_name(f"{path.stem}_{name}.png"))
 
 
 def _write(

@@ -15,7 +15,7 @@ import xarray as xr
 from process import units
 from process.cut.engagement import engagement
 from process.errors import InputError
-from process.labels import UNITS, at_tool
+from process.labels import UNITS
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from process.types import Real
@@ -23,9 +23,10 @@ from smfe.campaign import Campaign, LobeRequest
 from smfe.campaign.machine import MACHINE
 from smfe.kept import key_of
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
+from smfe.limits.depth_bands import bands_over, packed
 from smfe.limits.operating_conditions import over_conditions
-from smfe.modes.fit_modes import fit_modes, model_error
-from smfe.progress import Progress
+from smfe.limits.source_modes import asked_cut, fitted_modes
+from smfe.progress import Progress, step
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
 from smfe.stored import Store, digest
 from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
@@ -61,7 +62,7 @@ class LobeResult:
         request has several results their controller and position.
     lobes : xarray.Dataset
         ``limit_depth(spindle_speed)``, where the errors are known its quantiles and ``safe_depth``, and the single
-        lobes as ``curve_*(point)``.
+        lobes as ``curve_*(point)``, and where they are asked for all bands of depth as ``band_*(band)``.
     table : pandas.DataFrame
         Rows of lobe_table.csv.
     asked : LobeRequest
@@ -125,8 +126,9 @@ def all_lobes(
             whole = replace(whole, controller=of.controller, position=of.position)
             used = {name: compliances[name] for name in names if name in compliances}
             key = "" if kept is None else key_of(digest([_bare(campaign, names), request, whole, used]))
+            work = partial(_limits, campaign, request, whole, names, used, step(progress, done, len(jobs)))
             try:
-                limits = store.get(key, partial(_limits, campaign, request, whole, names, used))
+                limits = store.get(key, work)
             except InputError as error:
                 raise InputError(f"{said}, {source}: {error}" if failures is None else str(error)) from error
             limits = limits.assign_attrs({k: v for k in FIXED if (v := getattr(of, k)) is not None})
@@ -141,12 +143,17 @@ def _limits(
     whole: LobeRequest,
     names: Sequence[str],
     compliances: Mapping[str, xr.Dataset],
+    progress: Progress,
 ) -> xr.Dataset:
     """Return the limits of a request for one source, with their band and the single lobes, at the speeds of `whole`."""
     limits = limits_of(campaign, whole, names, compliances)
     if request.method == "operating_point":
         return limits
     limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
+    if request.bands_up_to is not None:
+        asked = asked_cut(campaign, request, names[0], compliances[names[0]])
+        bands, notes = bands_over(asked, request.spindle_speed, request.bands_up_to, progress)
+        limits = _saying(limits.assign(packed(bands)), notes)
     return _with_curves(campaign, request, compliances[names[0]], limits)
 
 
@@ -271,17 +278,13 @@ def _by_fitted_modes(
 ) -> xr.Dataset:
     """Return the limits of the modes that fit a measured compliance, and say how well they do."""
     try:
-        fit = fit_modes(at_tool(compliance))
-        modal = fit.modal_model()
+        modal, notes = fitted_modes(compliance)
     except InputError as error:
         raise InputError(
             f"{request.method} needs modes, and none could be fitted to this compliance: {error}. Use multi_frequency, "
             "which takes a compliance as it was measured, or declare its modes as a [[model]]"
         ) from error
-    found = limits(modal)
-    frequency = ", ".join(f"{f:.4g}" for f in fit.table()["frequency_Hz"])
-    notes = f"the limits are those of modes fitted to the measured compliance ({frequency} Hz, {model_error(fit)})"
-    return found.assign_attrs(warnings=[*found.attrs.get("warnings", ()), notes, *fit.warnings])
+    return _saying(limits(modal), notes)
 
 
 def _modal(campaign: Campaign, name: str) -> ModalModel | None:

@@ -10,19 +10,32 @@ import pandas as pd
 
 from smfe.campaign import Campaign
 from smfe.limits.campaign_lobes import LobeResult
+from smfe.limits.depth_bands import unpacked
 from smfe.limits.recommendation import PRESETS, Recommendation, depths_of, recommend
 from smfe.results import LOBES, Failures, attempt, pack, write_csv, write_groups
 from stability import write_presets, write_table
 from stability.tables.presets import RECOMMENDED
 
-POCKETS, DEPTHS = "pockets.csv", "depth_table.csv"
-MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS, DEPTHS)
+POCKETS, DEPTHS, BANDS = "pockets.csv", "depth_table.csv", "bands.csv"
+MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS, DEPTHS, BANDS)
 """Files that lobes make."""
 
 
 def joined(results: Sequence[LobeResult]) -> pd.DataFrame:
     """Return the rows of all tables."""
     return pd.concat([r.table for r in results], ignore_index=True)
+
+
+def bands_table(results: Sequence[LobeResult]) -> pd.DataFrame | None:
+    """Return the rows of bands.csv: the bands of every result that has some, None without one."""
+    frames = []
+    for r in results:
+        bands = unpacked(r.lobes)
+        if bands is not None:
+            bands.insert(0, "source", r.source)
+            bands.insert(0, "lobes", r.request)
+            frames.append(bands)
+    return pd.concat(frames, ignore_index=True) if frames else None
 
 
 def depth_table(
@@ -108,8 +121,11 @@ def write_lobes(
     groups = {f"{r.request}/{r.source}": r.lobes.assign_attrs(spindle_accuracy=accuracy) for r in results}
     write_groups(folder / "lobes.nc", groups, missing)
     write_table(joined(results), folder / "lobe_table.csv")
-    for name in (POCKETS, PRESETS, DEPTHS):
+    for name in (POCKETS, PRESETS, DEPTHS, BANDS):
         (folder / name).unlink(missing_ok=True)
+    bands = bands_table(results)
+    if bands is not None:
+        write_csv(folder / BANDS, bands)
     with attempt(failures, "recommendation"):
         found = recommend(results, campaign, tests)
         document = found.document()

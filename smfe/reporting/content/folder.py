@@ -16,6 +16,7 @@ KNOWN: dict[str, tuple[str, str]] = {
     ),
     "pockets.csv": ("The recommendation first, then the pockets between the lobes", _SHEET),
     "lobe_table.csv": ("Limit depth, its interval and safe depth over spindle speed", _SHEET),
+    "bands.csv": ("All bands of depth, stable and unstable, over spindle speed", _SHEET),
     "lobes.nc": ("Stability lobes with quantiles and single lobes", _ARRAYS),
     "chatter.csv": ("Cutting tests: verdict, chatter frequency, what was predicted", _SHEET),
     "ranking.csv": ("Methods by the share of cutting tests that they predict rightly", _SHEET),

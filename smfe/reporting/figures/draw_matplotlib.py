@@ -17,9 +17,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 
 from process.types import Real
+from smfe.limits.depth_bands import AGAIN, FIRST, LOST, unpacked
 from smfe.reporting.content.conditions import cubes
 from smfe.reporting.content.headline import outcomes
 from smfe.reporting.content.ranking import grid
@@ -87,6 +88,11 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         out[f"{name}.png"] = partial(
             draw_lobes, lobes, figure_data.tests_of(results.chatter, request), looks, results.advice.get(request)
         )
+        for item in lobes:
+            bands = unpacked(item.data)
+            if bands is not None:
+                own = re.sub(r"[^\w-]", "_", f"{request}_{item.source}")
+                out[f"bands_{own}.png"] = partial(draw_bands, bands, f"{request}, {item.source}")
     shown = [m for m in results.measurements if m.entries]
     if shown:
         out["compliance.png"] = partial(draw_compliance, shown, looks)
@@ -121,6 +127,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
     """Delete pictures of ours that an earlier report wrote and this one does not."""
     for pattern in (
         "lobes_*.png",
+        "bands_*.png",
         "conditions_*.png",
         "drive_*.png",
         "loop_*.png",
@@ -584,3 +591,52 @@ def draw_loop(dataset: xr.Dataset) -> Figure:
     for axes in (upper, lower):
         axes.grid(True, color="#dddddd", linewidth=0.5)
     return picture
+
+
+_SHADES = {LOST: (CHATTER, 0.30, "chatter"), AGAIN: (STABLE, 0.35, "stable again: islands and tongues")}
+"""Kind of a band of depth -> its colour, opacity and name."""
+
+
+def draw_bands(bands: pd.DataFrame, title: str = "") -> Figure:
+    """Return the picture of the bands of one source over the spindle speed.
+
+    Parameters
+    ----------
+    bands : DataFrame
+        As `smfe.limits.depth_bands.bands_over` returns them.
+    title : str, optional
+        Which request and source.
+    """
+    figure = Figure(figsize=(9.0, 5.0), dpi=DPI, layout="constrained")
+    ax = figure.subplots()
+    speeds = np.unique(bands["spindle_speed_rpm"].to_numpy())
+    edges = _strips(speeds)
+    place = dict(zip(speeds.tolist(), range(speeds.size), strict=True))
+    for band, group in bands.groupby("band"):
+        if band == FIRST:
+            continue
+        colour, opacity, _ = _SHADES[str(band)]
+        for speed, low, high in zip(group["spindle_speed_rpm"], group["from_mm"], group["to_mm"], strict=True):
+            left, right = edges[place[speed]].item(), edges[place[speed] + 1].item()
+            ax.add_patch(Rectangle((left, low), right - left, high - low, color=colour, alpha=opacity, lw=0))
+    first = bands[bands["band"] == FIRST]
+    deepest = float(bands["to_mm"].max())
+    limit = np.where(first["to_mm"] < deepest, first["to_mm"], np.nan)
+    (line,) = ax.plot(first["spindle_speed_rpm"], limit, color="k", lw=1.6)
+    ax.set_xlim(edges[0], edges[-1])
+    ax.set_ylim(0.0, deepest)
+    ax.set_xlabel("spindle speed [rpm]")
+    ax.set_ylabel("depth of cut [mm]")
+    ax.set_title(literal(title), fontsize="medium")
+    shown = [(Patch(color=c, alpha=o), word) for b, (c, o, word) in _SHADES.items() if b in set(bands["band"])]
+    handles, labels = zip((line, "first loss of stability"), *shown, strict=True)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def _strips(speeds: Real) -> Real:
+    """Return the borders between the strips of neighbouring speeds [rpm]."""
+    if speeds.size == 1:
+        return np.array([0.99, 1.01]) * float(speeds[0])
+    middle = 0.5 * (speeds[1:] + speeds[:-1])
+    return np.asarray(np.concatenate([[2.0 * speeds[0] - middle[0]], middle, [2.0 * speeds[-1] - middle[-1]]]))

@@ -1,0 +1,1 @@
+"""Verbs that ask about the cut of one `[[lobes]]`: its pitch, its vibration."""
