@@ -79,6 +79,22 @@ class Cut:
             "check the sign",
         )
 
+    @property
+    def mean_warnings(self) -> tuple[str, ...]:
+        """The same where the mean directional matrix stands for the cut: it does not know a helix.
+
+        Each part of the edge passes the same arc in a turn, only later: averaged over a turn it does what that of a
+        straight edge does, whatever the helix. What is lost is what the mean loses anyhow, and a helix changes: the
+        harmonics, and with them period doubling.
+        """
+        if self.tool.helix_angle == 0.0:
+            return self.warnings
+        return (
+            *self.warnings,
+            f"the mean directional matrix does not know the helix of {math.degrees(self.tool.helix_angle):g} deg: over "
+            "a turn it is that of straight edges. The harmonics that it leaves out (few teeth in the cut) are not",
+        )
+
     def require_equal_pitch(self, what: str) -> None:
         """Raise `InputError` when the teeth are not equally spaced: then a lobe is no explicit curve."""
         if not self.tool.equal_pitch:

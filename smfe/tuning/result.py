@@ -300,8 +300,15 @@ def _lobes(task: Task, plant: Plant, shown: Sequence[GainSet]) -> tuple[xr.Datas
         depths.append(found["limit_depth"].values)
         chatter.append(found["chatter_frequency"].values)
         if one is shown[0]:
-            # A servo may give energy, and the grid of a model ends where masses alone count.
-            skip = ("the compliance is not that", "at ", "the frequency range", "the compliance is missing")
+            # A servo may give energy, and the grid of a model ends where masses alone count. That no other method
+            # takes a helix is said by `confirm`.
+            skip = (
+                "the compliance is not that",
+                "at ",
+                "the frequency range",
+                "the compliance is missing",
+                "the mean directional matrix",
+            )
             warnings = [w for w in found.attrs["warnings"] if not w.startswith(skip)]
     data = {
         "limit_depth": (("gains", "spindle_speed"), np.array(depths), {"units": "mm"}),

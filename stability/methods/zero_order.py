@@ -24,7 +24,7 @@ with half the tooth passing frequency near a mode, the true limit can lie below 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -109,7 +109,7 @@ def zero_order(
         One labelled compliance [m/N] on its own grid; masked (NaN) frequencies are skipped, not bridged. Or anything
         with a ``state_space()``, e.g. a `process.ModalModel`: then the grid is ours.
     tool, arc, coefficients
-        The cut; one arc of engagement or several, any pitch. A helix has no influence on the mean.
+        The cut; one arc of engagement or several, any pitch. A helix has no influence on the mean; a warning says so.
     spindle_speed : array_like, shape (speeds,)
         Spindle speeds [rpm], in any order.
     process_damping : ProcessDamping, optional
@@ -141,7 +141,7 @@ def zero_order(
     if process_damping.coefficient > 0.0:
         damped = [loop_of(tool, arc, coefficients, float(n), process_damping) for n in speed]
     pitch = pattern_of_pitch(tool).delay
-    return _limits(samples, cut.directional_matrix(), pitch, speed, modes, cut.warnings, damped)
+    return _limits(samples, cut.directional_matrix(), pitch, speed, modes, cut.mean_warnings, damped)
 
 
 def zero_order_from_matrix(
@@ -292,7 +292,8 @@ def critical_depth(
     """
     cut = Cut(tool, arc, coefficients)
     cut.require_equal_pitch("the smallest limit of all speeds")
-    return critical_depth_from_matrix(compliance, cut.directional_matrix())
+    found = critical_depth_from_matrix(compliance, cut.directional_matrix())
+    return replace(found, warnings=(*cut.mean_warnings, *found.warnings))
 
 
 def critical_depth_from_matrix(compliance: xr.Dataset, directional: Complex) -> CriticalDepth:

@@ -128,7 +128,7 @@ def operating_point(
         moving = moving_machine(compliance, loop, feed_direction, controller, position, rate.tolist())
         found = [_of_model(moving, float(n), float(v)) for n, v in zip(speed, rate, strict=True)]
         errors = _errors_of_model(moving, found, speed, rate, known)
-        out = _labelled(found, speed, rate, moving.frequency, [*cut.warnings])
+        out = _labelled(found, speed, rate, moving.frequency, [*cut.mean_warnings])
         out.attrs["warnings"] += _said_of_model(moving, found)
         out.attrs["warnings"] += _shaken(moving, found, cut, speed, rate)
     else:
@@ -290,7 +290,7 @@ def _of_compliance(
     feed = rate / _MM_MIN
     machine = MeasuredMachine(conditions, loop, level)
     found = [machine.limits(float(n), float(v)) for n, v in zip(speed, feed, strict=True)]
-    warnings = [*cut.warnings, *conditions.samples.warnings]
+    warnings = [*cut.mean_warnings, *conditions.samples.warnings]
     warnings += edge_warnings(conditions.at(float(np.clip(feed[0], conditions.feed[0], conditions.feed[-1])), 0.0))
     out = _labelled(found, speed, rate, conditions.samples.frequency, warnings)
     if level is not None:

@@ -9,7 +9,7 @@ import pytest
 from process import CuttingCoefficients, InputError, ModalModel, Tool, engagement
 from process.cut.engagement import Engagement, Engagements, engagement_of_strips
 from process.labels import make_compliance
-from stability import multi_frequency, semi_discretization, zero_order
+from stability import critical_depth, multi_frequency, semi_discretization, zero_order
 from stability.problem import Cut
 
 SPEEDS = np.linspace(400.0, 2500.0, 60)
@@ -212,3 +212,15 @@ def test_speeds_too_low_for_a_method_are_refused_with_the_lowest_possible(lab_sl
         multi_frequency(lab_slot.machine, *lab_slot.cut, [1000.0, 5.0])
     with pytest.raises(InputError, match=r"4096 are the most. Ask for"):
         semi_discretization(lab_slot.machine, *lab_slot.cut, [1000.0, 0.05])
+
+
+def test_a_helix_leaves_the_mean_matrix_as_it_is_and_that_is_said(make_case):
+    """Each part of the edge passes the same arc in a turn, only later."""
+    case = make_case["authors"]("down", 40e-3)
+    tool = replace(case.tool, helix_angle=math.radians(30.0))
+    straight, twisted = (zero_order(case.machine, t, *case.cut[1:], [700.0, 950.0]) for t in (case.tool, tool))
+    np.testing.assert_array_equal(twisted.limit_depth, straight.limit_depth)
+    assert not any("helix" in w for w in straight.attrs["warnings"])
+    assert sum("does not know the helix of 30 deg" in w for w in twisted.attrs["warnings"]) == 1
+    sampled = case.compliance(2, 400, 0.5)
+    assert any("helix of 30 deg" in w for w in critical_depth(sampled, tool, *case.cut[1:]).warnings)
