@@ -366,7 +366,14 @@ def not_measured(dataset: xr.Dataset) -> xr.DataArray:
 
     Conditions such as ``feed`` stay dimensions.
     """
-    return check_compliance(dataset)["compliance"].isnull().all("frequency")
+    return never_known(check_compliance(dataset)["compliance"])
+
+
+def never_known(array: xr.DataArray) -> xr.DataArray:
+    """Return `not_measured` of a compliance that has been checked."""
+    # Most often the first frequency knows every entry: then the others need not be looked through.
+    first = array.isel(frequency=0, drop=True).isnull()
+    return array.isnull().all("frequency") if first.values.any() else first
 
 
 def full_matrix(dataset: xr.Dataset) -> Complex:
@@ -377,11 +384,13 @@ def full_matrix(dataset: xr.Dataset) -> Complex:
     Zero means rigid. A caller that computes a limit from a partial matrix must state it. An entry that is known at some
     frequencies only is NaN at the others.
     """
-    dataset = at_tool(check_compliance(dataset))
-    array = dataset["compliance"].where(~not_measured(dataset), 0.0)
-    array = array.transpose("frequency", "response", "excitation")
-    full = np.zeros((array.sizes["frequency"], 3, 3), dtype=np.complex128)
-    rows = axis_index([str(a) for a in array["response"].values])
+    array = at_tool(check_compliance(dataset))["compliance"].transpose("frequency", "response", "excitation")
+    values = np.asarray(array.values, dtype=np.complex128)
+    missing = np.isnan(values).all(axis=0)
+    full = np.zeros((values.shape[0], 3, 3), dtype=np.complex128)
     columns = axis_index([str(a) for a in array["excitation"].values])
-    full[np.ix_(range(full.shape[0]), rows, columns)] = array.values
+    for i, row in enumerate(axis_index([str(a) for a in array["response"].values])):
+        for j, column in enumerate(columns):
+            if not missing[i, j]:
+                full[:, row, column] = values[:, i, j]
     return full

@@ -21,7 +21,7 @@ from process.cut.force import (
 )
 from process.cut.tool import Tool
 from process.errors import InputError
-from process.labels import AXES, at_tool, check_compliance, full_matrix, not_measured
+from process.labels import AXES, at_tool, check_compliance, full_matrix, never_known
 from process.types import Complex, Real
 from stability.rules import RULES
 
@@ -163,31 +163,42 @@ def complete_samples(compliance: xr.Dataset) -> Samples:
             f"e.g. compliance.sel({extra[0]}=...)"
         )
     every = compliance["frequency"].values.astype(float)
-    if not_measured(compliance).all():
+    missing = never_known(array)
+    if missing.all():
         raise InputError("the compliance holds no number at any frequency; measure at least one direct entry, e.g. xx")
-    full = full_matrix(compliance)
-    complete = np.isfinite(full).all(axis=(1, 2)) & (every > 0.0)
+    names = [tuple(map(str, array[dim].values)) for dim in ("response", "excitation")]
+    full = _as_it_is(array, missing, names)
+    finite = np.isfinite(full)
+    complete = (finite.reshape(every.size, -1).all(axis=1) if not finite.all() else np.True_) & (every > 0.0)
     if complete.sum() < 2:
         raise InputError(
             f"the compliance is complete at {int(complete.sum())} of {every.size} frequencies above 0 Hz; "
             "at least 2 are needed: its entries know no frequencies in common, so measure them over one band"
         )
-    frequency = every[complete]
+    frequency, matrix = (every, full) if complete.all() else (every[complete], full[complete])
     masked_between = np.diff(np.flatnonzero(complete)) > 1
     bridged = ~(masked_between | _long_steps(frequency))
-    both = [i for i, a in enumerate(AXES) if a in array["response"].values and a in array["excitation"].values]
+    both = [i for i, a in enumerate(AXES) if a in names[0] and a in names[1]]
     warnings = [
-        *partial_warning(compliance["response"].values, compliance["excitation"].values, not_measured(compliance)),
+        *partial_warning(*names, missing),
         *_gap_warnings(frequency, bridged),
-        *_active_warning(frequency, full[complete][:, both][:, :, both], _noise(compliance)[complete]),
+        *_active_warning(frequency, matrix, both, _noise(compliance)[complete]),
     ]
-    return Samples(frequency, full[complete], bridged, tuple(warnings))
+    return Samples(frequency, matrix, bridged, tuple(warnings))
+
+
+def _as_it_is(array: xr.DataArray, missing: xr.DataArray, names: list[tuple[str, ...]]) -> Complex:
+    """Return the full matrix; without a copy where the compliance is one already."""
+    dims = ("frequency", "response", "excitation")
+    if array.dims == dims and names == [AXES, AXES] and not missing.values.any():
+        return np.ascontiguousarray(array.values, dtype=np.complex128)
+    return full_matrix(array.to_dataset(name="compliance"))
 
 
 def edge_warnings(samples: Samples) -> tuple[str, ...]:
     """Say where a compliance ends before its modes do: what lies outside is not known, and limits come out too high."""
     f, matrix = samples.frequency, samples.matrix
-    size = np.linalg.norm(matrix, axis=(1, 2))
+    size = np.sqrt(np.einsum("nk,nk->n", *[np.ascontiguousarray(matrix).view(float).reshape(f.size, -1)] * 2))
     out = []
     if size[-1] > RULES.edge_size * size.max():
         out.append(
@@ -210,15 +221,24 @@ def _noise(compliance: xr.Dataset) -> Real:
     return np.asarray(np.sqrt(np.nansum(std.reshape(std.shape[0], -1) ** 2, axis=1)))
 
 
-def _active_warning(frequency: Real, matrix: Complex, noise: Real) -> list[str]:
-    """Say when a compliance gives energy: ``j (Phi - Phi^H)/2`` of a passive machine has no negative eigenvalue."""
-    size = np.linalg.norm(matrix, axis=(1, 2))
-    n = matrix.shape[1]
+def _active_warning(frequency: Real, matrix: Complex, axes: list[int], noise: Real) -> list[str]:
+    """Say when a compliance gives energy: ``j (Phi - Phi^H)/2`` of a passive machine has no negative eigenvalue.
+
+    That is so where no principal minor is negative, of the axes that were both driven and measured.
+    """
+    entry = {(i, k): matrix[:, i, k] for i in axes for k in axes}
+    size = np.sqrt(sum((z.real**2 + z.imag**2 for z in entry.values()), np.zeros(frequency.size)))
     allowed = RULES.active_share * size + RULES.beyond_noise * noise
-    taken = 0.5j * (matrix - matrix.conj().transpose(0, 2, 1)) + allowed[:, None, None] * np.eye(n)
-    passive = np.ones(size.size, dtype=bool)
-    for axes in [c for k in range(1, n + 1) for c in combinations(range(n), k)]:
-        passive &= _determinant(taken[:, axes][:, :, axes]).real >= 0.0
+    own = {i: allowed - entry[i, i].imag for i in axes}
+    across = {(i, k): 0.5j * (entry[i, k] - entry[k, i].conj()) for i, k in combinations(axes, 2)}
+    square = {pair: z.real**2 + z.imag**2 for pair, z in across.items()}
+    minors = [*own.values(), *(own[i] * own[k] - square[i, k] for i, k in across)]
+    if len(axes) == 3:
+        cycle = (across[0, 1] * across[1, 2] * across[0, 2].conj()).real
+        minors.append(
+            own[0] * (own[1] * own[2] - square[1, 2]) + 2.0 * cycle - own[1] * square[0, 2] - own[2] * square[0, 1]
+        )
+    passive = np.logical_and.reduce([minor >= 0.0 for minor in minors]) if minors else np.ones(size.size, dtype=bool)
     bad = np.flatnonzero(~passive & (size > 0.1 * size.max(initial=0.0)))
     if bad.size == 0:
         return []
@@ -227,16 +247,6 @@ def _active_warning(frequency: Real, matrix: Complex, noise: Real) -> list[str]:
         f"({frequency[bad[0]]:.6g} to {frequency[bad[-1]]:.6g} Hz): it would give energy to the cut. A channel of the "
         "wrong sign or a delay between force and motion does that; a servo may. Check before limits there are used"
     ]
-
-
-def _determinant(m: Complex) -> Complex:
-    """Return determinants of small matrices, shape (n, k, k), k up to 3, without a call each."""
-    if m.shape[1] == 1:
-        return m[:, 0, 0]
-    if m.shape[1] == 2:
-        return m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0]
-    minors = [np.delete(m[:, 1:], i, axis=2) for i in range(3)]
-    return np.asarray(sum((-1) ** i * m[:, 0, i] * _determinant(minor) for i, minor in enumerate(minors)))
 
 
 def _long_steps(frequency: Real) -> NDArray[np.bool_]:
@@ -252,6 +262,8 @@ def _long_steps(frequency: Real) -> NDArray[np.bool_]:
 def partial_warning(response: ArrayLike, excitation: ArrayLike, missing: xr.DataArray) -> list[str]:
     """Name what is taken as rigid: axes that are not there, and entries (response, excitation) without a number."""
     there = {"response": set(np.asarray(response)), "excitation": set(np.asarray(excitation))}
+    if not missing.values.any() and all(len(axes) == 3 for axes in there.values()):
+        return []
     for dim, other in (("response", "excitation"), ("excitation", "response")):
         there[dim] -= set(missing[dim].values[missing.all(other).values])
     absent = [f"no {dim} {', '.join(a for a in AXES if a not in axes)}" for dim, axes in there.items() if len(axes) < 3]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.types import Complex, Real
+from stability.methods import _zero_order_kernels as _kernels
 from stability.methods.rules import RULES
 from stability.methods.zero_order_branches import Branches
 from stability.problem import Modes, Samples
@@ -77,7 +78,7 @@ def vibration(
     loop = (1.0 - np.exp(-2j * math.pi * waves)).mean(axis=1)[:, None, None] * directional
     if flank is not None:
         loop = loop + 2j * math.pi * chatter[at, None, None] * flank[at]
-    force[at] = _null_vector(loop @ phi - np.eye(3) / depth[at, None, None])
+    force[at] = _kernels.null_vectors(loop @ phi - np.eye(3) / depth[at, None, None])
     r = (phi @ force[at][:, :, None])[:, :, 0]
     largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)
     r = r * np.exp(-1j * np.angle(largest))
@@ -85,13 +86,6 @@ def vibration(
     size = np.linalg.norm(r, axis=1)[:, None]
     moved[at] = np.divide(r, size, out=np.full_like(r, np.nan), where=size > 0.0)
     return force, moved
-
-
-def _null_vector(m: Complex) -> Complex:
-    """Return the vector that singular matrices (n, 3, 3) send to zero: normal to two rows, the longest of three."""
-    normal = np.stack([np.cross(m[:, i], m[:, j]) for i, j in ((0, 1), (1, 2), (2, 0))], axis=1)
-    longest = np.linalg.norm(normal, axis=2).argmax(axis=1)
-    return np.asarray(normal[np.arange(m.shape[0]), longest])
 
 
 def dominant_modes(modes: Modes, force: Complex, chatter: Real) -> NDArray[np.int64]:

@@ -13,6 +13,8 @@ from process.errors import InputError
 from process.labels import make_compliance
 from stability import critical_depth, lobe_curves, zero_order, zero_order_from_matrix
 from stability.methods import _zero_order_kernels as _kernels
+from stability.methods.zero_order_branches import eigenvalue_branches
+from stability.problem import complete_samples
 
 RAM_SPEEDS = np.linspace(200, 800, 301)
 
@@ -136,6 +138,38 @@ def test_eigenvalues_are_those_of_the_library(authors, make_case):
         expected = np.sort(np.abs(np.linalg.eigvals(oriented)), axis=1)
         # Those below 1e-7 of the largest count as none.
         np.testing.assert_allclose(found, expected, atol=1e-7 * expected.max(), rtol=1e-7)
+
+
+@pytest.mark.parametrize("gap", [1.0, 1e-2, 1e-5, 1e-8, 0.0])
+@pytest.mark.parametrize("all_three", [False, True])
+def test_eigenvalues_that_nearly_coincide(gap, all_three):
+    """Of normal matrices, whose eigenvalues are known as well as their entries: a polynomial would lose half."""
+    rng = np.random.default_rng(11)
+    unitary = np.linalg.qr(rng.standard_normal((500, 3, 3)) + 1j * rng.standard_normal((500, 3, 3)))[0]
+    known = rng.standard_normal((500, 3)) + 1j * rng.standard_normal((500, 3))
+    for i in (1, 2) if all_three else (1,):
+        known[:, i] = known[:, 0] * (1.0 + gap * np.exp(2j * np.pi * rng.random(500)))
+    matrices = (unitary * known[:, None, :]) @ unitary.conj().transpose(0, 2, 1)
+    found = _kernels.eigenvalues(matrices)
+    for reference in (known, np.linalg.eigvals(matrices)):
+        off = [np.abs(found - reference[:, order]).max(axis=1) for order in permutations(range(3))]
+        assert np.max(np.min(off, axis=0) / np.abs(known).max(axis=1)) < 1e-13
+
+
+def test_the_pass_over_the_steps_leaves_no_crossing_out(authors, make_case):
+    """Against a scan of each speed by itself, which shares neither the order of the search nor its bounds."""
+    rng = np.random.default_rng(5)
+    for case in (authors, make_case["ram"]()):
+        # Even, uneven and wide lists of speeds; a grid that is fine, and one of a few samples a resonance.
+        for step in (0.1, 1.5):
+            samples = complete_samples(case.compliance(2, 250, step))
+            branches = eigenvalue_branches(samples, directional_matrix(*case.cut))
+            for speed in (np.linspace(200, 3000, 40), 10.0 ** rng.uniform(1.5, 4.5, 40), np.array([812.0])):
+                period = np.sort(60.0 / (case.cut[0].teeth * speed))
+                depth, chatter, _ = branches.envelope(period)
+                alone = np.array([branches.first_crossing(np.full(1, t)) for t in period])
+                np.testing.assert_allclose(depth, alone[:, 0], rtol=1e-8)
+                np.testing.assert_allclose(chatter, alone[:, 1], rtol=1e-7)
 
 
 def test_speeds_may_come_in_any_order(authors):

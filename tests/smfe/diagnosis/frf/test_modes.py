@@ -291,7 +291,7 @@ class TestHidden:
     @pytest.mark.slow
     @pytest.mark.parametrize(("hidden", "size"), [("posture", 1.0), ("gain", 1.6)])
     def test_an_effect_is_named(self, hidden: str, size: float) -> None:
-        """Of a gain 8 %: where two sensors and the place of hits are 1 % off each, 5 % are not borne out by conditions."""
+        """Of a gain 8 %: 5 % are not borne out where two sensors and the place of hits are 1 % off each."""
         assert named(family(hidden, 1, size=size)[0], 1) == ("named", {NAMES[hidden]})
 
     @pytest.mark.exam
