@@ -386,7 +386,7 @@ def full_matrix(dataset: xr.Dataset) -> Complex:
     """
     array = at_tool(check_compliance(dataset))["compliance"].transpose("frequency", "response", "excitation")
     values = np.asarray(array.values, dtype=np.complex128)
-    missing = np.isnan(values).all(axis=0)
+    missing = np.asarray(np.isnan(values).all(axis=0))
     full = np.zeros((values.shape[0], 3, 3), dtype=np.complex128)
     columns = axis_index([str(a) for a in array["excitation"].values])
     for i, row in enumerate(axis_index([str(a) for a in array["response"].values])):

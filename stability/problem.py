@@ -180,7 +180,7 @@ def complete_samples(compliance: xr.Dataset) -> Samples:
     bridged = ~(masked_between | _long_steps(frequency))
     both = [i for i, a in enumerate(AXES) if a in names[0] and a in names[1]]
     warnings = [
-        *partial_warning(*names, missing),
+        *partial_warning(names[0], names[1], missing),
         *_gap_warnings(frequency, bridged),
         *_active_warning(frequency, matrix, both, _noise(compliance)[complete]),
     ]
