@@ -36,23 +36,14 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
     """Yield the wanted columns of a Parquet file, `block` rows at a time."""
     if path.stat().st_size == 0:
         raise InputError(f"{path.name}: the file is empty")
-    parquet = _pyarrow(path)
+    import pyarrow.parquet as parquet  # 45 MB: loaded where a Parquet file is read
+
     with damaged(path, _KIND), parquet.ParquetFile(path) as file:
         names = [str(name) for name in file.schema_arrow.names]
         at = find_columns(path.name, names, wanted, len(names))
         stated = 8 * int(file.metadata.num_rows) * len(at)
         refuse_oversize(path, stated, path.stat().st_size, _MOST_COMPRESSED)
     return guarded(path, _KIND, _batches(parquet, path, {column: names[index] for column, index in at.items()}, block))
-
-
-def _pyarrow(path: Path) -> Any:
-    try:
-        import pyarrow.parquet  # 45 MB, which few need: an extra
-    except ImportError as error:
-        raise InputError(
-            f'{path.name}: Parquet is read with pyarrow, which is not installed; run: pip install "smfe[io]"'
-        ) from error
-    return pyarrow.parquet
 
 
 def _batches(parquet: Any, path: Path, names: dict[Column, str], block: int) -> Iterator[Table]:

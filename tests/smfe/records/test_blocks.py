@@ -70,7 +70,6 @@ def csv_file(folder: Path, n: int) -> tuple[Path, dict[str, Channel]]:
 
 
 def parquet_file(folder: Path, n: int) -> tuple[Path, dict[str, Channel]]:
-    pytest.importorskip("pyarrow")
     pd.DataFrame(samples(n)).to_parquet(folder / "r.parquet", row_group_size=1000)
     return folder / "r.parquet", COLUMNS | {"time": Channel("t", "s")}
 

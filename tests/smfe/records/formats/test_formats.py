@@ -92,12 +92,6 @@ class TestParquet:
         with pytest.raises(InputError, match=r"channel force_x .* is empty, NaN .* sample 1 "):
             one(tmp_path / "r.parquet", FORCE)
 
-    def test_without_pyarrow_it_says_what_to_install(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        (tmp_path / "r.parquet").write_bytes(b"PAR1")
-        monkeypatch.setitem(__import__("sys").modules, "pyarrow.parquet", None)
-        with pytest.raises(InputError, match=r'which is not installed; run: pip install "smfe\[io\]"'):
-            one(tmp_path / "r.parquet", FORCE)
-
 
 class TestTdms:
     def write(self, path: Path, *channels: ChannelObject) -> Path:

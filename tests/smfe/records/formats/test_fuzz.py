@@ -89,7 +89,6 @@ def make(kind: str, folder: Path) -> tuple[Path, dict[str, Channel]]:
         write = {"csv": write_record_csv, "nc": write_record_netcdf, "mat": write_record_mat}[kind]
         return write(record, path), CLOCK | FORCE
     if kind == "parquet":
-        pytest.importorskip("pyarrow")
         pd.DataFrame(columns).to_parquet(path)
     elif kind in ("npy", "npz", "npy_list", "xml", "lvm"):
         return path, {"xml": _trace, "lvm": _labview}.get(kind, partial(_numpy_file, kind))(path, columns)
