@@ -345,7 +345,7 @@ def _files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
         return (Path(value),)  # a record in memory, under this name
     campaign: Path = context["path"]
     if value.startswith(datasets.PREFIX):
-        found = [datasets.resolve(value, campaign.parent, context.get("show"))]
+        found = [datasets.resolve(value, context.get("show"))]
     else:
         found = _matches(campaign.parent, value)
     unread = sorted({file.suffix for file in found if file.suffix.lower() not in FORMATS})
