@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from process._kernel_cache import provide
 from process._lazy import lazy
 
 if TYPE_CHECKING:
@@ -162,6 +163,8 @@ _HOMES = {
     "process.units": "parse, show",
 }
 """Module -> the names that it gives; `__all__` and the imports for the type checker say the same."""
+
+provide()
 
 if not TYPE_CHECKING:  # a type checker takes the imports above, and so finds a name that is not there
     __getattr__, __dir__ = lazy(__name__, _HOMES)

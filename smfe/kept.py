@@ -11,8 +11,10 @@ import glob
 import hashlib
 import json
 import os
+import shutil
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,6 +27,12 @@ KEPT = ".kept"
 
 RECORD = "run.json"
 """File of `KEPT` that says what a run read and wrote."""
+
+WRITTEN = "written.json"
+"""File of `KEPT` that says which results the last run moved into place."""
+
+LOCK = "lock"
+"""File of `KEPT` that says who writes into the folder; locked by the system, and so free when that process ends."""
 
 _HASHES = "hashes.json"
 
@@ -161,12 +169,27 @@ def write_record(folder: Path, inputs: Mapping[str, Any]) -> None:
     """Write down what a run read, before it began, and what it wrote; the last thing that a run does."""
     kept = folder / KEPT
     write_hashes(kept, map(Path, inputs["files"]))
-    outputs = {str(p.relative_to(folder)): list(state(p)) for p in _results(folder)}
+    outputs = {name: list(state(folder / name)) for name in written(folder)}
     _write(kept / RECORD, {**inputs, "code": code(), "outputs": outputs})
 
 
+def forget(folder: Path) -> None:
+    """Forget all that earlier runs have kept, but not which results they wrote, nor who holds the folder."""
+    for path in (folder / KEPT).glob("*"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name not in (RECORD, WRITTEN, LOCK):
+            path.unlink(missing_ok=True)
+
+
+def written(folder: Path) -> list[str]:
+    """Return the results that the last run wrote, by their names below the folder; other files there are the user's."""
+    names = _read(folder / KEPT / WRITTEN).get("move")
+    return [str(name) for name in names if not str(name).startswith(KEPT)] if isinstance(names, list) else []
+
+
 def forget_record(folder: Path) -> None:
-    """Forget that the results are complete; the first thing that a run does when it writes."""
+    """Forget that the results are complete, before they are changed."""
     (folder / KEPT / RECORD).unlink(missing_ok=True)
 
 
@@ -203,12 +226,6 @@ def campaign_of(folder: Path) -> Path | None:
     return Path(name) if isinstance(name, str) else None
 
 
-def _results(folder: Path) -> Iterator[Path]:
-    """Yield what a run may have written; other folders, of which there are many where it writes beside records, not."""
-    for pattern in ("*.nc", "*.csv", "*.json", "*.html", "figures/*.png", "tables/*.csv"):
-        yield from sorted(path for path in folder.glob(pattern) if path.is_file())
-
-
 def _found(campaign: Path, pattern: str) -> list[str]:
     root = "" if Path(pattern).is_absolute() else glob.escape(str(campaign.absolute().parent)) + "/"
     return sorted(glob.glob(root + pattern, recursive=True))
@@ -236,10 +253,21 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
+    with aside(path) as temporary:
         temporary.write_text(json.dumps(content), encoding="utf-8")
+
+
+@contextmanager
+def aside(path: Path) -> Iterator[Path]:
+    """Give a temporary file to write, which becomes `path` when the block ends; after an error nothing is left."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        if error.filename is None and error.errno is not None:  # a full disk does not say whose it was
+            raise OSError(error.errno, error.strerror, str(path)) from None
+        raise
     finally:
         temporary.unlink(missing_ok=True)

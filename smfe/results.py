@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +14,9 @@ import pandas as pd
 import xarray as xr
 
 from process.errors import InputError
+from smfe.kept import aside
 from smfe.records.formats import hdf5_guard
+from smfe.staged import FULL
 
 
 def check_target(path: Path) -> None:
@@ -36,13 +37,8 @@ def check_target(path: Path) -> None:
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     """Call ``write(temporary path)`` and move the result to `path`; leave nothing behind when it fails."""
     check_target(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
+    with aside(path) as temporary:
         write(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
     return path
 
 
@@ -50,7 +46,8 @@ def write_groups(path: Path, groups: Mapping[str, xr.Dataset], attrs: Mapping[st
     """Write datasets as the groups of one NetCDF-4 file (complex numbers natively), with attributes of the file."""
     root = {"/": xr.Dataset(attrs=attrs)} if attrs else {}
     tree = xr.DataTree.from_dict({**root, **{f"/{name}": dataset for name, dataset in groups.items()}})
-    return write_atomically(path, lambda p: tree.to_netcdf(p, engine="h5netcdf"))
+    # In memory first: on a full disk the HDF5 library ends the process when it closes its file.
+    return write_atomically(path, lambda p: p.write_bytes(tree.to_netcdf(engine="h5netcdf")))
 
 
 def read_groups(path: Path) -> dict[str, xr.Dataset]:
@@ -137,7 +134,8 @@ def attempt(failures: Failures | None, part: str, name: str = "") -> Iterator[No
     """Carry out a part; what goes wrong in it is added to `failures`, and the rest goes on.
 
     Input that cannot be used is the usual reason. Any other error is a mistake of this package: it costs the part, not
-    the results of the others, and is said with the place where it happened. An interruption ends everything.
+    the results of the others, and is said with the place where it happened. An interruption ends everything, and so
+    does a disk that takes nothing more.
 
     Parameters
     ----------
@@ -149,7 +147,7 @@ def attempt(failures: Failures | None, part: str, name: str = "") -> Iterator[No
     try:
         yield
     except Exception as error:
-        if failures is None:
+        if failures is None or (isinstance(error, OSError) and error.errno in FULL):
             raise
         failures.append(failure_of(part, name, error))
 

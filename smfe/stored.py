@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
@@ -17,6 +16,8 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 import xarray as xr
+
+from smfe.kept import aside
 
 T = TypeVar("T")
 
@@ -99,14 +100,8 @@ def _add(whole: hashlib._Hash, value: object) -> None:
 def _write(path: Path, value: object) -> None:
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     text = json.dumps(_coded(value, arrays))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez(stream, structure=np.array(text), **arrays)  # type: ignore[arg-type]
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with aside(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, structure=np.array(text), **arrays)  # type: ignore[arg-type]
 
 
 def _read(path: Path, classes: Mapping[str, type]) -> Any:

@@ -17,6 +17,7 @@ from process.errors import InputError
 from smfe.cli.interrupt import listening
 from smfe.cli.terminal import INTERRUPTED, WRONG, Outcome, Terminal
 from smfe.progress import SmfeWarning
+from smfe.staged import FULL
 
 GROUPS = MEASURE, PREDICT, DECIDE, FILES = "Measure", "Predict", "Decide", "Files"
 """Groups of verbs in the help, in this order."""
@@ -104,7 +105,8 @@ def verb(
             except BrokenPipeError:
                 raise
             except OSError as error:
-                terminal.refuse(f"{error.strerror or error}: {error.filename or ''}")
+                advice = "; make room or name another folder: the same command goes on" if error.errno in FULL else ""
+                terminal.refuse(f"{error.strerror or error}: {error.filename or ''}{advice}")
                 raise typer.Exit(WRONG) from None
             except typer.Exit:
                 raise

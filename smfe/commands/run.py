@@ -1,7 +1,7 @@
 """`smfe run`: from a campaign file to a folder of results.
 
-Everything is computed before the first result is written, and every file is written to a temporary name and moved into
-place: a folder of results belongs together. Only measurements and checks are kept at once, so that a second run
+Everything is computed before the first result is written, and all results become visible together (`smfe.staged`): a
+folder of results belongs together. Only measurements and checks are kept at once, so that a second run
 continues where the first stopped. Each part (a measurement, the lobes of one source, a cutting test, ...) fails alone:
 what is asked of it is missing, every output says so in its place, and the rest is as it would have been.
 """
@@ -12,7 +12,6 @@ import datetime
 import importlib.metadata
 import json
 import os
-import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,7 +28,7 @@ from smfe.campaign.datasets import Show
 from smfe.commands.compare import compared, model_errors, single_levels
 from smfe.commands.diagnose import finding_of, write_finding
 from smfe.commands.identify import CONDITIONS, conditions_of, identify_all, left_out, with_warnings, write_conditions
-from smfe.commands.report import report
+from smfe.commands.report import report_of
 from smfe.comparison.explained import explain
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.checks.suspect import as_rows as suspect_rows
@@ -52,7 +51,7 @@ from smfe.kept import (
     KEPT,
     campaign_of,
     file_hash,
-    forget_record,
+    forget,
     inputs_of,
     is_unchanged,
     read_hashes,
@@ -61,8 +60,8 @@ from smfe.kept import (
 )
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cutting_tests import Verdicts, judge_all, write_verdicts
-from smfe.limits.lobe_files import write_lobes
-from smfe.limits.ranking import ranked, write_ranking
+from smfe.limits.lobe_files import MADE, write_lobes
+from smfe.limits.ranking import DIFFERENCES, RANKING, ranked, write_ranking
 from smfe.limits.recommendation import coefficients_assumption
 from smfe.progress import Progress, part, parts, silent, warn
 from smfe.results import (
@@ -78,6 +77,13 @@ from smfe.results import (
     write_groups,
     write_json,
 )
+from smfe.staged import held, together
+
+MAY_BE_GONE = (
+    *(*MADE, "chatter.csv", "spectra.nc", RANKING, DIFFERENCES, LOOP_FILE, OPEN_LOOP_FILE, DRIVE_FILE, CONDITIONS),
+    *("finding.json", "finding.nc"),
+)
+"""Files that a folder holds only while the campaign asks for them."""
 
 
 @dataclass
@@ -143,13 +149,24 @@ def run(
         said = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
         warn([*said["warnings"], *(f"failed, {failure.sentence}" for failure in unpack(said))])
         return folder / "report.html"
-    loaded, failures = load_campaign(campaign, licence), notes.failures
+    loaded = load_campaign(campaign, licence)
     check_folder(folder, loaded, fresh)
     # A campaign in memory may be another than its file.
     inputs = inputs_of(loaded.path, loaded.files) if isinstance(campaign, Path | str) else None
-    if fresh:
-        shutil.rmtree(folder / KEPT, ignore_errors=True)
-    read_hashes(folder / KEPT)
+    with held(folder):
+        if fresh:
+            forget(folder)
+        read_hashes(folder / KEPT)
+        page = _run(loaded, folder, notes, progress)
+        if inputs is not None:
+            write_record(folder, inputs)
+    warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in notes.failures)])
+    return page
+
+
+def _run(loaded: Campaign, folder: Path, notes: Notes, progress: Progress) -> Path:
+    """Compute everything, then write all of it in one step; return the report."""
+    failures = notes.failures
     of = parts(progress, costs(loaded))
     with notes.timed("check"):
         checked = audited(loaded, of["check"], folder / KEPT)
@@ -197,30 +214,24 @@ def run(
         if s.level == "warning" or (s.level == "fault" and not s.excludes)
     ]
     # From here on nothing depends on the input any more.
-    forget_record(folder)
-    _write_identifications(folder, compliances, found, failures)
-    write_loops(folder / LOOP_FILE, loops, folder / "tables")
-    write_open_loops(folder / OPEN_LOOP_FILE, open_loops)
-    write_drives(folder / DRIVE_FILE, drives, folder / "tables", open_loops)
-    write_conditions(folder / CONDITIONS, cubes)
-    write_csv(folder / "comparison.csv", comparison)
-    write_csv(folder / "explained.csv", explained)
-    write_csv(folder / "model_error.csv", errors)
-    write_lobes(folder, results, loaded, verdicts.rows, failures)
-    write_verdicts(folder, verdicts)
-    write_ranking(folder, ranked(whole, verdicts.rows))
-    if finding is None:
-        for name in ("finding.json", "finding.nc", "finding.toml"):
-            (folder / name).unlink(missing_ok=True)
-    else:
-        write_finding(folder / "finding.json", *finding)
-    diagnosed = {} if finding is None else {key: finding[0][key] for key in ("verdict", "summary")}
-    write_json(folder / "provenance.json", _provenance(loaded, notes, diagnosed))
-    page = report(folder, of["report"])
-    if inputs is not None:
-        write_record(folder, inputs)
-    warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in failures)])
-    return page
+    with together(folder, MAY_BE_GONE) as new:
+        _write_identifications(new, compliances, found, failures)
+        write_loops(new / LOOP_FILE, loops, new / "tables")
+        write_open_loops(new / OPEN_LOOP_FILE, open_loops)
+        write_drives(new / DRIVE_FILE, drives, new / "tables", open_loops)
+        write_conditions(new / CONDITIONS, cubes)
+        write_csv(new / "comparison.csv", comparison)
+        write_csv(new / "explained.csv", explained)
+        write_csv(new / "model_error.csv", errors)
+        write_lobes(new, results, loaded, verdicts.rows, failures)
+        write_verdicts(new, verdicts)
+        write_ranking(new, ranked(whole, verdicts.rows))
+        if finding is not None:
+            write_finding(new / "finding.json", *finding)
+        diagnosed = {} if finding is None else {key: finding[0][key] for key in ("verdict", "summary")}
+        write_json(new / "provenance.json", _provenance(loaded, notes, diagnosed))
+        report_of(new, of["report"])
+    return folder / "report.html"
 
 
 def check_folder(folder: Path, campaign: Campaign, fresh: bool = False) -> None:
@@ -291,7 +302,6 @@ def _write_identifications(
 ) -> None:
     missing = pack(f for f in failures if f.part == MEASUREMENT)
     write_groups(folder / "frf.nc", with_warnings(compliances, found), missing)
-    shutil.rmtree(folder / "tables", ignore_errors=True)
     for name, item in found.items():
         for table, frame in item.tables.items():
             write_csv(folder / "tables" / f"{name}.{table}.csv", frame)

@@ -46,7 +46,8 @@ OWN_COLUMNS: dict[str, Channel] = {
 def write_record_netcdf(record: xr.Dataset, path: str | Path) -> Path:
     """Write a record as NetCDF-4 in our own layout; `read_records` needs no channels for it."""
     with in_place(Path(path)) as temporary:
-        check_record(record).to_netcdf(temporary, engine="h5netcdf")
+        # In memory first: on a full disk the HDF5 library ends the process when it closes its file.
+        temporary.write_bytes(check_record(record).to_netcdf(engine="h5netcdf"))
     return Path(path)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from smfe import kept
 from smfe.kept import KEPT, Parts, file_hash, inputs_of, is_unchanged, key_of, read_hashes, write_record
+from smfe.staged import together
 
 CAMPAIGN = '[[measurement]]\nrecords = [ { file = "hit_*.csv" }, { file = "cut.csv" } ]\n'
 
@@ -19,9 +20,10 @@ def run(tmp_path: Path) -> tuple[Path, Path]:
     campaign.write_text(CAMPAIGN)
     for name in ("hit_1.csv", "hit_2.csv", "cut.csv"):
         (tmp_path / name).write_text(f"record {name}")
-    (folder / "figures").mkdir(parents=True)
-    (folder / "report.html").write_text("page")
-    (folder / "figures" / "lobes_1.png").write_text("picture")
+    with together(folder, ()) as new:
+        (new / "figures").mkdir(parents=True)
+        (new / "report.html").write_text("page")
+        (new / "figures" / "lobes_1.png").write_text("picture")
     write_record(folder, inputs_of(campaign, [tmp_path / n for n in ("hit_1.csv", "hit_2.csv", "cut.csv")]))
     return campaign, folder
 

@@ -1,0 +1,141 @@
+"""Results of a run become visible together, whoever kills it and however full the disk is."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from process import _kernel_cache
+from process.errors import InputError
+from smfe import staged
+from smfe.kept import KEPT, aside, written
+from smfe.results import attempt
+from smfe.staged import finish, held, together
+
+
+def results(folder: Path) -> dict[str, str]:
+    return {
+        p.relative_to(folder).as_posix(): p.read_text() for p in folder.rglob("*") if p.is_file() and KEPT not in str(p)
+    }
+
+
+def write(folder: Path, **texts: str) -> None:
+    with held(folder), together(folder, ()) as new:
+        for name, text in texts.items():
+            (new / f"{name}.csv").write_text(text)
+        (new / "tables").mkdir()
+        (new / "tables" / f"{len(texts)}.csv").write_text("table")
+
+
+OLD = {"a.csv": "old", "b.csv": "old", "tables/2.csv": "table"}
+NEW = {"a.csv": "new", "c.csv": "new", "d.csv": "new", "tables/3.csv": "table"}
+
+
+def test_what_is_not_written_again_goes_and_what_is_the_users_stays(tmp_path: Path) -> None:
+    (tmp_path / "record.csv").write_text("mine")
+    write(tmp_path, a="old", b="old")
+    assert results(tmp_path) == OLD | {"record.csv": "mine"}
+    write(tmp_path, a="new", c="new", d="new")
+    assert results(tmp_path) == NEW | {"record.csv": "mine"}
+    assert "record.csv" not in written(tmp_path)
+
+
+def test_an_error_before_the_end_leaves_everything_as_it_was(tmp_path: Path) -> None:
+    write(tmp_path, a="old", b="old")
+    with pytest.raises(KeyboardInterrupt), held(tmp_path), together(tmp_path, ()) as new:
+        (new / "a.csv").write_text("new")
+        raise KeyboardInterrupt
+    assert results(tmp_path) == OLD
+    assert not (tmp_path / KEPT / staged.NEW).exists()
+
+
+@pytest.mark.parametrize("moves", range(6))
+def test_a_run_killed_between_two_moves_is_finished_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int
+) -> None:
+    write(tmp_path, a="old", b="old")
+    left, replace = [moves], os.replace
+
+    def killed(source: str, target: str) -> None:
+        if left[0] == 0:
+            raise SystemExit(9)
+        left[0] -= 1
+        replace(source, target)
+
+    # What a killed process would have done after that does not happen.
+    monkeypatch.setattr(os, "replace", killed)
+    monkeypatch.setattr("shutil.rmtree", lambda *_, **__: None)
+    with pytest.raises(SystemExit):
+        write(tmp_path, a="new", c="new", d="new")
+    monkeypatch.undo()
+    with held(tmp_path):
+        pass
+    # The first move is that of the list itself: before it nothing has happened, after it everything will.
+    assert results(tmp_path) == (NEW if moves else OLD)
+
+
+def test_a_second_run_into_the_same_folder_is_told_who_writes_there(tmp_path: Path) -> None:
+    with held(tmp_path), pytest.raises(InputError, match=rf"is being written by process {os.getpid()} on .*, since 2"):
+        with held(tmp_path):
+            pass
+    with held(tmp_path):  # free again
+        pass
+
+
+def test_the_folder_of_a_killed_run_is_free_and_its_unfinished_files_go(tmp_path: Path) -> None:
+    code = f"""if True:
+        import os, signal, pathlib
+        from smfe.staged import held
+        with held(pathlib.Path({str(tmp_path)!r})):
+            pathlib.Path({str(tmp_path / ".frf.nc.1.part")!r}).write_text("half")
+            os.kill(os.getpid(), signal.SIGKILL)"""
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
+    os.utime(tmp_path / ".frf.nc.1.part", (0, time.time() - 2 * staged.STALE))
+    with held(tmp_path):
+        assert [p.name for p in tmp_path.iterdir()] == [KEPT]
+
+
+def test_a_list_of_moves_that_was_never_complete_moves_nothing(tmp_path: Path) -> None:
+    write(tmp_path, a="old", b="old")
+    (tmp_path / KEPT / staged.MOVES).write_text('{"move": ["a.csv", ')
+    finish(tmp_path)
+    assert results(tmp_path) == OLD
+
+
+def test_a_full_disk_ends_the_run_with_the_file_that_did_not_fit(tmp_path: Path) -> None:
+    write(tmp_path, a="old", b="old")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"File too large.*big\.csv"), held(tmp_path), together(tmp_path, ()) as new:
+            with attempt([], "lobes"), aside(new / "big.csv") as path:
+                path.write_bytes(bytes(20_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert results(tmp_path) == OLD
+    assert errno.ENOSPC in staged.FULL
+
+
+def test_kernels_are_kept_in_a_folder_of_the_users_own_where_nothing_else_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(_kernel_cache, "__file__", "/proc/none/process/_kernel_cache.py")
+    monkeypatch.setattr(_kernel_cache, "_user_cache", lambda: Path("/proc/none"))
+    monkeypatch.delitem(sys.modules, "numba", raising=False)
+    _kernel_cache.provide()
+    own = Path(os.environ.pop("NUMBA_CACHE_DIR"))
+    assert own.parent == tmp_path
+    assert own.stat().st_mode & 0o777 == 0o700
+    own.chmod(0o777)  # anybody may have put code there
+    _kernel_cache.provide()
+    assert Path(os.environ["NUMBA_CACHE_DIR"]) != own
