@@ -15,7 +15,8 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe.kept import aside
-from smfe.records.formats import hdf5_guard
+from smfe.records.formats.hdf5 import walk
+from smfe.records.formats.reader import apart
 from smfe.staged import FULL
 
 
@@ -60,7 +61,7 @@ def read_groups(path: Path) -> dict[str, xr.Dataset]:
     """
     if not path.is_file():
         raise InputError(f"{path} does not exist; `smfe run` writes it")
-    hdf5_guard.check(path, "a NetCDF-4 file of results")
+    apart(walk)(path)
     try:
         with xr.open_datatree(path, engine="h5netcdf") as tree:
             loaded = tree.load()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from smfe.records.formats import csv
 from smfe.records.formats.controls import traces as controls
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import Column, Format, Table, slices
 
 
@@ -28,10 +29,12 @@ def stated_units(path: Path) -> dict[str, str]:
     return controls.stated_units(path) if controls.kind_of_text(path) else csv.stated_units(path)
 
 
-FORMAT = Format(
-    (".csv", ".txt", ".dat", ".frf", ".log"),
-    read_tables,
-    read_blocks,
-    stated_units=stated_units,
-    needs_time=lambda path: not controls.kind_of_text(path),
+FORMAT = format_apart(
+    Format(
+        (".csv", ".txt", ".dat", ".frf", ".log"),
+        read_tables,
+        read_blocks,
+        stated_units=stated_units,
+        needs_time=lambda path: not controls.kind_of_text(path),
+    )
 )

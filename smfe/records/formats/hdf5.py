@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,9 +42,115 @@ class Place:
     at: int | None = None
 
 
-def open_file(path: Path) -> h5py.File:
-    """Open a file for reading."""
-    return h5py.File(path, "r", rdcc_nbytes=_CHUNK_CACHE)
+@contextmanager
+def open_file(path: Path) -> Iterator[h5py.File]:
+    """Open a file for reading, if all that it holds is in it.
+
+    Raises
+    ------
+    InputError
+        When its samples, or a group, are those of another file: that may be any file of this machine.
+    """
+    with h5py.File(path, "r", rdcc_nbytes=_CHUNK_CACHE) as file:
+        _refuse_elsewhere(path, file)
+        yield file
+
+
+def _refuse_elsewhere(path: Path, file: h5py.File) -> None:
+    seen: set[int] = set()
+    groups: list[tuple[str, h5py.Group]] = [("", file)]
+    while groups:
+        above, group = groups.pop()
+        at = h5py.h5o.get_info(group.id).addr
+        if at in seen:
+            continue
+        seen.add(at)
+        for key in group:
+            name, elsewhere = f"{above}{key}", None
+            link = group.get(key, getlink=True)
+            if isinstance(link, h5py.ExternalLink):
+                elsewhere = link.filename
+            elif isinstance(link, h5py.HardLink):
+                try:
+                    item = group[key]
+                except Exception:  # what cannot be opened is refused where it is asked for
+                    continue
+                if isinstance(item, h5py.Group):
+                    groups.append((f"{name}/", item))
+                elif isinstance(item, h5py.Dataset):
+                    elsewhere = _other_file(path, item)
+            if elsewhere is not None:
+                raise InputError(
+                    f"{path.name}: '{name}' stands in another file, '{elsewhere}'; only what is in the file itself is "
+                    "read: write it into one file (h5repack, or h5py's copy with expand_external)"
+                )
+
+
+def _other_file(path: Path, item: h5py.Dataset) -> str | None:
+    """Return the file outside that holds samples of a data set; None where there is none."""
+    if item.external:
+        return str(item.external[0][0])
+    if item.is_virtual:
+        names = (source.file_name for source in item.virtual_sources())
+        return next((name for name in names if name not in (".", path.name)), None)
+    return None
+
+
+_SMALL = 1 << 16
+"""Data sets of fewer bytes are read by `walk`: names of axes, scalars, texts."""
+
+
+def walk(path: Path) -> None:
+    """Look at everything in a file but the samples, where damaged ones keep the library for ever or end it.
+
+    Its time does not depend on the samples: the index of their pieces is gone through, they are not read.
+    """
+    seen: set[int] = set()
+
+    def visit(item: object) -> None:
+        """Look at an object and what is in it; one that cannot be opened does not keep from its neighbours."""
+        if not isinstance(item, h5py.HLObject) or (at := h5py.h5o.get_info(item.id).addr) in seen:
+            return
+        seen.add(at)
+        for look in (_attributes, _scales, _index, _content) if isinstance(item, h5py.Dataset) else (_attributes,):
+            with suppress(Exception):
+                look(item)
+        if isinstance(item, h5py.Group):
+            for name in item:
+                with suppress(Exception):
+                    visit(item[name])
+
+    try:
+        with open_file(path) as file:
+            visit(file)
+            file.visititems(lambda name, item: None)
+    except InputError:
+        raise
+    except Exception:  # the reader meets it as well, and says it
+        return
+
+
+def _attributes(item: h5py.HLObject) -> None:
+    for name in item.attrs:
+        with suppress(Exception):
+            item.attrs[name]
+
+
+def _scales(item: h5py.Dataset) -> None:
+    for dimension in item.dims:
+        len(dimension)
+        dimension.values()
+
+
+def _index(item: h5py.Dataset) -> None:
+    item.id.get_storage_size()
+    if item.chunks is not None:
+        item.id.get_num_chunks()
+
+
+def _content(item: h5py.Dataset) -> None:
+    if item.size and item.size * item.dtype.itemsize <= _SMALL:
+        item[()]
 
 
 def read_places(path: Path, kind: str, places: Mapping[Column, Place], block: int) -> Iterator[Table]:
@@ -76,6 +183,8 @@ def _blocks(path: Path, places: Mapping[Column, Place], block: int) -> Iterator[
 
 def _checked_length(path: Path, dataset: h5py.Dataset, place: Place) -> int:
     stated = int(np.prod(dataset.shape, dtype=object)) * dataset.dtype.itemsize
+    if dataset.is_virtual:  # its samples are those of others
+        return int(dataset.shape[place.along])
     stored = int(dataset.id.get_storage_size())
     refuse_oversize(path, stated, stored, _MOST_COMPRESSED)
     if dataset.dtype.kind in "biuf" and dataset.chunks is None and stated != stored:

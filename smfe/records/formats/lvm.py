@@ -13,6 +13,7 @@ import numpy as np
 
 from process.errors import InputError
 from process.types import Real
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, guarded, join
 
 _KIND = "a LabVIEW measurement file"
@@ -179,4 +180,4 @@ def _clock(segment: dict[str, Any]) -> tuple[float | None, float]:
     return 1.0 / step.pop(), start.pop() if start else 0.0
 
 
-FORMAT = Format((".lvm",), read_tables, read_segments=read_segments, stated_units=stated_units)
+FORMAT = format_apart(Format((".lvm",), read_tables, read_segments=read_segments, stated_units=stated_units))

@@ -17,8 +17,8 @@ from scipy import io
 
 from process.errors import InputError
 from process.types import Real
-from smfe.records.formats import hdf5_guard
 from smfe.records.formats.hdf5 import Place, open_file, read_places
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import (
     Column,
     Format,
@@ -167,7 +167,6 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _read_hdf5(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Table]:
-    hdf5_guard.check(path, _KIND)
     with open_file(path) as file:
         # MATLAB stores by column, HDF5 by row: a matrix comes out transposed.
         shapes: dict[str, tuple[int, ...]] = {}
@@ -410,4 +409,4 @@ def _element(head: bytes, at: int, order: str) -> tuple[int, bytes, int]:
     return kind, content, at + 8 if begin == at + 4 else begin + -(-count // 8) * 8
 
 
-FORMAT = Format((".mat",), read_tables, read_blocks, needs_time=lambda path: True)
+FORMAT = format_apart(Format((".mat",), read_tables, read_blocks, needs_time=lambda path: True))

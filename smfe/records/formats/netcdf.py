@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
-import xarray as xr
 
 from process.errors import InputError
 from process.labels import RECORD_SCALARS, RECORD_VECTORS, UNITS
-from smfe.records.formats import hdf5_guard
 from smfe.records.formats.hdf5 import columns_of, open_file, read_places
+from smfe.records.formats.reader import apart, format_apart
 from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, guarded, join
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _KIND = "NetCDF-4 or HDF5"
 _WHOLE = 1 << 62
@@ -39,6 +42,7 @@ def read_blocks(path: Path, wanted: Sequence[Column], block: int) -> Iterator[Ta
     return read_places(path, _KIND, {column: places[index] for column, index in at.items()}, block)
 
 
+@apart
 def read_own_layout(path: Path, block: int | None = None) -> Iterator[xr.Dataset] | None:
     """Return the blocks of the record when the file holds one in our own layout (``force(axis, time)``), else None.
 
@@ -57,14 +61,17 @@ def read_own_layout(path: Path, block: int | None = None) -> Iterator[xr.Dataset
     return guarded(path, _KIND, _own_blocks(path, block or _WHOLE)) if own_layout(path) else None
 
 
+@apart
 def own_layout(path: Path) -> bool:
     """Whether a NetCDF or HDF5 file holds a record in our own layout, which needs no declaration of channels."""
     _check_signature(path)
-    with damaged(path, _KIND), h5py.File(path, "r") as file:
+    with damaged(path, _KIND), open_file(path) as file:
         return "axis" in file and "time" in file and any(name in file for name in RECORD_VECTORS)
 
 
 def _own_blocks(path: Path, block: int) -> Iterator[xr.Dataset]:
+    import xarray as xr
+
     with xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False) as dataset:
         names = [name for name in (*RECORD_VECTORS, *RECORD_SCALARS) if name in dataset]
         for name in ("time", *names):
@@ -85,7 +92,6 @@ def _check_signature(path: Path) -> None:
         raise InputError(f"{path.name}: the file is empty")
     if head[:3] == b"CDF":
         raise InputError(f"{path.name}: a NetCDF-3 file; convert it with: nccopy -k nc4 {path.name} new.nc")
-    hdf5_guard.check(path, _KIND)
 
 
 def stated_units(path: Path) -> dict[str, str]:
@@ -99,11 +105,11 @@ def stated_units(path: Path) -> dict[str, str]:
             if isinstance(text, str):
                 found[name] = text
 
-    with damaged(path, "HDF5"), h5py.File(path, "r") as file:
+    with damaged(path, "HDF5"), open_file(path) as file:
         file.visititems(visit)
     return found
 
 
-FORMAT = Format(
-    (".nc", ".h5", ".hdf5"), read_tables, read_blocks, stated_units=stated_units, needs_time=lambda path: True
+FORMAT = format_apart(
+    Format((".nc", ".h5", ".hdf5"), read_tables, read_blocks, stated_units=stated_units, needs_time=lambda path: True)
 )

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.errors import InputError
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import (
     Column,
     Format,
@@ -153,4 +154,4 @@ def _plain(item: Any) -> Any:
     return np.frombuffer(data, kind.order + kind.code).reshape(shape, order="F" if fortran else "C")
 
 
-FORMAT = Format((".npy", ".npz"), read_tables, needs_time=lambda path: True)
+FORMAT = format_apart(Format((".npy", ".npz"), read_tables, needs_time=lambda path: True))

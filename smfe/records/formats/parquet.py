@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from process.errors import InputError
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import (
     Column,
     Format,
@@ -69,4 +70,4 @@ def _numbers(source: str, column: Column, array: Any) -> Any:
     return as_numbers(source, column, array.to_numpy(zero_copy_only=False))
 
 
-FORMAT = Format((".parquet",), read_tables, read_blocks, needs_time=lambda path: True)
+FORMAT = format_apart(Format((".parquet",), read_tables, read_blocks, needs_time=lambda path: True))

@@ -160,6 +160,8 @@ def as_numbers(source: str, column: Column, values: object) -> Real:
 def join(parts: Iterable[Table]) -> list[Table]:
     """Return the consecutive blocks of one segment as the one table they are parts of."""
     found = list(parts)
+    if len(found) == 1:
+        return found
     first = found[0]
     columns = {column: np.concatenate([part.columns[column] for part in found]) for column in first.columns}
     return [Table(columns, first.sample_rate, first.start, first.notes)]
@@ -235,12 +237,22 @@ def damaged(path: Path, kind: str) -> Iterator[None]:
             yield
     except (InputError, KeyboardInterrupt):
         raise
+    except MemoryError as error:
+        raise InputError(too_large(path)) from error
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(
             f"{path.name}: cannot be read as {kind}; the file is truncated, damaged or of another kind ({reason}); "
             "copy or export it again"
         ) from error
+
+
+def too_large(path: Path) -> str:
+    """Return what is said of a file that asks for more memory than one of its size is given."""
+    return (
+        f"{path.name}: reading it takes more memory than a file of {path.stat().st_size / 1e6:.3g} MB is given; the "
+        "file is damaged, or unpacks to far more than it is: copy or export it again, or save it less packed"
+    )
 
 
 # --- Files that are read whole: refused in a sentence where the memory would not do, before the machine stands still.

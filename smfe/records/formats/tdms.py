@@ -15,6 +15,7 @@ from nptdms import TdmsFile
 from nptdms.log import log_manager
 
 from process.errors import InputError
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import (
     Column,
     Format,
@@ -165,4 +166,4 @@ def _clock(channels: Sequence[Any]) -> tuple[float | None, float]:
     return 1.0 / float(step), float(start) if isinstance(start, int | float) and np.isfinite(start) else 0.0
 
 
-FORMAT = Format((".tdms",), read_tables, read_blocks, stated_units=stated_units)
+FORMAT = format_apart(Format((".tdms",), read_tables, read_blocks, stated_units=stated_units))

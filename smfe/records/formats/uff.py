@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.types import Real
 from smfe.records.formats.channels import did_you_mean, listed
+from smfe.records.formats.reader import apart, format_apart
 from smfe.records.formats.table import (
     Column,
     Format,
@@ -222,6 +223,7 @@ def _even_step(step: float) -> float:
 # --- the file, dataset by dataset ------------------------------------------------------------------------------------
 
 
+@apart
 def read_functions(path: Path) -> list[Function]:
     """Return every dataset 58 of a universal file.
 
@@ -445,4 +447,4 @@ def _text_numbers(body: Body, kind: int, even: bool) -> Real:
     return np.array(out, dtype=np.float64)
 
 
-FORMAT = Format((".uff", ".unv"), read_tables, read_segments=read_segments)
+FORMAT = format_apart(Format((".uff", ".unv"), read_tables, read_segments=read_segments))

@@ -17,6 +17,7 @@ import numpy as np
 
 from process.errors import InputError
 from process.types import Real
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, guarded, join, refuse_oversize
 
 _KIND = "WAV"
@@ -128,4 +129,4 @@ def _numbers(raw: bytes, layout: _Layout) -> Real:
     return np.frombuffer(raw, f"<i{layout.bytes_each}").astype(np.float64) / 2.0 ** (8 * layout.bytes_each - 1)
 
 
-FORMAT = Format((".wav",), read_tables, read_blocks)
+FORMAT = format_apart(Format((".wav",), read_tables, read_blocks))

@@ -18,6 +18,7 @@ import numpy as np
 from process.errors import InputError
 from process.types import Real
 from smfe.records.formats.channels import listed
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, same_length
 
 DIGITS = "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ!#$`()*+-/:;=?@[]^_{|}~"
@@ -120,4 +121,4 @@ def _text(element: ET.Element, name: str) -> str:
     raise ValueError(f"{element.tag} without {name}")
 
 
-FORMAT = Format((".xml",), read_tables)
+FORMAT = format_apart(Format((".xml",), read_tables))

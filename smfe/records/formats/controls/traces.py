@@ -19,6 +19,7 @@ import pandas as pd
 
 from process.errors import InputError
 from process.types import Real
+from smfe.records.formats.reader import format_apart
 from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, refuse_larger
 
 _TIMES = 12.0
@@ -253,4 +254,4 @@ def stated_units(path: Path) -> dict[str, str]:
     return {name.strip(): unit.split(" (")[0].strip() for name, unit in pairs if name not in ("Name", "")}
 
 
-FORMAT = Format((".json",), read_capture)
+FORMAT = format_apart(Format((".json",), read_capture))

@@ -39,7 +39,7 @@ from smfe.records import (
     write_record_netcdf,
     write_record_uff,
 )
-from smfe.records.formats import hdf5_guard
+from smfe.records.formats import reader
 from smfe.records.formats.controls.sinumerik import DIGITS
 
 N, RATE = 256, 2000.0
@@ -224,7 +224,7 @@ def fault(path: Path, channels: dict[str, Channel]) -> str:
 @pytest.fixture(autouse=True, scope="module")
 def patience() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hdf5_guard, "SECONDS", 2.0)
+        patch.setattr(reader, "SECONDS", 2.0)
         yield
 
 
