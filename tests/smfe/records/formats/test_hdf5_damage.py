@@ -150,7 +150,7 @@ def hanging(path: Path) -> Path:
 def test_a_file_on_which_the_library_loops_ends_with_a_sentence(tmp_path: Path, reader: Reader) -> None:
     path = make("nc", tmp_path)
     assert reader.read(hanging(path)) == (
-        "said r.nc: cannot be read: the library that reads such files does not come back within 2.02 s; the file is "
+        "said r.nc: cannot be read: the library that reads such files does not come back within 2.01 s; the file is "
         "damaged: copy or export it again"
     )
     assert reader.read(make("nc", tmp_path)) == "read"  # and the next file is read, by a new process
