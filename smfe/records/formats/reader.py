@@ -60,6 +60,9 @@ MEMORY, MEMORY_TIMES = 400 << 20, 384
 SLOT = 1 << 20
 """Bytes of a slot; there are two."""
 
+CLASSES: dict[str, type] = {"Table": Table}
+"""Dataclasses that an answer may hold, by their names; a format adds its own."""
+
 _SCRIPT = Path(__file__).with_name("reader_process.py")
 _INSIDE = False
 """Whether this is the process that reads."""
@@ -254,12 +257,9 @@ class _Process:
                 return tuple(of(entry) for entry in content)
             case "dict":
                 return {of(key): of(entry) for key, entry in content}
-            case "table":
-                return Table(*map(of, content))
-            case "function":
-                from smfe.records.formats.uff import Function
-
-                return Function(*map(of, content))
+            case "object":
+                name, values = content
+                return CLASSES[name](*map(of, values))
             case "dataset":
                 import xarray as xr
 

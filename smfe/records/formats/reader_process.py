@@ -14,6 +14,7 @@ import sys
 import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -106,14 +107,11 @@ class _Answers:
             return ["tuple", [of(entry) for entry in value]]
         if isinstance(value, dict):
             return ["dict", [[of(key), of(entry)] for key, entry in value.items()]]
-        match type(value).__name__:
-            case "Table":
-                return ["table", [of(entry) for entry in _fields(value)]]
-            case "Function":
-                return ["function", [of(entry) for entry in _fields(value)]]
-            case "Dataset":
-                variables = [[n, list(v.dims), of(dict(v.attrs)), of(v.values)] for n, v in value.variables.items()]
-                return ["dataset", [variables, list(value.coords), of(dict(value.attrs))]]
+        if is_dataclass(value):
+            return ["object", [type(value).__name__, [of(getattr(value, field.name)) for field in fields(value)]]]
+        if type(value).__name__ == "Dataset":
+            variables = [[n, list(v.dims), of(dict(v.attrs)), of(v.values)] for n, v in value.variables.items()]
+            return ["dataset", [variables, list(value.coords), of(dict(value.attrs))]]
         if isinstance(value, Iterator):
             self.count += 1
             self.iterators[self.count] = value
@@ -123,10 +121,6 @@ class _Answers:
 
 def _text(value: Any) -> str:
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
-
-
-def _fields(value: Any) -> list[Any]:
-    return [getattr(value, name) for name in type(value).__dataclass_fields__]
 
 
 def _called(answers: _Answers, path: Path, request: dict[str, Any]) -> Any:

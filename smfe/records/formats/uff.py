@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.types import Real
 from smfe.records.formats.channels import did_you_mean, listed
-from smfe.records.formats.reader import apart, format_apart
+from smfe.records.formats.reader import CLASSES, apart, format_apart
 from smfe.records.formats.table import (
     Column,
     Format,
@@ -100,6 +100,9 @@ class Function:
         if np.iscomplexobj(self.y):
             return {f"{self.name} real": self.y.real.copy(), f"{self.name} imag": self.y.imag.copy()}
         return {self.name: self.y}
+
+
+CLASSES["Function"] = Function
 
 
 def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
