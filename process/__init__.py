@@ -6,7 +6,14 @@ from process._kernel_cache import provide
 from process._lazy import lazy
 
 if TYPE_CHECKING:
-    from process.cut.engagement import AnyEngagement, Engagement, Engagements, engagement, engagement_of_strips
+    from process.cut.engagement import (
+        AnyEngagement,
+        Engagement,
+        Engagements,
+        engagement,
+        engagement_of_offset,
+        engagement_of_strips,
+    )
     from process.cut.force import CuttingCoefficients, ProcessDamping, directional_matrix, force_harmonics
     from process.cut.tool import Tool
     from process.drive.axis import Drive
@@ -104,6 +111,7 @@ __all__ = [
     "compliance_map",
     "directional_matrix",
     "engagement",
+    "engagement_of_offset",
     "engagement_of_strips",
     "equivalent_damping",
     "force_harmonics",
@@ -133,7 +141,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "process.cut.engagement": "AnyEngagement, Engagement, Engagements, engagement, engagement_of_strips",
+    "process.cut.engagement": "AnyEngagement, Engagement, Engagements, engagement, engagement_of_offset, "
+    "engagement_of_strips",
     "process.cut.force": "CuttingCoefficients, ProcessDamping, directional_matrix, force_harmonics",
     "process.cut.tool": "Tool",
     "process.drive.axis": "Drive",

@@ -141,6 +141,46 @@ def engagement(cut: str, width_of_cut: float, diameter: float) -> Engagement:
     return Engagement(0.0, arc) if cut == "up" else Engagement(math.pi - arc, math.pi)
 
 
+def engagement_of_offset(width_of_cut: float, offset: float, diameter: float) -> Engagement:
+    """Return the engagement of a tool whose axis runs beside the middle of the work, as that of a face mill does.
+
+    The work reaches from ``y = -offset - a_e/2`` to ``-offset + a_e/2``, from the tool axis along +y; a tooth at angle
+    ``phi`` is at ``y = D/2 cos phi``. No offset is the central cut; ``(D - a_e)/2`` is the down cut of the same width,
+    and the negative of it the up cut.
+
+    Parameters
+    ----------
+    width_of_cut : float
+        Radial width a_e [m].
+    offset : float
+        How far the tool axis lies from the middle of the work along +y [m]; negative: along -y.
+    diameter : float
+        Tool diameter D [m].
+
+    Raises
+    ------
+    InputError
+        For a width that is not in (0, D], and for work that reaches beyond the tool: it would not be cut there.
+    """
+    if not 0.0 < width_of_cut <= diameter * (1.0 + 1e-12):
+        return engagement("central", width_of_cut, diameter)
+    beyond = abs(offset) + 0.5 * width_of_cut - 0.5 * diameter
+    if beyond > 1e-9 * diameter:
+        raise InputError(
+            f"with an offset of {offset * 1e3:g} mm work of {width_of_cut * 1e3:g} mm reaches {beyond * 1e3:.4g} mm "
+            f"beyond the tool of {diameter * 1e3:g} mm; the width of cut is what is cut, and such a cut is "
+            f"{'a down' if offset > 0.0 else 'an up'} cut"
+        )
+    low, high = -offset - 0.5 * width_of_cut, -offset + 0.5 * width_of_cut
+    entry, leave = (math.acos(min(1.0, max(-1.0, 2.0 * y / diameter))) for y in (high, low))
+    return Engagement(entry, leave)
+
+
+def width_of(arc: AnyEngagement, diameter: float) -> float:
+    """Return the radial width of cut of an engagement [m], all arcs together: ``D/2 sum(cos entry - cos exit)``."""
+    return 0.5 * diameter * sum(math.cos(part.entry) - math.cos(part.exit) for part in arc.arcs)
+
+
 def engagement_of_strips(strips: Sequence[tuple[float, float]], diameter: float) -> AnyEngagement:
     """Return the engagement of a tool that advances over strips of work: a tool over a slot, or between two walls.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from process.cut.engagement import Engagement, Engagements
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
@@ -19,6 +20,7 @@ from smfe.arrays.compliances import conditions_of, dataset_of, name_of, several
 from smfe.arrays.tables import material_table, model_table, tool_table
 from smfe.campaign import Campaign, campaign_of_tables
 from smfe.campaign.machine import MACHINE
+from smfe.campaign.quantities import OTHER_CUTS
 from smfe.campaign.schema import ConditionsTable
 from smfe.identification.compliances import labelled
 from smfe.limits.campaign_lobes import LobeResult
@@ -35,7 +37,7 @@ _TABLES = ("spindle", "machine")
 USUAL = {"method": "zero_order", "feed_per_tooth": "0.1 mm"}
 """What is asked for where nothing is said: the feed per tooth sets feed and removal rate, not the limit."""
 
-_NEEDED = ("tool", "material", "cut", "width_of_cut", "spindle_speed")
+_NEEDED = ("tool", "material", "cut", "spindle_speed")
 
 
 def asked(
@@ -62,11 +64,13 @@ def asked(
         When tool, material or cut are not given, and where a campaign file would be refused.
     """
     given = {"tool": tool, "material": material, **request}
-    missing = [name for name in _NEEDED if given.get(name) is None]
+    of_cut = OTHER_CUTS.get(str(given.get("cut")), ("width_of_cut",))
+    missing = [name for name in (*_NEEDED, *of_cut) if given.get(name) is None]
     if tool is None or material is None or missing:
         example = "tool, material, cut='down', width_of_cut='40 mm', spindle_speed=(600, 1500)"
         raise InputError(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; give {example}")
-    if not isinstance(request["width_of_cut"], str) and np.ndim(request["width_of_cut"]):
+    width = request.get("width_of_cut", "")
+    if not isinstance(width, str) and np.ndim(width):
         raise InputError("width_of_cut: one width at a time is asked for; call once for each")
     request = USUAL | dict(request)
     if isinstance(source, Machine):
@@ -146,6 +150,12 @@ def limits_given(
         raise InputError("the lobes have flanks worn differently; give those of one process_damping")
     if (flank := worn.pop())[0] is not None:
         keys |= {"process_damping": f"{flank[0]!r} N/m", "flank_friction": flank[1]}
+    arcs = np.atleast_1d(next(iter(source.values())).attrs.get("arcs_deg", ())).reshape(-1, 2)
+    if len({tuple(np.atleast_1d(one.attrs.get("arcs_deg", ())).tolist()) for one in source.values()}) != 1:
+        raise InputError("the lobes have different arcs of engagement; give those of one cut")
+    cut = keys["cut"]
+    if arcs.size:  # the tables of a file are checked with a slot in its place
+        keys["cut"] = "central"
     keys["feed_direction"] = f"{keys['feed_direction']!r} deg"
     record = {"file": "lobes", "response": "x", "excitation": "x"}
     speeds = next(iter(source.values()))["spindle_speed"].values
@@ -164,7 +174,10 @@ def limits_given(
     results = []
     for name, one in source.items():
         listed = bool(one.attrs.get("single_speeds", False))
-        asked_for = replace(campaign.lobes[0], spindle_speed=one["spindle_speed"].values, listed=listed)
+        asked_for = replace(campaign.lobes[0], spindle_speed=one["spindle_speed"].values, listed=listed, cut=cut)
+        if arcs.size:
+            engaged = tuple(Engagement(*pair) for pair in np.radians(arcs).tolist())
+            asked_for = replace(asked_for, engaged=engaged[0] if len(engaged) == 1 else Engagements(engaged))
         table = lobe_table(one, name, campaign.tool, asked_for.width_of_cut, asked_for.feed_per_tooth)
         kind, moves = str(one.attrs.get("kind", "frf")), bool(one.attrs.get("in_motion", False))
         results.append(LobeResult("lobes_1", name, one, table, asked_for, kind, moves))

@@ -16,6 +16,7 @@ from process.errors import InputError
 from smfe.cam.fusion import unique_name
 from smfe.cam.points import OperatingPoint
 from smfe.results import write_atomically
+from stability.tables.presets import milling
 
 _MARK = "smfe: "
 """Begin of the notes of a preset that an export wrote, by which the next one finds it."""
@@ -58,7 +59,9 @@ def write_freecad(points: Sequence[OperatingPoint], path: Path) -> list[str]:
 
 
 def _cut(point: OperatingPoint) -> str:
-    return f"{_MARK}{point.machine}, {point.material}, {point.cut} milling, width of cut {point.width_of_cut_mm:g} mm; "
+    return (
+        f"{_MARK}{point.machine}, {point.material}, {milling(point.cut)}, width of cut {point.width_of_cut_mm:g} mm; "
+    )
 
 
 def _preset(point: OperatingPoint, name: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from process.errors import InputError
 from stability import read_presets
+from stability.tables.presets import milling
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class OperatingPoint:
     def description(self) -> str:
         """What the number is and where it comes from, in a sentence."""
         return (
-            f"{self.cut} milling, depth {self.depth_of_cut_mm:g} mm at width {self.width_of_cut_mm:g} mm: stable with "
+            f"{milling(self.cut)}, depth {self.depth_of_cut_mm:g} mm at width {self.width_of_cut_mm:g} mm: stable with "
             f"{100.0 * self.probability:g} % by {self.source.replace('_', ' ')}"
             + (f", {self.machine}" if self.machine else "")
         )

@@ -14,6 +14,15 @@ import xarray as xr
 from pydantic import ValidationError
 
 from process import units
+from process.cut.engagement import (
+    CUTS,
+    AnyEngagement,
+    Engagement,
+    engagement,
+    engagement_of_offset,
+    engagement_of_strips,
+    width_of,
+)
 from process.cut.force import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.drive.axis import Drive
@@ -370,9 +379,9 @@ class LobeRequest:
     method : str
         "zero_order", "multi_frequency", "semi_discretization" or "operating_point".
     cut : str
-        "down", "up" or "central".
+        "down", "up", "central", or "offset", "angles", "strips", of which `engaged` holds the arcs.
     width_of_cut, feed_per_tooth : float
-        [m].
+        [m]; the width of all strips together.
     spindle_speed : ndarray
         Spindle speeds [rpm].
     maximum_depth : float or None
@@ -392,6 +401,8 @@ class LobeRequest:
         all widths of the table are called together, "lobes_1".
     listed : bool
         The speeds were named one by one, and each is a candidate; else they are steps of a range.
+    engaged : Engagement, Engagements or None
+        Where the teeth are in the work, where `cut` is not one of the three kinds.
     """
 
     measurements: tuple[str, ...]
@@ -410,6 +421,14 @@ class LobeRequest:
     name: str = "lobes_1"
     table: str = "lobes_1"
     listed: bool = False
+    engaged: AnyEngagement | None = None
+
+    def arc(self, diameter: float) -> AnyEngagement:
+        """Return where the teeth of a tool [m] are in the work."""
+        if self.cut in CUTS:
+            return engagement(self.cut, self.width_of_cut, diameter)
+        assert self.engaged is not None
+        return self.engaged
 
 
 @dataclass(frozen=True)
@@ -797,7 +816,7 @@ def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
         channels=_channels("cutting", base),
         measurements=tuple(_measurement(table, base) for table in file.measurement),
         models=(*(_model(table) for table in file.model), *own),
-        lobes=tuple(r for number, table in enumerate(file.lobes, 1) for r in _lobes(number, table)),
+        lobes=tuple(r for number, table in enumerate(file.lobes, 1) for r in _lobes(number, table, file.tool)),
         cutting_tests=tuple(_cutting_test(table, base) for table in file.cutting_test),
         baseline=_baseline(file.baseline, file.machine) if file.baseline else None,
         coefficient_spread=None if file.material is None else file.material.uncertainty,
@@ -905,11 +924,17 @@ def _channels(method: str, declared: Declared) -> dict[str, Channel]:
     return {name: Channel(**entry) for name, entry in declared.items() if name in wanted}
 
 
-def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
+def _lobes(number: int, table: schema.LobesTable, tool: schema.ToolTable | None) -> Iterator[LobeRequest]:
     """Yield the requests of one table, one a width."""
+    assert tool is not None  # said by `check`
     name = f"lobes_{number}"
+    widths = [(w, _engaged(table, w, tool.diameter)) for w in table.width_of_cut]
+    if not widths:
+        arcs = _engaged(table, 0.0, tool.diameter)
+        assert arcs is not None
+        widths = [(width_of(arcs, tool.diameter), arcs)]
     friction = {} if table.flank_friction is None else {"friction": table.flank_friction}
-    for width in table.width_of_cut:
+    for width, engaged in widths:
         yield LobeRequest(
             table.measurements,
             table.method,
@@ -924,10 +949,23 @@ def _lobes(number: int, table: schema.LobesTable) -> Iterator[LobeRequest]:
             table.position,
             ProcessDamping(table.process_damping, **friction),
             table.bands_up_to,
-            name=name if len(table.width_of_cut) == 1 else f"{name}_{1e3 * width:.6g}mm",
+            name=name if len(widths) == 1 else f"{name}_{1e3 * width:.6g}mm",
             table=name,
             listed=table.spindle_speed.listed,
+            engaged=engaged,
         )
+
+
+def _engaged(table: schema.LobesTable, width: float, diameter: float) -> AnyEngagement | None:
+    """Return where the teeth are in the work, where it is none of the three kinds of cut."""
+    if table.cut == "offset":
+        assert table.offset is not None
+        return engagement_of_offset(width, table.offset, diameter)
+    if table.cut == "angles":
+        assert table.entry_angle is not None
+        assert table.exit_angle is not None
+        return Engagement(table.entry_angle, table.exit_angle)
+    return engagement_of_strips(table.strips, diameter) if table.strips else None
 
 
 def _cutting_test(table: schema.CuttingTestTable, base: Declared) -> CuttingTest:

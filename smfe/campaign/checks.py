@@ -15,10 +15,12 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from process import units
+from process.cut.engagement import CUTS, Engagement, engagement_of_offset, engagement_of_strips
 from process.errors import InputError
 from process.labels import AXES
 from smfe.campaign.machine import MACHINE, is_model
 from smfe.campaign.methods import METHODS, needed_by, readers_of
+from smfe.campaign.quantities import OTHER_CUTS
 from smfe.campaign.schema import CampaignFile
 from smfe.records.formats.channels import (
     CHANNELS,
@@ -222,6 +224,7 @@ def _lobes(raw: Raw) -> Iterator[Complaint]:
     diameter = _quantity(raw.get("tool"), "diameter", "length")
     for where, table in _tables(raw, "lobes"):
         yield from _needs(raw, where, ("tool", "material"), "a stability limit")
+        yield from _engaged(where, table, diameter)
         widths = table.get("width_of_cut")
         for i, width in enumerate(widths if isinstance(widths, list) else []):
             one = {"width_of_cut": width}
@@ -231,6 +234,37 @@ def _lobes(raw: Raw) -> Iterator[Complaint]:
         names = table.get("measurements")
         for i, name in enumerate(names if isinstance(names, list) else []):
             yield from _named(raw, (*where, "measurements", i), name, anywhere=True)
+
+
+def _engaged(where: Loc, table: Raw, diameter: float | None) -> Iterator[Complaint]:
+    """What says where the teeth of a [[lobes]] are in the work: other keys for each kind of cut."""
+    cut = table.get("cut")
+    if not isinstance(cut, str) or cut not in (*CUTS, *OTHER_CUTS):
+        return  # said by the schema
+    needed = OTHER_CUTS.get(cut, ("width_of_cut",))
+    every = dict.fromkeys(["width_of_cut", *(key for keys in OTHER_CUTS.values() for key in keys)])
+    missing = [key for key in needed if key not in table]
+    for key in every:
+        if key in missing:
+            yield (*where, key), f'is missing; cut = "{cut}" needs {listed(needed)}, add it'
+        elif key in table and key not in needed:
+            yield (*where, key), f'cut = "{cut}" is said by {listed(needed)}; take it out'
+    if missing or diameter is None:
+        return
+    try:
+        if cut == "offset":
+            widths, offset = table["width_of_cut"], units.parse(table["offset"], "length")
+            for width in widths if isinstance(widths, list) else [widths]:
+                engagement_of_offset(units.parse(width, "length"), offset, diameter)
+        elif cut == "angles":
+            Engagement(units.parse(table["entry_angle"], "angle"), units.parse(table["exit_angle"], "angle"))
+        elif cut == "strips":
+            strips = [[units.parse(edge, "length") for edge in strip] for strip in table["strips"]]
+            engagement_of_strips([(low, high) for low, high in strips], diameter)
+    except InputError as error:
+        yield (*where, needed[-1]), str(error)
+    except (TypeError, ValueError):
+        return  # said by the schema
 
 
 def _cutting_tests(raw: Raw) -> Iterator[Complaint]:

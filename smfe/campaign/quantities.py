@@ -105,6 +105,11 @@ def _place(value: Any) -> str:
 Place = Annotated[str, BeforeValidator(_place)]
 CutName = Annotated[str, one_of(CUTS, "cut")]
 
+OTHER_CUTS = {"offset": ("width_of_cut", "offset"), "angles": ("entry_angle", "exit_angle"), "strips": ("strips",)}
+"""What the engagement of lobes may be besides `CUTS`, and the keys that say it."""
+
+Engaged = Annotated[str, one_of((*CUTS, *OTHER_CUTS), "cut")]
+
 
 def _ratio(value: Any) -> float:
     """A number, or text in per cent."""
@@ -323,6 +328,23 @@ def _widths(value: Any) -> tuple[float, ...]:
 
 
 Widths = Annotated[tuple[float, ...], BeforeValidator(_widths)]
+
+
+def _strips(value: Any) -> tuple[tuple[float, float], ...]:
+    """Edges of strips of work, [[from, to], ...] from the tool axis along +y -> [m]."""
+    example = '[["-30 mm", "-10 mm"], ["5 mm", "25 mm"]]'
+    if not isinstance(value, list) or not value or not all(isinstance(item, list) for item in value):
+        raise InputError(f"{value!r} names no strips; write the edges of each from the tool axis along +y, {example}")
+    found = []
+    for item in value:
+        low, high = _list_of(item, "length", (2,), '["-30 mm", "-10 mm"]')
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise InputError(f"{item!r} is no strip of work; the lower edge comes first, along +y")
+        found.append((low, high))
+    return tuple(sorted(found))
+
+
+Strips = Annotated[tuple[tuple[float, float], ...], BeforeValidator(_strips)]
 
 
 def _ramp(value: Any) -> tuple[float, float]:

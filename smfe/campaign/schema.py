@@ -373,8 +373,12 @@ class LobesTable(Table):
 
     measurements: Annotated[tuple[StrictStr, ...], q.NotEmpty]
     method: Annotated[str, q.one_of(q.LOBE_METHODS, "method")]
-    cut: q.CutName
-    width_of_cut: q.Widths
+    cut: q.Engaged
+    width_of_cut: q.Widths = ()
+    offset: q.Length | None = None
+    entry_angle: q.Angle | None = None
+    exit_angle: q.Angle | None = None
+    strips: q.Strips | None = None
     feed_per_tooth: q.PositiveLength
     spindle_speed: q.LobeSpeeds
     feed_direction: q.FeedDirection = 0.0

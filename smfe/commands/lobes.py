@@ -60,7 +60,7 @@ def lobes(
     material: CuttingCoefficients | Mapping[str, Any],
     *,
     cut: str,
-    width_of_cut: float | str,
+    width_of_cut: float | str | None = None,
     spindle_speed: Speeds,
     feed_per_tooth: float | str = "0.1 mm",
     method: str = "zero_order",
@@ -78,7 +78,7 @@ def lobes(
     material: CuttingCoefficients | Mapping[str, Any],
     *,
     cut: str,
-    width_of_cut: float | str,
+    width_of_cut: float | str | None = None,
     spindle_speed: Speeds,
     feed_per_tooth: float | str = "0.1 mm",
     method: str = "zero_order",
@@ -117,10 +117,10 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
         The tool, or the keys of ``[tool]``.
     material : CuttingCoefficients or mapping
         Cutting coefficients, or the keys of ``[material]``: name, Ktc, ..., uncertainty.
-    cut : {"down", "up", "central"}
-        Kind of cut.
-    width_of_cut : float or str
-        [m].
+    cut : {"down", "up", "central", "offset", "angles", "strips"}
+        Kind of cut; the last three with ``offset``, ``entry_angle`` and ``exit_angle``, or ``strips``.
+    width_of_cut : float or str, optional
+        [m]; angles and strips have their own.
     spindle_speed : (float or str, float or str), the same with a step, or numpy.ndarray
         From and to, and the step of the table; one speed, or four and more in a list; or a grid as an array. Numbers
         are rpm.

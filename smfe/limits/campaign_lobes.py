@@ -13,7 +13,6 @@ import pandas as pd
 import xarray as xr
 
 from process import units
-from process.cut.engagement import engagement
 from process.errors import InputError
 from process.labels import UNITS
 from process.machine.machine import Machine
@@ -216,7 +215,7 @@ def limits_of(
     assert campaign.tool is not None
     assert campaign.coefficients is not None
     tool, work, speeds = campaign.tool, campaign.coefficients, request.spindle_speed
-    arc = engagement(request.cut, request.width_of_cut, tool.diameter)
+    arc = request.arc(tool.diameter)
     if is_machine(campaign, request, names):
         assert isinstance(campaign.machine_model, Machine)
         return operating_point(
@@ -307,7 +306,7 @@ def _banded(
         return limits
     assert campaign.tool is not None
     assert campaign.coefficients is not None
-    arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
+    arc = request.arc(campaign.tool.diameter)
     own = Spread() if model is None or model.spread is None else model.spread
     spread = replace(own, common=campaign.coefficients_known_within)
     if model is not None and not spread.modal.any() and spread.common == 0.0:
@@ -329,7 +328,7 @@ def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Datase
     worn = request.process_damping.coefficient > 0.0  # its lobes are no explicit curves
     if request.method != "zero_order" or worn or not campaign.tool.equal_pitch or request.spindle_speed.size < 2:
         return limits
-    arc, speeds = engagement(request.cut, request.width_of_cut, campaign.tool.diameter), request.spindle_speed
+    arc, speeds = request.arc(campaign.tool.diameter), request.spindle_speed
     compliance = turned(compliance, request.feed_direction)[0] if request.feed_direction else compliance
     curves = lobe_curves(compliance, campaign.tool, arc, campaign.coefficients, (speeds[0], speeds[-1]))
     return limits.assign(
@@ -374,6 +373,9 @@ def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dat
         coefficient_uncertainty=campaign.coefficients_known_within,
         feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )
+    if request.engaged is not None:
+        arcs = [math.degrees(angle) for part in request.engaged.arcs for angle in (part.entry, part.exit)]
+        limits = limits.assign_attrs(arcs_deg=np.array(arcs))
     if request.process_damping.coefficient > 0.0:
         limits = limits.assign_attrs(
             process_damping_N_m=request.process_damping.coefficient, flank_friction=request.process_damping.friction

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from process.cut.engagement import AnyEngagement, engagement
+from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.types import Real
@@ -64,7 +64,7 @@ def ceilings_of(campaign: Campaign, request: LobeRequest) -> tuple[DepthCeiling,
         out.append(DepthCeiling("the greatest depth that is asked for", request.maximum_depth))
     if can.edge_length is not None:
         out.append(DepthCeiling("the length of the cutting edges", can.edge_length * math.sin(tool.approach_angle)))
-    arc = engagement(request.cut, request.width_of_cut, tool.diameter)
+    arc = request.arc(tool.diameter)
     torque = mean_torque(tool, arc, campaign.coefficients, request.feed_per_tooth)
     if can.torque is not None and torque > 0.0:
         out.append(DepthCeiling("the torque of the spindle", can.torque / torque))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import xarray as xr
 
-from process.cut.engagement import AnyEngagement, engagement
+from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
@@ -104,7 +104,7 @@ def asked_cut(campaign: Campaign, request: LobeRequest, source: str, compliance:
     """
     assert campaign.tool is not None
     assert campaign.coefficients is not None
-    arc = engagement(request.cut, request.width_of_cut, campaign.tool.diameter)
+    arc = request.arc(campaign.tool.diameter)
     declared = next((m.modal for m in campaign.models if m.name == source), None)
     notes: Sequence[str] = ()
     if declared is not None:

@@ -16,6 +16,7 @@ from smfe.reporting.content.results import Lobes, Results, read_results
 from smfe.reporting.content.style import CHATTER, literal, number
 from smfe.reporting.figures import figure_data
 from smfe.results import write_atomically
+from stability.tables.presets import milling
 
 FORMATS = (".pdf", ".png", ".svg")
 """Kinds of files that the sheet is written as."""
@@ -72,7 +73,7 @@ def draw_sheet(results: Results, document: Mapping[str, Any]) -> Figure:
     figure.text(
         0.07,
         0.922,
-        literal(f"{tool['name']}  ·  {answer['material']}  ·  {answer['cut']} milling"),
+        literal(f"{tool['name']}  ·  {answer['material']}  ·  {milling(answer['cut'])}"),
         fontsize=12.5,
         color=_INK,
         va="top",

@@ -67,7 +67,7 @@ def _operating_point(status: list[str], number: dict[str, Any]) -> dict[str, Any
             "chatter_frequency_Hz": _UNKNOWN,
             "lobes": _TEXT,
             "method": _TEXT,
-            "cut": {"enum": ["down", "up", "central"]},
+            "cut": {"enum": ["down", "up", "central", "offset", "angles", "strips"]},
             "source": _TEXT,
             "reason": _TEXT,
             "assumptions": {"type": "array", "items": _TEXT},
@@ -76,6 +76,12 @@ def _operating_point(status: list[str], number: dict[str, Any]) -> dict[str, Any
             "machine": _TEXT,
         }
     )
+
+
+def milling(cut: str) -> str:
+    """Return a kind of cut in words: "down milling"."""
+    words = {"offset": "offset milling", "angles": "milling between given angles", "strips": "milling of strips"}
+    return words.get(cut, f"{cut} milling")
 
 
 RECOMMENDED, LIMIT_ONLY, NONE = "recommended", "limit_only", "none"

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from process.cut.engagement import Engagement, engagement
+from process.cut.engagement import AnyEngagement, engagement
 from process.cut.force import NO_DAMPING, CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.drive.servo import Servo
@@ -69,10 +69,11 @@ class Asked:
     controller: str | None = None
     standing: Standing = AS_FIRST  # where, when and how hard shaken a machine of modes cuts
     flank: ProcessDamping = NO_DAMPING  # how worn the lobes are asked for
+    engaged: AnyEngagement | None = None  # where the cut is none of the three kinds
 
-    def arc(self, tool: Tool) -> Engagement:
+    def arc(self, tool: Tool) -> AnyEngagement:
         """Return the engagement."""
-        return engagement(self.cut, self.width, tool.diameter)
+        return engagement(self.cut, self.width, tool.diameter) if self.engaged is None else self.engaged
 
 
 Depths = Callable[[Values | None, Asked], Sequence[float]]
@@ -88,7 +89,7 @@ def asked(campaign: Campaign, most: int = SPEEDS) -> Iterator[Asked]:
         pick = np.unique(np.linspace(0, r.spindle_speed.size - 1, most).round().astype(int))
         speeds = r.spindle_speed[pick].tolist()
         cut = (r.name, r.cut, r.width_of_cut, r.feed_per_tooth)
-        yield Asked(*cut, speeds, r.measurements, r.controller, flank=r.process_damping)
+        yield Asked(*cut, speeds, r.measurements, r.controller, flank=r.process_damping, engaged=r.engaged)
     for t in (t for t in campaign.cutting_tests if t.feed_per_tooth is not None and t.depth_of_cut > 0.0):
         sources = campaign.lobes[0].measurements if campaign.lobes else ()
         speeds = [t.spindle_speed]

@@ -16,6 +16,7 @@ from smfe.reporting.content.results import Lobes, Results
 from smfe.reporting.content.style import METHODS, number, spoken, with_range
 from smfe.reporting.content.tables import Row, Table, true
 from stability.tables.pockets import lowest_about
+from stability.tables.presets import milling
 
 Advice = Mapping[str, Any]
 
@@ -64,7 +65,7 @@ def tool_text(tool: Mapping[str, Any]) -> str:
 def cut_text(advice: Advice) -> str:
     """Return "down milling, 40 mm wide, 0.1 mm per tooth"."""
     width, feed = number(advice["width_of_cut_mm"]), number(advice["feed_per_tooth_mm"])
-    return f"{advice['cut']} milling, {width} mm wide, {feed} mm per tooth"
+    return f"{milling(advice['cut'])}, {width} mm wide, {feed} mm per tooth"
 
 
 def cut_name(results: Results, request: str) -> str:
